@@ -1,0 +1,8 @@
+#define PY_SSIZE_T_CLEAN
+#include <Python.h>
+
+int rosplc_add_plan(PyObject *module)
+{
+    (void)module;
+    return 0;
+}

@@ -1,0 +1,204 @@
+"""One tree of errors for the whole package: a code, what happened, where, and a remedy.
+
+Every error that a user can meet is a :class:`RosplcError`. Its ``code`` names a page of
+``docs/reference/errors.md`` (one entry per code, generated from :data:`CODES`), so a code
+never changes its meaning. Numbers below 1000 with the prefix ``SHM`` are also the error
+numbers that a PLC's function block shows; ``spec/shm-format.md`` section 9 lists those.
+
+This module stands at the bottom of the dependency order and imports nothing of rosplc.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+__all__ = [
+    "CODES",
+    "BackendError",
+    "ChannelError",
+    "CodecError",
+    "CodeInfo",
+    "ConfigError",
+    "LayoutError",
+    "MessageTypeError",
+    "RosplcError",
+    "SetupError",
+]
+
+
+@dataclass(frozen=True)
+class CodeInfo:
+    """What an error code means, for the reference and for errors raised without a remedy.
+
+    Attributes:
+        code: The stable code, such as ``"SHM112"``.
+        title: The meaning in a few words.
+        remedy: What usually helps.
+    """
+
+    code: str
+    title: str
+    remedy: str
+
+
+CODES: dict[str, CodeInfo] = {}
+
+
+def _register(code: str, title: str, remedy: str) -> None:
+    if code in CODES:  # pragma: no cover - a programming error, found at import
+        raise ValueError(f"error code {code} is registered twice")
+    CODES[code] = CodeInfo(code, title, remedy)
+
+
+class RosplcError(Exception):
+    """The base of every error that rosplc raises on purpose.
+
+    Args:
+        code: A code registered in :data:`CODES`.
+        what: What happened, one sentence without a full stop at the end.
+        where: The place: ``file:line: key``, an object's path, a topic, a field path.
+        remedy: What the reader can do; the code's usual remedy if empty.
+
+    Attributes:
+        code: See above; so are ``what``, ``where`` and ``remedy``.
+    """
+
+    family: ClassVar[str] = ""
+
+    def __init__(self, code: str, what: str, *, where: str = "", remedy: str = "") -> None:
+        if not code.startswith(self.family) or code not in CODES:
+            raise ValueError(f"{code} is not a registered code of {type(self).__name__}")
+        self.code = code
+        self.what = what
+        self.where = where
+        self.remedy = remedy or CODES[code].remedy
+        super().__init__(code, what, where, remedy)
+
+    def __str__(self) -> str:
+        place = f"{self.where}: " if self.where else ""
+        return f"{place}{self.what} [{self.code}] {self.remedy}".rstrip()
+
+    def __reduce__(self) -> tuple[object, ...]:
+        # Exceptions with keyword arguments do not survive pickling by default.
+        return (_rebuild, (type(self), self.code, self.what, self.where, self.remedy))
+
+    def to_dict(self) -> dict[str, str]:
+        """Return the error as plain data, for ``--json`` output."""
+        return {"code": self.code, "what": self.what, "where": self.where, "remedy": self.remedy}
+
+
+def _rebuild(cls: type[RosplcError], code: str, what: str, where: str, remedy: str) -> RosplcError:
+    return cls(code, what, where=where, remedy=remedy)
+
+
+class MessageTypeError(RosplcError):
+    """A ROS message type is unknown, malformed or outside what rosplc carries."""
+
+    family = "TYP"
+
+
+class LayoutError(RosplcError):
+    """A layout cannot be computed, or two layouts that must agree do not."""
+
+    family = "LAY"
+
+
+class CodecError(RosplcError):
+    """Wire bytes or a record were refused; the text names field, size and limit."""
+
+    family = "COD"
+
+
+class ChannelError(RosplcError):
+    """A shared-memory object cannot be created, opened, claimed or trusted."""
+
+    family = "SHM"
+
+
+class ConfigError(RosplcError):
+    """The configuration is wrong; ``where`` is ``file:line: key``."""
+
+    family = "CFG"
+
+
+class BackendError(RosplcError):
+    """The ROS side failed: a backend is missing, or the middleware refused something."""
+
+    family = "ROS"
+
+
+class SetupError(RosplcError):
+    """The machine lacks something: a package, a right, room in ``/dev/shm``."""
+
+    family = "SYS"
+
+
+_register("TYP001", "unknown message type", "Check the spelling with `rosplc types`, or add its folder to types.paths.")
+_register("TYP002", "syntax error in a .msg definition", "Correct the named line; see https://docs.ros.org for the .msg syntax.")
+_register("TYP003", "message type contains itself", "Break the cycle in the .msg files; ROS itself refuses it.")
+_register("TYP004", "unsupported field type", "wstring and long double are not carried; use string or float64.")
+_register("TYP005", "two definitions of one message type differ", "Keep one of the definitions, or give the custom one its own package name.")
+_register("TYP006", "unknown ROS distribution", "Use one of the bundled distributions; `rosplc types --distros` lists them.")
+_register("TYP007", "definition exceeds a limit", "Definitions have limits on size, depth and number of fields, since they may come from the wire.")
+
+_register("LAY001", "capacity is not valid", "Capacities are whole numbers from 1 up; strings at most 65534, sequences at most 16777216.")
+_register("LAY002", "limit names no field of the type", "Use the field path as `rosplc types TYPE` prints it, for example header.frame_id or points[].x.")
+_register("LAY003", "record is too large", "Lower the limits of the largest fields; `rosplc types TYPE` shows the sizes.")
+_register("LAY004", "capacity exceeds the bound in the .msg definition", "Use at most the bound that the definition gives.")
+_register("LAY005", "layouts differ", "Generate the PLC code again from the same configuration, or restart the older side.")
+_register("LAY006", "value does not fit its field", "Give a value of the field's type and range, within its capacity.")
+
+_register("COD001", "message is truncated", "The sender's definition of the type differs, or the bytes were damaged.")
+_register("COD002", "message has bytes left over", "The sender's definition of the type differs, or the bytes were damaged.")
+_register("COD003", "unsupported encapsulation", "Only plain CDR (version 1, either byte order) is accepted, as ROS 2 sends it.")
+_register("COD004", "string does not fit", "Raise this field's limit in the configuration, or set on_overflow: truncate.")
+_register("COD005", "sequence does not fit", "Raise this field's limit in the configuration, or set on_overflow: truncate.")
+_register("COD006", "bool is neither 0 nor 1", "The sender's definition of the type differs, or the bytes were damaged.")
+_register("COD007", "string is not terminated, or holds a NUL", "The sender's definition of the type differs, or the bytes were damaged.")
+_register("COD008", "sequence is longer than the type's own bound", "The sender's definition of the type differs, or the bytes were damaged.")
+_register("COD009", "record has the wrong size", "Pass a buffer of exactly the layout's record size.")
+
+_register("SHM101", "object does not exist", "Start the bridge that carries this topic, and check prefix and topic name.")
+_register("SHM102", "no permission to open the object", "Run with the object's user or group; see shm.group and shm.mode in the configuration.")
+_register("SHM103", "object is smaller than a header", "Something else uses this name; choose another prefix.")
+_register("SHM104", "not a rosplc object", "Something else uses this name; choose another prefix.")
+_register("SHM105", "format version is not supported", "Use the same rosplc release on both sides.")
+_register("SHM106", "object requires features that this side lacks", "Use the same rosplc release on both sides.")
+_register("SHM107", "identity is damaged", "Another program wrote into the object. Restart the bridge; it replaces the object.")
+_register("SHM108", "geometry is not consistent", "Another program wrote into the object. Restart the bridge; it replaces the object.")
+_register("SHM109", "object is smaller than it says", "Somebody truncated the object. Restart the bridge; it replaces the object.")
+_register("SHM110", "wrong kind or direction", "The topic is configured in the other direction; correct `to:` or use the other function block.")
+_register("SHM111", "object is retired", "Open the name again: a new object stands in its place, or will.")
+_register("SHM112", "layout differs", "Generate the PLC code again from the same configuration, or restart the older side.")
+_register("SHM113", "self-description cannot be read", "Another program wrote into the object. Restart the bridge; it replaces the object.")
+_register("SHM114", "another writer holds the claim", "Only one writer may write a topic. Stop the other, or wait until its beat has stopped.")
+_register("SHM115", "writer's claim was taken over", "Another writer claimed the object while this one was silent. Stop one of the two.")
+_register("SHM116", "another bridge holds this name", "Stop the other bridge, or give this one another `prefix:` in its configuration.")
+_register("SHM117", "not enough room in shared memory", "Free space in /dev/shm, or enlarge it (mount -o remount,size=...); lower limits or depth.")
+_register("SHM118", "name is not valid", "Topics have letters, digits, _ and /; prefixes letters, digits, _ and -.")
+_register("SHM119", "object belongs to another user", "Remove it as its owner, run as its owner, or choose another prefix.")
+_register("SHM120", "name leads to another object", "The file was removed or replaced under a running bridge; it creates the object again.")
+_register("SHM121", "not a plain file", "A link or device stands at this name; remove it. rosplc never follows links there.")
+_register("SHM122", "this side maps the object read-only", "Attach with write access to publish.")
+_register("SHM123", "shared memory directory cannot be used", "Check that /dev/shm is mounted and writable for this user.")
+
+_register("CFG001", "file cannot be read", "Check the path and the permissions.")
+_register("CFG002", "not valid YAML", "Correct the named line; indentation and colons are the usual causes.")
+_register("CFG003", "unknown key", "Check the spelling; `rosplc check --schema` prints every key.")
+_register("CFG004", "value is not valid", "See the message for what would be right.")
+_register("CFG005", "key is missing", "Add the named key.")
+_register("CFG006", "topic is configured twice", "A topic has one direction: keep one entry.")
+_register("CFG007", "two topics lead to one object name", "Rename one of the topics, or use a second bridge with another prefix.")
+_register("CFG008", "depth is too small for the topic's rate", "Raise depth:, so that the slots outlast a copy plus a preemption.")
+_register("CFG009", "aliases and custom tags are not accepted", "Write the value out; configurations are plain YAML.")
+
+_register("ROS001", "backend is not available", "Install the backend's package, or choose another in ros.backend.")
+_register("ROS002", "middleware refused", "See the message; domain, network interface and QoS are the usual causes.")
+_register("ROS003", "peer has another definition of this type", "Install the same message package on both sides; DDS drops such peers silently.")
+_register("ROS004", "QoS of a peer is not compatible", "Set reliability and durability of the topic as the message says.")
+_register("ROS005", "topic name is not valid in ROS", "See https://design.ros2.org/articles/topic_and_service_names.html.")
+_register("ROS006", "recording cannot be read", "Check the file with `rosbags-convert` or `ros2 bag info`.")
+
+_register("SYS001", "a program or package is missing", "Install the named Debian package.")
+_register("SYS002", "a child process failed", "See its output above.")

@@ -1,0 +1,117 @@
+"""A message type as data: frozen dataclasses, no behaviour beyond printing itself.
+
+Names follow the ROS 2 interface definition (https://docs.ros.org, "About ROS 2
+interfaces"): a type is ``package/msg/Name`` in both ROS versions, a field's type is a
+primitive, a string, another message, or an array or sequence of one of these.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+__all__ = [
+    "PRIMITIVES",
+    "ArrayType",
+    "Constant",
+    "Field",
+    "FieldType",
+    "MessageType",
+    "NamedType",
+    "PrimitiveType",
+    "SequenceType",
+    "StringType",
+    "Value",
+]
+
+PRIMITIVES: dict[str, int] = {
+    "bool": 1, "byte": 1, "char": 1,
+    "int8": 1, "uint8": 1, "int16": 2, "uint16": 2,
+    "int32": 4, "uint32": 4, "int64": 8, "uint64": 8,
+    "float32": 4, "float64": 8,
+}  # fmt: skip
+"""Primitive name → size in bytes, which is its alignment too (spec/type-mapping.md)."""
+
+Value: TypeAlias = "bool | int | float | str | tuple[Value, ...]"
+
+
+@dataclass(frozen=True, slots=True)
+class PrimitiveType:
+    """One of :data:`PRIMITIVES`. ``byte`` and ``char`` are unsigned 8-bit numbers."""
+
+    name: str
+
+    def __str__(self) -> str:
+        return self.name
+
+
+@dataclass(frozen=True, slots=True)
+class StringType:
+    """A string of UTF-8 bytes; ``bound`` is the definition's own limit in bytes, if any."""
+
+    bound: int | None = None
+
+    def __str__(self) -> str:
+        return "string" if self.bound is None else f"string<={self.bound}"
+
+
+@dataclass(frozen=True, slots=True)
+class NamedType:
+    """Another message type, by its full name ``package/msg/Name``."""
+
+    name: str
+
+    def __str__(self) -> str:
+        return self.name
+
+
+@dataclass(frozen=True, slots=True)
+class ArrayType:
+    """A fixed number of elements."""
+
+    element: PrimitiveType | StringType | NamedType
+    length: int
+
+    def __str__(self) -> str:
+        return f"{self.element}[{self.length}]"
+
+
+@dataclass(frozen=True, slots=True)
+class SequenceType:
+    """Any number of elements up to ``bound`` (the definition's own limit, if any)."""
+
+    element: PrimitiveType | StringType | NamedType
+    bound: int | None = None
+
+    def __str__(self) -> str:
+        return f"{self.element}[]" if self.bound is None else f"{self.element}[<={self.bound}]"
+
+
+FieldType: TypeAlias = "PrimitiveType | StringType | NamedType | ArrayType | SequenceType"
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """One field of a message; ``default`` is the definition's default value, if any."""
+
+    name: str
+    type: FieldType
+    default: Value | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Constant:
+    """One constant of a message; ``type`` is a primitive or a string."""
+
+    name: str
+    type: PrimitiveType | StringType
+    value: bool | int | float | str
+
+
+@dataclass(frozen=True, slots=True)
+class MessageType:
+    """A message definition: ``name`` is ``package/msg/Name``; fields in their wire order."""
+
+    name: str
+    fields: tuple[Field, ...]
+    constants: tuple[Constant, ...] = field(default=())
