@@ -1,0 +1,5 @@
+"""The rosplc command: one file per verb."""
+
+from __future__ import annotations
+
+__all__: list[str] = []
