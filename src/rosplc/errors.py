@@ -141,6 +141,7 @@ _register("TYP004", "unsupported field type", "wstring and long double are not c
 _register("TYP005", "two definitions of one message type differ", "Keep one of the definitions, or give the custom one its own package name.")
 _register("TYP006", "unknown ROS distribution", "Use one of the bundled distributions; `rosplc types --distros` lists them.")
 _register("TYP007", "definition exceeds a limit", "Definitions have limits on size, depth and number of fields, since they may come from the wire.")
+_register("TYP008", "folder of message definitions cannot be used", "Name a folder with PACKAGE/msg/NAME.msg files, a package's own folder, or one .msg file.")
 
 _register("LAY001", "capacity is not valid", "Capacities are whole numbers from 1 up; strings at most 65534, sequences at most 16777216.")
 _register("LAY002", "limit names no field of the type", "Use the field path as `rosplc types TYPE` prints it, for example header.frame_id or points[].x.")
@@ -199,6 +200,10 @@ _register("ROS003", "peer has another definition of this type", "Install the sam
 _register("ROS004", "QoS of a peer is not compatible", "Set reliability and durability of the topic as the message says.")
 _register("ROS005", "topic name is not valid in ROS", "See https://design.ros2.org/articles/topic_and_service_names.html.")
 _register("ROS006", "recording cannot be read", "Check the file with `rosbags-convert` or `ros2 bag info`.")
+_register("ROS007", "QoS settings are not valid", "See the message for what would be right.")
+_register("ROS008", "payload is not a message of the topic's type", "Send serialized bytes of the advertised type, with their 4-byte header.")
+_register("ROS009", "backend or endpoint is closed", "Open it again; a closed one is of no further use.")
+_register("ROS010", "setting of the ROS environment is not valid", "Correct the named environment variable.")
 
 _register("SYS001", "a program or package is missing", "Install the named Debian package.")
 _register("SYS002", "a child process failed", "See its output above.")

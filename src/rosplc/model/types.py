@@ -101,11 +101,15 @@ class Field:
 
 @dataclass(frozen=True, slots=True)
 class Constant:
-    """One constant of a message; ``type`` is a primitive or a string."""
+    """One constant of a message; ``type`` is a primitive or a string.
+
+    ``text`` is the value as the definition writes it: ROS 1 hashes that text, not the value.
+    """
 
     name: str
     type: PrimitiveType | StringType
     value: bool | int | float | str
+    text: str = field(default="", compare=False)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,120 @@
+"""The one place that knows rosbags: bundled definitions, and the grammar of a field's type.
+
+rosbags 0.x may change between minor versions, so it is pinned and adapted here to the
+model's dataclasses. Its ``register()`` is never called, because it executes generated
+code; its line parser is not used either, because it drops the text of constants (which
+ROS 1 hashes) and reads unquoted defaults loosely.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.base import BaseType, Cardinality
+from rosbags.typesys.msg import MSGParser, normalize_type_ref
+from rosbags.typesys.peg import Failure
+
+from rosplc.model.types import (
+    ArrayType,
+    Constant,
+    Field,
+    FieldType,
+    MessageType,
+    NamedType,
+    PrimitiveType,
+    SequenceType,
+    StringType,
+)
+
+__all__ = ["DISTROS", "EMPTY_MEMBER", "bundled_types", "parse_field_type"]
+
+_STORES = {
+    "humble": Stores.ROS2_HUMBLE,
+    "jazzy": Stores.ROS2_JAZZY,
+    "kilted": Stores.ROS2_KILTED,
+    "lyrical": Stores.ROS2_LYRICAL,
+    "noetic": Stores.ROS1_NOETIC,
+}
+
+DISTROS: tuple[str, ...] = ("humble", "jazzy", "kilted", "lyrical", "noetic")
+"""The ROS distributions whose definitions are bundled."""
+
+EMPTY_MEMBER = "structure_needs_at_least_one_member"
+"""The member that ROS 2 adds to a message without fields; the model leaves it out."""
+
+
+def bundled_types(distro: str) -> dict[str, MessageType]:
+    """Return every type that rosbags bundles for a distribution, without default values.
+
+    Args:
+        distro: One of :data:`DISTROS`.
+    """
+    definitions: dict[str, Any] = get_typestore(_STORES[distro]).fielddefs
+    return {name: _message(name, *definition) for name, definition in definitions.items()}
+
+
+def parse_field_type(text: str, owner: str) -> tuple[FieldType, bool] | None:
+    """Read the type part of a ``.msg`` line, such as ``geometry_msgs/Point[<=4]``.
+
+    Args:
+        text: The type as written.
+        owner: Full name of the message that has the field; a name without a package is
+            looked for in the same package.
+
+    Returns:
+        The type, and whether the definition is invalid for having a length or bound of
+        zero or less; None if the text is no type at all.
+    """
+    parser = MSGParser(text)
+    found = parser.typ(0)
+    if isinstance(found, Failure) or found.pos != len(text):
+        return None
+    parsed = normalize_type_ref(owner, found.value)
+    element: PrimitiveType | StringType | NamedType
+    positive = True
+    if isinstance(parsed.ref, BaseType):
+        name = parsed.ref.name.value
+        bounded = text.startswith("string<=")
+        positive = not bounded or parsed.str_size > 0
+        element = _element(Nodetype.BASE, (name, parsed.str_size))
+    else:
+        element = NamedType(parsed.ref.name)
+    if parsed.cardinality is Cardinality.SCALAR:
+        return element, positive
+    unbounded = text.endswith("[]")
+    positive = positive and (unbounded or parsed.size > 0)
+    if parsed.cardinality is Cardinality.ARRAY:
+        return ArrayType(element, parsed.size), positive
+    return SequenceType(element, None if unbounded else parsed.size), positive
+
+
+def _message(name: str, constants: list[Any], fields: list[Any]) -> MessageType:
+    return MessageType(
+        name,
+        tuple(Field(n, _field_type(*d)) for n, d in fields if n != EMPTY_MEMBER or len(fields) > 1),
+        tuple(_constant(*c) for c in constants),
+    )
+
+
+def _constant(name: str, kind: str, value: bool | int | float | str) -> Constant:
+    kind_type = StringType() if kind == "string" else PrimitiveType(kind)
+    return Constant(name, kind_type, value, str(value))
+
+
+def _field_type(kind: int, detail: Any) -> FieldType:
+    if kind == Nodetype.ARRAY:
+        (inner_kind, inner), length = detail
+        return ArrayType(_element(inner_kind, inner), length)
+    if kind == Nodetype.SEQUENCE:
+        (inner_kind, inner), bound = detail
+        return SequenceType(_element(inner_kind, inner), bound or None)
+    return _element(kind, detail)
+
+
+def _element(kind: int, detail: Any) -> PrimitiveType | StringType | NamedType:
+    if kind == Nodetype.NAME:
+        return NamedType(detail)
+    name, bound = detail
+    return StringType(bound or None) if name == "string" else PrimitiveType(name)

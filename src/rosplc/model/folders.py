@@ -1,0 +1,78 @@
+"""Finding custom ``.msg`` files: which files, of which package."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+from xml.etree import ElementTree
+
+from rosplc.errors import MessageTypeError
+from rosplc.model.parse import MAX_TEXT, parse_definition
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from rosplc.model.parse import ParsedType
+
+__all__ = ["parse_folder"]
+
+_PACKAGE = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
+
+
+def parse_folder(path: Path, ros_version: int) -> Iterator[ParsedType]:
+    """Parse every ``.msg`` file below a folder, in the order of their paths.
+
+    A file's package is the folder above ``msg/`` (or the file's own folder), or the name in
+    the ``package.xml`` there. One ``.msg`` file instead of a folder is accepted too.
+
+    Raises:
+        MessageTypeError: TYP008 if there is nothing to read, and what
+            :func:`rosplc.model.parse.parse_definition` raises, with file and line.
+    """
+    try:
+        files = [path] if path.is_file() else sorted(path.rglob("*.msg"))
+    except OSError as error:
+        raise MessageTypeError("TYP008", f"cannot be read: {error.strerror}", where=str(path)) from None
+    if not path.exists():
+        raise MessageTypeError("TYP008", "does not exist", where=str(path))
+    if not files or files[0].suffix != ".msg":
+        raise MessageTypeError("TYP008", "holds no .msg file", where=str(path))
+    for file in files:
+        name = f"{_package_of(file)}/msg/{file.stem}"
+        if not _PACKAGE.match(file.stem):
+            raise MessageTypeError("TYP002", f"{file.stem!r} is no message name", where=str(file))
+        yield from parse_definition(name, _read(file), where=str(file), ros_version=ros_version)
+
+
+def _read(file: Path) -> str:
+    try:
+        with file.open("rb") as stream:
+            data = stream.read(MAX_TEXT + 1)
+        if len(data) > MAX_TEXT:
+            raise MessageTypeError("TYP007", f"has more than {MAX_TEXT} bytes", where=str(file))
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data[: error.start].count(b"\n") + 1
+        raise MessageTypeError("TYP002", "is not UTF-8 text", where=f"{file}:{line}") from None
+    except OSError as error:
+        raise MessageTypeError("TYP008", f"cannot be read: {error.strerror}", where=str(file)) from None
+
+
+def _package_of(file: Path) -> str:
+    folder = file.resolve().parent
+    if folder.name == "msg" or (folder / "../package.xml").resolve().is_file():
+        folder = folder.parent
+    name = _name_in(folder / "package.xml") or folder.name
+    if not _PACKAGE.match(name):
+        raise MessageTypeError("TYP002", f"{name!r} is no package name", where=str(file))
+    return name
+
+
+def _name_in(manifest: Path) -> str:
+    if not manifest.is_file():
+        return ""
+    try:
+        return (ElementTree.parse(manifest).getroot().findtext("name") or "").strip()
+    except (ElementTree.ParseError, OSError, ValueError):
+        raise MessageTypeError("TYP002", "is not a readable package manifest", where=str(manifest)) from None

@@ -1,0 +1,106 @@
+"""How the two ROS versions fingerprint a type: RIHS01 (ROS 2) and MD5 (ROS 1).
+
+RIHS01 is REP-2016's hash of the type description as JSON; the numbers are
+``type_description_interfaces/msg/FieldType``'s. ROS 1's MD5 is over the definition without
+comments, constants first, with nested types replaced by their own MD5.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from typing import TYPE_CHECKING, Any
+
+from rosplc.model._rosbags import EMPTY_MEMBER
+from rosplc.model.types import ArrayType, NamedType, PrimitiveType, SequenceType, StringType
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rosplc.model.types import Field, FieldType, MessageType
+
+__all__ = ["ROS1_TIMES", "md5_text", "rihs01"]
+
+ROS1_TIMES = {"builtin_interfaces/msg/Time": "time", "builtin_interfaces/msg/Duration": "duration"}
+"""Types that ROS 1 has built in, under another name."""
+
+# `char` is 3, not FieldType's own 13: rosidl turns a .msg file's char into uint8 first.
+_TYPE_IDS = {
+    "int8": 2, "uint8": 3, "char": 3, "int16": 4, "uint16": 5, "int32": 6, "uint32": 7,
+    "int64": 8, "uint64": 9, "float32": 10, "float64": 11, "bool": 15, "byte": 16,
+}  # fmt: skip
+_NESTED, _STRING, _BOUNDED_STRING = 1, 17, 21
+_ARRAY, _BOUNDED_SEQUENCE, _SEQUENCE = 48, 96, 144  # added to the element's id
+
+
+def rihs01(message: MessageType, dependencies: list[MessageType]) -> str:
+    """Return the type hash ``RIHS01_<64 hexadecimal digits>``.
+
+    Args:
+        message: The type.
+        dependencies: Every type that it needs, directly or not, without itself.
+    """
+    description = {
+        "type_description": _describe(message),
+        "referenced_type_descriptions": [
+            _describe(other) for other in sorted(dependencies, key=lambda m: m.name)
+        ],
+    }
+    return "RIHS01_" + hashlib.sha256(json.dumps(description).encode()).hexdigest()
+
+
+def md5_text(message: MessageType, md5_of: Callable[[str], str]) -> str:
+    """Return the text whose MD5 identifies a type in ROS 1.
+
+    Args:
+        message: The type.
+        md5_of: Gives a nested type's MD5 by its full name.
+    """
+    lines = [f"{c.type} {c.name}={c.text}" for c in message.constants]
+    for field in message.fields:
+        kind = field.type
+        element = kind.element if isinstance(kind, ArrayType | SequenceType) else kind
+        if isinstance(element, NamedType) and element.name not in ROS1_TIMES:
+            lines.append(f"{md5_of(element.name)} {field.name}")  # brackets are left out there
+        elif isinstance(element, NamedType):
+            lines.append(f"{str(kind).replace(element.name, ROS1_TIMES[element.name])} {field.name}")
+        else:
+            lines.append(f"{kind} {field.name}")
+    return "\n".join(lines)
+
+
+def _describe(message: MessageType) -> dict[str, Any]:
+    fields = [_describe_field(field) for field in message.fields]
+    return {"type_name": message.name, "fields": fields or [_field(EMPTY_MEMBER, _TYPE_IDS["uint8"])]}
+
+
+def _describe_field(field: Field) -> dict[str, Any]:
+    kind: FieldType = field.type
+    offset = capacity = 0
+    if isinstance(kind, ArrayType):
+        offset, capacity, kind = _ARRAY, kind.length, kind.element
+    elif isinstance(kind, SequenceType):
+        offset = _SEQUENCE if kind.bound is None else _BOUNDED_SEQUENCE
+        capacity, kind = kind.bound or 0, kind.element
+    if isinstance(kind, NamedType):
+        return _field(field.name, offset + _NESTED, capacity, nested=kind.name)
+    if isinstance(kind, StringType):
+        number = _STRING if kind.bound is None else _BOUNDED_STRING
+        return _field(field.name, offset + number, capacity, string_capacity=kind.bound or 0)
+    assert isinstance(kind, PrimitiveType)
+    return _field(field.name, offset + _TYPE_IDS[kind.name], capacity)
+
+
+def _field(
+    name: str, type_id: int, capacity: int = 0, string_capacity: int = 0, nested: str = ""
+) -> dict[str, Any]:
+    # The order of the keys is part of the hash.
+    return {
+        "name": name,
+        "type": {
+            "type_id": type_id,
+            "capacity": capacity,
+            "string_capacity": string_capacity,
+            "nested_type_name": nested,
+        },
+    }

@@ -1,0 +1,152 @@
+"""Values in ``.msg`` text: constants and default values, read and written.
+
+The grammar is that of ROS 2 ("About ROS 2 interfaces" on https://docs.ros.org); ROS 1's
+differs for string constants only, which take the rest of the line as it is.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+
+from rosplc.model.types import ArrayType, FieldType, NamedType, PrimitiveType, SequenceType, StringType, Value
+
+__all__ = ["INTEGER_RANGES", "LiteralError", "format_value", "parse_value", "strip_comment"]
+
+INTEGER_RANGES: dict[str, tuple[int, int]] = {
+    "byte": (0, 255),
+    "char": (0, 255),
+    **{f"uint{bits}": (0, 2**bits - 1) for bits in (8, 16, 32, 64)},
+    **{f"int{bits}": (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) for bits in (8, 16, 32, 64)},
+}
+"""Integer primitive → smallest and largest value."""
+
+_INTEGER = re.compile(r"[+-]?(0[xX][0-9a-fA-F]+|0[bB][01]+|0[oO][0-7]+|[0-9]+)\Z")
+_FLOAT = re.compile(r"[+-]?([0-9]+\.?[0-9]*([eE][+-]?[0-9]+)?|\.[0-9]+([eE][+-]?[0-9]+)?|inf|nan)\Z", re.I)
+_QUOTED = re.compile(r""""((?:\\.|[^"\\])*)"|'((?:\\.|[^'\\])*)'""")
+_ESCAPES = {"n": "\n", "t": "\t", "r": "\r", "\\": "\\", '"': '"', "'": "'"}
+
+
+class LiteralError(ValueError):
+    """A literal does not fit its type; the text says why, without the place."""
+
+
+def strip_comment(text: str) -> str:
+    """Return ``text`` up to a ``#`` that stands outside quotes, stripped."""
+    position = 0
+    while position < len(text):
+        if text[position] == "#":
+            return text[:position].strip()
+        quoted = _QUOTED.match(text, position)
+        # An apostrophe within an unquoted text opens no quotation.
+        opens = position == 0 or text[position - 1] in " \t[,="
+        position = quoted.end() if quoted and opens else position + 1
+    return text.strip()
+
+
+def parse_value(text: str, kind: FieldType) -> Value:
+    """Read the literal of a default value or a constant.
+
+    Args:
+        text: The literal without a comment.
+        kind: The type it must have.
+
+    Raises:
+        LiteralError: The text is no literal of that type, or out of its range.
+    """
+    if isinstance(kind, NamedType):
+        raise LiteralError(f"a field of type {kind} cannot have a default value")
+    if not isinstance(kind, ArrayType | SequenceType):
+        return _parse_scalar(text, kind)
+    if not (text.startswith("[") and text.endswith("]")):
+        raise LiteralError(f"{text!r} is no array literal such as [1, 2]")
+    if isinstance(kind.element, NamedType):
+        raise LiteralError(f"a field of type {kind} cannot have a default value")
+    items = tuple(_parse_scalar(item, kind.element) for item in _split(text[1:-1]))
+    if isinstance(kind, ArrayType) and len(items) != kind.length:
+        raise LiteralError(f"{len(items)} values for an array of {kind.length}")
+    if isinstance(kind, SequenceType) and kind.bound is not None and len(items) > kind.bound:
+        raise LiteralError(f"{len(items)} values for a sequence of at most {kind.bound}")
+    return items
+
+
+def format_value(value: Value) -> str:
+    """Return the literal that :func:`parse_value` reads back as ``value``."""
+    if isinstance(value, tuple):
+        return "[" + ", ".join(format_value(item) for item in value) + "]"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        escaped = value.replace("\\", "\\\\").replace('"', '\\"')
+        return '"' + escaped.replace("\n", "\\n").replace("\t", "\\t").replace("\r", "\\r") + '"'
+    return repr(value)
+
+
+def _parse_scalar(text: str, kind: PrimitiveType | StringType) -> bool | int | float | str:
+    if isinstance(kind, StringType):
+        return _parse_string(text, kind)
+    if kind.name == "bool":
+        if text.lower() in ("true", "1"):
+            return True
+        if text.lower() in ("false", "0"):
+            return False
+        raise LiteralError(f"{text!r} is neither true nor false")
+    if kind.name in ("float32", "float64"):
+        return _parse_float(text, kind.name)
+    if not _INTEGER.match(text):
+        raise LiteralError(f"{text!r} is no whole number")
+    # int() with base 0 refuses leading zeros, which ROS reads as decimal.
+    value = int(text, 0) if re.match(r"[+-]?0[xXbBoO]", text) else int(text)
+    low, high = INTEGER_RANGES[kind.name]
+    if kind.name == "byte" and -128 <= value < 0:
+        return value + 256  # ROS 1's byte is signed; its bits are what counts
+    if not low <= value <= high:
+        raise LiteralError(f"{value} is not within {kind.name} ({low} … {high})")
+    return value
+
+
+def _parse_float(text: str, name: str) -> float:
+    if not _FLOAT.match(text):
+        raise LiteralError(f"{text!r} is no number")
+    value = float(text)
+    if name == "float32":
+        try:
+            struct.pack("<f", value)
+        except OverflowError:
+            raise LiteralError(f"{text} is not within float32") from None
+    return value
+
+
+def _parse_string(text: str, kind: StringType) -> str:
+    quoted = _QUOTED.match(text)
+    if quoted and quoted.end() == len(text):
+        inner = quoted.group(1) if quoted.group(1) is not None else quoted.group(2)
+        value = re.sub(r"\\(.)", lambda m: _ESCAPES.get(m[1], m[0]), inner)
+    elif text[:1] in ('"', "'"):
+        raise LiteralError("a quotation mark is missing")
+    else:
+        value = text
+    if "\0" in value:
+        raise LiteralError("a string cannot hold a NUL")
+    if kind.bound is not None and len(value.encode("utf-8", "surrogateescape")) > kind.bound:
+        raise LiteralError(f"the string is longer than {kind.bound} bytes")
+    return value
+
+
+def _split(text: str) -> list[str]:
+    """Split an array literal's inside at its commas, respecting quotes."""
+    items: list[str] = []
+    start = position = 0
+    while position < len(text):
+        quoted = _QUOTED.match(text, position) if not text[start:position].strip() else None
+        if quoted:
+            position = quoted.end()
+        elif text[position] == ",":
+            items.append(text[start:position].strip())
+            position += 1
+            start = position
+        else:
+            position += 1
+    if items or text.strip():
+        items.append(text[start:].strip())
+    return items

@@ -1,0 +1,179 @@
+"""``.msg`` text → message types, with the line of every error.
+
+A text holds one definition, or several as ROS tools concatenate them
+(spec/type-mapping.md, section 6). It may come from a shared-memory object or a recording
+and is not trusted: sizes are limited and nothing in it is executed.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from rosplc.errors import MessageTypeError
+from rosplc.model._rosbags import parse_field_type
+from rosplc.model.literals import LiteralError, parse_value, strip_comment
+from rosplc.model.types import Constant, Field, FieldType, MessageType, PrimitiveType, StringType
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+__all__ = ["MAX_FIELDS", "MAX_NAME", "MAX_TEXT", "ParsedType", "full_name", "parse_definition"]
+
+MAX_TEXT = 1 << 20
+"""Largest definition text in bytes."""
+MAX_FIELDS = 10_000
+"""Most fields and constants in one definition text."""
+MAX_NAME = 255
+"""Longest type, field or constant name."""
+
+_SEPARATOR = re.compile(r"={80}\s*\Z")
+_HEADER = re.compile(r"MSG:\s*(\S+)\s*\Z")
+_TYPE_NAME = re.compile(r"([A-Za-z][A-Za-z0-9_]*)/(?:msg/)?([A-Za-z][A-Za-z0-9_]*)\Z")
+_LINE = re.compile(r"(\S+)\s+([A-Za-z][A-Za-z0-9_]*)\s*(.*)\Z", re.DOTALL)
+_ANNOTATION = re.compile(r"@[a-z_]+(\s+|\Z)")
+_UNSUPPORTED = re.compile(r"(wstring|wchar|float128|long\s+double)\b(?!/)")
+
+
+@dataclass(frozen=True, slots=True)
+class ParsedType:
+    """One definition of a text, with the places that later errors name."""
+
+    message: MessageType
+    where: str
+    field_lines: tuple[str, ...]
+
+
+def full_name(name: str) -> str:
+    """Return ``package/msg/Name`` for ``package/Name`` or ``package/msg/Name``.
+
+    Raises:
+        MessageTypeError: TYP001, the text is no type name.
+    """
+    found = _TYPE_NAME.match(name) if len(name) <= MAX_NAME else None
+    if not found:
+        raise MessageTypeError("TYP001", f"{name[:80]!r} is no type name such as geometry_msgs/msg/Twist")
+    return f"{found[1]}/msg/{found[2]}"
+
+
+def parse_definition(type_name: str, text: str, *, where: str = "", ros_version: int = 2) -> list[ParsedType]:
+    """Parse a definition text.
+
+    Args:
+        type_name: Name of the first type in the text.
+        text: The ``.msg`` text, other types after lines of 80 ``=``.
+        where: What errors name as the place, usually a file; default the type's name.
+        ros_version: 1 or 2; string constants are read differently.
+
+    Raises:
+        MessageTypeError: TYP002 syntax, TYP004 unsupported type, TYP005 a type twice with
+            different content, TYP007 limits.
+    """
+    where = where or type_name
+    if len(text) > MAX_TEXT or len(text.encode("utf-8", "surrogatepass")) > MAX_TEXT:
+        raise MessageTypeError("TYP007", f"the definition has more than {MAX_TEXT} bytes", where=where)
+    found: dict[str, ParsedType] = {}
+    budget = MAX_FIELDS
+    for name, place, lines in _sections(full_name(type_name), text, where):
+        parsed = _parse_section(name, place, lines, where, ros_version, budget)
+        budget -= len(parsed.message.fields) + len(parsed.message.constants)
+        known = found.setdefault(name, parsed)
+        if known.message != parsed.message:
+            raise MessageTypeError("TYP005", f"{name} is defined twice, differently", where=place)
+    return list(found.values())
+
+
+def _sections(name: str, text: str, where: str) -> Iterator[tuple[str, str, list[tuple[int, str]]]]:
+    """Yield name, place and numbered lines of each definition in a concatenated text."""
+    place = where
+    lines: list[tuple[int, str]] = []
+    wants_header = False
+    # Only line feeds end a line: str.splitlines() would also split at exotic characters.
+    for number, raw in enumerate(text.split("\n"), 1):
+        line = raw.rstrip("\r")
+        if wants_header:
+            header = _HEADER.match(line)
+            if not header:
+                raise _syntax("a line of 80 `=` must be followed by `MSG: package/Name`", where, number)
+            name, place, lines, wants_header = full_name(header[1]), f"{where}:{number}", [], False
+        elif _SEPARATOR.match(line):
+            yield name, place, lines
+            wants_header = True
+        else:
+            lines.append((number, line))
+    if wants_header:
+        raise _syntax("the definition ends after a separator", where, text.count("\n") + 1)
+    yield name, place, lines
+
+
+def _parse_section(
+    name: str, place: str, lines: list[tuple[int, str]], where: str, ros_version: int, budget: int
+) -> ParsedType:
+    fields: list[Field] = []
+    constants: list[Constant] = []
+    places: list[str] = []
+    names: set[str] = set()
+    for number, raw in lines:
+        line = raw.strip()
+        while annotation := _ANNOTATION.match(line):
+            line = line[annotation.end() :]
+        if not line or line.startswith("#"):
+            continue
+        if _UNSUPPORTED.match(line):
+            raise MessageTypeError("TYP004", f"unsupported type in {line[:80]!r}", where=f"{where}:{number}")
+        try:
+            item = _parse_line(line, name, ros_version)
+        except LiteralError as error:
+            raise _syntax(str(error), where, number) from None
+        if item.name in names:
+            raise _syntax(f"{item.name} is defined twice", where, number)
+        names.add(item.name)
+        if len(names) > budget:
+            raise MessageTypeError("TYP007", f"more than {MAX_FIELDS} fields", where=f"{where}:{number}")
+        if isinstance(item, Constant):
+            constants.append(item)
+        else:
+            fields.append(item)
+            places.append(f"{where}:{number}")
+    return ParsedType(MessageType(name, tuple(fields), tuple(constants)), place, tuple(places))
+
+
+def _parse_line(line: str, owner: str, ros_version: int) -> Field | Constant:
+    parts = _LINE.match(line)
+    if not parts:
+        raise LiteralError(f"{line[:80]!r} is neither `type name` nor `type NAME=value`")
+    type_text, name, rest = parts.groups()
+    if len(name) > MAX_NAME or len(type_text) > 2 * MAX_NAME:
+        raise LiteralError(f"a name has more than {MAX_NAME} characters")
+    kind = _parse_type(type_text, owner)
+    if rest.startswith("="):
+        return _parse_constant(name, kind, rest[1:], ros_version)
+    literal = strip_comment(rest)
+    return Field(name, kind, parse_value(literal, kind) if literal else None)
+
+
+def _parse_type(text: str, owner: str) -> FieldType:
+    result = parse_field_type(text, owner)
+    if result is None:
+        raise LiteralError(f"{text[:80]!r} is no type")
+    kind, positive = result
+    if not positive:
+        raise LiteralError(f"{text[:80]!r}: lengths and bounds start at 1")
+    return kind
+
+
+def _parse_constant(name: str, kind: FieldType, text: str, ros_version: int) -> Constant:
+    if not isinstance(kind, PrimitiveType | StringType):
+        raise LiteralError(f"a constant cannot have the type {kind}")
+    if isinstance(kind, StringType) and ros_version == 1:
+        literal = text.strip()  # no comments and no quotes there: http://wiki.ros.org/msg
+        return Constant(name, kind, literal, literal)
+    literal = strip_comment(text)
+    value = parse_value(literal, kind)
+    assert not isinstance(value, tuple)
+    return Constant(name, kind, value, literal)
+
+
+def _syntax(what: str, where: str, number: int) -> MessageTypeError:
+    return MessageTypeError("TYP002", what, where=f"{where}:{number}")

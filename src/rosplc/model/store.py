@@ -1,0 +1,247 @@
+"""The types that are known: a distribution's own, and custom ones added to it."""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+from functools import cache
+from typing import TYPE_CHECKING
+
+from rosplc.errors import MessageTypeError
+from rosplc.model._rosbags import DISTROS, bundled_types
+from rosplc.model.defaults import with_defaults
+from rosplc.model.folders import parse_folder
+from rosplc.model.hashes import ROS1_TIMES, md5_text, rihs01
+from rosplc.model.literals import format_value
+from rosplc.model.parse import ParsedType, full_name, parse_definition
+from rosplc.model.types import ArrayType, Constant, Field, MessageType, NamedType, PrimitiveType, SequenceType
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+    from pathlib import Path
+
+__all__ = ["DISTROS", "MAX_DEPTH", "TypeStore"]
+
+MAX_DEPTH = 32
+"""Deepest nesting of message types."""
+
+_TIME_FIELDS = (Field("sec", PrimitiveType("int32")), Field("nanosec", PrimitiveType("uint32")))
+_BUILTIN = {name: MessageType(name, _TIME_FIELDS) for name in ROS1_TIMES}
+
+
+class TypeStore:
+    """Message types by name; never changes, adding types makes a new store.
+
+    Attributes:
+        distro: The ROS distribution whose definitions it starts from, or what a
+            self-description says; empty if unknown.
+        ros_version: 1 or 2.
+    """
+
+    def __init__(self, distro: str, types: Mapping[str, MessageType]) -> None:
+        self.distro = distro
+        self.ros_version = 1 if distro == "noetic" else 2
+        self._types = dict(types)
+        self._md5: dict[str, str] = {}
+
+    @classmethod
+    def bundled(cls, distro: str) -> TypeStore:
+        """Return the types that come with a ROS distribution.
+
+        Raises:
+            MessageTypeError: TYP006, no such distribution is bundled.
+        """
+        if distro not in DISTROS:
+            near = difflib.get_close_matches(distro, DISTROS, 1)
+            hint = f"; did you mean {near[0]}?" if near else ""
+            raise MessageTypeError("TYP006", f"{distro!r} is none of {', '.join(DISTROS)}{hint}")
+        return _bundled(distro)
+
+    @classmethod
+    def from_definition(cls, type_name: str, text: str, *, distro: str = "") -> TypeStore:
+        """Rebuild a type from a self-description's text, which is not trusted.
+
+        Args:
+            type_name: The type that the text defines first.
+            text: The definition with every type it needs (spec/type-mapping.md, section 6).
+            distro: What the self-description says; only ``noetic`` means ROS 1.
+
+        Raises:
+            MessageTypeError: TYP001 a needed type is missing, TYP002 syntax, TYP003, TYP004,
+                TYP005, TYP007 limits.
+        """
+        return cls(distro, {}).with_definition(type_name, text)
+
+    def with_definition(self, type_name: str, text: str) -> TypeStore:
+        """Return a store that knows the types of a definition text as well.
+
+        Raises:
+            MessageTypeError: See :meth:`from_definition`.
+        """
+        return self._with(parse_definition(type_name, text, ros_version=self.ros_version))
+
+    def with_paths(self, paths: Iterable[Path]) -> TypeStore:
+        """Return a store that knows the custom types below these folders as well.
+
+        Args:
+            paths: Folders with ``package/msg/Name.msg`` or ``package/Name.msg``, folders of a
+                package, or single ``.msg`` files.
+
+        Raises:
+            MessageTypeError: TYP001 … TYP005, TYP007, TYP008, with file and line.
+        """
+        found = [parsed for path in paths for parsed in parse_folder(path, self.ros_version)]
+        return self._with(found)
+
+    def __getitem__(self, name: str) -> MessageType:
+        """Return a type by ``package/msg/Name`` or ``package/Name``; TYP001 if unknown."""
+        full = full_name(name)
+        if full not in self._types:
+            raise MessageTypeError("TYP001", self._unknown(full))
+        return self._types[full]
+
+    def __contains__(self, name: object) -> bool:
+        try:
+            return isinstance(name, str) and full_name(name) in self._types
+        except MessageTypeError:
+            return False
+
+    def __len__(self) -> int:
+        return len(self._types)
+
+    def names(self) -> tuple[str, ...]:
+        """Return the full names of all types, sorted."""
+        return tuple(sorted(self._types))
+
+    def dependencies(self, name: str) -> tuple[str, ...]:
+        """Return every type that ``name`` needs, each after those it needs, itself last."""
+        order: dict[str, int] = {}
+        self._visit(self[name].name, order, (), "")
+        return tuple(order)
+
+    def definition_text(self, name: str) -> str:
+        """Return the definition with every type it needs (spec/type-mapping.md, section 6)."""
+        first = self[name]
+        order: dict[str, None] = {}
+        self._collect(first.name, order)
+        parts = [self._text(first)]
+        for other in list(order)[1:]:
+            parts.append(f"{'=' * 80}\nMSG: {_short(other)}\n{self._text(self._types[other])}")
+        return "".join(parts)
+
+    def type_hash(self, name: str) -> str:
+        """Return ROS 2's type hash, ``RIHS01_…``."""
+        *others, own = self.dependencies(name)
+        return rihs01(self._types[own], [self._types[other] for other in others])
+
+    def md5(self, name: str) -> str:
+        """Return ROS 1's MD5 sum of the type, as 32 hexadecimal digits."""
+        for other in self.dependencies(name):
+            if other not in self._md5:
+                text = md5_text(self._types[other], self._md5.__getitem__)
+                self._md5[other] = hashlib.md5(text.encode(), usedforsecurity=False).hexdigest()
+        return self._md5[self[name].name]
+
+    def _with(self, found: list[ParsedType]) -> TypeStore:
+        merged = TypeStore(self.distro, self._types)
+        places: dict[str, str] = {}
+        for parsed in found:
+            new = parsed.message
+            old = merged._types.get(new.name)
+            if old is not None and not _same_shape(old, new):
+                other = places.get(new.name) or (f"{self.distro}'s own" if self.distro else "the one known")
+                raise MessageTypeError(
+                    "TYP005", f"this definition of {new.name} differs from {other}", where=parsed.where
+                )
+            # A text off the wire has lost its default values: keep those that are known.
+            if old is None or any(f.default is not None for f in new.fields):
+                merged._types[new.name] = new
+            places[new.name] = parsed.where
+        for parsed in found:
+            merged._add_builtin(parsed.message)
+        for parsed in found:
+            for field, where in zip(parsed.message.fields, parsed.field_lines, strict=True):
+                merged._check_known(field, where)
+        heights: dict[str, int] = {}
+        for parsed in found:
+            merged._visit(parsed.message.name, heights, (), parsed.where)
+        return merged
+
+    def _add_builtin(self, message: MessageType) -> None:
+        # ROS 1 texts say `time` and give no definition of it.
+        for needed in _needs(message):
+            if needed in _BUILTIN:
+                self._types.setdefault(needed, _BUILTIN[needed])
+
+    def _check_known(self, field: Field, where: str) -> None:
+        kind = field.type.element if isinstance(field.type, ArrayType | SequenceType) else field.type
+        if isinstance(kind, NamedType) and kind.name not in self._types:
+            raise MessageTypeError("TYP001", self._unknown(kind.name), where=where)
+
+    def _unknown(self, name: str) -> str:
+        near = difflib.get_close_matches(name, self._types, 1, 0.75)
+        if not near:
+            base = name.rsplit("/", 1)[1]
+            near = [other for other in sorted(self._types) if other.endswith(f"/{base}")][:1]
+        hint = f"; did you mean {near[0]}?" if near else ""
+        return f"{name} is unknown{f' in {self.distro}' if self.distro else ''}{hint}"
+
+    def _visit(self, name: str, heights: dict[str, int], above: tuple[str, ...], where: str) -> int:
+        """Return how deep a type is nested; ``heights`` fills in order of dependency."""
+        if name in above:
+            cycle = " → ".join((*above[above.index(name) :], name))
+            raise MessageTypeError("TYP003", cycle, where=where)
+        if name not in heights:
+            # The check on the way down bounds the recursion, the one on the way up is exact.
+            needed = _needs(self._types[name]) if len(above) <= MAX_DEPTH else ()
+            below = [self._visit(other, heights, (*above, name), where) for other in needed]
+            heights[name] = 1 + max(below, default=0)
+            if heights[name] > MAX_DEPTH or len(above) >= MAX_DEPTH:
+                raise MessageTypeError("TYP007", f"types are nested deeper than {MAX_DEPTH}", where=where)
+        return heights[name]
+
+    def _collect(self, name: str, order: dict[str, None]) -> None:
+        """Add ``name`` and what it needs in order of first use, depth first."""
+        order[name] = None
+        for other in _needs(self._types[name]):
+            if other not in order and not (self.ros_version == 1 and other in ROS1_TIMES):
+                self._collect(other, order)
+
+    def _text(self, message: MessageType) -> str:
+        lines = [f"{c.type} {c.name}={self._constant_text(c)}" for c in message.constants]
+        for field in message.fields:
+            kind = field.type.element if isinstance(field.type, ArrayType | SequenceType) else field.type
+            text = str(field.type)
+            if isinstance(kind, NamedType):
+                short = ROS1_TIMES.get(kind.name) if self.ros_version == 1 else None
+                text = text.replace(kind.name, short or _short(kind.name))
+            default = "" if field.default is None else f" {format_value(field.default)}"
+            lines.append(f"{text} {field.name}{default}")
+        return "".join(f"{line}\n" for line in lines)
+
+    def _constant_text(self, constant: Constant) -> str:
+        if self.ros_version == 1:
+            return constant.text
+        return format_value(constant.value) if isinstance(constant.value, str) else constant.text
+
+
+def _short(name: str) -> str:
+    return name.replace("/msg/", "/")
+
+
+def _needs(message: MessageType) -> tuple[str, ...]:
+    """Return the names of the types of a message's fields, each once, in their order."""
+    kinds = (
+        f.type.element if isinstance(f.type, ArrayType | SequenceType) else f.type for f in message.fields
+    )
+    return tuple(dict.fromkeys(kind.name for kind in kinds if isinstance(kind, NamedType)))
+
+
+def _same_shape(one: MessageType, other: MessageType) -> bool:
+    fields = [[(f.name, f.type) for f in m.fields] for m in (one, other)]
+    return fields[0] == fields[1] and set(one.constants) == set(other.constants)
+
+
+@cache
+def _bundled(distro: str) -> TypeStore:
+    return TypeStore(distro, with_defaults(distro, bundled_types(distro)))
