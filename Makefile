@@ -1,0 +1,78 @@
+# `make` lists the targets. Everything happens in .venv; nothing else on the machine is touched.
+
+SHELL := /bin/bash
+.DEFAULT_GOAL := help
+
+PYTHON ?= python3
+VENV := .venv
+RUN := $(VENV)/bin/python tools/checks.py
+CORE_SOURCES := $(wildcard src/rosplc/_core/*.c src/rosplc/_core/*.h)
+# Minutes that `make verify` may take; empty: as long as it needs.
+VERIFY_MINUTES ?=
+
+export PYTHON
+
+.PHONY: help
+help: ## list the targets
+	@sed -nE 's/^([a-z-]+):.*## (.*)/  make \1|\2/p' $(MAKEFILE_LIST) | column -t -s '|' 2>/dev/null \
+	  || sed -nE 's/^([a-z-]+):.*## (.*)/  make \1: \2/p' $(MAKEFILE_LIST)
+
+# Stamps: a second `make` does nothing; a changed C source rebuilds the core without the network.
+$(VENV)/.installed: pyproject.toml setup.py tools/setup.sh
+	@tools/setup.sh install
+
+$(VENV)/.core: $(VENV)/.installed $(CORE_SOURCES)
+	@tools/setup.sh core
+
+.PHONY: setup
+setup: $(VENV)/.core ## create .venv and install rosplc into it
+	@echo "rosplc stands ready in $(VENV)/bin/rosplc"
+
+.PHONY: demo
+demo: $(VENV)/.core ## show the main job: ROS topics to a (virtual) PLC and back
+	@if [ -t 1 ]; then $(VENV)/bin/rosplc demo; else $(VENV)/bin/rosplc demo --duration 20s; fi
+
+.PHONY: test
+test: $(VENV)/.core ## lint, types and all tests of ordinary length (about 10 minutes)
+	@$(RUN) lint types tests
+
+.PHONY: verify
+verify: $(VENV)/.core ## `make test` and every long check; VERIFY_MINUTES=30 sets a time budget
+	@$(RUN) lint types tests long --minutes "$(VERIFY_MINUTES)"
+
+.PHONY: verify-long
+verify-long: $(VENV)/.core ## only the long checks
+	@$(RUN) long --minutes "$(VERIFY_MINUTES)"
+
+.PHONY: lint
+lint: $(VENV)/.installed ## ruff and the dependency rule (seconds)
+	@$(RUN) lint
+
+.PHONY: types
+types: $(VENV)/.installed ## mypy --strict
+	@$(RUN) types
+
+.PHONY: format
+format: $(VENV)/.installed ## let ruff format and sort imports
+	@$(VENV)/bin/ruff check --quiet --fix-only .
+	@$(VENV)/bin/ruff format .
+
+.PHONY: reference
+reference: $(VENV)/.core ## write the generated pages of docs/reference again
+	@$(VENV)/bin/python tools/generate_error_reference.py
+
+.PHONY: bench
+bench: $(VENV)/.core ## the developers' measurements in benchmarks/
+	@$(RUN) bench
+
+.PHONY: wheel
+wheel: $(VENV)/.core ## build dist/rosplc-*.whl
+	@rm -rf build # setuptools would pack leftovers of removed modules
+	@$(VENV)/bin/python -m pip wheel --quiet --no-deps --no-build-isolation --wheel-dir dist .
+	@ls -1 dist/*.whl
+
+.PHONY: clean
+clean: ## remove everything that make created, .venv included
+	rm -rf $(VENV) build dist .cache .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf src/*.egg-info src/rosplc/_core/*.so
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,193 @@
+"""Run the project's checks in order and close with what passed, failed and was not run.
+
+``python tools/checks.py lint types tests`` is what ``make test`` runs; ``long`` adds the tests
+marked ``verify``, and ``--minutes`` bounds them. The exit status is 1 if any check failed. The last
+lines are pytest's own summaries, or go to the file named by ``ROSPLC_SUMMARY`` (so that
+``.ci/run`` can close with them).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+BIN = Path(sys.executable).parent
+SUMMARY = re.compile(r"^=* ?\d+ \w+.* in \d[\d.]*s.*$|^=* ?no tests ran in .*$")
+COLOUR = re.compile(r"\x1b\[[0-9;]*m")
+MISSING_PACKAGE = re.compile(r"Debian package (\S+) is missing")
+NOT_REACHED = "not reached within the time given"
+NO_TESTS = 5  # pytest's exit status when a selection is empty
+
+
+@dataclass
+class Outcome:
+    """What a run of checks found."""
+
+    steps: list[tuple[str, bool, float]] = field(default_factory=list)
+    skipped: dict[str, str] = field(default_factory=dict)
+    summaries: list[str] = field(default_factory=list)
+    ends: float | None = None
+
+    @property
+    def failed(self) -> bool:
+        """Whether any step failed."""
+        return not all(good for _, good, _ in self.steps)
+
+
+def stream(command: list[str], env: dict[str, str] | None = None) -> tuple[int, str]:
+    """Run a command, pass its output on as it comes, and return exit status and output."""
+    process = subprocess.Popen(
+        command, cwd=ROOT, env=env, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+    )
+    assert process.stdout is not None
+    chunks = []
+    while chunk := os.read(process.stdout.fileno(), 65536):
+        chunks.append(chunk)
+        sys.stdout.buffer.write(chunk)
+        sys.stdout.flush()
+    return process.wait(), b"".join(chunks).decode(errors="replace")
+
+
+def step(outcome: Outcome, name: str, command: list[str]) -> None:
+    """Run one tool and note how it ended."""
+    print(f"── {name}", flush=True)
+    began = time.monotonic()
+    status, _ = stream(command)
+    outcome.steps.append((name, status == 0, time.monotonic() - began))
+
+
+def run_pytest(
+    outcome: Outcome,
+    name: str,
+    marks: str,
+    *options: str,
+    deadline: float | None = None,
+    may_be_empty: bool = False,
+) -> None:
+    """Run the tests that ``marks`` selects, and keep their summary line and their skips."""
+    print(f"── {name}", flush=True)
+    began = time.monotonic()
+    with tempfile.TemporaryDirectory() as folder:
+        report = Path(folder) / "skipped.json"
+        env = {**os.environ, "ROSPLC_REPORT": str(report)}
+        env.pop("ROSPLC_DEADLINE", None)
+        if deadline is not None:
+            env["ROSPLC_DEADLINE"] = str(deadline)
+        colour = "yes" if sys.stdout.isatty() else "no"
+        command = [str(BIN / "pytest"), "-m", marks, "--durations=5", f"--color={colour}", *options]
+        status, text = stream(command, env)
+        if report.exists():
+            outcome.skipped.update(json.loads(report.read_text()))
+    good = status == 0 or (may_be_empty and status == NO_TESTS)
+    lines = [line for line in text.splitlines() if SUMMARY.match(COLOUR.sub("", line))]
+    outcome.summaries.append(
+        lines[-1] if lines else f"{name}: pytest ended with status {status}, without a summary"
+    )
+    outcome.steps.append((name, good, time.monotonic() - began))
+
+
+def lint(outcome: Outcome) -> None:
+    """Check style, format and the dependency rule."""
+    step(outcome, "ruff", [str(BIN / "ruff"), "check", "."])
+    step(outcome, "ruff format", [str(BIN / "ruff"), "format", "--check", "."])
+    step(outcome, "import-linter", [str(BIN / "lint-imports"), "--no-logo"])
+
+
+def types(outcome: Outcome) -> None:
+    """Check the types of the package."""
+    step(outcome, "mypy --strict", [str(BIN / "mypy")])
+
+
+def tests(outcome: Outcome) -> None:
+    """Run the tests of ordinary length, those marked serial alone."""
+    run_pytest(outcome, "tests", "not verify and not serial", workers=2)
+    run_pytest(outcome, "tests, one at a time", "serial and not verify", may_be_empty=True)
+
+
+def long(outcome: Outcome) -> None:
+    """Run the tests marked verify: serial ones in at most half of the time, then the others."""
+    ends, now = outcome.ends, time.time()
+    half = None if ends is None else now + (ends - now) / 2
+    name = "long checks"
+    run_pytest(outcome, f"{name}, one at a time", "verify and serial", deadline=half, may_be_empty=True)
+    run_pytest(outcome, name, "verify and not serial", workers=2, deadline=ends, may_be_empty=True)
+
+
+def bench(outcome: Outcome) -> None:
+    """Run every measurement in benchmarks/."""
+    for path in sorted((ROOT / "benchmarks").glob("bench_*.py")):
+        step(outcome, path.name, [sys.executable, str(path)])
+
+
+STEPS: dict[str, Callable[[Outcome], None]] = {f.__name__: f for f in (lint, types, tests, long, bench)}
+
+
+def report(outcome: Outcome) -> None:
+    """Print what passed, what failed, and what was not run and why."""
+    print("── summary")
+    for name, good, seconds in outcome.steps:
+        print(f"   {'passed' if good else 'FAILED':7} {name} ({seconds:.0f} s)")
+    packages: Counter[str] = Counter()
+    reasons: Counter[str] = Counter()
+    unreached = []
+    for nodeid, reason in outcome.skipped.items():
+        if match := MISSING_PACKAGE.search(reason):
+            packages[match[1]] += 1
+        elif reason == NOT_REACHED:
+            unreached.append(nodeid)
+        else:
+            reasons[reason] += 1
+    if unreached:
+        print(f"\nNot reached in the time given, neither passed nor failed: {len(unreached)} checks")
+        for nodeid in unreached:
+            print(f"   {nodeid}")
+    if reasons:
+        print("\nNot run:")
+        for reason, count in sorted(reasons.items()):
+            print(f"   {count} × {reason}")
+    if packages:
+        print("\nSkipped for want of a Debian package (in CI this is a failure):")
+        for package, count in sorted(packages.items()):
+            print(f"   {package}: {count} checks")
+        print(f"   run them after: sudo apt-get install {' '.join(sorted(packages))}")
+    if path := os.environ.get("ROSPLC_SUMMARY"):
+        with Path(path).open("a") as file:
+            file.writelines(f"{line}\n" for line in outcome.summaries)
+    elif outcome.summaries:
+        print()
+        print("\n".join(outcome.summaries))
+
+
+def main() -> int:
+    """Parse the command line and run the steps it names."""
+    parser = argparse.ArgumentParser(description="Run the project's checks.")
+    parser.add_argument("steps", nargs="+", choices=STEPS)
+    parser.add_argument(
+        "--minutes", default="", help="time for the whole run; long checks beyond it are left out"
+    )
+    arguments = parser.parse_args()
+    outcome = Outcome()
+    if arguments.minutes:
+        outcome.ends = time.time() + 60 * float(arguments.minutes)
+    for name in arguments.steps:
+        STEPS[name](outcome)
+        if outcome.failed and name != arguments.steps[-1] and name == "tests":
+            break  # a failing base makes hours of long checks meaningless
+    if arguments.steps not in (["lint"], ["types"]) or outcome.failed:
+        report(outcome)
+    return 1 if outcome.failed else 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
