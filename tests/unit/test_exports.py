@@ -1,0 +1,80 @@
+"""The public surface: what packages export, and that its types are shipped."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+from importlib import resources
+from pathlib import Path
+
+import pytest
+
+import rosplc
+
+PACKAGE = Path(rosplc.__file__).parent
+PUBLIC = sorted(
+    ".".join(("rosplc", *path.parent.relative_to(PACKAGE).parts))
+    for path in PACKAGE.rglob("__init__.py")
+    if "_core" not in path.parts
+)
+MODULES = sorted(
+    ".".join(("rosplc", *path.relative_to(PACKAGE).with_suffix("").parts)).removesuffix(".__init__")
+    for path in PACKAGE.rglob("*.py")
+    if "_core" not in path.parts and path.name != "__main__.py"
+)
+
+
+def literal_all(path: Path) -> list[str] | None:
+    """Return ``__all__`` as the source writes it; None if it is missing or computed."""
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.Assign):
+            targets, value = node.targets, node.value
+        elif isinstance(node, ast.AnnAssign) and node.value is not None:
+            targets, value = [node.target], node.value
+        else:
+            continue
+        if any(isinstance(target, ast.Name) and target.id == "__all__" for target in targets):
+            try:
+                return list(ast.literal_eval(value))
+            except ValueError:
+                return None
+    return None
+
+
+@pytest.mark.parametrize("name", PUBLIC)
+def test_package_exports_what_its_literal_all_says(name: str) -> None:
+    """Every package has a literal __all__ without doubles, and every name in it exists."""
+    module = importlib.import_module(name)
+    assert module.__file__ is not None
+    exported = literal_all(Path(module.__file__))
+    assert exported is not None, f"{name} has no literal __all__"
+    assert len(exported) == len(set(exported))
+    for attribute in exported:
+        assert hasattr(module, attribute), f"{name}.{attribute}"
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_module_says_what_it_is_for(name: str) -> None:
+    """Every module can be imported by itself and has a docstring."""
+    assert importlib.import_module(name).__doc__
+
+
+def test_public_names_are_documented() -> None:
+    """Every function and class that rosplc itself exports has a docstring of its own."""
+    for attribute in rosplc.__all__:
+        value = getattr(rosplc, attribute)
+        if callable(value):
+            assert value.__doc__, attribute
+
+
+def test_types_are_shipped() -> None:
+    """py.typed stands in the package, so that users' type checkers believe the annotations."""
+    assert resources.files("rosplc").joinpath("py.typed").is_file()
+
+
+def test_version_is_a_release_number() -> None:
+    """The version has three numbers and equals the one in the installed metadata."""
+    from importlib.metadata import version
+
+    assert len(rosplc.__version__.split(".")) == 3
+    assert version("rosplc") == rosplc.__version__
