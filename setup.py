@@ -5,18 +5,19 @@ later, and 3.10 gets a build of its own.
 """
 
 import sys
+from glob import glob
 
 from setuptools import Extension, setup
 
 ABI3 = sys.version_info >= (3, 11)
-SOURCES = ["module.c", "py_channel.c", "py_plan.c", "py_group.c"]
+SOURCES = ["module.c", "py_channel.c", "py_writer.c", "py_reader.c", "py_plan.c", "py_group.c"]
 
 setup(
     ext_modules=[
         Extension(
             "rosplc._core._native",
             sources=[f"src/rosplc/_core/{name}" for name in SOURCES],
-            depends=[f"src/rosplc/_core/{name}" for name in ("channel.h", "plan.h")],
+            depends=sorted(glob("src/rosplc/_core/*.h")),
             define_macros=[("Py_LIMITED_API", "0x030B0000")] if ABI3 else [],
             extra_compile_args=["-std=gnu11", "-O2", "-Wall", "-Wextra", "-fvisibility=hidden"],
             py_limited_api=ABI3,

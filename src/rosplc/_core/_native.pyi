@@ -37,3 +37,159 @@ class Plan:
         """Return the record as a message. Raises Fault if the record has the wrong size."""
     def encode_into(self, record: ReadableBuffer, out: WriteableBuffer, /) -> int:
         """Write the message to ``out`` and return its size. Raises Fault if ``out`` is too small."""
+
+# ---- py_channel.c, py_writer.c, py_reader.c: the channel of spec/shm-format.md
+# Sequences, flags and counters are 32-bit words. ChannelError codes are those of section 9.
+
+@final
+class SlotInfo(tuple[int, int, int, int, int, int, int]):
+    """What a slot says about its message; ``lost`` counts what was missed since the one before."""
+
+    @property
+    def sequence(self) -> int: ...
+    @property
+    def flags(self) -> int: ...
+    @property
+    def status(self) -> int: ...
+    @property
+    def stamp_ns(self) -> int: ...
+    @property
+    def stamp_clock(self) -> int: ...
+    @property
+    def correlation(self) -> int: ...
+    @property
+    def lost(self) -> int: ...
+
+@final
+class Region:
+    """A mapped object with a private copy of its geometry (M3).
+
+    ``identity`` is a copy of the first 512 bytes; it is checked again, against the file's size.
+    Raises ChannelError SHM103 to SHM111. After close(), everything raises ValueError.
+    """
+
+    def __new__(cls, fd: int, identity: bytes, writable: bool, path: str) -> Region: ...
+    @property
+    def record_size(self) -> int: ...
+    @property
+    def slot_count(self) -> int: ...
+    @property
+    def generation(self) -> int: ...
+    @property
+    def path(self) -> str: ...
+    @property
+    def writable(self) -> bool: ...
+    @property
+    def closed(self) -> bool: ...
+    def word(self, offset: int, /) -> int:
+        """Load one control word. Raises IndexError outside the object or off a multiple of four."""
+    def words(self, offset: int, count: int, /) -> tuple[int, ...]:
+        """Load ``count`` control words, each with one access."""
+    def store(self, offset: int, value: int, /) -> None:
+        """Store one control word. Raises SHM122 if mapped read-only."""
+    def read(self, offset: int, size: int, /) -> bytes:
+        """Copy bytes of a constant part."""
+    def check(self) -> None:
+        """Raise SHM111 or SHM112 if the object is no longer the one that was attached."""
+    def close(self) -> None:
+        """Unmap the object."""
+
+@final
+class Writer:
+    """The writer of a channel; claims it from ``expected`` (0: free). Raises SHM114 or SHM122."""
+
+    def __new__(cls, region: Region, expected: int, beat_ms: int) -> Writer: ...
+    @property
+    def head(self) -> int:
+        """Sequence of the newest message, 0 none."""
+    @property
+    def epoch(self) -> int:
+        """The claim."""
+    def publish(
+        self,
+        record: ReadableBuffer,
+        *,
+        stamp_ns: int = 0,
+        stamp_clock: int = 1,
+        flags: int = 0,
+        correlation: int = 0,
+    ) -> int:
+        """Publish a record of exactly ``record_size`` bytes and return its sequence.
+
+        Raises SHM111, SHM112 (open the name again) or SHM115 (claim lost).
+        """
+    def publish_wire(
+        self,
+        plan: Plan,
+        data: ReadableBuffer,
+        *,
+        truncate: bool = False,
+        stamp_ns: int = 0,
+        stamp_clock: int = 1,
+        flags: int = 0,
+        correlation: int = 0,
+    ) -> tuple[int, int]:
+        """Decode a message straight into its slot; return its sequence and the slot's flags from decoding.
+
+        Raises Fault if the message is refused (then counted and not published), else as publish().
+        """
+    def beat(self) -> None:
+        """Show that this writer lives. Publishing does so too."""
+    def check(self) -> None:
+        """Raise what publish() would raise."""
+    def release(self) -> None:
+        """Give the claim back. Later calls raise ValueError."""
+    def refuse(self, error: int = 0, /) -> None:
+        """Count a message that was not published, and show an error number."""
+    def set_sources(self, sources: int, /) -> None:
+        """Say how many ROS publishers stand behind this writer; 0xFFFFFFFF unknown."""
+
+@final
+class Reader:
+    """A reader that goes on after ``last`` (M14), an observer until claim() gives it a line.
+
+    All taking raises SHM111 or SHM112 when the name must be opened again, and beats in passing.
+    """
+
+    def __new__(cls, region: Region, last: int, latched: bool = False) -> Reader: ...
+    @property
+    def last(self) -> int: ...
+    @property
+    def lost(self) -> int: ...
+    @property
+    def retries(self) -> int: ...
+    @property
+    def discontinuities(self) -> int: ...
+    @property
+    def line(self) -> int | None: ...
+    def claim(self, index: int, expected: int, beat_ms: int, task: str) -> None:
+        """Claim line ``index`` from ``expected`` (0: free). Raises SHM114 or SHM122."""
+    def latest(self, out: WriteableBuffer, /) -> SlotInfo | None:
+        """Copy the newest message to ``out`` if it is new; otherwise leave ``out`` as it is."""
+    def next(self, out: WriteableBuffer, /) -> SlotInfo | None:
+        """Copy the message after the last one taken; otherwise leave ``out`` as it is."""
+    def peek(self, out: WriteableBuffer, /) -> SlotInfo | None:
+        """Copy the current message, new or not, without taking it."""
+    def latest_wire(self, plan: Plan, /) -> tuple[bytes, SlotInfo] | None:
+        """As latest(), encoded straight out of the slot. Raises Fault; the message counts as taken."""
+    def next_wire(self, plan: Plan, /) -> tuple[bytes, SlotInfo] | None:
+        """As next(), encoded straight out of the slot. Raises Fault; the message counts as taken."""
+    def peek_wire(self, plan: Plan, /) -> tuple[bytes, SlotInfo] | None:
+        """As peek(), encoded straight out of the slot. Raises Fault."""
+    def beat(self) -> None:
+        """Show that this reader lives."""
+    def release(self) -> None:
+        """Give the line back and go on as an observer."""
+    def set_sinks(self, sinks: int, /) -> None:
+        """Say how many ROS subscribers stand behind this reader; 0xFFFFFFFF unknown."""
+    def set_error(self, error: int, /) -> None:
+        """Show an error number in the line; 0 none."""
+
+def check_identity(first: ReadableBuffer, size: int, direction: int, /) -> int:
+    """Return the first failing number of section 9 (103 to 111), or 0; ``direction`` 0 accepts both."""
+
+def distance(a: int, b: int, slot_count: int, /) -> int:
+    """Return the messages from a to b (section 7.1)."""
+
+def next_sequence(s: int, slot_count: int, /) -> int:
+    """Return the sequence after s (section 7.1)."""

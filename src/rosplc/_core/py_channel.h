@@ -1,0 +1,74 @@
+/* What py_channel.c, py_writer.c, py_reader.c and py_group.c share. */
+#ifndef ROSPLC_PY_CHANNEL_H
+#define ROSPLC_PY_CHANNEL_H
+
+#define PY_SSIZE_T_CLEAN
+#include <Python.h>
+
+#include "channel.h"
+#include "plan.h"
+#include "py_plan.h"
+
+/* From this many bytes on a copy releases the GIL: below, the release costs more than it gives. */
+#define CH_LONG_COPY (256u * 1024u)
+
+typedef struct {
+    PyObject_HEAD
+    ch_region region;
+    size_t mapped;  /* bytes; 0: unmapped */
+    PyObject *path; /* for messages */
+    int writable, closed;
+    int pins; /* users without the GIL, and groups: the mapping outlives close() for them */
+} RegionObject;
+
+typedef struct {
+    PyObject_HEAD
+    RegionObject *owner;
+    ch_writer writer;
+    int busy; /* a thread copies without the GIL */
+    int released;
+} WriterObject;
+
+typedef struct {
+    PyObject_HEAD
+    RegionObject *owner;
+    ch_reader reader;
+    uint8_t *shadow; /* a rejected copy never reaches the caller's buffer (M12) */
+    uint8_t *wire;   /* of `wire_size` bytes */
+    size_t wire_size;
+    int busy;
+} ReaderObject;
+
+extern PyTypeObject *ch_region_type, *ch_writer_type, *ch_reader_type;
+
+/* Raise ChannelError "SHM<number>" about the object at `path`. Returns NULL. */
+PyObject *ch_raise_channel(int number, PyObject *path);
+
+/* 0, or -1 with ValueError once the region is closed. */
+int ch_region_usable(RegionObject *region);
+void ch_region_pin(RegionObject *region);
+void ch_region_unpin(RegionObject *region);
+
+/* Let another thread finish with an object that it uses without the GIL. -1 on a signal's exception. */
+int ch_wait_while_busy(int *busy);
+
+/* Keyword-only and positional arguments of a METH_FASTCALL | METH_KEYWORDS method, by position in
+ * `names` (NULL-terminated): out[i] is borrowed or NULL. -1 with TypeError. */
+int ch_arguments(const char *method, const char *const *names, Py_ssize_t positional, Py_ssize_t required,
+                 PyObject *const *args, Py_ssize_t count, PyObject *keywords, PyObject **out);
+
+/* An int of 0 ... 2^32-1 or 2^64-1. -1 with an exception. */
+int ch_as_u32(PyObject *value, const char *name, uint32_t *out);
+int ch_as_u64(PyObject *value, const char *name, uint64_t *out);
+
+/* A new SlotInfo. */
+PyObject *ch_slot_info(const ch_take *take);
+
+/* Random and not 0: claims. -1 with OSError. */
+int ch_random_claim(uint32_t *out);
+
+int ch_add_writer(PyObject *module); /* py_writer.c */
+int ch_add_reader(PyObject *module); /* py_reader.c */
+int ch_add_type(PyObject *module, const char *name, PyType_Spec *spec, PyTypeObject **type);
+
+#endif

@@ -1,0 +1,299 @@
+/* _native.Reader: taking messages from Python. */
+#include "py_channel.h"
+
+#include <unistd.h>
+
+static PyObject *reader_new(PyTypeObject *type, PyObject *args, PyObject *kwargs)
+{
+    static char *names[] = {"region", "last", "latched", NULL};
+    RegionObject *owner;
+    ReaderObject *self;
+    unsigned int last;
+    int latched = 0;
+    if (!PyArg_ParseTupleAndKeywords(args, kwargs, "O!I|p:Reader", names, ch_region_type, &owner, &last, &latched))
+        return NULL;
+    if (ch_region_usable(owner))
+        return NULL;
+    self = (ReaderObject *)((allocfunc)PyType_GetSlot(type, Py_tp_alloc))(type, 0);
+    if (!self)
+        return NULL;
+    ch_reader_observe(&self->reader, &owner->region, last);
+    self->reader.latched = latched;
+    Py_INCREF((PyObject *)owner);
+    self->owner = owner;
+    return (PyObject *)self;
+}
+
+static void reader_dealloc(ReaderObject *self)
+{
+    PyTypeObject *type = Py_TYPE((PyObject *)self);
+    Py_XDECREF((PyObject *)self->owner);
+    PyMem_Free(self->shadow);
+    PyMem_Free(self->wire);
+    ((freefunc)PyType_GetSlot(type, Py_tp_free))(self);
+    Py_DECREF((PyObject *)type);
+}
+
+static PyObject *reader_claim(ReaderObject *self, PyObject *args, PyObject *kwargs)
+{
+    static char *names[] = {"index", "expected", "beat_ms", "task", NULL};
+    unsigned int index, expected, beat_ms;
+    const char *task;
+    Py_ssize_t task_size;
+    uint32_t claim;
+    uint8_t name[16] = {0};
+    if (!PyArg_ParseTupleAndKeywords(args, kwargs, "IIIs#:claim", names, &index, &expected, &beat_ms, &task,
+                                     &task_size)
+        || ch_region_usable(self->owner))
+        return NULL;
+    if (index >= CH_READER_LINES)
+        return PyErr_Format(PyExc_ValueError, "there is no reader line %u", index);
+    if (!self->owner->writable)
+        return ch_raise_channel(122, self->owner->path);
+    do {
+        if (ch_random_claim(&claim))
+            return NULL;
+    } while (claim == expected);
+    if (ch_reader_claim(&self->reader, index, expected, claim, beat_ms, (uint32_t)getpid()))
+        return ch_raise_channel(114, self->owner->path);
+    memcpy(name, task, task_size < 15 ? (size_t)task_size : 15);
+    memcpy(self->reader.line->task, name, sizeof name);
+    Py_RETURN_NONE;
+}
+
+/* 0 when the object can be read now, -1 with an exception; beats in passing. */
+static int reader_usable(ReaderObject *self)
+{
+    int error;
+    if (ch_region_usable(self->owner) || (self->busy && ch_wait_while_busy(&self->busy)))
+        return -1;
+    error = ch_region_check(&self->owner->region);
+    if (error) {
+        ch_raise_channel(error, self->owner->path);
+        return -1;
+    }
+    ch_reader_beat(&self->reader);
+    return 0;
+}
+
+static PyThreadState *reader_unlock(ReaderObject *self, size_t size)
+{
+    if (size < CH_LONG_COPY)
+        return NULL;
+    self->busy = 1;
+    ch_region_pin(self->owner);
+    return PyEval_SaveThread();
+}
+
+static void reader_lock(ReaderObject *self, PyThreadState *state)
+{
+    if (!state)
+        return;
+    PyEval_RestoreThread(state);
+    ch_region_unpin(self->owner);
+    self->busy = 0;
+}
+
+static PyObject *reader_take(ReaderObject *self, PyObject *out, int mode)
+{
+    size_t size = self->owner->region.geometry.record_size;
+    ch_take take = ch_take_start(mode);
+    PyThreadState *state;
+    Py_buffer view;
+    int accepted = 0;
+    if (reader_usable(self) || PyObject_GetBuffer(out, &view, PyBUF_WRITABLE))
+        return NULL;
+    if (view.len < (Py_ssize_t)size) {
+        PyErr_Format(PyExc_ValueError, "a record of %U has %zu bytes; the buffer has %zd", self->owner->path, size,
+                     view.len);
+        PyBuffer_Release(&view);
+        return NULL;
+    }
+    if (!self->shadow && !(self->shadow = PyMem_Malloc(size))) {
+        PyBuffer_Release(&view);
+        return PyErr_NoMemory();
+    }
+    state = reader_unlock(self, size);
+    while (ch_take_begin(&self->reader, &take)) {
+        memcpy(self->shadow, ch_record(take.slot), size);
+        if (ch_take_check(&self->reader, &take)) {
+            memcpy(view.buf, self->shadow, size);
+            ch_take_accept(&self->reader, &take);
+            accepted = 1;
+        }
+    }
+    reader_lock(self, state);
+    PyBuffer_Release(&view);
+    return accepted ? ch_slot_info(&take) : Py_NewRef(Py_None);
+}
+
+static PyObject *reader_latest(ReaderObject *self, PyObject *out)
+{
+    return reader_take(self, out, CH_TAKE_NEWEST);
+}
+
+static PyObject *reader_next(ReaderObject *self, PyObject *out)
+{
+    return reader_take(self, out, CH_TAKE_NEXT);
+}
+
+static PyObject *reader_peek(ReaderObject *self, PyObject *out)
+{
+    return reader_take(self, out, CH_TAKE_PEEK);
+}
+
+static PyObject *reader_take_wire(ReaderObject *self, PyObject *plan_object, int mode)
+{
+    const rp_plan *plan = rp_plan_from_object(plan_object);
+    ch_take take = ch_take_start(mode);
+    rp_fault fault = {0, 0, 0, 0};
+    PyThreadState *state;
+    PyObject *info;
+    size_t bound, used = 0;
+    int accepted = 0, failed = 0;
+    if (!plan || reader_usable(self))
+        return NULL;
+    if (plan->record_size != self->owner->region.geometry.record_size)
+        return PyErr_Format(PyExc_ValueError, "the plan's records have %lu bytes, those of %U have %lu",
+                            (unsigned long)plan->record_size, self->owner->path,
+                            (unsigned long)self->owner->region.geometry.record_size);
+    bound = rp_encoded_bound(plan);
+    if (self->wire_size < bound) {
+        uint8_t *wire = PyMem_Realloc(self->wire, bound);
+        if (!wire)
+            return PyErr_NoMemory();
+        self->wire = wire;
+        self->wire_size = bound;
+    }
+    state = reader_unlock(self, plan->record_size);
+    while (ch_take_begin(&self->reader, &take)) {
+        int result = rp_encode(plan, ch_record(take.slot), self->wire, bound, &used, &fault);
+        if (ch_take_check(&self->reader, &take)) {
+            ch_take_accept(&self->reader, &take);
+            accepted = 1;
+            failed = result;
+        }
+    }
+    reader_lock(self, state);
+    if (failed)
+        return rp_raise_fault(&fault);
+    if (!accepted)
+        Py_RETURN_NONE;
+    info = ch_slot_info(&take);
+    return info ? Py_BuildValue("(y#N)", (const char *)self->wire, (Py_ssize_t)used, info) : NULL;
+}
+
+static PyObject *reader_latest_wire(ReaderObject *self, PyObject *plan)
+{
+    return reader_take_wire(self, plan, CH_TAKE_NEWEST);
+}
+
+static PyObject *reader_next_wire(ReaderObject *self, PyObject *plan)
+{
+    return reader_take_wire(self, plan, CH_TAKE_NEXT);
+}
+
+static PyObject *reader_peek_wire(ReaderObject *self, PyObject *plan)
+{
+    return reader_take_wire(self, plan, CH_TAKE_PEEK);
+}
+
+static PyObject *reader_beat(ReaderObject *self, PyObject *unused)
+{
+    (void)unused;
+    if (ch_region_usable(self->owner))
+        return NULL;
+    ch_reader_beat(&self->reader);
+    Py_RETURN_NONE;
+}
+
+static PyObject *reader_release(ReaderObject *self, PyObject *unused)
+{
+    (void)unused;
+    if (self->busy && ch_wait_while_busy(&self->busy))
+        return NULL;
+    if (!self->owner->closed)
+        ch_reader_release(&self->reader);
+    self->reader.line = NULL;
+    Py_RETURN_NONE;
+}
+
+static PyObject *reader_set_word(ReaderObject *self, PyObject *value, const char *name, size_t offset)
+{
+    uint32_t number;
+    if (ch_as_u32(value, name, &number) || ch_region_usable(self->owner))
+        return NULL;
+    if (ch_reader_owns(&self->reader))
+        ch_store((uint32_t *)(void *)((uint8_t *)self->reader.line + offset), number);
+    Py_RETURN_NONE;
+}
+
+static PyObject *reader_set_sinks(ReaderObject *self, PyObject *value)
+{
+    return reader_set_word(self, value, "sinks", offsetof(ch_reader_line, sinks));
+}
+
+static PyObject *reader_set_error(ReaderObject *self, PyObject *value)
+{
+    return reader_set_word(self, value, "error", offsetof(ch_reader_line, error));
+}
+
+#define READER_NUMBER(name, expression) \
+    static PyObject *reader_get_##name(ReaderObject *self, void *unused) \
+    { \
+        (void)unused; \
+        return PyLong_FromUnsignedLong(expression); \
+    }
+READER_NUMBER(last, self->reader.last)
+READER_NUMBER(lost, self->reader.lost)
+READER_NUMBER(retries, self->reader.retries)
+READER_NUMBER(discontinuities, self->reader.discontinuities)
+
+static PyObject *reader_get_line(ReaderObject *self, void *unused)
+{
+    (void)unused;
+    if (self->owner->closed || !ch_reader_owns(&self->reader))
+        Py_RETURN_NONE;
+    return PyLong_FromSsize_t(self->reader.line - self->owner->region.header->reader);
+}
+
+static PyMethodDef methods[] = {
+    {"claim", (PyCFunction)(void (*)(void))reader_claim, METH_VARARGS | METH_KEYWORDS,
+     "claim(index, expected, beat_ms, task): claim a reader line from `expected` (0: free), or raise SHM114."},
+    {"latest", (PyCFunction)reader_latest, METH_O, "latest(out) -> SlotInfo of the newest message, None if not new."},
+    {"next", (PyCFunction)reader_next, METH_O, "next(out) -> SlotInfo of the message after the last, or None."},
+    {"peek", (PyCFunction)reader_peek, METH_O, "peek(out) -> SlotInfo of the current message, new or not, or None."},
+    {"latest_wire", (PyCFunction)reader_latest_wire, METH_O, "latest_wire(plan) -> (wire bytes, SlotInfo) or None."},
+    {"next_wire", (PyCFunction)reader_next_wire, METH_O, "next_wire(plan) -> (wire bytes, SlotInfo) or None."},
+    {"peek_wire", (PyCFunction)reader_peek_wire, METH_O, "peek_wire(plan) -> (wire bytes, SlotInfo) or None."},
+    {"beat", (PyCFunction)reader_beat, METH_NOARGS, "Show that this reader lives; taking does so too."},
+    {"release", (PyCFunction)reader_release, METH_NOARGS, "Give the line back; go on as an observer."},
+    {"set_sinks", (PyCFunction)reader_set_sinks, METH_O, "Say how many ROS subscribers stand behind this reader."},
+    {"set_error", (PyCFunction)reader_set_error, METH_O, "Show an error number of section 9 in the line, 0 none."},
+    {NULL, NULL, 0, NULL},
+};
+
+static PyGetSetDef attributes[] = {
+    {"last", (getter)reader_get_last, NULL, "Sequence of the newest message taken.", NULL},
+    {"lost", (getter)reader_get_lost, NULL, "Messages missed.", NULL},
+    {"retries", (getter)reader_get_retries, NULL, "Copies thrown away.", NULL},
+    {"discontinuities", (getter)reader_get_discontinuities, NULL, "Times that the stream jumped.", NULL},
+    {"line", (getter)reader_get_line, NULL, "Index of the claimed line; None for an observer.", NULL},
+    {NULL, NULL, NULL, NULL, NULL},
+};
+
+static PyType_Slot slots[] = {
+    {Py_tp_doc, "Reader(region, last, latched=False): an observer that starts after `last`; see claim()."},
+    {Py_tp_new, (void *)reader_new},
+    {Py_tp_dealloc, (void *)reader_dealloc},
+    {Py_tp_methods, methods},
+    {Py_tp_getset, attributes},
+    {0, NULL},
+};
+
+static PyType_Spec spec = {"rosplc._core._native.Reader", sizeof(ReaderObject), 0, Py_TPFLAGS_DEFAULT, slots};
+
+int ch_add_reader(PyObject *module)
+{
+    return ch_add_type(module, "Reader", &spec, &ch_reader_type);
+}

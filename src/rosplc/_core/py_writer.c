@@ -1,0 +1,266 @@
+/* _native.Writer: publishing from Python. */
+#include "py_channel.h"
+
+#include <unistd.h>
+
+static PyObject *writer_new(PyTypeObject *type, PyObject *args, PyObject *kwargs)
+{
+    static char *names[] = {"region", "expected", "beat_ms", NULL};
+    RegionObject *owner;
+    WriterObject *self;
+    unsigned int expected, beat_ms;
+    uint32_t epoch;
+    if (!PyArg_ParseTupleAndKeywords(args, kwargs, "O!II:Writer", names, ch_region_type, &owner, &expected, &beat_ms))
+        return NULL;
+    if (ch_region_usable(owner))
+        return NULL;
+    if (!owner->writable)
+        return ch_raise_channel(122, owner->path);
+    do {
+        if (ch_random_claim(&epoch))
+            return NULL;
+    } while (epoch == expected);
+    self = (WriterObject *)((allocfunc)PyType_GetSlot(type, Py_tp_alloc))(type, 0);
+    if (!self)
+        return NULL;
+    if (ch_writer_claim(&self->writer, &owner->region, expected, epoch, beat_ms, (uint32_t)getpid())) {
+        Py_DECREF((PyObject *)self);
+        return ch_raise_channel(114, owner->path);
+    }
+    Py_INCREF((PyObject *)owner);
+    self->owner = owner;
+    return (PyObject *)self;
+}
+
+static void writer_dealloc(WriterObject *self)
+{
+    PyTypeObject *type = Py_TYPE((PyObject *)self);
+    Py_XDECREF((PyObject *)self->owner);
+    ((freefunc)PyType_GetSlot(type, Py_tp_free))(self);
+    Py_DECREF((PyObject *)type);
+}
+
+static int writer_usable(WriterObject *self)
+{
+    if (ch_region_usable(self->owner))
+        return -1;
+    if (self->released) {
+        PyErr_SetString(PyExc_ValueError, "the writer has been released");
+        return -1;
+    }
+    return self->busy ? ch_wait_while_busy(&self->busy) : 0;
+}
+
+/* Optional stamp_ns, stamp_clock, flags and correlation, in this order. */
+static int writer_meta(PyObject **values, ch_meta *meta)
+{
+    uint64_t stamp = 0, correlation = 0;
+    uint32_t clock = 1, flags = 0;
+    if ((values[0] && ch_as_u64(values[0], "stamp_ns", &stamp))
+        || (values[1] && ch_as_u32(values[1], "stamp_clock", &clock))
+        || (values[2] && ch_as_u32(values[2], "flags", &flags))
+        || (values[3] && ch_as_u64(values[3], "correlation", &correlation)))
+        return -1;
+    if (clock > 3 || flags > 7) {
+        PyErr_SetString(PyExc_ValueError, "stamp_clock is not between 0 and 3, or flags not between 0 and 7");
+        return -1;
+    }
+    *meta = (ch_meta){flags,
+                      0,
+                      (uint32_t)stamp,
+                      (uint32_t)(stamp >> 32),
+                      stamp ? clock : 0,
+                      (uint32_t)correlation,
+                      (uint32_t)(correlation >> 32)};
+    return 0;
+}
+
+static PyObject *writer_publish(WriterObject *self, PyObject *const *args, Py_ssize_t count, PyObject *keywords)
+{
+    static const char *const names[] = {"record", "stamp_ns", "stamp_clock", "flags", "correlation", NULL};
+    PyObject *values[5];
+    Py_buffer view;
+    ch_slot_header *slot;
+    ch_meta meta;
+    uint32_t size, sequence = 0;
+    int error;
+    if (ch_arguments("publish", names, 1, 1, args, count, keywords, values) || writer_meta(values + 1, &meta)
+        || writer_usable(self))
+        return NULL;
+    if (PyObject_GetBuffer(values[0], &view, PyBUF_SIMPLE))
+        return NULL;
+    size = self->owner->region.geometry.record_size;
+    if (view.len != (Py_ssize_t)size) {
+        PyErr_Format(PyExc_ValueError, "a record of %U has %lu bytes, not %zd", self->owner->path,
+                     (unsigned long)size, view.len);
+        PyBuffer_Release(&view);
+        return NULL;
+    }
+    slot = ch_writer_begin(&self->writer, &error);
+    if (slot && size < CH_LONG_COPY) {
+        memcpy(ch_record(slot), view.buf, size);
+        sequence = ch_writer_commit(&self->writer, slot, &meta);
+    } else if (slot) {
+        self->busy = 1;
+        ch_region_pin(self->owner);
+        Py_BEGIN_ALLOW_THREADS;
+        memcpy(ch_record(slot), view.buf, size);
+        sequence = ch_writer_commit(&self->writer, slot, &meta);
+        Py_END_ALLOW_THREADS;
+        ch_region_unpin(self->owner);
+        self->busy = 0;
+    }
+    PyBuffer_Release(&view);
+    return slot ? PyLong_FromUnsignedLong(sequence) : ch_raise_channel(error, self->owner->path);
+}
+
+static PyObject *writer_publish_wire(WriterObject *self, PyObject *const *args, Py_ssize_t count,
+                                     PyObject *keywords)
+{
+    static const char *const names[] = {"plan",        "data",  "truncate",    "stamp_ns",
+                                        "stamp_clock", "flags", "correlation", NULL};
+    PyObject *values[7];
+    const rp_plan *plan;
+    Py_buffer view;
+    ch_slot_header *slot;
+    ch_meta meta;
+    rp_fault fault = {0, 0, 0, 0};
+    uint32_t size, sequence = 0, flags = 0;
+    int error, truncate, refused = 0;
+    if (ch_arguments("publish_wire", names, 2, 2, args, count, keywords, values) || writer_meta(values + 3, &meta)
+        || !(plan = rp_plan_from_object(values[0])))
+        return NULL;
+    truncate = values[2] ? PyObject_IsTrue(values[2]) : 0;
+    if (truncate < 0 || writer_usable(self))
+        return NULL;
+    size = self->owner->region.geometry.record_size;
+    if (plan->record_size != size)
+        return PyErr_Format(PyExc_ValueError, "the plan's records have %lu bytes, those of %U have %lu",
+                            (unsigned long)plan->record_size, self->owner->path, (unsigned long)size);
+    if (PyObject_GetBuffer(values[1], &view, PyBUF_SIMPLE))
+        return NULL;
+    slot = ch_writer_begin(&self->writer, &error);
+    if (slot) {
+        PyThreadState *unlocked = NULL;
+        if (size >= CH_LONG_COPY || view.len >= (Py_ssize_t)CH_LONG_COPY) {
+            self->busy = 1;
+            ch_region_pin(self->owner);
+            unlocked = PyEval_SaveThread();
+        }
+        refused = rp_decode(plan, view.buf, (size_t)view.len, ch_record(slot), truncate, &flags, &fault);
+        if (refused) {
+            ch_writer_refuse(&self->writer, 0);
+        } else {
+            meta.flags |= flags;
+            sequence = ch_writer_commit(&self->writer, slot, &meta);
+        }
+        if (unlocked) {
+            PyEval_RestoreThread(unlocked);
+            ch_region_unpin(self->owner);
+            self->busy = 0;
+        }
+    }
+    PyBuffer_Release(&view);
+    if (!slot)
+        return ch_raise_channel(error, self->owner->path);
+    if (refused)
+        return rp_raise_fault(&fault);
+    return Py_BuildValue("(kk)", (unsigned long)sequence, (unsigned long)flags);
+}
+
+static PyObject *writer_beat(WriterObject *self, PyObject *unused)
+{
+    (void)unused;
+    if (ch_region_usable(self->owner))
+        return NULL;
+    if (!self->released)
+        ch_writer_beat(&self->writer);
+    Py_RETURN_NONE;
+}
+
+static PyObject *writer_check(WriterObject *self, PyObject *unused)
+{
+    int error;
+    (void)unused;
+    if (ch_region_usable(self->owner))
+        return NULL;
+    error = ch_writer_check(&self->writer);
+    return error ? ch_raise_channel(error, self->owner->path) : Py_NewRef(Py_None);
+}
+
+static PyObject *writer_release(WriterObject *self, PyObject *unused)
+{
+    (void)unused;
+    if (self->busy && ch_wait_while_busy(&self->busy))
+        return NULL;
+    if (!self->released && !self->owner->closed)
+        ch_writer_release(&self->writer);
+    self->released = 1;
+    Py_RETURN_NONE;
+}
+
+static PyObject *writer_refuse(WriterObject *self, PyObject *args)
+{
+    unsigned int number = 0;
+    if (!PyArg_ParseTuple(args, "|I:refuse", &number) || writer_usable(self))
+        return NULL;
+    ch_writer_refuse(&self->writer, number);
+    Py_RETURN_NONE;
+}
+
+static PyObject *writer_set_sources(WriterObject *self, PyObject *value)
+{
+    uint32_t number;
+    if (ch_as_u32(value, "sources", &number) || writer_usable(self))
+        return NULL;
+    ch_store(&self->owner->region.header->writer.sources, number);
+    Py_RETURN_NONE;
+}
+
+static PyObject *writer_head(WriterObject *self, void *unused)
+{
+    (void)unused;
+    return PyLong_FromUnsignedLong(self->writer.head);
+}
+
+static PyObject *writer_epoch(WriterObject *self, void *unused)
+{
+    (void)unused;
+    return PyLong_FromUnsignedLong(self->writer.epoch);
+}
+
+static PyMethodDef methods[] = {
+    {"publish", (PyCFunction)(void (*)(void))writer_publish, METH_FASTCALL | METH_KEYWORDS,
+     "publish(record, *, stamp_ns=0, stamp_clock=1, flags=0, correlation=0) -> sequence."},
+    {"publish_wire", (PyCFunction)(void (*)(void))writer_publish_wire, METH_FASTCALL | METH_KEYWORDS,
+     "publish_wire(plan, data, *, truncate=False, stamp_ns=0, stamp_clock=1, flags=0, correlation=0)"
+     " -> (sequence, flags)."},
+    {"beat", (PyCFunction)writer_beat, METH_NOARGS, "Show that this writer lives."},
+    {"check", (PyCFunction)writer_check, METH_NOARGS, "Raise SHM111, SHM112 or SHM115 if publish would."},
+    {"release", (PyCFunction)writer_release, METH_NOARGS, "Give the claim back; the object stays as it is."},
+    {"refuse", (PyCFunction)writer_refuse, METH_VARARGS, "refuse(error=0): count a message that was not published."},
+    {"set_sources", (PyCFunction)writer_set_sources, METH_O, "Say how many ROS publishers stand behind this writer."},
+    {NULL, NULL, 0, NULL},
+};
+
+static PyGetSetDef attributes[] = {
+    {"head", (getter)writer_head, NULL, "Sequence of the newest message of this stream; 0 none.", NULL},
+    {"epoch", (getter)writer_epoch, NULL, "The claim's random number.", NULL},
+    {NULL, NULL, NULL, NULL, NULL},
+};
+
+static PyType_Slot slots[] = {
+    {Py_tp_doc, "Writer(region, expected, beat_ms): claims the channel from `expected` (0: free), or raises SHM114."},
+    {Py_tp_new, (void *)writer_new},
+    {Py_tp_dealloc, (void *)writer_dealloc},
+    {Py_tp_methods, methods},
+    {Py_tp_getset, attributes},
+    {0, NULL},
+};
+
+static PyType_Spec spec = {"rosplc._core._native.Writer", sizeof(WriterObject), 0, Py_TPFLAGS_DEFAULT, slots};
+
+int ch_add_writer(PyObject *module)
+{
+    return ch_add_type(module, "Writer", &spec, &ch_writer_type);
+}
