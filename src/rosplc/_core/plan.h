@@ -68,8 +68,8 @@ typedef struct rp_plan {
 
 /* code 0: fine; 1..9: COD001..COD009. What size and limit mean depends on the code:
  * 1 bytes needed at least, bytes there; 2 bytes there, bytes at most; 3 encapsulation id, 0;
- * 4 string's length, capacity or bound; 5 count, capacity; 6 value, 1; 7 length, offset of the NUL or of
- * the missing terminator; 8 count, bound; 9 bytes given, bytes wanted. */
+ * 4 string's length, capacity or bound; 5 count, capacity; 6 value, 1; 7 length as
+ * on the wire, offset of the NUL or of the missing terminator; 8 count, bound; 9 bytes given, bytes wanted. */
 typedef struct {
     uint32_t code;
     uint32_t op;
@@ -143,7 +143,7 @@ static inline const char *rp_check_ops(rp_op *ops, uint32_t count, uint64_t exte
             *most = rp_add(*most, 3 + 4 + n + 1);
             break;
         case RP_SEQ:
-            if (!op->stride || op->stride % op->width || ((op->flags & RP_BOOL) && op->stride != 1))
+            if (!op->stride || op->stride % op->width != 0 || ((op->flags & RP_BOOL) && op->stride != 1))
                 return "SEQ has no usable element size";
             if (op->room < n * op->stride || op->at + (uint64_t)op->room > extent || op->count_at + 4ull > extent)
                 return "SEQ leaves its element";
@@ -336,7 +336,8 @@ static inline int rp_decode_string(rp_decoder *d, const rp_op *op, uint8_t *base
     nul = length ? memchr(text, 0, length) : NULL;
     if (nul) {
         if (!d->truncate)
-            return rp_fail(d->fault, 7, (uint32_t)(op - d->first), length, (uint64_t)(nul - text));
+            return rp_fail(d->fault, 7, (uint32_t)(op - d->first), (uint64_t)length + !d->ros1,
+                           (uint64_t)(nul - text));
         keep = (uint32_t)(nul - text);
         d->flags |= RP_TRUNCATED;
     }

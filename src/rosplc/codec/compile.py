@@ -1,0 +1,220 @@
+"""Compile a layout into a plan: the lists of ops that the C core executes.
+
+Neighbouring numbers become one COPY wherever their record offsets adjoin and the wire
+provably has no gap between them. In CDR that takes knowledge of the wire position: it is
+tracked modulo the largest alignment since the last string or sequence, whose length is not
+known before a message comes. The op table heads ``_core/plan.h``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from rosplc.codec.flat import Flat, flat_form
+from rosplc.codec.ops import MAX_LOOPS, SEQ_OF_BOOL, Op, OpCode, pack_plan
+from rosplc.codec.wire import Wire
+from rosplc.errors import MessageTypeError
+from rosplc.layout.nodes import ArrayNode, Node, PaddingNode, ScalarNode, SequenceNode, StringNode, StructNode
+
+__all__ = ["CompiledPlan", "compile_plan"]
+
+
+@dataclass(frozen=True, slots=True)
+class CompiledPlan:
+    """A plan before the C core has loaded it.
+
+    Attributes:
+        blob: What ``_native.Plan`` takes.
+        ops: The little-endian list, then the list for big-endian input; a fault's ``op`` is an
+            index into it.
+    """
+
+    blob: bytes
+    ops: tuple[Op, ...]
+
+
+def compile_plan(root: StructNode, wire: Wire) -> CompiledPlan:
+    """Compile the plan that turns ``wire`` messages into records of ``root`` and back.
+
+    Raises:
+        MessageTypeError: TYP007 if sequences and arrays are nested deeper than the executor goes.
+    """
+    native = _OpList(wire, swapped=False)
+    native.struct(root, 0, "")
+    swapped = _OpList(wire, swapped=True)
+    if wire is Wire.CDR:  # ROS 1 is little-endian only
+        swapped.struct(root, 0, "")
+    return CompiledPlan(pack_plan(wire, root.size, native.ops, swapped.ops), (*native.ops, *swapped.ops))
+
+
+def _is_empty(node: StructNode) -> bool:
+    return all(isinstance(member.node, PaddingNode) for member in node.members)
+
+
+class _OpList:
+    """One list of ops under construction."""
+
+    def __init__(self, wire: Wire, *, swapped: bool) -> None:
+        self.ops: list[Op] = []
+        self._cdr = wire is Wire.CDR
+        self._swapped = swapped
+        self._modulus = 8  # the wire position is known to be `_position` modulo this
+        self._position = 0
+        self._run: Op | None = None  # the last COPY or SWAP, as long as it can grow
+        self._bools: list[tuple[Op, int]] = []  # BOOLS of the run, and where in it they begin
+        self._filler: Op | None = None  # the last op, if it can take padding behind it along
+        self._loops = 0
+
+    def struct(self, node: StructNode, base: int, path: str) -> None:
+        """Add the members of a struct that starts at record offset ``base``."""
+        if _is_empty(node):
+            if self._cdr:
+                # rosidl gives a message without fields one dummy byte; ROS 1 sends nothing
+                self._add(Op(OpCode.SKIP, path, n=1))
+                self._advance(1)
+            self._padding(base, node.size, path)
+            return
+        counts: dict[str, int] = {}
+        for member in node.members:
+            at = base + member.offset
+            if member.count_of is not None:
+                counts[member.count_of] = at
+                self._end_run()
+                continue
+            inner = f"{path}.{member.name}" if path else member.name
+            count_at = counts.get(member.name, 0)
+            self._node(member.node, at, count_at, inner)
+
+    def _node(self, node: Node, at: int, count_at: int, path: str) -> None:
+        if isinstance(node, ScalarNode):
+            self._numbers(node.kind == "bool", Flat(node.size, node.size, True), at, node.size, path)
+        elif isinstance(node, StringNode):
+            bound = node.bound or 0
+            self._add(Op(OpCode.STRING, path, at, node.capacity, room=node.size, bound=bound), fills=True)
+            self._forget_position()
+        elif isinstance(node, PaddingNode):
+            self._padding(at, node.size, path)
+        elif isinstance(node, StructNode):
+            self.struct(node, at, path)
+        elif isinstance(node, ArrayNode):
+            self._array(node, at, path)
+        else:
+            self._sequence(node, at, count_at, path)
+
+    def _array(self, node: ArrayNode, at: int, path: str) -> None:
+        element = node.element
+        flat = self._whole(element)
+        if isinstance(element, ScalarNode) and element.kind == "bool":
+            self._numbers(True, Flat(1, 1, True), at, node.size, path)
+        elif flat is not None:
+            self._numbers(False, flat, at, node.size, path)
+        else:
+            op = Op(OpCode.ARRAY, path, at, node.length, stride=node.stride, room=node.size)
+            self._loop(op, element, path)
+
+    def _sequence(self, node: SequenceNode, at: int, count_at: int, path: str) -> None:
+        element = node.element
+        is_bool = isinstance(element, ScalarNode) and element.kind == "bool"
+        self._forget_position()  # an element's alignment must hold whatever comes before it
+        flat = Flat(1, 1, True) if is_bool else self._whole(element)
+        op = Op(
+            OpCode.LOOP if flat is None else OpCode.SEQ, path, at, node.capacity,
+            count_at=count_at, stride=node.stride, room=node.size, bound=node.bound or 0,
+        )  # fmt: skip
+        if flat is None:
+            self._loop(op, element, path)
+            return
+        op.align = flat.first if self._cdr else 1
+        op.width = flat.widest if self._swapped else 1
+        op.flags = SEQ_OF_BOOL if is_bool else 0
+        self._add(op, fills=True)
+        self._forget_position()
+
+    def _whole(self, element: Node) -> Flat | None:
+        """Return the element's flat form if a row of such elements is one piece on this wire."""
+        flat = flat_form(element)
+        if flat is None or (self._swapped and not flat.uniform):
+            return None
+        if self._cdr and flat.first != flat.widest:
+            known = self._modulus >= flat.widest and self._position % flat.widest == 0
+            return flat if known else None
+        return flat
+
+    def _numbers(self, is_bool: bool, flat: Flat, at: int, size: int, path: str) -> None:
+        """Add ``size`` bytes of numbers: to the run before them if both sides provably adjoin."""
+        if size == 0:
+            return
+        adjoins = self._align(flat.first)
+        run = self._run
+        if self._swapped and flat.widest > 1:
+            width = flat.widest
+            grows = adjoins and run is not None and run.code is OpCode.SWAP and run.width == width
+            if grows and run is not None and run.at + run.n * width == at:
+                run.n += size // width
+            else:
+                self._add(Op(OpCode.SWAP, path, at, size // width, width=width))
+                self._run = self.ops[-1]
+            self._advance(size)
+            return
+        if adjoins and run and run.code is OpCode.COPY and run.at + run.n == at:
+            run.n += size
+            for op, start in self._bools:
+                op.body = run.n - start
+        else:
+            run = Op(OpCode.COPY, path, at, size, align=flat.first if self._cdr else 1)
+            self._add(run)
+            self._run = run
+        if is_bool:
+            self.ops.append(Op(OpCode.BOOLS, path, n=size, body=size))
+            self._bools.append((self.ops[-1], run.n - size))
+        self._advance(size)
+
+    def _loop(self, op: Op, element: Node, path: str) -> None:
+        if self._loops == MAX_LOOPS:
+            raise MessageTypeError("TYP007", f"sequences are nested deeper than {MAX_LOOPS}", where=path)
+        self._add(op)
+        start = len(self.ops)
+        self._forget_position()
+        self._loops += 1
+        self._node(element, 0, 0, f"{path}[]")
+        self._loops -= 1
+        op.body = len(self.ops) - start
+        self._end_run()
+        self._forget_position()
+        self._filler = op
+
+    def _padding(self, at: int, size: int, path: str) -> None:
+        filler = self._filler
+        if filler is not None and filler.at + filler.room == at:
+            filler.room += size
+            filler.n += size if filler.code is OpCode.ZERO else 0
+            return
+        self.ops.append(Op(OpCode.ZERO, path, at, size, room=size))
+        self._filler = self.ops[-1]
+
+    def _add(self, op: Op, *, fills: bool = False) -> None:
+        self._end_run()
+        self.ops.append(op)
+        self._filler = op if fills else None
+
+    def _end_run(self) -> None:
+        self._run = None
+        self._bools = []
+        self._filler = None
+
+    def _align(self, width: int) -> bool:
+        """Move to the next multiple of ``width``; return whether it is known that this skips nothing."""
+        if not self._cdr:
+            return True
+        if self._modulus < width:
+            self._modulus, self._position = width, 0
+            return False
+        gap = -self._position % width
+        self._position = (self._position + gap) % self._modulus
+        return gap == 0
+
+    def _advance(self, size: int) -> None:
+        self._position = (self._position + size) % self._modulus
+
+    def _forget_position(self) -> None:
+        self._modulus, self._position = 1, 0
