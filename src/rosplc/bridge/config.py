@@ -1,0 +1,214 @@
+"""From a configuration file to settings: every error with its line, all of them at once."""
+
+from __future__ import annotations
+
+import types
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Union, get_args, get_origin
+
+from pydantic import BaseModel, ValidationError
+
+from rosplc.bridge.problems import Problems, did_you_mean
+from rosplc.bridge.settings import Settings
+from rosplc.bridge.yaml_source import KeyPath, YamlSource, read_yaml
+from rosplc.errors import ConfigError
+
+__all__ = ["Config", "json_schema", "parse_config", "read_config"]
+
+
+@dataclass(frozen=True)
+class Config:
+    """Settings together with the file that they come from.
+
+    Attributes:
+        settings: What the file says, defaults filled in.
+        source: The file's keys and lines, to name a place in later errors.
+        base: The folder that relative paths refer to.
+    """
+
+    settings: Settings
+    source: YamlSource = field(default_factory=lambda: YamlSource("<settings>"), repr=False)
+    base: Path = field(default_factory=Path)
+
+    @property
+    def path(self) -> Path | None:
+        """The file, or None where the settings come from elsewhere."""
+        return None if self.source.name.startswith("<") else Path(self.source.name)
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any], *, base: Path | None = None) -> Config:
+        """Return the configuration that a YAML file with this content would give.
+
+        Raises:
+            ConfigErrors: As :func:`read_config`; places are key paths.
+        """
+        problems = Problems()
+        config = _validate(YamlSource("<settings>", dict(data)), base or Path(), problems)
+        problems.check()
+        assert config is not None
+        return config
+
+
+def read_config(path: Path | str) -> Config:
+    """Read and validate a file, without looking at message types (:func:`load_config` does).
+
+    Raises:
+        ConfigErrors: CFG001 … CFG006, CFG009, CFG010; all that was found.
+    """
+    return _parse(Path(path), None, Path(path).parent)
+
+
+def parse_config(text: str, *, name: str = "<text>", base: Path | None = None) -> Config:
+    """Validate YAML text; ``base`` is the folder that its relative paths refer to.
+
+    Raises:
+        ConfigErrors: As :func:`read_config`.
+    """
+    return _parse(Path(name), text, base or Path())
+
+
+def json_schema() -> dict[str, Any]:
+    """Return the JSON Schema of a configuration file, for editors."""
+    schema = Settings.model_json_schema(by_alias=True)
+    _allow_short_forms(schema)
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        **schema,
+        "title": "rosplc configuration",
+        "description": "A bridge between ROS topics and a soft-PLC.",
+    }
+
+
+def _allow_short_forms(schema: dict[str, Any]) -> None:
+    # Validators accept these before pydantic looks, so its schema does not show them.
+    qos = schema["$defs"]["TopicSettings"]["properties"]["qos"]
+    reference = {"$ref": qos.pop("$ref")} if "$ref" in qos else {"allOf": qos.pop("allOf")}
+    qos["anyOf"] = [reference, {"enum": ["default", "sensor_data", "latched"], "type": "string"}]
+    for name, value in schema["properties"].items():
+        if "$ref" in value or name in ("tasks", "topics"):
+            schema["properties"][name] = {"anyOf": [value, {"type": "null"}], **_lift(value)}
+
+
+def _lift(value: dict[str, Any]) -> dict[str, Any]:
+    return {key: value.pop(key) for key in ("default", "description", "title") if key in value}
+
+
+def _parse(path: Path, text: str | None, base: Path) -> Config:
+    problems = Problems()
+    try:
+        source = read_yaml(path, problems, text=text)
+    except ConfigError as error:
+        problems.add(error)
+        problems.check()
+        raise  # pragma: no cover - check() raises
+    config = _validate(source, base, problems)
+    problems.check()
+    assert config is not None
+    return config
+
+
+def _validate(source: YamlSource, base: Path, problems: Problems) -> Config | None:
+    data = {} if source.data is None else source.data
+    if not isinstance(data, dict):
+        problems.add(
+            ConfigError(
+                "CFG004", "the file should hold keys such as topics:, not a list or a text", where=source.name
+            )
+        )
+        return None
+    try:
+        return Config(Settings.model_validate(data), source, base)
+    except ValidationError as error:
+        for item in error.errors(include_url=False):
+            path = _real_path(item["loc"], source)
+            problems.add(_explain(dict(item), path, source), source.line(path))
+        return None
+
+
+def _real_path(loc: tuple[str | int, ...], source: YamlSource) -> KeyPath:
+    """Drop the parts of pydantic's location that are no keys: branches of unions, ``[key]``."""
+    path: KeyPath = ()
+    data = source.data
+    for index, part in enumerate(loc):
+        inside = (isinstance(data, dict) and part in data) or (
+            isinstance(data, list) and isinstance(part, int) and part < len(data)
+        )
+        if inside:
+            data = data[part]
+        elif index != len(loc) - 1 or not isinstance(data, dict) or part == "[key]":
+            continue
+        path = (*path, part)
+    return path
+
+
+def _explain(item: dict[str, Any], path: KeyPath, source: YamlSource) -> ConfigError:
+    where = source.place(path)
+    kind, value, context = item["type"], item.get("input"), item.get("ctx", {})
+    if kind == "extra_forbidden":
+        return ConfigError(
+            "CFG003",
+            f"{path[-1]!r} is no key here{did_you_mean(str(path[-1]), _keys_at(path[:-1]))}",
+            where=where,
+        )
+    if kind == "missing":
+        return ConfigError(
+            "CFG005", f"{path[-1]!r} is missing", where=where, remedy=_MISSING.get(str(path[-1]), "")
+        )
+    if kind == "literal_error":
+        known = [word.strip(" '") for word in context["expected"].replace(" or ", ", ").split(", ")]
+        hint = did_you_mean(str(value), known)
+        listed = "" if hint.startswith("; there are") else f" There are: {', '.join(known)}"
+        return ConfigError("CFG004", f"{value!r} is not valid{hint}{listed}", where=where)
+    if kind == "value_error":
+        return ConfigError("CFG004", str(context["error"]), where=where)
+    if kind in _SHAPES:
+        return ConfigError("CFG004", f"{_show(value)} should be {_SHAPES[kind]}", where=where)
+    text = item["msg"].replace("Input should be", f"{_show(value)} should be")
+    return ConfigError("CFG004", text[0].lower() + text[1:], where=where)
+
+
+_MISSING = {
+    "to": "Add `to: plc` for messages from ROS to the PLC, or `to: ros` for the other direction.",
+    "type": "Add `type: package/msg/Name`; `rosplc types` lists the types.",
+}
+_SHAPES = {
+    "model_type": "a group of keys",
+    "dict_type": "a group of keys",
+    "int_type": "a whole number",
+    "string_type": "text; put it into quotes",
+    "bool_type": "true or false",
+    "bool_parsing": "true or false",
+    "tuple_type": "a list, such as [./msg]",
+}
+
+
+def _show(value: Any) -> str:
+    if isinstance(value, (dict, list, tuple)):
+        return "a group of keys" if isinstance(value, dict) else "a list"
+    return "nothing" if value is None else repr(value)
+
+
+def _keys_at(path: KeyPath) -> Iterator[str]:
+    """Yield the keys that the settings have at a path."""
+    current: Any = Settings
+    for part in path:
+        if isinstance(current, type) and issubclass(current, BaseModel):
+            field_ = next((f for name, f in current.model_fields.items() if (f.alias or name) == part), None)
+            current = _inner(field_.annotation) if field_ else None
+        elif get_origin(current) is dict:
+            current = _inner(get_args(current)[1])
+    if isinstance(current, type) and issubclass(current, BaseModel):
+        for name, f in current.model_fields.items():
+            yield f.alias or name
+
+
+def _inner(annotation: Any) -> Any:
+    """Return what stands inside ``X | None`` and ``Annotated[X, …]``."""
+    while get_origin(annotation) is not None and get_origin(annotation) is not dict:
+        if get_origin(annotation) in (Union, types.UnionType):
+            annotation = next(arg for arg in get_args(annotation) if arg is not type(None))
+        else:
+            annotation = get_args(annotation)[0]
+    return annotation

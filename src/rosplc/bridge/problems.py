@@ -1,0 +1,83 @@
+"""Everything that is wrong with a configuration, reported together.
+
+Whoever writes a configuration corrects it in one go: the readers of this package collect
+what they find in a :class:`Problems` and raise once.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+from rosplc.errors import ConfigError, RosplcError
+
+__all__ = ["ConfigErrors", "Problems", "did_you_mean", "relocated"]
+
+_MOST = 50  # more errors than this are one mistake, repeated
+
+
+class ConfigErrors(ConfigError):
+    """One or more errors of one configuration, in the order of their lines.
+
+    It is caught as a :class:`~rosplc.errors.ConfigError`; ``code``, ``what``, ``where`` and
+    ``remedy`` are those of the first error, the text shows all of them, one a line.
+
+    Args:
+        errors: At least one error; some may be of the families TYP, LAY or SHM.
+
+    Attributes:
+        errors: All of them.
+    """
+
+    family = ""
+
+    def __init__(self, errors: Iterable[RosplcError]) -> None:
+        self.errors = tuple(errors)
+        first = self.errors[0]
+        super().__init__(first.code, first.what, where=first.where, remedy=first.remedy)
+
+    def __str__(self) -> str:
+        return "\n".join(str(error) for error in self.errors)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return (ConfigErrors, (self.errors,))
+
+
+class Problems:
+    """Collects errors until :meth:`check` raises them."""
+
+    def __init__(self) -> None:
+        self._errors: list[tuple[int, RosplcError]] = []
+
+    def __len__(self) -> int:
+        return len(self._errors)
+
+    def add(self, error: RosplcError, line: int = 0) -> None:
+        """Take an error; ``line`` sorts it among the others."""
+        if len(self._errors) < _MOST:
+            self._errors.append((line, error))
+
+    def check(self) -> None:
+        """Raise what was collected.
+
+        Raises:
+            ConfigErrors: Unless nothing was.
+        """
+        if self._errors:
+            self._errors.sort(key=lambda item: item[0])
+            raise ConfigErrors(error for _, error in self._errors)
+
+
+def relocated(error: RosplcError, place: str) -> RosplcError:
+    """Return the error as one at ``place``; the place it had itself moves into its text."""
+    inner = f"{error.where}: " if error.where else ""
+    return type(error)(error.code, inner + error.what, where=place, remedy=error.remedy)
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """Return ``"; did you mean 'x'?"`` for the nearest known word, or the known ones if few."""
+    names = sorted(known)
+    near = difflib.get_close_matches(word, names, 1, cutoff=0.6)
+    if near:
+        return f"; did you mean {near[0]!r}?"
+    return f"; there are: {', '.join(names)}" if 0 < len(names) <= 20 else ""

@@ -1,0 +1,143 @@
+"""Durations, rates and file modes as people write them in a configuration."""
+
+from __future__ import annotations
+
+import re
+from fractions import Fraction
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema
+
+__all__ = [
+    "Duration",
+    "FileMode",
+    "Interval",
+    "Period",
+    "StaleAfter",
+    "between",
+    "format_duration",
+    "parse_duration",
+    "parse_mode",
+    "parse_rate",
+]
+
+_UNITS = {"ns": 1, "us": 10**3, "µs": 10**3, "ms": 10**6, "s": 10**9, "min": 60 * 10**9, "h": 3600 * 10**9}
+_RATES = {"mHz": Fraction(1, 1000), "Hz": Fraction(1), "kHz": Fraction(1000)}
+_QUANTITY = re.compile(r"([0-9]{1,12}(?:\.[0-9]{1,9})?)[ ]?([A-Za-zµ]+)\Z")
+_LONGEST = 24 * 3600 * 10**9
+
+_DURATION_PATTERN = r"^[0-9]{1,12}(\.[0-9]{1,9})? ?(ns|us|µs|ms|s|min|h)$"
+_RATE_PATTERN = r"^[0-9]{1,12}(\.[0-9]{1,9})? ?(mHz|Hz|kHz)$"
+_EITHER_PATTERN = r"^[0-9]{1,12}(\.[0-9]{1,9})? ?(ns|us|µs|ms|s|min|h|mHz|Hz|kHz)$"
+
+
+def _split(value: Any, example: str) -> tuple[Fraction, str]:
+    match = _QUANTITY.match(value) if isinstance(value, str) else None
+    if not match:
+        raise ValueError(f"{value!r} should be a number with a unit, such as {example}")
+    return Fraction(match[1]), match[2]
+
+
+def parse_duration(value: Any) -> int:
+    """Return the nanoseconds of ``"200ms"``, ``"1s"``, ``"10us"``; up to a day.
+
+    Raises:
+        ValueError: With a text that says what would be right.
+    """
+    number, unit = _split(value, "10ms, 1s or 500us")
+    if unit not in _UNITS:
+        raise ValueError(f"{value!r} has the unit {unit!r}; the units are {', '.join(_UNITS)}")
+    ns = number * _UNITS[unit]
+    if ns.denominator != 1 or not 0 < ns <= _LONGEST:
+        raise ValueError(f"{value!r} is not between 1ns and 24h")
+    return int(ns)
+
+
+def parse_rate(value: Any) -> int:
+    """Return the period in nanoseconds of ``"50Hz"`` or ``"0.5Hz"``, or of a duration ``"20ms"``.
+
+    Raises:
+        ValueError: With a text that says what would be right.
+    """
+    number, unit = _split(value, "50Hz or 20ms")
+    if unit in _UNITS:
+        return parse_duration(value)
+    if unit not in _RATES:
+        raise ValueError(f"{value!r} has the unit {unit!r}; the units are {', '.join((*_RATES, *_UNITS))}")
+    hertz = number * _RATES[unit]
+    if not 0 < hertz <= 10**6 or 10**9 / hertz > _LONGEST:
+        raise ValueError(f"{value!r} is not between one a day and 1000kHz")
+    return round(10**9 / hertz)
+
+
+def parse_mode(value: Any) -> int:
+    """Return the permission bits of ``"0660"``.
+
+    Raises:
+        ValueError: With a text that says what would be right.
+    """
+    if not isinstance(value, str) or not re.fullmatch(r"(0o?)?[0-7]{3}", value):
+        raise ValueError(f'{value!r} should be three octal digits as text, such as "0660"')
+    mode = int(value[-3:], 8)
+    if mode & 0o600 != 0o600:
+        raise ValueError(
+            f'{value!r} keeps the owner, the bridge, from reading and writing; begin it with 6, as in "0660"'
+        )
+    if mode & 0o111:
+        raise ValueError(
+            f'{value!r} has execute bits, which shared memory has no use for; "0660" is the usual mode'
+        )
+    return mode
+
+
+def _parse_stale(value: Any) -> int:
+    return 0 if value == "never" else parse_duration(value)
+
+
+def format_duration(ns: int) -> str:
+    """Return nanoseconds as a configuration writes them: 10000000 is ``"10ms"``."""
+    for unit in ("h", "min", "s", "ms", "us"):
+        if ns and ns % _UNITS[unit] == 0:
+            return f"{ns // _UNITS[unit]}{unit}"
+    return f"{ns}ns"
+
+
+def between(shortest: str, longest: str) -> AfterValidator:
+    """Return a validator for a :data:`Duration` with bounds, such as ``between("50us", "1s")``."""
+    low, high = parse_duration(shortest), parse_duration(longest)
+
+    def check(ns: int) -> int:
+        if not low <= ns <= high:
+            raise ValueError(f"{format_duration(ns)!r} is not between {shortest} and {longest}")
+        return ns
+
+    return AfterValidator(check)
+
+
+def _text(pattern: str, *examples: str) -> WithJsonSchema:
+    return WithJsonSchema({"type": "string", "pattern": pattern, "examples": list(examples)})
+
+
+Duration = Annotated[int, BeforeValidator(parse_duration), _text(_DURATION_PATTERN, "10ms", "1s")]
+"""Nanoseconds, written with a unit."""
+
+Period = Annotated[int, BeforeValidator(parse_rate), _text(_RATE_PATTERN, "50Hz")]
+"""Nanoseconds between two messages, written as a rate."""
+
+Interval = Annotated[int, BeforeValidator(parse_rate), _text(_EITHER_PATTERN, "10Hz", "100ms")]
+"""Nanoseconds, written as a rate or as a duration."""
+
+StaleAfter = Annotated[
+    int,
+    BeforeValidator(_parse_stale),
+    WithJsonSchema({"anyOf": [{"const": "never"}, {"type": "string", "pattern": _DURATION_PATTERN}]}),
+]
+"""Nanoseconds; 0 for ``never``."""
+
+FileMode = Annotated[
+    int,
+    BeforeValidator(parse_mode),
+    Field(ge=0),
+    WithJsonSchema({"type": "string", "pattern": "^(0o?)?[0-7]{3}$"}),
+]
+"""Permission bits."""

@@ -1,0 +1,240 @@
+"""From settings to what the bridge, the PLC generator and the tools need: types, layouts, sizes.
+
+Everything that can be found out before anything is opened is checked here, so that a wrong
+configuration disturbs no running system.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from rosplc.bridge.config import Config, read_config
+from rosplc.bridge.depth import Demand, least_slots, usual_slots
+from rosplc.bridge.problems import Problems, relocated
+from rosplc.bridge.quantities import format_duration
+from rosplc.bridge.settings import TaskSettings, TopicSettings
+from rosplc.errors import ConfigError, LayoutError, RosplcError
+from rosplc.layout import Layout, Limits, compute_layout
+from rosplc.model import TypeStore
+from rosplc.ros import PRESETS, Qos
+from rosplc.shm import Direction, Namespace
+
+__all__ = ["Project", "TopicPlan", "load_config", "load_project", "resolve"]
+
+_TO_PLC = Qos(reliability="reliable", durability="volatile", depth=1000)
+_TO_ROS = PRESETS["latched"]
+_STALE_NS = {"plc": 1_000_000_000, "ros": 0}
+
+
+@dataclass(frozen=True)
+class TopicPlan:
+    """One topic with everything decided.
+
+    Attributes:
+        topic: The topic as ROS writes it.
+        type_name: ``package/msg/Name``.
+        direction: Where its messages go.
+        layout: The record's layout.
+        qos: Quality of service on the ROS side.
+        slots: Slots of the object, a power of two.
+        every: Every message counts, in order; otherwise the newest alone.
+        latched: A retained message counts as new for whoever comes later.
+        task: Name of the PLC task.
+        min_interval_ns: Shortest time between two messages passed on; 0 for no limit.
+        stale_after_ns: Age at which the last message counts as stale; 0 for never.
+        on_change: Only messages that differ from the one before are passed on.
+        truncate: What does not fit is cut, not refused.
+        print: Each message is logged.
+    """
+
+    topic: str
+    type_name: str
+    direction: Direction
+    layout: Layout
+    qos: Qos
+    slots: int = 4
+    every: bool = False
+    latched: bool = False
+    task: str = ""
+    min_interval_ns: int = 0
+    stale_after_ns: int = 0
+    on_change: bool = False
+    truncate: bool = False
+    print: bool = False
+
+
+@dataclass(frozen=True)
+class Project:
+    """A configuration with its types and layouts.
+
+    Attributes:
+        config: The settings and their file.
+        store: The message types.
+        namespace: The names of the objects.
+        topics: In the order of the file.
+    """
+
+    config: Config
+    store: TypeStore
+    namespace: Namespace
+    topics: tuple[TopicPlan, ...]
+
+    def topic(self, name: str) -> TopicPlan:
+        """Return one topic's plan; KeyError if the configuration has none."""
+        return next(plan for plan in self.topics if plan.topic == name)
+
+    @property
+    def tasks(self) -> dict[str, TaskSettings]:
+        """The PLC's tasks by name."""
+        return self.config.settings.tasks
+
+
+def load_config(path: Path | str) -> Config:
+    """Read a file and check all of it, types and sizes included.
+
+    Raises:
+        ConfigErrors: Everything that is wrong, each with file, line and key.
+    """
+    return load_project(path).config
+
+
+def load_project(path: Path | str) -> Project:
+    """Read a file and resolve it.
+
+    Raises:
+        ConfigErrors: As :func:`load_config`.
+    """
+    return resolve(read_config(path))
+
+
+def resolve(config: Config) -> Project:
+    """Find types, compute layouts and sizes.
+
+    Raises:
+        ConfigErrors: CFG001 for folders, CFG004, CFG007, CFG008, SHM118, and the type and layout
+            errors TYP001 … TYP008, LAY001 … LAY006 at the line of the topic.
+    """
+    problems = Problems()
+    settings = config.settings
+    store = _store(config, problems)
+    problems.check()
+    namespace = Namespace(settings.prefix, settings.shm.directory)
+    plans = []
+    names: dict[str, str] = {}
+    for topic, entry in settings.topics.items():
+        where = ("topics", topic)
+        name = namespace.object_name(topic)
+        if name in names:
+            what = f"{topic} and {names[name]} both become {name}"
+            problems.add(
+                ConfigError("CFG007", what, where=config.source.place(where)), config.source.line(where)
+            )
+        names[name] = topic
+        task = entry.task or next(iter(settings.tasks))
+        if task not in settings.tasks:
+            key = (*where, "task")
+            what = f"there is no task {task!r}; tasks has: {', '.join(settings.tasks)}"
+            problems.add(ConfigError("CFG004", what, where=config.source.place(key)), config.source.line(key))
+            continue
+        layout = _layout(config, store, topic, entry, problems)
+        if layout is None:
+            continue
+        try:
+            plans.append(_plan(config, topic, entry, task, layout))
+        except ConfigError as error:
+            problems.add(error, config.source.line((*where, "depth")))
+    problems.check()
+    return Project(config, store, namespace, tuple(plans))
+
+
+def _store(config: Config, problems: Problems) -> TypeStore:
+    store = TypeStore.bundled(config.settings.ros.distro)
+    for index, folder in enumerate(config.settings.types.paths):
+        path = config.base / folder
+        key = ("types", "paths", index)
+        where, line = config.source.place(key), config.source.line(key)
+        if not path.exists():
+            problems.add(ConfigError("CFG001", f"{path} does not exist", where=where), line)
+            continue
+        try:
+            store = store.with_paths([path])
+        except RosplcError as error:
+            problems.add(relocated(error, where), line)
+    return store
+
+
+def _layout(
+    config: Config, store: TypeStore, topic: str, entry: TopicSettings, problems: Problems
+) -> Layout | None:
+    defaults = config.settings.limits
+    fields = dict(entry.limits)
+    key: tuple[str, ...] = ("topics", topic, "type")
+    try:
+        own = {field.name for field in store[entry.type].fields}
+        # A type's own field `string` or `sequence` wins over the topic's default of that name.
+        string = fields.pop("string", defaults.string) if "string" not in own else defaults.string
+        sequence = fields.pop("sequence", defaults.sequence) if "sequence" not in own else defaults.sequence
+        key = ("topics", topic, "limits")
+        return compute_layout(store, entry.type, Limits(string, sequence, fields))
+    except RosplcError as error:
+        path = ("topics", topic, "limits", error.where)
+        if isinstance(error, LayoutError) and path in config.source.lines:
+            error = LayoutError(error.code, error.what, remedy=error.remedy)
+            key = path
+        problems.add(relocated(error, config.source.place(key)), config.source.line(key))
+        return None
+
+
+def _plan(config: Config, topic: str, entry: TopicSettings, task: str, layout: Layout) -> TopicPlan:
+    to_plc = entry.to == "plc"
+    qos = _qos(entry)
+    every = entry.every if entry.every is not None else not to_plc
+    stale = entry.stale_after_ns if entry.stale_after_ns is not None else _STALE_NS[entry.to]
+    return TopicPlan(
+        topic=topic,
+        type_name=layout.type_name,
+        direction=Direction.TO_PLC if to_plc else Direction.TO_ROS,
+        layout=layout,
+        qos=qos,
+        slots=_slots(config, topic, entry, task, layout.size, every),
+        every=every,
+        latched=qos.durability == "transient_local",
+        task=task,
+        min_interval_ns=entry.rate_limit_ns or 0,
+        stale_after_ns=stale,
+        on_change=entry.on_change,
+        truncate=entry.on_overflow == "truncate",
+        print=entry.print,
+    )
+
+
+def _qos(entry: TopicSettings) -> Qos:
+    asked = entry.qos
+    base = PRESETS[asked.preset] if asked.preset else _TO_PLC if entry.to == "plc" else _TO_ROS
+    durability = asked.durability or base.durability
+    if entry.latched is not None:
+        durability = "transient_local" if entry.latched else "volatile"
+    return Qos(asked.reliability or base.reliability, durability, asked.depth or base.depth)
+
+
+def _slots(config: Config, topic: str, entry: TopicSettings, task: str, record_size: int, every: bool) -> int:
+    settings = config.settings
+    cycle = settings.tasks[task].interval_ns
+    if entry.to == "ros":
+        # A PLC publishes a topic at most once per scan.
+        demand = Demand(max(entry.rate_ns or 0, cycle), settings.tick_ns, record_size, every)
+    else:
+        # Neither rate given: nothing is known, and the usual number stands.
+        demand = Demand(max(entry.rate_ns or 0, entry.rate_limit_ns or 0), cycle, record_size, every)
+    if entry.depth is None:
+        return usual_slots(demand)
+    least = least_slots(demand)
+    slots = 1 << (entry.depth - 1).bit_length()
+    if slots < least:
+        what = (
+            f"{entry.depth} slots are too few for a message every {format_duration(demand.period_ns)} "
+            f"of {record_size} bytes; {least} are needed"
+        )
+        raise ConfigError("CFG008", what, where=config.source.place(("topics", topic, "depth")))
+    return slots

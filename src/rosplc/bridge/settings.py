@@ -1,0 +1,290 @@
+"""The configuration's keys: pydantic models, from which schema and reference are generated.
+
+Each field's ``description`` is its entry in ``docs/reference/configuration.md``. Durations
+are nanoseconds (``…_ns``), written in the file with a unit and under the name without it.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Annotated, Any, Literal
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    StrictInt,
+    WithJsonSchema,
+    model_validator,
+)
+
+from rosplc.bridge.quantities import Duration, FileMode, Interval, Period, StaleAfter, between
+from rosplc.model import DISTROS
+
+__all__ = [
+    "DiagnosticsSettings",
+    "LimitSettings",
+    "QosSettings",
+    "RosSettings",
+    "Settings",
+    "ShmSettings",
+    "TaskSettings",
+    "TopicSettings",
+    "TypesSettings",
+]
+
+_TOPIC = r"(/[A-Za-z_][A-Za-z0-9_]*)+"
+
+
+def _topic_name(name: str) -> str:
+    if not re.fullmatch(_TOPIC, name):
+        nearest = "/" + "/".join(part for part in re.sub(r"[^A-Za-z0-9_/]", "_", name).split("/") if part)
+        hint = f", such as {nearest!r}" if re.fullmatch(_TOPIC, nearest) else ""
+        raise ValueError(f"a topic begins with / and has letters, digits, _ and single slashes{hint}")
+    return name
+
+
+def _pattern(expression: str, wording: str) -> AfterValidator:
+    def check(value: str) -> str:
+        if not re.fullmatch(expression, value):
+            raise ValueError(f"{value!r} should be {wording}")
+        return value
+
+    return AfterValidator(check)
+
+
+def _known_distro(name: str) -> str:
+    if name not in DISTROS:
+        raise ValueError(f"{name!r} is not bundled; there are: {', '.join(DISTROS)}")
+    return name
+
+
+def _schema(expression: str) -> WithJsonSchema:
+    return WithJsonSchema({"type": "string", "pattern": f"^({expression})$"})
+
+
+_WORD = r"[A-Za-z][A-Za-z0-9_-]{0,31}"
+_NODE = r"[A-Za-z_][A-Za-z0-9_]{0,254}"
+_NAMESPACE = r"/|(/[A-Za-z_][A-Za-z0-9_]*)+"
+_TASK = r"[A-Za-z_][A-Za-z0-9_]{0,63}"
+_TYPE = r"[A-Za-z][A-Za-z0-9_]*(/msg)?/[A-Za-z][A-Za-z0-9_]*"
+
+TopicName = Annotated[str, AfterValidator(_topic_name), _schema(_TOPIC)]
+Word = Annotated[str, _pattern(_WORD, "a letter, then at most 31 letters, digits, _ or -"), _schema(_WORD)]
+NodeName = Annotated[str, _pattern(_NODE, "letters, digits and _, not a digit first"), _schema(_NODE)]
+NamespaceName = Annotated[str, _pattern(_NAMESPACE, "/ or a name such as /robot1"), _schema(_NAMESPACE)]
+TaskName = Annotated[str, _pattern(_TASK, "letters, digits and _, not a digit first"), _schema(_TASK)]
+TypeName = Annotated[
+    str, _pattern(_TYPE, "package/msg/Name, such as geometry_msgs/msg/Twist"), _schema(_TYPE)
+]
+Distro = Annotated[
+    str, AfterValidator(_known_distro), WithJsonSchema({"type": "string", "enum": list(DISTROS)})
+]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, validate_default=True, use_attribute_docstrings=False
+    )
+
+
+def _f(default: Any, description: str, *, alias: str | None = None, **constraints: Any) -> Any:
+    return Field(default, description=description, alias=alias, **constraints)
+
+
+class RosSettings(_Section):
+    """The ROS side."""
+
+    backend: Literal["auto", "dds", "memory"] = _f(
+        "auto",
+        "How to reach ROS. `auto` takes the first that is installed and says which in the log; "
+        "`memory` stays inside the process and is for tests.",
+    )
+    distro: Distro = _f("jazzy", "Whose message definitions hold; `noetic` is ROS 1.")
+    domain: StrictInt | None = _f(
+        None, "The ROS domain. Without it `ROS_DOMAIN_ID` holds, else 0.", ge=0, le=232
+    )
+    node_name: NodeName | None = _f(None, "The node's name. Without it `rosplc_` and the bridge's name.")
+    namespace: NamespaceName = _f(
+        "/", "The node's namespace; topics in this file are absolute and ignore it."
+    )
+
+
+class TypesSettings(_Section):
+    """Where message types come from, beyond those that are bundled."""
+
+    paths: tuple[Annotated[str, Field(min_length=1)], ...] = _f(
+        (),
+        "Folders with custom `.msg` files, relative to this file: `pkg/msg/Name.msg`, a package, or a file.",
+    )
+
+
+class LimitSettings(_Section):
+    """Capacities where neither the definition nor a topic's `limits` gives one."""
+
+    string: StrictInt = _f(80, "Bytes of a string.", ge=1, le=65534)
+    sequence: StrictInt = _f(16, "Elements of a sequence.", ge=1, le=1 << 24)
+
+
+class ShmSettings(_Section):
+    """The objects in shared memory."""
+
+    mode: FileMode = _f(
+        "0660", "Permission bits, as text. A PLC runtime of another user needs a common group."
+    )
+    owner: str | StrictInt | None = _f(
+        None, "User that owns the objects, by name or number; changing it needs root."
+    )
+    group: str | StrictInt | None = _f(None, "Group that owns the objects, by name or number.")
+    directory: Annotated[str, _pattern(r"/.*", "an absolute path")] = _f(
+        "/dev/shm", "Where the objects lie; another place is for tests and containers."
+    )
+
+
+class DiagnosticsSettings(_Section):
+    """What the bridge says about itself on `/diagnostics`."""
+
+    enabled: bool = _f(True, "Whether `diagnostic_msgs/msg/DiagnosticArray` is published.")
+    period_ns: Annotated[Duration, between("100ms", "1h")] = _f(
+        "1s", "Time between two of them, 100ms to 1h.", alias="period"
+    )
+
+
+class TaskSettings(_Section):
+    """A task of the PLC; the PLC generator creates it, and the bridge sizes the slots by it."""
+
+    kind: Literal["cyclic", "freewheeling"] = _f("cyclic", "The kind of task.")
+    interval_ns: Duration = _f("10ms", "The cycle time.", alias="interval")
+    priority: StrictInt = _f(4, "0 is the highest, 31 the lowest.", ge=0, le=31)
+    watchdog_ns: Duration | None = _f(
+        None, "The longest a cycle may take. Without it there is no watchdog.", alias="watchdog"
+    )
+    watchdog_sensitivity: StrictInt = _f(1, "How many excesses in a row raise the watchdog.", ge=1, le=255)
+
+
+class QosSettings(_Section):
+    """ROS 2's quality of service; what is not given comes from the preset."""
+
+    preset: Literal["default", "sensor_data", "latched"] | None = _f(
+        None,
+        "`default`: reliable, volatile, depth 10. `sensor_data`: best effort, volatile, depth 5. "
+        "`latched`: reliable, transient local, depth 1000. Without a preset the direction's default holds.",
+    )
+    reliability: Literal["reliable", "best_effort"] | None = _f(None, "Whether lost messages are repeated.")
+    durability: Literal["volatile", "transient_local"] | None = _f(
+        None, "Whether subscribers that come later get what was sent before."
+    )
+    depth: StrictInt | None = _f(
+        None, "How many messages wait at most (in ROS 1: `queue_size`).", ge=1, le=100_000
+    )
+
+
+def _qos(value: Any) -> Any:
+    return {"preset": value} if isinstance(value, str) else value
+
+
+class TopicSettings(_Section):
+    """One topic, carried in one direction."""
+
+    type: TypeName = Field(description="The message type, `package/msg/Name`.")
+    to: Literal["plc", "ros"] = Field(description="Where its messages go.")
+    task: TaskName | None = _f(None, "The PLC task that handles it. Without it the first of `tasks`.")
+    limits: dict[str, StrictInt] = _f(
+        {},
+        "Capacities by field path (`name: 6`, `name[]: 32`, `points[].label: 20`); `string` and `sequence` "
+        "replace the defaults for this topic.",
+    )
+    qos: Annotated[QosSettings, BeforeValidator(_qos)] = _f(
+        {},
+        "Quality of service, or the name of a preset. Default `to: plc`: reliable, volatile, depth 1000. "
+        "Default `to: ros`: reliable, transient local (latched), depth 1000.",
+    )
+    latched: bool | None = _f(
+        None,
+        "`to: ros`: subscribers that come later get what was sent before; default true. "
+        "`to: plc`: ask publishers for what they sent before, and let the PLC take a retained message "
+        "as new; default false.",
+    )
+    every: bool | None = _f(
+        None,
+        "Whether every message counts, in order, or the newest alone. "
+        "Default: true towards ROS, false towards the PLC.",
+    )
+    depth: StrictInt | None = _f(
+        None,
+        "Slots in shared memory, rounded up to a power of two; N slots hold N-1 messages. "
+        "Default: sized by rate and task.",
+        ge=4,
+        le=65536,
+    )
+    rate_ns: Period | None = _f(
+        None, "The highest rate at which messages come, for sizing alone; nothing is dropped.", alias="rate"
+    )
+    rate_limit_ns: Interval | None = _f(
+        None,
+        "Highest rate (`10Hz`) or shortest interval (`100ms`) at which messages are passed on. "
+        "In between the newest waits; the last one is never dropped.",
+        alias="rate_limit",
+    )
+    on_change: bool = _f(False, "Pass a message on only if it differs from the one before.")
+    on_overflow: Literal["refuse", "truncate"] = _f(
+        "refuse", "What happens to a message that exceeds a limit: refused and counted, or cut and counted."
+    )
+    stale_after_ns: StaleAfter | None = _f(
+        None,
+        "Age at which the last message counts as stale, or `never`. "
+        "Default: `1s` towards the PLC, `never` towards ROS.",
+        alias="stale_after",
+    )
+    print: bool = _f(False, "Log each message; for debugging.")
+
+    @model_validator(mode="after")
+    def _latched_and_durability_agree(self) -> TopicSettings:
+        durability = self.qos.durability
+        if (
+            self.latched is not None
+            and durability is not None
+            and self.latched != (durability == "transient_local")
+        ):
+            raise ValueError(
+                f"latched: {str(self.latched).lower()} contradicts durability: {durability}; keep one of the two"
+            )
+        return self
+
+
+class Settings(_Section):
+    """A whole configuration file."""
+
+    bridge: Word = _f("rosplc", "The bridge's name, in logs, diagnostics and the node's name.")
+    prefix: Word = _f(
+        "rosplc",
+        "First part of the objects' names, so that two cells on one machine can both carry `/cmd_vel`.",
+    )
+    ros: RosSettings = _f({}, "The ROS side.")
+    types: TypesSettings = _f({}, "Custom message types.")
+    limits: LimitSettings = _f({}, "Capacities of strings and sequences.")
+    shm: ShmSettings = _f({}, "The objects in shared memory.")
+    tick_ns: Annotated[Duration, between("50us", "1s")] = _f(
+        "1ms", "How often the bridge looks for messages from the PLC, 50us to 1s.", alias="tick"
+    )
+    beat_ns: Annotated[Duration, between("10ms", "10s")] = _f(
+        "100ms",
+        "How often the bridge shows that it lives, 10ms to 10s; three missed beats count as gone.",
+        alias="beat",
+    )
+    diagnostics: DiagnosticsSettings = _f({}, "Diagnostics.")
+    tasks: dict[TaskName, TaskSettings] = _f(
+        {"RosTask": {}}, "Tasks of the PLC by name; the first serves topics that name none.", min_length=1
+    )
+    topics: dict[TopicName, TopicSettings] = _f({}, "Topics by name, as ROS writes them.")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _empty_sections_are_absent(cls, data: Any) -> Any:
+        return (
+            {key: value for key, value in data.items() if value is not None}
+            if isinstance(data, dict)
+            else data
+        )

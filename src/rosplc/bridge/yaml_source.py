@@ -1,0 +1,231 @@
+"""A configuration file as plain data plus the line on which each key stands.
+
+PyYAML's event stream is read, not its object constructors: lines are at hand, nothing can be
+constructed but mappings, lists and scalars, and depth and size are bounded. Scalars follow
+YAML 1.2's core schema: ``on``, ``yes``, ``10:30`` and ``0660`` are text, as people expect.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from rosplc.bridge.problems import Problems
+from rosplc.errors import ConfigError
+
+__all__ = ["LARGEST_FILE", "KeyPath", "YamlSource", "read_yaml"]
+
+LARGEST_FILE = 1 << 20
+"""Bytes that a configuration may have; one with 10,000 topics stays below."""
+
+_DEEPEST = 32
+_Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_PLAIN_TAGS = frozenset(
+    {"!"} | {f"tag:yaml.org,2002:{name}" for name in ("map", "seq", "str", "int", "float", "bool", "null")}
+)
+_INT = re.compile(r"[-+]?(0|[1-9][0-9]{0,17})\Z")
+_FLOAT = re.compile(r"[-+]?([0-9]+\.[0-9]*|\.[0-9]+|[0-9]+(?=[eE]))([eE][-+]?[0-9]{1,3})?\Z")
+_WORDS = {
+    **dict.fromkeys(("", "~", "null", "Null", "NULL"), None),
+    **dict.fromkeys(("true", "True", "TRUE"), True),
+    **dict.fromkeys(("false", "False", "FALSE"), False),
+}
+
+KeyPath = tuple["str | int", ...]
+
+
+@dataclass(frozen=True)
+class YamlSource:
+    """A parsed file.
+
+    Attributes:
+        name: The file's name, as the user gave it.
+        data: Mappings (keys are text), lists, and scalars.
+        lines: Key path → line, counted from 1.
+    """
+
+    name: str
+    data: Any = None
+    lines: dict[KeyPath, int] = field(default_factory=dict)
+
+    def line(self, path: Sequence[str | int]) -> int:
+        """Return the line of a key path, or of the nearest one above it that is written."""
+        for length in range(len(path), 0, -1):
+            if (found := self.lines.get(tuple(path[:length]))) is not None:
+                return found
+        return 1
+
+    def place(self, path: Sequence[str | int]) -> str:
+        """Return ``file:line: key.path``."""
+        text = ""
+        for part in path:
+            text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
+        return f"{self.name}:{self.line(path)}" + (f": {text}" if text else "")
+
+
+def read_yaml(path: Path, problems: Problems, *, text: str | None = None) -> YamlSource:
+    """Read a file; what is wrong in a way that lets reading go on goes into ``problems``.
+
+    Args:
+        path: The file.
+        problems: Takes aliases and tags (CFG009) and keys written twice (CFG006, CFG010).
+        text: The content, where it does not come from the file.
+
+    Raises:
+        ConfigError: CFG001 if the file cannot be read, CFG002 if it is not YAML.
+    """
+    name = str(path)
+    if text is None:
+        text = _load(path)
+    elif len(text) > LARGEST_FILE:
+        raise _too_large(name)
+    builder = _Builder(name, problems)
+    try:
+        for event in yaml.parse(text, Loader=_Loader):
+            builder.feed(event)
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
+        place = f"{name}:{mark.line + 1}" if mark is not None else name
+        what = (
+            getattr(error, "problem", None) or getattr(error, "reason", None) or "the text cannot be parsed"
+        )
+        context = getattr(error, "context", None)
+        raise ConfigError("CFG002", f"{what} ({context})" if context else what, where=place) from None
+    return YamlSource(name, builder.data, builder.lines)
+
+
+def _too_large(name: str) -> ConfigError:
+    return ConfigError(
+        "CFG001",
+        f"the file has more than {LARGEST_FILE} bytes",
+        where=name,
+        remedy="Check that this is a configuration.",
+    )
+
+
+def _load(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            raw = file.read(LARGEST_FILE + 1)
+    except OSError as error:
+        raise ConfigError("CFG001", (error.strerror or str(error)).lower(), where=str(path)) from None
+    if len(raw) > LARGEST_FILE:
+        raise _too_large(str(path))
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = raw.count(b"\n", 0, error.start) + 1
+        raise ConfigError(
+            "CFG002", "the text is not UTF-8", where=f"{path}:{line}", remedy="Save it as UTF-8."
+        ) from None
+
+
+class _Builder:
+    """Turns events into data; a stack of open containers instead of recursion."""
+
+    def __init__(self, name: str, problems: Problems) -> None:
+        self.name = name
+        self.data: Any = None
+        self.lines: dict[KeyPath, int] = {}
+        self._problems = problems
+        self._open: list[_Container] = []
+        self._documents = 0
+
+    def feed(self, event: Any) -> None:
+        line = event.start_mark.line + 1
+        if isinstance(event, yaml.DocumentStartEvent):
+            self._documents += 1
+            if self._documents > 1:
+                raise ConfigError(
+                    "CFG002",
+                    "a second document begins",
+                    where=f"{self.name}:{line}",
+                    remedy="Remove the ---.",
+                )
+        elif isinstance(event, yaml.AliasEvent):
+            self._refuse(f"*{event.anchor} is an alias", line)
+            self._value(None, line)
+        elif isinstance(event, yaml.ScalarEvent):
+            self._tag(event.tag, line)
+            if self._expects_key():
+                self._key(event.value, line)
+            else:
+                self._value(_scalar(event) if event.implicit[0] else event.value, line)
+        elif isinstance(event, (yaml.MappingStartEvent, yaml.SequenceStartEvent)):
+            self._tag(event.tag, line)
+            if self._expects_key():
+                raise ConfigError("CFG002", "a key must be plain text", where=f"{self.name}:{line}")
+            if len(self._open) >= _DEEPEST:
+                raise ConfigError("CFG002", f"more than {_DEEPEST} levels", where=f"{self.name}:{line}")
+            container: Any = {} if isinstance(event, yaml.MappingStartEvent) else []
+            path = self._value(container, line)
+            self._open.append(_Container(container, path))
+        elif isinstance(event, (yaml.MappingEndEvent, yaml.SequenceEndEvent)):
+            self._open.pop()
+
+    def _expects_key(self) -> bool:
+        return bool(self._open) and isinstance(self._open[-1].data, dict) and self._open[-1].key is None
+
+    def _key(self, key: str, line: int) -> None:
+        top = self._open[-1]
+        top.key = key
+        path = (*top.path, key)
+        if key in top.data:
+            top.skip = True
+            code = "CFG006" if top.path == ("topics",) else "CFG010"
+            where = f"{self.name}:{line}: {'.'.join(map(str, path))}"
+            what = f"{key!r} stands on line {self.lines[path]} already"
+            self._problems.add(ConfigError(code, what, where=where), line)
+        else:
+            self.lines[path] = line
+
+    def _value(self, value: Any, line: int) -> KeyPath:
+        """Put a value into the open container, and return its path."""
+        if not self._open:
+            self.data = value
+            return ()
+        top = self._open[-1]
+        if isinstance(top.data, list):
+            path: KeyPath = (*top.path, len(top.data))
+            top.data.append(value)
+            self.lines[path] = line
+            return path
+        assert top.key is not None
+        path = (*top.path, top.key)
+        if top.skip:  # a key's second value is parsed but has no place
+            path = (*top.path, f"{top.key} (again)")
+        else:
+            top.data[top.key] = value
+        top.key, top.skip = None, False
+        return path
+
+    def _tag(self, tag: str | None, line: int) -> None:
+        if tag is not None and tag not in _PLAIN_TAGS:
+            self._refuse(f"{tag} is a tag", line)
+
+    def _refuse(self, what: str, line: int) -> None:
+        self._problems.add(ConfigError("CFG009", what, where=f"{self.name}:{line}"), line)
+
+
+@dataclass
+class _Container:
+    data: Any
+    path: KeyPath
+    key: str | None = None
+    skip: bool = False
+
+
+def _scalar(event: yaml.ScalarEvent) -> Any:
+    text: str = event.value
+    if text in _WORDS:
+        return _WORDS[text]
+    if _INT.match(text):
+        return int(text)
+    if _FLOAT.match(text):
+        return float(text)
+    return text
