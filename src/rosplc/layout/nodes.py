@@ -10,7 +10,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TypeAlias
 
-__all__ = ["ArrayNode", "Member", "Node", "PaddingNode", "ScalarNode", "SequenceNode", "StringNode", "StructNode"]
+__all__ = [
+    "ArrayNode",
+    "Member",
+    "Node",
+    "PaddingNode",
+    "ScalarNode",
+    "SequenceNode",
+    "StringNode",
+    "StructNode",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,12 +136,21 @@ class Member:
 
 @dataclass(frozen=True, slots=True)
 class StructNode:
-    """A message type with its limits applied; ``size`` is a multiple of ``align``."""
+    """A message type with its limits applied; ``size`` is a multiple of ``align``.
+
+    A message without fields has one member, padding of one byte: nothing of it reaches a
+    ROS 1 wire, and one zero byte a ROS 2 wire.
+    """
 
     type_name: str
     members: tuple[Member, ...]
     size: int
     align: int
+
+    @property
+    def empty(self) -> bool:
+        """Whether the message has no fields."""
+        return all(isinstance(member.node, PaddingNode) for member in self.members)
 
 
 Node: TypeAlias = "ScalarNode | StringNode | PaddingNode | ArrayNode | SequenceNode | StructNode"

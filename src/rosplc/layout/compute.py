@@ -1,0 +1,218 @@
+"""Type and limits → struct nodes (spec/type-mapping.md, sections 2 and 3)."""
+
+from __future__ import annotations
+
+import difflib
+from typing import TYPE_CHECKING
+
+from rosplc.errors import LayoutError
+from rosplc.layout.limits import MAX_SEQUENCE, MAX_STRING, Limits
+from rosplc.layout.nodes import (
+    ArrayNode,
+    Member,
+    Node,
+    PaddingNode,
+    ScalarNode,
+    SequenceNode,
+    StringNode,
+    StructNode,
+)
+from rosplc.model import PRIMITIVES, ArrayType, NamedType, PrimitiveType, SequenceType, StringType
+
+if TYPE_CHECKING:
+    from rosplc.model import Field, FieldType, TypeStore
+
+__all__ = ["MAX_ITEMS", "MAX_RECORD", "compute_struct"]
+
+MAX_RECORD = 1 << 30
+"""Largest record in bytes."""
+MAX_ITEMS = 1 << 16
+"""Most lines of a layout text: a definition of 32 levels could name billions of fields."""
+
+_COUNT = ScalarNode("uint32", 4)
+
+
+def compute_struct(store: TypeStore, type_name: str, limits: Limits) -> StructNode:
+    """Return where everything lies in a record of a type.
+
+    Args:
+        store: Knows the type and those it needs.
+        type_name: ``package/msg/Name`` or ``package/Name``.
+        limits: Capacities.
+
+    Raises:
+        MessageTypeError: TYP001, the type is unknown.
+        LayoutError: LAY001 … LAY004; LAY006 if a default value does not fit its capacity.
+    """
+    return _Builder(store, type_name, limits).struct(store[type_name].name, dict(limits.fields), "")[0]
+
+
+class _Builder:
+    """Builds structs bottom-up; equal types with equal limits share one node."""
+
+    def __init__(self, store: TypeStore, type_name: str, limits: Limits) -> None:
+        self._store = store
+        self._type_name = type_name
+        self._limits = limits
+        self._known: dict[tuple[str, tuple[tuple[str, int], ...]], tuple[StructNode, int]] = {}
+
+    def struct(self, type_name: str, limits: dict[str, int], path: str) -> tuple[StructNode, int]:
+        """Return the node and its number of layout lines.
+
+        Args:
+            type_name: Full name.
+            limits: Capacities by path, relative to this struct.
+            path: Path of this struct with a trailing dot, for errors.
+        """
+        key = (type_name, tuple(sorted(limits.items())))
+        if key not in self._known:
+            self._known[key] = self._build(type_name, dict(limits), path)
+        return self._known[key]
+
+    def _build(self, type_name: str, limits: dict[str, int], path: str) -> tuple[StructNode, int]:
+        members: list[Member] = []
+        offset, align, items = 0, 1, 0
+
+        def place(name: str, node: Node, count_of: str | None = None) -> None:
+            nonlocal offset, align
+            if gap := -offset % node.align:
+                members.append(Member("", offset, PaddingNode(gap)))
+            members.append(Member(name, offset + gap, node, count_of))
+            offset += gap + node.size
+            align = max(align, node.align)
+
+        for field in self._store[type_name].fields:
+            node, lines = self._node(field, field.type, _take(limits, field.name), f"{path}{field.name}")
+            if isinstance(node, SequenceNode):
+                place(field.name, _COUNT, count_of=field.name)
+                lines += 1
+            place(field.name, node)
+            items += lines
+            if offset > MAX_RECORD or items > MAX_ITEMS:
+                what = f"{offset} bytes" if offset > MAX_RECORD else f"more than {MAX_ITEMS} fields"
+                raise LayoutError(
+                    "LAY003", f"{what} so far, more than a record can have", where=path + field.name
+                )
+        if limits:
+            raise self._unknown_limit(path + next(iter(limits)))
+        if not members:
+            members.append(Member("", 0, PaddingNode(1)))
+            offset = 1
+        if gap := -offset % align:
+            members.append(Member("", offset, PaddingNode(gap)))
+            offset += gap
+        return StructNode(type_name, tuple(members), offset, align), items
+
+    def _node(self, field: Field, kind: FieldType, limits: dict[str, int], path: str) -> tuple[Node, int]:
+        """Return a field's node; ``limits`` are relative to the field, its own under ``""``."""
+        if isinstance(kind, PrimitiveType):
+            self._none_left(limits, path)
+            return ScalarNode(kind.name, PRIMITIVES[kind.name]), 1
+        if isinstance(kind, StringType):
+            capacity = self._capacity(limits.pop("", None), kind.bound, self._limits.string, MAX_STRING, path)
+            self._none_left(limits, path)
+            longest = max((len(text.encode()) for text in _texts(field.default)), default=0)
+            _default_fits(longest, capacity, path)
+            return StringNode(capacity, kind.bound), 1
+        if isinstance(kind, NamedType):
+            inner = _strip(limits, ".")
+            self._none_left(limits, path)
+            return self.struct(kind.name, inner, f"{path}.")
+        own = limits.pop("", None)
+        below = _strip(limits, "[]")
+        self._none_left(limits, path)
+        if isinstance(kind, ArrayType):
+            if own is not None:
+                raise self._unknown_limit(path)
+            element, lines = self._node(field, kind.element, below, f"{path}[]")
+            assert isinstance(element, ScalarNode | StringNode | StructNode)
+            return ArrayNode(element, kind.length), lines + 1
+        assert isinstance(kind, SequenceType)
+        capacity = self._capacity(own, kind.bound, self._limits.sequence, MAX_SEQUENCE, path)
+        _default_fits(len(field.default) if isinstance(field.default, tuple) else 0, capacity, path)
+        element, lines = self._node(field, kind.element, below, f"{path}[]")
+        assert isinstance(element, ScalarNode | StringNode | StructNode)
+        return SequenceNode(element, capacity, kind.bound), lines + 1
+
+    def _capacity(self, own: int | None, bound: int | None, default: int, largest: int, path: str) -> int:
+        if own is None:
+            capacity = default if bound is None else min(default, bound)
+        else:
+            capacity = own
+            if bound is not None and own > bound:
+                raise LayoutError("LAY004", f"capacity {own} exceeds the bound {bound}", where=path)
+        if capacity > largest:
+            raise LayoutError("LAY001", f"capacity {capacity} is not within 1 … {largest}", where=path)
+        return capacity
+
+    def _none_left(self, limits: dict[str, int], path: str) -> None:
+        if limits:
+            raise self._unknown_limit(path + next(iter(limits)))
+
+    def _unknown_limit(self, path: str) -> LayoutError:
+        known = limit_paths(self._store, self._type_name)
+        near = difflib.get_close_matches(path, known, 1)
+        hint = f"; did you mean {near[0]}?" if near else ""
+        return LayoutError(
+            "LAY002", f"no string or sequence of {self._type_name} has this path{hint}", where=path
+        )
+
+
+def limit_paths(store: TypeStore, type_name: str) -> list[str]:
+    """Return the paths of a type's strings and sequences, as far as a few thousand fields show."""
+    found: list[str] = []
+    budget = 4096
+
+    def visit(name: str, path: str) -> None:
+        nonlocal budget
+        for field in store[name].fields:
+            budget -= 1
+            if budget < 0:
+                return
+            kind, here = field.type, path + field.name
+            if isinstance(kind, SequenceType):
+                found.append(here)
+            if isinstance(kind, ArrayType | SequenceType):
+                kind, here = kind.element, f"{here}[]"
+            if isinstance(kind, StringType):
+                found.append(here)
+            elif isinstance(kind, NamedType):
+                visit(kind.name, f"{here}.")
+
+    visit(type_name, "")
+    return found
+
+
+def _take(limits: dict[str, int], name: str) -> dict[str, int]:
+    """Remove what concerns field ``name`` from ``limits``; return it relative to the field."""
+    mine = {
+        path: capacity
+        for path, capacity in limits.items()
+        if path == name or path.startswith((f"{name}.", f"{name}[]"))
+    }
+    for path in mine:
+        del limits[path]
+    return {path[len(name) :]: capacity for path, capacity in mine.items()}
+
+
+def _strip(limits: dict[str, int], prefix: str) -> dict[str, int]:
+    """Remove the paths with ``prefix`` from ``limits``; return them without it."""
+    mine = {path: capacity for path, capacity in limits.items() if path.startswith(prefix)}
+    for path in mine:
+        del limits[path]
+    return {path[len(prefix) :]: capacity for path, capacity in mine.items()}
+
+
+def _texts(default: object) -> tuple[str, ...]:
+    values = default if isinstance(default, tuple) else (default,)
+    return tuple(value for value in values if isinstance(value, str))
+
+
+def _default_fits(size: int, capacity: int, path: str) -> None:
+    if size > capacity:
+        raise LayoutError(
+            "LAY006",
+            f"the definition's default value needs a capacity of {size}, the limit is {capacity}",
+            where=path,
+            remedy="Raise the limit of this field.",
+        )

@@ -1,0 +1,174 @@
+"""A type's layout: the one object that codec, generator, monitor and tests ask."""
+
+from __future__ import annotations
+
+import hashlib
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from rosplc.errors import LayoutError
+from rosplc.layout.compute import compute_struct
+from rosplc.layout.limits import Limits
+from rosplc.layout.pack import Misfit, StructPacker
+from rosplc.layout.text import layout_difference, layout_text, walk
+from rosplc.layout.view import RecordView, StructReader, plain
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+    from typing import TypeAlias
+
+    from rosplc.layout.nodes import Node, StructNode
+    from rosplc.model import TypeStore
+
+    Buffer: TypeAlias = bytes | bytearray | memoryview
+
+__all__ = ["Layout", "compute_layout"]
+
+
+def compute_layout(store: TypeStore, type_name: str, limits: Limits | None = None) -> Layout:
+    """Return the layout of a type with its limits applied.
+
+    Args:
+        store: Knows the type and those it needs.
+        type_name: ``package/msg/Name`` or ``package/Name``.
+        limits: Capacities; by default 80 bytes per string and 16 elements per sequence.
+
+    Raises:
+        MessageTypeError: TYP001, the type is unknown.
+        LayoutError: LAY001 … LAY004 (spec/type-mapping.md); LAY006, a default value of the
+            definition needs a larger capacity.
+    """
+    limits = limits or Limits()
+    return Layout(store, compute_struct(store, type_name, limits), limits)
+
+
+class Layout:
+    """Where each part of a record lies, and what follows from that.
+
+    Attributes:
+        store: The types that it was computed from.
+        root: The record as a struct node.
+        limits: The capacities that were asked for.
+    """
+
+    def __init__(self, store: TypeStore, root: StructNode, limits: Limits) -> None:
+        self.store = store
+        self.root = root
+        self.limits = limits
+
+    def __repr__(self) -> str:
+        return f"Layout({self.type_name}, {self.size} bytes, {self.layout_id})"
+
+    def __eq__(self, other: object) -> bool:
+        return self.text == other.text if isinstance(other, Layout) else NotImplemented
+
+    def __hash__(self) -> int:
+        return hash(self.text)
+
+    @property
+    def type_name(self) -> str:
+        """The type's full name."""
+        return self.root.type_name
+
+    @property
+    def size(self) -> int:
+        """The record's size in bytes."""
+        return self.root.size
+
+    @property
+    def align(self) -> int:
+        """The record's alignment in bytes."""
+        return self.root.align
+
+    @cached_property
+    def text(self) -> str:
+        """The layout text (spec/type-mapping.md, section 5)."""
+        return layout_text(self.root)
+
+    @cached_property
+    def layout_id(self) -> str:
+        """The layout id as 16 hexadecimal digits in byte order."""
+        return hashlib.sha256(self.text.encode()).digest()[:8].hex()
+
+    @property
+    def layout_id_words(self) -> tuple[int, int]:
+        """The layout id as the header's words ``(layout_id_lo, layout_id_hi)``."""
+        data = bytes.fromhex(self.layout_id)
+        return int.from_bytes(data[:4], "little"), int.from_bytes(data[4:], "little")
+
+    def fields(self) -> Iterator[tuple[str, int, Node]]:
+        """Yield path, offset in the record and node of every scalar, string, array and sequence.
+
+        An array or sequence is followed by its element, whose path ends with ``[]`` and whose
+        offset is the first one's. Structs, padding and counts are left out.
+        """
+        return walk(self.root)
+
+    def difference(self, other: Layout | str) -> str:
+        """Say in words how another layout, or its text, differs; empty if it does not."""
+        return layout_difference(self.text, other if isinstance(other, str) else other.text)
+
+    def initial(self) -> bytes:
+        """Return the record of a message that nobody has filled: its default values, else zeros."""
+        return self._packer.initial
+
+    def pack(self, value: Mapping[str, Any] | RecordView | object) -> bytearray:
+        """Return the record of a message.
+
+        Args:
+            value: A mapping, a view, or any object with the fields as attributes (a ROS
+                message, a rosbags message), nested as the type is. What it lacks takes its
+                initial value. Numbers in bulk are fastest as bytes, array.array or numpy
+                arrays of the field's own type.
+
+        Raises:
+            LayoutError: LAY006, naming the field's path.
+        """
+        record = bytearray(self._packer.initial)
+        try:
+            self._packer(record, 0, value)
+        except Misfit as misfit:
+            raise LayoutError("LAY006", misfit.what, where=misfit.where() or self.type_name) from None
+        return record
+
+    def pack_into(
+        self, value: Mapping[str, Any] | RecordView | object, buffer: bytearray | memoryview
+    ) -> None:
+        """Write the record of a message into a buffer of at least ``size`` bytes.
+
+        The buffer changes only if the whole value fits.
+
+        Raises:
+            LayoutError: LAY006, the value does not fit its field, or the buffer is too small.
+        """
+        target = memoryview(buffer).cast("B")
+        self._check_size(target)
+        target[: self.size] = self.pack(value)
+
+    def view(self, buffer: Buffer) -> RecordView:
+        """Return a view of a record; it reads from ``buffer`` at each access.
+
+        Raises:
+            LayoutError: LAY006, the buffer is smaller than a record.
+        """
+        data = memoryview(buffer).cast("B")
+        self._check_size(data)
+        return self._reader(data, 0)
+
+    def to_dict(self, buffer: Buffer) -> dict[str, Any]:
+        """Return a record as nested dicts and lists, with the fields in their order."""
+        result: dict[str, Any] = plain(self.view(buffer))
+        return result
+
+    @cached_property
+    def _packer(self) -> StructPacker:
+        return StructPacker(self.root, self.store)
+
+    @cached_property
+    def _reader(self) -> StructReader:
+        return StructReader(self.root)
+
+    def _check_size(self, data: memoryview) -> None:
+        if data.nbytes < self.size:
+            what = f"the buffer has {data.nbytes} bytes, a record {self.size}"
+            raise LayoutError("LAY006", what, where=self.type_name)

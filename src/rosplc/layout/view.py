@@ -1,0 +1,171 @@
+"""Record bytes → values, read when they are asked for."""
+
+from __future__ import annotations
+
+import keyword
+import struct
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
+
+from rosplc.layout.nodes import ArrayNode, PaddingNode, ScalarNode, SequenceNode, StringNode, StructNode
+from rosplc.layout.pack import FORMATS
+
+if TYPE_CHECKING:
+    from rosplc.layout.nodes import Member, Node
+
+__all__ = ["RecordView", "StructReader"]
+
+_Read: TypeAlias = "Callable[[memoryview, int], Any]"
+_COUNT = struct.Struct("<I")
+_SHOWN = 8
+
+
+class StructReader:
+    """Knows how to read each field of a struct; made once per layout.
+
+    Args:
+        node: The struct.
+    """
+
+    def __init__(self, node: StructNode) -> None:
+        self.type_name = node.type_name
+        self.fields: dict[str, tuple[int, _Read]] = {
+            member.name: (member.offset, _reader(member, node))
+            for member in node.members
+            if not isinstance(member.node, PaddingNode) and member.count_of is None
+        }
+        # A field may be a Python keyword: it can be had with an underscore, as rosbags does.
+        self.aliases = {f"{name}_": name for name in self.fields if keyword.iskeyword(name)}
+
+    def __call__(self, buffer: memoryview, offset: int) -> RecordView:
+        """Return a view of the struct at ``offset``."""
+        return RecordView(self, buffer, offset)
+
+
+class RecordView:
+    """A message in a record: its fields are attributes, read from the bytes at each access.
+
+    A view does not copy: over a buffer that changes, its values change. Nested messages are
+    views, arrays and sequences are lists (of values, or of views), strings are ``str``; bytes
+    that are no UTF-8 become surrogates (``surrogateescape``), and packing such a string gives
+    the same bytes again. A count above a sequence's capacity reads as the capacity, and a
+    string ends at its NUL or its capacity. Two views are equal if all their fields are.
+    """
+
+    __slots__ = ("_buffer", "_offset", "_reader")
+
+    _reader: StructReader
+    _buffer: memoryview
+    _offset: int
+
+    def __init__(self, reader: StructReader, buffer: memoryview, offset: int) -> None:
+        put = object.__setattr__
+        put(self, "_reader", reader)
+        put(self, "_buffer", buffer)
+        put(self, "_offset", offset)
+
+    def __getattr__(self, name: str) -> Any:
+        reader = self._reader
+        found = reader.fields.get(name)
+        if found is None:
+            original = reader.aliases.get(name)
+            if original is None:
+                raise AttributeError(f"{reader.type_name} has no field {name!r}", name=name, obj=self)
+            found = reader.fields[original]
+        start, read = found
+        return read(self._buffer, self._offset + start)
+
+    def __setattr__(self, name: str, value: object) -> NoReturn:
+        raise AttributeError("records are read through views and written by packing a new one")
+
+    def __dir__(self) -> list[str]:
+        return [*self._reader.fields, *self._reader.aliases]
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, RecordView):
+            return NotImplemented
+        names = self._reader.fields
+        return (
+            self._reader.type_name == other._reader.type_name
+            and names.keys() == other._reader.fields.keys()
+            and all(getattr(self, name) == getattr(other, name) for name in names)
+        )
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __repr__(self) -> str:
+        short = self._reader.type_name.rsplit("/", 1)[1]
+        fields = ", ".join(f"{name}={_show(getattr(self, name))}" for name in self._reader.fields)
+        return f"{short}({fields})"
+
+
+def plain(value: Any) -> Any:
+    """Return a view, or a list of views, as dicts and lists."""
+    if isinstance(value, RecordView):
+        return {name: plain(getattr(value, name)) for name in value._reader.fields}
+    if isinstance(value, list) and value and isinstance(value[0], RecordView):
+        return [plain(item) for item in value]
+    return value
+
+
+def _show(value: Any) -> str:
+    if isinstance(value, list) and len(value) > _SHOWN:
+        shown = ", ".join(repr(item) for item in value[:_SHOWN])
+        return f"[{shown}, … {len(value) - _SHOWN} more]"
+    return repr(value)
+
+
+def _reader(member: Member, parent: StructNode) -> _Read:
+    node = member.node
+    if isinstance(node, ArrayNode):
+        read_elements = _elements(node.element)
+        length = node.length
+        return lambda buffer, offset: read_elements(buffer, offset, length)
+    if isinstance(node, SequenceNode):
+        count = next(m.offset for m in parent.members if m.count_of == member.name) - member.offset
+        return _sequence(node, count)
+    return _single(node)
+
+
+def _single(node: Node) -> _Read:
+    if isinstance(node, StructNode):
+        return StructReader(node)
+    if isinstance(node, StringNode):
+        return _string(node.capacity)
+    assert isinstance(node, ScalarNode)
+    if node.kind == "bool":
+        return lambda buffer, offset: buffer[offset] != 0
+    unpack_from = struct.Struct("<" + FORMATS[node.kind]).unpack_from
+    return lambda buffer, offset: unpack_from(buffer, offset)[0]
+
+
+def _string(capacity: int) -> _Read:
+    def read(buffer: memoryview, offset: int) -> str:
+        data = bytes(buffer[offset : offset + capacity])
+        end = data.find(0)
+        return (data if end < 0 else data[:end]).decode("utf-8", "surrogateescape")
+
+    return read
+
+
+def _sequence(node: SequenceNode, count: int) -> _Read:
+    read_elements = _elements(node.element)
+    capacity = node.capacity
+
+    def read(buffer: memoryview, offset: int) -> list[Any]:
+        size = _COUNT.unpack_from(buffer, offset + count)[0]
+        return read_elements(buffer, offset, min(size, capacity))
+
+    return read
+
+
+def _elements(node: ScalarNode | StringNode | StructNode) -> Callable[[memoryview, int, int], list[Any]]:
+    if isinstance(node, ScalarNode) and node.kind != "bool":
+        code = FORMATS[node.kind]
+        return lambda buffer, offset, size: list(struct.unpack_from(f"<{size}{code}", buffer, offset))
+    read, stride = _single(node), node.size
+
+    def read_each(buffer: memoryview, offset: int, size: int) -> list[Any]:
+        return [read(buffer, offset + index * stride) for index in range(size)]
+
+    return read_each
