@@ -1,0 +1,315 @@
+"""The DDS backend: one participant, one node, one receive thread over all readers."""
+
+from __future__ import annotations
+
+import logging
+import os
+import threading
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from cyclonedds.core import DDSException
+from cyclonedds.domain import DomainParticipant
+from cyclonedds.pub import DataWriter
+from cyclonedds.pub import Publisher as PublisherGroup
+from cyclonedds.qos import Policy
+from cyclonedds.qos import Qos as DdsQos
+from cyclonedds.sub import DataReader
+from cyclonedds.sub import Subscriber as SubscriberGroup
+from cyclonedds.topic import Topic
+
+from rosplc.errors import BackendError
+from rosplc.ros.backend import EndpointInfo, EndpointStatus, GraphInfo, OnMessage, Qos, TypeSource
+from rosplc.ros.dds import domain as domains
+from rosplc.ros.dds import native
+from rosplc.ros.dds.config import domain_config, domain_id
+from rosplc.ros.dds.endpoint import DdsPublisher, DdsSubscription
+from rosplc.ros.dds.graph import Announcer
+from rosplc.ros.dds.idl import IdlTypes, dds_topic, ros_topic, ros_type_name
+from rosplc.ros.dds.log import TRACING, library_log
+from rosplc.ros.dds.peers import PeerTable, explain
+from rosplc.ros.names import resolve_topic, validate_namespace, validate_node_name
+
+__all__ = ["DdsBackend", "open_backend"]
+
+_logger = logging.getLogger("rosplc.ros.dds")
+
+_TICK_NS = 500_000_000  # how often the receive thread looks at what has no event of its own
+_SETTLE_NS = 1_000_000_000  # matching may take a moment; nothing is called a mismatch before
+_PUBLICATIONS, _SUBSCRIPTIONS, _ANNOUNCEMENTS, _FIRST = 0, 1, 2, 3  # keys in the waitset
+
+DdsEndpoint = DdsSubscription | DdsPublisher
+
+
+def dds_qos(qos: Qos, type_hash: str) -> DdsQos:
+    """Return the wheel's QoS for an endpoint, as ``rmw_cyclonedds_cpp`` would set it.
+
+    One difference: a reliable writer waits for no peer. The wheel holds the GIL while it
+    writes, so one slow peer would stop every topic of the bridge.
+    """
+    transient = qos.durability == "transient_local"
+    policies = [
+        Policy.Reliability.Reliable(0) if qos.reliability == "reliable" else Policy.Reliability.BestEffort,
+        Policy.History.KeepLast(qos.depth),
+        Policy.Durability.TransientLocal if transient else Policy.Durability.Volatile,
+        Policy.DataRepresentation(use_cdrv0_representation=True),
+        Policy.WriterDataLifecycle(autodispose=False),
+    ]
+    if transient:
+        policies.append(Policy.DurabilityService(0, Policy.History.KeepLast(qos.depth), -1, -1, -1))
+    if type_hash:
+        policies.append(Policy.Userdata(f"typehash={type_hash};".encode()))
+    return DdsQos(*policies)
+
+
+class DdsBackend:
+    """One ROS 2 node on DDS; see :class:`rosplc.ros.backend.Backend`.
+
+    Attributes:
+        name: ``dds``.
+        capabilities: ``topics``.
+        domain: The ROS domain.
+        node: The node's full name.
+    """
+
+    name = "dds"
+    capabilities = frozenset({"topics"})
+
+    def __init__(
+        self,
+        store: TypeSource,
+        node_name: str,
+        namespace: str,
+        domain: int | None,
+        remap: Mapping[str, str],
+        environment: Mapping[str, str],
+    ) -> None:
+        if store.distro == "noetic":
+            raise BackendError(
+                "ROS001", "the dds backend speaks ROS 2; noetic is ROS 1", remedy="Set ros.distro."
+            )
+        self._namespace = validate_namespace(namespace)
+        self._node_name = validate_node_name(node_name)
+        self.node = f"{namespace.rstrip('/')}/{node_name}"
+        self._remap = dict(remap)
+        self._store = store
+        self._hashes = store.distro != "humble"
+        self._types = IdlTypes(store)
+        self._lock = threading.RLock()
+        self._closed = False
+        self._changed = False
+        self._endpoints: dict[int, DdsEndpoint] = {}
+        self._next_key = _FIRST
+        self._suspects: dict[str, int] = {}
+        self._said: set[tuple[int, str]] = set()
+        self.domain = domain_id(domain, environment)
+        tracing = TRACING.format(library_log().path)
+        domains.enter(self.domain, domain_config(environment, store.distro, tracing))
+        try:
+            self._join()
+        except DDSException as error:
+            domains.leave(self.domain)
+            raise native.refusal(f"cannot join domain {self.domain} as {self.node}", error) from error
+        self._thread = threading.Thread(target=self._run, name=f"rosplc-dds-{self.domain}", daemon=True)
+        self._thread.start()
+
+    def _join(self) -> None:
+        self._participant = DomainParticipant(self.domain, qos=DdsQos(Policy.Userdata(b"enclave=/;")))
+        guid: bytes = self._participant.guid.bytes
+        self._publishers = PublisherGroup(self._participant)
+        self._subscribers = SubscriberGroup(self._participant)
+        self._announcer = Announcer(
+            self._participant, guid, self._namespace, self._node_name, self._store.distro, dds_qos
+        )
+        self._peers = PeerTable(self._participant, guid)
+        self._waitset = native.WaitSet(self._participant._ref)
+        for key, reader in enumerate(self._peers.readers):
+            self._waitset.attach(reader._ref, key)
+        self._waitset.attach(self._announcer.reader, _ANNOUNCEMENTS)
+
+    # -- endpoints
+
+    def subscribe(self, topic: str, type_name: str, qos: Qos, on_message: OnMessage) -> DdsSubscription:
+        """Receive a topic; see :meth:`rosplc.ros.backend.Backend.subscribe`."""
+        with self._lock:
+            entity, details = self._make(topic, type_name, qos, DataReader, lambda: self._subscribers)
+            subscription = DdsSubscription(on_message, entity, *details, self._diagnose, self._forget)
+            key = self._adopt(subscription)
+            subscription.condition = self._waitset.attach(entity._ref, key)
+        self._waitset.wake()
+        return subscription
+
+    def advertise(self, topic: str, type_name: str, qos: Qos) -> DdsPublisher:
+        """Send a topic; see :meth:`rosplc.ros.backend.Backend.advertise`."""
+        with self._lock:
+            entity, details = self._make(topic, type_name, qos, DataWriter, lambda: self._publishers)
+            publisher = DdsPublisher(entity, *details, self._diagnose, self._forget)
+            self._adopt(publisher)
+        self._waitset.wake()
+        return publisher
+
+    def _make(
+        self, topic: str, type_name: str, qos: Qos, kind: Any, group: Any
+    ) -> tuple[Any, tuple[Any, ...]]:
+        if self._closed:
+            raise BackendError("ROS009", f"node {self.node} has left the graph")
+        full = resolve_topic(topic, namespace=self._namespace, node_name=self._node_name, remap=self._remap)
+        name = self._store[type_name].name
+        type_hash = self._store.type_hash(name) if self._hashes else ""
+        try:
+            dds = Topic(self._participant, dds_topic(full), self._types[name])
+            entity = kind(group(), dds, dds_qos(qos, type_hash))
+        except DDSException as error:
+            raise native.refusal(f"cannot open {full} as {name}", error) from error
+        return entity, (full, name, type_hash, qos)
+
+    def _adopt(self, endpoint: DdsEndpoint) -> int:
+        key = self._next_key
+        self._next_key += 1
+        self._endpoints[key] = endpoint
+        self._announcer.add(endpoint.guid, reader=isinstance(endpoint, DdsSubscription))
+        self._changed = True
+        self._suspects.setdefault(dds_topic(endpoint.topic), time.monotonic_ns())
+        return key
+
+    def _forget(self, endpoint: DdsEndpoint) -> None:
+        with self._lock:
+            for key, known in list(self._endpoints.items()):
+                if known is endpoint:
+                    del self._endpoints[key]
+            if isinstance(endpoint, DdsSubscription):
+                self._waitset.detach(endpoint.condition)
+            self._announcer.remove(endpoint.guid)
+            self._changed = True
+        self._waitset.wake()
+
+    # -- receiving
+
+    def _run(self) -> None:
+        wait, endpoints = self._waitset.wait, self._endpoints
+        next_tick = 0
+        while not self._closed:
+            for key in wait(_TICK_NS):
+                if key >= _FIRST:
+                    if (endpoint := endpoints.get(key)) is not None:
+                        endpoint.take()  # type: ignore[union-attr]
+                elif key == _ANNOUNCEMENTS:
+                    self._announcer.take()
+                else:
+                    self._look(key)
+            if self._changed:
+                self._changed = False
+                self._announcer.announce()
+            if (now := time.monotonic_ns()) >= next_tick:
+                next_tick = now + _TICK_NS
+                library_log().drain()
+                self._warn(now)
+
+    def _look(self, which: int) -> None:
+        now = time.monotonic_ns()
+        with self._lock:
+            for topic in self._peers.update(which):
+                self._suspects[topic] = now
+
+    # -- what is wrong
+
+    def _warn(self, now: int) -> None:
+        """Say once in the log what keeps peers on a topic from matching."""
+        with self._lock:
+            due = {topic for topic, since in self._suspects.items() if now - since >= _SETTLE_NS}
+            for topic in due:
+                del self._suspects[topic]
+            endpoints = [(k, e) for k, e in self._endpoints.items() if dds_topic(e.topic) in due]
+        for key, endpoint in endpoints:
+            code, reason = self._diagnose(endpoint)
+            if code and (key, reason) not in self._said:
+                self._said.add((key, reason))
+                _logger.warning("%s [%s]", reason, code)
+
+    def _diagnose(self, endpoint: DdsEndpoint) -> tuple[str, str]:
+        incoming = endpoint.direction == "in"
+        matched = endpoint.matched_handles()
+        peers = self._peers.on(dds_topic(endpoint.topic), writers=incoming)
+        found: dict[str, list[str]] = {}
+        for peer in peers:
+            problem = explain(
+                peer,
+                self._call(peer.guid),
+                endpoint.type_name,
+                endpoint.type_hash,
+                endpoint.qos,
+                peer.handle in matched,
+            )
+            if problem:
+                found.setdefault(problem[0], []).append(problem[1])
+        if found:
+            return min(found), "; ".join(text for texts in found.values() for text in texts)
+        if not peers and not matched:
+            return "", f"no node {'publishes' if incoming else 'subscribes to'} {endpoint.topic}"
+        return "", ""
+
+    def _call(self, guid: bytes) -> str:
+        name = self._announcer.node_of(guid)
+        return f"node {name}" if name else f"a DDS participant without a ROS node ({guid[:12].hex()})"
+
+    # -- looking at it
+
+    def status(self) -> tuple[EndpointStatus, ...]:
+        """Return the state of all endpoints."""
+        with self._lock:
+            endpoints = list(self._endpoints.values())
+        return tuple(endpoint.status() for endpoint in endpoints)
+
+    def graph(self) -> GraphInfo:
+        """Return what is seen of the other nodes."""
+        seen = []
+        topics: dict[str, set[str]] = {}
+        for peer in self._peers.all():
+            topic = ros_topic(peer.topic)
+            if topic is None:
+                continue
+            kind = ros_type_name(peer.type_name)
+            topics.setdefault(topic, set()).add(kind)
+            node = self._announcer.node_of(peer.guid)
+            seen.append(
+                EndpointInfo(topic, kind, "out" if peer.writer else "in", node, peer.qos, peer.type_hash)
+            )
+        return GraphInfo(
+            self._announcer.nodes(),
+            tuple(sorted(seen, key=lambda info: (info.topic, info.direction, info.node))),
+            {topic: tuple(sorted(kinds)) for topic, kinds in sorted(topics.items())},
+        )
+
+    def close(self) -> None:
+        """Leave the graph; see :meth:`rosplc.ros.backend.Backend.close`."""
+        with self._lock:
+            if self._closed:
+                return
+            self._closed = True
+            endpoints = list(self._endpoints.values())
+        self._waitset.wake()
+        if threading.current_thread() is not self._thread:
+            self._thread.join()
+        for endpoint in endpoints:
+            endpoint.close()
+        self._announcer.close()
+        self._waitset.close()
+        for entity in (*self._peers.readers, self._publishers, self._subscribers, self._participant):
+            native.delete(entity)
+        domains.leave(self.domain)
+
+
+def open_backend(
+    store: TypeSource,
+    node_name: str,
+    namespace: str = "/",
+    domain: int | None = None,
+    *,
+    remap: Mapping[str, str] | None = None,
+    environment: Mapping[str, str] | None = None,
+) -> DdsBackend:
+    """Join a ROS 2 graph; arguments and errors as for :func:`rosplc.ros.open_backend`."""
+    return DdsBackend(
+        store, node_name, namespace, domain, remap or {}, os.environ if environment is None else environment
+    )

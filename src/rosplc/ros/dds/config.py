@@ -1,0 +1,114 @@
+"""The usual ROS environment variables → Cyclone DDS's configuration.
+
+What ``rmw_cyclonedds_cpp`` does with them, so that the bridge is found wherever a ROS 2 node
+with the same environment would be. The user's ``CYCLONEDDS_URI`` comes last and wins.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from xml.sax.saxutils import quoteattr
+
+from rosplc.errors import BackendError
+
+__all__ = ["MAX_DOMAIN", "domain_config", "domain_id"]
+
+MAX_DOMAIN = 232  # above, port numbers exceed 65535 (DDSI-RTPS 2.2, 9.6.1.1)
+
+# Cyclone looks at a limited number of participants per machine; rmw_cyclonedds_cpp chooses 32.
+_PARTICIPANTS = (
+    "<ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>"
+)
+
+# Type information of Fast DDS (1.15) and Cyclone (1.16) peers is not compared: what their newer
+# releases announce for ROS types does not equal what an IDL compiler makes of the same definition,
+# and whatever has a sequence or an array would not match. Definitions are compared by ROS's own
+# type hash instead (peers.py).
+_COMPATIBILITY = "<Compatibility><IgnoreTypeInformation>1.15,1.16</IgnoreTypeInformation></Compatibility>"
+
+_RANGES = ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT")
+
+
+def domain_id(domain: int | None, environment: Mapping[str, str]) -> int:
+    """Return the domain to join: the given one, else ``ROS_DOMAIN_ID``, else 0.
+
+    Raises:
+        BackendError: ROS010 if it is no number from 0 to 232.
+    """
+    source = "ros.domain" if domain is not None else "ROS_DOMAIN_ID"
+    text = str(domain) if domain is not None else environment.get("ROS_DOMAIN_ID") or "0"
+    if not text.isascii() or not text.isdigit() or int(text) > MAX_DOMAIN:
+        raise BackendError(
+            "ROS010", f"{source} is {text!r}; it is a number from 0 to {MAX_DOMAIN}", where=source
+        )
+    return int(text)
+
+
+def _discovery_range(environment: Mapping[str, str]) -> str:
+    local = environment.get("ROS_LOCALHOST_ONLY") or "0"
+    if local not in ("0", "1"):
+        raise BackendError(
+            "ROS010", f"ROS_LOCALHOST_ONLY is {local!r}; it is 0 or 1", where="ROS_LOCALHOST_ONLY"
+        )
+    if local == "1":  # older, but where it is set it wins (rcl, discovery_options.c)
+        return "LOCALHOST"
+    name = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+    value = environment.get(name) or "SUBNET"
+    if value not in _RANGES:
+        raise BackendError("ROS010", f"{name} is {value!r}; it is one of {', '.join(_RANGES)}", where=name)
+    return value
+
+
+def _peers(addresses: list[str]) -> str:
+    return "<Peers>" + "".join(f"<Peer address={quoteattr(address)}/>" for address in addresses) + "</Peers>"
+
+
+def domain_config(environment: Mapping[str, str], distro: str, extra: str = "") -> str:
+    """Return the configuration for ``dds_create_domain``: XML fragments, separated by commas.
+
+    Args:
+        environment: The environment variables.
+        distro: The ROS distribution; on Humble ``ROS_LOCALHOST_ONLY`` also restricts the interface,
+            and the newer variables are not looked at.
+        extra: More XML for the domain.
+
+    Raises:
+        BackendError: ROS010 if a variable's value is none that ROS knows.
+    """
+    humble = distro == "humble"
+    if humble:
+        environment = {key: value for key, value in environment.items() if key not in _NOT_HUMBLE}
+    reach = _discovery_range(environment)
+    static = [] if humble or environment.get("ROS_LOCALHOST_ONLY") == "1" else _static_peers(environment)
+    general, discovery = "", ""
+    if reach == "LOCALHOST":
+        general = "<AllowMulticast>false</AllowMulticast>"
+        if humble:
+            general += '<Interfaces><NetworkInterface address="127.0.0.1"/></Interfaces>'
+        discovery = _PARTICIPANTS + _peers(["localhost", *static])
+    elif reach == "OFF":
+        general = "<AllowMulticast>false</AllowMulticast>"
+        # Nobody else uses this tag, so that nobody is discovered, and no participant index is used up.
+        discovery = f"<ParticipantIndex>none</ParticipantIndex><Tag>ros_discovery_off_{os.getpid()}</Tag>"
+    elif reach == "SUBNET":
+        discovery = _PARTICIPANTS + (_peers(static) if static else "")
+    own = (
+        '<CycloneDDS><Domain id="any">'
+        + (f"<General>{general}</General>" if general else "")
+        + (f"<Discovery>{discovery}</Discovery>" if discovery else "")
+        + f"{_COMPATIBILITY}{extra}</Domain></CycloneDDS>"
+    )
+    users = environment.get("CYCLONEDDS_URI", "").strip()
+    if not users.isascii():
+        raise BackendError("ROS010", "CYCLONEDDS_URI has characters beyond ASCII", where="CYCLONEDDS_URI")
+    return f"{own},{users}" if users else own
+
+
+_NOT_HUMBLE = ("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS")
+
+
+def _static_peers(environment: Mapping[str, str]) -> list[str]:
+    return [
+        peer for peer in (part.strip() for part in environment.get("ROS_STATIC_PEERS", "").split(";")) if peer
+    ]

@@ -1,0 +1,102 @@
+"""Message types as DDS sees them: names, and the type information that a DDS topic needs.
+
+ROS 2 maps ``pkg/msg/T`` to ``pkg::msg::dds_::T_`` with final structs, plain field names and
+XCDR version 1; ``byte`` and ``char`` travel as octets
+(https://design.ros2.org/articles/idl_interface_definition.html and rosidl's generators).
+"""
+
+from __future__ import annotations
+
+import threading
+from typing import Any
+
+from cyclonedds.idl import make_idl_struct
+from cyclonedds.idl import types as idl_types
+
+from rosplc.model.types import (
+    ArrayType,
+    FieldType,
+    MessageType,
+    NamedType,
+    PrimitiveType,
+    SequenceType,
+    StringType,
+)
+from rosplc.ros.backend import TypeSource
+
+__all__ = ["IdlTypes", "dds_topic", "dds_type_name", "ros_topic", "ros_type_name"]
+
+_PRIMITIVES: dict[str, Any] = {
+    "bool": bool, "byte": idl_types.uint8, "char": idl_types.uint8,
+    "int8": idl_types.int8, "uint8": idl_types.uint8, "int16": idl_types.int16, "uint16": idl_types.uint16,
+    "int32": idl_types.int32, "uint32": idl_types.uint32,
+    "int64": idl_types.int64, "uint64": idl_types.uint64,
+    "float32": idl_types.float32, "float64": idl_types.float64,
+}  # fmt: skip
+
+_PLACEHOLDER = "structure_needs_at_least_one_member"  # rosidl's member of a message without fields
+
+
+def dds_type_name(type_name: str) -> str:
+    """Return ``geometry_msgs::msg::dds_::Twist_`` for ``geometry_msgs/msg/Twist``."""
+    package, _, name = type_name.partition("/")
+    return f"{package}::msg::dds_::{name.rpartition('/')[2]}_"
+
+
+def ros_type_name(name: str) -> str:
+    """Return the ROS name of a DDS type, or the DDS name as it is if it is not ROS's."""
+    parts = name.split("::")
+    if len(parts) == 4 and parts[2] == "dds_" and parts[3].endswith("_"):
+        return f"{parts[0]}/{parts[1]}/{parts[3][:-1]}"
+    return name
+
+
+def dds_topic(topic: str) -> str:
+    """Return ``rt/cmd_vel`` for ``/cmd_vel``."""
+    return f"rt{topic}"
+
+
+def ros_topic(name: str) -> str | None:
+    """Return the ROS topic of a DDS topic, or None if it carries no ROS topic (services, plain DDS)."""
+    return name[2:] if name.startswith("rt/") else None
+
+
+class IdlTypes:
+    """The wheel's type classes for the message types of one store, made when first asked for."""
+
+    def __init__(self, store: TypeSource) -> None:
+        self._store = store
+        self._made: dict[str, Any] = {}
+        self._lock = threading.Lock()
+
+    def __getitem__(self, type_name: str) -> Any:
+        """Return the class of ``package/msg/Name``; TYP001 if the type is unknown."""
+        with self._lock:
+            return self._struct(self._store[type_name])
+
+    def _struct(self, message: MessageType) -> Any:
+        if (made := self._made.get(message.name)) is not None:
+            return made
+        fields = {field.name: self._field(field.type) for field in message.fields}
+        name = dds_type_name(message.name)
+        struct = make_idl_struct(
+            name.rpartition("::")[2], name.replace("::", "."), fields or {_PLACEHOLDER: idl_types.uint8}
+        )
+        struct.__idl_annotations__["extensibility"] = "final"
+        self._made[message.name] = struct
+        return struct
+
+    def _field(self, kind: FieldType) -> Any:
+        if isinstance(kind, PrimitiveType):
+            return _PRIMITIVES[kind.name]
+        if isinstance(kind, StringType):
+            return str if kind.bound is None else idl_types.bounded_str[kind.bound]
+        if isinstance(kind, NamedType):
+            return self._struct(self._store[kind.name])
+        element = self._field(kind.element)
+        if isinstance(kind, ArrayType):
+            return idl_types.array[element, kind.length]
+        assert isinstance(kind, SequenceType)
+        if kind.bound is None:
+            return idl_types.sequence[element]
+        return idl_types.sequence[element, kind.bound]

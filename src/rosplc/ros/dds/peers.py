@@ -1,0 +1,210 @@
+"""The other participants' endpoints, and why one of them does not match ours.
+
+DDS says nothing when a reader and a writer of one topic do not fit each other. Its builtin
+topics show every endpoint of the domain, so the reason can be found by comparison: another
+type name, another type hash (ROS announces it in the endpoint's user data), settings that
+exclude each other, and what is left is another definition of the type.
+"""
+
+from __future__ import annotations
+
+import re
+import threading
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from cyclonedds._clayer import ddspy_take_endpoint
+from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription
+from cyclonedds.builtin_types import cqos_to_qos
+from cyclonedds.core import InstanceState
+from cyclonedds.qos import Policy
+from cyclonedds.qos import Qos as DdsQos
+
+from rosplc.ros.backend import Qos, incompatibility
+from rosplc.ros.dds.idl import ros_topic, ros_type_name
+
+__all__ = ["Peer", "PeerTable", "explain"]
+
+_TYPE_HASH = re.compile(rb"(?:^|;)typehash=(RIHS01_[0-9a-f]{64});")
+_BATCH = 256
+
+
+@dataclass(frozen=True, slots=True)
+class Peer:
+    """An endpoint of another participant.
+
+    Attributes:
+        guid: Its 16-byte id.
+        handle: Its instance handle, by which DDS lists matched peers.
+        participant: Its participant's 16-byte id.
+        writer: True if it publishes.
+        topic: The DDS topic name.
+        type_name: The DDS type name.
+        qos: Its settings, as far as the bridge has such; the depth is not announced.
+        obstacles: Its other settings that keep a plain ROS endpoint from matching, in words.
+        type_hash: The ROS type hash it announces, or empty.
+    """
+
+    guid: bytes
+    handle: int
+    participant: bytes
+    writer: bool
+    topic: str
+    type_name: str
+    qos: Qos
+    obstacles: tuple[str, ...]
+    type_hash: str
+
+
+def _settings(dds: DdsQos) -> Qos:
+    reliable = isinstance(dds[Policy.Reliability], Policy.Reliability.Reliable)
+    # A publisher that offers more than transient_local satisfies it; a subscriber that wants
+    # more is named by _obstacles.
+    volatile = dds[Policy.Durability] is Policy.Durability.Volatile
+    return Qos("reliable" if reliable else "best_effort", "volatile" if volatile else "transient_local", 1)
+
+
+def _obstacles(dds: DdsQos, writer: bool) -> Iterable[str]:
+    representation = dds[Policy.DataRepresentation]
+    if representation is not None and not representation.use_cdrv0_representation:
+        yield "it uses XCDR version 2 only, ROS uses version 1"
+    partition = dds[Policy.Partition]
+    if partition is not None and partition.partitions and "" not in partition.partitions:
+        yield f"it is in the DDS partition {', '.join(partition.partitions)}"
+    if (
+        isinstance(dds[Policy.Ownership], type(Policy.Ownership.Exclusive))
+        and dds[Policy.Ownership] == Policy.Ownership.Exclusive
+    ):
+        yield "it wants exclusive ownership"
+    if writer:
+        return
+    if dds[Policy.Durability] in (Policy.Durability.Transient, Policy.Durability.Persistent):
+        yield "it wants transient or persistent durability, which ROS does not have"
+    deadline = dds[Policy.Deadline]
+    if deadline is not None and deadline.deadline < 2**63 - 1:
+        yield f"it wants a deadline of {deadline.deadline / 1e6:g} ms"
+    liveliness = dds[Policy.Liveliness]
+    if liveliness is not None and not isinstance(liveliness, Policy.Liveliness.Automatic):
+        yield "it wants manual liveliness"
+    if liveliness is not None and liveliness.lease_duration < 2**63 - 1:
+        yield f"it wants a liveliness lease of {liveliness.lease_duration / 1e6:g} ms"
+
+
+class PeerTable:
+    """What the builtin topics have shown so far; updated by the receive thread.
+
+    Args:
+        participant: The wheel's participant.
+        own: Its 16-byte id; its own endpoints are left out.
+    """
+
+    def __init__(self, participant: Any, own: bytes) -> None:
+        self._own = own
+        self._lock = threading.Lock()
+        self._peers: dict[bytes, Peer] = {}
+        self._by_topic: dict[tuple[str, bool], dict[bytes, Peer]] = {}
+        self.readers = (
+            BuiltinDataReader(participant, BuiltinTopicDcpsPublication),
+            BuiltinDataReader(participant, BuiltinTopicDcpsSubscription),
+        )
+
+    def update(self, which: int) -> set[str]:
+        """Take what is new on ``readers[which]``; return the DDS topics concerned."""
+        ref = self.readers[which]._ref
+        writer = which == 0
+        changed: set[str] = set()
+
+        def see(
+            guid: bytes,
+            participant: bytes,
+            _: int,
+            topic: str | None,
+            kind: str | None,
+            qos: Any,
+            info: Any,
+            __: Any,
+        ) -> None:
+            if participant == self._own:
+                return
+            if not info.valid_data or info.instance_state != InstanceState.Alive:
+                changed.update(self._forget(guid))
+            elif topic is not None and kind is not None:
+                peer = _peer(guid, info.instance_handle, participant, writer, topic, kind, qos)
+                with self._lock:
+                    self._peers[guid] = peer
+                    self._by_topic.setdefault((topic, writer), {})[guid] = peer
+                changed.add(topic)
+
+        while True:
+            taken = ddspy_take_endpoint(ref, _BATCH, see, cqos_to_qos)
+            if isinstance(taken, int) or len(taken) < _BATCH:
+                return changed
+
+    def _forget(self, guid: bytes) -> set[str]:
+        with self._lock:
+            peer = self._peers.pop(guid, None)
+            if peer is None:
+                return set()
+            self._by_topic[peer.topic, peer.writer].pop(guid, None)
+            return {peer.topic}
+
+    def on(self, topic: str, *, writers: bool) -> tuple[Peer, ...]:
+        """Return the endpoints of one kind on a DDS topic."""
+        with self._lock:
+            return tuple(self._by_topic.get((topic, writers), {}).values())
+
+    def all(self) -> tuple[Peer, ...]:
+        """Return all endpoints."""
+        with self._lock:
+            return tuple(self._peers.values())
+
+
+def _peer(
+    guid: bytes, handle: int, participant: bytes, writer: bool, topic: str, kind: str, qos: DdsQos
+) -> Peer:
+    user_data = qos[Policy.Userdata]
+    found = _TYPE_HASH.search(bytes(user_data.data)) if user_data is not None else None
+    type_hash = found.group(1).decode() if found else ""
+    return Peer(
+        guid,
+        handle,
+        participant,
+        writer,
+        topic,
+        kind,
+        _settings(qos),
+        tuple(_obstacles(qos, writer)),
+        type_hash,
+    )
+
+
+def explain(
+    peer: Peer, name: str, type_name: str, type_hash: str, qos: Qos, matched: bool
+) -> tuple[str, str] | None:
+    """Return code and words for what is wrong between a peer and one of our endpoints, if anything.
+
+    Args:
+        peer: The peer's endpoint on the same topic, of the other kind.
+        name: What to call the peer.
+        type_name: Our type, as ROS writes it.
+        type_hash: Our type hash; empty if there is none to compare (Humble).
+        qos: Our endpoint's settings.
+        matched: Whether DDS has matched the two.
+    """
+    theirs = ros_type_name(peer.type_name)
+    verb = "publishes" if peer.writer else "subscribes to"
+    does = f"{name} {verb} {ros_topic(peer.topic) or peer.topic} as {theirs}"
+    if theirs != type_name:
+        return "ROS003", f"{does}, here it is {type_name}"
+    if type_hash and peer.type_hash and type_hash != peer.type_hash:
+        here, there = type_hash[7:15], peer.type_hash[7:15]
+        return "ROS003", f"{does} with another definition (type hash {there}… there, {here}… here)"
+    if matched:
+        return None
+    problem = incompatibility(peer.qos, qos) if peer.writer else incompatibility(qos, peer.qos)
+    problems = [problem] if problem else []
+    problems += peer.obstacles
+    if problems:
+        return "ROS004", f"{does}, but {'; '.join(problems)}"
+    return "ROS003", f"{does} with another definition"

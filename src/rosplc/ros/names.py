@@ -1,0 +1,136 @@
+"""Names of nodes and topics: rules, expansion and remapping.
+
+The rules are those that ``rcl`` checks (https://design.ros2.org/articles/topic_and_service_names.html);
+remapping follows https://design.ros2.org/articles/static_remapping.html, global rules only.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from rosplc.errors import BackendError
+
+__all__ = ["Remapping", "join", "resolve_topic", "validate_namespace", "validate_node_name", "validate_topic"]
+
+_TOKEN = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
+_LONGEST = 247  # RMW_TOPIC_MAX_NAME_LENGTH: 255 less the prefixes of the middleware
+
+
+def _refuse(kind: str, name: object, why: str) -> BackendError:
+    return BackendError("ROS005", f"{kind} name {name!r} is not valid: {why}")
+
+
+def _check(kind: str, name: str) -> None:
+    if not isinstance(name, str) or not name.startswith("/"):
+        raise _refuse(kind, name, "a full name starts with /")
+    if len(name) > _LONGEST:
+        raise _refuse(kind, name, f"it has {len(name)} characters, {_LONGEST} are the most")
+    for token in name[1:].split("/"):
+        if not token:
+            raise _refuse(kind, name, "a / stands at its end, or two stand together")
+        if not _TOKEN.match(token):
+            raise _refuse(
+                kind, name, f"{token!r} may have only letters, digits and _, and starts with no digit"
+            )
+
+
+def validate_topic(name: str) -> str:
+    """Return an absolute topic name such as ``/robot1/cmd_vel`` unchanged; ROS005 if it breaks a rule."""
+    _check("topic", name)
+    return name
+
+
+def validate_namespace(name: str) -> str:
+    """Return an absolute namespace such as ``/`` or ``/robot1`` unchanged; ROS005 if it breaks a rule."""
+    if name != "/":
+        _check("namespace", name)
+    return name
+
+
+def validate_node_name(name: str) -> str:
+    """Return a node's base name, such as ``rosplc_cell1``, unchanged; ROS005 if it breaks a rule."""
+    if not isinstance(name, str) or not _TOKEN.match(name):
+        raise _refuse("node", name, "it may have only letters, digits and _, and starts with no digit")
+    if len(name) > 255:
+        raise _refuse("node", name, "255 characters are the most")
+    return name
+
+
+def join(namespace: str, name: str) -> str:
+    """Return ``name`` inside ``namespace``: ``/`` and ``talker`` give ``/talker``."""
+    return f"{namespace.rstrip('/')}/{name}"
+
+
+def resolve_topic(
+    name: str, *, namespace: str = "/", node_name: str = "", remap: Mapping[str, str] | None = None
+) -> str:
+    """Expand a topic name (absolute, relative, or private with ``~``) and remap it.
+
+    Args:
+        name: The name as written.
+        namespace: The node's namespace.
+        node_name: The node's base name, for ``~``.
+        remap: Topic → topic; both are expanded the same way before they are compared.
+
+    Raises:
+        BackendError: ROS005 if the outcome breaks a rule.
+    """
+
+    def expand(text: str) -> str:
+        if text.startswith("/"):
+            return text
+        if text == "~" or text.startswith("~/"):
+            return join(namespace, node_name) + text[1:]
+        return join(namespace, text)
+
+    full = validate_topic(expand(name))
+    for source, target in (remap or {}).items():
+        if expand(source) == full:
+            return validate_topic(expand(target))
+    return full
+
+
+@dataclass(frozen=True, slots=True)
+class Remapping:
+    """Rules given to a node from outside, as ``ros2 run`` and launch files do.
+
+    Attributes:
+        topics: Topic → topic.
+        node: Another base name for the node, if given (``__node:=``).
+        namespace: Another namespace, if given (``__ns:=`` or ``ROS_NAMESPACE``).
+    """
+
+    topics: Mapping[str, str] = field(default_factory=dict)
+    node: str | None = None
+    namespace: str | None = None
+
+    @classmethod
+    def from_arguments(
+        cls, arguments: Sequence[str], environment: Mapping[str, str] | None = None
+    ) -> Remapping:
+        """Read ``--ros-args -r from:=to`` rules; other arguments are left alone.
+
+        ``ROS_NAMESPACE`` of the environment (a ROS 1 habit) serves where no rule names a namespace.
+
+        Raises:
+            BackendError: ROS005 if a rule is not ``from:=to``.
+        """
+        topics: dict[str, str] = {}
+        special: dict[str, str] = {}
+        inside = False
+        rest = iter(arguments)
+        for argument in rest:
+            if argument in ("--ros-args", "--"):
+                inside = argument == "--ros-args"
+            elif inside and argument in ("-r", "--remap"):
+                rule = next(rest, "")
+                source, arrow, target = rule.partition(":=")
+                if not arrow or not source or not target:
+                    raise BackendError("ROS005", f"remapping rule {rule!r} is not of the form from:=to")
+                (special if source.startswith("__") else topics)[source] = target
+        namespace = special.get("__ns") or (environment or {}).get("ROS_NAMESPACE") or None
+        if namespace and not namespace.startswith("/"):
+            namespace = "/" + namespace
+        return cls(topics, special.get("__node") or special.get("__name"), namespace)
