@@ -12,7 +12,6 @@ __all__ = [
     "Duration",
     "FileMode",
     "Interval",
-    "Period",
     "StaleAfter",
     "between",
     "format_duration",
@@ -27,7 +26,6 @@ _QUANTITY = re.compile(r"([0-9]{1,12}(?:\.[0-9]{1,9})?)[ ]?([A-Za-zµ]+)\Z")
 _LONGEST = 24 * 3600 * 10**9
 
 _DURATION_PATTERN = r"^[0-9]{1,12}(\.[0-9]{1,9})? ?(ns|us|µs|ms|s|min|h)$"
-_RATE_PATTERN = r"^[0-9]{1,12}(\.[0-9]{1,9})? ?(mHz|Hz|kHz)$"
 _EITHER_PATTERN = r"^[0-9]{1,12}(\.[0-9]{1,9})? ?(ns|us|µs|ms|s|min|h|mHz|Hz|kHz)$"
 
 
@@ -120,9 +118,6 @@ def _text(pattern: str, *examples: str) -> WithJsonSchema:
 
 Duration = Annotated[int, BeforeValidator(parse_duration), _text(_DURATION_PATTERN, "10ms", "1s")]
 """Nanoseconds, written with a unit."""
-
-Period = Annotated[int, BeforeValidator(parse_rate), _text(_RATE_PATTERN, "50Hz")]
-"""Nanoseconds between two messages, written as a rate."""
 
 Interval = Annotated[int, BeforeValidator(parse_rate), _text(_EITHER_PATTERN, "10Hz", "100ms")]
 """Nanoseconds, written as a rate or as a duration."""

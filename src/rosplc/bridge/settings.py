@@ -20,7 +20,7 @@ from pydantic import (
     model_validator,
 )
 
-from rosplc.bridge.quantities import Duration, FileMode, Interval, Period, StaleAfter, between
+from rosplc.bridge.quantities import Duration, FileMode, Interval, StaleAfter, between
 from rosplc.model import DISTROS
 
 __all__ = [
@@ -117,7 +117,7 @@ class TypesSettings(_Section):
 
     paths: tuple[Annotated[str, Field(min_length=1)], ...] = _f(
         (),
-        "Folders with custom `.msg` files, relative to this file: `pkg/msg/Name.msg`, a package, or a file.",
+        "Folders with custom `.msg` files, relative to this file: `pkg/msg/Name.msg`, a package, a file.",
     )
 
 
@@ -219,7 +219,7 @@ class TopicSettings(_Section):
         ge=4,
         le=65536,
     )
-    rate_ns: Period | None = _f(
+    rate_ns: Interval | None = _f(
         None, "The highest rate at which messages come, for sizing alone; nothing is dropped.", alias="rate"
     )
     rate_limit_ns: Interval | None = _f(
@@ -249,7 +249,7 @@ class TopicSettings(_Section):
             and self.latched != (durability == "transient_local")
         ):
             raise ValueError(
-                f"latched: {str(self.latched).lower()} contradicts durability: {durability}; keep one of the two"
+                f"latched: {str(self.latched).lower()} contradicts durability: {durability}; keep one of them"
             )
         return self
 

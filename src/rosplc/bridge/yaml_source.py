@@ -90,7 +90,8 @@ def read_yaml(path: Path, problems: Problems, *, text: str | None = None) -> Yam
             builder.feed(event)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
-        place = f"{name}:{mark.line + 1}" if mark is not None else name
+        last = text.count("\n") + (not text.endswith("\n"))  # libyaml's end of text lies a line below
+        place = f"{name}:{min(mark.line + 1, max(last, 1))}" if mark is not None else name
         what = (
             getattr(error, "problem", None) or getattr(error, "reason", None) or "the text cannot be parsed"
         )
