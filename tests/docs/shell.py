@@ -1,0 +1,117 @@
+"""One shell for one documentation page: commands in order, and others in the background."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import signal
+import subprocess
+import threading
+import time
+from pathlib import Path
+
+COMMAND_SECONDS = 120.0
+END = re.compile(rb"\n--rosplc-docs-end (\d+)--\n")
+
+
+class Shell:
+    """A bash whose directory and variables last from one command to the next."""
+
+    def __init__(self, folder: Path, env: dict[str, str]) -> None:
+        self.folder = folder
+        self.env = env
+        self.background: list[Background] = []
+        self.process = subprocess.Popen(
+            ["bash", "--noprofile", "--norc"],
+            cwd=folder,
+            env=env,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
+
+    def run(self, command: str) -> tuple[int, str]:
+        """Run a command to its end; return its exit status and what it printed."""
+        assert self.process.stdin is not None and self.process.stdout is not None
+        script = f"{{ {command}\n}} </dev/null\nprintf '\\n--rosplc-docs-end %d--\\n' $?\n"
+        self.process.stdin.write(script.encode())
+        self.process.stdin.flush()
+        # A watchdog, so that a command that waits for ever ends as a failure and not as a hang.
+        watchdog = threading.Timer(COMMAND_SECONDS, lambda: os.killpg(self.process.pid, signal.SIGKILL))
+        watchdog.start()
+        output = b""
+        try:
+            while not (end := END.search(output)):
+                chunk = os.read(self.process.stdout.fileno(), 65536)
+                if not chunk:
+                    text = output.decode(errors="replace")
+                    raise AssertionError(f"`{command}` ended the shell or took too long; it printed:\n{text}")
+                output += chunk
+        finally:
+            watchdog.cancel()
+        return int(end[1]), output[: end.start()].decode(errors="replace")
+
+    def start(self, command: str) -> Background:
+        """Start a command where the shell stands now and leave it running."""
+        _, folder = self.run("pwd")
+        job = Background(command, Path(folder.strip()), self.env)
+        self.background.append(job)
+        return job
+
+    def close(self) -> None:
+        """End everything that the page started."""
+        for job in reversed(self.background):
+            job.stop()
+        os.killpg(self.process.pid, signal.SIGKILL)
+        self.process.communicate()
+
+
+class Background:
+    """A command that runs beside the page's shell; its output is kept."""
+
+    def __init__(self, command: str, folder: Path, env: dict[str, str]) -> None:
+        self.command = command
+        self.output = b""
+        self.process = subprocess.Popen(
+            ["bash", "--noprofile", "--norc", "-c", command],
+            cwd=folder,
+            env=env,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
+        self.thread = threading.Thread(target=self._collect, daemon=True)
+        self.thread.start()
+
+    def _collect(self) -> None:
+        assert self.process.stdout is not None
+        while chunk := os.read(self.process.stdout.fileno(), 65536):
+            self.output += chunk
+
+    def text(self) -> str:
+        """Return what the command has printed so far."""
+        return self.output.decode(errors="replace")
+
+    def wait_for(self, found: re.Pattern[str]) -> None:
+        """Wait until the output holds the pattern; fail if the command ends before."""
+        watchdog = time.monotonic() + COMMAND_SECONDS
+        while not found.search(self.text()):
+            ended = self.process.poll() is not None
+            if (ended and not self.thread.is_alive() and not found.search(self.text())) or (
+                time.monotonic() > watchdog
+            ):
+                raise AssertionError(f"`{self.command}` did not print what is shown, but:\n{self.text()}")
+            time.sleep(0.05)
+
+    def stop(self) -> None:
+        """Interrupt the command as Ctrl-C would, and kill it if that does not help."""
+        if self.process.poll() is None:
+            os.killpg(self.process.pid, signal.SIGINT)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self.process.wait(20)
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self.process.pid, signal.SIGKILL)
+        self.process.wait()

@@ -1,0 +1,149 @@
+"""Every command, program and file that the documentation shows is run as the reader would."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.docs.pages import LANGUAGES_THAT_RUN, Block, blocks, normal, pattern
+from tests.docs.shell import Shell
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")])
+SHARED_MEMORY = Path("/dev/shm")
+
+# Pages use the default prefix, as their reader does: one page at a time.
+pytestmark = pytest.mark.xdist_group("docs")
+
+
+def runs(block: Block) -> bool:
+    return block.language in LANGUAGES_THAT_RUN and "not executed" not in block.directives
+
+
+def place(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+def page_parameters() -> list[object]:
+    return [
+        pytest.param(page, id=place(page))
+        for page in PAGES
+        if any(runs(block) or "file" in block.directives for block in blocks(page))
+    ]
+
+
+def unexecuted() -> list[object]:
+    return [
+        pytest.param(block, id=f"{place(page)}:{block.line}")
+        for page in PAGES
+        for block in blocks(page)
+        if "not executed" in block.directives
+    ]
+
+
+@pytest.fixture
+def shell(tmp_path: Path) -> Iterator[Shell]:
+    """A shell in an empty folder; shared memory that the page left behind is removed."""
+    before = set(SHARED_MEMORY.glob("rosplc.*"))
+    env = {
+        "PATH": f"{Path(sys.executable).parent}:/usr/local/bin:/usr/bin:/bin",
+        "HOME": str(tmp_path),
+        "LANG": "C.UTF-8",
+        "COLUMNS": "100",
+        "NO_COLOR": "1",
+        # Away from the default domain: a robot on this network is no part of the test.
+        "ROS_DOMAIN_ID": os.environ.get("ROSPLC_TEST_DOMAIN", "83"),
+    }
+    shell = Shell(tmp_path, env)
+    yield shell
+    shell.close()
+    for path in set(SHARED_MEMORY.glob("rosplc.*")) - before:
+        path.unlink(missing_ok=True)
+
+
+def run_console(shell: Shell, block: Block, at: str) -> None:
+    steps = block.steps()
+    for step in steps:
+        if "background" in block.directives:
+            job = shell.start(step.command)
+            if step.expected is not None:
+                job.wait_for(pattern(step.expected))
+            continue
+        status, output = shell.run(step.command)
+        wanted = int(block.directives.get("exit", 0)) if step is steps[-1] else 0
+        assert status == wanted, f"{at}: `{step.command}` ended with {status}:\n{output}"
+        if step.expected is not None:
+            shown = pattern(step.expected)
+            assert shown.fullmatch(normal(output)), (
+                f"{at}: `{step.command}`\n--- the page shows\n{step.expected}\n--- it printed\n{output}"
+            )
+
+
+def run_block(shell: Shell, block: Block, at: str) -> None:
+    if name := block.directives.get("file"):
+        path = shell.folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(block.text, encoding="utf-8")
+    elif not runs(block):
+        return
+    elif block.language == "console":
+        run_console(shell, block, at)
+    else:
+        path = shell.folder / f"block_at_line_{block.line}.py"
+        path.write_text(block.text, encoding="utf-8")
+        status, output = shell.run(f"python {path}")
+        assert status == int(block.directives.get("exit", 0)), f"{at}: the program failed:\n{output}"
+
+
+@pytest.mark.parametrize("page", page_parameters())
+def test_page_does_what_it_shows(page: Path, shell: Shell) -> None:
+    """Run in order in an empty folder, a page's commands print what the page shows."""
+    for block in blocks(page):
+        run_block(shell, block, f"{place(page)}:{block.line}")
+
+
+@pytest.mark.parametrize("block", unexecuted())
+def test_command_is_shown_only(block: Block) -> None:
+    """A command that is not run has a reason, and is listed with it."""
+    reason = block.directives["not executed"]
+    assert reason, "say why: <!-- not executed: reason -->"
+    command = block.text.strip().splitlines()[0]
+    pytest.skip(f"documented, not executed: {command} ({reason})")
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("```console\n$ false\n```\n", "ended with 1"),
+        ("<!-- exit: 3 -->\n```console\n$ true\n```\n", "ended with 0"),
+        ("```console\n$ echo one\ntwo\n```\n", "the page shows"),
+        ("```console\n$ exit\n```\n", "ended the shell"),
+        ("```python\nraise SystemExit(4)\n```\n", "the program failed"),
+        ("<!-- background -->\n```console\n$ echo one\ntwo\n```\n", "did not print"),
+    ],
+)
+def test_page_that_shows_something_else_fails(shell: Shell, text: str, problem: str) -> None:
+    """The runner notices a wrong status, other output, a dead shell and a failing program."""
+    page = shell.folder / "page.md"
+    page.write_text(text, encoding="utf-8")
+    with pytest.raises(AssertionError, match=problem):
+        for block in blocks(page):
+            run_block(shell, block, "page.md")
+
+
+def test_page_may_use_files_folders_and_other_terminals(shell: Shell) -> None:
+    """Files come from the page, the folder lasts, and a background command is waited for."""
+    page = shell.folder / "page.md"
+    page.write_text(
+        "<!-- file: sub/data.txt -->\n```text\nhello\n```\n"
+        "```console\n$ cd sub\n$ cat <<END\n> a b\n> END\na b\n```\n"
+        "<!-- background -->\n```console\n$ sleep 0.3; cat data.txt; sleep 600\nhello\n```\n"
+        "<!-- exit: 1 -->\n```console\n$ ls ..\n...\nsub\n$ cat missing\n...No such file...\n```\n",
+        encoding="utf-8",
+    )
+    for block in blocks(page):
+        run_block(shell, block, "page.md")

@@ -1,0 +1,77 @@
+"""What `pip install` gives: a wheel with everything in it, that works by itself."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+import rosplc
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def run(*command: str, cwd: Path) -> str:
+    done = subprocess.run(
+        command, cwd=cwd, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, f"{' '.join(command)}\n{done.stdout}{done.stderr}"
+    return done.stdout
+
+
+def build(folder: Path) -> Path:
+    """Build a wheel from a copy, so that nothing that lies about in the tree gets into it."""
+    source = folder / "source"
+    unwanted = shutil.ignore_patterns("*.so", "*.o", "__pycache__", "*.egg-info")
+    shutil.copytree(ROOT / "src", source / "src", ignore=unwanted)
+    for name in ("pyproject.toml", "setup.py", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, source / name)
+    pip = (sys.executable, "-m", "pip", "--disable-pip-version-check")
+    run(*pip, "wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", str(folder), ".", cwd=source)
+    (wheel,) = folder.glob("*.whl")
+    return wheel
+
+
+def test_wheel_holds_package_types_and_core(tmp_path: Path) -> None:
+    """Every module, stub and template is in the wheel, with one C core, and nothing else."""
+    wheel = build(tmp_path)
+    names = set(zipfile.ZipFile(wheel).namelist())
+    package = ROOT / "src" / "rosplc"
+    expected = {
+        str(Path("rosplc") / path.relative_to(package))
+        for path in package.rglob("*")
+        if path.is_file()
+        and path.suffix not in (".so", ".o", ".pyc")
+        and "__pycache__" not in path.parts
+        # editors and other tools may be at work in the tree
+        and not path.name.startswith(".")
+    }
+    core = {name for name in names if name.endswith(".so")}
+    information = {name for name in names if ".dist-info/" in name}
+    assert expected - names == set()
+    assert names - expected - core - information == set()
+    assert len(core) == 1
+    if sys.version_info >= (3, 11):
+        assert core == {"rosplc/_core/_native.abi3.so"}
+        assert "-cp311-abi3-" in wheel.name
+    assert {Path(name).name for name in information} >= {"METADATA", "LICENSE", "entry_points.txt"}
+
+
+@pytest.mark.verify(minutes=3)
+@pytest.mark.timeout(900)
+def test_wheel_works_in_an_empty_environment(tmp_path: Path) -> None:
+    """Installed with the dependencies that it names, the package imports and the command runs."""
+    wheel = build(tmp_path)
+    run(sys.executable, "-m", "venv", str(tmp_path / "env"), cwd=tmp_path)
+    binaries = tmp_path / "env" / "bin"
+    run(str(binaries / "pip"), "--disable-pip-version-check", "install", "-q", str(wheel), cwd=tmp_path)
+    python = str(binaries / "python")
+    program = "import rosplc, rosplc._core._native, rosplc.bridge; print(rosplc.__file__)"
+    assert str(tmp_path) in run(python, "-c", program, cwd=tmp_path)
+    version = run(str(binaries / "rosplc"), "--version", cwd=tmp_path)
+    assert rosplc.__version__ in version
+    assert "Twist" in run(str(binaries / "rosplc"), "types", "geometry_msgs/msg/Twist", cwd=tmp_path)
