@@ -1,0 +1,38 @@
+"""The channel: one shared-memory object per topic and direction, as spec/shm-format.md describes it.
+
+A bridge opens an :class:`OwnedChannel`; everybody else uses :func:`attach`. This package moves
+bytes; what a record means is the business of :mod:`rosplc.layout` and :mod:`rosplc.codec`.
+"""
+
+from __future__ import annotations
+
+from rosplc._core._native import Reader, Region, SlotInfo, Writer
+from rosplc.shm.attach import Attached, attach
+from rosplc.shm.claims import ReaderClaim, WriterClaim
+from rosplc.shm.constants import Direction
+from rosplc.shm.description import Description
+from rosplc.shm.header import Identity
+from rosplc.shm.liveness import Liveness
+from rosplc.shm.names import Namespace
+from rosplc.shm.owned import OwnedChannel
+from rosplc.shm.snapshot import ReaderState, Snapshot, WriterState
+
+__all__ = [
+    "Attached",
+    "Description",
+    "Direction",
+    "Identity",
+    "Liveness",
+    "Namespace",
+    "OwnedChannel",
+    "Reader",
+    "ReaderClaim",
+    "ReaderState",
+    "Region",
+    "SlotInfo",
+    "Snapshot",
+    "Writer",
+    "WriterClaim",
+    "WriterState",
+    "attach",
+]

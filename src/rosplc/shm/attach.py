@@ -1,0 +1,189 @@
+"""Opening an object that a bridge made: the state machine of spec/shm-format.md, section 9.
+
+await the file → plain and readable → identity agrees → map → (claim) → use, until it is
+retired; then the caller opens the name again.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from functools import cached_property
+from pathlib import Path
+from types import TracebackType
+
+from rosplc._core._native import Reader, Region, Writer
+from rosplc.shm.claims import ReaderClaim, WriterClaim, start_of
+from rosplc.shm.constants import READER_LINES, Direction
+from rosplc.shm.description import Description
+from rosplc.shm.files import open_plain_file, read_header, same_file
+from rosplc.shm.header import Identity, channel_error
+from rosplc.shm.names import Namespace
+from rosplc.shm.snapshot import Snapshot
+
+__all__ = ["Attached", "attach"]
+
+_LOOK_NS = 5_000_000
+
+
+def attach(
+    namespace: Namespace,
+    topic: str,
+    *,
+    layout_id: str | None = None,
+    record_size: int | None = None,
+    direction: Direction | None = None,
+    write: bool = False,
+) -> Attached:
+    """Open a topic's object.
+
+    Args:
+        namespace: Where the object lies.
+        topic: The topic as ROS writes it.
+        layout_id: The layout id expected, 16 hexadecimal digits; None accepts any.
+        record_size: The record size expected, in bytes; None accepts any.
+        direction: The direction expected; None accepts both.
+        write: Map it writable, to publish or to claim a reader line.
+
+    Raises:
+        ChannelError: The first check of section 9 that fails, SHM101 to SHM112 or SHM121; SHM118
+            if the topic is not valid; SHM123 if the directory cannot be used.
+    """
+    path = namespace.path(topic)
+    fd = open_plain_file(path, os.O_RDWR if write else os.O_RDONLY)
+    try:
+        return Attached(fd, str(path), layout_id, record_size, direction, write)
+    finally:
+        os.close(fd)
+
+
+class Attached:
+    """A mapped object; a context manager that closes it.
+
+    Attributes:
+        identity: The validated private copy of lines 0 and 1.
+        region: The mapping.
+        path: The object's path.
+    """
+
+    def __init__(
+        self,
+        fd: int,
+        path: str,
+        layout_id: str | None,
+        record_size: int | None,
+        direction: Direction | None,
+        write: bool,
+    ) -> None:
+        first, size = read_header(fd)
+        self.path = path
+        self.identity = Identity.parse(first, size, direction=direction, where=path)
+        if layout_id is not None and layout_id != self.identity.layout_id:
+            raise channel_error(112, f"layout id is {self.identity.layout_id}, {layout_id} is expected", path)
+        if record_size is not None and record_size != self.identity.record_size:
+            raise channel_error(
+                112, f"records have {self.identity.record_size} bytes, not {record_size}", path
+            )
+        self.region = Region(fd, first, write, path)
+        status = os.fstat(fd)
+        self._file = (status.st_dev, status.st_ino)
+        self._users: list[Reader | Writer] = []
+
+    @cached_property
+    def description(self) -> Description:
+        """The self-description. Raises SHM113 if it cannot be read."""
+        text = self.region.read(self.identity.description_offset, self.identity.description_size)
+        return Description.from_json(text, self.path)
+
+    def reader(
+        self, task: str = "", *, latched: bool = False, observe: bool = True, beat_ms: int = 1000
+    ) -> Reader:
+        """Return a new reader, which has taken nothing and starts with the next message (M14).
+
+        Args:
+            task: The reader's name, shown to people; 15 bytes are kept.
+            latched: Start with what the object holds already.
+            observe: Use no reader line. Otherwise a line is claimed where one is free, or silent
+                within its time; where none is, the reader observes all the same (M9).
+            beat_ms: The longest time between two beats, or takings, that the reader promises.
+
+        Raises:
+            ChannelError: SHM122 if a line is wanted and the object is mapped read-only; SHM111.
+        """
+        self.valid()
+        reader = Reader(self.region, start_of(self.region, latched=latched), latched)
+        if not observe:
+            self._writable()
+            first = 1 if self.identity.direction is Direction.TO_ROS else 0
+            claim = ReaderClaim(self.region, reader, beat_ms, task, range(first, READER_LINES))
+            deadline = time.monotonic_ns() + claim.patience_ns() + 2 * _LOOK_NS
+            while not claim.attempt(time.monotonic_ns()) and time.monotonic_ns() < deadline:
+                time.sleep(_LOOK_NS / 1e9)
+        self._users.append(reader)
+        return reader
+
+    def writer_claim(self, beat_ms: int = 1000) -> WriterClaim:
+        """Return an attempt to become the writer, for callers that must not wait.
+
+        Raises:
+            ChannelError: SHM110 if the direction is towards the PLC, where only the bridge writes;
+                SHM122 if the object is mapped read-only; SHM111.
+        """
+        if self.identity.direction is not Direction.TO_ROS:
+            raise channel_error(110, "only the bridge writes towards the PLC", self.path)
+        self._writable()
+        self.valid()
+        return WriterClaim(self.region, beat_ms)
+
+    def writer(self, beat_ms: int = 1000) -> Writer:
+        """Claim the channel and return its writer, waiting until a silent holder has lost its claim.
+
+        Args:
+            beat_ms: The longest time between two beats, or messages, that the writer promises.
+
+        Raises:
+            ChannelError: SHM114 if another writer lives; and as :meth:`writer_claim`.
+        """
+        claim = self.writer_claim(beat_ms)
+        before = self.snapshot().writer
+        while True:
+            writer = claim.attempt(time.monotonic_ns())
+            if writer is not None:
+                self._users.append(writer)
+                return writer
+            now = self.snapshot().writer
+            if now.epoch == before.epoch and (now.beat, now.head) != (before.beat, before.head):
+                raise channel_error(114, f"process {now.pid} writes it", self.path)
+            before = now
+            time.sleep(_LOOK_NS / 1e9)
+
+    def snapshot(self) -> Snapshot:
+        """Return all counters and beats as they are now."""
+        return Snapshot.of(self.region)
+
+    def valid(self) -> None:
+        """Raise SHM111 or SHM112 if the object has been retired or damaged; then attach again."""
+        self.region.check()
+
+    def still_there(self) -> bool:
+        """Return whether the name still leads to this object."""
+        return same_file(Path(self.path), *self._file)
+
+    def close(self) -> None:
+        """Give claims back and unmap; a second call does nothing."""
+        for user in self._users:
+            user.release()
+        self._users.clear()
+        self.region.close()
+
+    def __enter__(self) -> Attached:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _writable(self) -> None:
+        if not self.region.writable:
+            raise channel_error(122, where=self.path)

@@ -1,0 +1,131 @@
+"""Claiming the writer's line and reader lines: spec/shm-format.md, M6, M7, M9 and M14.
+
+A claim that is not free may be replaced once its holder has been silent for long enough, by
+the clock of whoever wants it. The classes here take one look per call, so that a scan cycle
+can use them; :mod:`rosplc.shm.attach` loops over them for everybody else.
+"""
+
+from __future__ import annotations
+
+from rosplc._core._native import Reader, Region, Writer
+from rosplc.errors import ChannelError
+from rosplc.shm.constants import READER_LINE, READER_LINES, WRITER_LINE, reader_line
+from rosplc.shm.liveness import silence_ns
+
+__all__ = ["ReaderClaim", "WriterClaim", "start_of", "take_over_line", "take_over_writer"]
+
+
+class _Silence:
+    """How long a line has not changed, for one observer."""
+
+    def __init__(self) -> None:
+        self._seen: tuple[int, ...] = ()
+        self._since_ns = 0
+
+    def lasts(self, words: tuple[int, ...], now_ns: int, limit_ns: int) -> bool:
+        if words != self._seen:
+            self._seen, self._since_ns = words, now_ns
+            return False
+        return now_ns - self._since_ns >= limit_ns
+
+
+class WriterClaim:
+    """The attempt to become the writer of a region (M6)."""
+
+    def __init__(self, region: Region, beat_ms: int) -> None:
+        self._region = region
+        self._beat_ms = beat_ms
+        self._silence = _Silence()
+
+    def attempt(self, now_ns: int) -> Writer | None:
+        """Return the writer, or None while another holds the claim.
+
+        Args:
+            now_ns: The caller's monotonic clock.
+        """
+        head, epoch, beat, beat_ms = self._region.words(WRITER_LINE["head"], 4)
+        if epoch and not self._silence.lasts((head, epoch, beat), now_ns, silence_ns(beat_ms)):
+            return None
+        return _try_writer(self._region, epoch, self._beat_ms)
+
+
+class ReaderClaim:
+    """The attempt to get a reader line (M9); ``lines`` are the indices that may be used."""
+
+    def __init__(self, region: Region, reader: Reader, beat_ms: int, task: str, lines: range) -> None:
+        self._region = region
+        self._reader = reader
+        self._beat_ms = beat_ms
+        self._task = task
+        self._lines = lines
+        self._silences = [_Silence() for _ in range(READER_LINES)]
+
+    def attempt(self, now_ns: int) -> bool:
+        """Return whether the reader has a line now; a free one is preferred to a silent one."""
+        states = {index: self._region.words(reader_line(index), 3) for index in self._lines}
+        for index, (claim, _, _) in states.items():
+            if claim == 0 and self._try(index, 0):
+                return True
+        for index, (claim, beat, beat_ms) in states.items():
+            if self._silences[index].lasts((claim, beat), now_ns, silence_ns(beat_ms)) and self._try(
+                index, claim
+            ):
+                return True
+        return False
+
+    def patience_ns(self) -> int:
+        """Return after how long one of the lines must have been silent, if its holder is gone."""
+        return max(silence_ns(self._region.words(reader_line(index), 3)[2]) for index in self._lines)
+
+    def _try(self, index: int, expected: int) -> bool:
+        try:
+            self._reader.claim(index, expected, self._beat_ms, self._task)
+        except ChannelError as error:
+            if error.code != "SHM114":
+                raise
+            return False
+        return True
+
+
+def _try_writer(region: Region, expected: int, beat_ms: int) -> Writer | None:
+    try:
+        return Writer(region, expected, beat_ms)
+    except ChannelError as error:
+        if error.code != "SHM114":
+            raise
+        return None
+
+
+def take_over_writer(region: Region, beat_ms: int) -> Writer:
+    """Claim the writer's line whoever holds it: for the bridge that holds the name's lock."""
+    while True:
+        writer = _try_writer(region, region.word(WRITER_LINE["writer_epoch"]), beat_ms)
+        if writer is not None:
+            return writer
+
+
+def take_over_line(region: Region, reader: Reader, index: int, beat_ms: int, task: str) -> None:
+    """Claim a reader line whoever holds it: for the bridge that holds the name's lock."""
+    while True:
+        try:
+            reader.claim(index, region.word(reader_line(index)), beat_ms, task)
+        except ChannelError as error:
+            if error.code != "SHM114":
+                raise
+        else:
+            return
+
+
+def start_of(region: Region, *, latched: bool, line: int | None = None) -> int:
+    """Return the ``last`` that a new reader starts from (M14).
+
+    Args:
+        region: The object.
+        latched: Start before everything that the object holds.
+        line: Go on from this line's ``taken`` if it belongs to the object's generation.
+    """
+    if line is not None:
+        at = reader_line(line)
+        if region.word(at + READER_LINE["generation"]) == region.generation:
+            return region.word(at + READER_LINE["taken"])
+    return 0 if latched else region.word(WRITER_LINE["head"])

@@ -1,0 +1,127 @@
+"""Opening and creating files in the directory of shared memory, with the errors of section 9."""
+
+from __future__ import annotations
+
+import errno
+import os
+import secrets
+import stat
+from pathlib import Path
+
+from rosplc.shm.constants import HEADER_SIZE
+from rosplc.shm.header import channel_error
+
+__all__ = ["create_complete", "open_plain_file", "read_header", "same_file"]
+
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.ENOMEM)
+
+
+def open_plain_file(path: Path, flags: int, *, denied: int = 102, mode: int = 0o600) -> int:
+    """Open a plain file, never a link, a device or a pipe, and return its descriptor.
+
+    Args:
+        path: The file.
+        flags: ``os.O_*`` beyond those that are always set.
+        denied: The number to raise where the file may not be opened.
+        mode: For ``os.O_CREAT``.
+
+    Raises:
+        ChannelError: SHM101 if there is none, SHM121 if it is no plain file, SHM123 if the
+            directory cannot be used, SHM117 if there is no room for a new one, or ``denied``.
+    """
+    try:
+        # Without O_NONBLOCK a pipe of this name would stop the caller for ever.
+        fd = os.open(path, flags | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK, mode)
+    except OSError as error:
+        raise _opening_error(error, path, flags, denied) from error
+    if not stat.S_ISREG(os.fstat(fd).st_mode):
+        os.close(fd)
+        raise channel_error(121, where=str(path))
+    return fd
+
+
+def _opening_error(error: OSError, path: Path, flags: int, denied: int) -> Exception:
+    number = {
+        errno.ENOENT: 101,
+        errno.ELOOP: 121,
+        errno.EISDIR: 121,
+        errno.ENXIO: 121,
+        errno.EACCES: denied,
+        errno.EPERM: denied,
+    }.get(error.errno or 0, 123)
+    if error.errno in _NO_ROOM:
+        number = 117
+    elif error.errno in (errno.ENOENT, errno.EACCES) and (flags & os.O_CREAT or not path.parent.is_dir()):
+        # With O_CREAT only the directory can be missing; and it, or an old file, may be closed to us.
+        number = denied if error.errno == errno.EACCES and os.path.lexists(path) else 123
+    return channel_error(number, error.strerror or str(error), str(path))
+
+
+def read_header(fd: int) -> tuple[bytes, int]:
+    """Return a private copy of the first 512 bytes (fewer if there are fewer), and the file's size."""
+    size = os.fstat(fd).st_size
+    return os.pread(fd, HEADER_SIZE, 0), size
+
+
+def same_file(path: Path, device: int, inode: int) -> bool:
+    """Return whether a name leads, without links, to a certain file."""
+    try:
+        found = path.lstat()
+    except OSError:
+        return False
+    return (found.st_dev, found.st_ino) == (device, inode)
+
+
+def create_complete(
+    path: Path,
+    temporary_prefix: str,
+    head: bytes,
+    size: int,
+    *,
+    mode: int,
+    uid: int | None,
+    gid: int | None,
+) -> int:
+    """Make a file of ``size`` bytes that begins with ``head`` visible, complete or not at all (M1).
+
+    Returns:
+        Its descriptor, open for reading and writing.
+
+    Raises:
+        ChannelError: SHM117 if there is no room, SHM102 if owner or group cannot be set, SHM119 if
+            another user's file stands at the name, SHM123 if the directory cannot be used.
+    """
+    temporary = path.parent / f"{temporary_prefix}{secrets.token_hex(4)}"
+    fd = open_plain_file(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL, denied=123)
+    try:
+        _fill(fd, temporary, head, size, mode=mode, uid=uid, gid=gid)
+        try:
+            temporary.rename(path)
+        except IsADirectoryError as error:
+            raise channel_error(121, where=str(path)) from error
+        except PermissionError as error:
+            raise channel_error(119, where=str(path)) from error
+        except OSError as error:
+            raise channel_error(123, error.strerror or "", str(path)) from error
+    except BaseException:
+        os.close(fd)
+        temporary.unlink(missing_ok=True)
+        raise
+    return fd
+
+
+def _fill(
+    fd: int, path: Path, head: bytes, size: int, *, mode: int, uid: int | None, gid: int | None
+) -> None:
+    try:
+        os.posix_fallocate(fd, 0, size)
+        os.pwrite(fd, head, 0)
+    except OSError as error:
+        number = 117 if error.errno in _NO_ROOM else 123
+        raise channel_error(number, f"{size} bytes: {error.strerror}", str(path.parent)) from error
+    try:
+        if uid is not None or gid is not None:
+            os.fchown(fd, -1 if uid is None else uid, -1 if gid is None else gid)
+        os.fchmod(fd, mode)
+    except PermissionError as error:
+        raise channel_error(102, f"cannot give the object to user {uid}, group {gid}", str(path)) from error

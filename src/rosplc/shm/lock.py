@@ -1,0 +1,61 @@
+"""The lock that makes a bridge the owner of a name: spec/shm-format.md, section 8.2."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from pathlib import Path
+
+from rosplc.shm.files import open_plain_file
+from rosplc.shm.header import channel_error
+
+__all__ = ["NameLock"]
+
+
+class NameLock:
+    """An exclusive flock on a name's lock file, held until :meth:`release`.
+
+    The kernel drops it when the process dies, however that happens. The file itself stays: a
+    removed lock file would let two bridges hold "the" lock.
+
+    Raises:
+        ChannelError: SHM116 if another bridge holds it, SHM119 if the file is another user's,
+            SHM121 if it is no plain file, SHM123 if the directory cannot be used.
+    """
+
+    def __init__(self, path: Path, *, mode: int, gid: int | None = None) -> None:
+        self.path = path
+        while True:
+            fd = open_plain_file(path, os.O_RDWR | os.O_CREAT, denied=119)
+            try:
+                fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                os.close(fd)
+                raise channel_error(116, where=str(path)) from error
+            except BaseException:
+                os.close(fd)
+                raise
+            self._fd = fd
+            # Whoever removed the file between open and flock left us with a lock on nothing.
+            if self.still_there():
+                break
+            os.close(fd)
+        if os.fstat(fd).st_uid == os.geteuid():
+            if gid is not None and os.fstat(fd).st_gid != gid:
+                os.fchown(fd, -1, gid)
+            os.fchmod(fd, mode & 0o666)
+
+    def still_there(self) -> bool:
+        """Return whether the name still leads to the file that is locked."""
+        try:
+            found = self.path.lstat()
+        except FileNotFoundError:
+            return False
+        mine = os.fstat(self._fd)
+        return (found.st_dev, found.st_ino) == (mine.st_dev, mine.st_ino)
+
+    def release(self) -> None:
+        """Let go; a second call does nothing."""
+        if self._fd >= 0:
+            os.close(self._fd)
+            self._fd = -1

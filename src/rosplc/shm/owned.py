@@ -1,0 +1,321 @@
+"""The bridge's side of an object's life: spec/shm-format.md, sections 2 and 8.
+
+lock the name → sweep temporaries → adopt what agrees, or retire it and put a new object in
+its place → write or read → leave it for the next bridge, or retire it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import secrets
+import stat
+import struct
+import time
+from pathlib import Path
+from types import TracebackType
+
+from rosplc._core._native import Reader, Region, Writer
+from rosplc.errors import ChannelError
+from rosplc.shm.claims import start_of, take_over_line, take_over_writer
+from rosplc.shm.constants import (
+    HEADER_SIZE,
+    IDENTITY,
+    IDENTITY_SIZE,
+    MAGIC,
+    READER_LINE,
+    SLOT_HEADER,
+    STATE_LIVE,
+    STATE_RETIRED,
+    WRITER_LINE,
+    Direction,
+    reader_line,
+)
+from rosplc.shm.description import Description
+from rosplc.shm.files import create_complete, open_plain_file, read_header, same_file
+from rosplc.shm.header import Identity, channel_error
+from rosplc.shm.lock import NameLock
+from rosplc.shm.names import Namespace
+from rosplc.shm.snapshot import Snapshot
+
+__all__ = ["OwnedChannel"]
+
+
+class OwnedChannel:
+    """An object that this process created or adopted, and whose name it holds; a context manager.
+
+    Use :meth:`open`.
+
+    Attributes:
+        identity: The validated private copy of lines 0 and 1.
+        description: The self-description.
+        region: The mapping.
+        path: The object's path.
+        adopted: Whether an object was found and kept.
+        generation: The object's generation.
+        replaced_reason: Why an object that was found was not kept; empty if there was none, or it was.
+    """
+
+    def __init__(
+        self,
+        lock: NameLock,
+        fd: int,
+        namespace: Namespace,
+        description: Description,
+        replaced_reason: str | None,
+    ) -> None:
+        self.path = namespace.path(description.topic)
+        first, size = read_header(fd)
+        self.identity = Identity.parse(first, size, direction=description.direction, where=str(self.path))
+        self.region = Region(fd, first, True, str(self.path))
+        self.description = description
+        self.adopted = replaced_reason is None
+        self.replaced_reason = replaced_reason or ""
+        self.generation = self.identity.generation
+        self._lock = lock
+        self._first = first[:IDENTITY_SIZE]
+        status = os.fstat(fd)
+        self._file = (status.st_dev, status.st_ino)
+        self._users: list[Reader | Writer] = []
+
+    @classmethod
+    def open(
+        cls,
+        namespace: Namespace,
+        description: Description,
+        *,
+        record_size: int,
+        slots: int = 4,
+        mode: int = 0o660,
+        uid: int | None = None,
+        gid: int | None = None,
+        bridge_id: bytes | None = None,
+    ) -> OwnedChannel:
+        """Lock the name, then adopt the object found there if it agrees in everything, or replace it.
+
+        Args:
+            namespace: Where the object lies.
+            description: What it carries; its layout id is the object's.
+            record_size: Bytes of a record.
+            slots: A power of two, 4 to 65536; one less messages can wait.
+            mode: Permission bits of the object.
+            uid: Its owner; None for this process's user.
+            gid: Its group; None for this process's group.
+            bridge_id: 16 random bytes drawn when the bridge started; None draws them now.
+
+        Raises:
+            ChannelError: SHM116 another bridge holds the name; SHM117 no room; SHM118 name not valid;
+                SHM119 another user's object; SHM121 no plain file; SHM123 directory cannot be used;
+                SHM102 owner or group cannot be set.
+            ValueError: If slots or record_size are outside the format's limits.
+        """
+        path = namespace.path(description.topic)
+        text = description.to_json()
+        identity = Identity.plan(
+            direction=description.direction,
+            slots=slots,
+            record_size=record_size,
+            description_size=len(text),
+            layout_id=description.layout_id,
+            generation=secrets.randbelow(2**32 - 1) + 1,
+            bridge_id=secrets.token_bytes(16) if bridge_id is None else bridge_id,
+            creator_pid=os.getpid(),
+            created_ns=time.time_ns(),
+        )
+        owner = (os.geteuid() if uid is None else uid, gid, stat.S_IMODE(mode))
+        lock = NameLock(namespace.lock_path(description.topic), mode=mode, gid=gid)
+        fd = -1
+        try:
+            _sweep(path.parent, namespace.temporary_prefix(description.topic))
+            fd, reason = _adopt(str(path), namespace, description, identity, owner)
+            if fd < 0:
+                fd = create_complete(
+                    path,
+                    namespace.temporary_prefix(description.topic),
+                    _image(identity, text),
+                    identity.object_size,
+                    mode=mode,
+                    uid=uid,
+                    gid=gid,
+                )
+            return cls(lock, fd, namespace, description, reason)
+        except BaseException:
+            lock.release()
+            raise
+        finally:
+            if fd >= 0:
+                os.close(fd)
+
+    def writer(self, beat_ms: int = 1000) -> Writer:
+        """Claim the channel towards the PLC; the lock makes any other claim an old one.
+
+        Args:
+            beat_ms: The longest time between two beats, or messages, that the writer promises.
+
+        Raises:
+            ChannelError: SHM110 if the direction is towards ROS.
+        """
+        if self.identity.direction is not Direction.TO_PLC:
+            raise channel_error(110, "only the PLC writes towards ROS", str(self.path))
+        writer = take_over_writer(self.region, beat_ms)
+        self._users.append(writer)
+        return writer
+
+    def reader(self, beat_ms: int = 1000, *, latched: bool = False) -> Reader:
+        """Claim line 0 of a channel towards ROS, and go on after what the bridge before had taken (M14).
+
+        Args:
+            beat_ms: The longest time between two beats, or takings, that the reader promises.
+            latched: Where there is no such record, start with what the object holds.
+
+        Raises:
+            ChannelError: SHM110 if the direction is towards the PLC.
+        """
+        if self.identity.direction is not Direction.TO_ROS:
+            raise channel_error(110, "the bridge does not read what it writes", str(self.path))
+        reader = Reader(self.region, start_of(self.region, latched=latched, line=0), latched)
+        take_over_line(self.region, reader, 0, beat_ms, self.description.bridge)
+        self._users.append(reader)
+        return reader
+
+    def snapshot(self) -> Snapshot:
+        """Return all counters and beats as they are now."""
+        return Snapshot.of(self.region)
+
+    def still_there(self) -> bool:
+        """Return whether names lead to this object and its lock, and its identity is undamaged.
+
+        If not, close this one and open the name again: the object is then created anew.
+        """
+        return (
+            same_file(self.path, *self._file)
+            and self._lock.still_there()
+            and self.region.read(0, IDENTITY_SIZE) == self._first
+        )
+
+    def retire(self) -> None:
+        """Tell whoever has the object mapped to leave it, remove its name, and close."""
+        self.region.store(IDENTITY["state"], STATE_RETIRED)
+        if same_file(self.path, *self._file):
+            self.path.unlink(missing_ok=True)
+        self.close()
+
+    def close(self) -> None:
+        """Give claims and lock back and leave the object with its last state; a second call does nothing."""
+        for user in self._users:
+            user.release()
+        self._users.clear()
+        self.region.close()
+        self._lock.release()
+
+    def __enter__(self) -> OwnedChannel:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _image(identity: Identity, text: bytes) -> bytes:
+    """Return an object from its first byte to the end of its self-description; the rest is zero."""
+    head = bytearray(HEADER_SIZE)
+    head[:IDENTITY_SIZE] = identity.build()
+    if identity.direction is Direction.TO_ROS:
+        # Line 0 stands for "nothing taken" from the start, so that no crash between creation and
+        # claim makes the next bridge skip what the PLC has sent meanwhile.
+        struct.pack_into("<I", head, reader_line(0) + READER_LINE["generation"], identity.generation)
+    return bytes(head) + text
+
+
+def _sweep(directory: Path, temporary_prefix: str) -> None:
+    """Remove temporaries that a killed bridge has left; the caller holds the lock."""
+    pattern = re.compile(re.escape(temporary_prefix) + "[0-9a-f]{8}")
+    for entry in directory.iterdir():
+        if pattern.fullmatch(entry.name):
+            with contextlib.suppress(OSError):  # another user's, or a directory: in nobody's way
+                entry.unlink()
+
+
+def _adopt(
+    where: str,
+    namespace: Namespace,
+    description: Description,
+    wanted: Identity,
+    owner: tuple[int, int | None, int],
+) -> tuple[int, str | None]:
+    """Return the descriptor of the object to adopt and None, or -1 and why not, the object being retired."""
+    path = namespace.path(description.topic)
+    try:
+        fd = open_plain_file(path, os.O_RDWR, denied=119)
+    except ChannelError as error:
+        if error.code != "SHM101":
+            raise
+        return -1, ""
+    try:
+        reason = _difference(fd, description, wanted, owner, where)
+        if not reason:
+            return fd, None
+        _retire_file(fd)
+    except BaseException:
+        os.close(fd)
+        raise
+    os.close(fd)
+    return -1, reason
+
+
+def _difference(
+    fd: int,
+    description: Description,
+    wanted: Identity,
+    owner: tuple[int, int | None, int],
+    where: str,
+) -> str:
+    """Say why an object cannot be adopted (section 8.3); empty if it can. Raises SHM119."""
+    status = os.fstat(fd)
+    uid, gid, mode = owner
+    if status.st_uid not in (os.geteuid(), uid):
+        raise channel_error(119, f"user {status.st_uid} owns it", where)
+    first, size = read_header(fd)
+    try:
+        found = Identity.parse(first, size, direction=wanted.direction, where=where)
+    except ChannelError as error:
+        return f"{error.what} [{error.code}]"
+    if (status.st_uid, stat.S_IMODE(status.st_mode)) != (uid, mode) or gid not in (None, status.st_gid):
+        return "owner, group or mode differ"
+    for name in ("layout_id", "record_size", "slot_count", "slot_stride", "description_size", "slots_offset"):
+        if getattr(found, name) != getattr(wanted, name):
+            return f"{name} was {getattr(found, name)}, now {getattr(wanted, name)}"
+    if os.pread(fd, found.description_size, found.description_offset) != description.to_json():
+        return "the self-description differs"
+    head = _word(fd, WRITER_LINE["head"])
+    slot = found.slots_offset + head % found.slot_count * found.slot_stride
+    if head and _word(fd, slot + SLOT_HEADER["sequence"]) != head:
+        return f"head is {head}, which its slot does not hold"
+    return ""
+
+
+def _word(fd: int, offset: int) -> int:
+    return int.from_bytes(os.pread(fd, 4, offset), "little")
+
+
+def _retire_file(fd: int) -> None:
+    """Set an object to RETIRED in place, before another takes its name (M19)."""
+    first, size = read_header(fd)
+    # Of LIVE and RETIRED only one byte differs, so this is one access whatever the kernel copies with.
+    # What is not ours by its magic is left as it is.
+    if (
+        size >= HEADER_SIZE
+        and int.from_bytes(first[:4], "little") == MAGIC
+        and first[12:16] != _state(STATE_RETIRED)
+    ):
+        os.pwrite(fd, _state(STATE_RETIRED), IDENTITY["state"])
+
+
+def _state(value: int) -> bytes:
+    return struct.pack("<I", value)
+
+
+if _state(STATE_LIVE)[1:] != _state(STATE_RETIRED)[1:]:  # pragma: no cover - found at import
+    raise AssertionError("LIVE and RETIRED differ in more than one byte")

@@ -1,0 +1,85 @@
+"""A read-only look at the counters of an object, for monitors and ``rosplc doctor``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from rosplc._core._native import Region
+from rosplc.shm.constants import CHANGING_WORDS, IDENTITY, IDENTITY_SIZE, LINE_SIZE, READER_LINES
+from rosplc.shm.header import layout_id_text
+
+__all__ = ["ReaderState", "Snapshot", "WriterState"]
+
+_WORDS = LINE_SIZE // 4
+
+
+@dataclass(frozen=True)
+class WriterState:
+    """The writer's line (section 3); ``epoch`` 0 means that nobody writes."""
+
+    head: int
+    epoch: int
+    beat: int
+    beat_ms: int
+    refused: int
+    truncated: int
+    rule: int
+    sources: int
+    pid: int
+    error: int
+
+
+@dataclass(frozen=True)
+class ReaderState:
+    """A reader line (section 4); ``claim`` 0 means that it is free."""
+
+    index: int
+    claim: int
+    beat: int
+    beat_ms: int
+    taken: int
+    layout_id: str
+    lost: int
+    retries: int
+    generation: int
+    error: int
+    sinks: int
+    pid: int
+    task: str
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """Every counter of an object; each word was loaded with one access, all of them not at once."""
+
+    state: int
+    writer: WriterState
+    readers: tuple[ReaderState, ...]
+
+    @classmethod
+    def of(cls, region: Region) -> Snapshot:
+        """Look at a mapped object."""
+        words = region.words(IDENTITY_SIZE, CHANGING_WORDS)
+        lines = [words[at : at + _WORDS] for at in range(0, len(words), _WORDS)]
+        readers = tuple(_reader(index, lines[1 + index]) for index in range(READER_LINES))
+        return cls(region.word(IDENTITY["state"]), WriterState(*lines[0][:10]), readers)
+
+
+def _reader(index: int, words: tuple[int, ...]) -> ReaderState:
+    claim, beat, beat_ms, taken, low, high, lost, retries, generation, error, sinks, pid = words[:12]
+    name = b"".join(word.to_bytes(4, "little") for word in words[12:16]).split(b"\0")[0]
+    return ReaderState(
+        index=index,
+        claim=claim,
+        beat=beat,
+        beat_ms=beat_ms,
+        taken=taken,
+        layout_id=layout_id_text(low, high),
+        lost=lost,
+        retries=retries,
+        generation=generation,
+        error=error,
+        sinks=sinks,
+        pid=pid,
+        task=name.decode("utf-8", "replace"),
+    )
