@@ -97,7 +97,7 @@ class _Builder:
             raise self._unknown_limit(path + next(iter(limits)))
         if not members:
             members.append(Member("", 0, PaddingNode(1)))
-            offset = 1
+            offset = items = 1
         if gap := -offset % align:
             members.append(Member("", offset, PaddingNode(gap)))
             offset += gap
