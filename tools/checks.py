@@ -71,11 +71,14 @@ def run_pytest(
     outcome: Outcome,
     name: str,
     marks: str,
-    *options: str,
+    *,
+    workers: int = 0,
     deadline: float | None = None,
     may_be_empty: bool = False,
 ) -> None:
     """Run the tests that ``marks`` selects, and keep their summary line and their skips."""
+    # loadgroup: tests that share something outside the process can ask for one worker.
+    options = ["-n", str(workers), "--dist", "loadgroup"] if workers else []
     print(f"── {name}", flush=True)
     began = time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
@@ -105,8 +108,9 @@ def lint(outcome: Outcome) -> None:
 
 
 def types(outcome: Outcome) -> None:
-    """Check the types of the package."""
+    """Check the types of the package and of the project's own tools."""
     step(outcome, "mypy --strict", [str(BIN / "mypy")])
+    step(outcome, "mypy --strict tools", [str(BIN / "mypy"), "conftest.py", "tools"])
 
 
 def tests(outcome: Outcome) -> None:
