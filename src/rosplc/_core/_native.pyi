@@ -4,6 +4,8 @@ from typing import final
 
 from _typeshed import ReadableBuffer, WriteableBuffer
 
+from rosplc.errors import ChannelError
+
 # ---- py_plan.c: wire bytes to record and back
 
 class Fault(Exception):
@@ -193,3 +195,35 @@ def distance(a: int, b: int, slot_count: int, /) -> int:
 
 def next_sequence(s: int, slot_count: int, /) -> int:
     """Return the sequence after s (section 7.1)."""
+
+# ---- py_group.c: one call per tick over all channels
+
+@final
+class Group:
+    """The channels of one bridge. take() and wait() belong to one thread; the rest may be called from any."""
+
+    def __new__(cls) -> Group: ...
+    def add_reader(self, reader: Reader, plan: Plan, mode: int = 0, limit: int = 64, /) -> int:
+        """Add a reader and return its index; ``mode`` 0 newest only, 1 in order, ``limit`` a take()."""
+    def add_writer(self, writer: Writer, /) -> int:
+        """Add a writer, for beat(), and return its index."""
+    def remove(self, index: int, /) -> None:
+        """Let go of a channel. Its index may be given out again. Raises IndexError."""
+    def wait(self, tick_ns: int, timeout_ns: int = -1, /) -> int:
+        """Sleep to the next tick of an absolute-time grid until a channel has news; return how many have.
+
+        Returns 0 after wake() or the timeout (-1: none). ``tick_ns`` 0 polls without sleeping.
+        """
+    def wake(self) -> None:
+        """Make wait() return at its next tick."""
+    def take(
+        self,
+    ) -> tuple[list[tuple[int, bytes, int, int, int, int]], list[tuple[int, Fault | ChannelError]]]:
+        """Take what is new: (index, wire bytes, sequence, flags, stamp_ns, stamp_clock), and what failed.
+
+        ``taken`` is stored for every message before this returns (M15). A Fault is a message that was
+        taken and cannot be encoded; a ChannelError a channel that must be opened again: it is reported
+        once and quiet until removed.
+        """
+    def beat(self) -> None:
+        """Beat all lines."""

@@ -1,8 +1,426 @@
-#define PY_SSIZE_T_CLEAN
-#include <Python.h>
+/* _native.Group: one tick over all channels of a bridge in one call.
+ *
+ * wait() looks at the heads of all readers on an absolute-time grid, without the GIL; take() converts
+ * everything new to wire bytes, straight out of the slots; beat() beats all lines.
+ *
+ * The table of channels is guarded by `mutex`, which wait() holds without the GIL for the length of one
+ * look. Nobody waits for the GIL while holding it.
+ */
+#include "py_channel.h"
+
+#include <errno.h>
+#include <pthread.h>
+#include <sched.h>
+#include <time.h>
+
+/* A head that its slot does not confirm is no news until it changes, or for this many looks. */
+#define REJECTED_LOOKS 16u
+
+typedef struct {
+    ReaderObject *reader; /* either this */
+    WriterObject *writer; /* or this, or neither: a free entry */
+    PyObject *plan_object;
+    const rp_plan *plan;
+    int mode;
+    uint32_t limit;
+    uint32_t rejected, looks; /* the head that take() could not take, 0 none; looks to ignore it for */
+    int broken;               /* reported as unusable: quiet until it is removed */
+} Entry;
+
+typedef struct {
+    PyObject_HEAD
+    pthread_mutex_t mutex;
+    int mutex_ready;
+    Entry *entries;
+    Py_ssize_t count, room;
+    uint8_t *wire; /* scratch for one message */
+    size_t wire_size;
+    int64_t next_tick; /* CLOCK_MONOTONIC, ns; 0 before the first wait */
+    int woken;
+    int taking;
+} GroupObject;
+
+static int64_t now_ns(void)
+{
+    struct timespec t;
+    clock_gettime(CLOCK_MONOTONIC, &t);
+    return (int64_t)t.tv_sec * 1000000000 + t.tv_nsec;
+}
+
+static PyObject *group_new(PyTypeObject *type, PyObject *args, PyObject *kwargs)
+{
+    GroupObject *self;
+    static char *names[] = {NULL};
+    if (!PyArg_ParseTupleAndKeywords(args, kwargs, ":Group", names))
+        return NULL;
+    self = (GroupObject *)((allocfunc)PyType_GetSlot(type, Py_tp_alloc))(type, 0);
+    if (!self)
+        return NULL;
+    if (pthread_mutex_init(&self->mutex, NULL)) {
+        Py_DECREF((PyObject *)self);
+        return PyErr_NoMemory();
+    }
+    self->mutex_ready = 1;
+    return (PyObject *)self;
+}
+
+/* Takes an entry out of the table; what it held is let go outside the lock. */
+static void group_drop(GroupObject *self, Py_ssize_t index)
+{
+    Entry entry;
+    pthread_mutex_lock(&self->mutex);
+    entry = self->entries[index];
+    self->entries[index] = (Entry){0};
+    pthread_mutex_unlock(&self->mutex);
+    if (entry.reader)
+        ch_region_unpin(entry.reader->owner);
+    if (entry.writer)
+        ch_region_unpin(entry.writer->owner);
+    Py_XDECREF((PyObject *)entry.reader);
+    Py_XDECREF((PyObject *)entry.writer);
+    Py_XDECREF(entry.plan_object);
+}
+
+static void group_dealloc(GroupObject *self)
+{
+    PyTypeObject *type = Py_TYPE((PyObject *)self);
+    for (Py_ssize_t i = 0; i < self->count; i++)
+        group_drop(self, i);
+    PyMem_Free(self->entries);
+    PyMem_Free(self->wire);
+    if (self->mutex_ready)
+        pthread_mutex_destroy(&self->mutex);
+    ((freefunc)PyType_GetSlot(type, Py_tp_free))(self);
+    Py_DECREF((PyObject *)type);
+}
+
+/* Puts an entry into the table, whose references pass to it; its index, or NULL. */
+static PyObject *group_add(GroupObject *self, Entry entry)
+{
+    Py_ssize_t index = 0;
+    while (index < self->count && (self->entries[index].reader || self->entries[index].writer))
+        index++;
+    if (index == self->room) {
+        Py_ssize_t room = self->room ? 2 * self->room : 16;
+        Entry *grown = PyMem_Calloc((size_t)room, sizeof *grown);
+        Entry *old = self->entries;
+        if (!grown)
+            return PyErr_NoMemory();
+        if (old)
+            memcpy(grown, old, (size_t)self->count * sizeof *grown);
+        pthread_mutex_lock(&self->mutex);
+        self->entries = grown;
+        self->room = room;
+        pthread_mutex_unlock(&self->mutex);
+        PyMem_Free(old);
+    }
+    Py_INCREF(entry.reader ? (PyObject *)entry.reader : (PyObject *)entry.writer);
+    Py_XINCREF(entry.plan_object);
+    ch_region_pin(entry.reader ? entry.reader->owner : entry.writer->owner);
+    pthread_mutex_lock(&self->mutex);
+    self->entries[index] = entry;
+    if (index == self->count)
+        self->count++;
+    pthread_mutex_unlock(&self->mutex);
+    return PyLong_FromSsize_t(index);
+}
+
+/* take() may run without the GIL for a moment; the table must not change under it. */
+static int group_settled(GroupObject *self)
+{
+    return self->taking ? ch_wait_while_busy(&self->taking) : 0;
+}
+
+static PyObject *group_add_reader(GroupObject *self, PyObject *args)
+{
+    ReaderObject *reader;
+    PyObject *plan_object;
+    const rp_plan *plan;
+    int mode = 0;
+    unsigned int limit = 64;
+    size_t bound;
+    if (!PyArg_ParseTuple(args, "O!O|iI:add_reader", ch_reader_type, &reader, &plan_object, &mode, &limit)
+        || !(plan = rp_plan_from_object(plan_object)) || group_settled(self) || ch_region_usable(reader->owner))
+        return NULL;
+    if ((mode != 0 && mode != 1) || limit == 0)
+        return PyErr_Format(PyExc_ValueError, "mode is 0 (newest) or 1 (in order), and limit at least 1");
+    if (plan->record_size != reader->owner->region.geometry.record_size)
+        return PyErr_Format(PyExc_ValueError, "the plan's records have %lu bytes, those of %U have %lu",
+                            (unsigned long)plan->record_size, reader->owner->path,
+                            (unsigned long)reader->owner->region.geometry.record_size);
+    bound = rp_encoded_bound(plan);
+    if (bound > self->wire_size) {
+        uint8_t *wire = PyMem_Realloc(self->wire, bound);
+        if (!wire)
+            return PyErr_NoMemory();
+        self->wire = wire;
+        self->wire_size = bound;
+    }
+    return group_add(self, (Entry){.reader = reader,
+                                   .plan_object = plan_object,
+                                   .plan = plan,
+                                   .mode = mode ? CH_TAKE_NEXT : CH_TAKE_NEWEST,
+                                   .limit = mode ? limit : 1});
+}
+
+static PyObject *group_add_writer(GroupObject *self, PyObject *object)
+{
+    int is_writer = PyObject_IsInstance(object, (PyObject *)ch_writer_type);
+    WriterObject *writer = (WriterObject *)object;
+    if (is_writer < 0)
+        return NULL;
+    if (!is_writer)
+        return PyErr_Format(PyExc_TypeError, "add_writer() takes a Writer");
+    if (group_settled(self) || ch_region_usable(writer->owner))
+        return NULL;
+    return group_add(self, (Entry){.writer = writer});
+}
+
+static PyObject *group_remove(GroupObject *self, PyObject *args)
+{
+    Py_ssize_t index;
+    if (!PyArg_ParseTuple(args, "n:remove", &index) || group_settled(self))
+        return NULL;
+    if (index < 0 || index >= self->count || (!self->entries[index].reader && !self->entries[index].writer))
+        return PyErr_Format(PyExc_IndexError, "the group has no channel %zd", index);
+    group_drop(self, index);
+    Py_RETURN_NONE;
+}
+
+/* One look at all heads. */
+static Py_ssize_t group_look(GroupObject *self)
+{
+    Py_ssize_t news = 0;
+    pthread_mutex_lock(&self->mutex);
+    for (Py_ssize_t i = 0; i < self->count; i++) {
+        Entry *entry = &self->entries[i];
+        uint32_t head;
+        if (!entry->reader || entry->broken || entry->reader->owner->closed)
+            continue;
+        head = ch_load(&entry->reader->owner->region.header->writer.head);
+        if (head == entry->reader->reader.last || head == 0)
+            continue;
+        if (head == entry->rejected && entry->looks) {
+            entry->looks--;
+            continue;
+        }
+        news++;
+    }
+    pthread_mutex_unlock(&self->mutex);
+    return news;
+}
+
+static PyObject *group_wait(GroupObject *self, PyObject *args)
+{
+    long long tick, timeout = -1;
+    int64_t now, deadline;
+    Py_ssize_t news = 0;
+    if (!PyArg_ParseTuple(args, "L|L:wait", &tick, &timeout))
+        return NULL;
+    if (tick < 0 || tick > 60LL * 1000000000)
+        return PyErr_Format(PyExc_ValueError, "a tick has 0 to 60 000 000 000 ns");
+    now = now_ns();
+    deadline = timeout < 0 || timeout > INT64_MAX - now ? INT64_MAX : now + timeout;
+    for (;;) {
+        int interrupted = 0, done = 0;
+        Py_BEGIN_ALLOW_THREADS;
+        while (!interrupted && !done) {
+            now = now_ns();
+            if (tick) {
+                /* The grid stays where it is while we keep up, and starts anew where we fell behind. */
+                int64_t target = self->next_tick;
+                struct timespec until;
+                if (target <= now - tick || target > now + tick)
+                    target = now + tick;
+                if (target > deadline)
+                    target = deadline;
+                until = (struct timespec){target / 1000000000, target % 1000000000};
+                interrupted = clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &until, NULL) == EINTR;
+                if (interrupted)
+                    break;
+                self->next_tick = target + tick;
+                now = target;
+            } else {
+                sched_yield();
+            }
+            news = group_look(self);
+            done = news || __atomic_exchange_n(&self->woken, 0, __ATOMIC_ACQ_REL) || now >= deadline;
+        }
+        Py_END_ALLOW_THREADS;
+        if (PyErr_CheckSignals())
+            return NULL;
+        if (done)
+            return PyLong_FromSsize_t(news);
+    }
+}
+
+static PyObject *group_wake(GroupObject *self, PyObject *unused)
+{
+    (void)unused;
+    __atomic_store_n(&self->woken, 1, __ATOMIC_RELEASE);
+    Py_RETURN_NONE;
+}
+
+/* Appends (index, item), whose reference passes. */
+static int append_pair(PyObject *list, Py_ssize_t index, PyObject *item)
+{
+    PyObject *pair = item ? Py_BuildValue("(nN)", index, item) : NULL;
+    int failed = !pair || PyList_Append(list, pair);
+    Py_XDECREF(pair);
+    return failed ? -1 : 0;
+}
+
+/* The exception just raised, as an object. */
+static PyObject *caught(void)
+{
+    PyObject *type, *value, *trace;
+    PyErr_Fetch(&type, &value, &trace);
+    PyErr_NormalizeException(&type, &value, &trace);
+    Py_XDECREF(type);
+    Py_XDECREF(trace);
+    return value;
+}
+
+/* One message, if there is one: 1 taken, 0 nothing, -1 an exception. */
+static int take_one(GroupObject *self, Py_ssize_t index, PyObject *messages, PyObject *faults)
+{
+    Entry *entry = &self->entries[index];
+    ch_reader *reader = &entry->reader->reader;
+    ch_take take = ch_take_start(entry->mode);
+    rp_fault fault = {0, 0, 0, 0};
+    size_t used = 0;
+    int accepted = 0, failed = 0;
+    PyThreadState *unlocked = NULL;
+    PyObject *message;
+    if (entry->plan->record_size >= CH_LONG_COPY) {
+        self->taking = 1;
+        entry->reader->busy = 1;
+        unlocked = PyEval_SaveThread();
+    }
+    while (ch_take_begin(reader, &take)) {
+        int result = rp_encode(entry->plan, ch_record(take.slot), self->wire, self->wire_size, &used, &fault);
+        if (ch_take_check(reader, &take)) {
+            ch_take_accept(reader, &take); /* stores `taken`: before anybody sends (M15) */
+            accepted = 1;
+            failed = result;
+        }
+    }
+    if (unlocked) {
+        PyEval_RestoreThread(unlocked);
+        entry->reader->busy = 0;
+        self->taking = 0;
+    }
+    if (!accepted) {
+        entry->rejected = take.head;
+        entry->looks = REJECTED_LOOKS;
+        return 0;
+    }
+    entry->rejected = 0;
+    if (failed) {
+        rp_raise_fault(&fault);
+        return append_pair(faults, index, caught()) ? -1 : 1;
+    }
+    message = Py_BuildValue("(ny#kkKk)", index, (const char *)self->wire, (Py_ssize_t)used,
+                            (unsigned long)take.sequence, (unsigned long)take.flags,
+                            (unsigned long long)take.stamp_hi << 32 | take.stamp_lo, (unsigned long)take.stamp_clock);
+    failed = !message || PyList_Append(messages, message);
+    Py_XDECREF(message);
+    return failed ? -1 : 1;
+}
+
+static int take_channel(GroupObject *self, Py_ssize_t index, PyObject *messages, PyObject *faults)
+{
+    Entry *entry = &self->entries[index];
+    ReaderObject *reader;
+    uint32_t limit;
+    int error, taken = 1;
+    if (!entry->reader || entry->broken || entry->reader->owner->closed || !ch_reader_news(&entry->reader->reader))
+        return 0;
+    error = ch_region_check(&entry->reader->owner->region);
+    if (error) {
+        entry->broken = 1;
+        ch_raise_channel(error, entry->reader->owner->path);
+        return append_pair(faults, index, caught());
+    }
+    reader = entry->reader;
+    limit = entry->limit;
+    Py_INCREF((PyObject *)reader);
+    for (uint32_t i = 0; i < limit && taken == 1; i++) {
+        if (reader->busy && ch_wait_while_busy(&reader->busy)) {
+            taken = -1;
+            break;
+        }
+        /* Making Python objects may run a finalizer, which may remove this very channel. */
+        if (self->entries[index].reader != reader || reader->owner->closed)
+            break;
+        taken = i && !ch_reader_news(&reader->reader) ? 0 : take_one(self, index, messages, faults);
+    }
+    Py_DECREF((PyObject *)reader);
+    return taken < 0 ? -1 : 0;
+}
+
+static PyObject *group_take(GroupObject *self, PyObject *unused)
+{
+    PyObject *messages, *faults;
+    (void)unused;
+    if (group_settled(self))
+        return NULL;
+    messages = PyList_New(0);
+    faults = PyList_New(0);
+    for (Py_ssize_t i = 0; messages && faults && i < self->count; i++) {
+        if (take_channel(self, i, messages, faults)) {
+            Py_DECREF(messages);
+            Py_DECREF(faults);
+            return NULL;
+        }
+    }
+    if (!messages || !faults) {
+        Py_XDECREF(messages);
+        Py_XDECREF(faults);
+        return NULL;
+    }
+    return Py_BuildValue("(NN)", messages, faults);
+}
+
+static PyObject *group_beat(GroupObject *self, PyObject *unused)
+{
+    (void)unused;
+    for (Py_ssize_t i = 0; i < self->count; i++) {
+        Entry *entry = &self->entries[i];
+        if (entry->reader && !entry->reader->owner->closed)
+            ch_reader_beat(&entry->reader->reader);
+        if (entry->writer && !entry->writer->owner->closed && !entry->writer->released)
+            ch_writer_beat(&entry->writer->writer);
+    }
+    Py_RETURN_NONE;
+}
+
+static PyMethodDef methods[] = {
+    {"add_reader", (PyCFunction)group_add_reader, METH_VARARGS,
+     "add_reader(reader, plan, mode=0, limit=64) -> index; mode 0 newest, 1 in order, at most limit per take()."},
+    {"add_writer", (PyCFunction)group_add_writer, METH_O, "add_writer(writer) -> index, for beat()."},
+    {"remove", (PyCFunction)group_remove, METH_VARARGS, "remove(index): let go of a channel."},
+    {"wait", (PyCFunction)group_wait, METH_VARARGS,
+     "wait(tick_ns, timeout_ns=-1) -> number of channels with news; 0 after wake() or the timeout."},
+    {"wake", (PyCFunction)group_wake, METH_NOARGS, "Make wait() return at its next tick; from any thread."},
+    {"take", (PyCFunction)group_take, METH_NOARGS,
+     "take() -> ([(index, wire, sequence, flags, stamp_ns, stamp_clock)], [(index, exception)])."},
+    {"beat", (PyCFunction)group_beat, METH_NOARGS, "Beat all lines."},
+    {NULL, NULL, 0, NULL},
+};
+
+static PyType_Slot slots[] = {
+    {Py_tp_doc, "Group(): the channels of one bridge, served in one call per tick."},
+    {Py_tp_new, (void *)group_new},
+    {Py_tp_dealloc, (void *)group_dealloc},
+    {Py_tp_methods, methods},
+    {0, NULL},
+};
+
+static PyType_Spec spec = {"rosplc._core._native.Group", sizeof(GroupObject), 0, Py_TPFLAGS_DEFAULT, slots};
 
 int rosplc_add_group(PyObject *module)
 {
-    (void)module;
-    return 0;
+    PyTypeObject *type;
+    return ch_add_type(module, "Group", &spec, &type);
 }
