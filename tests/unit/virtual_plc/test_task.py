@@ -7,9 +7,9 @@ import time
 
 import pytest
 
+from rosplc.virtual_plc.plc import VirtualPlc
 from rosplc.virtual_plc.scan import current_scan
 from rosplc.virtual_plc.task import Task, TaskState
-from rosplc.virtual_plc.plc import VirtualPlc
 
 
 def wait_until(condition, seconds: float = 30.0) -> None:

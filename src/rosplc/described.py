@@ -1,0 +1,55 @@
+"""The layout that a channel's self-description gives.
+
+A tool that knows only the object can decode it: the description carries the type, its
+definition and the limits, and the layout computed from them must have the layout id that
+the object states (``spec/shm-format.md``, section 6).
+"""
+
+from __future__ import annotations
+
+import json
+from functools import lru_cache
+
+from rosplc.errors import ChannelError, RosplcError
+from rosplc.layout import Layout, Limits, compute_layout
+from rosplc.model import TypeStore
+from rosplc.shm import Description
+
+__all__ = ["described_layout"]
+
+
+def described_layout(description: Description, *, where: str = "") -> Layout:
+    """Compute the layout that ``description`` describes.
+
+    Args:
+        description: An object's self-description; it is untrusted and may be hostile.
+        where: The object's path or topic, for the error.
+
+    Raises:
+        ChannelError: SHM113 if the definition or the limits cannot be used, or lead to
+            another layout id than the description states.
+    """
+    try:
+        limits = json.dumps(dict(description.limits), sort_keys=True)
+        layout = _layout(description.type, description.definition, limits)
+    except RosplcError as error:
+        raise ChannelError(
+            "SHM113", f"its type cannot be rebuilt: {error.what} [{error.code}]", where=where
+        ) from error
+    except (TypeError, ValueError, AttributeError, RecursionError) as error:
+        raise ChannelError("SHM113", f"its limits cannot be used: {error}", where=where) from error
+    if layout.layout_id != description.layout_id:
+        raise ChannelError(
+            "SHM113",
+            f"it describes layout {layout.layout_id}, but states {description.layout_id}",
+            where=where,
+        )
+    return layout
+
+
+@lru_cache(maxsize=256)
+def _layout(type_name: str, definition: str, limits: str) -> Layout:
+    # Re-opening after a bridge's restart happens in the middle of a scan, so a type that is
+    # known already must cost nothing.
+    store = TypeStore.from_definition(type_name, definition)
+    return compute_layout(store, type_name, Limits.from_dict(json.loads(limits)))
