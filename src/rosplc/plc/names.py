@@ -15,7 +15,11 @@ from importlib.resources import files
 __all__ = ["Scope", "is_reserved", "legal", "type_prefix"]
 
 # BOOL_TO_INT, TO_INT and the like are operators of their own.
-_CONVERSION = re.compile(r"(?:[A-Z]+_)?TO_[A-Z]+\Z")
+_ELEMENTARY = (
+    "BOOL|BIT|BYTE|WORD|DWORD|LWORD|SINT|INT|DINT|LINT|USINT|UINT|UDINT|ULINT|REAL|LREAL|STRING|WSTRING"
+    "|TIME|LTIME|DATE|LDATE|DT|LDT|TOD|LTOD"
+)
+_CONVERSION = re.compile(rf"(?:(?:{_ELEMENTARY})_)?TO_(?:{_ELEMENTARY})\Z")
 
 
 @cache

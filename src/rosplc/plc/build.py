@@ -1,0 +1,269 @@
+"""From topics to a PLC project: everything the technician finds after the import.
+
+The order of the output depends on names alone, never on the order of a file or a set, so
+that a second generation from the same input gives the same bytes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+from rosplc.layout import Layout
+from rosplc.model import TypeStore
+from rosplc.plc.base import base_objects
+from rosplc.plc.blocks import read_block, write_block
+from rosplc.plc.helpers import helper_objects
+from rosplc.plc.literals import string_literal, time_literal
+from rosplc.plc.names import Scope
+from rosplc.plc.project import Dut, Gvl, PlcProject, Pou, Task, VarBlock, Variable
+from rosplc.plc.types import DutBuilder, Renaming
+
+__all__ = ["PlcTask", "PlcTopic", "ProjectOptions", "build_project", "build_type_library"]
+
+_ON_STALE = {"hold": 0, "zero": 1, "value": 2}
+_LARGE_DUT = 64 * 1024
+
+
+@dataclass(frozen=True)
+class PlcTopic:
+    """One topic as the PLC sees it.
+
+    Attributes:
+        topic: As ROS writes it.
+        layout: Its message's layout.
+        direction: ``"read"`` towards the PLC, ``"write"`` towards ROS.
+        task: Name of the task that serves it.
+        object_size: Bytes of the shared-memory object; 0: the block asks the object.
+        stale_after_ns: Age from which a message is stale; 0: never.
+        on_stale: What the message becomes then.
+        in_order: Take every message, not only the newest.
+        latched: Take the state found at the start as a new message.
+    """
+
+    topic: str
+    layout: Layout
+    direction: Literal["read", "write"]
+    task: str
+    object_size: int = 0
+    stale_after_ns: int = 0
+    on_stale: Literal["hold", "zero", "value"] = "hold"
+    in_order: bool = False
+    latched: bool = False
+
+
+@dataclass(frozen=True)
+class PlcTask:
+    """One task of the configuration; times in nanoseconds, 0: none."""
+
+    name: str
+    interval_ns: int = 10_000_000
+    priority: int = 4
+    kind: Literal["cyclic", "freewheeling"] = "cyclic"
+    watchdog_ns: int = 0
+
+
+@dataclass(frozen=True)
+class ProjectOptions:
+    """What holds for the whole project.
+
+    Attributes:
+        folder: The top folder in the PLC project.
+        prefix: The prefix of shared-memory names.
+        fenced: Whether the target orders memory accesses by a fence: always on x86, on ARM
+            only where the device description enables the MemoryBarrier library.
+        beat_ms: The longest time between two beats that the PLC promises: several scans of
+            its slowest task.
+        pins: Give blocks a pin for each top-level field.
+    """
+
+    folder: str = "ROS"
+    prefix: str = "rosplc"
+    fenced: bool = True
+    beat_ms: int = 1000
+    pins: bool = False
+
+
+@dataclass
+class _Blocks:
+    """The function blocks of the types in use, each built once."""
+
+    builder: DutBuilder
+    options: ProjectOptions
+    pous: list[Pou] = field(default_factory=list)
+    _known: dict[tuple[str, Layout], str] = field(default_factory=dict)
+    _scope: Scope = field(default_factory=Scope)
+
+    def name(self, layout: Layout, direction: str) -> str:
+        key = (direction, layout)
+        if key not in self._known:
+            dut = self.builder.add(layout)
+            name = self._scope.give(f"{dut}_{'Read' if direction == 'read' else 'Write'}")
+            make = read_block if direction == "read" else write_block
+            folder = f"{self.options.folder}/Blocks"
+            self.pous.append(make(layout, self.builder, name, folder, pins=self.options.pins))
+            self._known[key] = name
+        return self._known[key]
+
+
+def build_project(
+    store: TypeStore,
+    topics: Sequence[PlcTopic],
+    tasks: Sequence[PlcTask],
+    options: ProjectOptions | None = None,
+) -> PlcProject:
+    """Return the project for a set of topics.
+
+    Args:
+        store: The types.
+        topics: Every topic once.
+        tasks: Every task that a topic names; at most 16.
+        options: See :class:`ProjectOptions`.
+    """
+    options = options or ProjectOptions()
+    builder = DutBuilder(store, f"{options.folder}/Types")
+    blocks = _Blocks(builder, options)
+    scopes = {"read": Scope(), "write": Scope()}
+    instances: dict[str, list[Variable]] = {"read": [], "write": []}
+    calls: dict[tuple[str, str], list[str]] = {}
+    renamings: list[Renaming] = []
+    order = sorted(tasks, key=lambda task: task.name)
+    indices = {task.name: index for index, task in enumerate(order)}
+    for topic in sorted(topics, key=lambda item: item.topic):
+        block = blocks.name(topic.layout, topic.direction)
+        wanted = topic.topic.strip("/").replace("/", "_")
+        name = scopes[topic.direction].give(wanted)
+        if name != wanted:
+            renamings.append(Renaming(f"instance of {topic.topic}", wanted, name))
+        argument = (("sTopic", string_literal(topic.topic)),)
+        instances[topic.direction].append(Variable(name, block, None, "", argument))
+        calls.setdefault((topic.direction, topic.task), []).append(_call(name, topic, indices[topic.task]))
+    base = base_objects(f"{options.folder}/Base")
+    programs, plc_tasks = _programs(order, indices, calls, options)
+    gvls = [*(item for item in base if isinstance(item, Gvl)), _settings(options), *builder.constants]
+    for direction, name in (("read", "ROS_Read"), ("write", "ROS_Write")):
+        if instances[direction]:
+            block_ = VarBlock("VAR_GLOBAL", tuple(instances[direction]))
+            comment = "One function block per topic; programs of the project use their outputs."
+            if direction == "write":
+                comment = "One function block per topic; programs of the project set msg."
+            gvls.append(Gvl(name, (block_,), (("qualified_only", ""),), comment, options.folder))
+    helpers = helper_objects(store, builder, f"{options.folder}/Helpers")
+    return PlcProject(
+        options.folder,
+        duts=(*(item for item in base if isinstance(item, Dut)), *builder.duts),
+        gvls=tuple(gvls),
+        pous=(*(item for item in base if isinstance(item, Pou)), *helpers, *blocks.pous, *programs),
+        tasks=plc_tasks,
+        libraries=("SysShm", "SysMem", "SysTypes2 Interfaces"),
+        notes=tuple(_notes(builder, renamings, topics)),
+    )
+
+
+def build_type_library(
+    store: TypeStore, layouts: Sequence[Layout], options: ProjectOptions | None = None
+) -> PlcProject:
+    """Return a project with both blocks of each layout and no topics or tasks."""
+    options = options or ProjectOptions()
+    builder = DutBuilder(store, f"{options.folder}/Types")
+    blocks = _Blocks(builder, options)
+    for layout in sorted(layouts, key=lambda item: item.type_name):
+        blocks.name(layout, "read")
+        blocks.name(layout, "write")
+    base = base_objects(f"{options.folder}/Base")
+    helpers = helper_objects(store, builder, f"{options.folder}/Helpers")
+    return PlcProject(
+        options.folder,
+        duts=(*(item for item in base if isinstance(item, Dut)), *builder.duts),
+        gvls=(*(item for item in base if isinstance(item, Gvl)), _settings(options), *builder.constants),
+        pous=(*(item for item in base if isinstance(item, Pou)), *helpers, *blocks.pous),
+        libraries=("SysShm", "SysMem", "SysTypes2 Interfaces"),
+        notes=tuple(_notes(builder, [], ())),
+    )
+
+
+def _settings(options: ProjectOptions) -> Gvl:
+    variables = (
+        Variable("sPrefix", "STRING(32)", string_literal(options.prefix), "prefix of the bridge's objects"),
+        Variable(
+            "xFenced", "BOOL", "TRUE" if options.fenced else "FALSE", "FALSE: the delayed rule, for ARM"
+        ),
+        Variable("udiBeatMs", "UDINT", str(options.beat_ms), "longest time between two calls of a block"),
+    )
+    block = VarBlock("VAR_GLOBAL", variables, constant=True)
+    comment = "What the generation fixed for the whole project."
+    return Gvl("RosPlc_Settings", (block,), (("qualified_only", ""),), comment, f"{options.folder}/Base")
+
+
+def _call(name: str, topic: PlcTopic, task: int) -> str:
+    gvl = "ROS_Read" if topic.direction == "read" else "ROS_Write"
+    arguments = [f"uiTask := {task}", f"udiMapSize := {topic.object_size}"]
+    if topic.direction == "read":
+        if topic.stale_after_ns:
+            arguments.append(f"tStaleAfter := {time_literal(topic.stale_after_ns)}")
+        if topic.on_stale != "hold":
+            arguments.append(f"uiOnStale := {_ON_STALE[topic.on_stale]}")
+        if topic.in_order:
+            arguments.append("xInOrder := TRUE")
+        if topic.latched:
+            arguments.append("xLatched := TRUE")
+    return f"{gvl}.{name}({', '.join(arguments)});"
+
+
+def _programs(
+    tasks: Sequence[PlcTask],
+    indices: dict[str, int],
+    calls: dict[tuple[str, str], list[str]],
+    options: ProjectOptions,
+) -> tuple[list[Pou], tuple[Task, ...]]:
+    """Return a reading and a writing program per task that has topics, and the tasks."""
+    programs: list[Pou] = []
+    plc_tasks: list[Task] = []
+    single = sum(1 for task in tasks if any((d, task.name) in calls for d in ("read", "write"))) == 1
+    scope = Scope()
+    for task in tasks:
+        names = []
+        for direction in ("read", "write"):
+            lines = calls.get((direction, task.name), [])
+            if not lines and not (direction == "read" and ("write", task.name) in calls):
+                continue
+            wanted = f"SharedMemory_{direction.capitalize()}"
+            name = scope.give(wanted if single else f"{wanted}_{task.name}")
+            body = list(lines)
+            if direction == "read":
+                body.insert(
+                    0, f"RosPlc_State.axMayOpen[{indices[task.name]}] := TRUE; // one open attempt per scan"
+                )
+            what = (
+                "Takes what came from ROS; call it first"
+                if direction == "read"
+                else "Sends to ROS; call it last"
+            )
+            comment = f"{what} in task {task.name}."
+            programs.append(Pou(name, "PROGRAM", (), "\n".join(body), comment=comment, folder=options.folder))
+            names.append(name)
+        if names:
+            plc_tasks.append(
+                Task(
+                    task.name,
+                    task.kind,
+                    task.interval_ns // 1000 if task.kind == "cyclic" else 0,
+                    task.priority,
+                    task.watchdog_ns // 1000,
+                    programs=tuple(names),
+                )
+            )
+    return programs, tuple(plc_tasks)
+
+
+def _notes(builder: DutBuilder, renamings: list[Renaming], topics: Sequence[PlcTopic]) -> list[str]:
+    notes = [f"{r.where}: {r.wanted} is named {r.given}" for r in (*builder.renamings, *renamings)]
+    for topic in topics:
+        if topic.layout.size > _LARGE_DUT:
+            copies = 3 if topic.direction == "read" else 1
+            notes.append(
+                f"{topic.topic}: {topic.layout.type_name} takes {topic.layout.size} bytes, "
+                f"{copies} times in the PLC; check the size of the application's data area"
+            )
+    return notes
