@@ -17,7 +17,7 @@ __all__ = ["base_objects", "parse_object"]
 
 _ORDER = (
     "RosPlc_WriterLine", "RosPlc_ReaderLine", "RosPlc_Header", "RosPlc_SlotHeader",
-    "RosPlc_State", "RosPlc_Fence", "RosPlc_Next", "RosPlc_Distance",
+    "RosPlc_State", "RosPlc_Fence", "RosPlc_Advance", "RosPlc_Distance",
     "RosPlc_Channel", "RosPlc_Reader", "RosPlc_Writer",
 )  # fmt: skip
 

@@ -167,8 +167,9 @@ _READ_NAMES = (
     "uiTask", "udiMapSize", "xAttached", "xPeerAlive", "udiError", "udiResult", "xDelayed", "tStaleAfter",
     "uiOnStale", "xInOrder", "uiMaxPerScan", "xLatched", "xValid", "xNew", "xStale", "xFirst", "xTruncated",
     "xSubstituted", "udiSequence", "tAge", "udiLost", "udiRetries", "udiSources", "udiStampLo", "udiStampHi",
-    "uiTaken", "stSafe", "msg", "stShadow", "xTaken", "Next", "Receive", "Mend", "Degrade", "Slot", "Open", "Close",
-    "Watch", "Draw", "Claim", "Leave", "Enter", "Attach", "Accept", "Proven", "Confirm", "Count", "Candidate",
+    "uiTaken", "stSafe", "msg", "stShadow", "xTaken", "Next", "Receive", "Mend", "Degrade", "Slot", "Open",
+    "Close", "Watch", "Draw", "Claim", "Leave", "Enter", "Attach", "Accept", "Proven", "Confirm", "Count",
+    "Candidate", "Choose",
     "BeginRead", "EndRead", "Validate", "Checksum", "MakeName", "Postpone",
 )  # fmt: skip
 _WRITE_NAMES = (
