@@ -1,0 +1,364 @@
+"""A topic's object inside a user's own ROS node: the loop is the user's, no backend is needed.
+
+This is what the node classes of shared-memory bridges for CODESYS do: the node owns the
+object, decides when to write and when to read, and publishes or subscribes itself.
+"""
+
+from __future__ import annotations
+
+import importlib
+import logging
+import os
+import threading
+import time
+import weakref
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, ClassVar, Literal
+
+from rosplc._core._native import Fault
+from rosplc.codec import Codec, Wire
+from rosplc.errors import ChannelError, MessageTypeError
+from rosplc.layout import Limits, compute_layout
+from rosplc.model import DISTROS, TypeStore
+from rosplc.shm import Description, Direction, Namespace, OwnedChannel, Reader, Writer
+
+__all__ = ["Binding", "bind"]
+
+_log = logging.getLogger("rosplc.bind")
+_BEAT_MS = 100
+_LOOK_NS = 1_000_000_000
+_DIRECTIONS = {"to_plc": Direction.TO_PLC, "to_ros": Direction.TO_ROS}
+
+
+def bind(
+    topic: str,
+    type: str | type,
+    direction: Literal["to_plc", "to_ros"] = "to_plc",
+    *,
+    print: bool = False,
+    limits: Limits | Mapping[str, int] | None = None,
+    truncate: bool = False,
+    every: bool = False,
+    slots: int = 4,
+    distro: str | None = None,
+    paths: Iterable[Path | str] = (),
+    prefix: str = "rosplc",
+    directory: Path | str = "/dev/shm",
+    mode: int = 0o660,
+    gid: int | None = None,
+    name: str = "bind",
+) -> Binding:
+    """Create, or adopt, a topic's object and own it until :meth:`Binding.close`.
+
+    Args:
+        topic: As ROS writes it, ``"/robot1/cmd_vel"``.
+        type: ``"package/msg/Name"``, or the message class of rclpy or rospy; with a class,
+            :meth:`Binding.read` returns its objects.
+        direction: ``"to_plc"`` to write, ``"to_ros"`` to read.
+        print: Log each message, for debugging.
+        limits: Capacities: a :class:`~rosplc.layout.Limits`, or a mapping of field paths in which
+            ``string`` and ``sequence`` stand for the defaults. The PLC's code must be generated
+            with the same.
+        truncate: Cut what does not fit instead of refusing the message (``to_plc``).
+        every: Return every message in order instead of the newest (``to_ros``).
+        slots: A power of two from 4; one less messages can wait.
+        distro: Whose definitions hold; by default ``ROS_DISTRO``, else jazzy; for rospy's classes noetic.
+        paths: Folders with custom ``.msg`` files.
+        prefix: First part of the object's name.
+        directory: Where the object lies.
+        mode: Its permission bits.
+        gid: Its group; None for this process's.
+        name: What the self-description calls this program.
+
+    Raises:
+        ChannelError: SHM116 if a bridge or another program holds the name; SHM117, SHM118, SHM119.
+        MessageTypeError: TYP001 …, the type cannot be found.
+        LayoutError: LAY001 …, the limits do not fit the type.
+        ValueError: ``direction`` is neither of the two.
+    """
+    if direction not in _DIRECTIONS:
+        raise ValueError(f"direction is {direction!r}; it is 'to_plc' or 'to_ros'")
+    message_class = None if isinstance(type, str) else type
+    type_name = type if isinstance(type, str) else _type_name(type)
+    definition = getattr(message_class, "_full_text", None)  # rospy's classes carry theirs
+    chosen = distro or ("noetic" if definition else _environment_distro())
+    store = TypeStore.bundled(chosen).with_paths(Path(path) for path in paths)
+    if type_name not in store and definition:
+        store = store.with_definition(type_name, definition)
+    layout = compute_layout(store, type_name, _limits(limits))
+    description = Description(
+        topic=topic,
+        type=layout.type_name,
+        distro=chosen,
+        direction=_DIRECTIONS[direction],
+        limits=layout.limits.to_dict(),
+        layout_id=layout.layout_id,
+        bridge=name,
+        definition=store.definition_text(layout.type_name),
+    )
+    codec = Codec(layout, Wire.ROS1 if store.ros_version == 1 else Wire.CDR)
+
+    def open_channel() -> OwnedChannel:
+        return OwnedChannel.open(
+            Namespace(prefix, directory),
+            description,
+            record_size=layout.size,
+            slots=slots,
+            mode=mode,
+            gid=gid,
+        )
+
+    return Binding(
+        description, codec, open_channel, message_class, print=print, truncate=truncate, every=every
+    )
+
+
+class Binding:
+    """A topic's object in this process's hands; made by :func:`bind`, a context manager that closes it.
+
+    While it is open, a background thread shows the PLC that this process lives.
+
+    Attributes:
+        topic: The topic.
+        layout: The record's layout.
+    """
+
+    def __init__(
+        self,
+        description: Description,
+        codec: Codec,
+        open_channel: Any,
+        message_class: type | None,
+        *,
+        print: bool,
+        truncate: bool,
+        every: bool,
+    ) -> None:
+        self.topic = description.topic
+        self.layout = codec.layout
+        self._codec = codec
+        self._open_channel = open_channel
+        self._message_class = message_class
+        self._print, self._truncate, self._every = print, truncate, every
+        self._to_plc = description.direction is Direction.TO_PLC
+        self._lock = threading.RLock()
+        self._record = bytearray(self.layout.size)
+        self._writer: Writer | None = None
+        self._reader: Reader | None = None
+        self._channel: OwnedChannel | None = None
+        self._closed = False
+        self._open()
+        _Beats.add(self)
+
+    def write(self, message: Any, *, stamp_ns: int | None = None) -> int:
+        """Put a message where the PLC reads it.
+
+        Args:
+            message: A message object of rclpy, rospy or rosbags, a mapping, or serialized bytes (CDR
+                with its header; for noetic ROS 1's serialization).
+            stamp_ns: The source stamp, ns since 1970; None: now.
+
+        Returns:
+            The message's sequence number.
+
+        Raises:
+            CodecError: Serialized bytes do not fit; the text names field, size and limit.
+            LayoutError: LAY006, a value does not fit its field.
+            ChannelError: SHM110 if the direction is to_ros; SHM117 … if the object vanished and
+                cannot be made again.
+        """
+        if not self._to_plc:
+            raise ChannelError("SHM110", "this binding reads what the PLC sends", where=self.topic)
+        stamp = time.time_ns() if stamp_ns is None else stamp_ns
+        with self._lock:
+            self._look_after()
+            try:
+                sequence = self._put(message, stamp)
+            except ChannelError:
+                self._reopen()
+                sequence = self._put(message, stamp)
+        if self._print:
+            _log.info("%s was written: %s", self.topic, self._shown(message))
+        return sequence
+
+    def _put(self, message: Any, stamp_ns: int) -> int:
+        assert self._writer is not None
+        clock = 1 if stamp_ns else 0
+        if not isinstance(message, (bytes, bytearray, memoryview)):
+            record = self.layout.pack(message)
+            return self._writer.publish(record, stamp_ns=stamp_ns, stamp_clock=clock)
+        try:
+            return self._writer.publish_wire(
+                self._codec.plan, message, truncate=self._truncate, stamp_ns=stamp_ns, stamp_clock=clock
+            )[0]
+        except Fault as fault:
+            raise self._codec.explain(fault) from None
+
+    def read(self) -> Any:
+        """Return a message from the PLC: the newest, or with ``every`` the next; None if nothing is new.
+
+        Returns:
+            An object of the message class that was given to :func:`bind`, else a
+            :class:`~rosplc.layout.RecordView` with the fields as attributes.
+
+        Raises:
+            ChannelError: SHM110 if the direction is to_plc; SHM117 … as for :meth:`write`.
+        """
+        record = self._take()
+        if record is None:
+            return None
+        if self._message_class is not None:
+            return _deserialize(self._message_class, self._codec.encode(record))
+        return self.layout.view(record)
+
+    def read_bytes(self) -> bytes | None:
+        """As :meth:`read`, but serialized, for ``publisher.publish(bytes)``."""
+        record = self._take()
+        return None if record is None else self._codec.encode(record)
+
+    def _take(self) -> bytes | None:
+        if self._to_plc:
+            raise ChannelError("SHM110", "this binding writes to the PLC", where=self.topic)
+        with self._lock:
+            self._look_after()
+            try:
+                record = self._next()
+            except ChannelError:
+                self._reopen()
+                record = self._next()
+        if record is not None and self._print:
+            _log.info("%s was read: %s", self.topic, self.layout.to_dict(record))
+        return record
+
+    def _next(self) -> bytes | None:
+        assert self._reader is not None
+        found = self._reader.next(self._record) if self._every else self._reader.latest(self._record)
+        return None if found is None else bytes(self._record)
+
+    @property
+    def lost(self) -> int:
+        """Messages from the PLC that were overwritten before they were read, since the object was opened."""
+        return 0 if self._reader is None else self._reader.lost
+
+    def beat(self) -> None:
+        """Show that this process lives; the background thread does it ten times a second."""
+        with self._lock:
+            for user in (self._writer, self._reader):
+                if user is not None:
+                    user.beat()
+
+    def close(self) -> None:
+        """Leave the object, with its last state, for the PLC and the next owner; harmless twice."""
+        with self._lock:
+            self._closed = True
+            self._leave()
+
+    def __enter__(self) -> Binding:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _open(self) -> None:
+        channel: OwnedChannel = self._open_channel()
+        if self._to_plc:
+            self._writer = channel.writer(_BEAT_MS)
+        else:
+            self._reader = channel.reader(_BEAT_MS)
+        self._channel = channel
+        self._looked_ns = time.monotonic_ns()
+
+    def _leave(self) -> None:
+        channel, self._channel = self._channel, None
+        self._writer = self._reader = None
+        if channel is not None:
+            channel.close()
+
+    def _reopen(self) -> None:
+        _log.warning("%s: the object was removed or replaced; it is created again", self.topic)
+        self._leave()
+        self._open()
+
+    def _look_after(self) -> None:
+        """Check about once a second that the name still leads to the object."""
+        if self._closed:
+            raise ValueError(f"the binding of {self.topic} is closed")
+        now = time.monotonic_ns()
+        if self._channel is None or (now - self._looked_ns >= _LOOK_NS and not self._channel.still_there()):
+            self._reopen()
+        elif now - self._looked_ns >= _LOOK_NS:
+            self._looked_ns = now
+
+    def _shown(self, message: Any) -> Any:
+        if isinstance(message, (bytes, bytearray, memoryview)):
+            return self.layout.to_dict(self._codec.decode(message, truncate=self._truncate))
+        return self.layout.to_dict(self.layout.pack(message))
+
+
+class _Beats:
+    """One thread that beats for all bindings of the process."""
+
+    _bindings: ClassVar[weakref.WeakSet[Binding]] = weakref.WeakSet()
+    _lock = threading.Lock()
+    _running = False
+
+    @classmethod
+    def add(cls, binding: Binding) -> None:
+        with cls._lock:
+            cls._bindings.add(binding)
+            if not cls._running:
+                cls._running = True
+                threading.Thread(target=cls._run, name="rosplc-beats", daemon=True).start()
+
+    @classmethod
+    def _run(cls) -> None:
+        while True:
+            time.sleep(_BEAT_MS / 1e3)
+            with cls._lock:
+                bindings = [binding for binding in cls._bindings if not binding._closed]
+                if not bindings:
+                    cls._running = False
+                    return
+            for binding in bindings:
+                try:
+                    binding.beat()
+                except (ChannelError, ValueError):
+                    continue  # write() and read() report it to whoever can act
+            del bindings
+
+
+def _limits(limits: Limits | Mapping[str, int] | None) -> Limits:
+    if limits is None or isinstance(limits, Limits):
+        return limits or Limits()
+    fields = dict(limits)
+    return Limits(fields.pop("string", 80), fields.pop("sequence", 16), fields)
+
+
+def _environment_distro() -> str:
+    distro = os.environ.get("ROS_DISTRO", "")
+    return distro if distro in DISTROS else "jazzy"
+
+
+def _type_name(message_class: type) -> str:
+    """Return the type name of a message class of rospy, rosbags or rclpy."""
+    for attribute in ("_type", "__msgtype__"):
+        if isinstance(name := getattr(message_class, attribute, None), str):
+            return name
+    package, *rest = message_class.__module__.split(".")
+    if not rest or rest[0] != "msg":
+        raise MessageTypeError(
+            "TYP001",
+            f"{message_class.__name__} is no message class",
+            remedy="Give the class of rclpy or rospy, or the type's name.",
+        )
+    return f"{package}/msg/{message_class.__name__}"
+
+
+def _deserialize(message_class: type, data: bytes) -> Any:
+    if hasattr(message_class, "deserialize"):  # rospy
+        return message_class().deserialize(data)
+    return importlib.import_module("rclpy.serialization").deserialize_message(data, message_class)

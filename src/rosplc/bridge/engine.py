@@ -1,0 +1,294 @@
+"""The running bridge: opens everything or nothing, carries, looks after itself, leaves cleanly.
+
+Threads: the backend's own call :class:`ToPlc`; the pump carries towards ROS; the keeper beats,
+checks and reports. An error in one topic stops no other.
+"""
+
+from __future__ import annotations
+
+import secrets
+import threading
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+
+from rosplc.bridge.config import Config
+from rosplc.bridge.diagnostics import Diagnostics
+from rosplc.bridge.leftovers import retire_leftovers
+from rosplc.bridge.owner import group_id, user_id
+from rosplc.bridge.resolve import Project, resolve
+from rosplc.bridge.status import BridgeStatus
+from rosplc.bridge.to_plc import ToPlc
+from rosplc.bridge.to_ros import Pump, ToRos
+from rosplc.bridge.topic import Surroundings, Topic, log
+from rosplc.errors import RosplcError
+from rosplc.ros import Backend, open_backend
+from rosplc.shm import Direction
+
+__all__ = ["Bridge"]
+
+_CHECK_NS = 1_000_000_000
+_STUCK_NS = 5_000_000_000
+
+
+class Bridge:
+    """A bridge between ROS and the objects of one prefix; a context manager that starts and stops it.
+
+    Args:
+        config: A configuration, or one that is resolved already.
+        backend: The ROS side; by default the configuration's is opened, and closed again at the end.
+
+    Raises:
+        ConfigErrors: The configuration is wrong.
+    """
+
+    def __init__(self, config: Config | Project, backend: Backend | None = None) -> None:
+        self.project = config if isinstance(config, Project) else resolve(config)
+        self.config = self.project.config
+        self.settings = self.config.settings
+        self.backend = backend
+        self._owns_backend = backend is None
+        self._topics: tuple[Topic, ...] = ()
+        self._pump: Pump | None = None
+        self._keeper: _Keeper | None = None
+        self._open = ExitStack()
+        self._started_ns = 0
+        self._file_seen = self._file_state()
+        self._config_changed = False
+
+    def start(self) -> None:
+        """Take the names, open objects and ROS, and begin to carry.
+
+        Raises:
+            RosplcError: Something is in the way (SHM116: another bridge holds a name; SHM117: no
+                room; ROS001 …); everything that was opened is closed again, and nothing was replaced
+                if a name was taken.
+        """
+        if self._started_ns:
+            raise RuntimeError("this bridge is started already")
+        with ExitStack() as stack:
+            self._start(stack)
+            self._open = stack.pop_all()
+        self._started_ns = time.monotonic_ns()
+        adopted = sum(topic.channel is not None and topic.channel.adopted for topic in self._topics)
+        assert self.backend is not None
+        log.info(
+            "bridge %s carries %d topics over %s (prefix %s, %d objects adopted)",
+            self.settings.bridge,
+            len(self._topics),
+            self.backend.name,
+            self.settings.prefix,
+            adopted,
+        )
+
+    def _start(self, stack: ExitStack) -> None:
+        settings = self.settings
+        around = Surroundings(
+            namespace=self.project.namespace,
+            bridge=settings.bridge,
+            bridge_id=secrets.token_bytes(16),
+            distro=settings.ros.distro,
+            mode=settings.shm.mode,
+            uid=user_id(self.config),
+            gid=group_id(self.config),
+            beat_ns=settings.beat_ns,
+        )
+        keeper = _Keeper(self)
+        plans = self.project.topics
+        retire_leftovers(self.project)
+        self._topics = tuple(
+            ToPlc(plan, around, keeper.due) if plan.direction is Direction.TO_PLC else ToRos(plan, around)
+            for plan in plans
+        )
+        for topic in self._topics:
+            topic.open()
+            stack.callback(topic.close)
+        if self.backend is None:
+            self.backend = self._open_backend()
+            stack.callback(self._close_backend)
+        for topic in self._topics:
+            topic.join(self.backend)
+            stack.callback(topic.leave)
+        diagnostics = None
+        if settings.diagnostics.enabled:
+            diagnostics = Diagnostics(self.project.store, settings.bridge, self.backend)
+            stack.callback(diagnostics.close)
+        keeper.diagnostics = diagnostics
+        self._pump = Pump(tuple(t for t in self._topics if isinstance(t, ToRos)), settings.tick_ns)
+        stack.callback(self._stop_pump)
+        self._pump.start()
+        self._keeper = keeper
+        keeper.start()
+        stack.callback(keeper.stop)
+
+    def _open_backend(self) -> Backend:
+        ros = self.settings.ros
+        name = ros.node_name or "rosplc_" + self.settings.bridge.replace("-", "_")
+        return open_backend(ros.backend, self.project.store, name, ros.namespace, ros.domain)
+
+    def _close_backend(self) -> None:
+        if self._owns_backend and self.backend is not None:
+            self.backend.close()
+            self.backend = None
+
+    def _stop_pump(self) -> None:
+        if self._pump is not None and not self._pump.stop():
+            log.error("the ROS side does not return from publishing; the bridge leaves it behind")
+
+    def stop(self) -> None:
+        """Stop carrying; objects stay, with their last state, for the PLC and the next bridge."""
+        was_running, self._started_ns = bool(self._started_ns), 0
+        self._open.close()
+        self._open = ExitStack()
+        self._keeper = self._pump = None
+        if was_running:
+            log.info("bridge %s stopped", self.settings.bridge)
+
+    def run(self, stop: threading.Event) -> None:
+        """Start, carry until ``stop`` is set, and stop.
+
+        Raises:
+            RosplcError: As :meth:`start`.
+        """
+        self.start()
+        try:
+            stop.wait()
+        finally:
+            self.stop()
+
+    def __enter__(self) -> Bridge:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def status(self) -> BridgeStatus:
+        """Return how bridge and topics stand."""
+        now = time.monotonic_ns()
+        notes = []
+        if self._config_changed:
+            notes.append("configuration changed on disk; restart the bridge to apply it")
+        if self._pump is not None and (busy := self._pump.busy_since_ns) and now - busy > _STUCK_NS:
+            notes.append(f"the ROS side has not returned from publishing for {(now - busy) / 1e9:.0f} s")
+        return BridgeStatus(
+            bridge=self.settings.bridge,
+            backend=self.backend.name if self.backend is not None else "",
+            running=bool(self._started_ns),
+            uptime_ns=now - self._started_ns if self._started_ns else 0,
+            topics=tuple(topic.status(now) for topic in self._topics),
+            config_changed=self._config_changed,
+            notes=tuple(notes),
+        )
+
+    # -- the keeper's work
+
+    def beat(self) -> None:
+        """Beat on all lines."""
+        for topic in self._topics:
+            topic.beat()
+
+    def check(self, now_ns: int) -> None:
+        """Look after objects, peers and the configuration's file."""
+        for topic in self._topics:
+            try:
+                if topic.check(now_ns):
+                    if isinstance(topic, ToRos):
+                        assert self._pump is not None
+                        self._pump.reopen(topic)
+                    else:
+                        topic.reopen(now_ns)
+            except Exception as error:  # one topic's trouble is no other's
+                log.exception("%s: the check failed", topic.plan.topic)
+                topic.fail(now_ns, error)
+        if not self._config_changed and self._file_state() != self._file_seen:
+            self._config_changed = True
+            log.warning("%s: configuration changed on disk; restart the bridge to apply it", self.config.path)
+
+    def flush(self, now_ns: int) -> int | None:
+        """Send what waited for its time; return when the next is due."""
+        next_ns: int | None = None
+        for topic in self._topics:
+            if isinstance(topic, ToPlc) and topic.due_ns is not None:
+                topic.flush(now_ns)
+                due = topic.due_ns
+                if due is not None:
+                    next_ns = due if next_ns is None else min(next_ns, due)
+        return next_ns
+
+    def _file_state(self) -> tuple[int, int, int] | None:
+        path = self.config.path
+        if path is None:
+            return None
+        try:
+            found = path.stat()
+        except OSError:
+            return (0, 0, 0)
+        return found.st_ino, found.st_size, found.st_mtime_ns
+
+
+class _Keeper:
+    """The thread that beats, checks, flushes and reports; it never touches the ROS side's data path."""
+
+    def __init__(self, bridge: Bridge) -> None:
+        self.diagnostics: Diagnostics | None = None
+        self._bridge = bridge
+        self._wake = threading.Event()
+        self._stopping = False
+        self._thread = threading.Thread(target=self._run, name="rosplc-keeper", daemon=True)
+        self._reporter = threading.Thread(target=self._report, name="rosplc-diagnostics", daemon=True)
+        self._report_stop = threading.Event()
+
+    def start(self) -> None:
+        self._thread.start()
+        if self.diagnostics is not None:
+            self._reporter.start()
+
+    def stop(self) -> None:
+        self._stopping = True
+        self._wake.set()
+        self._report_stop.set()
+        for thread in (self._thread, self._reporter):
+            if thread.is_alive() and thread is not threading.current_thread():
+                thread.join(5)
+
+    def due(self, _when_ns: int) -> None:
+        """A message waits for its time: look again."""
+        self._wake.set()
+
+    def _run(self) -> None:
+        bridge = self._bridge
+        beat_ns = bridge.settings.beat_ns
+        beat_at = check_at = time.monotonic_ns()
+        while not self._stopping:
+            now = time.monotonic_ns()
+            if now >= beat_at:
+                self._guard("beating", bridge.beat)
+                # A machine that was suspended owes no beats.
+                beat_at = max(beat_at + beat_ns, now)
+            if now >= check_at:
+                self._guard("checking", lambda: bridge.check(time.monotonic_ns()))
+                check_at = now + _CHECK_NS
+            next_at = min(beat_at, check_at)
+            due = bridge.flush(time.monotonic_ns())
+            if due is not None:
+                next_at = min(next_at, due)
+            self._wake.wait(max(0, next_at - time.monotonic_ns()) / 1e9)
+            self._wake.clear()
+
+    def _report(self) -> None:
+        # Apart from the beats, since a busy ROS side may keep a publisher waiting.
+        assert self.diagnostics is not None
+        period = self._bridge.settings.diagnostics.period_ns / 1e9
+        publish, status = self.diagnostics.publish, self._bridge.status
+        while not self._report_stop.wait(period):
+            self._guard("reporting", lambda: publish(status()))
+
+    @staticmethod
+    def _guard(what: str, work: Callable[[], None]) -> None:
+        try:
+            work()
+        except RosplcError as error:
+            log.warning("%s failed: %s", what, error)
+        except Exception:
+            log.exception("%s failed", what)

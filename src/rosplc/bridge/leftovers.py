@@ -1,0 +1,50 @@
+"""What a bridge does to names before it opens them: refuse at once, and retire what it dropped."""
+
+from __future__ import annotations
+
+from rosplc.bridge.resolve import Project
+from rosplc.bridge.topic import log
+from rosplc.errors import ChannelError
+from rosplc.shm import OwnedChannel, attach
+from rosplc.shm.lock import NameLock
+
+__all__ = ["retire_leftovers"]
+
+
+def retire_leftovers(project: Project) -> None:
+    """Retire objects of topics that have left this bridge's configuration (spec, section 8.7).
+
+    Every configured name's lock is tried first: if another bridge holds one, nothing is
+    disturbed. Objects of other bridges, by the name in their self-description, are left alone.
+
+    Raises:
+        ChannelError: SHM116, or what else keeps a lock from being taken.
+    """
+    namespace, mode = project.namespace, project.config.settings.shm.mode
+    for plan in project.topics:
+        NameLock(namespace.lock_path(plan.topic), mode=mode).release()
+    kept = {namespace.object_name(plan.topic) for plan in project.topics}
+    for name in namespace.topics():
+        topic = namespace.topic_of(name)
+        if topic is None or name in kept:
+            continue
+        try:
+            _retire(project, topic)
+        except (ChannelError, OSError, ValueError) as error:
+            log.debug("%s is left alone: %s", name, error)
+
+
+def _retire(project: Project, topic: str) -> None:
+    with attach(project.namespace, topic) as found:
+        description, identity = found.description, found.identity
+    if description.bridge != project.config.settings.bridge or description.topic != topic:
+        return
+    channel = OwnedChannel.open(
+        project.namespace,
+        description,
+        record_size=identity.record_size,
+        slots=identity.slot_count,
+        mode=project.config.settings.shm.mode,
+    )
+    channel.retire()
+    log.info("%s has left the configuration; its object is retired", topic)

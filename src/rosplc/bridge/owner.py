@@ -1,0 +1,38 @@
+"""Users and groups of the configuration as numbers of this machine."""
+
+from __future__ import annotations
+
+import grp
+import pwd
+
+from rosplc.bridge.config import Config
+from rosplc.errors import ConfigError
+
+__all__ = ["group_id", "user_id"]
+
+
+def user_id(config: Config) -> int | None:
+    """Return ``shm.owner`` as a number. Raises CFG004 at its line if there is no such user."""
+    owner = config.settings.shm.owner
+    if not isinstance(owner, str):
+        return owner
+    try:
+        return pwd.getpwnam(owner).pw_uid
+    except KeyError:
+        raise _unknown(config, "owner", f"there is no user {owner!r} on this machine") from None
+
+
+def group_id(config: Config) -> int | None:
+    """Return ``shm.group`` as a number. Raises CFG004 at its line if there is no such group."""
+    group = config.settings.shm.group
+    if not isinstance(group, str):
+        return group
+    try:
+        return grp.getgrnam(group).gr_gid
+    except KeyError:
+        raise _unknown(config, "group", f"there is no group {group!r} on this machine") from None
+
+
+def _unknown(config: Config, key: str, what: str) -> ConfigError:
+    remedy = "Create it, or name another; `getent passwd` and `getent group` list them."
+    return ConfigError("CFG004", what, where=config.source.place(("shm", key)), remedy=remedy)

@@ -1,0 +1,152 @@
+"""What a bridge reports about itself: plain data, judged in one place for all who show it."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from rosplc.shm import Direction
+
+__all__ = ["BridgeStatus", "Level", "TopicStatus"]
+
+
+class Level(enum.IntEnum):
+    """How things stand; the numbers are those of diagnostic_msgs/msg/DiagnosticStatus."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+    STALE = 3
+
+
+@dataclass(frozen=True, slots=True)
+class TopicStatus:
+    """One topic as it stands.
+
+    Attributes:
+        topic: As ROS writes it.
+        type_name: ``package/msg/Name``.
+        direction: Where its messages go.
+        matched: ROS publishers or subscribers on the other side; 0 also before start.
+        received: Messages that came in, from ROS or from the PLC.
+        published: Messages passed on.
+        skipped: Messages held back on purpose: rate limit, unchanged.
+        lost: Messages that came too fast, or while there was no object or no room.
+        refused: Messages that could not be converted or that the other side refused.
+        truncated: Messages passed on with something cut off.
+        rate_hz: Messages that came in per second, over the last seconds.
+        age_ns: Time since the last message came in; None before the first.
+        stale: Whether that is longer than the topic allows.
+        peer_alive: Whether the PLC's side beats: a reader for ``to: plc``, the writer for ``to: ros``.
+        tasks: Names of the PLC's reading tasks (``to: plc``).
+        problem: Why the topic cannot be carried at present; empty if it is.
+        reason: In words, what is wrong or was wrong last; empty if all is well.
+        code: The error code that goes with ``reason``; empty if there is none.
+        recent: Whether ``reason`` is from the last ten seconds, or still holds.
+    """
+
+    topic: str
+    type_name: str
+    direction: Direction
+    matched: int = 0
+    received: int = 0
+    published: int = 0
+    skipped: int = 0
+    lost: int = 0
+    refused: int = 0
+    truncated: int = 0
+    rate_hz: float = 0.0
+    age_ns: int | None = None
+    stale: bool = False
+    peer_alive: bool = False
+    tasks: tuple[str, ...] = ()
+    problem: str = ""
+    reason: str = ""
+    code: str = ""
+    recent: bool = False
+
+    @property
+    def judgement(self) -> tuple[Level, str]:
+        """The level and a sentence for it; the worst counts."""
+        to_plc = self.direction is Direction.TO_PLC
+        if self.problem:
+            return Level.ERROR, self.problem
+        if self.recent and self.code in ("ROS003", "ROS004") and not self.matched:
+            return Level.ERROR, self.reason
+        if self.recent and self.reason:
+            return Level.WARN, self.reason
+        if self.stale:
+            source = "ROS publisher" if to_plc else "the PLC"
+            age = "no message yet" if self.age_ns is None else f"last message {self.age_ns / 1e9:.1f} s ago"
+            return (
+                Level.STALE,
+                f"{age} from {source}{'' if self.matched or not to_plc else ': nobody publishes'}",
+            )
+        if not self.peer_alive:
+            return Level.WARN, "no PLC task reads it" if to_plc else "no PLC task writes it"
+        if not self.matched:
+            return Level.OK, "nobody publishes" if to_plc else "nobody subscribes"
+        return Level.OK, f"{self.rate_hz:.3g} Hz"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON; ``direction`` as ``to_plc`` or ``to_ros``."""
+        level, message = self.judgement
+        return {
+            **asdict(self),
+            "direction": self.direction.word,
+            "level": level.name,
+            "message": message,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class BridgeStatus:
+    """A bridge and its topics as they stand.
+
+    Attributes:
+        bridge: Its name.
+        backend: The ROS backend in use; empty before start.
+        running: Whether it is started.
+        uptime_ns: Time since the start; 0 before.
+        topics: In the order of the configuration.
+        config_changed: Whether the configuration's file differs from what was read.
+        notes: What else a person should know.
+    """
+
+    bridge: str
+    backend: str = ""
+    running: bool = False
+    uptime_ns: int = 0
+    topics: tuple[TopicStatus, ...] = ()
+    config_changed: bool = False
+    notes: tuple[str, ...] = ()
+
+    @property
+    def judgement(self) -> tuple[Level, str]:
+        """The level of the bridge itself, its topics left out."""
+        if not self.running:
+            return Level.ERROR, "not running"
+        if self.notes:
+            return Level.WARN, "; ".join(self.notes)
+        return Level.OK, f"{len(self.topics)} topics over {self.backend}"
+
+    def topic(self, name: str) -> TopicStatus:
+        """Return one topic's status; KeyError if there is none."""
+        for status in self.topics:
+            if status.topic == name:
+                return status
+        raise KeyError(name)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON."""
+        level, message = self.judgement
+        own = {name: getattr(self, name) for name in ("bridge", "backend", "running", "uptime_ns")}
+        return {
+            **own,
+            "config_changed": self.config_changed,
+            "notes": list(self.notes),
+            "level": level.name,
+            "message": message,
+            "topics": [status.to_dict() for status in self.topics],
+        }

@@ -1,0 +1,171 @@
+"""ROS → PLC: the backend's thread writes each message straight into a slot."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+from rosplc._core._native import Fault
+from rosplc.bridge.gate import Gate
+from rosplc.bridge.resolve import TopicPlan
+from rosplc.bridge.topic import Surroundings, Topic, log
+from rosplc.codec import TRUNCATED
+from rosplc.errors import ChannelError
+from rosplc.ros import Backend, EndpointStatus, Subscription
+from rosplc.shm import OwnedChannel, Snapshot, Writer
+
+__all__ = ["ToPlc"]
+
+_FIRST = 1  # flags of a slot, spec/shm-format.md section 5
+
+
+class ToPlc(Topic):
+    """One topic towards the PLC.
+
+    Args:
+        plan: As for :class:`Topic`.
+        around: As for :class:`Topic`.
+        on_due: Called, from any thread, when a message waits for its time; :meth:`flush` sends it.
+    """
+
+    def __init__(self, plan: TopicPlan, around: Surroundings, on_due: Callable[[int], None]) -> None:
+        super().__init__(plan, around)
+        self.writer: Writer | None = None
+        self._subscription: Subscription | None = None
+        self._gate: Gate[tuple[bytes, int]] | None = (
+            Gate(plan.min_interval_ns) if plan.min_interval_ns else None
+        )
+        self._on_due = on_due
+        self._lock = threading.Lock()  # the gate has two users: callback and flush
+        self._first = True
+        self._last_record: bytes | None = None
+
+    def join(self, backend: Backend) -> None:
+        """Subscribe."""
+        plan = self.plan
+        self._subscription = backend.subscribe(plan.topic, plan.type_name, plan.qos, self.on_message)
+
+    def leave(self) -> None:
+        """End the subscription."""
+        if self._subscription is not None:
+            self._subscription.close()
+
+    def _claim(self, channel: OwnedChannel) -> None:
+        self.writer = channel.writer(self.around.beat_ms)
+        self._first = True
+        self._last_record = None  # a new object has no message that could be unchanged
+
+    def _unclaim(self) -> None:
+        self.writer = None
+
+    def beat(self) -> None:
+        """Show that the writer lives; from any thread."""
+        if (writer := self.writer) is not None:
+            writer.beat()
+
+    def on_message(self, data: bytes, stamp_ns: int) -> None:
+        """Take a message from the backend."""
+        now = time.monotonic_ns()
+        self.counters.received += 1
+        self.last_ns = now
+        if self._gate is None:
+            self._publish(data, stamp_ns, now)
+            return
+        with self._lock:
+            waited = self._gate.due_ns
+            if self._gate.offer((data, stamp_ns), now) is not None:
+                self._publish(data, stamp_ns, now)
+            elif waited is None and self._gate.due_ns is not None:
+                self._on_due(self._gate.due_ns)
+
+    @property
+    def due_ns(self) -> int | None:
+        """When a message that waits may go."""
+        return self._gate.due_ns if self._gate is not None else None
+
+    def flush(self, now_ns: int) -> None:
+        """Publish the message that waits, if its time has come."""
+        if self._gate is None or self._gate.due_ns is None:
+            return
+        with self._lock:
+            item = self._gate.flush(now_ns)
+            if item is not None:
+                self._publish(*item, now_ns)
+
+    def _publish(self, data: bytes, stamp_ns: int, now_ns: int) -> None:
+        writer = self.writer
+        if writer is None:
+            self.counters.lost += 1
+            return
+        plan = self.plan
+        flags = _FIRST if self._first else 0
+        clock = 1 if stamp_ns else 0
+        try:
+            if plan.on_change:
+                record, cut = self.codec.plan.decode(data, plan.truncate)
+                if record == self._last_record:
+                    self.counters.unchanged += 1
+                    return
+                writer.publish(record, stamp_ns=stamp_ns, stamp_clock=clock, flags=flags | cut)
+                self._last_record = record
+            else:
+                _, cut = writer.publish_wire(
+                    self.codec.plan,
+                    data,
+                    truncate=plan.truncate,
+                    stamp_ns=stamp_ns,
+                    stamp_clock=clock,
+                    flags=flags,
+                )
+        except Fault as fault:
+            self._refused(writer, fault, now_ns)
+            return
+        except (ChannelError, ValueError) as error:
+            # Retired, damaged, claimed or just closed: the next check opens the name again.
+            self.counters.lost += 1
+            if self.writer is writer:
+                self.writer = None
+                self.fail(now_ns, error)
+            return
+        self._first = False
+        self.counters.published += 1
+        if cut & TRUNCATED:
+            self.counters.truncated += 1
+        if plan.print:
+            self._print(data)
+
+    def _refused(self, writer: Writer, fault: Fault, now_ns: int) -> None:
+        self.counters.refused += 1
+        if self.plan.on_change:
+            writer.refuse()
+        error = self.codec.explain(fault)
+        self.note(now_ns, f"message refused: {error.where}: {error.what}", error.code)
+
+    def _print(self, data: bytes) -> None:
+        record = self.codec.decode(data, truncate=self.plan.truncate)
+        log.info("%s: to the PLC: %s", self.plan.topic, self.plan.layout.to_dict(record))
+
+    def check(self, now_ns: int) -> bool:
+        """Look after the object; a writer that failed means that it must be opened again."""
+        return super().check(now_ns) or self.writer is None
+
+    def _observe(self, snapshot: Snapshot, now_ns: int) -> None:
+        tasks = []
+        for line in snapshot.readers:
+            if line.claim and self._lives(line.index, line.beat, line.beat_ms, line.taken, now_ns):
+                tasks.append(line.task)
+        self._peer_alive = bool(tasks)
+        self._tasks = tuple(tasks)
+        if self.writer is not None and self._subscription is not None:
+            self.writer.set_sources(self._subscription.matched)
+
+    def endpoint(self) -> EndpointStatus | None:
+        """Return the state of the subscription."""
+        return None if self._subscription is None else self._subscription.status()
+
+    def _lost(self, endpoint: EndpointStatus | None) -> int:
+        return self.counters.lost + (endpoint.dropped if endpoint else 0)
+
+    def _skipped(self) -> int:
+        return self.counters.unchanged + (self._gate.replaced if self._gate else 0)

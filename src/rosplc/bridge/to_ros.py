@@ -1,0 +1,234 @@
+"""PLC → ROS: one thread takes what is new from all channels in one call, and publishes it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+
+from rosplc._core._native import Fault, Group
+from rosplc.bridge.gate import Gate
+from rosplc.bridge.resolve import TopicPlan
+from rosplc.bridge.topic import Surroundings, Topic, log
+from rosplc.codec import TRUNCATED
+from rosplc.errors import ChannelError, RosplcError
+from rosplc.ros import Backend, EndpointStatus, Publisher
+from rosplc.shm import OwnedChannel, Reader, Snapshot
+
+__all__ = ["Pump", "ToRos"]
+
+_IN_ORDER = 1
+_LONGEST_WAIT_NS = 200_000_000
+_STAMP_SYSTEM = 1
+
+
+class ToRos(Topic):
+    """One topic towards ROS; its methods are called by the pump's thread unless they say otherwise."""
+
+    def __init__(self, plan: TopicPlan, around: Surroundings) -> None:
+        super().__init__(plan, around)
+        self.reader: Reader | None = None
+        self._publisher: Publisher | None = None
+        self._gate: Gate[tuple[bytes, int]] | None = (
+            Gate(plan.min_interval_ns) if plan.min_interval_ns else None
+        )
+        self._last_data: bytes | None = None
+        self._reader_lost = 0  # of readers that are no more
+
+    def join(self, backend: Backend) -> None:
+        """Advertise."""
+        plan = self.plan
+        self._publisher = backend.advertise(plan.topic, plan.type_name, plan.qos)
+
+    def leave(self) -> None:
+        """Withdraw the publisher."""
+        if self._publisher is not None:
+            self._publisher.close()
+
+    def _claim(self, channel: OwnedChannel) -> None:
+        self.reader = channel.reader(self.around.beat_ms)
+
+    def _unclaim(self) -> None:
+        reader, self.reader = self.reader, None
+        if reader is not None:
+            self._reader_lost += reader.lost
+
+    def beat(self) -> None:
+        """Show that this side lives; from any thread."""
+        if (reader := self.reader) is not None:
+            reader.beat()
+
+    def on_message(self, data: bytes, flags: int, stamp_ns: int, stamp_clock: int) -> None:
+        """Pass on a message that was taken."""
+        now = time.monotonic_ns()
+        count = self.counters
+        count.received += 1
+        self.last_ns = now
+        if flags & TRUNCATED:
+            count.truncated += 1
+        if self.plan.on_change:
+            # The encoder leaves nothing of unused bytes, so equal bytes are equal messages.
+            if data == self._last_data:
+                count.unchanged += 1
+                return
+            self._last_data = data
+        # A stamp of the PLC's own clock means nothing in ROS; the bridge stamps on arrival.
+        stamp = stamp_ns if stamp_clock == _STAMP_SYSTEM and stamp_ns else time.time_ns()
+        if self._gate is None or self._gate.offer((data, stamp), now) is not None:
+            self._write(data, stamp, now)
+
+    @property
+    def due_ns(self) -> int | None:
+        """When a message that waits may go."""
+        return self._gate.due_ns if self._gate is not None else None
+
+    def flush(self, now_ns: int) -> None:
+        """Publish the message that waits, if its time has come."""
+        if self._gate is not None and (item := self._gate.flush(now_ns)) is not None:
+            self._write(*item, now_ns)
+
+    def on_fault(self, error: Fault | ChannelError, now_ns: int) -> bool:
+        """Note what went wrong; return whether the object must be opened again."""
+        if isinstance(error, Fault):
+            self.counters.received += 1
+            self.counters.refused += 1
+            explained = self.codec.explain(error)
+            self.note(now_ns, f"message refused: {explained.where}: {explained.what}", explained.code)
+            return False
+        self.fail(now_ns, error)
+        return True
+
+    def _write(self, data: bytes, stamp_ns: int, now_ns: int) -> None:
+        if self._publisher is None:
+            self.counters.lost += 1
+            return
+        try:
+            sent = self._publisher.write(data, stamp_ns)
+        except RosplcError as error:
+            self.counters.lost += 1
+            self.note(now_ns, f"message not sent: {error.what}", error.code)
+            return
+        except Exception as error:  # a backend's own mistake must not stop the other topics
+            self.counters.lost += 1
+            self.note(now_ns, f"message not sent: {type(error).__name__}: {error}")
+            return
+        if sent is False:
+            self.counters.lost += 1
+            self.note(now_ns, "message not sent: a subscriber does not keep up")
+            return
+        self.counters.published += 1
+        if self.plan.print:
+            record = self.codec.decode(data)
+            log.info("%s: from the PLC: %s", self.plan.topic, self.plan.layout.to_dict(record))
+
+    def _observe(self, snapshot: Snapshot, now_ns: int) -> None:
+        writer = snapshot.writer
+        alive = self._lives(0, writer.beat, writer.beat_ms, writer.head, now_ns)
+        self._peer_alive = bool(writer.epoch) and alive
+        if self.reader is not None and self._publisher is not None:
+            self.reader.set_sinks(self._publisher.matched)
+
+    def endpoint(self) -> EndpointStatus | None:
+        """Return the state of the publisher."""
+        return None if self._publisher is None else self._publisher.status()
+
+    def _lost(self, endpoint: EndpointStatus | None) -> int:
+        reader = self.reader
+        lost = self.counters.lost + self._reader_lost
+        # Taking the newest alone skips messages on purpose.
+        return lost + (reader.lost if reader is not None and self.plan.every else 0)
+
+    def _skipped(self) -> int:
+        skipped = self.counters.unchanged + (self._gate.replaced if self._gate else 0)
+        reader = self.reader
+        return skipped + (reader.lost if reader is not None and not self.plan.every else 0)
+
+
+class Pump:
+    """The thread that carries all topics towards ROS.
+
+    Args:
+        topics: The topics; their objects are open.
+        tick_ns: How often it looks.
+
+    Attributes:
+        busy_since_ns: When it began to publish what it holds; 0 while it waits for news.
+    """
+
+    def __init__(self, topics: tuple[ToRos, ...], tick_ns: int) -> None:
+        self.busy_since_ns = 0
+        self._topics = topics
+        self._tick_ns = tick_ns
+        self._group = Group()
+        self._by_index: dict[int, ToRos] = {}
+        self._index: dict[ToRos, int] = {}
+        self._jobs: deque[Callable[[], None]] = deque()
+        self._stopping = False
+        self._thread = threading.Thread(target=self._run, name="rosplc-to-ros", daemon=True)
+        for topic in topics:
+            self._add(topic)
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def stop(self, timeout: float = 5.0) -> bool:
+        """End; return whether the thread ended in time."""
+        self._stopping = True
+        self._group.wake()
+        if self._thread.is_alive():
+            self._thread.join(timeout)
+        return not self._thread.is_alive()
+
+    def reopen(self, topic: ToRos) -> None:
+        """Ask, from any thread, that a topic's object be opened again."""
+        self._jobs.append(lambda: self._reopen(topic))
+        self._group.wake()
+
+    def _add(self, topic: ToRos) -> None:
+        if topic.reader is not None:
+            mode = _IN_ORDER if topic.plan.every else 0
+            index = self._group.add_reader(topic.reader, topic.codec.plan, mode, topic.plan.slots)
+            self._by_index[index] = topic
+            self._index[topic] = index
+
+    def _reopen(self, topic: ToRos) -> None:
+        index = self._index.pop(topic, None)
+        if index is not None:
+            self._group.remove(index)
+            del self._by_index[index]
+        if topic.reopen(time.monotonic_ns()):
+            self._add(topic)
+
+    def _run(self) -> None:
+        while not self._stopping:
+            try:
+                self._turn()
+            except Exception:
+                log.exception("carrying messages to ROS failed; it goes on")
+                time.sleep(0.1)
+
+    def _turn(self) -> None:
+        self._group.wait(self._tick_ns, self._patience(time.monotonic_ns()))
+        while self._jobs:
+            self._jobs.popleft()()
+        if self._stopping:
+            return
+        messages, faults = self._group.take()
+        now = time.monotonic_ns()
+        self.busy_since_ns = now
+        for index, data, _sequence, flags, stamp_ns, stamp_clock in messages:
+            self._by_index[index].on_message(data, flags, stamp_ns, stamp_clock)
+        for index, fault in faults:
+            topic = self._by_index[index]
+            if topic.on_fault(fault, now):
+                self._jobs.append(lambda topic=topic: self._reopen(topic))  # type: ignore[misc]
+        for topic in self._topics:
+            if topic.due_ns is not None:
+                topic.flush(time.monotonic_ns())
+        self.busy_since_ns = 0
+
+    def _patience(self, now_ns: int) -> int:
+        due = min((topic.due_ns for topic in self._topics if topic.due_ns is not None), default=None)
+        return _LONGEST_WAIT_NS if due is None else max(0, min(_LONGEST_WAIT_NS, due - now_ns))

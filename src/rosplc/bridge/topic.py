@@ -1,0 +1,264 @@
+"""What both directions of a topic share: its object, its counters, its peer's life."""
+
+from __future__ import annotations
+
+import logging
+import time
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+
+from rosplc.bridge.repeats import QUIET_NS, RepeatedWarnings
+from rosplc.bridge.resolve import TopicPlan
+from rosplc.bridge.status import TopicStatus
+from rosplc.codec import Codec, Wire
+from rosplc.errors import ChannelError, RosplcError
+from rosplc.ros import Backend, EndpointStatus
+from rosplc.shm import Description, Liveness, Namespace, OwnedChannel, Snapshot
+
+__all__ = ["Counters", "Surroundings", "Topic", "log"]
+
+log = logging.getLogger("rosplc.bridge")
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What the topics of one bridge have in common.
+
+    Attributes:
+        namespace: The names of the objects.
+        bridge: The bridge's name.
+        bridge_id: 16 random bytes, drawn at start.
+        distro: The ROS distribution.
+        mode: Permission bits of the objects.
+        uid: Their owner; None for this process's.
+        gid: Their group; None for this process's.
+        beat_ns: The beat that is promised.
+        warnings: Where repeated warnings go.
+    """
+
+    namespace: Namespace
+    bridge: str
+    bridge_id: bytes
+    distro: str
+    mode: int = 0o660
+    uid: int | None = None
+    gid: int | None = None
+    beat_ns: int = 100_000_000
+    warnings: RepeatedWarnings = field(default_factory=lambda: RepeatedWarnings(log))
+
+    @property
+    def beat_ms(self) -> int:
+        """The promised beat in milliseconds."""
+        return max(1, self.beat_ns // 1_000_000)
+
+
+@dataclass
+class Counters:
+    """Messages of one topic; each is written by one thread."""
+
+    received: int = 0
+    published: int = 0
+    unchanged: int = 0
+    lost: int = 0
+    refused: int = 0
+    truncated: int = 0
+
+
+class Topic(ABC):
+    """One topic of a running bridge.
+
+    Args:
+        plan: What to carry, and how.
+        around: What the bridge's topics share.
+
+    Attributes:
+        plan: As given.
+        codec: Wire bytes to record and back.
+        channel: The object; None while there is none.
+        counters: What was counted since the start.
+    """
+
+    def __init__(self, plan: TopicPlan, around: Surroundings) -> None:
+        self.plan = plan
+        self.around = around
+        self.codec = Codec(plan.layout, Wire.ROS1 if around.distro == "noetic" else Wire.CDR)
+        self.channel: OwnedChannel | None = None
+        self.counters = Counters()
+        self.last_ns: int | None = None
+        self.problem = ""
+        self._reason: tuple[str, str, int] | None = None  # words, code, when
+        self._started_ns = time.monotonic_ns()
+        self._alive: dict[int, tuple[int, Liveness]] = {}
+        self._peer_alive = False
+        self._tasks: tuple[str, ...] = ()
+        self._rate = 0.0
+        self._rate_from: tuple[int, int] = (self._started_ns, 0)
+
+    # -- life
+
+    def open(self) -> None:
+        """Create or adopt the object.
+
+        Raises:
+            ChannelError: As :meth:`OwnedChannel.open`.
+        """
+        plan, around = self.plan, self.around
+        layout = plan.layout
+        description = Description(
+            topic=plan.topic,
+            type=plan.type_name,
+            distro=around.distro,
+            direction=plan.direction,
+            limits=layout.limits.to_dict(),
+            layout_id=layout.layout_id,
+            bridge=around.bridge,
+            definition=layout.store.definition_text(plan.type_name),
+        )
+        channel = OwnedChannel.open(
+            around.namespace,
+            description,
+            record_size=layout.size,
+            slots=plan.slots,
+            mode=around.mode,
+            uid=around.uid,
+            gid=around.gid,
+            bridge_id=around.bridge_id,
+        )
+        try:
+            self._claim(channel)
+        except BaseException:
+            channel.close()
+            raise
+        self.channel = channel
+        self._alive.clear()
+        if channel.replaced_reason:
+            log.info("%s: the object was replaced: %s", plan.topic, channel.replaced_reason)
+
+    def close(self) -> None:
+        """Leave the object with its last state."""
+        channel, self.channel = self.channel, None
+        self._unclaim()
+        if channel is not None:
+            channel.close()
+
+    @abstractmethod
+    def join(self, backend: Backend) -> None:
+        """Subscribe or advertise."""
+
+    @abstractmethod
+    def leave(self) -> None:
+        """Take the endpoint off the graph; harmless twice."""
+
+    @abstractmethod
+    def _claim(self, channel: OwnedChannel) -> None:
+        """Claim what this side claims of an object."""
+
+    @abstractmethod
+    def _unclaim(self) -> None:
+        """Stop using the object."""
+
+    @abstractmethod
+    def beat(self) -> None:
+        """Show that this side lives."""
+
+    # -- housekeeping, about once a second
+
+    def check(self, now_ns: int) -> bool:
+        """Look after object, peer and rate; return whether the object must be opened again."""
+        since, count = self._rate_from
+        if now_ns - since >= 500_000_000:
+            self._rate = (self.counters.received - count) * 1e9 / (now_ns - since)
+            self._rate_from = (now_ns, self.counters.received)
+        if self.channel is None:
+            return True
+        try:
+            if not self.channel.still_there():
+                self.note(now_ns, "the object was removed or replaced; it is created again", "SHM120")
+                return True
+            self._observe(self.channel.snapshot(), now_ns)
+        except (ChannelError, ValueError, OSError) as error:
+            self.fail(now_ns, error)
+            return True
+        return False
+
+    def reopen(self, now_ns: int) -> bool:
+        """Close the object and open its name again; return whether that succeeded."""
+        try:
+            self.close()
+            self.open()
+        except (RosplcError, OSError, ValueError) as error:
+            self.fail(now_ns, error)
+            return False
+        self.problem = ""
+        log.info("%s: the object stands again", self.plan.topic)
+        return True
+
+    @abstractmethod
+    def _observe(self, snapshot: Snapshot, now_ns: int) -> None:
+        """Judge the peer's life, and tell it how many stand behind this side."""
+
+    def _lives(self, key: int, beat: int, beat_ms: int, count: int, now_ns: int) -> bool:
+        known = self._alive.get(key)
+        if known is None or known[0] != beat_ms:
+            known = self._alive[key] = (beat_ms, Liveness(beat_ms))
+        return known[1].observe(beat, count, now_ns)
+
+    # -- words
+
+    def note(self, now_ns: int, words: str, code: str = "") -> None:
+        """Remember and log what went wrong."""
+        self._reason = (words, code, now_ns)
+        suffix = f" [{code}]" if code else ""
+        self.around.warnings.warn((self.plan.topic, code), now_ns, f"{self.plan.topic}: {words}{suffix}")
+
+    def fail(self, now_ns: int, error: Exception) -> None:
+        """Remember an error that keeps the topic from being carried until the object is reopened."""
+        if isinstance(error, RosplcError):
+            words, code = error.what, error.code
+        else:
+            words, code = str(error) or type(error).__name__, ""
+        self.problem = f"{words} [{code}]" if code else words
+        self.note(now_ns, words, code)
+
+    @abstractmethod
+    def endpoint(self) -> EndpointStatus | None:
+        """Return the state of the ROS side's endpoint, None before there is one."""
+
+    @abstractmethod
+    def _lost(self, endpoint: EndpointStatus | None) -> int:
+        """Return all losses of this direction."""
+
+    @abstractmethod
+    def _skipped(self) -> int:
+        """Return what was held back on purpose."""
+
+    def status(self, now_ns: int) -> TopicStatus:
+        """Return how the topic stands."""
+        plan, count = self.plan, self.counters
+        endpoint = self.endpoint()
+        reason, code, when = self._reason or ("", "", 0)
+        recent = bool(reason) and now_ns - when < QUIET_NS
+        if endpoint is not None and endpoint.code and not recent:
+            reason, code, recent = endpoint.reason, endpoint.code, True
+        since = self._started_ns if self.last_ns is None else self.last_ns
+        return TopicStatus(
+            topic=plan.topic,
+            type_name=plan.type_name,
+            direction=plan.direction,
+            matched=endpoint.matched if endpoint else 0,
+            received=count.received,
+            published=count.published,
+            skipped=self._skipped(),
+            lost=self._lost(endpoint),
+            refused=count.refused + (endpoint.rejected if endpoint else 0),
+            truncated=count.truncated,
+            rate_hz=self._rate,
+            age_ns=None if self.last_ns is None else max(0, now_ns - self.last_ns),
+            stale=bool(plan.stale_after_ns) and now_ns - since > plan.stale_after_ns,
+            peer_alive=self._peer_alive,
+            tasks=self._tasks,
+            problem=self.problem,
+            reason=reason,
+            code=code,
+            recent=recent,
+        )
