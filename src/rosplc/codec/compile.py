@@ -27,10 +27,12 @@ class CompiledPlan:
         blob: What ``_native.Plan`` takes.
         ops: The little-endian list, then the list for big-endian input; a fault's ``op`` is an
             index into it.
+        native_count: Number of ops in the little-endian list.
     """
 
     blob: bytes
     ops: tuple[Op, ...]
+    native_count: int
 
 
 def compile_plan(root: StructNode, wire: Wire) -> CompiledPlan:
@@ -44,7 +46,8 @@ def compile_plan(root: StructNode, wire: Wire) -> CompiledPlan:
     swapped = _OpList(wire, swapped=True)
     if wire is Wire.CDR:  # ROS 1 is little-endian only
         swapped.struct(root, 0, "")
-    return CompiledPlan(pack_plan(wire, root.size, native.ops, swapped.ops), (*native.ops, *swapped.ops))
+    blob = pack_plan(wire, root.size, native.ops, swapped.ops)
+    return CompiledPlan(blob, (*native.ops, *swapped.ops), len(native.ops))
 
 
 def _is_empty(node: StructNode) -> bool:
