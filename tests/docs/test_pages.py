@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import runpy
 from pathlib import Path
 
 import pytest
@@ -115,3 +116,9 @@ def test_runner_refuses_output_without_a_command(tmp_path: Path) -> None:
 def test_ellipsis_stands_for_any_text(expected: str, output: str, fits: bool) -> None:
     """Only `...` is a placeholder, and everything else must be there."""
     assert bool(pattern(expected).fullmatch(normal(output))) is fits
+
+
+def test_picture_is_what_its_program_draws() -> None:
+    """docs/images/path.svg was not changed by hand."""
+    program = runpy.run_path(str(ROOT / "tools" / "draw_path.py"))
+    assert (DOCS / "images" / "path.svg").read_text(encoding="utf-8") == program["image"]()
