@@ -78,3 +78,32 @@ def test_version_is_a_release_number() -> None:
 
     assert len(rosplc.__version__.split(".")) == 3
     assert version("rosplc") == rosplc.__version__
+
+
+def imports(path: Path) -> set[str]:
+    """Return the modules that a source file imports, those inside functions included."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module is not None:
+            found.add(node.module)
+            found |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return found
+
+
+def test_c_core_is_imported_by_shm_codec_and_bridge_alone() -> None:
+    """The part of the dependency rule that import-linter cannot see: it knows no compiled modules."""
+    users = {
+        path.relative_to(PACKAGE).parts[0]
+        for path in PACKAGE.rglob("*.py")
+        if any(name == "rosplc._core" or name.startswith("rosplc._core.") for name in imports(path))
+    }
+    assert "shm" in users
+    assert users <= {"shm", "codec", "bridge"}
+
+
+def test_no_module_takes_the_public_names_from_the_front_door() -> None:
+    """`from rosplc import attach` inside the package would be a way around the dependency rule."""
+    for path in sorted(PACKAGE.rglob("*.py")):
+        assert not {f"rosplc.{name}" for name in rosplc.__all__} & imports(path), path
