@@ -151,7 +151,7 @@ class _Builder:
 
     def _unknown_limit(self, path: str) -> LayoutError:
         known = limit_paths(self._store, self._type_name)
-        near = difflib.get_close_matches(path, known, 1)
+        near = difflib.get_close_matches(path, known, 1, 0.5)
         hint = f"; did you mean {near[0]}?" if near else ""
         return LayoutError(
             "LAY002", f"no string or sequence of {self._type_name} has this path{hint}", where=path

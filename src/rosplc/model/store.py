@@ -95,10 +95,11 @@ class TypeStore:
 
     def __getitem__(self, name: str) -> MessageType:
         """Return a type by ``package/msg/Name`` or ``package/Name``; TYP001 if unknown."""
-        full = full_name(name)
-        if full not in self._types:
-            raise MessageTypeError("TYP001", self._unknown(full))
-        return self._types[full]
+        if not (isinstance(name, str) and name.isidentifier()):
+            name = full_name(name)
+        if name not in self._types:
+            raise MessageTypeError("TYP001", self._unknown(name[:80]))
+        return self._types[name]
 
     def __contains__(self, name: object) -> bool:
         try:
@@ -179,10 +180,9 @@ class TypeStore:
             raise MessageTypeError("TYP001", self._unknown(kind.name), where=where)
 
     def _unknown(self, name: str) -> str:
-        near = difflib.get_close_matches(name, self._types, 1, 0.75)
-        if not near:
-            base = name.rsplit("/", 1)[1]
-            near = [other for other in sorted(self._types) if other.endswith(f"/{base}")][:1]
+        base = name.rsplit("/", 1)[-1].lower()
+        same = [other for other in self.names() if other.rsplit("/", 1)[1].lower() == base]
+        near = difflib.get_close_matches(name, same, 1, 0) or difflib.get_close_matches(name, self._types, 1)
         hint = f"; did you mean {near[0]}?" if near else ""
         return f"{name} is unknown{f' in {self.distro}' if self.distro else ''}{hint}"
 

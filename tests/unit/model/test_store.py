@@ -1,0 +1,286 @@
+"""The type store: bundled types, added ones, fingerprints."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from rosbags.typesys import Stores, get_typestore
+
+from rosplc.errors import MessageTypeError
+from rosplc.model import DISTROS, NamedType, TypeStore
+from rosplc.model.defaults import with_defaults
+
+STORES = {
+    "humble": Stores.ROS2_HUMBLE,
+    "jazzy": Stores.ROS2_JAZZY,
+    "kilted": Stores.ROS2_KILTED,
+    "lyrical": Stores.ROS2_LYRICAL,
+    "noetic": Stores.ROS1_NOETIC,
+}
+# As rosidl generates them: kilted's packages as micro-ROS ships them in hpmicro/hpm_sdk
+# (files *__description.c), all 156 common types of which were compared once.
+PUBLISHED_HASHES = {
+    "std_msgs/msg/String": "df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18",
+    "std_msgs/msg/Char": "3ad2d04dd29ba19d04b16659afa3ccaedd691914b02a64e82e252f2fa6a586a9",
+    "std_msgs/msg/Empty": "20b625256f32d5dbc0d04fee44f43c41e51c70d3502f84b4a08e7a9c26a96312",
+    "std_msgs/msg/ByteMultiArray": "972fec7f50ab3c1d06783c228e79e8a9a509021708c511c059926261ada901d4",
+    "geometry_msgs/msg/Twist": "9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a",
+    "sensor_msgs/msg/JointState": "a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e",
+    "service_msgs/msg/ServiceEventInfo": "41bcbbe07a75c9b52bc96bfd5c24d7f0fc0a08c0cb7921b3373c5732345a6f45",
+    "rcl_interfaces/msg/ParameterDescriptor": (
+        "52175dbfda6c51153101d33d2a9da05743f66f02d5ab2ca9ec4709b46b73d704"
+    ),
+}
+
+
+@pytest.mark.parametrize("distro", DISTROS)
+def test_every_bundled_type_survives_its_own_definition_text(distro: str) -> None:
+    """A self-description's text gives the same type, text and fingerprints again."""
+    store = TypeStore.bundled(distro)
+    assert len(store) >= 150
+    for name in store.names():
+        text = store.definition_text(name)
+        again = TypeStore.from_definition(name, text, distro=distro)
+        assert again[name] == store[name]
+        assert again.definition_text(name) == text
+        assert again.type_hash(name) == store.type_hash(name)
+        assert again.md5(name) == store.md5(name)
+
+
+@pytest.mark.parametrize("distro", DISTROS)
+def test_fingerprints_agree_with_rosbags(distro: str) -> None:
+    """Hashes and MD5 sums are rosbags' own, but for type hashes where a char is involved."""
+    store, other = TypeStore.bundled(distro), get_typestore(STORES[distro])
+    for name in store.names():
+        assert store.md5(name) == other.generate_msgdef(name)[1]
+        has_char = any(
+            "char" in str(field.type).split("[")[0].split("/")
+            for needed in store.dependencies(name)
+            for field in store[needed].fields
+        )
+        assert (store.type_hash(name) == other.hash_rihs01(name)) is not has_char
+
+
+def test_type_hashes_are_the_published_ones() -> None:
+    """Type hashes are those that rosidl generates, also for char and for empty messages."""
+    store = TypeStore.bundled("kilted")
+    for name, digest in PUBLISHED_HASHES.items():
+        assert store.type_hash(name) == f"RIHS01_{digest}"
+
+
+def test_md5_uses_the_text_of_constants() -> None:
+    """ROS 1 hashes a constant as it is written: 0x1 and 1 differ."""
+    texts = ("uint8 A=0x1\nint8 x\n", "uint8 A=1\nint8 x\n", "uint8  A = 1 # one\n\nint8   x\n")
+    sums = [TypeStore.from_definition("a/B", text, distro="noetic").md5("a/B") for text in texts]
+    assert sums[0] != sums[1] == sums[2]
+
+
+def test_definition_text_of_each_ros_version() -> None:
+    """ROS 1 writes time by that name and without a definition, ROS 2 as a message."""
+    noetic = TypeStore.bundled("noetic").definition_text("std_msgs/Header")
+    assert noetic == "uint32 seq\ntime stamp\nstring frame_id\n"
+    jazzy = TypeStore.bundled("jazzy").definition_text("std_msgs/Header")
+    assert jazzy == (
+        "builtin_interfaces/Time stamp\nstring frame_id\n"
+        + "=" * 80
+        + "\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+    )
+
+
+def test_definition_text_names_types_in_order_of_first_use() -> None:
+    """Each needed type appears once, depth first."""
+    text = TypeStore.bundled("jazzy").definition_text("geometry_msgs/PoseStamped")
+    names = [line[5:] for line in text.splitlines() if line.startswith("MSG: ")]
+    assert names == [
+        "std_msgs/Header", "builtin_interfaces/Time", "geometry_msgs/Pose", "geometry_msgs/Point",
+        "geometry_msgs/Quaternion",
+    ]  # fmt: skip
+
+
+def test_dependencies_come_before_what_needs_them() -> None:
+    """A type's dependencies end with itself, and each stands after its own."""
+    store = TypeStore.bundled("jazzy")
+    order = store.dependencies("nav_msgs/Odometry")
+    assert order[-1] == "nav_msgs/msg/Odometry"
+    for position, name in enumerate(order):
+        needed = {f.type.name for f in store[name].fields if isinstance(f.type, NamedType)}
+        assert needed <= set(order[:position])
+
+
+@pytest.mark.parametrize(
+    ("distro", "w", "status"),
+    [
+        ("humble", 1.0, None),
+        ("jazzy", 1.0, -2),
+        ("kilted", 1.0, -2),
+        ("lyrical", 1.0, -2),
+        ("noetic", None, None),
+    ],
+)
+def test_bundled_defaults_are_the_distributions(distro: str, w: float | None, status: int | None) -> None:
+    """A Quaternion's w is 1 in ROS 2 only, and NavSatStatus has a default since jazzy."""
+    store = TypeStore.bundled(distro)
+    assert {f.name: f.default for f in store["geometry_msgs/Quaternion"].fields}["w"] == w
+    assert {f.name: f.default for f in store["sensor_msgs/NavSatStatus"].fields}["status"] == status
+
+
+def test_a_default_for_a_field_that_is_not_there_is_found() -> None:
+    """The table of default values cannot fall out of step with the bundled types."""
+    types = {name: TypeStore.bundled("noetic")[name] for name in TypeStore.bundled("noetic").names()}
+    with pytest.raises(LookupError):
+        with_defaults("jazzy", {**types, "geometry_msgs/msg/Quaternion": types["std_msgs/msg/Header"]})
+
+
+def test_names_are_accepted_in_both_forms() -> None:
+    """pkg/Name and pkg/msg/Name name the same type; other things are not in the store."""
+    store = TypeStore.bundled("jazzy")
+    assert store["std_msgs/String"] is store["std_msgs/msg/String"]
+    assert "std_msgs/String" in store
+    for name in ("String", "std_msgs/srv/String", "std_msgs/Strnig", "", "a" * 1000, None, 5):
+        assert name not in store
+
+
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [
+        ("geometry_msgs/Twit", "geometry_msgs/msg/Twist"),
+        ("geometry_msgs/JointState", "sensor_msgs/msg/JointState"),
+        ("Twist", "geometry_msgs/msg/Twist"),
+        ("geometry_msgs/twist", "geometry_msgs/msg/Twist"),
+        ("what/is/this/Twist", "no type name"),
+    ],
+)
+def test_unknown_types_get_a_hint(name: str, hint: str) -> None:
+    """A misspelt type is refused with the nearest known one."""
+    with pytest.raises(MessageTypeError, match=hint) as caught:
+        TypeStore.bundled("jazzy")[name]
+    assert caught.value.code == "TYP001"
+
+
+def test_unknown_distributions_get_a_hint() -> None:
+    """A misspelt distribution is refused with the nearest known one."""
+    with pytest.raises(MessageTypeError, match="jazzy") as caught:
+        TypeStore.bundled("jazy")
+    assert caught.value.code == "TYP006"
+
+
+def test_adding_types_leaves_the_old_store_alone() -> None:
+    """Stores do not change: adding makes a new one."""
+    old = TypeStore.bundled("jazzy")
+    new = old.with_definition("my_msgs/Pair", "geometry_msgs/Point a\ngeometry_msgs/Point b\n")
+    assert "my_msgs/Pair" in new
+    assert "my_msgs/Pair" not in old
+    assert new.distro == "jazzy"
+
+
+def test_definitions_off_the_wire_keep_known_defaults() -> None:
+    """The same type without its default values is no conflict, and the defaults stay."""
+    store = TypeStore.bundled("jazzy")
+    text = "float64 x\nfloat64 y\nfloat64 z\nfloat64 w\n"
+    assert (
+        store.with_definition("geometry_msgs/Quaternion", text)["geometry_msgs/Quaternion"].fields[3].default
+        == 1
+    )
+    other = store.with_definition("geometry_msgs/Quaternion", text.replace("w", "w 0.5"))
+    assert other["geometry_msgs/Quaternion"].fields[3].default == 0.5
+
+
+def test_ros1_times_need_no_definition() -> None:
+    """The types time and duration are known where the text does not define them."""
+    store = TypeStore.from_definition("a/A", "time t\nduration[] d\n", distro="noetic")
+    assert store.ros_version == 1
+    assert store.definition_text("a/A") == "time t\nduration[] d\n"
+    assert store.dependencies("a/A")[:2] == ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
+
+
+@pytest.mark.parametrize("text", ["A again\n", "A[] again\n", f"B b\n{'=' * 80}\nMSG: a/B\nA[2] a\n"])
+def test_types_that_contain_themselves_are_refused(text: str) -> None:
+    """Recursion is an error that shows the cycle, whichever way it goes."""
+    with pytest.raises(MessageTypeError, match="→") as caught:
+        TypeStore.from_definition("a/A", text)
+    assert caught.value.code == "TYP003"
+
+
+class TestFolders:
+    """Custom types from files."""
+
+    @pytest.fixture
+    def root(self, tmp_path: Path) -> Path:
+        for file, text in {
+            "one_msgs/msg/First.msg": "two_msgs/Second second\nfloat64 w 1\n",
+            "two_msgs/Second.msg": "int32 x\n",
+            "deep/er/three_msgs/msg/Third.msg": "one_msgs/First[] many\n",
+        }.items():
+            (tmp_path / file).parent.mkdir(parents=True)
+            (tmp_path / file).write_text(text)
+        return tmp_path
+
+    def test_each_way_of_arranging_files(self, root: Path) -> None:
+        """Packages with and without a msg folder are found at any depth."""
+        store = TypeStore.bundled("jazzy").with_paths([root])
+        assert {"one_msgs/First", "two_msgs/Second", "three_msgs/Third"} <= {
+            name.replace("/msg/", "/") for name in store.names()
+        }
+        assert store["one_msgs/First"].fields[1].default == 1.0
+
+    def test_a_package_folder_and_a_file(self, root: Path) -> None:
+        """A package's own folder, its msg folder and a single file are accepted as well."""
+        second = root / "two_msgs/Second.msg"
+        for path in (root / "one_msgs", root / "one_msgs/msg"):
+            assert "one_msgs/First" in TypeStore.bundled("jazzy").with_paths([path, second])
+
+    def test_the_manifest_names_the_package(self, root: Path) -> None:
+        """The name in package.xml counts, not the folder's."""
+        (root / "two_msgs/package.xml").write_text("<package format='3'><name>real_msgs</name></package>")
+        store = TypeStore.bundled("jazzy").with_paths([root / "two_msgs"])
+        assert "real_msgs/Second" in store
+
+    def test_equal_copies_are_no_conflict(self, root: Path, tmp_path: Path) -> None:
+        """The same definition in a source and an install folder is one type."""
+        copy = root / "install/one_msgs/msg"
+        copy.mkdir(parents=True)
+        (copy / "First.msg").write_text("# copied\ntwo_msgs/Second   second\nfloat64 w 1\n")
+        assert "one_msgs/First" in TypeStore.bundled("jazzy").with_paths([root])
+
+    @pytest.mark.parametrize(
+        ("file", "text", "code", "where", "what"),
+        [
+            ("one_msgs/msg/Bad.msg", b"int32 a\nint32 a\n", "TYP002", "Bad.msg:2", "twice"),
+            (
+                "one_msgs/msg/Bad.msg",
+                b"int32 a\ntwo_msgs/Secnd s",
+                "TYP001",
+                "Bad.msg:2",
+                "two_msgs/msg/Second",
+            ),
+            ("one_msgs/msg/Bad.msg", b"Bad a", "TYP003", "Bad.msg", "Bad → "),
+            ("one_msgs/msg/Bad.msg", b"wstring a", "TYP004", "Bad.msg:1", "wstring"),
+            ("one_msgs/msg/Bad.msg", b"int32 a\n# \xff\n", "TYP002", "Bad.msg:2", "UTF-8"),
+            ("one_msgs/msg/Bad.msg", b"#" * (1 << 20) + b"#", "TYP007", "Bad.msg", "bytes"),
+            ("z/one_msgs/First.msg", b"int8 x", "TYP005", "z/one_msgs/First.msg", "differs from"),
+            ("std_msgs/msg/String.msg", b"string text", "TYP005", "String.msg", "jazzy's own"),
+            ("9msgs/msg/Bad.msg", b"int8 x", "TYP002", "Bad.msg", "package name"),
+            ("one_msgs/msg/No-Name.msg", b"int8 x", "TYP002", "No-Name.msg", "message name"),
+            ("one_msgs/package.xml", b"<package>", "TYP002", "package.xml", "manifest"),
+        ],
+    )
+    def test_errors_name_file_and_line(
+        self, root: Path, file: str, text: bytes, code: str, where: str, what: str
+    ) -> None:
+        """Every mistake in a file is reported with its path, and its line where there is one."""
+        (root / file).parent.mkdir(parents=True, exist_ok=True)
+        (root / file).write_bytes(text)
+        with pytest.raises(MessageTypeError, match=what) as caught:
+            TypeStore.bundled("jazzy").with_paths([root])
+        assert caught.value.code == code
+        assert where in caught.value.where
+
+    def test_a_folder_without_definitions_is_an_error(self, tmp_path: Path) -> None:
+        """A misspelt or empty folder does not pass for one without types."""
+        (tmp_path / "file.txt").write_text("int8 x")
+        (tmp_path / "empty").mkdir()
+        for path in (tmp_path / "missing", tmp_path / "empty", tmp_path / "file.txt"):
+            with pytest.raises(MessageTypeError) as caught:
+                TypeStore.bundled("jazzy").with_paths([path])
+            assert caught.value.code == "TYP008"
