@@ -2,6 +2,74 @@
 
 from __future__ import annotations
 
+import importlib
+from typing import TYPE_CHECKING
+
 from rosplc._version import __version__
 
-__all__ = ["__version__"]
+if TYPE_CHECKING:
+    from rosplc.api import Channel, attach, topics
+    from rosplc.errors import (
+        BackendError,
+        ChannelError,
+        CodecError,
+        ConfigError,
+        LayoutError,
+        MessageTypeError,
+        RosplcError,
+        SetupError,
+    )
+    from rosplc.layout import RecordView
+    from rosplc.monitor import ObjectState
+    from rosplc.shm import Direction, SlotInfo
+
+__all__ = [
+    "BackendError",
+    "Channel",
+    "ChannelError",
+    "CodecError",
+    "ConfigError",
+    "Direction",
+    "LayoutError",
+    "MessageTypeError",
+    "ObjectState",
+    "RecordView",
+    "RosplcError",
+    "SetupError",
+    "SlotInfo",
+    "__version__",
+    "attach",
+    "topics",
+]
+
+# Loaded on first use: every module of rosplc imports this one, and most need none of these.
+_HOME = {
+    "Channel": "rosplc.api",
+    "attach": "rosplc.api",
+    "topics": "rosplc.api",
+    "BackendError": "rosplc.errors",
+    "ChannelError": "rosplc.errors",
+    "CodecError": "rosplc.errors",
+    "ConfigError": "rosplc.errors",
+    "LayoutError": "rosplc.errors",
+    "MessageTypeError": "rosplc.errors",
+    "RosplcError": "rosplc.errors",
+    "SetupError": "rosplc.errors",
+    "RecordView": "rosplc.layout",
+    "ObjectState": "rosplc.monitor",
+    "Direction": "rosplc.shm",
+    "SlotInfo": "rosplc.shm",
+}
+
+
+def __getattr__(name: str) -> object:
+    home = _HOME.get(name)
+    if home is None:
+        raise AttributeError(f"module 'rosplc' has no attribute {name!r}")
+    value: object = getattr(importlib.import_module(home), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -2,4 +2,12 @@
 
 from __future__ import annotations
 
-__all__: list[str] = []
+__all__ = ["main"]
+
+
+def main() -> None:
+    """Run the ``rosplc`` command with the process's arguments; never returns."""
+    # Imported here so that `import rosplc.cli` stays cheap for tools that only look at it.
+    from rosplc.cli.app import app
+
+    app(prog_name="rosplc")

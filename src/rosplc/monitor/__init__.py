@@ -2,4 +2,6 @@
 
 from __future__ import annotations
 
-__all__: list[str] = []
+from rosplc.monitor.snapshot import ObjectState, find_objects
+
+__all__ = ["ObjectState", "find_objects"]

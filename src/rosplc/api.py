@@ -1,0 +1,331 @@
+"""Channels for any Python program on the machine: attach to a topic, read, write.
+
+No ROS and no configuration is needed: an object in shared memory describes itself.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping
+from types import TracebackType
+from typing import Any
+
+from rosplc.described import described_layout
+from rosplc.errors import ChannelError
+from rosplc.layout import Layout, RecordView
+from rosplc.monitor import ObjectState, find_objects
+from rosplc.shm import Attached, Description, Direction, Namespace, Reader, SlotInfo, Snapshot, Writer
+from rosplc.shm import attach as attach_object
+
+__all__ = ["Channel", "attach", "topics"]
+
+_REOPEN_SECONDS = 0.1
+_MOVED_SECONDS = 1.0
+
+
+def attach(
+    topic: str,
+    *,
+    prefix: str = "rosplc",
+    write: bool = False,
+    latched: bool = False,
+    layout: Layout | None = None,
+    task: str = "",
+    directory: str = "/dev/shm",
+    timeout: float = 0.0,
+) -> Channel:
+    """Attach to a topic that a bridge on this machine carries.
+
+    Args:
+        topic: The topic as ROS writes it, ``"/cmd_vel"``.
+        prefix: The bridge's ``prefix:``.
+        write: Also claim the channel, to publish towards ROS; one writer at a time may.
+        latched: Take the message that is there already as new.
+        layout: The layout expected; None takes the object's own description.
+        task: A name shown to others; with one, a reader line is claimed, else this is an
+            observer that nobody sees and that needs no right to write.
+        directory: Where the objects stand.
+        timeout: Seconds to wait for the object to appear.
+
+    Returns:
+        The channel; a context manager.
+
+    Raises:
+        ChannelError: SHM101 if there is no such object; SHM102 without the rights; SHM112 if
+            ``layout`` differs; SHM114 if another writer holds the claim; and the others of
+            spec/shm-format.md, section 9.
+    """
+    deadline = time.monotonic() + timeout
+    while True:
+        try:
+            return Channel(
+                topic,
+                namespace=Namespace(prefix, directory),
+                write=write,
+                latched=latched,
+                layout=layout,
+                task=task,
+            )
+        except ChannelError as error:
+            if error.code != "SHM101" or time.monotonic() >= deadline:
+                raise
+            time.sleep(min(0.05, max(0.0, deadline - time.monotonic())))
+
+
+def topics(prefix: str | None = None, *, directory: str = "/dev/shm") -> list[ObjectState]:
+    """Return the channels on this machine, those that cannot be read included (with ``error``).
+
+    It watches for about a third of a second, to say who is alive.
+
+    Args:
+        prefix: Only those of this prefix; None for all.
+        directory: Where the objects stand.
+
+    Raises:
+        ChannelError: SHM118 or SHM123.
+    """
+    return find_objects(directory, prefix=prefix)
+
+
+class Channel:
+    """One topic's channel, read and written with typed records; made by :func:`attach`.
+
+    A channel follows its name: when a bridge replaces the object (another layout, a file that
+    was removed) the next call attaches to the new one, and what was not read of the old one
+    is gone. While there is none, reading returns None and writing raises.
+
+    A channel is for one thread at a time.
+
+    Attributes:
+        topic: The topic as ROS writes it.
+        layout: The record's layout.
+        info: Slot header of the message returned last (sequence, stamp, flags, lost), or None.
+    """
+
+    def __init__(
+        self,
+        topic: str,
+        *,
+        namespace: Namespace,
+        write: bool,
+        latched: bool,
+        layout: Layout | None,
+        task: str,
+    ) -> None:
+        self.topic = topic
+        self.info: SlotInfo | None = None
+        self._namespace = namespace
+        self._write = write
+        self._latched = latched
+        self._expected = layout
+        self._task = task
+        self._closed = False
+        self._attached: Attached | None = None
+        self._retry_at = 0.0
+        self._moved_at = 0.0
+        self._lost_before = 0
+        self._open()
+
+    @property
+    def type_name(self) -> str:
+        """The message type, ``package/msg/Name``."""
+        return self.layout.type_name
+
+    @property
+    def direction(self) -> Direction:
+        """``TO_PLC`` or ``TO_ROS``."""
+        return self._description.direction
+
+    @property
+    def description(self) -> Description:
+        """The object's self-description."""
+        return self._description
+
+    @property
+    def attached(self) -> bool:
+        """Whether an object is open and in use."""
+        return self._attached is not None
+
+    @property
+    def lost(self) -> int:
+        """Messages that this channel has missed, skipped ones included."""
+        return self._lost_before + self._reader.lost
+
+    @property
+    def retries(self) -> int:
+        """Copies thrown away since the object was attached, because the writer came too near."""
+        return self._reader.retries
+
+    def snapshot(self) -> Snapshot:
+        """Return the counters and beats of writer and readers.
+
+        Raises:
+            ChannelError: SHM101 while there is no object.
+        """
+        return self._need().snapshot()
+
+    def read(self) -> RecordView | None:
+        """Return the newest message if it has not been returned yet, else None.
+
+        Messages in between are skipped and counted in :attr:`lost`.
+        """
+        return self._take("latest")
+
+    def current(self) -> RecordView | None:
+        """Return the newest message, new or not; None if there is none."""
+        return self._take("peek")
+
+    def every(self, timeout: float | None = 0.0, *, poll: float = 0.001) -> Iterator[RecordView]:
+        """Yield messages in order, each once.
+
+        Args:
+            timeout: Seconds to wait for the next message before the iteration ends; 0 ends
+                with the last that is there, None waits for ever.
+            poll: Seconds between two looks while waiting.
+        """
+        while True:
+            message = self._wait("next", timeout, poll)
+            if message is None:
+                return
+            yield message
+
+    def wait(self, timeout: float | None = None, *, poll: float = 0.001) -> RecordView | None:
+        """Wait for a new message and return it; None after ``timeout`` seconds.
+
+        Args:
+            timeout: Seconds to wait; None waits for ever.
+            poll: Seconds between two looks. Nobody has to wake this program up, which is what
+                keeps a PLC's scan free of system calls.
+        """
+        return self._wait("latest", timeout, poll)
+
+    def write(self, value: Mapping[str, Any] | RecordView | object, *, stamp_ns: int | None = None) -> int:
+        """Publish a message towards ROS.
+
+        Args:
+            value: A mapping, a record view, or any object with the fields as attributes (a ROS
+                message); what it lacks takes its initial value.
+            stamp_ns: The source's time stamp, ns since 1970 UTC; None takes the present time.
+
+        Returns:
+            The message's sequence number.
+
+        Raises:
+            LayoutError: LAY006, a value does not fit its field.
+            ChannelError: SHM122 if attached without ``write=True``, SHM115 if another writer
+                has taken the claim, SHM101 while there is no object.
+        """
+        if not self._write:
+            raise ChannelError("SHM122", "attached for reading only", where=self.topic)
+        record = self.layout.pack(value)
+        stamp = time.time_ns() if stamp_ns is None else stamp_ns
+        for attempt in range(2):
+            self._need()
+            try:
+                assert self._writer is not None
+                return self._writer.publish(record, stamp_ns=stamp)
+            except ChannelError as error:
+                if error.code not in ("SHM111", "SHM112") or attempt:
+                    raise
+                self._drop()
+                record = self.layout.pack(value) if self._follow() else record
+        raise AssertionError  # the loop returns or raises
+
+    def close(self) -> None:
+        """Give claims back and let go of the object; a second call does nothing."""
+        self._closed = True
+        if self._attached is not None:
+            self._attached.close()
+            self._attached = None
+
+    def __enter__(self) -> Channel:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        arrow = "to the PLC" if self.direction is Direction.TO_PLC else "to ROS"
+        return f"Channel({self.topic}, {self.type_name}, {arrow})"
+
+    def _open(self) -> None:
+        attached = attach_object(
+            self._namespace,
+            self.topic,
+            layout_id=None if self._expected is None else self._expected.layout_id,
+            write=self._write or bool(self._task),
+        )
+        try:
+            description = attached.description
+            layout = self._expected or described_layout(description, where=self.topic)
+            reader = attached.reader(self._task, latched=self._latched, observe=not self._task)
+            # 0: a program that writes now and then promises no beat; a killed one is replaced after 1 s.
+            writer = attached.writer(beat_ms=0) if self._write else None
+        except ChannelError:
+            attached.close()
+            raise
+        self._attached, self._description, self.layout = attached, description, layout
+        self._reader: Reader = reader
+        self._writer: Writer | None = writer
+        self._moved_at = time.monotonic() + _MOVED_SECONDS
+
+    def _drop(self) -> None:
+        if self._attached is not None:
+            self._lost_before += self._reader.lost
+            self._attached.close()
+            self._attached = None
+
+    def _follow(self) -> bool:
+        """Return whether an object is open, after one attempt to find a new one if it is due."""
+        if self._closed:
+            raise ValueError(f"the channel of {self.topic} is closed")
+        now = time.monotonic()
+        if self._attached is not None:
+            if now >= self._moved_at:
+                self._moved_at = now + _MOVED_SECONDS
+                if not self._attached.still_there():
+                    self._drop()
+        if self._attached is None and now >= self._retry_at:
+            self._retry_at = now + _REOPEN_SECONDS
+            try:
+                self._open()
+            except ChannelError as error:
+                if error.code not in ("SHM101", "SHM111"):
+                    raise
+        return self._attached is not None
+
+    def _need(self) -> Attached:
+        if not self._follow():
+            raise ChannelError("SHM101", "there is no object at present", where=self.topic)
+        assert self._attached is not None
+        return self._attached
+
+    def _take(self, how: str) -> RecordView | None:
+        if not self._follow():
+            return None
+        # A buffer of its own for each message: what was returned never changes afterwards.
+        record = bytearray(self.layout.size)
+        try:
+            info: SlotInfo | None = getattr(self._reader, how)(record)
+        except ChannelError as error:
+            if error.code not in ("SHM111", "SHM112"):
+                raise
+            self._drop()
+            return None
+        if info is None:
+            return None
+        self.info = info
+        return self.layout.view(record)
+
+    def _wait(self, how: str, timeout: float | None, poll: float) -> RecordView | None:
+        deadline = None if timeout is None else time.monotonic() + timeout
+        while True:
+            message = self._take(how)
+            if message is not None:
+                return message
+            rest = poll if deadline is None else deadline - time.monotonic()
+            if rest <= 0:
+                return None
+            time.sleep(min(poll, rest))

@@ -1,0 +1,65 @@
+"""The command's frame: which verbs there are, and what stands around them."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from rosplc._version import __version__
+from rosplc.cli import check, demo, run, show, types
+
+__all__ = ["app"]
+
+_EXAMPLES = """Examples:
+
+rosplc demo  —  see it work, without a robot and without a PLC
+
+rosplc types geometry_msgs/Twist  —  how a ROS type looks in the PLC
+
+rosplc check rosplc.yaml  —  what a configuration means, in plain words
+
+rosplc run rosplc.yaml  —  carry the topics of a configuration
+
+rosplc show /cmd_vel  —  what stands in a topic's shared memory now
+"""
+
+app = typer.Typer(
+    help="Carry ROS topics to and from a soft-PLC (CODESYS) on this machine, through shared memory.",
+    epilog=_EXAMPLES,
+    no_args_is_help=True,
+    rich_markup_mode="markdown",
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+for _name, _verb in (
+    ("run", run),
+    ("check", check),
+    ("show", show),
+    ("types", types),
+    ("demo", demo),
+):
+    app.command(_name, epilog=_verb.EPILOG)(_verb.command)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"rosplc {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit."),
+    ] = False,
+) -> None:
+    """Carry ROS topics to and from a soft-PLC (CODESYS) on this machine, through shared memory."""
+
+
+@app.command("version")
+def _version() -> None:
+    """Print the version of rosplc and of the shared-memory format."""
+    typer.echo(f"rosplc {__version__}, shared-memory format 1.0")

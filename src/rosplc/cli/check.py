@@ -1,0 +1,155 @@
+"""``rosplc check``: what a configuration means, in plain words, before anything runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from rosplc.cli.guard import guarded, print_json
+from rosplc.cli.text import columns, in_bytes, say
+
+if TYPE_CHECKING:
+    from rosplc.bridge.resolve import Project, TopicPlan
+
+__all__ = ["EPILOG", "command"]
+
+EPILOG = """Examples:
+
+rosplc check rosplc.yaml  —  explain the file, or say with line and key what is wrong in it
+
+rosplc check rosplc.yaml --json  —  the same for programs
+
+rosplc check --schema > rosplc.schema.json  —  for an editor that completes keys
+"""
+
+_OVERHEAD = 512 + 64
+_PAGE = 4096
+
+
+@guarded
+def command(
+    config: Annotated[
+        Path | None, typer.Argument(help="The configuration file, such as rosplc.yaml.")
+    ] = None,
+    schema: Annotated[
+        bool, typer.Option("--schema", help="Print the JSON Schema of configuration files.")
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Explain a configuration: per topic direction, type, sizes, memory and quality of service."""
+    if schema:
+        from rosplc.bridge.config import json_schema
+
+        print_json(json_schema())
+        return
+    if config is None:
+        raise typer.BadParameter("name a configuration file, or ask for --schema", param_hint="CONFIG")
+    from rosplc.bridge.resolve import load_project
+
+    project = load_project(config)
+    if as_json:
+        print_json(facts(project))
+    else:
+        _explain(project)
+
+
+def facts(project: Project) -> dict[str, Any]:
+    """Return what a configuration leads to, as plain data."""
+    settings = project.config.settings
+    return {
+        "bridge": settings.bridge,
+        "prefix": settings.prefix,
+        "backend": settings.ros.backend,
+        "distro": settings.ros.distro,
+        "topics": {plan.topic: _topic_facts(project, plan) for plan in project.topics},
+        "memory_bytes": sum(_memory(plan) for plan in project.topics),
+        "warnings": warnings(project),
+    }
+
+
+def _topic_facts(project: Project, plan: TopicPlan) -> dict[str, Any]:
+    return {
+        "object": project.namespace.object_name(plan.topic),
+        "type": plan.type_name,
+        "to": "plc" if plan.direction == 1 else "ros",
+        "task": plan.task,
+        "layout_id": plan.layout.layout_id,
+        "record_bytes": plan.layout.size,
+        "slots": plan.slots,
+        "memory_bytes": _memory(plan),
+        "every": plan.every,
+        "qos": {
+            "reliability": plan.qos.reliability,
+            "durability": plan.qos.durability,
+            "depth": plan.qos.depth,
+        },
+        "stale_after_ms": plan.stale_after_ns / 1e6,
+        "on_overflow": "truncate" if plan.truncate else "refuse",
+    }
+
+
+def _memory(plan: TopicPlan) -> int:
+    # The self-description's length is not known before the object is made; its text dominates.
+    description = len(plan.layout.store.definition_text(plan.type_name)) + 512
+    stride = -(-(plan.layout.size + 64) // 64) * 64
+    return -(-(_OVERHEAD + description + plan.slots * stride) // _PAGE) * _PAGE
+
+
+def warnings(project: Project) -> list[str]:
+    """Return what is allowed but probably not meant."""
+    found = []
+    if not project.topics:
+        found.append("the file names no topics: a bridge would carry nothing")
+    for plan in project.topics:
+        if plan.layout.size > 64 * 1024:
+            found.append(
+                f"{plan.topic}: a record has {in_bytes(plan.layout.size)}; copying it takes a while of a scan. "
+                "Lower the limits of its largest fields (rosplc types shows them)."
+            )
+        if plan.truncate:
+            found.append(
+                f"{plan.topic}: on_overflow is truncate, so the PLC may see shortened data (xTruncated)."
+            )
+    total = sum(_memory(plan) for plan in project.topics)
+    if total > 32 * 1024 * 1024:
+        found.append(
+            f"all objects together take {in_bytes(total)} of shared memory; "
+            "containers often have 64 MiB of it (--shm-size)."
+        )
+    return found
+
+
+def _explain(project: Project) -> None:
+    settings = project.config.settings
+    topics = project.topics
+    name = project.config.path or "the configuration"
+    say(f"{name} is valid.")
+    say(
+        f"Bridge {settings.bridge}: {len(topics)} topic{'s' if len(topics) != 1 else ''}, "
+        f"ROS backend {settings.ros.backend}, definitions of {settings.ros.distro}, "
+        f"objects named {settings.prefix}.t.… in {settings.shm.directory}."
+    )
+    given = settings.topics
+    for plan in topics:
+        arrow = "ROS → PLC" if plan.direction == 1 else "PLC → ROS"
+        entry = given[plan.topic]
+        how = "every message, in order" if plan.every else "the newest message"
+        qos = "as configured" if entry.qos.model_fields_set else "default"
+        slots = "as configured" if entry.depth is not None else "default"
+        stale = f"{plan.stale_after_ns / 1e6:g} ms" if plan.stale_after_ns else "never"
+        say(f"\n{plan.topic}  {arrow}  {plan.type_name}")
+        rows = [
+            ("record", f"{in_bytes(plan.layout.size)}, layout id {plan.layout.layout_id}"),
+            ("slots", f"{plan.slots} ({slots}), {in_bytes(_memory(plan))} of shared memory"),
+            ("takes", f"{how}; PLC task {plan.task}"),
+            ("QoS", f"{plan.qos.reliability}, {plan.qos.durability}, depth {plan.qos.depth} ({qos})"),
+            ("stale after", stale),
+            ("too large", "cut and counted" if plan.truncate else "refused and counted"),
+        ]
+        for line in columns(rows, indent=2):
+            say(line)
+    say(f"\nShared memory in all: {in_bytes(sum(_memory(plan) for plan in topics))}.")
+    for text in warnings(project):
+        say(f"Warning: {text}")

@@ -1,0 +1,106 @@
+"""How every verb ends: one clear message instead of a traceback, and an exit status."""
+
+from __future__ import annotations
+
+import functools
+import json
+import os
+import sys
+from collections.abc import Callable
+from typing import Any, NoReturn, ParamSpec
+
+import typer
+
+from rosplc.errors import ConfigError, RosplcError
+
+__all__ = ["EXIT_CONFIG", "EXIT_FAILURE", "EXIT_INTERRUPTED", "EXIT_PIPE", "finite", "guarded", "print_json"]
+
+EXIT_FAILURE = 1
+EXIT_CONFIG = 2
+EXIT_INTERRUPTED = 130
+EXIT_PIPE = 141
+"""What a shell reports for a program that ended by SIGPIPE, as `rosplc … | head` does."""
+
+P = ParamSpec("P")
+
+
+def guarded(verb: Callable[P, None]) -> Callable[P, None]:
+    """Wrap a verb: errors become messages on stderr (JSON with ``--json``) and statuses.
+
+    Status 2 stands for a configuration or a command line that is wrong, 1 for every other
+    failure, 130 for Ctrl-C, 141 for a reader of our output that went away.
+    """
+
+    @functools.wraps(verb)
+    def run(*args: P.args, **kwargs: P.kwargs) -> None:
+        as_json = bool(kwargs.get("as_json", False))
+        try:
+            verb(*args, **kwargs)
+            sys.stdout.flush()
+        except RosplcError as error:
+            _report(error, as_json=as_json)
+        except KeyboardInterrupt:
+            raise typer.Exit(EXIT_INTERRUPTED) from None
+        except BrokenPipeError:
+            # The interpreter flushes stdout once more at exit; give it somewhere to go.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            raise typer.Exit(EXIT_PIPE) from None
+        except (typer.Exit, typer.Abort, typer.BadParameter):
+            raise
+        except Exception as error:
+            _unexpected(error, as_json=as_json)
+
+    return run
+
+
+def print_json(value: Any) -> None:
+    """Print ``value`` as one JSON document on stdout; NaN and infinity become strings."""
+    sys.stdout.write(json.dumps(finite(value), ensure_ascii=False, indent=2) + "\n")
+
+
+def finite(value: Any) -> Any:
+    """Return ``value`` as JSON can hold it: JSON has no NaN, and jq would refuse the document."""
+    if isinstance(value, float) and (value != value or value in (float("inf"), float("-inf"))):
+        return str(value)
+    if isinstance(value, dict):
+        return {key: finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [finite(item) for item in value]
+    if isinstance(value, (bytes, bytearray)):
+        return list(value)
+    return value
+
+
+def _report(error: RosplcError, *, as_json: bool) -> NoReturn:
+    # A configuration may have several mistakes; they are shown together.
+    errors: tuple[RosplcError, ...] = getattr(error, "errors", (error,))
+    if as_json:
+        document: dict[str, Any] = {"error": error.to_dict()}
+        if len(errors) > 1:
+            document["errors"] = [each.to_dict() for each in errors]
+        sys.stderr.write(json.dumps(document) + "\n")
+    else:
+        sys.stderr.write("\n".join(_in_words(each) for each in errors) + "\n")
+    raise typer.Exit(EXIT_CONFIG if isinstance(error, ConfigError) else EXIT_FAILURE) from None
+
+
+def _in_words(error: RosplcError) -> str:
+    lines = [f"rosplc: error {error.code}: {error.what}"]
+    if error.where:
+        lines.append(f"  where:  {error.where}")
+    lines.append(f"  remedy: {error.remedy}")
+    return "\n".join(lines)
+
+
+def _unexpected(error: Exception, *, as_json: bool) -> NoReturn:
+    if os.environ.get("ROSPLC_DEBUG"):
+        raise error
+    what = f"{type(error).__name__}: {error}"
+    if as_json:
+        sys.stderr.write(json.dumps({"error": {"code": "", "what": what, "where": "", "remedy": ""}}) + "\n")
+    else:
+        sys.stderr.write(
+            f"rosplc: unexpected error: {what}\n"
+            "  remedy: This is a defect of rosplc. Set ROSPLC_DEBUG=1 for the traceback and report it.\n"
+        )
+    raise typer.Exit(EXIT_FAILURE) from None

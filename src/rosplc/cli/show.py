@@ -1,0 +1,208 @@
+"""``rosplc show``: what stands in shared memory now, decoded by its own description."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from rosplc.cli.guard import finite, guarded, print_json
+from rosplc.cli.text import columns, in_bytes, say, warn
+
+if TYPE_CHECKING:
+    from rosplc.api import Channel
+    from rosplc.layout import RecordView
+    from rosplc.monitor import ObjectState
+
+__all__ = ["EPILOG", "command"]
+
+EPILOG = """Examples:
+
+rosplc show  —  every channel on this machine
+
+rosplc show /cmd_vel  —  the newest message of a topic
+
+rosplc show /cmd_vel --follow  —  every message from now on
+
+rosplc show /joint_states --count 10 --json  —  ten messages, one JSON document per line
+
+It needs no configuration, no ROS and no right to write, and nobody notices it.
+"""
+
+
+@guarded
+def command(
+    topic: Annotated[
+        str | None,
+        typer.Argument(help="The topic as ROS writes it, such as /cmd_vel; all channels without it."),
+    ] = None,
+    prefix: Annotated[
+        str | None, typer.Option(help="The bridge's `prefix:`; `rosplc` for one topic, any for the list.")
+    ] = None,
+    follow: Annotated[bool, typer.Option("--follow", "-f", help="Print messages until Ctrl-C.")] = False,
+    count: Annotated[
+        int | None, typer.Option("--count", "-n", min=1, help="Print so many new messages, then end.")
+    ] = None,
+    header: Annotated[bool, typer.Option("--header", help="Also print the object's counters.")] = False,
+    timeout: Annotated[
+        float | None,
+        typer.Option(metavar="SECONDS", help="Give up when no message comes for so long.", min=0.0),
+    ] = None,
+    directory: Annotated[str, typer.Option(help="Where the objects stand.", hidden=True)] = "/dev/shm",
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Show the message in a topic's shared memory, or list all channels of this machine."""
+    from rosplc.api import attach, topics
+
+    if topic is None:
+        states = topics(prefix, directory=directory)
+        if as_json:
+            print_json([state.to_dict() for state in states])
+        else:
+            _list(states)
+        return
+    with attach(topic, prefix=prefix or "rosplc", directory=directory) as channel:
+        if header and not as_json:
+            _print_header(channel)
+        if follow or count is not None:
+            _follow(channel, count, timeout, header=header, as_json=as_json)
+        else:
+            _print_message(channel, channel.current(), header=header, as_json=as_json)
+
+
+def _list(states: list[ObjectState]) -> None:
+    if not states:
+        say("There are no channels on this machine. Start a bridge (rosplc run) or the demo (rosplc demo).")
+        return
+    rows = []
+    for state in states:
+        if state.error:
+            continue
+        arrow = "→ PLC" if state.direction == "to_plc" else "→ ROS"
+        writer = "writing" if state.writer_alive else "silent"
+        readers = ", ".join(state.readers) or "nobody"
+        rows.append(
+            (
+                state.prefix,
+                state.topic,
+                arrow,
+                state.type_name,
+                state.record_size,
+                state.head,
+                writer,
+                readers,
+            )
+        )
+    for line in columns(
+        rows,
+        header=("prefix", "topic", "way", "type", "bytes", "newest", "writer", "read by") if rows else (),
+    ):
+        say(line)
+    for state in states:
+        if state.error:
+            warn(f"{state.path}: {state.error} [{state.code}]")
+
+
+def _follow(
+    channel: Channel, count: int | None, timeout: float | None, *, header: bool, as_json: bool
+) -> None:
+    printed = 0
+    for message in channel.every(timeout, poll=0.002):
+        _print_message(channel, message, header=header, as_json=as_json, one_line=True)
+        printed += 1
+        if count is not None and printed >= count:
+            return
+    if count is not None and printed < count:
+        warn(f"rosplc: {printed} of {count} messages came within the time")
+        raise typer.Exit(1)
+
+
+def _print_header(channel: Channel) -> None:
+    description, snapshot = channel.description, channel.snapshot()
+    writer = snapshot.writer
+    rows: list[tuple[str, object]] = [
+        ("topic", f"{channel.topic}, {'ROS → PLC' if channel.direction == 1 else 'PLC → ROS'}"),
+        ("type", f"{description.type} ({description.distro}), {in_bytes(channel.layout.size)}"),
+        ("layout id", channel.layout.layout_id),
+        ("bridge", description.bridge),
+        ("newest", f"message {writer.head}, {writer.refused} refused, {writer.truncated} truncated"),
+        ("writer", f"process {writer.pid}" if writer.epoch else "none"),
+    ]
+    rows += [
+        (f"reader {line.index}", f"{line.task or 'process'} {line.pid}: taken {line.taken}, lost {line.lost}")
+        for line in snapshot.readers
+        if line.claim
+    ]
+    for line in columns(rows):
+        say(line)
+    say()
+
+
+def _print_message(
+    channel: Channel, message: RecordView | None, *, header: bool, as_json: bool, one_line: bool = False
+) -> None:
+    from rosplc.layout.view import plain
+
+    info = channel.info if message is not None else None
+    if as_json:
+        document: dict[str, Any] = {
+            "topic": channel.topic,
+            "type": channel.type_name,
+            "sequence": info.sequence if info else 0,
+            "stamp_ns": info.stamp_ns if info else 0,
+            "flags": info.flags if info else 0,
+            "lost": info.lost if info else 0,
+            "message": None if message is None else plain(message),
+        }
+        if header:
+            snapshot = channel.snapshot()
+            document["writer"] = dataclasses.asdict(snapshot.writer)
+            document["readers"] = [dataclasses.asdict(line) for line in snapshot.readers if line.claim]
+        if one_line:
+            typer.echo(json.dumps(finite(document), ensure_ascii=False))
+        else:
+            print_json(document)
+        return
+    if message is None or info is None:
+        say(f"{channel.topic}: no message yet")
+        return
+    say(f"{channel.topic}  {channel.type_name}  message {info.sequence}" + _remarks(info.flags, info.lost))
+    for line in lines_of(plain(message)):
+        say("  " + line)
+
+
+def _remarks(flags: int, lost: int) -> str:
+    words = [word for bit, word in ((1, "first"), (2, "truncated"), (4, "substituted")) if flags & bit]
+    if lost:
+        words.append(f"{lost} lost before it")
+    return f"  ({', '.join(words)})" if words else ""
+
+
+def lines_of(value: Any) -> list[str]:
+    """Return nested dicts and lists as indented lines, as ``ros2 topic echo`` does."""
+    lines: list[str] = []
+    items: list[tuple[str, Any]]
+    if isinstance(value, dict):
+        items = [(f"{key}:", item) for key, item in value.items()]
+    else:
+        items = [("-", item) for item in value]
+    for label, item in items:
+        if isinstance(item, dict) or (isinstance(item, list) and item and isinstance(item[0], dict)):
+            inner = lines_of(item)
+            if label == "-":
+                lines += [f"- {inner[0]}" if inner else "- {}", *(f"  {line}" for line in inner[1:])]
+            else:
+                lines += [label, *(f"  {line}" for line in inner)]
+        else:
+            lines.append(f"{label} {_text(item)}")
+    return lines
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, list):
+        return "[" + ", ".join(_text(item) for item in value) + "]"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return repr(value) if isinstance(value, str) else str(value)

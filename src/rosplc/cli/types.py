@@ -1,0 +1,193 @@
+"""``rosplc types``: which message types there are, and how one looks in the PLC."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from rosplc.cli.guard import guarded, print_json
+from rosplc.cli.text import columns, in_bytes, say
+
+if TYPE_CHECKING:
+    from rosplc.layout import Layout, Limits, Node
+    from rosplc.model import TypeStore
+
+__all__ = ["EPILOG", "command"]
+
+EPILOG = """Examples:
+
+rosplc types  —  all types of the default distribution
+
+rosplc types geometry_msgs/Twist  —  its fields, offsets and IEC types
+
+rosplc types sensor_msgs/JointState --limits name=6 --limits position=6
+
+rosplc types my_msgs/Part --path ./msg  —  a custom type
+
+rosplc types --distros  —  the bundled distributions
+"""
+
+_IEC = {
+    "bool": "BOOL", "byte": "BYTE", "char": "USINT", "uint8": "USINT", "int8": "SINT", "uint16": "UINT",
+    "int16": "INT", "uint32": "UDINT", "int32": "DINT", "uint64": "ULINT", "int64": "LINT",
+    "float32": "REAL", "float64": "LREAL",
+}  # fmt: skip
+
+
+@guarded
+def command(
+    name: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[TYPE]", help="A type, `package/Name` or `package/msg/Name`; all types without it."
+        ),
+    ] = None,
+    distro: Annotated[
+        str, typer.Option(help="The ROS distribution whose definitions hold; `noetic` is ROS 1.")
+    ] = "jazzy",
+    path: Annotated[
+        list[Path] | None, typer.Option(help="A folder with custom .msg files; may be given several times.")
+    ] = None,
+    limits: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="FIELD=N",
+            help="A capacity: `string=40`, `sequence=8`, or a field's path; may be repeated.",
+        ),
+    ] = None,
+    distros: Annotated[bool, typer.Option("--distros", help="List the bundled distributions.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """List the known message types, or show one: fields, offsets, sizes, IEC types."""
+    from rosplc.layout import compute_layout
+    from rosplc.model import DISTROS, TypeStore
+
+    if distros:
+        counts = {each: len(TypeStore.bundled(each)) for each in DISTROS}
+        if as_json:
+            print_json(counts)
+        else:
+            for line in columns(((each, count, "types") for each, count in counts.items())):
+                say(line)
+        return
+    store = TypeStore.bundled(distro)
+    if path:
+        store = store.with_paths(path)
+    if name is None:
+        if as_json:
+            print_json(list(store.names()))
+        else:
+            say("\n".join(store.names()))
+        return
+    layout = compute_layout(store, store[name].name, parse_limits(limits or []))
+    if as_json:
+        print_json(_facts(store, layout))
+    else:
+        _describe(store, layout)
+
+
+def parse_limits(texts: list[str]) -> Limits:
+    """Return the limits that ``FIELD=N`` options give; ``string`` and ``sequence`` are the defaults.
+
+    Raises:
+        typer.BadParameter: A text is not of that form.
+        LayoutError: LAY001, a capacity is out of range.
+    """
+    from rosplc.layout import Limits
+
+    given: dict[str, int] = {}
+    for text in texts:
+        field, equals, number = text.rpartition("=")
+        if not equals or not field or not number.isascii() or not number.isdigit():
+            raise typer.BadParameter(
+                f"{text!r} should be FIELD=N, such as string=40 or name=6", param_hint="--limits"
+            )
+        given[field] = int(number)
+    default = Limits()
+    string = given.pop("string", default.string)
+    sequence = given.pop("sequence", default.sequence)
+    return Limits(string, sequence, given)
+
+
+def _facts(store: TypeStore, layout: Layout) -> dict[str, Any]:
+    message = store[layout.type_name]
+    return {
+        "type": layout.type_name,
+        "distro": store.distro,
+        "size": layout.size,
+        "align": layout.align,
+        "layout_id": layout.layout_id,
+        "limits": layout.limits.to_dict(),
+        "fields": [
+            {"path": path, "offset": offset, "size": node.size, "ros": ros_name(node), "iec": iec_name(node)}
+            for path, offset, node in layout.fields()
+        ],
+        "initial": layout.to_dict(layout.initial()),
+        "constants": {each.name: each.value for each in message.constants},
+        "dependencies": list(store.dependencies(layout.type_name)),
+        "definition": store.definition_text(layout.type_name),
+    }
+
+
+def _describe(store: TypeStore, layout: Layout) -> None:
+    message = store[layout.type_name]
+    say(
+        f"{layout.type_name} ({store.distro}): {in_bytes(layout.size)} per record, "
+        f"layout id {layout.layout_id}"
+    )
+    say()
+    rows = [
+        (offset, node.size, path, ros_name(node), iec_name(node)) for path, offset, node in layout.fields()
+    ]
+    for line in columns(rows, header=("offset", "bytes", "field", "ROS", "IEC 61131-3")):
+        say(line)
+    defaults = [(field.name, field.default) for field in message.fields if field.default is not None]
+    if defaults:
+        say("\nDefault values:")
+        for line in columns(defaults, indent=2):
+            say(line)
+    if message.constants:
+        say("\nConstants:")
+        for line in columns(
+            ((each.name, str(each.type), each.value) for each in message.constants), indent=2
+        ):
+            say(line)
+    say("\nDefinition:")
+    for line in store.definition_text(layout.type_name).splitlines():
+        say(f"  {line}" if line else "")
+
+
+def ros_name(node: Node) -> str:
+    """Return what a node is in ROS's words, with its capacity."""
+    from rosplc.layout import ArrayNode, ScalarNode, SequenceNode, StringNode, StructNode
+
+    if isinstance(node, ScalarNode):
+        return node.kind
+    if isinstance(node, StringNode):
+        return f"string (up to {node.capacity} bytes)"
+    if isinstance(node, ArrayNode):
+        return f"{_element(node.element)}[{node.length}]"
+    if isinstance(node, SequenceNode):
+        return f"{_element(node.element)}[] (up to {node.capacity})"
+    return node.type_name if isinstance(node, StructNode) else "padding"
+
+
+def iec_name(node: Node) -> str:
+    """Return a node's type in IEC 61131-3, messages by their ROS name's last part."""
+    from rosplc.layout import ArrayNode, ScalarNode, SequenceNode, StringNode, StructNode
+
+    if isinstance(node, ScalarNode):
+        return _IEC[node.kind]
+    if isinstance(node, StringNode):
+        return f"STRING({node.capacity})"
+    if isinstance(node, ArrayNode):
+        return f"ARRAY[0..{node.length - 1}] OF {iec_name(node.element)}"
+    if isinstance(node, SequenceNode):
+        return f"UDINT, ARRAY[0..{node.capacity - 1}] OF {iec_name(node.element)}"
+    return node.type_name.replace("/msg/", "_") if isinstance(node, StructNode) else ""
+
+
+def _element(node: Node) -> str:
+    return ros_name(node).partition(" ")[0]

@@ -1,0 +1,127 @@
+"""One process of the demonstration, as the supervisor holds it."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+from typing import Any
+
+from rosplc.errors import SetupError
+
+__all__ = ["Child"]
+
+_LAST_LINES = 15
+
+
+class Child:
+    """A process with orders going in and reports coming out.
+
+    Args:
+        role: What people call it: robot, bridge or PLC.
+        module: The module that it runs.
+        arguments: Its command line.
+        environment: Its environment.
+
+    Attributes:
+        status: The last report of its state.
+    """
+
+    def __init__(self, role: str, module: str, arguments: list[str], environment: dict[str, str]) -> None:
+        self.role = role
+        self.status: dict[str, Any] = {}
+        self._error: dict[str, str] | None = None
+        self._log = tempfile.TemporaryFile("w+", errors="replace")  # noqa: SIM115 - closed in close()
+        # Its own session: Ctrl-C reaches the supervisor alone, which then ends the others in order.
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", module, *arguments],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._log,
+            text=True,
+            env=environment,
+            start_new_session=True,
+        )
+        self._reader = threading.Thread(target=self._read, name=f"read-{role}", daemon=True)
+        self._reader.start()
+
+    @property
+    def pid(self) -> int:
+        """Its process id."""
+        return self._process.pid
+
+    def order(self, word: str) -> None:
+        """Send an order; a process that is gone shows in :meth:`check`."""
+        try:
+            assert self._process.stdin is not None
+            self._process.stdin.write(word + "\n")
+            self._process.stdin.flush()
+        except (BrokenPipeError, ValueError):
+            pass
+
+    def check(self) -> None:
+        """Raise if the process has ended.
+
+        Raises:
+            SetupError: SYS002, with its own error or its last output.
+        """
+        status = self._process.poll()
+        if status is None:
+            return
+        self._reader.join(1.0)
+        if self._error is not None:
+            reason = f"{self._error['what']} [{self._error['code']}] {self._error['remedy']}"
+        elif status < 0:
+            reason = f"it was ended by signal {signal.Signals(-status).name}"
+        else:
+            reason = f"it ended with status {status}"
+        output = self._output()
+        raise SetupError(
+            "SYS002",
+            f"the {self.role} process failed: {reason}" + (f"\n{output}" if output else ""),
+            remedy=""
+            if output
+            else "Run the demo again; if it persists, the message above says which part fails.",
+        )
+
+    def finish(self, seconds: float = 5.0) -> None:
+        """Tell it to stop and wait; kill it if it does not within ``seconds``."""
+        self.order("stop")
+        try:
+            assert self._process.stdin is not None
+            self._process.stdin.close()
+        except BrokenPipeError:
+            pass
+        try:
+            self._process.wait(seconds)
+        except subprocess.TimeoutExpired:
+            os.killpg(self._process.pid, signal.SIGKILL)
+            self._process.wait()
+        self._reader.join(1.0)
+
+    def close(self) -> None:
+        """Let go of its pipes and its log."""
+        assert self._process.stdout is not None
+        self._process.stdout.close()
+        self._log.close()
+
+    def _read(self) -> None:
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            try:
+                facts = json.loads(line)
+            except ValueError:
+                continue
+            if facts.pop("is", "") == "error":
+                self._error = facts
+            else:
+                self.status = facts
+
+    def _output(self) -> str:
+        self._log.seek(0)
+        lines = self._log.read().splitlines()[-_LAST_LINES:]
+        return "\n".join(f"  {self.role}: {line}" for line in lines)

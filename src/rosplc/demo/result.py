@@ -1,0 +1,127 @@
+"""What a run of the demonstration came to: numbers from the messages, compared with the counters."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from rosplc.demo.messages import COMMAND
+
+__all__ = ["Flow", "Result", "collect"]
+
+
+@dataclass(frozen=True, slots=True)
+class Flow:
+    """One topic, from the process that sends to the one that receives.
+
+    Attributes:
+        topic: As ROS writes it.
+        to: ``plc`` or ``ros``.
+        sent: Messages that the sender counts.
+        received: Whole messages with a new number that the receiver counts.
+        lost: ``sent`` minus ``received``.
+        torn: Messages whose contents do not agree with their seal.
+        repeated: Messages that came twice or out of order.
+        counted_lost: What the channel's own counter says about losses; None where none applies.
+    """
+
+    topic: str
+    to: str
+    sent: int
+    received: int
+    lost: int
+    torn: int
+    repeated: int
+    counted_lost: int | None = None
+
+    @property
+    def complete(self) -> bool:
+        """Whether everything that was sent arrived, whole and once."""
+        return self.sent > 0 and self.lost == self.torn == self.repeated == 0 and not self.counted_lost
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """The whole run.
+
+    Attributes:
+        seconds: How long messages were sent.
+        flows: One per topic.
+        ages: Per topic, and over all as ``""``: median and p99 age of a message, in
+            milliseconds, at the moment the PLC program had it in hand.
+        cycle: The PLC task's statistics.
+        metres: How far the robot went on the PLC's commands.
+        drained: Whether the drain phase ended because everything had arrived.
+    """
+
+    seconds: float
+    flows: tuple[Flow, ...]
+    ages: dict[str, dict[str, float]]
+    cycle: dict[str, float]
+    metres: float
+    drained: bool
+
+    @property
+    def complete(self) -> bool:
+        """Whether every topic is complete."""
+        return all(flow.complete for flow in self.flows)
+
+    def total(self, to: str, what: str) -> int:
+        """Return the sum of one of the counters over a direction's topics."""
+        return sum(getattr(flow, what) for flow in self.flows if flow.to == to)
+
+    def summary(self) -> str:
+        """Return the summary line."""
+        age = self.ages.get("", {"median_ms": float("nan"), "p99_ms": float("nan")})
+        lost = self.total("plc", "lost") + self.total("ros", "lost")
+        torn = self.total("plc", "torn") + self.total("ros", "torn")
+        repeated = self.total("plc", "repeated") + self.total("ros", "repeated")
+        return (
+            f"ROS → PLC {self.total('plc', 'received')} of {self.total('plc', 'sent')} messages, "
+            f"PLC → ROS {self.total('ros', 'received')} of {self.total('ros', 'sent')}, "
+            f"lost {lost}, torn {torn}, repeated {repeated}, "
+            f"age at the PLC median {age['median_ms']:.2f} ms, p99 {age['p99_ms']:.2f} ms"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as plain data."""
+        ages = {topic or "all": values for topic, values in self.ages.items()}
+        return {
+            "complete": self.complete,
+            "drained": self.drained,
+            "seconds": self.seconds,
+            "topics": [{**asdict(flow), "complete": flow.complete} for flow in self.flows],
+            "to_plc": {
+                what: self.total("plc", what) for what in ("sent", "received", "lost", "torn", "repeated")
+            },
+            "to_ros": {
+                what: self.total("ros", what) for what in ("sent", "received", "lost", "torn", "repeated")
+            },
+            "age_at_plc": ages,
+            "cycle": self.cycle,
+            "metres": self.metres,
+        }
+
+
+def collect(robot: dict[str, Any], plc: dict[str, Any], seconds: float, *, drained: bool) -> Result:
+    """Compare what the two ends report.
+
+    Args:
+        robot: The robot's last report.
+        plc: The PLC's last report.
+        seconds: How long messages were sent.
+        drained: Whether everything had arrived when the drain phase ended.
+    """
+    counters = plc.get("counters", {})
+    flows = [
+        _flow(topic, "plc", sent, plc["received"][topic], counters.get(topic, {}).get("lost"))
+        for topic, sent in robot["sent"].items()
+    ]
+    command = COMMAND[0]
+    flows.append(_flow(command, "ros", plc["sent"][command], robot["received"][command], None))
+    return Result(seconds, tuple(flows), plc.get("ages", {}), plc.get("cycle", {}), robot["metres"], drained)
+
+
+def _flow(topic: str, to: str, sent: int, tally: dict[str, int], counted: int | None) -> Flow:
+    received = tally["received"]
+    return Flow(topic, to, sent, received, sent - received, tally["torn"], tally["repeated"], counted)

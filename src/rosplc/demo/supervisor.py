@@ -1,0 +1,183 @@
+"""Run the demonstration: start three processes, let them talk, drain, compare, clean up."""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from rosplc.demo.child import Child
+from rosplc.demo.cleanup import remove_objects
+from rosplc.demo.domain import free_domain
+from rosplc.demo.plan import Plan
+from rosplc.demo.result import Result, collect
+from rosplc.errors import SetupError
+
+__all__ = ["Demo", "new_plan"]
+
+_POLL = 0.05
+
+
+def new_plan(*, rate: float, topics: int) -> Plan:
+    """Return a plan with a prefix and a DDS domain that nobody else uses.
+
+    Raises:
+        SetupError: SYS003, no free domain.
+    """
+    return Plan(prefix=f"demo-{secrets.token_hex(4)}", domain=free_domain(), rate=rate, topics=topics)
+
+
+class Demo:
+    """Three processes and what they report; a context manager that leaves nothing behind.
+
+    Args:
+        plan: What to run.
+        on_tick: Called some twenty times per second with this object, to draw a view.
+        startup: Seconds that the processes may take to find each other.
+    """
+
+    def __init__(
+        self, plan: Plan, *, on_tick: Callable[[Demo], None] | None = None, startup: float = 60.0
+    ) -> None:
+        self.plan = plan
+        self.phase = "starting"
+        self.children: list[Child] = []
+        self._on_tick = on_tick or (lambda _: None)
+        self._startup = startup
+        self._folder = tempfile.TemporaryDirectory(prefix="rosplc-demo-")
+
+    @property
+    def robot(self) -> dict[str, Any]:
+        """The robot's last report."""
+        return self.children[0].status
+
+    @property
+    def plc(self) -> dict[str, Any]:
+        """The PLC's last report."""
+        return self.children[2].status
+
+    def run(self, duration: float | None) -> Result:
+        """Run for ``duration`` seconds (None: until KeyboardInterrupt), drain, and compare.
+
+        Raises:
+            SetupError: SYS002 if a process failed, SYS004 if they did not find each other.
+        """
+        self._start()
+        self._wait_until_ready()
+        self.phase = "running"
+        began = time.monotonic()
+        self._order("go")
+        try:
+            while duration is None or time.monotonic() - began < duration:
+                self._tick()
+        except KeyboardInterrupt:
+            if duration is not None:
+                raise
+        seconds = time.monotonic() - began
+        self.phase = "draining"
+        drained = self._drain()
+        self.phase = "finished"
+        robot, plc = self._final()
+        return collect(robot, plc, seconds, drained=drained)
+
+    def _start(self) -> None:
+        configuration = Path(self._folder.name) / "rosplc.yaml"
+        # JSON is YAML; no second writer of YAML is needed for a file that nobody edits.
+        configuration.write_text(json.dumps(self.plan.configuration(), indent=2), encoding="utf-8")
+        environment = {
+            key: value
+            for key, value in os.environ.items()
+            if key not in ("CYCLONEDDS_URI", "ROS_STATIC_PEERS")
+        }
+        # Loopback alone, whatever this machine's ROS is set to.
+        environment.update(
+            ROS_LOCALHOST_ONLY="1",
+            ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST",
+            ROS_DOMAIN_ID=str(self.plan.domain),
+        )
+        plan = self.plan.to_json()
+        self.children.append(Child("robot", "rosplc.demo.robot", [plan], environment))
+        self.children.append(
+            Child("bridge", "rosplc.demo.bridge", [str(configuration), self.plan.prefix], environment)
+        )
+        self.children.append(Child("PLC", "rosplc.demo.plc", [plan], environment))
+
+    def _wait_until_ready(self) -> None:
+        deadline = time.monotonic() + self._startup
+        while not (self.plc.get("ready") and self.robot and not self.robot["unmatched"]):
+            self._tick()
+            if time.monotonic() > deadline:
+                raise SetupError("SYS004", f"within {self._startup:g} s: {self._who_waits()}")
+
+    def _who_waits(self) -> str:
+        reasons = [f"robot {topic}: {why}" for topic, why in self.robot.get("unmatched", {}).items()]
+        reasons += [f"PLC {topic}: {why}" for topic, why in self.plc.get("waiting", {}).items()]
+        if not self.robot:
+            reasons.append("the robot has not reported")
+        if not self.plc:
+            reasons.append("the PLC has not reported")
+        return "; ".join(reasons) or "the PLC is not ready"
+
+    def _drain(self) -> bool:
+        """Stop both senders, the robot first, and wait until nothing is under way any more."""
+        robot, plc = self.children[0], self.children[2]
+        robot.order("drain")
+        self._settle(lambda: self.robot.get("drained"), lambda: _received(self.plc) == self.robot["sent"])
+        plc.order("drain")
+        return (
+            self._settle(lambda: self.plc.get("drained"), lambda: _received(self.robot) == self.plc["sent"])
+            and _received(self.plc) == self.robot["sent"]
+        )
+
+    def _settle(self, stopped: Callable[[], Any], arrived: Callable[[], bool], quiet: float = 3.0) -> bool:
+        last, since = None, time.monotonic()
+        while not (stopped() and arrived()):
+            self._tick()
+            now = (_received(self.plc), _received(self.robot), stopped())
+            if now != last:
+                last, since = now, time.monotonic()
+            if time.monotonic() - since > quiet:
+                return False
+        return True
+
+    def _final(self) -> tuple[dict[str, Any], dict[str, Any]]:
+        # Each process sends one last, complete report when it is told to stop.
+        robot, _, plc = self.children
+        plc.finish()
+        robot.finish()
+        return robot.status, plc.status
+
+    def _order(self, word: str) -> None:
+        for child in self.children:
+            child.order(word)
+
+    def _tick(self) -> None:
+        for child in self.children:
+            child.check()
+        self._on_tick(self)
+        time.sleep(_POLL)
+
+    def close(self) -> None:
+        """End every process and remove what they left; harmless twice."""
+        for child in reversed(self.children):
+            child.finish()
+        for child in self.children:
+            child.close()
+        self.children.clear()
+        remove_objects(self.plan.prefix)
+        self._folder.cleanup()
+
+    def __enter__(self) -> Demo:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _received(status: dict[str, Any]) -> dict[str, int]:
+    return {topic: tally["received"] for topic, tally in status.get("received", {}).items()}
