@@ -84,8 +84,13 @@ static PyObject *plan_decode(PyObject *self, PyObject *const *args, Py_ssize_t c
         return NULL;
     record = PyBytes_FromStringAndSize(NULL, (Py_ssize_t)plan->record_size);
     if (record) {
-        if (!decode(plan, wire.buf, (size_t)wire.len, (uint8_t *)PyBytes_AsString(record), truncate, &flags))
-            result = Py_BuildValue("(OI)", record, (unsigned)flags);
+        if (!decode(plan, wire.buf, (size_t)wire.len, (uint8_t *)PyBytes_AsString(record), truncate, &flags)) {
+            PyObject *number = PyLong_FromUnsignedLong(flags);
+            if (number) {
+                result = PyTuple_Pack(2, record, number);
+                Py_DECREF(number);
+            }
+        }
         Py_DECREF(record);
     }
     PyBuffer_Release(&wire);
