@@ -9,6 +9,7 @@ from rosplc._version import __version__
 
 if TYPE_CHECKING:
     from rosplc.api import Channel, attach, topics
+    from rosplc.bridge.bind import Binding, bind
     from rosplc.errors import (
         BackendError,
         ChannelError,
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BackendError",
+    "Binding",
     "Channel",
     "ChannelError",
     "CodecError",
@@ -39,6 +41,7 @@ __all__ = [
     "SlotInfo",
     "__version__",
     "attach",
+    "bind",
     "topics",
 ]
 
@@ -47,6 +50,8 @@ _HOME = {
     "Channel": "rosplc.api",
     "attach": "rosplc.api",
     "topics": "rosplc.api",
+    "Binding": "rosplc.bridge.bind",
+    "bind": "rosplc.bridge.bind",
     "BackendError": "rosplc.errors",
     "ChannelError": "rosplc.errors",
     "CodecError": "rosplc.errors",

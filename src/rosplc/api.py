@@ -282,11 +282,10 @@ class Channel:
         if self._closed:
             raise ValueError(f"the channel of {self.topic} is closed")
         now = time.monotonic()
-        if self._attached is not None:
-            if now >= self._moved_at:
-                self._moved_at = now + _MOVED_SECONDS
-                if not self._attached.still_there():
-                    self._drop()
+        if self._attached is not None and now >= self._moved_at:
+            self._moved_at = now + _MOVED_SECONDS
+            if not self._attached.still_there():
+                self._drop()
         if self._attached is None and now >= self._retry_at:
             self._retry_at = now + _REOPEN_SECONDS
             try:

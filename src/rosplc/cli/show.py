@@ -10,6 +10,7 @@ import typer
 
 from rosplc.cli.guard import finite, guarded, print_json
 from rosplc.cli.text import columns, in_bytes, say, warn
+from rosplc.errors import ChannelError
 
 if TYPE_CHECKING:
     from rosplc.api import Channel
@@ -63,13 +64,35 @@ def command(
         else:
             _list(states)
         return
-    with attach(topic, prefix=prefix or "rosplc", directory=directory) as channel:
+    try:
+        channel = attach(topic, prefix=prefix or "rosplc", directory=directory)
+    except ChannelError as error:
+        raise _with_hint(error, topic, prefix, directory) from None
+    with channel:
         if header and not as_json:
             _print_header(channel)
         if follow or count is not None:
             _follow(channel, count, timeout, header=header, as_json=as_json)
         else:
             _print_message(channel, channel.current(), header=header, as_json=as_json)
+
+
+def _with_hint(error: ChannelError, topic: str, prefix: str | None, directory: str) -> ChannelError:
+    """Return the error, naming the prefixes under which the topic does exist."""
+    from rosplc.monitor import find_objects
+
+    if error.code != "SHM101":
+        return error
+    others = sorted(
+        state.prefix
+        for state in find_objects(directory, seconds=0.0)
+        if state.topic == topic and not state.error
+    )
+    if not others:
+        return error
+    what = f"no channel {topic} with the prefix {prefix or 'rosplc'}"
+    remedy = f"There is one with the prefix {', '.join(others)}: add --prefix {others[0]}."
+    return ChannelError(error.code, what, where=error.where, remedy=remedy)
 
 
 def _list(states: list[ObjectState]) -> None:

@@ -6,6 +6,7 @@ are mapped read-only.
 
 from __future__ import annotations
 
+import os
 import re
 import time
 from dataclasses import dataclass
@@ -13,7 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from rosplc.errors import ChannelError
-from rosplc.shm import Attached, Direction, Namespace, Snapshot, attach
+from rosplc.shm import Attached, Direction, Namespace, Snapshot
+from rosplc.shm.files import open_plain_file
 from rosplc.shm.liveness import Liveness
 
 __all__ = ["ObjectState", "find_objects", "look"]
@@ -96,12 +98,11 @@ def find_objects(
         found = _OBJECT.fullmatch(name)
         if found is None or (prefix is not None and found[1] != prefix):
             continue
-        namespace = Namespace(found[1], directory)
         path = str(Path(directory) / name)
-        topic = namespace.topic_of(name) or name
+        topic = Namespace(found[1], directory).topic_of(name) or name
         state = ObjectState(found[1], topic, path)
         try:
-            attached.append((state, _open(namespace, name)))
+            attached.append((state, _open(path)))
         except ChannelError as error:
             states.append(ObjectState(found[1], topic, path, error=error.what, code=error.code))
     try:
@@ -112,12 +113,13 @@ def find_objects(
     return sorted(states, key=lambda state: (state.prefix, state.topic))
 
 
-def _open(namespace: Namespace, name: str) -> Attached:
-    topic = namespace.topic_of(name)
-    if topic is None:
-        # A shortened name does not give its topic away; a topic of the same name would not lead here.
-        raise ChannelError("SHM118", "the topic's name was shortened; ask for the topic itself", where=name)
-    return attach(namespace, topic)
+def _open(path: str) -> Attached:
+    # By file and not by topic: a shortened name does not give its topic away, its description does.
+    fd = open_plain_file(Path(path), os.O_RDONLY)
+    try:
+        return Attached(fd, path, None, None, None, False)
+    finally:
+        os.close(fd)
 
 
 class _Beats:

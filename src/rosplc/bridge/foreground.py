@@ -1,0 +1,77 @@
+"""A bridge in the foreground: until a signal comes, with a status line in the log now and then."""
+
+from __future__ import annotations
+
+import logging
+import signal
+import sys
+import threading
+from pathlib import Path
+
+from rosplc.bridge.engine import Bridge
+from rosplc.bridge.resolve import load_project
+from rosplc.bridge.status import BridgeStatus
+
+__all__ = ["run_bridge"]
+
+log = logging.getLogger("rosplc.run")
+
+
+def run_bridge(config: Path, *, status_seconds: float | None, level: int = logging.INFO) -> None:
+    """Run a bridge until SIGINT or SIGTERM; a second signal ends the process at once.
+
+    Args:
+        config: The configuration file.
+        status_seconds: Time between two status lines in the log; None for none.
+        level: The lowest level that is logged.
+
+    Raises:
+        RosplcError: The configuration is wrong, or the bridge cannot start.
+    """
+    logging.basicConfig(
+        level=level, stream=sys.stderr, format="%(asctime)s %(levelname)-7s %(message)s", datefmt="%H:%M:%S"
+    )
+    project = load_project(config)
+    stop = threading.Event()
+    _stop_on_signals(stop)
+    with Bridge(project) as bridge:
+        reporter = _Reporter()
+        while not stop.wait(status_seconds):
+            reporter.report(bridge.status())
+
+
+def _stop_on_signals(stop: threading.Event) -> None:
+    def on_signal(number: int, _frame: object) -> None:
+        signal.signal(number, signal.SIG_DFL)
+        stop.set()
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, on_signal)
+
+
+class _Reporter:
+    """Writes the status line, and each topic whose judgement changed."""
+
+    def __init__(self) -> None:
+        self._before: dict[str, str] = {}
+
+    def report(self, status: BridgeStatus) -> None:
+        topics = status.topics
+        fine = sum(topic.judgement[0] == 0 for topic in topics)
+        log.info(
+            "status: %d of %d topics fine; in %d, out %d, lost %d, refused %d",
+            fine,
+            len(topics),
+            sum(topic.received for topic in topics),
+            sum(topic.published for topic in topics),
+            sum(topic.lost for topic in topics),
+            sum(topic.refused for topic in topics),
+        )
+        for topic in topics:
+            level, message = topic.judgement
+            # A rate differs each time and is no news; a change of level is, and so is its reason.
+            now = level.name if level == 0 else f"{level.name}: {message}"
+            if self._before.get(topic.topic, "OK") != now:
+                log.log(logging.INFO if level == 0 else logging.WARNING, "%s: %s", topic.topic, now)
+            self._before[topic.topic] = now
