@@ -28,7 +28,7 @@ from rosplc.ros.dds.endpoint import DdsPublisher, DdsSubscription
 from rosplc.ros.dds.graph import Announcer
 from rosplc.ros.dds.idl import IdlTypes, dds_topic, ros_topic, ros_type_name
 from rosplc.ros.dds.log import TRACING, library_log
-from rosplc.ros.dds.peers import PeerTable, explain
+from rosplc.ros.dds.peers import Peer, PeerTable, describe, explain
 from rosplc.ros.names import resolve_topic, validate_namespace, validate_node_name
 
 __all__ = ["DdsBackend", "open_backend"]
@@ -103,6 +103,7 @@ class DdsBackend:
         self._next_key = _FIRST
         self._suspects: dict[str, int] = {}
         self._said: set[tuple[int, str]] = set()
+        self._unmatched: dict[tuple[bytes, bytes], int] = {}
         self.domain = domain_id(domain, environment)
         tracing = TRACING.format(library_log().path)
         domains.enter(self.domain, domain_config(environment, store.distro, tracing))
@@ -190,21 +191,25 @@ class DdsBackend:
         wait, endpoints = self._waitset.wait, self._endpoints
         next_tick = 0
         while not self._closed:
-            for key in wait(_TICK_NS):
-                if key >= _FIRST:
-                    if (endpoint := endpoints.get(key)) is not None:
-                        endpoint.take()  # type: ignore[union-attr]
-                elif key == _ANNOUNCEMENTS:
-                    self._announcer.take()
-                else:
-                    self._look(key)
-            if self._changed:
-                self._changed = False
-                self._announcer.announce()
-            if (now := time.monotonic_ns()) >= next_tick:
-                next_tick = now + _TICK_NS
-                library_log().drain()
-                self._warn(now)
+            try:
+                for key in wait(_TICK_NS):
+                    if key >= _FIRST:
+                        if (endpoint := endpoints.get(key)) is not None:
+                            endpoint.take()  # type: ignore[union-attr]
+                    elif key == _ANNOUNCEMENTS:
+                        self._announcer.take()
+                    else:
+                        self._look(key)
+                if self._changed:
+                    self._changed = False
+                    self._announcer.announce()
+                if (now := time.monotonic_ns()) >= next_tick:
+                    next_tick = now + _TICK_NS
+                    library_log().drain()
+                    self._warn(now)
+            except Exception:  # a defect; but the other topics have to go on
+                _logger.exception("the receive thread of %s had an error", self.node)
+                time.sleep(0.1)
 
     def _look(self, which: int) -> None:
         now = time.monotonic_ns()
@@ -229,25 +234,39 @@ class DdsBackend:
 
     def _diagnose(self, endpoint: DdsEndpoint) -> tuple[str, str]:
         incoming = endpoint.direction == "in"
-        matched = endpoint.matched_handles()
         peers = self._peers.on(dds_topic(endpoint.topic), writers=incoming)
+        matched = endpoint.matched_handles()
         found: dict[str, list[str]] = {}
         for peer in peers:
-            problem = explain(
-                peer,
-                self._call(peer.guid),
-                endpoint.type_name,
-                endpoint.type_hash,
-                endpoint.qos,
-                peer.handle in matched,
-            )
-            if problem:
+            name, fits = self._call(peer.guid), peer.handle in matched
+            problem = explain(peer, name, endpoint.type_name, endpoint.type_hash, endpoint.qos, fits)
+            if problem is None:
+                problem = self._unexplained(endpoint, peer, name, fits)
+            if problem is not None:
                 found.setdefault(problem[0], []).append(problem[1])
         if found:
-            return min(found), "; ".join(text for texts in found.values() for text in texts)
+            return max(found), "; ".join(sorted(text for texts in found.values() for text in texts))
         if not peers and not matched:
             return "", f"no node {'publishes' if incoming else 'subscribes to'} {endpoint.topic}"
         return "", ""
+
+    def _unexplained(
+        self, endpoint: DdsEndpoint, peer: Peer, name: str, fits: bool
+    ) -> tuple[str, str] | None:
+        """Judge a peer that should match by all that is announced.
+
+        If it does not, the definitions differ; but discovery and matching lag a moment behind each
+        other when a peer comes or goes, so this is said only of what stays so.
+        """
+        key = (endpoint.guid, peer.guid)
+        if fits:
+            self._unmatched.pop(key, None)
+            return None
+        now = time.monotonic_ns()
+        if now - self._unmatched.setdefault(key, now) < _SETTLE_NS:
+            self._suspects.setdefault(peer.topic, now)
+            return "", f"{describe(peer, name)}, not matched yet"
+        return "ROS003", f"{describe(peer, name)} with another definition"
 
     def _call(self, guid: bytes) -> str:
         name = self._announcer.node_of(guid)

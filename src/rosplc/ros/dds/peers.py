@@ -10,21 +10,18 @@ from __future__ import annotations
 
 import re
 import threading
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
 from cyclonedds._clayer import ddspy_take_endpoint
 from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription
-from cyclonedds.builtin_types import cqos_to_qos
 from cyclonedds.core import InstanceState
-from cyclonedds.qos import Policy
-from cyclonedds.qos import Qos as DdsQos
 
 from rosplc.ros.backend import Qos, incompatibility
+from rosplc.ros.dds.announced import Announced, read_announced
 from rosplc.ros.dds.idl import ros_topic, ros_type_name
 
-__all__ = ["Peer", "PeerTable", "explain"]
+__all__ = ["Peer", "PeerTable", "describe", "explain"]
 
 _TYPE_HASH = re.compile(rb"(?:^|;)typehash=(RIHS01_[0-9a-f]{64});")
 _BATCH = 256
@@ -57,40 +54,6 @@ class Peer:
     type_hash: str
 
 
-def _settings(dds: DdsQos) -> Qos:
-    reliable = isinstance(dds[Policy.Reliability], Policy.Reliability.Reliable)
-    # A publisher that offers more than transient_local satisfies it; a subscriber that wants
-    # more is named by _obstacles.
-    volatile = dds[Policy.Durability] is Policy.Durability.Volatile
-    return Qos("reliable" if reliable else "best_effort", "volatile" if volatile else "transient_local", 1)
-
-
-def _obstacles(dds: DdsQos, writer: bool) -> Iterable[str]:
-    representation = dds[Policy.DataRepresentation]
-    if representation is not None and not representation.use_cdrv0_representation:
-        yield "it uses XCDR version 2 only, ROS uses version 1"
-    partition = dds[Policy.Partition]
-    if partition is not None and partition.partitions and "" not in partition.partitions:
-        yield f"it is in the DDS partition {', '.join(partition.partitions)}"
-    if (
-        isinstance(dds[Policy.Ownership], type(Policy.Ownership.Exclusive))
-        and dds[Policy.Ownership] == Policy.Ownership.Exclusive
-    ):
-        yield "it wants exclusive ownership"
-    if writer:
-        return
-    if dds[Policy.Durability] in (Policy.Durability.Transient, Policy.Durability.Persistent):
-        yield "it wants transient or persistent durability, which ROS does not have"
-    deadline = dds[Policy.Deadline]
-    if deadline is not None and deadline.deadline < 2**63 - 1:
-        yield f"it wants a deadline of {deadline.deadline / 1e6:g} ms"
-    liveliness = dds[Policy.Liveliness]
-    if liveliness is not None and not isinstance(liveliness, Policy.Liveliness.Automatic):
-        yield "it wants manual liveliness"
-    if liveliness is not None and liveliness.lease_duration < 2**63 - 1:
-        yield f"it wants a liveliness lease of {liveliness.lease_duration / 1e6:g} ms"
-
-
 class PeerTable:
     """What the builtin topics have shown so far; updated by the receive thread.
 
@@ -121,7 +84,7 @@ class PeerTable:
             _: int,
             topic: str | None,
             kind: str | None,
-            qos: Any,
+            announced: Announced | None,
             info: Any,
             __: Any,
         ) -> None:
@@ -129,15 +92,29 @@ class PeerTable:
                 return
             if not info.valid_data or info.instance_state != InstanceState.Alive:
                 changed.update(self._forget(guid))
-            elif topic is not None and kind is not None:
-                peer = _peer(guid, info.instance_handle, participant, writer, topic, kind, qos)
+            elif topic is not None and kind is not None and announced is not None:
+                found = _TYPE_HASH.search(announced.user_data)
+                peer = Peer(
+                    guid,
+                    info.instance_handle,
+                    participant,
+                    writer,
+                    topic,
+                    kind,
+                    announced.qos,
+                    announced.obstacles,
+                    found.group(1).decode() if found else "",
+                )
                 with self._lock:
                     self._peers[guid] = peer
                     self._by_topic.setdefault((topic, writer), {})[guid] = peer
                 changed.add(topic)
 
+        def settings(pointer: int) -> Announced:
+            return read_announced(pointer, writer=writer)
+
         while True:
-            taken = ddspy_take_endpoint(ref, _BATCH, see, cqos_to_qos)
+            taken = ddspy_take_endpoint(ref, _BATCH, see, settings)
             if isinstance(taken, int) or len(taken) < _BATCH:
                 return changed
 
@@ -160,29 +137,18 @@ class PeerTable:
             return tuple(self._peers.values())
 
 
-def _peer(
-    guid: bytes, handle: int, participant: bytes, writer: bool, topic: str, kind: str, qos: DdsQos
-) -> Peer:
-    user_data = qos[Policy.Userdata]
-    found = _TYPE_HASH.search(bytes(user_data.data)) if user_data is not None else None
-    type_hash = found.group(1).decode() if found else ""
-    return Peer(
-        guid,
-        handle,
-        participant,
-        writer,
-        topic,
-        kind,
-        _settings(qos),
-        tuple(_obstacles(qos, writer)),
-        type_hash,
-    )
+def describe(peer: Peer, name: str) -> str:
+    """Return what a peer does, such as ``node /talker publishes /chatter as std_msgs/msg/String``."""
+    verb = "publishes" if peer.writer else "subscribes to"
+    return f"{name} {verb} {ros_topic(peer.topic) or peer.topic} as {ros_type_name(peer.type_name)}"
 
 
 def explain(
     peer: Peer, name: str, type_name: str, type_hash: str, qos: Qos, matched: bool
 ) -> tuple[str, str] | None:
-    """Return code and words for what is wrong between a peer and one of our endpoints, if anything.
+    """Return code and words for what is wrong between a peer and one of our endpoints.
+
+    None if nothing is wrong, or if nothing is known that would explain why they do not match.
 
     Args:
         peer: The peer's endpoint on the same topic, of the other kind.
@@ -193,18 +159,17 @@ def explain(
         matched: Whether DDS has matched the two.
     """
     theirs = ros_type_name(peer.type_name)
-    verb = "publishes" if peer.writer else "subscribes to"
-    does = f"{name} {verb} {ros_topic(peer.topic) or peer.topic} as {theirs}"
+    does = describe(peer, name)
     if theirs != type_name:
         return "ROS003", f"{does}, here it is {type_name}"
     if type_hash and peer.type_hash and type_hash != peer.type_hash:
         here, there = type_hash[7:15], peer.type_hash[7:15]
         return "ROS003", f"{does} with another definition (type hash {there}… there, {here}… here)"
     if matched:
-        return None
+        return None  # by DDS's own judgement nothing else is wrong
     problem = incompatibility(peer.qos, qos) if peer.writer else incompatibility(qos, peer.qos)
     problems = [problem] if problem else []
     problems += peer.obstacles
     if problems:
         return "ROS004", f"{does}, but {'; '.join(problems)}"
-    return "ROS003", f"{does} with another definition"
+    return None
