@@ -58,14 +58,16 @@ def bundled_types(distro: str) -> dict[str, MessageType]:
 def parse_field_type(text: str, owner: str) -> tuple[FieldType, bool] | None:
     """Read the type part of a ``.msg`` line, such as ``geometry_msgs/Point[<=4]``.
 
+    An unqualified ``Header`` is std_msgs' one.
+
     Args:
         text: The type as written.
         owner: Full name of the message that has the field; a name without a package is
             looked for in the same package.
 
     Returns:
-        The type, and whether the definition is invalid for having a length or bound of
-        zero or less; None if the text is no type at all.
+        The type, and whether its length and bounds are within 1 … 2^32 - 1; None if the
+        text is no type at all.
     """
     parser = MSGParser(text)
     found = parser.typ(0)
@@ -73,21 +75,21 @@ def parse_field_type(text: str, owner: str) -> tuple[FieldType, bool] | None:
         return None
     parsed = normalize_type_ref(owner, found.value)
     element: PrimitiveType | StringType | NamedType
-    positive = True
+    valid = True
     if isinstance(parsed.ref, BaseType):
         name = parsed.ref.name.value
         bounded = text.startswith("string<=")
-        positive = not bounded or parsed.str_size > 0
+        valid = not bounded or 0 < parsed.str_size < 1 << 32
         element = _element(Nodetype.BASE, (name, parsed.str_size))
     else:
         element = NamedType(parsed.ref.name)
     if parsed.cardinality is Cardinality.SCALAR:
-        return element, positive
+        return element, valid
     unbounded = text.endswith("[]")
-    positive = positive and (unbounded or parsed.size > 0)
+    valid = valid and (unbounded or 0 < parsed.size < 1 << 32)
     if parsed.cardinality is Cardinality.ARRAY:
-        return ArrayType(element, parsed.size), positive
-    return SequenceType(element, None if unbounded else parsed.size), positive
+        return ArrayType(element, parsed.size), valid
+    return SequenceType(element, None if unbounded else parsed.size), valid
 
 
 def _message(name: str, constants: list[Any], fields: list[Any]) -> MessageType:

@@ -32,17 +32,18 @@ def parse_folder(path: Path, ros_version: int) -> Iterator[ParsedType]:
     """
     try:
         files = [path] if path.is_file() else sorted(path.rglob("*.msg"))
+        exists = path.exists()
     except OSError as error:
         raise MessageTypeError("TYP008", f"cannot be read: {error.strerror}", where=str(path)) from None
-    if not path.exists():
+    if not exists:
         raise MessageTypeError("TYP008", "does not exist", where=str(path))
     if not files or files[0].suffix != ".msg":
         raise MessageTypeError("TYP008", "holds no .msg file", where=str(path))
-    for file in files:
-        name = f"{_package_of(file)}/msg/{file.stem}"
-        if not _PACKAGE.match(file.stem):
-            raise MessageTypeError("TYP002", f"{file.stem!r} is no message name", where=str(file))
-        yield from parse_definition(name, _read(file), where=str(file), ros_version=ros_version)
+    names = {file: _name_of(file) for file in files}
+    for file, name in names.items():
+        yield from parse_definition(
+            name, _read(file), where=str(file), ros_version=ros_version, siblings=names.values()
+        )
 
 
 def _read(file: Path) -> str:
@@ -57,6 +58,12 @@ def _read(file: Path) -> str:
         raise MessageTypeError("TYP002", "is not UTF-8 text", where=f"{file}:{line}") from None
     except OSError as error:
         raise MessageTypeError("TYP008", f"cannot be read: {error.strerror}", where=str(file)) from None
+
+
+def _name_of(file: Path) -> str:
+    if not _PACKAGE.match(file.stem):
+        raise MessageTypeError("TYP002", f"{file.stem!r} is no message name", where=str(file))
+    return f"{_package_of(file)}/msg/{file.stem}"
 
 
 def _package_of(file: Path) -> str:

@@ -6,6 +6,7 @@ differs for string constants only, which take the rest of the line as it is.
 
 from __future__ import annotations
 
+import math
 import re
 import struct
 
@@ -37,10 +38,11 @@ def strip_comment(text: str) -> str:
     while position < len(text):
         if text[position] == "#":
             return text[:position].strip()
-        quoted = _QUOTED.match(text, position)
-        # An apostrophe within an unquoted text opens no quotation.
+        # An apostrophe within an unquoted text opens no quotation. (Looking for a quotation
+        # at every quote would also take quadratic time with escaped ones.)
         opens = position == 0 or text[position - 1] in " \t[,="
-        position = quoted.end() if quoted and opens else position + 1
+        quoted = _QUOTED.match(text, position) if opens else None
+        position = quoted.end() if quoted else position + 1
     return text.strip()
 
 
@@ -59,7 +61,7 @@ def parse_value(text: str, kind: FieldType) -> Value:
     if not isinstance(kind, ArrayType | SequenceType):
         return _parse_scalar(text, kind)
     if not (text.startswith("[") and text.endswith("]")):
-        raise LiteralError(f"{text!r} is no array literal such as [1, 2]")
+        raise LiteralError(f"{_cut(text)} is no array literal such as [1, 2]")
     if isinstance(kind.element, NamedType):
         raise LiteralError(f"a field of type {kind} cannot have a default value")
     items = tuple(_parse_scalar(item, kind.element) for item in _split(text[1:-1]))
@@ -90,11 +92,12 @@ def _parse_scalar(text: str, kind: PrimitiveType | StringType) -> bool | int | f
             return True
         if text.lower() in ("false", "0"):
             return False
-        raise LiteralError(f"{text!r} is neither true nor false")
+        raise LiteralError(f"{_cut(text)} is neither true nor false")
     if kind.name in ("float32", "float64"):
         return _parse_float(text, kind.name)
-    if not _INTEGER.match(text):
-        raise LiteralError(f"{text!r} is no whole number")
+    # Longer ones fit no type, and Python refuses to convert thousands of digits.
+    if not _INTEGER.match(text) or len(text) > 80:
+        raise LiteralError(f"{_cut(text)} is no whole number")
     # int() with base 0 refuses leading zeros, which ROS reads as decimal.
     value = int(text, 0) if re.match(r"[+-]?0[xXbBoO]", text) else int(text)
     low, high = INTEGER_RANGES[kind.name]
@@ -107,13 +110,15 @@ def _parse_scalar(text: str, kind: PrimitiveType | StringType) -> bool | int | f
 
 def _parse_float(text: str, name: str) -> float:
     if not _FLOAT.match(text):
-        raise LiteralError(f"{text!r} is no number")
+        raise LiteralError(f"{_cut(text)} is no number")
     value = float(text)
-    if name == "float32":
-        try:
-            struct.pack("<f", value)
-        except OverflowError:
-            raise LiteralError(f"{text} is not within float32") from None
+    try:
+        struct.pack("<f" if name == "float32" else "<d", value)
+        fits = math.isfinite(value) or text.lower().endswith(("inf", "nan"))
+    except OverflowError:
+        fits = False
+    if not fits:
+        raise LiteralError(f"{_cut(text)} is not within {name}")
     return value
 
 
@@ -133,19 +138,26 @@ def _parse_string(text: str, kind: StringType) -> str:
     return value
 
 
+def _cut(text: str) -> str:
+    return repr(text if len(text) <= 60 else text[:57] + "...")
+
+
 def _split(text: str) -> list[str]:
     """Split an array literal's inside at its commas, respecting quotes."""
     items: list[str] = []
     start = position = 0
+    blank = True
     while position < len(text):
-        quoted = _QUOTED.match(text, position) if not text[start:position].strip() else None
+        quoted = _QUOTED.match(text, position) if blank else None
         if quoted:
             position = quoted.end()
+            blank = False
         elif text[position] == ",":
             items.append(text[start:position].strip())
             position += 1
-            start = position
+            start, blank = position, True
         else:
+            blank = blank and text[position].isspace()
             position += 1
     if items or text.strip():
         items.append(text[start:].strip())

@@ -17,7 +17,7 @@ from rosplc.model.literals import LiteralError, parse_value, strip_comment
 from rosplc.model.types import Constant, Field, FieldType, MessageType, PrimitiveType, StringType
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Collection, Iterator
 
 __all__ = ["MAX_FIELDS", "MAX_NAME", "MAX_TEXT", "ParsedType", "full_name", "parse_definition"]
 
@@ -32,7 +32,7 @@ _SEPARATOR = re.compile(r"={80}\s*\Z")
 _HEADER = re.compile(r"MSG:\s*(\S+)\s*\Z")
 _TYPE_NAME = re.compile(r"([A-Za-z][A-Za-z0-9_]*)/(?:msg/)?([A-Za-z][A-Za-z0-9_]*)\Z")
 _LINE = re.compile(r"(\S+)\s+([A-Za-z][A-Za-z0-9_]*)\s*(.*)\Z", re.DOTALL)
-_ANNOTATION = re.compile(r"@[a-z_]+(\s+|\Z)")
+_ANNOTATIONS = re.compile(r"(@[a-z_]+(\s+|\Z))*")
 _UNSUPPORTED = re.compile(r"(wstring|wchar|float128|long\s+double)\b(?!/)")
 
 
@@ -57,14 +57,23 @@ def full_name(name: str) -> str:
     return f"{found[1]}/msg/{found[2]}"
 
 
-def parse_definition(type_name: str, text: str, *, where: str = "", ros_version: int = 2) -> list[ParsedType]:
+def parse_definition(
+    type_name: str,
+    text: str,
+    *,
+    where: str = "",
+    ros_version: int = 2,
+    siblings: Collection[str] = (),
+) -> list[ParsedType]:
     """Parse a definition text.
 
     Args:
         type_name: Name of the first type in the text.
         text: The ``.msg`` text, other types after lines of 80 ``=``.
         where: What errors name as the place, usually a file; default the type's name.
-        ros_version: 1 or 2; string constants are read differently.
+        ros_version: 1 or 2; string constants are read differently, and so is a field of type
+            ``Header``: ROS 1 always means std_msgs' one, ROS 2 the package's own if it has one.
+        siblings: Full names of types that stand outside of the text.
 
     Raises:
         MessageTypeError: TYP002 syntax, TYP004 unsupported type, TYP005 a type twice with
@@ -75,8 +84,12 @@ def parse_definition(type_name: str, text: str, *, where: str = "", ros_version:
         raise MessageTypeError("TYP007", f"the definition has more than {MAX_TEXT} bytes", where=where)
     found: dict[str, ParsedType] = {}
     budget = MAX_FIELDS
-    for name, place, lines in _sections(full_name(type_name), text, where):
-        parsed = _parse_section(name, place, lines, where, ros_version, budget)
+    sections = list(_sections(full_name(type_name), text, where))
+    own_headers = {*siblings, *(name for name, _, _ in sections)} if ros_version == 2 else set()
+    for name, place, lines in sections:
+        own = name.rsplit("/", 1)[0] + "/Header"
+        numbered = [(n, _own_header(line, own) if own in own_headers else line) for n, line in lines]
+        parsed = _parse_section(name, place, numbered, where, ros_version, budget)
         budget -= len(parsed.message.fields) + len(parsed.message.constants)
         known = found.setdefault(name, parsed)
         if known.message != parsed.message:
@@ -107,6 +120,11 @@ def _sections(name: str, text: str, where: str) -> Iterator[tuple[str, str, list
     yield name, place, lines
 
 
+def _own_header(line: str, name: str) -> str:
+    """Qualify a field type ``Header`` with the package that has one."""
+    return re.sub(r"^(\s*)Header(?=[\s\[])", rf"\1{name}", line)
+
+
 def _parse_section(
     name: str, place: str, lines: list[tuple[int, str]], where: str, ros_version: int, budget: int
 ) -> ParsedType:
@@ -115,9 +133,7 @@ def _parse_section(
     places: list[str] = []
     names: set[str] = set()
     for number, raw in lines:
-        line = raw.strip()
-        while annotation := _ANNOTATION.match(line):
-            line = line[annotation.end() :]
+        line = _ANNOTATIONS.sub("", raw.strip(), count=1)
         if not line or line.startswith("#"):
             continue
         if _UNSUPPORTED.match(line):
@@ -157,9 +173,9 @@ def _parse_type(text: str, owner: str) -> FieldType:
     result = parse_field_type(text, owner)
     if result is None:
         raise LiteralError(f"{text[:80]!r} is no type")
-    kind, positive = result
-    if not positive:
-        raise LiteralError(f"{text[:80]!r}: lengths and bounds start at 1")
+    kind, valid = result
+    if not valid:
+        raise LiteralError(f"{text[:80]!r}: lengths and bounds are within 1 … 4294967295")
     return kind
 
 

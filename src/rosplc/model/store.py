@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import hashlib
 from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rosplc.errors import MessageTypeError
@@ -18,7 +19,6 @@ from rosplc.model.types import ArrayType, Constant, Field, MessageType, NamedTyp
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
-    from pathlib import Path
 
 __all__ = ["DISTROS", "MAX_DEPTH", "TypeStore"]
 
@@ -90,7 +90,7 @@ class TypeStore:
         Raises:
             MessageTypeError: TYP001 … TYP005, TYP007, TYP008, with file and line.
         """
-        found = [parsed for path in paths for parsed in parse_folder(path, self.ros_version)]
+        found = [parsed for path in paths for parsed in parse_folder(Path(path), self.ros_version)]
         return self._with(found)
 
     def __getitem__(self, name: str) -> MessageType:

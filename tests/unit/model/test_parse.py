@@ -108,6 +108,10 @@ def test_windows_line_ends_change_nothing() -> None:
         ("int32[<=] a", "TYP002", 1),
         ("int32[2][3] a", "TYP002", 1),
         ("string<=0 a", "TYP002", 1),
+        ("int8[4294967296] a", "TYP002", 1),
+        ("string<=4294967296[] a", "TYP002", 1),
+        ("int64 a " + "9" * 100_000, "TYP002", 1),
+        ("float64 a 1e999", "TYP002", 1),
         ("int32<=5 a", "TYP002", 1),
         ("a/b/c/D x", "TYP001", 1),
         ("int32 a\nint8 a", "TYP002", 2),
@@ -131,6 +135,40 @@ def test_errors_name_the_line(text: str, code: str, line: int) -> None:
         TypeStore.from_definition("a/A", text)
     assert caught.value.code == code
     assert caught.value.where.endswith(f":{line}")
+
+
+def test_header_means_the_packages_own_in_ros2() -> None:
+    """An unqualified Header is the package's own where ROS 2 would find it, else std_msgs'."""
+    text = f"Header[2] h\nOther o\n{SEPARATOR}MSG: a/Header\nint8 x\n{SEPARATOR}MSG: a/Other\nint8 y\n"
+    own, std = ArrayType(NamedType("a/msg/Header"), 2), ArrayType(NamedType("std_msgs/msg/Header"), 2)
+    assert parse_definition("a/A", text)[0].message.fields[0].type == own
+    assert parse_definition("a/A", text, ros_version=1)[0].message.fields[0].type == std
+    assert parse_definition("b/A", text)[0].message.fields[0].type == std
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        'string s "' + '\\"' * 400_000,
+        "string[] s [" + "a" * 500_000 + "]",
+        "string[] s [" + '"a",' * 100_000 + "]",
+        "string s " + "'" * 500_000,
+        "[" * 500_000,
+        "string<=" + "9" * 500_000 + " s",
+        "a_" * 250_000 + " s",
+        "int8 " + "a" * 500_000,
+        "@" * 500_000,
+        "@a " * 200_000 + "int8 x",
+        "=" * 80 + " " * 500_000 + "x",
+    ],
+)
+@pytest.mark.timeout(20)
+def test_long_lines_take_no_excessive_time(line: str) -> None:
+    """Text of the largest size that is meant to be slow to read is read or refused soon."""
+    try:
+        TypeStore.from_definition("a/A", line)
+    except MessageTypeError as error:
+        assert len(str(error)) < 1000
 
 
 def test_limits_end_the_reading() -> None:
