@@ -1,6 +1,7 @@
 """What the bridge says on ``/diagnostics``: one status for itself and one per topic.
 
 The message is built like any other: packed into a record of a generous layout, then encoded.
+Statuses are packed one by one, so that those that have not changed are packed once.
 """
 
 from __future__ import annotations
@@ -9,16 +10,17 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-from rosplc.bridge.status import BridgeStatus, TopicStatus
+from rosplc.bridge.status import BridgeStatus, TopicStatus, format_age
 from rosplc.codec import Codec, Wire
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.ros import DEFAULT, Backend, Publisher
 
-__all__ = ["TOPIC", "TYPE", "Diagnostics", "diagnostic_array"]
+__all__ = ["TOPIC", "TYPE", "Diagnostics", "diagnostic_statuses"]
 
 TOPIC = "/diagnostics"
 TYPE = "diagnostic_msgs/msg/DiagnosticArray"
+_STATUS = "diagnostic_msgs/msg/DiagnosticStatus"
 
 _VALUES = 16
 _TEXT = 240
@@ -31,16 +33,19 @@ class Diagnostics:
 
     Args:
         store: Where the message type comes from.
-        bridge: The bridge's name.
         backend: The ROS side.
     """
 
-    def __init__(self, store: TypeStore, bridge: str, backend: Backend) -> None:
+    def __init__(self, store: TypeStore, backend: Backend) -> None:
         fields = {"status": _PER_MESSAGE, "status[].values": _VALUES}
         self._layout = compute_layout(store, TYPE, Limits(string=_TEXT, sequence=_VALUES, fields=fields))
         self._codec = Codec(self._layout, Wire.ROS1 if store.ros_version == 1 else Wire.CDR)
+        self._one = compute_layout(store, _STATUS, Limits(string=_TEXT, fields={"values": _VALUES}))
+        self._offset = next(offset for path, offset, _ in self._layout.fields() if path == "status")
         self._publisher: Publisher = backend.advertise(TOPIC, TYPE, DEFAULT)
-        self._bridge = bridge
+        self._count_offset = self._offset - 4  # header first, then the count right before its elements
+        self._empty: dict[int, bytes] = {}
+        self._packed: dict[str, tuple[dict[str, Any], bytes]] = {}
 
     def publish(self, status: BridgeStatus) -> None:
         """Send the status, in as many messages as it takes.
@@ -49,42 +54,60 @@ class Diagnostics:
             RosplcError: The middleware refused.
         """
         now = time.time_ns()
-        for message in diagnostic_array(status, now):
-            self._publisher.write(self._codec.encode(self._layout.pack(message)), now)
+        entries = diagnostic_statuses(status)
+        for at in range(0, len(entries), _PER_MESSAGE):
+            self._publisher.write(self._message(entries[at : at + _PER_MESSAGE], now), now)
+
+    def _message(self, entries: list[dict[str, Any]], now_ns: int) -> bytes:
+        stamp = {"sec": now_ns // 10**9, "nanosec": now_ns % 10**9}
+        size, count = self._one.size, len(entries)
+        if count not in self._empty:
+            self._empty[count] = bytes(self._layout.pack({"status": [{}] * count}))
+        record = bytearray(self._empty[count])
+        header = self._layout.pack({"header": {"stamp": stamp}})
+        record[: self._count_offset] = header[: self._count_offset]
+        for index, entry in enumerate(entries):
+            start = self._offset + index * size
+            record[start : start + size] = self._pack(entry)
+        return self._codec.encode(record)
+
+    def _pack(self, entry: dict[str, Any]) -> bytes:
+        # Most topics say the same as a second ago, and packing their text is what costs.
+        known = self._packed.get(entry["name"])
+        if known is None or known[0] != entry:
+            known = self._packed[entry["name"]] = (entry, bytes(self._one.pack(_fitting(entry))))
+        return known[1]
 
     def close(self) -> None:
         """Leave the topic."""
         self._publisher.close()
 
 
-def diagnostic_array(status: BridgeStatus, now_ns: int) -> list[dict[str, Any]]:
-    """Return the status as DiagnosticArray messages of at most 32 statuses each."""
+def diagnostic_statuses(status: BridgeStatus) -> list[dict[str, Any]]:
+    """Return the bridge's status, then its topics': DiagnosticStatus' fields, ``values`` as a mapping."""
     name = f"rosplc: {status.bridge}"
     level, message = status.judgement
     values = {
         "backend": status.backend,
-        "uptime [s]": f"{status.uptime_ns / 1e9:.0f}",
+        "uptime": format_age(status.uptime_ns),
         "topics": str(len(status.topics)),
     }
     entries = [_entry(int(level), name, message, values, status.bridge)]
     for topic in status.topics:
         level, message = topic.judgement
         entries.append(_entry(int(level), f"{name}: {topic.topic}", message, _values(topic), status.bridge))
-    stamp = {"sec": now_ns // 10**9, "nanosec": now_ns % 10**9}
-    return [
-        {"header": {"stamp": stamp}, "status": entries[at : at + _PER_MESSAGE]}
-        for at in range(0, len(entries), _PER_MESSAGE)
-    ]
+    return entries
 
 
 def _entry(level: int, name: str, message: str, values: Mapping[str, str], hardware: str) -> dict[str, Any]:
-    return {
-        "level": level,
-        "name": _fit(name),
-        "message": _fit(message),
-        "hardware_id": hardware,
-        "values": [{"key": key, "value": _fit(value)} for key, value in values.items()],
-    }
+    return {"level": level, "name": name, "message": message, "hardware_id": hardware, "values": values}
+
+
+def _fitting(entry: dict[str, Any]) -> dict[str, Any]:
+    """Return an entry as the message has it, its texts cut to the record's capacity."""
+    texts = {key: _fit(entry[key]) for key in ("name", "message", "hardware_id")}
+    values = [{"key": key, "value": _fit(value)} for key, value in entry["values"].items()]
+    return {"level": entry["level"], **texts, "values": values}
 
 
 def _values(topic: TopicStatus) -> dict[str, str]:
@@ -92,7 +115,7 @@ def _values(topic: TopicStatus) -> dict[str, str]:
         "type": topic.type_name,
         "direction": topic.direction.word,
         "rate [Hz]": f"{topic.rate_hz:.4g}",
-        "age [s]": "never" if topic.age_ns is None else f"{topic.age_ns / 1e9:.3f}",
+        "age": "never" if topic.age_ns is None else format_age(topic.age_ns),
         "matched": str(topic.matched),
         "PLC alive": str(topic.peer_alive),
         "received": str(topic.received),

@@ -111,7 +111,7 @@ class Bridge:
             stack.callback(topic.leave)
         diagnostics = None
         if settings.diagnostics.enabled:
-            diagnostics = Diagnostics(self.project.store, settings.bridge, self.backend)
+            diagnostics = Diagnostics(self.project.store, self.backend)
             stack.callback(diagnostics.close)
         keeper.diagnostics = diagnostics
         self._pump = Pump(tuple(t for t in self._topics if isinstance(t, ToRos)), settings.tick_ns)

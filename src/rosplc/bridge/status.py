@@ -8,7 +8,7 @@ from typing import Any
 
 from rosplc.shm import Direction
 
-__all__ = ["BridgeStatus", "Level", "TopicStatus"]
+__all__ = ["BridgeStatus", "Level", "TopicStatus", "format_age"]
 
 
 class Level(enum.IntEnum):
@@ -18,6 +18,19 @@ class Level(enum.IntEnum):
     WARN = 1
     ERROR = 2
     STALE = 3
+
+
+def format_age(age_ns: int) -> str:
+    """Return an age in the precision that a person needs: 0.2 s, 14 s, 3 min, 5 h.
+
+    Coarse on purpose: what stands still then has a text that stands still.
+    """
+    seconds = age_ns / 1e9
+    if seconds < 10:
+        return f"{seconds:.1f} s"
+    if seconds < 120:
+        return f"{seconds // 5 * 5:.0f} s"
+    return f"{seconds // 60:.0f} min" if seconds < 7200 else f"{seconds // 3600:.0f} h"
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +91,7 @@ class TopicStatus:
             return Level.WARN, self.reason
         if self.stale:
             source = "ROS publisher" if to_plc else "the PLC"
-            age = "no message yet" if self.age_ns is None else f"last message {self.age_ns / 1e9:.1f} s ago"
+            age = "no message yet" if self.age_ns is None else f"last message {format_age(self.age_ns)} ago"
             return (
                 Level.STALE,
                 f"{age} from {source}{'' if self.matched or not to_plc else ': nobody publishes'}",

@@ -13,11 +13,12 @@ from rosplc.bridge.topic import Surroundings, Topic, log
 from rosplc.codec import TRUNCATED
 from rosplc.errors import ChannelError
 from rosplc.ros import Backend, EndpointStatus, Subscription
-from rosplc.shm import OwnedChannel, Snapshot, Writer
+from rosplc.shm import OwnedChannel, Region, Writer
+from rosplc.shm.constants import FLAG_FIRST, LINE_SIZE, READER_LINES, READER_LINES_OFFSET
 
 __all__ = ["ToPlc"]
 
-_FIRST = 1  # flags of a slot, spec/shm-format.md section 5
+_LINE_WORDS = LINE_SIZE // 4
 
 
 class ToPlc(Topic):
@@ -99,7 +100,7 @@ class ToPlc(Topic):
             self.counters.lost += 1
             return
         plan = self.plan
-        flags = _FIRST if self._first else 0
+        flags = FLAG_FIRST if self._first else 0
         clock = 1 if stamp_ns else 0
         try:
             if plan.on_change:
@@ -150,11 +151,14 @@ class ToPlc(Topic):
         """Look after the object; a writer that failed means that it must be opened again."""
         return super().check(now_ns) or self.writer is None
 
-    def _observe(self, snapshot: Snapshot, now_ns: int) -> None:
+    def _observe(self, region: Region, now_ns: int) -> None:
+        words = region.words(READER_LINES_OFFSET, READER_LINES * _LINE_WORDS)
         tasks = []
-        for line in snapshot.readers:
-            if line.claim and self._lives(line.index, line.beat, line.beat_ms, line.taken, now_ns):
-                tasks.append(line.task)
+        for at in range(0, len(words), _LINE_WORDS):
+            claim, beat, beat_ms, taken = words[at : at + 4]
+            if claim and self._lives(at, beat, beat_ms, taken, now_ns):
+                name = b"".join(word.to_bytes(4, "little") for word in words[at + 12 : at + 16])
+                tasks.append(name.split(b"\0")[0].decode("utf-8", "replace"))
         self._peer_alive = bool(tasks)
         self._tasks = tuple(tasks)
         if self.writer is not None and self._subscription is not None:
@@ -166,6 +170,9 @@ class ToPlc(Topic):
 
     def _lost(self, endpoint: EndpointStatus | None) -> int:
         return self.counters.lost + (endpoint.dropped if endpoint else 0)
+
+    def _loss(self, count: int) -> str:
+        return f"{count} messages were lost on the way in; raise qos: {{depth: …}} if they come in bursts"
 
     def _skipped(self) -> int:
         return self.counters.unchanged + (self._gate.replaced if self._gate else 0)

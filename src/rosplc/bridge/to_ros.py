@@ -14,13 +14,13 @@ from rosplc.bridge.topic import Surroundings, Topic, log
 from rosplc.codec import TRUNCATED
 from rosplc.errors import ChannelError, RosplcError
 from rosplc.ros import Backend, EndpointStatus, Publisher
-from rosplc.shm import OwnedChannel, Reader, Snapshot
+from rosplc.shm import OwnedChannel, Reader, Region
+from rosplc.shm.constants import STAMP_SYSTEM, WRITER_LINE
 
 __all__ = ["Pump", "ToRos"]
 
 _IN_ORDER = 1
 _LONGEST_WAIT_NS = 200_000_000
-_STAMP_SYSTEM = 1
 
 
 class ToRos(Topic):
@@ -74,7 +74,7 @@ class ToRos(Topic):
                 return
             self._last_data = data
         # A stamp of the PLC's own clock means nothing in ROS; the bridge stamps on arrival.
-        stamp = stamp_ns if stamp_clock == _STAMP_SYSTEM and stamp_ns else time.time_ns()
+        stamp = stamp_ns if stamp_clock == STAMP_SYSTEM and stamp_ns else time.time_ns()
         if self._gate is None or self._gate.offer((data, stamp), now) is not None:
             self._write(data, stamp, now)
 
@@ -122,10 +122,10 @@ class ToRos(Topic):
             record = self.codec.decode(data)
             log.info("%s: from the PLC: %s", self.plan.topic, self.plan.layout.to_dict(record))
 
-    def _observe(self, snapshot: Snapshot, now_ns: int) -> None:
-        writer = snapshot.writer
-        alive = self._lives(0, writer.beat, writer.beat_ms, writer.head, now_ns)
-        self._peer_alive = bool(writer.epoch) and alive
+    def _observe(self, region: Region, now_ns: int) -> None:
+        head, epoch, beat, beat_ms = region.words(WRITER_LINE["head"], 4)
+        alive = self._lives(0, beat, beat_ms, head, now_ns)
+        self._peer_alive = bool(epoch) and alive
         if self.reader is not None and self._publisher is not None:
             self.reader.set_sinks(self._publisher.matched)
 
@@ -138,6 +138,9 @@ class ToRos(Topic):
         lost = self.counters.lost + self._reader_lost
         # Taking the newest alone skips messages on purpose.
         return lost + (reader.lost if reader is not None and self.plan.every else 0)
+
+    def _loss(self, count: int) -> str:
+        return f"{count} messages were lost on the way out; raise depth: (now {self.plan.slots} slots)"
 
     def _skipped(self) -> int:
         skipped = self.counters.unchanged + (self._gate.replaced if self._gate else 0)
