@@ -119,8 +119,8 @@ def run(rounds: int) -> dict[str, Any]:
     """Measure in ``rounds`` rounds.
 
     Returns:
-        By type, then by contender: ``median_us`` and ``p99_us`` of the rounds, and ``ratio``: how many times faster
-        than rosbags in the same direction, the cost of an empty call taken off both.
+        By type, then by contender: ``median_us`` and ``p99_us`` of the rounds, and ``ratio``: how many
+        times faster than rosbags in the same direction, the cost of an empty call taken off both.
     """
     store = TypeStore.bundled("jazzy")
     measured = {name: contenders(name, store) for name in MESSAGES}

@@ -10,6 +10,7 @@ records (spec/type-mapping.md).
 
 from __future__ import annotations
 
+import math
 import random
 import struct
 from collections.abc import Callable
@@ -152,7 +153,8 @@ def _integer(name: str, rng: random.Random) -> int:
 
 
 def _float(name: str, rng: random.Random) -> float:
-    value = rng.choice((0.0, -0.0, float("inf"), float("nan"), rng.uniform(-1e9, 1e9), rng.gauss(0, 1)))
+    any_size = math.ldexp(rng.randint(-(1 << 20), 1 << 20), rng.randint(-140, 100))
+    value = rng.choice((0.0, -0.0, float("inf"), float("nan"), any_size))
     return float(struct.unpack("<f", struct.pack("<f", value))[0]) if name == "float32" else value
 
 
