@@ -94,9 +94,8 @@ def run_pytest(
             outcome.skipped.update(json.loads(report.read_text()))
     good = status == 0 or (may_be_empty and status == NO_TESTS)
     lines = [line for line in text.splitlines() if SUMMARY.match(COLOUR.sub("", line))]
-    outcome.summaries.append(
-        lines[-1] if lines else f"{name}: pytest ended with status {status}, without a summary"
-    )
+    if status != NO_TESTS:
+        outcome.summaries.append(lines[-1] if lines else f"{name}: pytest ended with status {status}")
     outcome.steps.append((name, good, time.monotonic() - began))
 
 
