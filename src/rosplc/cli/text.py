@@ -22,12 +22,12 @@ def warn(text: str) -> None:
 def columns(rows: Iterable[Sequence[object]], *, header: Sequence[str] = (), indent: int = 0) -> list[str]:
     """Return rows as aligned lines; numbers stand to the right, the last column is not padded."""
     table = [[str(cell) for cell in row] for row in rows]
-    numeric = [
-        all(_is_number(row[column]) for row in table) for column in range(len(table[0]) if table else 0)
-    ]
+    if not table:
+        return []
+    numeric = [all(_is_number(row[column]) for row in table) for column in range(len(table[0]))]
     if header:
         table.insert(0, list(header))
-    widths = [max(len(row[column]) for row in table) for column in range(len(table[0]) if table else 0)]
+    widths = [max(len(row[column]) for row in table) for column in range(len(table[0]))]
     lines = []
     for row in table:
         cells = [

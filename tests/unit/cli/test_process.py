@@ -1,0 +1,164 @@
+"""The command as a process of its own: signals, pipes, and a bridge in the foreground."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+import yaml
+
+import rosplc
+from rosplc.layout import Limits, compute_layout
+from rosplc.model import TypeStore
+from rosplc.shm import Description, Direction, OwnedChannel
+
+STORE = TypeStore.bundled("jazzy")
+
+
+@contextlib.contextmanager
+def process(*arguments, **settings):
+    child = subprocess.Popen(
+        [sys.executable, "-m", "rosplc", *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        **settings,
+    )
+    try:
+        yield child
+    finally:
+        child.kill()
+        child.communicate()
+
+
+@pytest.fixture
+def talker(shm_namespace):
+    """A bridge that publishes numbers all the time."""
+    layout = compute_layout(STORE, "std_msgs/msg/Int32", Limits())
+    description = Description(
+        topic="/n",
+        type=layout.type_name,
+        distro="jazzy",
+        direction=Direction.TO_PLC,
+        limits=layout.limits.to_dict(),
+        layout_id=layout.layout_id,
+        bridge="cell",
+        definition=STORE.definition_text(layout.type_name),
+    )
+    stop = threading.Event()
+    with OwnedChannel.open(shm_namespace, description, record_size=layout.size, slots=64) as channel:
+        writer = channel.writer()
+
+        def talk():
+            number = 0
+            while not stop.wait(0.005):
+                number += 1
+                writer.publish(layout.pack({"data": number}))
+
+        thread = threading.Thread(target=talk)
+        thread.start()
+        yield shm_namespace
+        stop.set()
+        thread.join()
+
+
+def test_follow_prints_messages_in_order(talker):
+    """--count prints so many messages, each once and in order, one JSON document per line."""
+    with process("show", "/n", "--prefix", talker.prefix, "--count", 20, "--json") as child:
+        out, err = child.communicate(timeout=60)
+    assert (child.returncode, err) == (0, "")
+    numbers = [json.loads(line)["message"]["data"] for line in out.splitlines()]
+    assert numbers == list(range(numbers[0], numbers[0] + 20))
+
+
+def test_a_reader_that_goes_away_ends_it_quietly(talker):
+    """`rosplc show --follow | head` ends without a message about the pipe."""
+    with process("show", "/n", "--prefix", talker.prefix, "--follow") as child:
+        assert child.stdout.readline()
+        child.stdout.close()
+        assert child.wait(timeout=60) == 141
+        assert child.stderr.read() == ""
+
+
+def test_ctrl_c_ends_it_quietly(talker):
+    """Ctrl-C gives status 130 and no traceback."""
+    with process("show", "/n", "--prefix", talker.prefix, "--follow") as child:
+        assert child.stdout.readline()
+        child.send_signal(signal.SIGINT)
+        _, err = child.communicate(timeout=60)
+    assert (child.returncode, err) == (130, "")
+
+
+AS_NOBODY = """
+import os, sys
+import rosplc.api, rosplc.cli.app
+if os.geteuid() == 0:  # everything is imported: nobody may not read root's Python
+    os.setgroups([]); os.setgid(65534); os.setuid(65534)
+rosplc.cli.main()
+"""
+
+
+def test_no_permission_is_an_error(talker):
+    """An object that this user may not open is SHM102, with the remedy."""
+    os.chmod(talker.path("/n"), 0o600 if os.geteuid() == 0 else 0)
+    done = subprocess.run(
+        [sys.executable, "-c", AS_NOBODY, "show", "/n", "--prefix", talker.prefix],
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.returncode == 1
+    assert "SHM102" in done.stderr
+
+
+def run_config(tmp_path, prefix):
+    path = tmp_path / "rosplc.yaml"
+    content = {
+        "prefix": prefix,
+        "ros": {"backend": "memory"},
+        "topics": {"/cmd_vel": {"type": "geometry_msgs/msg/Twist", "to": "plc"}},
+    }
+    path.write_text(yaml.safe_dump(content))
+    return path
+
+
+def started(prefix):
+    end = time.monotonic() + 60
+    while not any(state.writer_alive for state in rosplc.topics(prefix)):
+        assert time.monotonic() < end, "the bridge did not start"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_run_carries_until_a_signal(tmp_path, shm_namespace, number):
+    """`rosplc run` beats until a signal, ends with status 0, and leaves its objects."""
+    path = run_config(tmp_path, shm_namespace.prefix)
+    with process("run", path, "--status", "0.2") as child:
+        started(shm_namespace.prefix)
+        time.sleep(0.5)
+        child.send_signal(number)
+        out, err = child.communicate(timeout=60)
+    assert (child.returncode, out) == (0, "")
+    assert "carries 1 topics" in err
+    assert "status:" in err
+    assert shm_namespace.path("/cmd_vel").exists()
+    assert not any(state.writer_alive for state in rosplc.topics(shm_namespace.prefix))
+
+
+def test_a_second_bridge_is_refused(tmp_path, shm_namespace):
+    """Two bridges on one name: the second ends with SHM116 and the first goes on."""
+    path = run_config(tmp_path, shm_namespace.prefix)
+    with process("run", path, "-q") as first:
+        started(shm_namespace.prefix)
+        with process("run", path) as second:
+            _, err = second.communicate(timeout=60)
+        assert second.returncode == 1
+        assert "SHM116" in err
+        assert first.poll() is None
+        started(shm_namespace.prefix)
