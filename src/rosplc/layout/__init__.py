@@ -12,7 +12,7 @@ from rosplc.layout.nodes import (
     StringNode,
     StructNode,
 )
-from rosplc.layout.view import RecordView
+from rosplc.layout.view import RecordView, plain
 
 __all__ = [
     "MAX_SEQUENCE",
@@ -29,4 +29,5 @@ __all__ = [
     "StringNode",
     "StructNode",
     "compute_layout",
+    "plain",
 ]

@@ -283,7 +283,9 @@ def _numbers(node: ScalarNode) -> Callable[[bytearray, int, Any], None]:
     def fill(buffer: bytearray, offset: int, items: Any) -> None:
         if isinstance(items, memoryview):
             if items.format in same and items.itemsize == node.size:
-                buffer[offset : offset + items.nbytes] = items.tobytes()
+                native = items.c_contiguous and len(items.format) == 1
+                data = items.cast("B") if native else items.tobytes()
+                buffer[offset : offset + items.nbytes] = data
                 return
             items = items.tolist()
         if code != "?":  # struct takes the truth of anything as a bool

@@ -13,7 +13,7 @@ from rosplc.layout.pack import FORMATS
 if TYPE_CHECKING:
     from rosplc.layout.nodes import Member, Node
 
-__all__ = ["RecordView", "StructReader"]
+__all__ = ["RecordView", "StructReader", "plain"]
 
 _Read: TypeAlias = "Callable[[memoryview, int], Any]"
 _COUNT = struct.Struct("<I")
