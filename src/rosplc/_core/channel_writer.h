@@ -87,13 +87,15 @@ static inline uint32_t ch_writer_commit(ch_writer *w, ch_slot_header *slot, cons
     ch_store(&slot->correlation_hi, meta->correlation_hi);
     ch_fence_release(r->geometry.record_size);
     ch_store(&slot->sequence, s);
+    /* Readers fetch head's line as soon as head changes: a store behind it would take the line away from
+     * them again, in the middle of their copy. */
+    if (flags & CH_FLAG_TRUNCATED)
+        ch_store(&line->truncated, ch_load(&line->truncated) + 1);
+    ch_store(&line->beat, ch_load(&line->beat) + 1);
     ch_fence_release(0); /* F2 */
     ch_store(&line->head, s);
     w->head = s;
     w->flags = 0;
-    if (flags & CH_FLAG_TRUNCATED)
-        ch_store(&line->truncated, ch_load(&line->truncated) + 1);
-    ch_store(&line->beat, ch_load(&line->beat) + 1);
     return s;
 }
 
