@@ -1,0 +1,498 @@
+"""The running bridge: what arrives, what is counted, and what survives whom."""
+
+from __future__ import annotations
+
+import logging
+import os
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rosplc.bridge import Bridge, Level, parse_config, read_config
+from rosplc.errors import BackendError, ChannelError, ConfigError
+from rosplc.ros import LATCHED, Qos
+from rosplc.ros.memory import MemoryBackend, MemoryPublisher, open_backend
+from rosplc.shm import Namespace, attach
+from tests.unit.bridge.conftest import DOMAIN, STORE, Cell, unwire, wait_for, wire
+
+STRING = "std_msgs/msg/String"
+INT = "std_msgs/msg/Int32"
+JOINTS = "sensor_msgs/msg/JointState"
+BOTH = f"  /in: {{type: {INT}, to: plc}}\n  /out: {{type: {INT}, to: ros}}\n"
+
+
+def numbers(messages: list[bytes]) -> list[int]:
+    """Return what Int32 messages hold."""
+    return [unwire(INT, data)["data"] for data in messages]
+
+
+def test_a_message_from_ros_stands_in_the_slot(cell: Cell) -> None:
+    """A PLC reads what a node published, with its stamp, the first one flagged as such."""
+    bridge = cell.start(f"  /joints: {{type: {JOINTS}, to: plc, limits: {{name: 4}}}}\n")
+    plc = cell.plc("/joints")
+    value = {"header": {"frame_id": "base"}, "name": ["a", "b"], "position": [1.5, -2.0]}
+    publisher = cell.publisher("/joints", JOINTS)
+    publisher.write(wire(JOINTS, value), 123_456_789)
+    got = wait_for(plc.read)
+    assert (got["header"]["frame_id"], got["name"], got["position"]) == ("base", ["a", "b"], [1.5, -2.0])
+    assert plc.reader is not None
+    info = plc.reader.peek(bytearray(plc.layout.size))
+    assert info is not None
+    assert (info.sequence, info.flags, info.stamp_ns, info.stamp_clock) == (1, 1, 123_456_789, 1)
+    publisher.write(wire(JOINTS, value))
+    wait_for(plc.read)
+    info = plc.reader.peek(bytearray(plc.layout.size))
+    assert info is not None
+    assert (info.sequence, info.flags) == (2, 0)
+    status = bridge.status().topic("/joints")
+    assert (status.received, status.published, status.refused, status.lost) == (2, 2, 0, 0)
+
+
+def test_a_message_from_the_plc_is_published(cell: Cell) -> None:
+    """A node receives what the PLC wrote, stamped on arrival where the PLC has no clock."""
+    cell.start(f"  /joints: {{type: {JOINTS}, to: ros, limits: {{name: 4}}}}\n")
+    messages = cell.listen("/joints", JOINTS)
+    plc = cell.plc("/joints")
+    value = {"header": {"frame_id": "base"}, "name": ["a", "b"], "velocity": [0.25]}
+    before = time.time_ns()
+    plc.write(value, stamp_clock=0)
+    plc.write(value, stamp_ns=77, stamp_clock=3)
+    plc.write(value, stamp_ns=99, stamp_clock=1)
+    wait_for(lambda: len(messages) == 3)
+    assert messages[0] == wire(JOINTS, value)
+    first, second, third = cell.stamps["/joints"]
+    assert before <= first <= second <= time.time_ns()
+    assert third == 99
+
+
+def test_every_message_from_the_plc_arrives_in_order(cell: Cell) -> None:
+    """By default nothing that the PLC writes is skipped, as long as the slots hold it."""
+    cell.start(f"  /out: {{type: {INT}, to: ros, depth: 256}}\n")
+    messages = cell.listen("/out", INT)
+    plc = cell.plc("/out")
+    for number in range(200):
+        plc.write({"data": number})
+    wait_for(lambda: len(messages) == 200)
+    assert numbers(messages) == list(range(200))
+
+
+def test_newest_alone_where_asked(cell: Cell) -> None:
+    """With every: false a burst becomes its last message; nothing counts as lost."""
+    bridge = cell.start(f"  /out: {{type: {INT}, to: ros, depth: 256, every: false}}\n", more="tick: 200ms")
+    messages = cell.listen("/out", INT)
+    plc = cell.plc("/out")
+    for number in range(100):
+        plc.write({"data": number})
+    wait_for(lambda: messages and numbers(messages)[-1] == 99)
+    status = bridge.status().topic("/out")
+    assert len(messages) < 100
+    assert status.lost == 0
+    assert status.received + status.skipped == 100
+
+
+def test_overwritten_messages_are_counted_and_named(cell: Cell) -> None:
+    """What the PLC overwrote before the bridge came counts as lost, with what would help."""
+    bridge = cell.start(f"  /out: {{type: {INT}, to: ros}}\n", more="tick: 200ms")
+    messages = cell.listen("/out", INT)
+    plc = cell.plc("/out")
+    slots = bridge.project.topic("/out").slots
+    for number in range(10 * slots):
+        plc.write({"data": number})
+    wait_for(lambda: messages and numbers(messages)[-1] == 10 * slots - 1)
+    status = bridge.status().topic("/out")
+    assert status.received + status.lost == 10 * slots
+    assert status.lost >= 9 * slots - 1
+    assert "raise depth" in wait_for(lambda: bridge.status().topic("/out").reason)
+
+
+def test_refused_messages_name_field_size_and_limit(cell: Cell, caplog: pytest.LogCaptureFixture) -> None:
+    """An oversized message is counted on both sides and does not keep the next one out."""
+    caplog.set_level(logging.WARNING)
+    bridge = cell.start(f"  /text: {{type: {STRING}, to: plc, limits: {{data: 10}}}}\n")
+    plc = cell.plc("/text")
+    publisher = cell.publisher("/text", STRING)
+    for _ in range(50):
+        publisher.write(wire(STRING, {"data": "x" * 11}))
+    publisher.write(wire(STRING, {"data": "fits"}))
+    assert wait_for(plc.read) == {"data": "fits"}
+    status = bridge.status().topic("/text")
+    assert (status.received, status.published, status.refused) == (51, 1, 50)
+    assert status.code == "COD004"
+    assert "data: string has 11 bytes, the limit is 10" in status.reason
+    assert status.judgement[0] is Level.WARN
+    assert plc.attached.snapshot().writer.refused == 50
+    lines = [record for record in caplog.records if "refused" in record.message]
+    assert len(lines) == 1, "repeated warnings are held back"
+
+
+def test_bytes_that_are_no_message_are_refused(cell: Cell) -> None:
+    """Damaged bytes are counted and explained; they harm nothing."""
+    bridge = cell.start(f"  /joints: {{type: {JOINTS}, to: plc}}\n")
+    publisher = cell.publisher("/joints", JOINTS)
+    for junk in (b"\0\1\0\0", b"\0\1\0\0" + b"\xff" * 64):
+        publisher.write(junk)
+    wait_for(lambda: bridge.status().topic("/joints").refused == 2)
+    assert bridge.status().topic("/joints").code.startswith("COD")
+
+
+def test_truncation_only_where_asked(cell: Cell) -> None:
+    """With on_overflow: truncate the message arrives, cut, flagged and counted."""
+    bridge = cell.start(f"  /text: {{type: {STRING}, to: plc, limits: {{data: 4}}, on_overflow: truncate}}\n")
+    plc = cell.plc("/text")
+    cell.publisher("/text", STRING).write(wire(STRING, {"data": "abcdefgh"}))
+    assert wait_for(plc.read) == {"data": "abcd"}
+    status = bridge.status().topic("/text")
+    assert (status.published, status.truncated, status.refused) == (1, 1, 0)
+    assert plc.attached.snapshot().writer.truncated == 1
+
+
+def test_rate_limit_towards_the_plc_keeps_the_last_message(cell: Cell) -> None:
+    """A burst becomes its first message and, an interval later, its last one."""
+    bridge = cell.start(f"  /in: {{type: {INT}, to: plc, rate_limit: 300ms, depth: 64}}\n")
+    plc = cell.plc("/in")
+    publisher = cell.publisher("/in", INT)
+    start = time.monotonic()
+    for number in range(40):
+        publisher.write(wire(INT, {"data": number}))
+    got = [wait_for(lambda: plc.read(in_order=True))]
+    got.append(wait_for(lambda: plc.read(in_order=True)))
+    assert time.monotonic() - start >= 0.3
+    assert [value["data"] for value in got] == [0, 39]
+    status = bridge.status().topic("/in")
+    assert (status.received, status.published, status.skipped) == (40, 2, 38)
+
+
+def test_rate_limit_towards_ros_keeps_the_last_message(cell: Cell) -> None:
+    """The same from the PLC: first and last, nothing in between."""
+    bridge = cell.start(f"  /out: {{type: {INT}, to: ros, rate_limit: 300ms, depth: 64}}\n")
+    messages = cell.listen("/out", INT)
+    plc = cell.plc("/out")
+    for number in range(40):
+        plc.write({"data": number})
+    wait_for(lambda: len(messages) == 2)
+    assert numbers(messages) == [0, 39]
+    assert bridge.status().topic("/out").skipped == 38
+
+
+def test_on_change_towards_the_plc(cell: Cell) -> None:
+    """Equal messages are passed on once; a refused one in between changes nothing."""
+    bridge = cell.start(f"  /text: {{type: {STRING}, to: plc, limits: {{data: 4}}, on_change: true, depth: 16}}\n")
+    plc = cell.plc("/text")
+    publisher = cell.publisher("/text", STRING)
+    for text in ("a", "a", "too long", "a", "b", "b", "a"):
+        publisher.write(wire(STRING, {"data": text}))
+    wait_for(lambda: bridge.status().topic("/text").received == 7)
+    got = []
+    while (value := plc.read(in_order=True)) is not None:
+        got.append(value["data"])
+    assert got == ["a", "b", "a"]
+    status = bridge.status().topic("/text")
+    assert (status.published, status.skipped, status.refused) == (3, 3, 1)
+    assert plc.attached.snapshot().writer.refused == 1
+
+
+def test_on_change_towards_ros(cell: Cell) -> None:
+    """What the PLC repeats is published once, whatever stands in unused bytes of the record."""
+    cell.start(f"  /text: {{type: {STRING}, to: ros, on_change: true, depth: 64}}\n")
+    messages = cell.listen("/text", STRING)
+    plc = cell.plc("/text")
+    assert plc.writer is not None
+    for rest in (b"", b"junk", b"more junk"):
+        record = plc.layout.pack({"data": "same"})
+        record[5 : 5 + len(rest)] = rest
+        plc.writer.publish(record)
+    plc.write({"data": "other"})
+    wait_for(lambda: len(messages) == 2)
+    assert [unwire(STRING, data)["data"] for data in messages] == ["same", "other"]
+
+
+def test_print_logs_each_message(cell: Cell, caplog: pytest.LogCaptureFixture) -> None:
+    """print: true shows content in both directions."""
+    caplog.set_level(logging.INFO, "rosplc.bridge")
+    cell.start(
+        f"  /in: {{type: {INT}, to: plc, print: true}}\n  /out: {{type: {INT}, to: ros, print: true}}\n"
+    )
+    plc = cell.plc("/out")
+    cell.publisher("/in", INT).write(wire(INT, {"data": 41}))
+    plc.write({"data": 42})
+    wait_for(lambda: "/in: to the PLC: {'data': 41}" in caplog.text)
+    wait_for(lambda: "/out: from the PLC: {'data': 42}" in caplog.text)
+
+
+def test_a_restart_adopts_and_goes_on(cell: Cell) -> None:
+    """An attached PLC notices no restart; what it wrote meanwhile is sent once, nothing twice."""
+    topics = BOTH.replace("to: ros", "to: ros, depth: 16")
+    cell.start(topics)
+    messages = cell.listen("/out", INT)
+    incoming, outgoing = cell.plc("/in"), cell.plc("/out")
+    publisher = cell.publisher("/in", INT)
+    publisher.write(wire(INT, {"data": 1}))
+    assert wait_for(incoming.read) == {"data": 1}
+    outgoing.write({"data": 10})
+    wait_for(lambda: len(messages) == 1)
+    cell.stop()
+    assert incoming.attached.snapshot().writer.epoch == 0, "a clean stop gives the claim back"
+    outgoing.write({"data": 11})
+    outgoing.write({"data": 12})
+    bridge = cell.start(topics)
+    assert all(topic.channel is not None and topic.channel.adopted for topic in bridge._topics)
+    wait_for(lambda: len(messages) == 3)
+    publisher.write(wire(INT, {"data": 2}))
+    assert wait_for(incoming.read) == {"data": 2}
+    incoming.attached.valid()
+    outgoing.write({"data": 13})
+    wait_for(lambda: len(messages) == 4)
+    assert numbers(messages) == [10, 11, 12, 13]
+
+
+def test_a_changed_layout_retires_the_old_object(cell: Cell) -> None:
+    """A PLC with the old layout is told, and the new object stands in its place."""
+    cell.start(f"  /text: {{type: {STRING}, to: plc, limits: {{data: 4}}}}\n")
+    old = cell.plc("/text")
+    cell.stop()
+    cell.start(f"  /text: {{type: {STRING}, to: plc, limits: {{data: 8}}}}\n")
+    with pytest.raises(ChannelError, match="SHM111"):
+        old.attached.valid()
+    new = cell.plc("/text")
+    cell.publisher("/text", STRING).write(wire(STRING, {"data": "12345678"}))
+    assert wait_for(new.read) == {"data": "12345678"}
+
+
+def test_two_bridges_on_one_name(cell: Cell) -> None:
+    """The second is refused before it disturbs anything, even where layouts or topics differ."""
+    cell.start(BOTH)
+    plc = cell.plc("/in")
+    other = cell.make(f"  /a: {{type: {INT}, to: plc}}\n  /in: {{type: {STRING}, to: plc}}\n", name="other")
+    with pytest.raises(ChannelError, match="SHM116"):
+        other.start()
+    assert not other.status().running
+    assert not cell.namespace.path("/a").exists()
+    cell.publisher("/in", INT).write(wire(INT, {"data": 5}))
+    assert wait_for(plc.read) == {"data": 5}
+    cell.stop()
+    other.start()
+    other.stop()
+
+
+def test_topics_that_left_the_configuration_are_retired(cell: Cell, shm_namespace: Namespace) -> None:
+    """Objects of this bridge that nobody carries any more are removed; those of others stay."""
+    cell.start(BOTH)
+    plc = cell.plc("/out")
+    cell.stop()
+    with cell.make(f"  /theirs: {{type: {INT}, to: plc}}\n", name="other"):
+        pass
+    cell.start(f"  /in: {{type: {INT}, to: plc}}\n")
+    assert not shm_namespace.path("/out").exists()
+    assert shm_namespace.path("/theirs").exists()
+    with pytest.raises(ChannelError, match="SHM111"):
+        plc.attached.valid()
+
+
+@pytest.mark.parametrize("topic", ["/in", "/out"])
+def test_a_removed_object_is_created_again(cell: Cell, topic: str) -> None:
+    """Somebody empties /dev/shm: within a second or so both directions work again."""
+    bridge = cell.start(BOTH)
+    messages = cell.listen("/out", INT)
+    publisher = cell.publisher("/in", INT)
+    path = cell.namespace.path(topic)
+    path.unlink()
+    wait_for(path.exists)
+    assert wait_for(lambda: bridge.status().topic(topic).code) == "SHM120"
+    incoming, outgoing = cell.plc("/in"), cell.plc("/out")
+    wait_for(lambda: incoming.attached.snapshot().writer.epoch, "the bridge to claim the new object")
+    publisher.write(wire(INT, {"data": 6}))
+    assert wait_for(incoming.read) == {"data": 6}
+    outgoing.write({"data": 7})
+    wait_for(lambda: messages)
+    assert numbers(messages) == [7]
+
+
+def test_a_retired_object_is_created_again(cell: Cell) -> None:
+    """A foreign hand on the state word costs messages, not the topic."""
+    bridge = cell.start(BOTH)
+    incoming = cell.plc("/in")
+    incoming.attached.region.store(12, 2)
+    wait_for(lambda: bridge.status().topic("/in").recent)
+    publisher = cell.publisher("/in", INT)
+
+    def arrives() -> Any:
+        try:
+            plc = cell.plc("/in")
+        except ChannelError:
+            return None
+        publisher.write(wire(INT, {"data": 8}))
+        return wait_for(plc.read)
+
+    assert wait_for(arrives) == {"data": 8}
+
+
+def test_a_failed_start_leaves_nothing_open(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
+    """If ROS refuses the second topic, names, node and claims are free again."""
+    bridge = cell.make(BOTH)
+
+    def refuse(*_: object) -> None:
+        raise BackendError("ROS002", "no")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(MemoryBackend, "advertise", refuse)
+        with pytest.raises(BackendError, match="ROS002"):
+            bridge.start()
+    assert cell.peer.graph().nodes == ()
+    assert not bridge.status().running
+    bridge.start()
+    bridge.stop()
+    cell.start(BOTH)
+
+
+def test_one_topics_trouble_is_no_others(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A publisher that fails, even with an unforeseen error, keeps no other topic from being carried."""
+    topics = "".join(f"  /out{i}: {{type: {INT}, to: ros}}\n" for i in range(3))
+    bridge = cell.start(topics)
+    messages = cell.listen("/out2", INT)
+    write = MemoryPublisher.write
+
+    def sometimes(self: MemoryPublisher, payload: bytes, stamp_ns: int | None = None) -> bool:
+        if self.topic == "/out0":
+            raise RuntimeError("a mistake in a backend")
+        return self.topic != "/out1" and write(self, payload, stamp_ns)
+
+    monkeypatch.setattr(MemoryPublisher, "write", sometimes)
+    for number in range(3):
+        cell.plc(f"/out{number}").write({"data": number})
+    wait_for(lambda: messages)
+    status = bridge.status()
+    assert (status.topic("/out0").lost, status.topic("/out1").lost, status.topic("/out2").lost) == (1, 1, 0)
+    assert "a mistake in a backend" in status.topic("/out0").reason
+    assert "does not keep up" in status.topic("/out1").reason
+
+
+def test_both_sides_know_how_many_stand_behind(cell: Cell) -> None:
+    """The PLC sees the number of publishers and subscribers, the status the PLC's task."""
+    bridge = cell.start(BOTH)
+    incoming, outgoing = cell.plc("/in"), cell.plc("/out")
+    assert incoming.reader is not None
+    assert outgoing.writer is not None
+    wait_for(lambda: incoming.attached.snapshot().writer.sources == 0)
+    cell.publisher("/in", INT)
+    cell.listen("/out", INT)
+    cell.peer.subscribe("/out", INT, Qos(), lambda *_: None)
+
+    def beaten() -> bool:
+        assert incoming.reader is not None
+        assert outgoing.writer is not None
+        incoming.reader.beat()
+        outgoing.writer.beat()
+        status = bridge.status()
+        return status.topic("/in").peer_alive and status.topic("/out").peer_alive
+
+    wait_for(beaten)
+    wait_for(lambda: incoming.attached.snapshot().writer.sources == 1)
+    wait_for(lambda: outgoing.attached.snapshot().readers[0].sinks == 2)
+    assert bridge.status().topic("/in").tasks == ("MainTask",)
+    assert bridge.status().topic("/in").judgement == (Level.STALE, "no message yet from ROS publisher")
+    wait_for(lambda: not bridge.status().topic("/in").peer_alive and not bridge.status().topic("/out").peer_alive)
+    assert bridge.status().topic("/out").judgement == (Level.WARN, "no PLC task writes it")
+
+
+def test_the_bridge_beats_while_ros_hangs(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A publisher that does not return keeps the beats of no topic, nor messages towards the PLC."""
+    bridge = cell.start(BOTH)
+    incoming, outgoing = cell.plc("/in"), cell.plc("/out")
+    stop_hanging = []
+    monkeypatch.setattr(MemoryPublisher, "write", lambda *_: wait_for(lambda: stop_hanging))
+    outgoing.write({"data": 1})
+    wait_for(lambda: bridge._pump is not None and bridge._pump.busy_since_ns)
+    before = outgoing.attached.snapshot().readers[0].beat
+    wait_for(lambda: outgoing.attached.snapshot().readers[0].beat >= before + 3)
+    monkeypatch.undo()
+    cell.publisher("/in", INT).write(wire(INT, {"data": 2}))
+    assert wait_for(incoming.read) == {"data": 2}
+    stop_hanging.append(True)
+
+
+def test_a_configuration_edited_while_running_is_noticed(
+    cell: Cell, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The status and the log say that a restart is needed; nothing else happens."""
+    path = tmp_path / "rosplc.yaml"
+    path.write_text(cell.config(BOTH))
+    cell.bridge = Bridge(read_config(path))
+    cell.bridge.start()
+    time.sleep(1.2)
+    assert cell.bridge.status().notes == ()
+    path.write_text(cell.config(BOTH) + "\n# a comment\n")
+    wait_for(lambda: cell.bridge is not None and cell.bridge.status().config_changed)
+    level, message = cell.bridge.status().judgement
+    assert level is Level.WARN
+    assert "configuration changed on disk" in message
+    assert caplog.text.count("configuration changed on disk") == 1
+
+
+def test_defaults_of_quality_of_service(cell: Cell) -> None:
+    """Towards ROS late subscribers get what was sent before; towards the PLC no old command comes."""
+    cell.publisher("/in", INT, LATCHED).write(wire(INT, {"data": 1}))
+    bridge = cell.start(BOTH + f"  /latched: {{type: {INT}, to: plc, latched: true}}\n")
+    cell.publisher("/latched", INT, LATCHED).write(wire(INT, {"data": 3}))
+    cell.plc("/out").write({"data": 2})
+    wait_for(lambda: bridge.status().topic("/out").published)
+    late = cell.listen("/out", INT, Qos(durability="transient_local"))
+    wait_for(lambda: late)
+    assert numbers(late) == [2]
+    wait_for(lambda: bridge.status().topic("/latched").received == 1)
+    assert bridge.status().topic("/in").received == 0
+
+
+def test_peers_that_do_not_match_are_explained(cell: Cell) -> None:
+    """Another type or excluding settings show as an error with the reason in words."""
+    bridge = cell.start(f"  /in: {{type: {INT}, to: plc}}\n  /fast: {{type: {INT}, to: plc}}\n")
+    cell.publisher("/in", STRING)
+    cell.publisher("/fast", INT, Qos(reliability="best_effort"))
+    status = bridge.status()
+    assert status.topic("/in").judgement[0] is Level.ERROR
+    assert status.topic("/in").code == "ROS003"
+    assert "std_msgs/msg/String" in status.topic("/in").judgement[1]
+    assert status.topic("/fast").code == "ROS004"
+    assert "best_effort" in status.topic("/fast").judgement[1]
+
+
+def test_mode_and_group_reach_the_objects(cell: Cell) -> None:
+    """shm.mode and shm.group are those of the objects."""
+    cell.start(BOTH, more=f"shm: {{mode: 0640, group: {os.getgid()}}}")
+    found = cell.namespace.path("/in").stat()
+    assert (found.st_mode & 0o777, found.st_gid) == (0o640, os.getgid())
+
+
+@pytest.mark.parametrize("key", ["owner", "group"])
+def test_unknown_users_and_groups(cell: Cell, key: str) -> None:
+    """A name that this machine does not know is an error at its line, before anything is opened."""
+    bridge = cell.make(BOTH, more=f"shm: {{{key}: no-such-name}}")
+    with pytest.raises(ConfigError, match=rf"shm\.{key}: there is no .* 'no-such-name'"):
+        bridge.start()
+    assert not cell.namespace.path("/in").exists()
+
+
+def test_a_given_backend_is_left_open(cell: Cell) -> None:
+    """Whoever passes a backend keeps it; the bridge takes only its endpoints off."""
+    backend = open_backend(STORE, "mine", domain=DOMAIN)
+    with Bridge(parse_config(cell.config(BOTH)), backend) as bridge:
+        assert len(backend.endpoints) == 2
+        with pytest.raises(RuntimeError, match="started already"):
+            bridge.start()
+    assert backend.endpoints == []
+    assert backend.graph().nodes == ("/peer",)
+    backend.close()
+
+
+def test_a_clean_stop_leaves_the_last_state(cell: Cell) -> None:
+    """After the bridge has gone a reader still finds the last message."""
+    cell.start(BOTH)
+    plc = cell.plc("/in")
+    cell.publisher("/in", INT).write(wire(INT, {"data": 9}))
+    wait_for(plc.read)
+    cell.stop()
+    with attach(cell.namespace, "/in") as found:
+        record = bytearray(plc.layout.size)
+        assert found.reader(latched=True).latest(record) is not None
+        assert plc.layout.to_dict(record) == {"data": 9}
