@@ -98,10 +98,16 @@ def test_ctrl_c_ends_it_quietly(talker):
 
 AS_NOBODY = """
 import os, sys
-import rosplc.api, rosplc.cli.app
-if os.geteuid() == 0:  # everything is imported: nobody may not read root's Python
-    os.setgroups([]); os.setgid(65534); os.setuid(65534)
-rosplc.cli.main()
+from typer.testing import CliRunner
+from rosplc.cli.app import app
+
+# Once with all rights, so that everything is imported: nobody may not read root's Python.
+assert CliRunner().invoke(app, sys.argv[1:]).exit_code == (0 if os.geteuid() == 0 else 1)
+if os.geteuid() == 0:
+    os.setgroups([])
+    os.setgid(65534)
+    os.setuid(65534)
+app()
 """
 
 
