@@ -1,0 +1,123 @@
+"""channel.h alone: built as C for several processors and with sanitizers, and run."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+_SOURCE = Path(__file__).with_name("channel_test.c")
+_INCLUDE = Path(__file__).resolve().parents[3] / "src/rosplc/_core"
+_WARNINGS = ["-std=gnu11", "-O2", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Werror"]
+_SANITIZE = ["-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+
+
+def _need(program: str, package: str) -> str:
+    path = shutil.which(program)
+    if path is None:
+        pytest.skip(f"Debian package {package} is missing")
+    return path
+
+
+def _build(folder: Path, compiler: str, *options: str) -> str:
+    target = folder / "channel_test"
+    command = [compiler, *_WARNINGS, *options, f"-I{_INCLUDE}", str(_SOURCE), "-o", str(target)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return str(target)
+
+
+@pytest.fixture(scope="module")
+def programs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[str]]:
+    return {}
+
+
+@pytest.fixture(params=["native", "sanitized", "armhf"])
+def program(
+    request: pytest.FixtureRequest, programs: dict[str, list[str]], tmp_path_factory: pytest.TempPathFactory
+) -> list[str]:
+    kind = request.param
+    if kind not in programs:
+        folder = tmp_path_factory.mktemp(kind)
+        if kind == "native":
+            programs[kind] = [_build(folder, _need("gcc", "gcc"))]
+        elif kind == "sanitized":
+            programs[kind] = [_build(folder, _need("gcc", "gcc"), *_SANITIZE)]
+        else:
+            emulator = _need("qemu-arm", "qemu-user")
+            compiler = _need("arm-linux-gnueabihf-gcc", "gcc-arm-linux-gnueabihf")
+            programs[kind] = [emulator, _build(folder, compiler, "-static")]
+    return programs[kind]
+
+
+def _run(command: list[str], *arguments: object) -> dict[str, int]:
+    done = subprocess.run([*command, *map(str, arguments)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    words = done.stdout.split()
+    return {name: int(value) for name, value in zip(words[::2], words[1::2], strict=True) if value.isdigit()}
+
+
+def test_rules(program: list[str]) -> None:
+    """Sequences, windows, losses, claims and identities follow the format, across the wrap too."""
+    done = subprocess.run([*program, "logic"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_scribbled_words(program: list[str], seed: int) -> None:
+    """Whatever stands in the control words, no access leaves the object, and nothing accepted is a mixture."""
+    rounds = 5_000 if "qemu" in program[0] else 50_000
+    assert _run(program, "scribble", rounds, seed)["taken"] > 0
+
+
+def test_torn_messages_on_arm_and_sanitized(program: list[str]) -> None:
+    """A reader beside a flat-out writer accepts whole messages only."""
+    assert _run(program, "torn", 2, 1024, 4, "next", 20_000)["torn"] == 0
+
+
+def test_builds_for_arm64(tmp_path: Path) -> None:
+    """The header compiles for arm64 without a warning."""
+    _build(tmp_path, _need("aarch64-linux-gnu-gcc", "gcc-aarch64-linux-gnu"))
+
+
+@pytest.fixture(scope="module")
+def native(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    if (os.cpu_count() or 1) < 2:
+        pytest.skip("tearing needs two cores to be seen")
+    return [_build(tmp_path_factory.mktemp("torn"), _need("gcc", "gcc"))]
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("mode", ["checked", "next"])
+@pytest.mark.parametrize(("size", "slots"), [(8, 4), (200, 4), (200, 8), (4096, 4), (65536, 4), (1048576, 4)])
+def test_torn_messages(native: list[str], size: int, slots: int, mode: str) -> None:
+    """On two cores no message is torn, in either way of reading, at any size."""
+    result = _run(native, "torn", 1.5, size, slots, mode, 100_000)
+    assert result["torn"] == 0
+    assert result["accepted"] > 0
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("size", [4096, 65536])
+def test_tearing_can_be_seen(native: list[str], size: int) -> None:
+    """The same reading without the re-check does accept torn messages, so the test can fail."""
+    assert _run(native, "torn", 20, size, 4, "unchecked", 2_000_000 if size < 65536 else 200_000)["torn"] > 0
+
+
+@pytest.mark.verify(minutes=7)
+@pytest.mark.serial
+@pytest.mark.parametrize("mode", ["checked", "next"])
+@pytest.mark.parametrize(("size", "slots"), [(200, 4), (4096, 4), (4096, 16), (65536, 4), (1048576, 4)])
+def test_torn_messages_for_long(native: list[str], size: int, slots: int, mode: str) -> None:
+    """Millions of messages later, still none is torn."""
+    assert _run(native, "torn", 40, size, slots, mode, 10_000_000)["torn"] == 0
+
+
+@pytest.mark.verify(minutes=2)
+def test_scribbled_words_for_long(native: list[str]) -> None:
+    """Millions of rounds of scribbling later, every access was inside the object."""
+    for seed in range(10, 20):
+        assert _run(native, "scribble", 1_000_000, seed)["taken"] > 0
