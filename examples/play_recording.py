@@ -24,7 +24,9 @@ def main() -> int:
     parser.add_argument("--distro", default="jazzy")
     parser.add_argument("--speed", type=float, default=1.0, help="1 is as recorded, 0 as fast as possible")
     parser.add_argument("--topic", action="append", default=[], help="only this topic (may be repeated)")
-    parser.add_argument("--wait", type=float, default=30.0, help="seconds to wait for a subscriber of each topic")
+    parser.add_argument(
+        "--wait", type=float, default=30.0, help="seconds to wait for a subscriber of each topic"
+    )
     parser.add_argument("--linger", type=float, default=2.0, help="seconds to stay after the last message")
     arguments = parser.parse_args()
 

@@ -1,0 +1,20 @@
+"""Fixtures of the end-to-end tests."""
+
+from __future__ import annotations
+
+import pytest
+
+from rosplc.demo.domain import free_domain
+from rosplc.shm import Namespace
+
+
+@pytest.fixture
+def shm_prefix(shm_namespace: Namespace) -> str:
+    """Give a prefix of the test's own in /dev/shm."""
+    return shm_namespace.prefix
+
+
+@pytest.fixture
+def dds_domain() -> int:
+    """Give a ROS domain that nobody on this machine uses."""
+    return free_domain()
