@@ -19,6 +19,7 @@ from rosplc.ros.recording import Recording
 
 
 def main() -> int:
+    """Play the recording that the command line names."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("file")
     parser.add_argument("--distro", default="jazzy")

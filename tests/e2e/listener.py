@@ -2,7 +2,8 @@
 
     python listener.py /turtle1/plc_cmd_vel
 
-It uses the typed interface of Cyclone DDS' Python package, which decodes by itself and reads annotations as they stand.
+It uses the typed interface of Cyclone DDS' Python package, which decodes by itself. (No lazy
+annotations here: that package reads them as they stand.)
 """
 
 import json
@@ -16,8 +17,8 @@ os.environ.setdefault(
     "CYCLONEDDS_URI",
     "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name='lo' multicast='false'/></Interfaces>"
     "<AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto</ParticipantIndex>"
-    "<MaxAutoParticipantIndex>60</MaxAutoParticipantIndex><Peers><Peer Address='127.0.0.1'/></Peers></Discovery>"
-    "</Domain></CycloneDDS>",
+    "<MaxAutoParticipantIndex>60</MaxAutoParticipantIndex><Peers><Peer Address='127.0.0.1'/></Peers>"
+    "</Discovery></Domain></CycloneDDS>",
 )
 
 from cyclonedds.core import Policy, Qos

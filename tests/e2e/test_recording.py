@@ -20,9 +20,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.e2e.turtle_recording import write_recording
 
 from rosplc.ros.recording import Recording
+from tests.e2e.turtle_recording import write_recording
 
 ROOT = Path(__file__).parents[2]
 HERE = Path(__file__).parent
@@ -131,7 +131,7 @@ def test_every_recorded_message_arrives_equal_and_every_answer_comes_back(
                 POSE,
                 environment=environment,
                 log=tmp_path / "plc.log",
-            )  # fmt: skip
+            )
         )
         listener = stack.enter_context(
             program(
