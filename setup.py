@@ -5,7 +5,7 @@ later, and 3.10 gets a build of its own.
 """
 
 import sys
-from glob import glob
+from pathlib import Path
 
 from setuptools import Extension, setup
 
@@ -17,7 +17,7 @@ setup(
         Extension(
             "rosplc._core._native",
             sources=[f"src/rosplc/_core/{name}" for name in SOURCES],
-            depends=sorted(glob("src/rosplc/_core/*.h")),
+            depends=sorted(map(str, Path("src/rosplc/_core").glob("*.h"))),
             define_macros=[("Py_LIMITED_API", "0x030B0000")] if ABI3 else [],
             extra_compile_args=["-std=gnu11", "-O2", "-Wall", "-Wextra", "-fvisibility=hidden"],
             py_limited_api=ABI3,
