@@ -45,7 +45,8 @@ class StructReader:
 class RecordView:
     """A message in a record: its fields are attributes, read from the bytes at each access.
 
-    A view does not copy: over a buffer that changes, its values change. Nested messages are
+    A view does not copy: over a buffer that changes, its values change (``copy.deepcopy``
+    gives one that stays). Nested messages are
     views, arrays and sequences are lists (of values, or of views), strings are ``str``; bytes
     that are no UTF-8 become surrogates (``surrogateescape``), and packing such a string gives
     the same bytes again. A count above a sequence's capacity reads as the capacity, and a
@@ -65,6 +66,8 @@ class RecordView:
         put(self, "_offset", offset)
 
     def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):  # no field does; asking the reader would recurse while copying
+            raise AttributeError(f"a record has no {name!r}", name=name, obj=self)
         reader = self._reader
         found = reader.fields.get(name)
         if found is None:
@@ -77,6 +80,14 @@ class RecordView:
 
     def __setattr__(self, name: str, value: object) -> NoReturn:
         raise AttributeError("records are read through views and written by packing a new one")
+
+    def __copy__(self) -> RecordView:
+        """Return another view of the same bytes."""
+        return RecordView(self._reader, self._buffer, self._offset)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> RecordView:
+        """Return a view of a copy of the bytes, which stays as it is."""
+        return RecordView(self._reader, memoryview(bytes(self._buffer)), self._offset)
 
     def __dir__(self) -> list[str]:
         return [*self._reader.fields, *self._reader.aliases]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -58,6 +60,16 @@ def test_a_view_follows_its_buffer() -> None:
     names = view.name
     STATE.pack_into({"name": ["new"]}, buffer)
     assert (names, view.name) == (["a", "b"], ["new"])
+
+
+def test_a_deep_copy_stays() -> None:
+    """A deep copy of a view, also of a nested one, no longer follows the buffer."""
+    buffer = STATE.pack(VALUE)
+    view = STATE.view(buffer)
+    whole, nested = copy.deepcopy(view), copy.deepcopy(view.header)
+    STATE.pack_into({"name": ["new"]}, buffer)
+    assert (whole.name, nested.frame_id, view.name) == (["a", "b"], "base", ["new"])
+    assert copy.copy(nested.stamp) == nested.stamp
 
 
 def test_a_view_is_read_only() -> None:

@@ -186,6 +186,16 @@ def test_definitions_off_the_wire_keep_known_defaults() -> None:
     assert other["geometry_msgs/Quaternion"].fields[3].default == 0.5
 
 
+def test_other_constants_are_a_conflict() -> None:
+    """A type whose constants differ is another definition, though its fields are the same."""
+    text = "byte OK=1\nstring name\n"
+    store = TypeStore.from_definition("a/A", text)
+    assert store.with_definition("a/A", f"# copy\n{text}")["a/A"] == store["a/A"]
+    with pytest.raises(MessageTypeError) as caught:
+        store.with_definition("a/A", text.replace("1", "2"))
+    assert caught.value.code == "TYP005"
+
+
 def test_ros1_times_need_no_definition() -> None:
     """The types time and duration are known where the text does not define them."""
     store = TypeStore.from_definition("a/A", "time t\nduration[] d\n", distro="noetic")
