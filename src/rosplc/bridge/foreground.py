@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import logging
-import signal
 import sys
-import threading
 from pathlib import Path
 
 from rosplc.bridge.engine import Bridge
 from rosplc.bridge.resolve import load_project
+from rosplc.bridge.run import stop_on_signals
 from rosplc.bridge.status import BridgeStatus
 
 __all__ = ["run_bridge"]
@@ -32,22 +31,10 @@ def run_bridge(config: Path, *, status_seconds: float | None, level: int = loggi
         level=level, stream=sys.stderr, format="%(asctime)s %(levelname)-7s %(message)s", datefmt="%H:%M:%S"
     )
     project = load_project(config)
-    stop = threading.Event()
-    _stop_on_signals(stop)
-    with Bridge(project) as bridge:
+    with stop_on_signals() as stop, Bridge(project) as bridge:
         reporter = _Reporter()
         while not stop.wait(status_seconds):
             reporter.report(bridge.status())
-
-
-def _stop_on_signals(stop: threading.Event) -> None:
-    def on_signal(number: int, _frame: object) -> None:
-        signal.signal(number, signal.SIG_DFL)
-        stop.set()
-
-    for number in (signal.SIGINT, signal.SIGTERM):
-        if signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, on_signal)
 
 
 class _Reporter:

@@ -22,11 +22,11 @@ __all__ = [
 
 _UNITS = {"ns": 1, "us": 10**3, "µs": 10**3, "ms": 10**6, "s": 10**9, "min": 60 * 10**9, "h": 3600 * 10**9}
 _RATES = {"mHz": Fraction(1, 1000), "Hz": Fraction(1), "kHz": Fraction(1000)}
-_QUANTITY = re.compile(r"([0-9]{1,12}(?:\.[0-9]{1,9})?)[ ]?([A-Za-zµ]+)\Z")
+_QUANTITY = re.compile(r"([0-9]{1,14}(?:\.[0-9]{1,9})?)[ ]?([A-Za-zµ]+)\Z")
 _LONGEST = 24 * 3600 * 10**9
 
-_DURATION_PATTERN = r"^[0-9]{1,12}(\.[0-9]{1,9})? ?(ns|us|µs|ms|s|min|h)$"
-_EITHER_PATTERN = r"^[0-9]{1,12}(\.[0-9]{1,9})? ?(ns|us|µs|ms|s|min|h|mHz|Hz|kHz)$"
+_DURATION_PATTERN = r"^[0-9]{1,14}(\.[0-9]{1,9})? ?(ns|us|µs|ms|s|min|h)$"
+_EITHER_PATTERN = r"^[0-9]{1,14}(\.[0-9]{1,9})? ?(ns|us|µs|ms|s|min|h|mHz|Hz|kHz)$"
 
 
 def _split(value: Any, example: str) -> tuple[Fraction, str]:

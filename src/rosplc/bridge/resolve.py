@@ -82,7 +82,10 @@ class Project:
 
     def topic(self, name: str) -> TopicPlan:
         """Return one topic's plan; KeyError if the configuration has none."""
-        return next(plan for plan in self.topics if plan.topic == name)
+        for plan in self.topics:
+            if plan.topic == name:
+                return plan
+        raise KeyError(name)
 
     @property
     def tasks(self) -> dict[str, TaskSettings]:

@@ -4,24 +4,24 @@ from __future__ import annotations
 
 import signal
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import FrameType
 
 from rosplc.bridge.engine import Bridge
 from rosplc.bridge.topic import log
 
-__all__ = ["run_until_signal"]
+__all__ = ["run_until_signal", "stop_on_signals"]
 
 
-def run_until_signal(bridge: Bridge, *, stop: threading.Event | None = None) -> None:
-    """Run a bridge until SIGTERM or SIGINT arrives or ``stop`` is set; call it in the main thread.
+@contextmanager
+def stop_on_signals() -> Iterator[threading.Event]:
+    """Give an event that SIGTERM and SIGINT set; for the main thread.
 
-    A second signal of the same kind ends the process at once. SIGHUP, which a closing
-    terminal sends, is logged and otherwise ignored.
-
-    Raises:
-        RosplcError: As :meth:`Bridge.start`.
+    A second signal of the same kind ends the process at once. SIGHUP is logged and otherwise
+    ignored. A signal that the parent process ignores (nohup) stays ignored.
     """
-    event = stop or threading.Event()
+    event = threading.Event()
 
     def leave(number: int, _frame: FrameType | None) -> None:
         signal.signal(number, signal.SIG_DFL)
@@ -30,10 +30,24 @@ def run_until_signal(bridge: Bridge, *, stop: threading.Event | None = None) -> 
     def ignore(_number: int, _frame: FrameType | None) -> None:
         log.warning("SIGHUP is ignored; restart the bridge to apply a changed configuration")
 
-    handlers = {signal.SIGTERM: leave, signal.SIGINT: leave, signal.SIGHUP: ignore}
-    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
+    wanted = {signal.SIGTERM: leave, signal.SIGINT: leave, signal.SIGHUP: ignore}
+    before = {
+        number: signal.signal(number, handler)
+        for number, handler in wanted.items()
+        if signal.getsignal(number) is not signal.SIG_IGN
+    }
     try:
-        bridge.run(event)
+        yield event
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def run_until_signal(bridge: Bridge) -> None:
+    """Run a bridge until a signal comes (:func:`stop_on_signals`).
+
+    Raises:
+        RosplcError: As :meth:`Bridge.start`.
+    """
+    with stop_on_signals() as stop:
+        bridge.run(stop)

@@ -178,7 +178,9 @@ def test_rate_limit_towards_ros_keeps_the_last_message(cell: Cell) -> None:
 
 def test_on_change_towards_the_plc(cell: Cell) -> None:
     """Equal messages are passed on once; a refused one in between changes nothing."""
-    bridge = cell.start(f"  /text: {{type: {STRING}, to: plc, limits: {{data: 4}}, on_change: true, depth: 16}}\n")
+    bridge = cell.start(
+        f"  /text: {{type: {STRING}, to: plc, limits: {{data: 4}}, on_change: true, depth: 16}}\n"
+    )
     plc = cell.plc("/text")
     publisher = cell.publisher("/text", STRING)
     for text in ("a", "a", "too long", "a", "b", "b", "a"):
@@ -392,7 +394,9 @@ def test_both_sides_know_how_many_stand_behind(cell: Cell) -> None:
     wait_for(lambda: outgoing.attached.snapshot().readers[0].sinks == 2)
     assert bridge.status().topic("/in").tasks == ("MainTask",)
     assert bridge.status().topic("/in").judgement == (Level.STALE, "no message yet from ROS publisher")
-    wait_for(lambda: not bridge.status().topic("/in").peer_alive and not bridge.status().topic("/out").peer_alive)
+    wait_for(
+        lambda: not bridge.status().topic("/in").peer_alive and not bridge.status().topic("/out").peer_alive
+    )
     assert bridge.status().topic("/out").judgement == (Level.WARN, "no PLC task writes it")
 
 

@@ -1,0 +1,103 @@
+"""A bridge as a process: signals, clean stop, kill -9, restart."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from rosplc.shm import Namespace, attach
+from tests.unit.bridge.conftest import wait_for
+
+PROGRAM = """
+import logging, sys
+from rosplc.bridge import Bridge, read_config, run_until_signal
+logging.basicConfig(level=logging.INFO, stream=sys.stderr)
+run_until_signal(Bridge(read_config(sys.argv[1])))
+print("left cleanly")
+"""
+
+
+@pytest.fixture
+def config(tmp_path: Path, shm_namespace: Namespace) -> Path:
+    """Give a configuration with a topic each way."""
+    path = tmp_path / "rosplc.yaml"
+    path.write_text(
+        f"prefix: {shm_namespace.prefix}\nros: {{backend: memory}}\nbeat: 20ms\ntopics:\n"
+        "  /in: {type: std_msgs/msg/Int32, to: plc}\n  /out: {type: std_msgs/msg/Int32, to: ros}\n"
+    )
+    return path
+
+
+@pytest.fixture
+def run(config: Path, shm_namespace: Namespace) -> Iterator[object]:
+    """Give a function that starts the bridge's process and waits until it carries."""
+    started: list[subprocess.Popen[str]] = []
+
+    def start() -> subprocess.Popen[str]:
+        process = subprocess.Popen(
+            [sys.executable, "-c", PROGRAM, str(config)],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        started.append(process)
+
+        def carries() -> bool:
+            if process.poll() is not None:
+                pytest.fail(f"the bridge ended: {process.communicate()[1]}")
+            if not shm_namespace.path("/in").exists():
+                return False
+            with attach(shm_namespace, "/in") as found:
+                return found.snapshot().writer.pid == process.pid
+
+        wait_for(carries)
+        # The signal handlers stand before the objects do, but the threads start after them.
+        with attach(shm_namespace, "/in") as found:
+            before = found.snapshot().writer.beat
+            wait_for(lambda: found.snapshot().writer.beat != before)
+        return process
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_stops_cleanly(run: object, number: int, shm_namespace: Namespace) -> None:
+    """SIGTERM and SIGINT give back the claims, leave the objects and end with 0."""
+    process = run()  # type: ignore[operator]
+    process.send_signal(number)
+    out, err = process.communicate(timeout=20)
+    assert (process.returncode, out) == (0, "left cleanly\n"), err
+    with attach(shm_namespace, "/in") as found:
+        assert found.snapshot().writer.epoch == 0
+
+
+def test_a_closing_terminal_stops_nothing(run: object, shm_namespace: Namespace) -> None:
+    """SIGHUP is logged; the beats go on."""
+    process = run()  # type: ignore[operator]
+    process.send_signal(signal.SIGHUP)
+    with attach(shm_namespace, "/in") as found:
+        before = found.snapshot().writer.beat
+        wait_for(lambda: found.snapshot().writer.beat >= before + 5)
+    process.terminate()
+    assert "SIGHUP is ignored" in process.communicate(timeout=20)[1]
+    assert process.returncode == 0
+
+
+def test_kill_and_restart(run: object, shm_namespace: Namespace) -> None:
+    """After kill -9 the next bridge adopts the same objects at once."""
+    process = run()  # type: ignore[operator]
+    with attach(shm_namespace, "/in") as found:
+        generation = found.identity.generation
+        os.kill(process.pid, signal.SIGKILL)
+        process.wait(timeout=20)
+        run()  # type: ignore[operator]
+        found.valid()
+        assert found.still_there()
+        assert found.identity.generation == generation
