@@ -61,6 +61,7 @@ format: $(VENV)/.installed ## let ruff format and sort imports
 reference: $(VENV)/.core ## write the generated pages of docs/reference again
 	@$(VENV)/bin/python tools/generate_error_reference.py
 	@$(VENV)/bin/python tools/generate_config_reference.py
+	@$(VENV)/bin/python tools/generate_cli_reference.py
 
 .PHONY: bench
 bench: $(VENV)/.core ## the developers' measurements in benchmarks/

@@ -41,12 +41,15 @@ _UNATTENDED = 20.0
 @guarded
 def command(
     duration: Annotated[
-        str | None, typer.Option(help="How long messages are sent, such as 20s; without it until Ctrl-C.")
+        str | None,
+        typer.Option(
+            metavar="TIME", help="How long messages are sent, such as 20s; without it until Ctrl-C."
+        ),
     ] = None,
     rate: Annotated[
         float, typer.Option(metavar="HZ", help="Messages per second and topic.", min=1.0, max=1000.0)
     ] = 100.0,
-    topics: Annotated[int, typer.Option(help="Topics that the robot sends.", min=1, max=32)] = 3,
+    topics: Annotated[int, typer.Option(metavar="N", help="Topics that the robot sends.", min=1, max=32)] = 3,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
     """Show ROS topics reaching a virtual PLC and its commands coming back."""

@@ -40,11 +40,15 @@ def command(
         typer.Argument(help="The topic as ROS writes it, such as /cmd_vel; all channels without it."),
     ] = None,
     prefix: Annotated[
-        str | None, typer.Option(help="The bridge's `prefix:`; `rosplc` for one topic, any for the list.")
+        str | None,
+        typer.Option(
+            metavar="NAME", help="The bridge's `prefix:`; `rosplc` for one topic, any for the list."
+        ),
     ] = None,
     follow: Annotated[bool, typer.Option("--follow", "-f", help="Print messages until Ctrl-C.")] = False,
     count: Annotated[
-        int | None, typer.Option("--count", "-n", min=1, help="Print so many new messages, then end.")
+        int | None,
+        typer.Option("--count", "-n", metavar="N", min=1, help="Print so many new messages, then end."),
     ] = None,
     header: Annotated[bool, typer.Option("--header", help="Also print the object's counters.")] = False,
     timeout: Annotated[

@@ -45,10 +45,12 @@ def command(
         ),
     ] = None,
     distro: Annotated[
-        str, typer.Option(help="The ROS distribution whose definitions hold; `noetic` is ROS 1.")
+        str,
+        typer.Option(metavar="NAME", help="The ROS distribution whose definitions hold; `noetic` is ROS 1."),
     ] = "jazzy",
     path: Annotated[
-        list[Path] | None, typer.Option(help="A folder with custom .msg files; may be given several times.")
+        list[Path] | None,
+        typer.Option(metavar="FOLDER", help="A folder with custom .msg files; may be given several times."),
     ] = None,
     limits: Annotated[
         list[str] | None,
