@@ -3,7 +3,7 @@
 Neighbouring numbers become one COPY wherever their record offsets adjoin and the wire
 provably has no gap between them. In CDR that takes knowledge of the wire position: it is
 tracked modulo the largest alignment since the last string or sequence, whose length is not
-known before a message comes. The op table heads ``_core/plan.h``.
+known before a message comes. The op table heads ``_core/plan_ops.h``.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A plan's ops as data, and their binary form; the table of what each does heads ``_core/plan.h``."""
+"""A plan's ops as data, and their binary form; the table of what each does heads ``_core/plan_ops.h``."""
 
 from __future__ import annotations
 

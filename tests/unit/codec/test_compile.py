@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from rosplc._core._native import Plan
 from rosplc.codec import Wire, compile_plan
 from rosplc.codec.ops import MAX_LOOPS, Op, OpCode
 from rosplc.errors import MessageTypeError
@@ -114,7 +115,8 @@ def nested(depth: int) -> StructNode:
 
 def test_nesting_has_a_limit() -> None:
     """Sequences in sequences are compiled as deep as the executor goes, and refused beyond."""
-    compile_plan(nested(MAX_LOOPS), Wire.CDR)
+    # The innermost sequence holds flat structs, which need no loop.
+    Plan(compile_plan(nested(MAX_LOOPS + 1), Wire.CDR).blob)
     with pytest.raises(MessageTypeError) as error:
         compile_plan(nested(MAX_LOOPS + 2), Wire.CDR)
     assert error.value.code == "TYP007"
