@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 from rosplc.errors import LayoutError
 from rosplc.layout.compute import compute_struct
 from rosplc.layout.limits import Limits
-from rosplc.layout.pack import Misfit, StructPacker
+from rosplc.layout.numbers import Misfit
+from rosplc.layout.pack import StructPacker
 from rosplc.layout.text import layout_difference, layout_text, walk
 from rosplc.layout.view import RecordView, StructReader, plain
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
 
 from rosplc.layout.nodes import ArrayNode, PaddingNode, ScalarNode, SequenceNode, StringNode, StructNode
-from rosplc.layout.pack import FORMATS
+from rosplc.layout.numbers import FORMATS
 
 if TYPE_CHECKING:
     from rosplc.layout.nodes import Member, Node
