@@ -1,7 +1,8 @@
 """The running bridge: opens everything or nothing, carries, looks after itself, leaves cleanly.
 
-Threads: the backend's own call :class:`ToPlc`; the pump carries towards ROS; the keeper beats,
-checks and reports. An error in one topic stops no other.
+Threads: the backend's own call :class:`ToPlc`; the pump carries towards ROS; the keeper beats and
+looks after the objects; the observer asks the ROS side and reports. An error in one topic stops
+no other, and a ROS side that hangs stops no beat.
 """
 
 from __future__ import annotations
@@ -9,11 +10,11 @@ from __future__ import annotations
 import secrets
 import threading
 import time
-from collections.abc import Callable
 from contextlib import ExitStack
 
 from rosplc.bridge.config import Config
 from rosplc.bridge.diagnostics import Diagnostics
+from rosplc.bridge.keeper import Keeper, Observer
 from rosplc.bridge.leftovers import retire_leftovers
 from rosplc.bridge.owner import group_id, user_id
 from rosplc.bridge.resolve import Project, resolve
@@ -27,7 +28,6 @@ from rosplc.shm import Direction
 
 __all__ = ["Bridge"]
 
-_CHECK_NS = 1_000_000_000
 _STUCK_NS = 5_000_000_000
 
 
@@ -50,7 +50,6 @@ class Bridge:
         self._owns_backend = backend is None
         self._topics: tuple[Topic, ...] = ()
         self._pump: Pump | None = None
-        self._keeper: _Keeper | None = None
         self._open = ExitStack()
         self._started_ns = 0
         self._file_seen = self._file_state()
@@ -93,7 +92,7 @@ class Bridge:
             gid=group_id(self.config),
             beat_ns=settings.beat_ns,
         )
-        keeper = _Keeper(self)
+        keeper = Keeper(settings.beat_ns, self.beat, self.check, self.flush)
         plans = self.project.topics
         retire_leftovers(self.project)
         self._topics = tuple(
@@ -109,17 +108,19 @@ class Bridge:
         for topic in self._topics:
             topic.join(self.backend)
             stack.callback(topic.leave)
-        diagnostics = None
+        publish = None
         if settings.diagnostics.enabled:
             diagnostics = Diagnostics(self.project.store, self.backend)
             stack.callback(diagnostics.close)
-        keeper.diagnostics = diagnostics
+            publish = diagnostics.publish
         self._pump = Pump(tuple(t for t in self._topics if isinstance(t, ToRos)), settings.tick_ns)
         stack.callback(self._stop_pump)
         self._pump.start()
-        self._keeper = keeper
         keeper.start()
         stack.callback(keeper.stop)
+        observer = Observer(settings.diagnostics.period_ns, self.ask, self.status, publish)
+        observer.start()
+        stack.callback(observer.stop)
 
     def _open_backend(self) -> Backend:
         ros = self.settings.ros
@@ -140,7 +141,7 @@ class Bridge:
         was_running, self._started_ns = bool(self._started_ns), 0
         self._open.close()
         self._open = ExitStack()
-        self._keeper = self._pump = None
+        self._pump = None
         if was_running:
             log.info("bridge %s stopped", self.settings.bridge)
 
@@ -181,7 +182,7 @@ class Bridge:
             notes=tuple(notes),
         )
 
-    # -- the keeper's work
+    # -- the work of keeper and observer, on their threads
 
     def beat(self) -> None:
         """Beat on all lines."""
@@ -205,6 +206,14 @@ class Bridge:
             self._config_changed = True
             log.warning("%s: configuration changed on disk; restart the bridge to apply it", self.config.path)
 
+    def ask(self, now_ns: int) -> None:
+        """Ask the ROS side how each topic stands; this may hang when it does."""
+        for topic in self._topics:
+            try:
+                topic.ask(now_ns)
+            except (RosplcError, ValueError) as error:  # an object or endpoint just closed
+                log.debug("%s: %s", topic.plan.topic, error)
+
     def flush(self, now_ns: int) -> int | None:
         """Send what waited for its time; return when the next is due."""
         next_ns: int | None = None
@@ -225,70 +234,3 @@ class Bridge:
         except OSError:
             return (0, 0, 0)
         return found.st_ino, found.st_size, found.st_mtime_ns
-
-
-class _Keeper:
-    """The thread that beats, checks, flushes and reports; it never touches the ROS side's data path."""
-
-    def __init__(self, bridge: Bridge) -> None:
-        self.diagnostics: Diagnostics | None = None
-        self._bridge = bridge
-        self._wake = threading.Event()
-        self._stopping = False
-        self._thread = threading.Thread(target=self._run, name="rosplc-keeper", daemon=True)
-        self._reporter = threading.Thread(target=self._report, name="rosplc-diagnostics", daemon=True)
-        self._report_stop = threading.Event()
-
-    def start(self) -> None:
-        self._thread.start()
-        if self.diagnostics is not None:
-            self._reporter.start()
-
-    def stop(self) -> None:
-        self._stopping = True
-        self._wake.set()
-        self._report_stop.set()
-        for thread in (self._thread, self._reporter):
-            if thread.is_alive() and thread is not threading.current_thread():
-                thread.join(5)
-
-    def due(self, _when_ns: int) -> None:
-        """A message waits for its time: look again."""
-        self._wake.set()
-
-    def _run(self) -> None:
-        bridge = self._bridge
-        beat_ns = bridge.settings.beat_ns
-        beat_at = check_at = time.monotonic_ns()
-        while not self._stopping:
-            now = time.monotonic_ns()
-            if now >= beat_at:
-                self._guard("beating", bridge.beat)
-                # A machine that was suspended owes no beats.
-                beat_at = max(beat_at + beat_ns, now)
-            if now >= check_at:
-                self._guard("checking", lambda: bridge.check(time.monotonic_ns()))
-                check_at = now + _CHECK_NS
-            next_at = min(beat_at, check_at)
-            due = bridge.flush(time.monotonic_ns())
-            if due is not None:
-                next_at = min(next_at, due)
-            self._wake.wait(max(0, next_at - time.monotonic_ns()) / 1e9)
-            self._wake.clear()
-
-    def _report(self) -> None:
-        # Apart from the beats, since a busy ROS side may keep a publisher waiting.
-        assert self.diagnostics is not None
-        period = self._bridge.settings.diagnostics.period_ns / 1e9
-        publish, status = self.diagnostics.publish, self._bridge.status
-        while not self._report_stop.wait(period):
-            self._guard("reporting", lambda: publish(status()))
-
-    @staticmethod
-    def _guard(what: str, work: Callable[[], None]) -> None:
-        try:
-            work()
-        except RosplcError as error:
-            log.warning("%s failed: %s", what, error)
-        except Exception:
-            log.exception("%s failed", what)

@@ -161,8 +161,10 @@ class ToPlc(Topic):
                 tasks.append(name.split(b"\0")[0].decode("utf-8", "replace"))
         self._peer_alive = bool(tasks)
         self._tasks = tuple(tasks)
-        if self.writer is not None and self._subscription is not None:
-            self.writer.set_sources(self._subscription.matched)
+
+    def _tell(self, matched: int) -> None:
+        if (writer := self.writer) is not None:
+            writer.set_sources(matched)
 
     def endpoint(self) -> EndpointStatus | None:
         """Return the state of the subscription."""

@@ -106,28 +106,32 @@ class ToRos(Topic):
         try:
             sent = self._publisher.write(data, stamp_ns)
         except RosplcError as error:
-            self.counters.lost += 1
-            self.note(now_ns, f"message not sent: {error.what}", error.code)
+            self._not_sent(now_ns, error.what, error.code)
             return
         except Exception as error:  # a backend's own mistake must not stop the other topics
-            self.counters.lost += 1
-            self.note(now_ns, f"message not sent: {type(error).__name__}: {error}")
+            self._not_sent(now_ns, f"{type(error).__name__}: {error}")
             return
-        if sent is False:
-            self.counters.lost += 1
-            self.note(now_ns, "message not sent: a subscriber does not keep up")
+        if not sent:
+            self._not_sent(now_ns, "a subscriber does not keep up")
             return
         self.counters.published += 1
         if self.plan.print:
             record = self.codec.decode(data)
             log.info("%s: from the PLC: %s", self.plan.topic, self.plan.layout.to_dict(record))
 
+    def _not_sent(self, now_ns: int, why: str, code: str = "") -> None:
+        self.counters.lost += 1
+        self._last_data = None  # the same message again is news to ROS
+        self.note(now_ns, f"message not sent: {why}", code)
+
     def _observe(self, region: Region, now_ns: int) -> None:
         head, epoch, beat, beat_ms = region.words(WRITER_LINE["head"], 4)
         alive = self._lives(0, beat, beat_ms, head, now_ns)
         self._peer_alive = bool(epoch) and alive
-        if self.reader is not None and self._publisher is not None:
-            self.reader.set_sinks(self._publisher.matched)
+
+    def _tell(self, matched: int) -> None:
+        if (reader := self.reader) is not None:
+            reader.set_sinks(matched)
 
     def endpoint(self) -> EndpointStatus | None:
         """Return the state of the publisher."""

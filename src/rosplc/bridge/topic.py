@@ -81,7 +81,7 @@ class Topic(ABC):
     def __init__(self, plan: TopicPlan, around: Surroundings) -> None:
         self.plan = plan
         self.around = around
-        self.codec = Codec(plan.layout, Wire.ROS1 if around.distro == "noetic" else Wire.CDR)
+        self.codec = Codec(plan.layout, Wire.ROS1 if plan.layout.store.ros_version == 1 else Wire.CDR)
         self.channel: OwnedChannel | None = None
         self.counters = Counters()
         self.last_ns: int | None = None
@@ -165,15 +165,14 @@ class Topic(ABC):
     # -- housekeeping, about once a second
 
     def check(self, now_ns: int) -> bool:
-        """Look after object, peer and rate; return whether the object must be opened again."""
+        """Look after object, peer and rate; return whether the object must be opened again.
+
+        Never calls the ROS side, which may hang while the beats go on.
+        """
         since, count = self._rate_from
         if now_ns - since >= 500_000_000:
             self._rate = (self.counters.received - count) * 1e9 / (now_ns - since)
             self._rate_from = (now_ns, self.counters.received)
-        lost = self._lost(self.endpoint())
-        if lost > self._lost_before:
-            self.note(now_ns, self._loss(lost - self._lost_before))
-            self._lost_before = lost
         if self.channel is None:
             return True
         try:
@@ -185,6 +184,20 @@ class Topic(ABC):
             self.fail(now_ns, error)
             return True
         return False
+
+    def ask(self, now_ns: int) -> None:
+        """Ask the ROS side: tell the PLC how many stand behind it, and note new losses."""
+        endpoint = self.endpoint()
+        if endpoint is not None:
+            self._tell(endpoint.matched)
+        lost = self._lost(endpoint)
+        if lost > self._lost_before:
+            self.note(now_ns, self._loss(lost - self._lost_before))
+            self._lost_before = lost
+
+    @abstractmethod
+    def _tell(self, matched: int) -> None:
+        """Write the number of ROS peers into the object."""
 
     def reopen(self, now_ns: int) -> bool:
         """Close the object and open its name again; return whether that succeeded."""
@@ -200,7 +213,7 @@ class Topic(ABC):
 
     @abstractmethod
     def _observe(self, region: Region, now_ns: int) -> None:
-        """Judge the peer's life, and tell it how many stand behind this side.
+        """Judge the peer's life.
 
         Only the words needed are read: with 200 topics, whole snapshots would cost half a percent
         of a core.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ import pytest
 from rosplc.bridge import Bridge, Level, parse_config, read_config
 from rosplc.errors import BackendError, ChannelError, ConfigError
 from rosplc.ros import LATCHED, Qos
-from rosplc.ros.memory import MemoryBackend, MemoryPublisher, open_backend
+from rosplc.ros.memory import MemoryBackend, MemoryPublisher, MemorySubscription, open_backend
 from rosplc.shm import Namespace, attach
 from tests.unit.bridge.conftest import DOMAIN, STORE, Cell, unwire, wait_for, wire
 
@@ -401,19 +402,39 @@ def test_both_sides_know_how_many_stand_behind(cell: Cell) -> None:
 
 
 def test_the_bridge_beats_while_ros_hangs(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A publisher that does not return keeps the beats of no topic, nor messages towards the PLC."""
+    """A ROS side that does not return stops neither beats nor messages towards the PLC, and is reported."""
     bridge = cell.start(BOTH)
     incoming, outgoing = cell.plc("/in"), cell.plc("/out")
-    stop_hanging = []
-    monkeypatch.setattr(MemoryPublisher, "write", lambda *_: wait_for(lambda: stop_hanging))
-    outgoing.write({"data": 1})
-    wait_for(lambda: bridge._pump is not None and bridge._pump.busy_since_ns)
-    before = outgoing.attached.snapshot().readers[0].beat
-    wait_for(lambda: outgoing.attached.snapshot().readers[0].beat >= before + 3)
-    monkeypatch.undo()
-    cell.publisher("/in", INT).write(wire(INT, {"data": 2}))
-    assert wait_for(incoming.read) == {"data": 2}
-    stop_hanging.append(True)
+    go_on = threading.Event()
+    hang = lambda *_: go_on.wait(20) and None  # noqa: E731
+    with monkeypatch.context() as patch:
+        patch.setattr(MemoryPublisher, "write", hang)
+        patch.setattr(MemoryPublisher, "status", hang)
+        patch.setattr(MemorySubscription, "status", hang)
+        outgoing.write({"data": 1})
+        wait_for(lambda: bridge._pump is not None and bridge._pump.busy_since_ns)
+        time.sleep(1.1)  # the observer hangs too
+        before = outgoing.attached.snapshot().readers[0].beat
+        wait_for(lambda: outgoing.attached.snapshot().readers[0].beat >= before + 3)
+        bridge._topics[0].on_message(wire(INT, {"data": 2}), 0)  # type: ignore[attr-defined]
+        assert wait_for(incoming.read) == {"data": 2}
+    monkeypatch.setattr("rosplc.bridge.engine._STUCK_NS", 1)
+    assert "has not returned from publishing" in bridge.status().judgement[1]
+    go_on.set()
+
+
+def test_a_message_that_was_not_sent_is_no_old_one(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With on_change a message that ROS refused is sent when the PLC repeats it."""
+    bridge = cell.start(f"  /out: {{type: {INT}, to: ros, on_change: true}}\n")
+    messages = cell.listen("/out", INT)
+    plc = cell.plc("/out")
+    with monkeypatch.context() as patch:
+        patch.setattr(MemoryPublisher, "write", lambda *_: False)
+        plc.write({"data": 1})
+        wait_for(lambda: bridge.status().topic("/out").lost == 1)
+    plc.write({"data": 1})
+    wait_for(lambda: messages)
+    assert numbers(messages) == [1]
 
 
 def test_a_configuration_edited_while_running_is_noticed(

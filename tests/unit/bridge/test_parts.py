@@ -163,7 +163,7 @@ def test_modes_refused(value: object) -> None:
 
 @pytest.mark.parametrize(
     ("age", "text"),
-    [(0, "0.0 s"), (1_240 * MS, "1.2 s"), (14 * SECOND, "10 s"), (300 * SECOND, "5 min"), (9000 * SECOND, "2 h")],
+    [(0, "0.0 s"), (1240 * MS, "1.2 s"), (14 * SECOND, "10 s"), (300 * SECOND, "5 min"), (9000 * SECOND, "2 h")],
 )  # fmt: skip
 def test_ages(age: int, text: str) -> None:
     """Ages get coarser as they grow."""
