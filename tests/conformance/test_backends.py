@@ -425,7 +425,8 @@ def test_closing_leaves_nothing_behind(graph: Graph) -> None:
     before = held()
     for _ in range(5):
         cycle()
-    assert held() == before
+    # A thread that has been joined may stand in /proc for another moment.
+    wait_for(lambda: all(now <= then for now, then in zip(held(), before, strict=True)))
 
 
 def test_endpoints_may_be_used_from_many_threads(graph: Graph) -> None:

@@ -64,13 +64,25 @@ def _peers(addresses: list[str]) -> str:
     return "<Peers>" + "".join(f"<Peer address={quoteattr(address)}/>" for address in addresses) + "</Peers>"
 
 
+def _interfaces(environment: Mapping[str, str], *, beyond: bool) -> str:
+    """Return the interfaces of a node that looks for others on this machine.
+
+    Peers on older releases of Cyclone, and on Fast DDS, announce themselves to 127.0.0.1 alone, and
+    this release takes no announcement from an interface that it does not use. Lists of interfaces
+    add up, so one in the user's configuration stands alone.
+    """
+    if "NetworkInterface" in environment.get("CYCLONEDDS_URI", ""):
+        return ""
+    others = '<NetworkInterface autodetermine="true"/>' if beyond else ""
+    return f'<Interfaces>{others}<NetworkInterface address="127.0.0.1"/></Interfaces>'
+
+
 def domain_config(environment: Mapping[str, str], distro: str, extra: str = "") -> str:
     """Return the configuration for ``dds_create_domain``: XML fragments, separated by commas.
 
     Args:
         environment: The environment variables.
-        distro: The ROS distribution; on Humble ``ROS_LOCALHOST_ONLY`` also restricts the interface,
-            and the newer variables are not looked at.
+        distro: The ROS distribution; Humble does not look at the newer variables.
         extra: More XML for the domain.
 
     Raises:
@@ -83,9 +95,7 @@ def domain_config(environment: Mapping[str, str], distro: str, extra: str = "") 
     static = [] if humble or environment.get("ROS_LOCALHOST_ONLY") == "1" else _static_peers(environment)
     general, discovery = "", ""
     if reach == "LOCALHOST":
-        general = "<AllowMulticast>false</AllowMulticast>"
-        if humble:
-            general += '<Interfaces><NetworkInterface address="127.0.0.1"/></Interfaces>'
+        general = "<AllowMulticast>false</AllowMulticast>" + _interfaces(environment, beyond=bool(static))
         discovery = _PARTICIPANTS + _peers(["localhost", *static])
     elif reach == "OFF":
         general = "<AllowMulticast>false</AllowMulticast>"
