@@ -1,0 +1,277 @@
+"""Write a project as PLCopenXML (TC6, version 2.00) as CODESYS exports and imports it.
+
+Each object carries its declaration twice, from the same model: structured, as the schema has
+it, and as plain text in ``addData``, which keeps comments, attributes and arguments of
+``FB_Init``. Shapes and places follow exports of CODESYS V3.5 SP15 and SP21. The importer
+creates no task, so the file has none: the script does that, or the technician by hand.
+"""
+
+from __future__ import annotations
+
+import re
+import uuid
+from collections.abc import Iterable, Iterator
+from xml.etree import ElementTree as ET
+
+from rosplc._version import __version__
+from rosplc.plc.literals import IEC_TYPES
+from rosplc.plc.project import Dut, Gvl, Method, PlcProject, Pou, VarBlock, Variable
+from rosplc.plc.st_text import declaration, method_declaration
+
+__all__ = ["plcopen_xml"]
+
+_NAMESPACE = "http://www.plcopen.org/xml/tc6_0200"
+_XHTML = "http://www.w3.org/1999/xhtml"
+_DATA = "http://www.3s-software.com/plcopenxml"
+_WHEN = "2000-01-01T00:00:00"  # the file depends on its input alone, not on the day
+
+_ELEMENTARY = frozenset({*IEC_TYPES.values(), "WORD", "DWORD", "LWORD", "TIME", "DATE", "DT", "TOD"})
+_POU_TYPES = {"FUNCTION_BLOCK": "functionBlock", "FUNCTION": "function", "PROGRAM": "program"}
+_SECTIONS = {
+    "VAR_INPUT": "inputVars",
+    "VAR_OUTPUT": "outputVars",
+    "VAR_IN_OUT": "inOutVars",
+    "VAR": "localVars",
+    "VAR_TEMP": "tempVars",
+}
+_SECTION_ORDER = ("VAR_INPUT", "VAR_OUTPUT", "VAR_IN_OUT", "VAR", "VAR_TEMP")
+_ARRAY = re.compile(r"ARRAY\[(?P<lower>[^.\]]+)\.\.(?P<upper>[^\]]+)\] OF (?P<element>.+)\Z")
+_STRING = re.compile(r"STRING\((?P<length>\d+)\)\Z")
+
+
+def plcopen_xml(project: PlcProject) -> bytes:
+    """Return the file's bytes; the same project always gives the same bytes."""
+    root = ET.Element("project", {"xmlns": _NAMESPACE})
+    _header(root, project.name)
+    types = ET.SubElement(root, "types")
+    data_types = ET.SubElement(types, "dataTypes")
+    for dut in project.duts:
+        _data_type(data_types, dut)
+    pous = ET.SubElement(types, "pous")
+    for pou in project.pous:
+        _pou(pous, pou)
+    ET.SubElement(ET.SubElement(root, "instances"), "configurations")
+    extra = ET.SubElement(root, "addData")
+    for gvl in project.gvls:
+        _gvl(_data(extra, "globalvars"), gvl)
+    _libraries(extra, project)
+    _structure(extra, project)
+    ET.indent(root)
+    text: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=False)
+    return b'<?xml version="1.0" encoding="utf-8"?>\n' + text + b"\n"
+
+
+def _header(root: ET.Element, name: str) -> None:
+    ET.SubElement(
+        root,
+        "fileHeader",
+        companyName="",
+        productName="rosplc",
+        productVersion=__version__,
+        creationDateTime=_WHEN,
+    )
+    content = ET.SubElement(root, "contentHeader", name=name, modificationDateTime=_WHEN)
+    coordinates = ET.SubElement(content, "coordinateInfo")
+    for language in ("fbd", "ld", "sfc"):
+        ET.SubElement(ET.SubElement(coordinates, language), "scaling", x="1", y="1")
+    _ = ET.SubElement(_data(ET.SubElement(content, "addData"), "projectinformation"), "ProjectInformation")
+
+
+def _data(parent: ET.Element, name: str, unknown: str = "implementation") -> ET.Element:
+    return ET.SubElement(parent, "data", name=f"{_DATA}/{name}", handleUnknown=unknown)
+
+
+def _xhtml(parent: ET.Element, text: str) -> None:
+    ET.SubElement(parent, "xhtml", {"xmlns": _XHTML}).text = text or None
+
+
+def _documentation(parent: ET.Element, text: str) -> None:
+    if text:
+        _xhtml(ET.SubElement(parent, "documentation"), text)
+
+
+def _object_id(extra: ET.Element, name: str) -> None:
+    data = _data(extra, "objectid", "discard")
+    ET.SubElement(data, "ObjectId").text = _identity(name)
+
+
+def _identity(name: str) -> str:
+    """Return the object's id: fixed by its name, so that a second import finds the first one's."""
+    return str(uuid.uuid5(uuid.NAMESPACE_URL, f"rosplc:plc:{name}"))
+
+
+def _type(parent: ET.Element, text: str) -> None:
+    """Append the element of a type that is written as Structured Text."""
+    if match := _ARRAY.match(text):
+        array = ET.SubElement(parent, "array")
+        ET.SubElement(array, "dimension", lower=match["lower"], upper=match["upper"])
+        _type(ET.SubElement(array, "baseType"), match["element"])
+    elif match := _STRING.match(text):
+        ET.SubElement(parent, "string", length=match["length"])
+    elif text.startswith("POINTER TO "):
+        _type(ET.SubElement(ET.SubElement(parent, "pointer"), "baseType"), text.removeprefix("POINTER TO "))
+    elif text in _ELEMENTARY:
+        ET.SubElement(parent, text)
+    else:
+        ET.SubElement(parent, "derived", name=text)
+
+
+def _variable(parent: ET.Element, variable: Variable) -> None:
+    element = ET.SubElement(parent, "variable", name=variable.name)
+    _type(ET.SubElement(element, "type"), variable.type)
+    if variable.initial is not None:
+        _initial(ET.SubElement(element, "initialValue"), variable.initial)
+    if variable.arguments:
+        assignments = ET.SubElement(
+            _data(ET.SubElement(element, "addData"), "inputassignments"), "InputAssignments"
+        )
+        for name, value in variable.arguments:
+            assignment = ET.SubElement(assignments, "InputAssignment")
+            ET.SubElement(assignment, "Name").text = name
+            ET.SubElement(assignment, "Value").text = value
+    _documentation(element, f" {variable.comment}" if variable.comment else "")
+
+
+def _initial(parent: ET.Element, text: str) -> None:
+    if text.startswith("["):
+        array = ET.SubElement(parent, "arrayValue")
+        for repetition, value in _array_items(text[1:-1]):
+            attributes = {"repetitionValue": repetition} if repetition else {}
+            ET.SubElement(ET.SubElement(array, "value", attributes), "simpleValue", value=value)
+    else:
+        ET.SubElement(parent, "simpleValue", value=text)
+
+
+def _array_items(text: str) -> Iterator[tuple[str, str]]:
+    """Yield (repetition, value) of an array initialiser; strings may hold commas."""
+    for item in re.findall(r"(?:'(?:[^'$]|\$.)*'|[^,'])+", text):
+        match = re.fullmatch(r"\s*(\d+)\((.*)\)\s*", item)
+        yield (match[1], match[2]) if match else ("", item.strip())
+
+
+def _attributes(extra: ET.Element, attributes: Iterable[tuple[str, str]]) -> None:
+    pairs = list(attributes)
+    if pairs:
+        element = ET.SubElement(_data(extra, "attributes"), "Attributes")
+        for name, value in pairs:
+            ET.SubElement(element, "Attribute", Name=name, Value=value)
+
+
+def _data_type(parent: ET.Element, dut: Dut) -> None:
+    element = ET.SubElement(parent, "dataType", name=dut.name)
+    struct = ET.SubElement(ET.SubElement(element, "baseType"), "struct")
+    for member in dut.members:
+        _variable(struct, member)
+    extra = ET.SubElement(element, "addData")
+    _attributes(extra, dut.attributes)
+    _plain_text(_data(extra, "interfaceasplaintext"), declaration(dut))
+    _object_id(extra, dut.name)
+    _documentation(element, dut.comment)
+
+
+def _plain_text(parent: ET.Element, text: str) -> None:
+    _xhtml(ET.SubElement(parent, "InterfaceAsPlainText"), text)
+
+
+def _interface(parent: ET.Element, blocks: Iterable[VarBlock], return_type: str | None) -> ET.Element:
+    interface = ET.SubElement(parent, "interface")
+    if return_type:
+        _type(ET.SubElement(interface, "returnType"), return_type)
+    for section in _SECTION_ORDER:
+        for block in blocks:
+            if block.kind == section and block.variables:
+                attributes = {"constant": "true"} if block.constant else {}
+                element = ET.SubElement(interface, _SECTIONS[section], attributes)
+                for variable in block.variables:
+                    _variable(element, variable)
+    return interface
+
+
+def _body(parent: ET.Element, text: str) -> None:
+    _xhtml(ET.SubElement(ET.SubElement(parent, "body"), "ST"), text)
+
+
+def _pou(parent: ET.Element, pou: Pou) -> None:
+    element = ET.SubElement(parent, "pou", name=pou.name, pouType=_POU_TYPES[pou.kind])
+    interface = _interface(element, pou.blocks, pou.return_type)
+    if pou.extends or pou.attributes or pou.abstract:
+        extra = ET.SubElement(interface, "addData")
+        if pou.extends:
+            inheritance = ET.SubElement(_data(extra, "pouinheritance"), "Inheritance")
+            ET.SubElement(inheritance, "Extends").text = pou.extends
+        if pou.abstract:
+            ET.SubElement(_data(extra, "accessmodifiers"), "AccessModifiers", Abstract="true")
+        _attributes(extra, pou.attributes)
+    _documentation(interface, pou.comment)
+    _body(element, pou.implementation)
+    extra = ET.SubElement(element, "addData")
+    for method in pou.methods:
+        _method(_data(extra, "method"), pou, method)
+    _plain_text(_data(extra, "interfaceasplaintext"), declaration(pou))
+    _object_id(extra, pou.name)
+
+
+def _method(parent: ET.Element, pou: Pou, method: Method) -> None:
+    element = ET.SubElement(
+        parent, "Method", name=method.name, ObjectId=_identity(f"{pou.name}.{method.name}")
+    )
+    interface = _interface(element, method.blocks, method.return_type)
+    if method.access != "PUBLIC":
+        extra = _data(ET.SubElement(interface, "addData"), "accessmodifiers")
+        ET.SubElement(extra, "AccessModifiers", {method.access.capitalize(): "true"})
+    _documentation(interface, method.comment)
+    _body(element, method.implementation)
+    # Anywhere else in a Method the importer ignores the text.
+    _plain_text(element, method_declaration(method))
+    ET.SubElement(element, "addData")
+
+
+def _gvl(parent: ET.Element, gvl: Gvl) -> None:
+    for index, block in enumerate(gvl.blocks):
+        attributes = {"constant": "true"} if block.constant else {}
+        element = ET.SubElement(parent, "globalVars", {"name": gvl.name, **attributes})
+        for variable in block.variables:
+            _variable(element, variable)
+        if index == 0:
+            extra = ET.SubElement(element, "addData")
+            _attributes(extra, gvl.attributes)
+            _plain_text(_data(extra, "interfaceasplaintext"), declaration(gvl))
+            _object_id(extra, gvl.name)
+        _documentation(element, gvl.comment if index == 0 else "")
+
+
+def _libraries(extra: ET.Element, project: PlcProject) -> None:
+    if not project.libraries:
+        return
+    element = ET.SubElement(_data(extra, "libraries"), "Libraries")
+    for library in project.libraries:
+        ET.SubElement(
+            element,
+            "Library",
+            Name=f"{library}, * (System)",
+            Namespace=library.split(" ")[0],
+            HideWhenReferencedAsDependency="false",
+            PublishSymbolsInContainer="false",
+            SystemLibrary="false",
+            LinkAllContent="false",
+        )
+
+
+def _structure(extra: ET.Element, project: PlcProject) -> None:
+    """Append the folders, which the importer may or may not use."""
+    root = ET.SubElement(_data(extra, "projectstructure", "discard"), "ProjectStructure")
+    folders: dict[str, ET.Element] = {"": root}
+
+    def folder(path: str) -> ET.Element:
+        if path not in folders:
+            above, _, name = path.rpartition("/")
+            folders[path] = ET.SubElement(folder(above), "Folder", Name=name)
+        return folders[path]
+
+    items: list[Dut | Gvl | Pou] = [*project.duts, *project.gvls, *project.pous]
+    for item in items:
+        element = ET.SubElement(folder(item.folder), "Object", Name=item.name, ObjectId=_identity(item.name))
+        if isinstance(item, Pou):
+            for method in item.methods:
+                identity = _identity(f"{item.name}.{method.name}")
+                ET.SubElement(element, "Object", Name=method.name, ObjectId=identity)
