@@ -284,7 +284,7 @@ def _difference(
         return f"{error.what} [{error.code}]"
     if (status.st_uid, stat.S_IMODE(status.st_mode)) != (uid, mode) or gid not in (None, status.st_gid):
         return "owner, group or mode differ"
-    for name in ("layout_id", "record_size", "slot_count", "slot_stride", "description_size", "slots_offset"):
+    for name in ("layout_id", "record_size", "slot_count", "slot_stride"):
         if getattr(found, name) != getattr(wanted, name):
             return f"{name} was {getattr(found, name)}, now {getattr(wanted, name)}"
     if os.pread(fd, found.description_size, found.description_offset) != description.to_json():
