@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -10,7 +11,11 @@ from typing import Any
 
 import jsonschema
 import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from rosplc.bridge import yaml_source
 from rosplc.bridge.config import Config, json_schema, parse_config, read_config
 from rosplc.bridge.problems import ConfigErrors
 from rosplc.bridge.yaml_source import LARGEST_FILE
@@ -276,6 +281,57 @@ def test_schema_refuses_what_the_reader_refuses(data: dict[str, Any]) -> None:
     assert not jsonschema.Draft202012Validator(json_schema()).is_valid(data)
     with pytest.raises(ConfigErrors):
         Config.from_dict(data)
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    st.one_of(
+        st.text(max_size=60), st.tuples(st.integers(0, len(GOOD)), st.integers(0, 9), st.text(max_size=5))
+    )
+)
+def test_any_text_is_settings_or_errors(change: str | tuple[int, int, str]) -> None:
+    """Whatever a file holds, reading it ends in settings or in errors with places, never in a traceback."""
+    if isinstance(change, str):
+        text = change
+    else:
+        at, cut, put = change
+        text = GOOD[:at] + put + GOOD[at + cut :]
+    try:
+        parse_config(text, name="c.yaml")
+    except ConfigErrors as errors:
+        assert all(error.where.startswith("c.yaml") for error in errors.errors)
+
+
+def test_yaml_without_its_c_library(monkeypatch: pytest.MonkeyPatch) -> None:
+    """PyYAML in pure Python gives the same settings and codes."""
+    expected = parse_config(GOOD).settings
+    monkeypatch.setattr(yaml_source, "_Loader", yaml.SafeLoader)
+    assert parse_config(GOOD).settings == expected
+    for text, code in [
+        ("bridge: [a", "CFG002"),
+        ("\x00", "CFG002"),
+        ("[" * 5000, "CFG002"),
+        ("a: *b", "CFG009"),
+    ]:
+        with pytest.raises(ConfigErrors) as caught:
+            parse_config(text)
+        assert caught.value.code == code
+
+
+def documented() -> list[tuple[str, str]]:
+    """Return every configuration that documentation and examples show."""
+    root = TOOL.parents[1]
+    found = [(str(path.relative_to(root)), path.read_text()) for path in root.glob("examples/**/*.yaml")]
+    for page in [root / "README.md", *root.glob("docs/**/*.md")]:
+        blocks = re.findall(r"^```yaml\n(.*?)^```", page.read_text() if page.exists() else "", re.M | re.S)
+        found += [(f"{page.relative_to(root)} {number}", text) for number, text in enumerate(blocks)]
+    return [(name, text) for name, text in found if re.search(r"^topics:", text, re.M)]
+
+
+@pytest.mark.parametrize(("name", "text"), documented(), ids=lambda value: value if len(value) < 60 else "")
+def test_documented_configurations_are_valid(name: str, text: str) -> None:
+    """What the documentation shows satisfies the schema and the reader."""
+    jsonschema.Draft202012Validator(json_schema()).validate(parse_config(text, name=name).source.data)
 
 
 def test_reference_is_up_to_date() -> None:

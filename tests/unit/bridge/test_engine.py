@@ -7,7 +7,6 @@ import os
 import threading
 import time
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -15,7 +14,8 @@ from rosplc.bridge import Bridge, Level, parse_config, read_config
 from rosplc.errors import BackendError, ChannelError, ConfigError
 from rosplc.ros import LATCHED, Qos
 from rosplc.ros.memory import MemoryBackend, MemoryPublisher, MemorySubscription, open_backend
-from rosplc.shm import Namespace, attach
+from rosplc.shm import Namespace, OwnedChannel, attach
+from rosplc.shm.constants import IDENTITY, STATE_RETIRED
 from tests.unit.bridge.conftest import DOMAIN, STORE, Cell, unwire, wait_for, wire
 
 STRING = "std_msgs/msg/String"
@@ -312,23 +312,56 @@ def test_a_removed_object_is_created_again(cell: Cell, topic: str) -> None:
     assert numbers(messages) == [7]
 
 
-def test_a_retired_object_is_created_again(cell: Cell) -> None:
+@pytest.mark.parametrize("topic", ["/in", "/out"])
+def test_a_retired_object_is_created_again(cell: Cell, topic: str) -> None:
     """A foreign hand on the state word costs messages, not the topic."""
     bridge = cell.start(BOTH)
-    incoming = cell.plc("/in")
-    incoming.attached.region.store(12, 2)
-    wait_for(lambda: bridge.status().topic("/in").recent)
+    messages = cell.listen("/out", INT)
     publisher = cell.publisher("/in", INT)
+    with attach(cell.namespace, topic, write=True) as found:
+        generation = found.identity.generation
+        found.region.store(IDENTITY["state"], STATE_RETIRED)
+    wait_for(lambda: bridge.status().topic(topic).recent)
 
-    def arrives() -> Any:
+    def replaced() -> bool:
         try:
-            plc = cell.plc("/in")
+            with attach(cell.namespace, topic) as found:
+                return found.identity.generation != generation
         except ChannelError:
-            return None
-        publisher.write(wire(INT, {"data": 8}))
-        return wait_for(plc.read)
+            return False
 
-    assert wait_for(arrives) == {"data": 8}
+    wait_for(replaced)
+    incoming, outgoing = cell.plc("/in"), cell.plc("/out")
+    wait_for(lambda: incoming.attached.snapshot().writer.epoch)
+    publisher.write(wire(INT, {"data": 8}))
+    assert wait_for(incoming.read) == {"data": 8}
+    outgoing.write({"data": 9})
+    wait_for(lambda: messages)
+    assert not bridge.status().topic(topic).problem
+
+
+@pytest.mark.parametrize("topic", ["/in", "/out"])
+def test_an_object_that_cannot_be_made_is_tried_again(
+    cell: Cell, topic: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A full /dev/shm is an error of the topic for as long as it lasts, and logged once."""
+    bridge = cell.start(BOTH)
+
+    def full(*_: object, **__: object) -> None:
+        raise ChannelError("SHM117", "no space left")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(OwnedChannel, "open", full)
+        cell.namespace.path(topic).unlink()
+        wait_for(lambda: "SHM117" in bridge.status().topic(topic).problem)
+        assert bridge.status().topic(topic).judgement[0] is Level.ERROR
+        cell.publisher("/in", INT).write(wire(INT, {"data": 1}))
+        if topic == "/in":
+            wait_for(lambda: bridge.status().topic("/in").lost == 1)
+        time.sleep(1.1)
+    assert caplog.text.count("no space left") == 1
+    wait_for(lambda: not bridge.status().topic(topic).problem)
+    assert cell.namespace.path(topic).exists()
 
 
 def test_a_failed_start_leaves_nothing_open(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
