@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
+import random
 import sys
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -48,6 +51,9 @@ def unexecuted() -> list[object]:
 @pytest.fixture
 def shell(tmp_path: Path) -> Iterator[Shell]:
     """A shell in an empty folder; shared memory that the page left behind is removed."""
+    # Another clone's tests may run on this machine, with the same default prefix.
+    turn = os.open(Path(tempfile.gettempdir()) / "rosplc-docs.lock", os.O_CREAT | os.O_RDWR, 0o666)
+    fcntl.flock(turn, fcntl.LOCK_EX)
     before = set(SHARED_MEMORY.glob("rosplc.*"))
     env = {
         "PATH": f"{Path(sys.executable).parent}:/usr/local/bin:/usr/bin:/bin",
@@ -56,13 +62,14 @@ def shell(tmp_path: Path) -> Iterator[Shell]:
         "COLUMNS": "100",
         "NO_COLOR": "1",
         # Away from the default domain: a robot on this network is no part of the test.
-        "ROS_DOMAIN_ID": os.environ.get("ROSPLC_TEST_DOMAIN", "83"),
+        "ROS_DOMAIN_ID": str(random.randrange(20, 100)),
     }
     shell = Shell(tmp_path, env)
     yield shell
     shell.close()
     for path in set(SHARED_MEMORY.glob("rosplc.*")) - before:
         path.unlink(missing_ok=True)
+    os.close(turn)
 
 
 def run_console(shell: Shell, block: Block, at: str) -> None:
