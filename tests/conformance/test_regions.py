@@ -1,0 +1,241 @@
+"""Every region vector, read by the product and by an independent reader, means what stands beside it."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Protocol
+
+import pytest
+
+from rosplc.errors import ChannelError
+from rosplc.shm import Attached, Direction, Namespace, Reader, attach
+from tests.region_reader import Refused, StaticReader, open_object
+
+VECTORS = Path(__file__).parents[2] / "vectors"
+TOPIC = "/v"
+
+
+class Opened(Protocol):
+    """An object that an implementation has opened."""
+
+    def identity(self) -> dict[str, Any]: ...
+    def description(self) -> dict[str, Any]: ...
+    def head(self) -> int: ...
+    def read(self, order: str, last: int) -> dict[str, Any]: ...
+
+
+class Independent:
+    """The reader of tests/region_reader.py."""
+
+    def __init__(self, path: Path, expect: dict[str, Any]) -> None:
+        self._object = open_object(path, expect)
+
+    def identity(self) -> dict[str, Any]:
+        data = self._object.data
+        return {**self._object.fields, "layout_id": self._object.layout_id, "bridge_id": data[76:92].hex()}
+
+    def description(self) -> dict[str, Any]:
+        return self._object.description()
+
+    def head(self) -> int:
+        return self._object.word(128)
+
+    def read(self, order: str, last: int) -> dict[str, Any]:
+        reader = StaticReader(self._object, last)
+        messages = []
+        while message := reader.take(order):
+            messages.append(message)
+        return {
+            "messages": messages,
+            "last_after": reader.last,
+            "lost": reader.lost,
+            "discontinuities": reader.discontinuities,
+        }
+
+
+class Product:
+    """rosplc.shm."""
+
+    def __init__(self, attached: Attached) -> None:
+        self._attached = attached
+
+    def identity(self) -> dict[str, Any]:
+        found = self._attached.identity
+        names = [name for name in found.__dataclass_fields__ if name != "bridge_id"]
+        return {**{name: getattr(found, name) for name in names}, "bridge_id": found.bridge_id.hex()}
+
+    def description(self) -> dict[str, Any]:
+        return dict(json.loads(self._attached.description.to_json()))
+
+    def head(self) -> int:
+        return self._attached.snapshot().writer.head
+
+    def read(self, order: str, last: int) -> dict[str, Any]:
+        reader = Reader(self._attached.region, last, last == 0)
+        take = {"newest": reader.latest, "in_order": reader.next}[order]
+        out = bytearray(b"\xa5" * self._attached.region.record_size)
+        messages = []
+        while info := take(out):
+            messages.append({
+                "sequence": info.sequence,
+                "lost": info.lost,
+                "flags": info.flags,
+                "stamp_ns": info.stamp_ns,
+                "stamp_clock": info.stamp_clock,
+                "correlation": info.correlation,
+                "record": out.hex(),
+            })  # fmt: skip
+        if not messages:
+            assert set(out) == {0xA5}, "a copy that was not accepted reached the caller"
+        return {
+            "messages": messages,
+            "last_after": reader.last,
+            "lost": reader.lost,
+            "discontinuities": reader.discontinuities,
+        }
+
+
+@contextmanager
+def opened(implementation: str, directory: Path, expect: dict[str, Any]) -> Iterator[Opened]:
+    """Open the object of TOPIC; raise Refused with the number of section 9 otherwise."""
+    namespace = Namespace(directory=directory)
+    if implementation == "independent":
+        yield Independent(namespace.path(TOPIC), expect)
+        return
+    wanted = {**expect, **({"direction": Direction(expect["direction"])} if "direction" in expect else {})}
+    try:
+        with attach(namespace, TOPIC, **wanted) as attached:
+            yield Product(attached)
+    except ChannelError as error:
+        raise Refused(int(error.code.removeprefix("SHM"))) from error
+
+
+def place(vector: dict[str, Any], folder: str, directory: Path) -> None:
+    """Put a vector's object where TOPIC's is looked for."""
+    path = Namespace(directory=directory).path(TOPIC)
+    match vector.get("file"):
+        case None:
+            path.write_bytes((VECTORS / folder / vector["image"]).read_bytes())
+            os.truncate(path, vector["size"])
+        case "link":
+            (directory / "elsewhere").write_bytes(b"")
+            path.symlink_to(directory / "elsewhere")
+        case "directory":
+            path.mkdir()
+        case "pipe":
+            os.mkfifo(path)
+        case other:
+            assert other == "missing"
+
+
+def load(folder: str) -> dict[str, dict[str, Any]]:
+    return {
+        path.stem: json.loads(path.read_text("utf-8")) for path in sorted((VECTORS / folder).glob("*.json"))
+    }
+
+
+VALID = load("regions")
+HOSTILE = load("hostile")
+REFUSED = {name: one for name, one in HOSTILE.items() if "error" in one}
+SCRIBBLED = {name: one for name, one in HOSTILE.items() if "readings" in one}
+IMPLEMENTATIONS = ("product", "independent")
+
+
+def compare_readings(implementation: str, object_: Opened, readings: list[dict[str, Any]]) -> None:
+    assert readings
+    for wanted in readings:
+        found = object_.read(wanted["order"], wanted["last"])
+        case = f"{implementation}, {wanted['order']}, last {wanted['last']}"
+        for member, value in wanted.items():
+            # None: a reader that begins with last = 0 may or may not call the first a discontinuity.
+            if member in found and value is not None:
+                assert found[member] == value, f"{case}: {member}"
+
+
+@pytest.mark.parametrize("folder", ["regions", "hostile"])
+def test_there_are_vectors(folder: str) -> None:
+    """An empty folder of vectors is a failure, and so is an image without a meaning."""
+    names = {path.stem for path in (VECTORS / folder).glob("*.json")}
+    images = {path.stem for path in (VECTORS / folder).glob("*.bin")}
+    assert len(names) > 20
+    assert images <= names
+
+
+@pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
+@pytest.mark.parametrize("name", VALID)
+def test_a_valid_object_is_read(name: str, implementation: str, tmp_path: Path) -> None:
+    """Identity, self-description, head and messages are those that stand beside the image."""
+    vector = VALID[name]
+    place(vector, "regions", tmp_path)
+    with opened(implementation, tmp_path, {}) as found:
+        identity = found.identity()
+        assert {key: identity[key] for key in vector["identity"]} == vector["identity"]
+        description = found.description()
+        known = {key: value for key, value in vector["description"].items() if key in description}
+        assert known == {key: description[key] for key in known}
+        assert len(known) >= 9
+        assert found.head() == vector["head"]
+        compare_readings(implementation, found, vector["readings"])
+
+
+@pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
+@pytest.mark.parametrize("name", VALID)
+def test_a_valid_object_is_the_expected_one(name: str, implementation: str, tmp_path: Path) -> None:
+    """An opener that expects exactly this layout, record size and direction gets it."""
+    vector = VALID[name]
+    place(vector, "regions", tmp_path)
+    expect = {key: vector["identity"][key] for key in ("layout_id", "record_size", "direction")}
+    with opened(implementation, tmp_path, expect) as found:
+        assert found.head() == vector["head"]
+
+
+@pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
+@pytest.mark.parametrize("name", REFUSED)
+def test_a_hostile_object_is_refused(name: str, implementation: str, tmp_path: Path) -> None:
+    """The opener stops at the first check of section 9 that fails, with its number."""
+    vector = REFUSED[name]
+    place(vector, "hostile", tmp_path)
+    with pytest.raises(Refused) as refused, opened(implementation, tmp_path, vector["expect"]) as found:
+        if vector.get("still_readable"):
+            assert found.read("newest", 1)["last_after"] == 2
+            found.description()
+    assert refused.value.number == vector["error"], str(refused.value.__cause__)
+
+
+@pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
+@pytest.mark.parametrize("name", SCRIBBLED)
+def test_a_scribbled_object_yields_nothing_wrong(name: str, implementation: str, tmp_path: Path) -> None:
+    """A head or slot that somebody wrote over may cost messages; it invents and repeats none."""
+    vector = SCRIBBLED[name]
+    place(vector, "hostile", tmp_path)
+    with opened(implementation, tmp_path, {}) as found:
+        compare_readings(implementation, found, vector["readings"])
+
+
+def test_every_number_of_attach_has_a_vector() -> None:
+    """Each check of section 9 that an image can fail has a vector (102 needs another user)."""
+    assert {one["error"] for one in REFUSED.values()} == {101, 121, *range(103, 114)}
+
+
+def test_the_vectors_are_what_the_generator_writes() -> None:
+    """Nobody edited a vector by hand, or the generator without running it."""
+    command = [sys.executable, str(VECTORS / "generate_regions.py"), "--verify"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_generator_does_not_know_the_product() -> None:
+    """The generator runs without rosplc, and without anything but the standard library."""
+    program = (
+        f"import sys; sys.path.insert(0, {str(VECTORS)!r});"
+        "import generate_regions; generate_regions.generate();"
+        "assert not any(name.split('.')[0] == 'rosplc' for name in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-S", "-c", program], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
