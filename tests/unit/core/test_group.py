@@ -1,0 +1,273 @@
+"""_native.Group: one tick over all channels."""
+
+from __future__ import annotations
+
+import gc
+import resource
+import signal
+import threading
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from rosplc._core import _native
+from rosplc.codec import Codec, Wire
+from rosplc.errors import ChannelError
+from rosplc.layout import Limits, compute_layout
+from rosplc.model import TypeStore
+from rosplc.shm import Direction, Namespace, OwnedChannel, attach
+from rosplc.shm.attach import Attached
+from rosplc.shm.constants import READER_LINE, WRITER_LINE, reader_line
+from tests.channels import open_channel
+
+_TICK = 1_000_000
+_SECOND = 1_000_000_000
+_Pair = tuple[OwnedChannel, Attached]
+
+
+@pytest.fixture(scope="module")
+def codec() -> Codec:
+    return Codec(compute_layout(TypeStore.bundled("jazzy"), "geometry_msgs/msg/Point", Limits()), Wire.CDR)
+
+
+def _record(codec: Codec, x: float) -> bytearray:
+    return codec.layout.pack({"x": x})
+
+
+@pytest.fixture
+def pairs(shm_namespace: Namespace, codec: Codec) -> Iterator[list[_Pair]]:
+    made: list[_Pair] = []
+    for index in range(3):
+        topic = f"/out{index}"
+        channel = open_channel(
+            shm_namespace, Direction.TO_ROS, topic=topic, record_size=codec.layout.size, slots=8
+        )
+        made.append((channel, attach(shm_namespace, topic, write=True)))
+    yield made
+    for channel, attached in made:
+        attached.close()
+        channel.close()
+
+
+def test_everything_new_in_one_call(pairs: list[_Pair], codec: Codec) -> None:
+    """One take() returns the newest or all messages of every channel, encoded, with their stamps."""
+    group = _native.Group()
+    writers = [attached.writer() for _, attached in pairs]
+    newest = group.add_reader(pairs[0][0].reader(), codec.plan, 0)
+    in_order = group.add_reader(pairs[1][0].reader(), codec.plan, 1)
+    quiet = group.add_reader(pairs[2][0].reader(), codec.plan, 1)
+    assert len({newest, in_order, quiet}) == 3
+    assert group.take() == ([], [])
+    for x in (1.0, 2.0, 3.0):
+        writers[0].publish(_record(codec, x), stamp_ns=7, stamp_clock=3)
+        writers[1].publish(_record(codec, x))
+    assert group.wait(_TICK, 10 * _SECOND) == 2
+    messages, faults = group.take()
+    assert faults == []
+    assert [(index, sequence) for index, _, sequence, *_ in messages] == [
+        (newest, 3),
+        (in_order, 1),
+        (in_order, 2),
+        (in_order, 3),
+    ]
+    assert messages[0][1] == codec.encode(_record(codec, 3.0))
+    assert messages[0][4:] == (7, 3)
+    assert messages[1][1] == codec.encode(_record(codec, 1.0))
+    assert group.take() == ([], [])
+
+
+def test_taken_is_stored_before_anything_is_handed_out(pairs: list[_Pair], codec: Codec) -> None:
+    """What take() returned is never returned again, not even to the next bridge (M15)."""
+    channel, attached = pairs[0]
+    group = _native.Group()
+    group.add_reader(channel.reader(), codec.plan, 1)
+    attached.writer().publish(_record(codec, 1.0))
+    assert len(group.take()[0]) == 1
+    assert channel.region.word(reader_line(0) + READER_LINE["taken"]) == 1
+
+
+def test_limit(pairs: list[_Pair], codec: Codec) -> None:
+    """A channel hands out at most its limit per call, and the rest with the next."""
+    channel, attached = pairs[0]
+    group = _native.Group()
+    group.add_reader(channel.reader(), codec.plan, 1, 2)
+    writer = attached.writer()
+    for x in range(5):
+        writer.publish(_record(codec, float(x)))
+    counts = []
+    while group.wait(_TICK, 0):
+        counts.append(len(group.take()[0]))
+    assert counts == [2, 2, 1]
+
+
+def test_timeout_and_wake(pairs: list[_Pair], codec: Codec) -> None:
+    """wait() ends without news at its timeout, or when another thread wakes it."""
+    group = _native.Group()
+    group.add_reader(pairs[0][0].reader(), codec.plan)
+    begin = time.monotonic()
+    assert group.wait(_TICK, _SECOND // 20) == 0
+    assert time.monotonic() - begin >= 0.05
+    thread = threading.Timer(0.05, group.wake)
+    thread.start()
+    assert group.wait(_TICK) == 0
+    thread.join()
+    assert group.wait(0, _SECOND // 100) == 0
+
+
+def test_wait_follows_a_grid(pairs: list[_Pair]) -> None:
+    """Ticks lie on an absolute grid: work between two waits does not add up."""
+    group = _native.Group()
+    tick = 20_000_000
+    begin = time.monotonic_ns()
+    for _ in range(10):
+        group.wait(tick, tick)
+        time.sleep(0.002)
+    assert time.monotonic_ns() - begin >= 9 * tick
+
+
+def test_signal_interrupts_wait() -> None:
+    """A signal's handler runs while wait() sleeps, and its exception comes through."""
+
+    def handler(number: int, frame: object) -> None:
+        raise InterruptedError("handled")
+
+    before = signal.signal(signal.SIGALRM, handler)
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 0.05)
+        with pytest.raises(InterruptedError):
+            _native.Group().wait(10 * _SECOND)
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def test_broken_channel_is_reported_once(pairs: list[_Pair], codec: Codec) -> None:
+    """A retired object is a fault of its channel, once, and holds up no other."""
+    group = _native.Group()
+    first = group.add_reader(pairs[0][0].reader(), codec.plan, 1)
+    second = group.add_reader(pairs[1][0].reader(), codec.plan, 1)
+    for _, attached in pairs[:2]:
+        attached.writer().publish(_record(codec, 1.0))
+    pairs[0][0].region.store(12, 2)
+    messages, faults = group.take()
+    assert [index for index, *_ in messages] == [second]
+    assert len(faults) == 1
+    assert faults[0][0] == first
+    assert isinstance(faults[0][1], ChannelError)
+    assert faults[0][1].code == "SHM111"
+    assert group.take() == ([], [])
+    assert group.wait(_TICK, 0) == 0
+    group.remove(first)
+
+
+def test_scribbled_head_does_not_spin(pairs: list[_Pair], codec: Codec) -> None:
+    """A head that its slot does not confirm is looked at now and then, not at every tick."""
+    channel, attached = pairs[0]
+    group = _native.Group()
+    group.add_reader(channel.reader(), codec.plan, 1)
+    writer = attached.writer()
+    writer.publish(_record(codec, 1.0))
+    assert len(group.take()[0]) == 1
+    channel.region.store(WRITER_LINE["head"], 500)
+    wakes = 0
+    for _ in range(64):
+        if group.wait(_TICK, _TICK):
+            wakes += 1
+            assert group.take() == ([], [])
+    assert 1 <= wakes <= 8
+    writer.publish(_record(codec, 2.0))
+    messages, _ = group.take()
+    assert [sequence for _, _, sequence, *_ in messages] == [2]
+
+
+def test_remove_and_reuse(pairs: list[_Pair], codec: Codec) -> None:
+    """A removed channel is let go of, and its index serves again."""
+    group = _native.Group()
+    index = group.add_reader(pairs[0][0].reader(), codec.plan)
+    group.remove(index)
+    with pytest.raises(IndexError):
+        group.remove(index)
+    pairs[0][1].writer().publish(_record(codec, 1.0))
+    assert group.take() == ([], [])
+    for _ in range(40):
+        group.add_reader(pairs[1][0].reader(), codec.plan)
+    assert group.add_reader(pairs[0][0].reader(), codec.plan) == 40
+    with pytest.raises(IndexError):
+        group.remove(-1)
+
+
+def test_beat(pairs: list[_Pair], codec: Codec) -> None:
+    """One call beats the lines of all readers and writers."""
+    group = _native.Group()
+    channel, attached = pairs[0]
+    group.add_reader(channel.reader(), codec.plan)
+    group.add_writer(attached.writer())
+    before = channel.snapshot()
+    group.beat()
+    after = channel.snapshot()
+    assert after.writer.beat == before.writer.beat + 1
+    assert after.readers[0].beat == before.readers[0].beat + 1
+
+
+def test_closed_channels_are_quiet(pairs: list[_Pair], codec: Codec) -> None:
+    """A channel closed while it is in a group is quiet, and its memory outlives the group's looks."""
+    group = _native.Group()
+    for channel, attached in pairs:
+        group.add_reader(channel.reader(), codec.plan)
+        attached.writer().publish(_record(codec, 1.0))
+        channel.close()
+    assert group.wait(_TICK, 0) == 0
+    assert group.take() == ([], [])
+    group.beat()
+    del group
+    gc.collect()
+
+
+def test_channels_come_and_go_while_another_thread_waits(pairs: list[_Pair], codec: Codec) -> None:
+    """Adding and removing is safe while wait() runs in another thread."""
+    group = _native.Group()
+    stop = threading.Event()
+
+    def wait() -> None:
+        while not stop.is_set():
+            group.wait(100_000, _TICK)
+
+    thread = threading.Thread(target=wait)
+    thread.start()
+    for _ in range(300):
+        indices = [group.add_reader(channel.reader(), codec.plan) for channel, _ in pairs]
+        for index in indices:
+            group.remove(index)
+    stop.set()
+    thread.join()
+
+
+@pytest.mark.parametrize("arguments", [(-1,), (61 * _SECOND,)])
+def test_ticks_that_are_none(arguments: tuple[int, ...]) -> None:
+    """A tick is 0 to 60 s."""
+    with pytest.raises(ValueError):
+        _native.Group().wait(*arguments)
+
+
+@pytest.mark.serial
+def test_idle_costs_little(shm_namespace: Namespace, codec: Codec) -> None:
+    """200 quiet channels at a tick of 1 ms cost less than 3 % of a core."""
+    group = _native.Group()
+    channels = []
+    for index in range(200):
+        channel = open_channel(
+            shm_namespace, Direction.TO_ROS, topic=f"/quiet{index}", record_size=codec.layout.size
+        )
+        group.add_reader(channel.reader(), codec.plan)
+        channels.append(channel)
+    shares = []
+    for _ in range(3):
+        before, begin = resource.getrusage(resource.RUSAGE_SELF), time.monotonic()
+        assert group.wait(_TICK, 2 * _SECOND) == 0
+        after = resource.getrusage(resource.RUSAGE_SELF)
+        spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+        shares.append(spent / (time.monotonic() - begin))
+    for channel in channels:
+        channel.close()
+    assert min(shares) < 0.03
