@@ -80,8 +80,12 @@ def _geometry() -> Iterator[Case]:
             f"slots-offset-{value}", 108, "slots_offset: a multiple of 64 after the text", slots_offset=value
         )
     for value in (0, 128, 511, TOP, TOP - 100):
-        yield _refused(f"description-offset-{value}", 108, "the text begins after the header, and ends before the slots",
-                       description_offset=value)  # fmt: skip
+        yield _refused(
+            f"description-offset-{value}",
+            108,
+            "the text begins after the header, and ends before the slots",
+            description_offset=value,
+        )
     for value in (0, 1, 2**20 + 1, 1 << 31, TOP, TOP - 511):
         yield _refused(
             f"description-size-{value}", 108, "the text has 2 to 2^20 bytes", description_size=value
@@ -95,16 +99,36 @@ def _geometry() -> Iterator[Case]:
     yield _refused(
         "geometry-count-overflow", 108, "65536 × 65536 wraps to 0", slot_count=65536, slot_stride=65536
     )
-    yield _refused("geometry-sum-overflow", 108, "slots_offset + slots wraps to something small",
-                   slots_offset=0xFFFFFC00, slot_count=4, slot_stride=448)  # fmt: skip
-    yield _refused("geometry-description-overflow", 108, "description_offset + description_size wraps",
-                   description_offset=0xFFFFFF00, description_size=0x300)  # fmt: skip
+    yield _refused(
+        "geometry-sum-overflow",
+        108,
+        "slots_offset + slots wraps to something small",
+        slots_offset=0xFFFFFC00,
+        slot_count=4,
+        slot_stride=448,
+    )
+    yield _refused(
+        "geometry-description-overflow",
+        108,
+        "description_offset + description_size wraps",
+        description_offset=0xFFFFFF00,
+        description_size=0x300,
+    )
     yield _refused(
         "geometry-record-overflow", 108, "slot_header_size + record_size wraps to 63", record_size=TOP
     )
-    yield _refused("geometry-everything-is-max", 108, "every size is the largest number",
-                   slot_count=TOP, slot_stride=TOP, record_size=TOP, slots_offset=TOP, object_size=TOP,
-                   description_offset=TOP, description_size=TOP)  # fmt: skip
+    yield _refused(
+        "geometry-everything-is-max",
+        108,
+        "every size is the largest number",
+        slot_count=TOP,
+        slot_stride=TOP,
+        record_size=TOP,
+        slots_offset=TOP,
+        object_size=TOP,
+        description_offset=TOP,
+        description_size=TOP,
+    )
     yield _refused("geometry-slots-over-object", 108, "twice as many slots as the object holds", slot_count=8)
 
 
@@ -136,10 +160,25 @@ def _after_geometry() -> Iterator[Case]:
 
 
 def _order() -> Iterator[Case]:
-    yield _refused("order-magic-first", 104, "everything is wrong: magic is looked at first", magic=1, version=0,
-                   features_required=1, identity_crc=0, state=7, kind=9)  # fmt: skip
-    yield _refused("order-version-before-features", 105, "version before features", version=0x20000,
-                   features_required=1, identity_crc=0)  # fmt: skip
+    yield _refused(
+        "order-magic-first",
+        104,
+        "everything is wrong: magic is looked at first",
+        magic=1,
+        version=0,
+        features_required=1,
+        identity_crc=0,
+        state=7,
+        kind=9,
+    )
+    yield _refused(
+        "order-version-before-features",
+        105,
+        "version before features",
+        version=0x20000,
+        features_required=1,
+        identity_crc=0,
+    )
     yield _refused(
         "order-features-before-crc", 106, "features before the CRC", features_required=1, identity_crc=0
     )
@@ -150,8 +189,13 @@ def _order() -> Iterator[Case]:
         "order-geometry-before-kind", 108, "geometry before kind and state", slot_count=0, kind=9, state=2
     )
     yield _refused("order-kind-before-state", 110, "kind before state", kind=2, state=2)
-    yield _refused("order-state-before-layout", 111, "state before layout", state=2,
-                   expect={"layout_id": "0000000000000000"})  # fmt: skip
+    yield _refused(
+        "order-state-before-layout",
+        111,
+        "state before layout",
+        state=2,
+        expect={"layout_id": "0000000000000000"},
+    )
     name, about, image, members = _refused("order-size-before-kind", 109, "size before kind", kind=2)
     yield name, about, image, {**members, "size": len(image.data) - 1}
 

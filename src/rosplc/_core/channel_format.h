@@ -36,6 +36,7 @@
 #define CH_MAX_DESCRIPTION (1u << 20)
 #define CH_MAX_OBJECT 0x7FFFFFFFu
 #define CH_FENCES_RULE 1u /* writer_rule: fences F1 to F4 are in force */
+#define CH_DELAYED_RULE 2u /* writer_rule: section 7.4; such a writer has neither F1 nor a seal */
 #define CH_FLAG_FIRST 1u
 #define CH_FLAG_TRUNCATED 2u
 #define CH_FLAG_SUBSTITUTED 4u

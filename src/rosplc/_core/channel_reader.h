@@ -32,6 +32,7 @@ typedef struct {
     ch_slot_header *slot;
     uint32_t sequence, head, lost;
     uint32_t flags, status, stamp_lo, stamp_hi, stamp_clock, correlation_lo, correlation_hi;
+    uint32_t window; /* the largest distance from head that is accepted: M12, M23 */
     int mode, attempts, discontinuity, at_head;
 } ch_take;
 
@@ -115,15 +116,16 @@ static inline int ch_take_choose(const ch_reader *r, ch_take *t)
         return 0;
     if (t->mode == CH_TAKE_PEEK)
         return 1;
-    if (t->head == r->last)
+    /* M13: a head a little behind `last` was scribbled; its slot holds a message already taken. */
+    if (t->head == r->last || (r->last != 0 && ch_distance(t->head, r->last, n) < n))
         return 0;
     d = ch_distance(r->last, t->head, n);
     if (d >= CH_DISCONTINUITY) {
         t->discontinuity = 1;
     } else if (t->mode == CH_TAKE_NEWEST || t->at_head) {
         t->lost = d - 1;
-    } else if (d > n - 1) {
-        t->lost = d - (n - 1);
+    } else if (d > t->window + 1) {
+        t->lost = d - (t->window + 1);
         t->sequence = ch_advance(r->last, t->lost + 1, n);
     } else {
         t->sequence = ch_next(r->last, n);
@@ -139,10 +141,11 @@ static inline int ch_take_choose(const ch_reader *r, ch_take *t)
 static inline int ch_take_begin(ch_reader *r, ch_take *t)
 {
     while (t->attempts <= CH_MAX_RETRIES) {
-        uint32_t before = t->head;
+        uint32_t before = t->head, sequence;
         int again = t->attempts > 0;
         t->head = ch_load(&r->region->header->writer.head);
-        ch_fence_acquire(); /* F3 */
+        t->window = r->region->geometry.slot_count
+                    - (ch_load(&r->region->header->writer.rule) == CH_DELAYED_RULE ? 3 : 2);
         if (!ch_take_choose(r, t))
             return 0;
         if (again) {
@@ -152,7 +155,9 @@ static inline int ch_take_begin(ch_reader *r, ch_take *t)
         }
         t->attempts++;
         t->slot = ch_slot(r->region, t->sequence);
-        if (ch_load(&t->slot->sequence) == t->sequence
+        sequence = ch_load(&t->slot->sequence);
+        ch_fence_acquire(); /* F3: after both, or a slot sealed during the copy would pass */
+        if (sequence == t->sequence
             && ch_load(&t->slot->length) == r->region->geometry.record_size) {
             t->flags = ch_load(&t->slot->flags);
             t->status = ch_load(&t->slot->status);
@@ -178,7 +183,7 @@ static inline int ch_take_check(const ch_reader *r, const ch_take *t)
     uint32_t n = r->region->geometry.slot_count;
     ch_fence_acquire(); /* F4 */
     head = ch_load(&r->region->header->writer.head);
-    return ch_distance(t->sequence, head, n) <= n - 2 && ch_load(&t->slot->sequence) == t->sequence
+    return ch_distance(t->sequence, head, n) <= t->window && ch_load(&t->slot->sequence) == t->sequence
            && ch_load(&t->slot->length) == r->region->geometry.record_size;
 }
 
