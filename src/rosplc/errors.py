@@ -185,6 +185,7 @@ _register("SHM122", "this side maps the object read-only", "Attach with write ac
 _register("SHM123", "shared memory directory cannot be used", "Check that /dev/shm is mounted and writable for this user.")
 _register("SHM124", "function block was called by two tasks at once", "An instance belongs to one task; declare one instance per task.")
 _register("SHM125", "peer is silent", "Start the other side, or look why it stopped; it is found again by itself.")
+_register("SHM126", "handshake took too long", "Look why the other side did not report the job as done.")
 
 _register("CFG001", "file cannot be read", "Check the path and the permissions.")
 _register("CFG002", "not valid YAML", "Correct the named line; indentation and colons are the usual causes.")

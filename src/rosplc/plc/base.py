@@ -8,12 +8,13 @@ after ``//``) and fails on anything else, so that nothing is lost silently.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from importlib.resources import files
 from typing import Literal, cast
 
 from rosplc.plc.project import Dut, Gvl, Method, Pou, PouKind, VarBlock, VarBlockKind, Variable
 
-__all__ = ["base_objects", "parse_object"]
+__all__ = ["base_objects", "parse_object", "read_objects"]
 
 _ORDER = (
     "RosPlc_WriterLine", "RosPlc_ReaderLine", "RosPlc_Header", "RosPlc_SlotHeader",
@@ -35,10 +36,13 @@ _BLOCK = re.compile(r"(?P<kind>VAR(?:_INPUT|_OUTPUT|_IN_OUT|_TEMP|_GLOBAL)?)(?P<
 
 def base_objects(folder: str) -> tuple[Dut | Gvl | Pou, ...]:
     """Return the hand-written objects, in the order in which they depend on each other."""
-    root = files("rosplc.plc").joinpath("templates/base")
-    return tuple(
-        parse_object(root.joinpath(f"{n}.st").read_text(encoding="ascii"), n, folder) for n in _ORDER
-    )
+    return read_objects("base", _ORDER, folder)
+
+
+def read_objects(templates: str, names: Iterable[str], folder: str) -> tuple[Dut | Gvl | Pou, ...]:
+    """Return the named objects of a folder below ``templates/``, for ``folder`` in the PLC project."""
+    root = files("rosplc.plc").joinpath(f"templates/{templates}")
+    return tuple(parse_object(root.joinpath(f"{n}.st").read_text(encoding="ascii"), n, folder) for n in names)
 
 
 def parse_object(text: str, name: str, folder: str = "") -> Dut | Gvl | Pou:

@@ -152,9 +152,9 @@ def build_project(
     helpers = helper_objects(store, builder, f"{options.folder}/Helpers")
     return PlcProject(
         options.folder,
-        duts=(*(item for item in base if isinstance(item, Dut)), *builder.duts),
+        duts=(*(item for item in (*base, *helpers) if isinstance(item, Dut)), *builder.duts),
         gvls=tuple(gvls),
-        pous=(*(item for item in base if isinstance(item, Pou)), *helpers, *blocks.pous, *programs),
+        pous=(*(item for item in (*base, *helpers) if isinstance(item, Pou)), *blocks.pous, *programs),
         tasks=plc_tasks,
         libraries=("SysShm", "SysMem", "SysTypes2 Interfaces"),
         notes=tuple(_notes(builder, renamings, topics)),
@@ -175,9 +175,9 @@ def build_type_library(
     helpers = helper_objects(store, builder, f"{options.folder}/Helpers")
     return PlcProject(
         options.folder,
-        duts=(*(item for item in base if isinstance(item, Dut)), *builder.duts),
+        duts=(*(item for item in (*base, *helpers) if isinstance(item, Dut)), *builder.duts),
         gvls=(*(item for item in base if isinstance(item, Gvl)), _settings(options), *builder.constants),
-        pous=(*(item for item in base if isinstance(item, Pou)), *helpers, *blocks.pous),
+        pous=(*(item for item in (*base, *helpers) if isinstance(item, Pou)), *blocks.pous),
         libraries=("SysShm", "SysMem", "SysTypes2 Interfaces"),
         notes=tuple(_notes(builder, [], ())),
     )
