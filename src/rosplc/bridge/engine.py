@@ -203,8 +203,8 @@ class Bridge:
                 log.exception("%s: the check failed", topic.plan.topic)
                 topic.fail(now_ns, error)
         if not self._config_changed and self._file_state() != self._file_seen:
-            self._config_changed = True
             log.warning("%s: configuration changed on disk; restart the bridge to apply it", self.config.path)
+            self._config_changed = True
 
     def ask(self, now_ns: int) -> None:
         """Ask the ROS side how each topic stands; this may hang when it does."""

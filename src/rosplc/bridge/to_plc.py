@@ -159,7 +159,7 @@ class ToPlc(Topic):
             if claim and self._lives(at, beat, beat_ms, taken, now_ns):
                 name = b"".join(word.to_bytes(4, "little") for word in words[at + 12 : at + 16])
                 tasks.append(name.split(b"\0")[0].decode("utf-8", "replace"))
-        self._peer_alive = bool(tasks)
+        self.peer_alive = bool(tasks)
         self._tasks = tuple(tasks)
 
     def _tell(self, matched: int) -> None:

@@ -21,6 +21,10 @@ __all__ = ["Pump", "ToRos"]
 
 _IN_ORDER = 1
 _LONGEST_WAIT_NS = 200_000_000
+_LAZY_TICK_NS = 10_000_000
+"""The tick while no PLC writes anything: the wake-ups are what an idle bridge costs."""
+_ALERT_NS = 10_000_000_000
+"""How long after a message the configured tick holds, whether a writer beats or not."""
 
 
 class ToRos(Topic):
@@ -127,7 +131,7 @@ class ToRos(Topic):
     def _observe(self, region: Region, now_ns: int) -> None:
         head, epoch, beat, beat_ms = region.words(WRITER_LINE["head"], 4)
         alive = self._lives(0, beat, beat_ms, head, now_ns)
-        self._peer_alive = bool(epoch) and alive
+        self.peer_alive = bool(epoch) and alive
 
     def _tell(self, matched: int) -> None:
         if (reader := self.reader) is not None:
@@ -172,6 +176,7 @@ class Pump:
         self._index: dict[ToRos, int] = {}
         self._jobs: deque[Callable[[], None]] = deque()
         self._stopping = False
+        self._alert_until_ns = 0
         self._thread = threading.Thread(target=self._run, name="rosplc-to-ros", daemon=True)
         for topic in topics:
             self._add(topic)
@@ -217,16 +222,22 @@ class Pump:
                 time.sleep(0.1)
 
     def _turn(self) -> None:
-        self._group.wait(self._tick_ns, self._patience(time.monotonic_ns()))
+        now = time.monotonic_ns()
+        self._group.wait(self._tick(now), self._patience(now))
         while self._jobs:
             self._jobs.popleft()()
         if self._stopping:
             return
         messages, faults = self._group.take()
         now = time.monotonic_ns()
+        if messages:
+            self._alert_until_ns = now + _ALERT_NS
         self.busy_since_ns = now
         for index, data, _sequence, flags, stamp_ns, stamp_clock in messages:
-            self._by_index[index].on_message(data, flags, stamp_ns, stamp_clock)
+            try:
+                self._by_index[index].on_message(data, flags, stamp_ns, stamp_clock)
+            except Exception:  # what was taken for the other topics must still be sent
+                log.exception("%s: passing on a message failed", self._by_index[index].plan.topic)
         for index, fault in faults:
             topic = self._by_index[index]
             if topic.on_fault(fault, now):
@@ -235,6 +246,11 @@ class Pump:
             if topic.due_ns is not None:
                 topic.flush(time.monotonic_ns())
         self.busy_since_ns = 0
+
+    def _tick(self, now_ns: int) -> int:
+        if now_ns < self._alert_until_ns or any(topic.peer_alive for topic in self._topics):
+            return self._tick_ns
+        return max(self._tick_ns, _LAZY_TICK_NS if self._topics else _LONGEST_WAIT_NS)
 
     def _patience(self, now_ns: int) -> int:
         due = min((topic.due_ns for topic in self._topics if topic.due_ns is not None), default=None)

@@ -76,6 +76,7 @@ class Topic(ABC):
         codec: Wire bytes to record and back.
         channel: The object; None while there is none.
         counters: What was counted since the start.
+        peer_alive: Whether the PLC's side beats, as of the last check.
     """
 
     def __init__(self, plan: TopicPlan, around: Surroundings) -> None:
@@ -89,7 +90,7 @@ class Topic(ABC):
         self._reason: tuple[str, str, int] | None = None  # words, code, when
         self._started_ns = time.monotonic_ns()
         self._alive: dict[int, tuple[int, Liveness]] = {}
-        self._peer_alive = False
+        self.peer_alive = False
         self._tasks: tuple[str, ...] = ()
         self._lost_before = 0
         self._rate = 0.0
@@ -281,7 +282,7 @@ class Topic(ABC):
             rate_hz=self._rate,
             age_ns=None if self.last_ns is None else max(0, now_ns - self.last_ns),
             stale=bool(plan.stale_after_ns) and now_ns - since > plan.stale_after_ns,
-            peer_alive=self._peer_alive,
+            peer_alive=self.peer_alive,
             tasks=self._tasks,
             problem=self.problem,
             reason=reason,

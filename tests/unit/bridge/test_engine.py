@@ -7,10 +7,12 @@ import os
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from rosplc.bridge import Bridge, Level, parse_config, read_config
+from rosplc.bridge.to_ros import ToRos
 from rosplc.errors import BackendError, ChannelError, ConfigError
 from rosplc.ros import LATCHED, Qos
 from rosplc.ros.memory import MemoryBackend, MemoryPublisher, MemorySubscription, open_backend
@@ -402,6 +404,46 @@ def test_one_topics_trouble_is_no_others(cell: Cell, monkeypatch: pytest.MonkeyP
     assert (status.topic("/out0").lost, status.topic("/out1").lost, status.topic("/out2").lost) == (1, 1, 0)
     assert "a mistake in a backend" in status.topic("/out0").reason
     assert "does not keep up" in status.topic("/out1").reason
+
+
+def test_an_unforeseen_error_costs_no_other_message(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Messages that were taken together with one that fails are sent all the same."""
+    bridge = cell.start(f"  /a: {{type: {INT}, to: ros, depth: 64}}\n", more="tick: 200ms")
+    messages = cell.listen("/a", INT)
+    on_message = ToRos.on_message
+    fails = [True]
+
+    def once(self: ToRos, *arguments: Any) -> None:
+        if fails:
+            fails.clear()
+            raise ZeroDivisionError
+        on_message(self, *arguments)
+
+    monkeypatch.setattr(ToRos, "on_message", once)
+    plc = cell.plc("/a")
+    for number in range(5):
+        plc.write({"data": number})
+    wait_for(lambda: len(messages) == 4)
+    assert numbers(messages) == [1, 2, 3, 4]
+    assert bridge.status().topic("/a").published == 4
+
+
+def test_a_quiet_bridge_wakes_seldom_and_becomes_alert(cell: Cell) -> None:
+    """Without a living writer the pump ticks slowly; a message or a beat brings the configured tick back."""
+    bridge = cell.start(BOTH)
+    pump = bridge._pump
+    assert pump is not None
+    assert pump._tick(time.monotonic_ns()) == 10_000_000
+    messages = cell.listen("/out", INT)
+    plc = cell.plc("/out")
+    plc.write({"data": 1})
+    wait_for(lambda: messages)
+    now = time.monotonic_ns()
+    assert pump._tick(now) == 1_000_000
+    bridge._topics[1].peer_alive = False
+    assert pump._tick(now + 10**11) == 10_000_000
+    bridge._topics[1].peer_alive = True
+    assert pump._tick(now + 10**11) == 1_000_000
 
 
 def test_both_sides_know_how_many_stand_behind(cell: Cell) -> None:
