@@ -1,0 +1,91 @@
+"""Write the script that builds the project inside the CODESYS IDE.
+
+The IDE runs IronPython 2.7, so the script is plain ASCII Python 2.7: a hand-written program
+(``templates/import_script.py.txt``) and the project's objects as literals behind it.
+"""
+
+from __future__ import annotations
+
+from importlib.resources import files
+
+from rosplc.plc.project import Dut, Gvl, PlcProject, Pou
+from rosplc.plc.st_text import declaration, method_declaration
+
+__all__ = ["import_script"]
+
+
+def import_script(project: PlcProject) -> str:
+    """Return the script's text; the same project always gives the same text."""
+    program = files("rosplc.plc").joinpath("templates/import_script.py.txt").read_text(encoding="ascii")
+    items: list[Dut | Gvl | Pou] = [*project.duts, *project.gvls, *project.pous]
+    lines = [
+        program,
+        f"FOLDER = {_text(project.name.split('/')[0])}",
+        f"LIBRARIES = [{', '.join(_text(name) for name in project.libraries)}]",
+        "NOTES = [",
+        *(f"    {_text(note)}," for note in project.notes),
+        "]",
+        "TASKS = [",
+    ]
+    for task in project.tasks:
+        lines += [
+            "    {",
+            f"        'name': {_text(task.name)}, 'cyclic': {task.kind == 'cyclic'},",
+            f"        'interval': {_text(_time(task.interval_us))}, 'priority': {_text(str(task.priority))},",
+            f"        'watchdog': {_text(_time(task.watchdog_us) if task.watchdog_us else '')},"
+            f" 'sensitivity': {_text(str(task.watchdog_sensitivity))},",
+            f"        'programs': [{', '.join(_text(name) for name in task.programs)}],",
+            "    },",
+        ]
+    lines += ["]", "OBJECTS = ["]
+    for item in items:
+        lines += _object(item)
+    lines += ["]", "", "main()", ""]
+    return "\n".join(lines)
+
+
+def _object(item: Dut | Gvl | Pou) -> list[str]:
+    kind = "DUT" if isinstance(item, Dut) else "GVL" if isinstance(item, Gvl) else item.kind
+    lines = [
+        "    {",
+        f"        'kind': {_text(kind)}, 'name': {_text(item.name)}, 'folder': {_text(item.folder)},",
+    ]
+    if isinstance(item, Pou):
+        lines.append(
+            f"        'base': {_text(item.extends or '')}, 'returns': {_text(item.return_type or '')},"
+        )
+        lines += _long("        ", "implementation", item.implementation)
+    else:
+        lines.append("        'base': '', 'returns': '', 'implementation': None,")
+    lines += _long("        ", "declaration", declaration(item))
+    lines.append("        'methods': [")
+    for method in item.methods if isinstance(item, Pou) else ():
+        lines.append("            {")
+        lines.append(
+            f"                'name': {_text(method.name)}, 'returns': {_text(method.return_type or '')},"
+        )
+        lines += _long("                ", "declaration", method_declaration(method))
+        lines += _long("                ", "implementation", method.implementation)
+        lines.append("            },")
+    lines += ["        ],", "    },"]
+    return lines
+
+
+def _long(indent: str, key: str, text: str) -> list[str]:
+    """Return ``'key': (…),`` with one literal a line, so that a diff of two scripts can be read."""
+    if not text:
+        return [f"{indent}'{key}': '',"]
+    parts = [f"{indent}    {_text(line)}" for line in text.splitlines(keepends=True)]
+    return [f"{indent}'{key}': (", *parts, f"{indent}),"]
+
+
+def _text(text: str) -> str:
+    """Return a literal that Python 2.7 and 3 read alike; what is not ASCII is escaped."""
+    escaped = ascii(text)
+    return f"u{escaped}" if "\\u" in escaped or "\\x" in escaped or "\\U" in escaped else escaped
+
+
+def _time(microseconds: int) -> str:
+    if microseconds % 1000 == 0:
+        return f"T#{microseconds // 1000}ms"
+    return f"T#{microseconds}us"
