@@ -35,17 +35,41 @@ PyObject *ch_raise_channel(int number, PyObject *path)
     return NULL;
 }
 
-int ch_wait_while_busy(int *busy)
+static void pause_without_gil(void)
 {
-    while (*busy) {
-        struct timespec pause = {0, 50000};
-        Py_BEGIN_ALLOW_THREADS;
-        nanosleep(&pause, NULL);
-        Py_END_ALLOW_THREADS;
-        if (PyErr_CheckSignals())
-            return -1;
+    struct timespec pause = {0, 50000};
+    Py_BEGIN_ALLOW_THREADS;
+    nanosleep(&pause, NULL);
+    Py_END_ALLOW_THREADS;
+}
+
+int ch_gate_wait(ch_gate *gate)
+{
+    int interrupted = 0;
+    gate->waiting++;
+    while (gate->busy && !interrupted) {
+        pause_without_gil();
+        interrupted = PyErr_CheckSignals();
     }
-    return 0;
+    gate->waiting--;
+    return interrupted ? -1 : 0;
+}
+
+PyThreadState *ch_gate_enter(ch_gate *gate, RegionObject *region)
+{
+    ch_region_pin(region);
+    gate->busy = 1;
+    return PyEval_SaveThread();
+}
+
+void ch_gate_leave(ch_gate *gate, RegionObject *region, PyThreadState *state)
+{
+    PyEval_RestoreThread(state);
+    gate->busy = 0;
+    /* Whoever copies in a loop would otherwise be back before a waiting thread has had a look. */
+    for (int i = 0; i < 4 && gate->waiting && !gate->busy; i++)
+        pause_without_gil();
+    ch_region_unpin(region);
 }
 
 int ch_arguments(const char *method, const char *const *names, Py_ssize_t positional, Py_ssize_t required,

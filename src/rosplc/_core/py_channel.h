@@ -21,11 +21,16 @@ typedef struct {
     int pins; /* users without the GIL, and groups: the mapping outlives close() for them */
 } RegionObject;
 
+/* Keeps threads apart while one of them copies without the GIL; all fields belong to the GIL. */
+typedef struct {
+    int busy, waiting;
+} ch_gate;
+
 typedef struct {
     PyObject_HEAD
     RegionObject *owner;
     ch_writer writer;
-    int busy; /* a thread copies without the GIL */
+    ch_gate gate;
     int released;
 } WriterObject;
 
@@ -36,7 +41,7 @@ typedef struct {
     uint8_t *shadow; /* a rejected copy never reaches the caller's buffer (M12) */
     uint8_t *wire;   /* of `wire_size` bytes */
     size_t wire_size;
-    int busy;
+    ch_gate gate;
 } ReaderObject;
 
 extern PyTypeObject *ch_region_type, *ch_writer_type, *ch_reader_type;
@@ -49,8 +54,11 @@ int ch_region_usable(RegionObject *region);
 void ch_region_pin(RegionObject *region);
 void ch_region_unpin(RegionObject *region);
 
-/* Let another thread finish with an object that it uses without the GIL. -1 on a signal's exception. */
-int ch_wait_while_busy(int *busy);
+/* Let another thread finish its copy. -1 on a signal's exception. */
+int ch_gate_wait(ch_gate *gate);
+/* Begin and end a long copy: without the GIL in between. */
+PyThreadState *ch_gate_enter(ch_gate *gate, RegionObject *region);
+void ch_gate_leave(ch_gate *gate, RegionObject *region, PyThreadState *state);
 
 /* Keyword-only and positional arguments of a METH_FASTCALL | METH_KEYWORDS method, by position in
  * `names` (NULL-terminated): out[i] is borrowed or NULL. -1 with TypeError. */

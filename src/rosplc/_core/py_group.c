@@ -37,7 +37,7 @@ typedef struct {
     size_t wire_size;
     int64_t next_tick; /* CLOCK_MONOTONIC, ns; 0 before the first wait */
     int woken;
-    int taking;
+    ch_gate gate; /* closed while take() converts without the GIL */
 } GroupObject;
 
 static int64_t now_ns(void)
@@ -128,7 +128,11 @@ static PyObject *group_add(GroupObject *self, Entry entry)
 /* take() may run without the GIL for a moment; the table must not change under it. */
 static int group_settled(GroupObject *self)
 {
-    return self->taking ? ch_wait_while_busy(&self->taking) : 0;
+    while (self->gate.busy) {
+        if (ch_gate_wait(&self->gate))
+            return -1;
+    }
+    return 0;
 }
 
 static PyObject *group_add_reader(GroupObject *self, PyObject *args)
@@ -293,9 +297,8 @@ static int take_one(GroupObject *self, Py_ssize_t index, PyObject *messages, PyO
     PyThreadState *unlocked = NULL;
     PyObject *message;
     if (entry->plan->record_size >= CH_LONG_COPY) {
-        self->taking = 1;
-        entry->reader->busy = 1;
-        unlocked = PyEval_SaveThread();
+        self->gate.busy = 1;
+        unlocked = ch_gate_enter(&entry->reader->gate, entry->reader->owner);
     }
     while (ch_take_begin(reader, &take)) {
         int result = rp_encode(entry->plan, ch_record(take.slot), self->wire, self->wire_size, &used, &fault);
@@ -306,9 +309,9 @@ static int take_one(GroupObject *self, Py_ssize_t index, PyObject *messages, PyO
         }
     }
     if (unlocked) {
-        PyEval_RestoreThread(unlocked);
-        entry->reader->busy = 0;
-        self->taking = 0;
+        /* The wire bytes and the entry are still ours: the group's gate opens when they are used up. */
+        ch_gate_leave(&entry->reader->gate, entry->reader->owner, unlocked);
+        self->gate.busy = 0;
     }
     if (!accepted) {
         entry->rejected = take.head;
@@ -346,7 +349,7 @@ static int take_channel(GroupObject *self, Py_ssize_t index, PyObject *messages,
     limit = entry->limit;
     Py_INCREF((PyObject *)reader);
     for (uint32_t i = 0; i < limit && taken == 1; i++) {
-        if (reader->busy && ch_wait_while_busy(&reader->busy)) {
+        if (reader->gate.busy && ch_gate_wait(&reader->gate)) {
             taken = -1;
             break;
         }

@@ -65,7 +65,11 @@ static PyObject *reader_claim(ReaderObject *self, PyObject *args, PyObject *kwar
 static int reader_usable(ReaderObject *self)
 {
     int error;
-    if (ch_region_usable(self->owner) || (self->busy && ch_wait_while_busy(&self->busy)))
+    while (self->gate.busy) {
+        if (ch_gate_wait(&self->gate))
+            return -1;
+    }
+    if (ch_region_usable(self->owner))
         return -1;
     error = ch_region_check(&self->owner->region);
     if (error) {
@@ -78,20 +82,13 @@ static int reader_usable(ReaderObject *self)
 
 static PyThreadState *reader_unlock(ReaderObject *self, size_t size)
 {
-    if (size < CH_LONG_COPY)
-        return NULL;
-    self->busy = 1;
-    ch_region_pin(self->owner);
-    return PyEval_SaveThread();
+    return size < CH_LONG_COPY ? NULL : ch_gate_enter(&self->gate, self->owner);
 }
 
 static void reader_lock(ReaderObject *self, PyThreadState *state)
 {
-    if (!state)
-        return;
-    PyEval_RestoreThread(state);
-    ch_region_unpin(self->owner);
-    self->busy = 0;
+    if (state)
+        ch_gate_leave(&self->gate, self->owner, state);
 }
 
 static PyObject *reader_take(ReaderObject *self, PyObject *out, int mode)
@@ -101,8 +98,13 @@ static PyObject *reader_take(ReaderObject *self, PyObject *out, int mode)
     PyThreadState *state;
     Py_buffer view;
     int accepted = 0;
-    if (reader_usable(self) || PyObject_GetBuffer(out, &view, PyBUF_WRITABLE))
+    if (PyObject_GetBuffer(out, &view, PyBUF_WRITABLE))
         return NULL;
+    /* Only now: getting a buffer may run Python code, which may close the region. */
+    if (reader_usable(self)) {
+        PyBuffer_Release(&view);
+        return NULL;
+    }
     if (view.len < (Py_ssize_t)size) {
         PyErr_Format(PyExc_ValueError, "a record of %U has %zu bytes; the buffer has %zd", self->owner->path, size,
                      view.len);
@@ -148,7 +150,8 @@ static PyObject *reader_take_wire(ReaderObject *self, PyObject *plan_object, int
     ch_take take = ch_take_start(mode);
     rp_fault fault = {0, 0, 0, 0};
     PyThreadState *state;
-    PyObject *info;
+    PyObject *info, *result = NULL;
+    uint8_t *wire;
     size_t bound, used = 0;
     int accepted = 0, failed = 0;
     if (!plan || reader_usable(self))
@@ -158,29 +161,34 @@ static PyObject *reader_take_wire(ReaderObject *self, PyObject *plan_object, int
                             (unsigned long)plan->record_size, self->owner->path,
                             (unsigned long)self->owner->region.geometry.record_size);
     bound = rp_encoded_bound(plan);
-    if (self->wire_size < bound) {
-        uint8_t *wire = PyMem_Realloc(self->wire, bound);
-        if (!wire)
-            return PyErr_NoMemory();
-        self->wire = wire;
-        self->wire_size = bound;
+    /* Ours until the bytes object is made: another thread that takes meanwhile gets a buffer of its own. */
+    wire = self->wire_size >= bound ? self->wire : PyMem_Malloc(bound);
+    if (!wire)
+        return PyErr_NoMemory();
+    if (wire == self->wire) {
+        self->wire = NULL;
+        self->wire_size = 0;
     }
     state = reader_unlock(self, plan->record_size);
     while (ch_take_begin(&self->reader, &take)) {
-        int result = rp_encode(plan, ch_record(take.slot), self->wire, bound, &used, &fault);
+        int outcome = rp_encode(plan, ch_record(take.slot), wire, bound, &used, &fault);
         if (ch_take_check(&self->reader, &take)) {
             ch_take_accept(&self->reader, &take);
             accepted = 1;
-            failed = result;
+            failed = outcome;
         }
     }
     reader_lock(self, state);
     if (failed)
-        return rp_raise_fault(&fault);
-    if (!accepted)
-        Py_RETURN_NONE;
-    info = ch_slot_info(&take);
-    return info ? Py_BuildValue("(y#N)", (const char *)self->wire, (Py_ssize_t)used, info) : NULL;
+        rp_raise_fault(&fault);
+    else if (!accepted)
+        result = Py_NewRef(Py_None);
+    else if ((info = ch_slot_info(&take)) != NULL)
+        result = Py_BuildValue("(y#N)", (const char *)wire, (Py_ssize_t)used, info);
+    PyMem_Free(self->wire);
+    self->wire = wire;
+    self->wire_size = bound;
+    return result;
 }
 
 static PyObject *reader_latest_wire(ReaderObject *self, PyObject *plan)
@@ -210,7 +218,7 @@ static PyObject *reader_beat(ReaderObject *self, PyObject *unused)
 static PyObject *reader_release(ReaderObject *self, PyObject *unused)
 {
     (void)unused;
-    if (self->busy && ch_wait_while_busy(&self->busy))
+    if (self->gate.busy && ch_gate_wait(&self->gate))
         return NULL;
     if (!self->owner->closed)
         ch_reader_release(&self->reader);

@@ -48,7 +48,13 @@ static int writer_usable(WriterObject *self)
         PyErr_SetString(PyExc_ValueError, "the writer has been released");
         return -1;
     }
-    return self->busy ? ch_wait_while_busy(&self->busy) : 0;
+    while (self->gate.busy) {
+        if (ch_gate_wait(&self->gate))
+            return -1;
+        if (self->released || self->owner->closed)
+            return writer_usable(self);
+    }
+    return 0;
 }
 
 /* Optional stamp_ns, stamp_clock, flags and correlation, in this order. */
@@ -85,10 +91,13 @@ static PyObject *writer_publish(WriterObject *self, PyObject *const *args, Py_ss
     uint32_t size, sequence = 0;
     int error;
     if (ch_arguments("publish", names, 1, 1, args, count, keywords, values) || writer_meta(values + 1, &meta)
-        || writer_usable(self))
+        || PyObject_GetBuffer(values[0], &view, PyBUF_SIMPLE))
         return NULL;
-    if (PyObject_GetBuffer(values[0], &view, PyBUF_SIMPLE))
+    /* Only now: getting a buffer may run Python code, which may close the region. */
+    if (writer_usable(self)) {
+        PyBuffer_Release(&view);
         return NULL;
+    }
     size = self->owner->region.geometry.record_size;
     if (view.len != (Py_ssize_t)size) {
         PyErr_Format(PyExc_ValueError, "a record of %U has %lu bytes, not %zd", self->owner->path,
@@ -101,14 +110,10 @@ static PyObject *writer_publish(WriterObject *self, PyObject *const *args, Py_ss
         memcpy(ch_record(slot), view.buf, size);
         sequence = ch_writer_commit(&self->writer, slot, &meta);
     } else if (slot) {
-        self->busy = 1;
-        ch_region_pin(self->owner);
-        Py_BEGIN_ALLOW_THREADS;
+        PyThreadState *unlocked = ch_gate_enter(&self->gate, self->owner);
         memcpy(ch_record(slot), view.buf, size);
         sequence = ch_writer_commit(&self->writer, slot, &meta);
-        Py_END_ALLOW_THREADS;
-        ch_region_unpin(self->owner);
-        self->busy = 0;
+        ch_gate_leave(&self->gate, self->owner, unlocked);
     }
     PyBuffer_Release(&view);
     return slot ? PyLong_FromUnsignedLong(sequence) : ch_raise_channel(error, self->owner->path);
@@ -131,7 +136,7 @@ static PyObject *writer_publish_wire(WriterObject *self, PyObject *const *args, 
         || !(plan = rp_plan_from_object(values[0])))
         return NULL;
     truncate = values[2] ? PyObject_IsTrue(values[2]) : 0;
-    if (truncate < 0 || writer_usable(self))
+    if (truncate < 0)
         return NULL;
     size = self->owner->region.geometry.record_size;
     if (plan->record_size != size)
@@ -139,14 +144,15 @@ static PyObject *writer_publish_wire(WriterObject *self, PyObject *const *args, 
                             (unsigned long)plan->record_size, self->owner->path, (unsigned long)size);
     if (PyObject_GetBuffer(values[1], &view, PyBUF_SIMPLE))
         return NULL;
+    if (writer_usable(self)) {
+        PyBuffer_Release(&view);
+        return NULL;
+    }
     slot = ch_writer_begin(&self->writer, &error);
     if (slot) {
         PyThreadState *unlocked = NULL;
-        if (size >= CH_LONG_COPY || view.len >= (Py_ssize_t)CH_LONG_COPY) {
-            self->busy = 1;
-            ch_region_pin(self->owner);
-            unlocked = PyEval_SaveThread();
-        }
+        if (size >= CH_LONG_COPY || view.len >= (Py_ssize_t)CH_LONG_COPY)
+            unlocked = ch_gate_enter(&self->gate, self->owner);
         refused = rp_decode(plan, view.buf, (size_t)view.len, ch_record(slot), truncate, &flags, &fault);
         if (refused) {
             ch_writer_refuse(&self->writer, 0);
@@ -154,11 +160,8 @@ static PyObject *writer_publish_wire(WriterObject *self, PyObject *const *args, 
             meta.flags |= flags;
             sequence = ch_writer_commit(&self->writer, slot, &meta);
         }
-        if (unlocked) {
-            PyEval_RestoreThread(unlocked);
-            ch_region_unpin(self->owner);
-            self->busy = 0;
-        }
+        if (unlocked)
+            ch_gate_leave(&self->gate, self->owner, unlocked);
     }
     PyBuffer_Release(&view);
     if (!slot)
@@ -191,11 +194,13 @@ static PyObject *writer_check(WriterObject *self, PyObject *unused)
 static PyObject *writer_release(WriterObject *self, PyObject *unused)
 {
     (void)unused;
-    if (self->busy && ch_wait_while_busy(&self->busy))
-        return NULL;
-    if (!self->released && !self->owner->closed)
-        ch_writer_release(&self->writer);
-    self->released = 1;
+    if (!self->released) {
+        self->released = 1; /* first: whoever publishes in a loop ends here */
+        if (self->gate.busy && ch_gate_wait(&self->gate))
+            return NULL;
+        if (!self->owner->closed)
+            ch_writer_release(&self->writer);
+    }
     Py_RETURN_NONE;
 }
 
