@@ -12,7 +12,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Generic, TypeVar
 
-from protocol import Config, Reader, Writer, initial, reader_steps, writer_steps
+from protocol import Config, Reader, Writer
+from reading import reader_steps
+from writing import initial, writer_steps
 
 __all__ = ["Result", "explore"]
 
