@@ -133,6 +133,24 @@ def test_a_killed_process_ends_it_with_a_clear_message(victim):
     assert not any(alive(pid) for pid in pids.values())
 
 
+def test_a_killed_bridge_is_survived():
+    """With --kill the bridge dies and comes back: one piece is missing, nothing is torn, both ways go on."""
+    with demo("--duration", "9s", "--kill", "--json") as child:
+        pids = wait_until(lambda: processes(child), "three processes")
+        prefix = prefix_of(pids)
+        out, err = child.communicate(timeout=240)
+    assert child.returncode == 0, out + err
+    result = json.loads(out)
+    assert result["good"] and not result["complete"]
+    assert result["outage"]["to_plc_at"] > result["outage"]["restarted_at"]
+    for topic in result["topics"]:
+        assert topic["torn"] == topic["repeated"] == 0
+        assert topic["gaps"] <= 1 and topic["last_arrived"], topic
+        if topic["to"] == "plc":
+            assert topic["lost"] > 0, "what nobody carried cannot have arrived"
+    assert objects(prefix) == []
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_all_processes(number):
     """Ctrl-C and SIGTERM end the three processes and remove the objects."""

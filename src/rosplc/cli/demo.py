@@ -15,7 +15,7 @@ from rosplc.cli.text import columns, say, warn
 
 if TYPE_CHECKING:
     from rosplc.demo.plan import Plan
-    from rosplc.demo.result import Result
+    from rosplc.demo.result import Outage, Result
 
 __all__ = ["EPILOG", "command"]
 
@@ -27,10 +27,13 @@ rosplc demo --duration 20s  —  run, compare what was sent with what arrived, a
 
 rosplc demo --duration 20s --rate 500 --topics 6 --json
 
+rosplc demo --duration 20s --kill  —  the bridge is killed on the way, and started again
+
 A simulated robot publishes over DDS; the bridge carries its topics into shared memory; a
 virtual PLC steers the robot from its pose. They are three processes of their own, in a DDS
 domain and under a prefix that nobody else uses. The exit status is 0 only if every message
-arrived, whole and once.
+arrived, whole and once. With --kill messages are missing, and it is 0 only if they are one piece
+around the kill, nothing is torn or comes twice, and both directions work again.
 """
 
 _DURATION = re.compile(r"(\d+(?:\.\d+)?)\s*(ms|s|min|h)?")
@@ -50,6 +53,12 @@ def command(
         float, typer.Option(metavar="HZ", help="Messages per second and topic.", min=1.0, max=1000.0)
     ] = 100.0,
     topics: Annotated[int, typer.Option(metavar="N", help="Topics that the robot sends.", min=1, max=32)] = 3,
+    kill: Annotated[
+        bool,
+        typer.Option(
+            "--kill", help="Kill the bridge (SIGKILL) after a third of the time, and start it again."
+        ),
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
     """Show ROS topics reaching a virtual PLC and its commands coming back."""
@@ -59,12 +68,12 @@ def command(
     if seconds is None and not sys.stdout.isatty():
         seconds = _UNATTENDED
     plan = new_plan(rate=rate, topics=topics)
-    result = _run(plan, seconds, live=sys.stdout.isatty() and not as_json)
+    result = _run(plan, seconds, kill=kill, live=sys.stdout.isatty() and not as_json)
     if as_json:
         print_json({"plan": {"rate": rate, "topics": topics, "interval": plan.interval}, **result.to_dict()})
     else:
         _print(result)
-    if not result.complete:
+    if not result.good:
         raise typer.Exit(EXIT_FAILURE)
 
 
@@ -83,7 +92,7 @@ def parse_duration(text: str) -> float:
     return seconds
 
 
-def _run(plan: Plan, seconds: float | None, *, live: bool) -> Result:
+def _run(plan: Plan, seconds: float | None, *, kill: bool, live: bool) -> Result:
     from rosplc.demo.supervisor import Demo
 
     before = signal.signal(signal.SIGTERM, _terminate)
@@ -99,7 +108,7 @@ def _run(plan: Plan, seconds: float | None, *, live: bool) -> Result:
             elif sys.stderr.isatty():
                 warn("Starting robot, bridge and virtual PLC …")
             demo = stack.enter_context(Demo(plan, on_tick=draw))
-            return demo.run(seconds)
+            return demo.run(seconds, kill=kill)
     finally:
         signal.signal(signal.SIGTERM, before)
 
@@ -132,7 +141,21 @@ def _print(result: Result) -> None:
         f"mean {cycle['cycle_mean_us'] / 1000:.2f} ms, longest {cycle['cycle_max_us'] / 1000:.2f} ms; "
         f"the robot went {result.metres:.2f} m on its commands"
     )
-    say(f"{'OK' if result.complete else 'INCOMPLETE'}: {result.summary()}")
+    if result.outage is not None:
+        say(_in_words(result.outage))
+    word = "INCOMPLETE" if not result.good else "OK" if result.outage is None else "RECOVERED"
+    say(f"{word}: {result.summary()}")
+
+
+def _in_words(outage: Outage) -> str:
+    def after(moment: float | None) -> str:
+        return "never" if moment is None else f"{moment - outage.restarted_at:.1f} s"
+
+    return (
+        f"The bridge was killed at {outage.killed_at:.1f} s and started again at "
+        f"{outage.restarted_at:.1f} s; after that the PLC had messages again after {after(outage.to_plc_at)}, "
+        f"the robot after {after(outage.to_ros_at)}. The PLC ran on."
+    )
 
 
 def _age(result: Result, topic: str) -> str:

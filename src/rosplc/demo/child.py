@@ -88,6 +88,11 @@ class Child:
             else "Run the demo again; if it persists, the message above says which part fails.",
         )
 
+    def kill(self) -> None:
+        """End it as a crash would (SIGKILL), and wait until it is gone."""
+        os.killpg(self._process.pid, signal.SIGKILL)
+        self._process.wait()
+
     def finish(self, seconds: float = 5.0) -> None:
         """Tell it to stop and wait; kill it if it does not within ``seconds``."""
         self.order("stop")

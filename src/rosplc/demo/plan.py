@@ -69,7 +69,6 @@ class Plan:
             "to": "ros",
             "every": True,
             "depth": self.slots,
-            "latched": False,
         }
         return {
             "bridge": "demo",

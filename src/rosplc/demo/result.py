@@ -7,7 +7,7 @@ from typing import Any
 
 from rosplc.demo.messages import COMMAND
 
-__all__ = ["Flow", "Result", "collect"]
+__all__ = ["Flow", "Outage", "Result", "collect"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,6 +23,8 @@ class Flow:
         torn: Messages whose contents do not agree with their seal.
         repeated: Messages that came twice or out of order.
         counted_lost: What the channel's own counter says about losses; None where none applies.
+        gaps: How often numbers were left out.
+        last_arrived: Whether the last message that was sent is among those received.
     """
 
     topic: str
@@ -33,11 +35,35 @@ class Flow:
     torn: int
     repeated: int
     counted_lost: int | None = None
+    gaps: int = 0
+    last_arrived: bool = True
 
     @property
     def complete(self) -> bool:
         """Whether everything that was sent arrived, whole and once."""
         return self.sent > 0 and self.lost == self.torn == self.repeated == 0 and not self.counted_lost
+
+    @property
+    def recovered(self) -> bool:
+        """Whether all that is missing is one piece, with nothing torn, repeated or missing after it."""
+        return self.received > 0 and self.torn == self.repeated == 0 and self.gaps <= 1 and self.last_arrived
+
+
+@dataclass(frozen=True, slots=True)
+class Outage:
+    """The bridge was killed (SIGKILL) and started again; times in seconds since the first message.
+
+    Attributes:
+        killed_at: When it was killed.
+        restarted_at: When it was started again.
+        to_plc_at: When the first message after that was with the PLC; None if none was.
+        to_ros_at: When the first command after that was with the robot; None if none was.
+    """
+
+    killed_at: float
+    restarted_at: float
+    to_plc_at: float | None = None
+    to_ros_at: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +77,8 @@ class Result:
             milliseconds, at the moment the PLC program had it in hand.
         cycle: The PLC task's statistics.
         metres: How far the robot went on the PLC's commands.
-        drained: Whether the drain phase ended because everything had arrived.
+        drained: Whether the drain phase ended because the last messages had arrived.
+        outage: What happened with ``--kill``.
     """
 
     seconds: float
@@ -60,11 +87,20 @@ class Result:
     cycle: dict[str, float]
     metres: float
     drained: bool
+    outage: Outage | None = None
 
     @property
     def complete(self) -> bool:
         """Whether every topic is complete."""
         return all(flow.complete for flow in self.flows)
+
+    @property
+    def good(self) -> bool:
+        """Whether the run shows what it should: complete, or recovered after ``--kill``."""
+        if self.outage is None:
+            return self.complete
+        back = self.outage.to_plc_at is not None and self.outage.to_ros_at is not None
+        return back and all(flow.recovered for flow in self.flows)
 
     def total(self, to: str, what: str) -> int:
         """Return the sum of one of the counters over a direction's topics."""
@@ -87,10 +123,15 @@ class Result:
         """Return the result as plain data."""
         ages = {topic or "all": values for topic, values in self.ages.items()}
         return {
+            "good": self.good,
             "complete": self.complete,
+            "outage": None if self.outage is None else asdict(self.outage),
             "drained": self.drained,
             "seconds": self.seconds,
-            "topics": [{**asdict(flow), "complete": flow.complete} for flow in self.flows],
+            "topics": [
+                {**asdict(flow), "complete": flow.complete, "rate_hz": flow.received / self.seconds}
+                for flow in self.flows
+            ],
             "to_plc": {
                 what: self.total("plc", what) for what in ("sent", "received", "lost", "torn", "repeated")
             },
@@ -103,7 +144,9 @@ class Result:
         }
 
 
-def collect(robot: dict[str, Any], plc: dict[str, Any], seconds: float, *, drained: bool) -> Result:
+def collect(
+    robot: dict[str, Any], plc: dict[str, Any], seconds: float, *, drained: bool, outage: Outage | None = None
+) -> Result:
     """Compare what the two ends report.
 
     Args:
@@ -111,6 +154,7 @@ def collect(robot: dict[str, Any], plc: dict[str, Any], seconds: float, *, drain
         plc: The PLC's last report.
         seconds: How long messages were sent.
         drained: Whether everything had arrived when the drain phase ended.
+        outage: What happened to the bridge meanwhile.
     """
     counters = plc.get("counters", {})
     flows = [
@@ -119,9 +163,22 @@ def collect(robot: dict[str, Any], plc: dict[str, Any], seconds: float, *, drain
     ]
     command = COMMAND[0]
     flows.append(_flow(command, "ros", plc["sent"][command], robot["received"][command], None))
-    return Result(seconds, tuple(flows), plc.get("ages", {}), plc.get("cycle", {}), robot["metres"], drained)
+    return Result(
+        seconds, tuple(flows), plc.get("ages", {}), plc.get("cycle", {}), robot["metres"], drained, outage
+    )
 
 
 def _flow(topic: str, to: str, sent: int, tally: dict[str, int], counted: int | None) -> Flow:
     received = tally["received"]
-    return Flow(topic, to, sent, received, sent - received, tally["torn"], tally["repeated"], counted)
+    return Flow(
+        topic,
+        to,
+        sent,
+        received,
+        sent - received,
+        tally["torn"],
+        tally["repeated"],
+        counted,
+        tally["gaps"],
+        tally["newest"] == sent,
+    )

@@ -5,6 +5,7 @@ It is an ordinary ROS 2 participant; nothing here knows of PLCs or shared memory
 
 from __future__ import annotations
 
+import random
 import sys
 import threading
 import time
@@ -23,7 +24,11 @@ from rosplc.ros import Qos, open_backend
 __all__ = ["main"]
 
 _STATUS_SECONDS = 0.1
-_QOS = Qos(reliability="reliable", durability="volatile", depth=1000)
+_SENDS = Qos(reliability="reliable", durability="volatile", depth=1000)
+# The bridge latches what it sends, so a bridge that was restarted still hands over the commands
+# that the PLC gave meanwhile.
+_OBEYS = Qos(reliability="reliable", durability="transient_local", depth=1000)
+_DITHER = 0.1
 
 
 class Robot:
@@ -46,9 +51,9 @@ class Robot:
         self._command_codec = Codec(self._command_layout, Wire.CDR)
         self._backend = open_backend("dds", store, "turtle", domain=plan.domain)
         self._publishers = {
-            name: self._backend.advertise(name, kind.type_name, _QOS) for name, kind in self._topics.items()
+            name: self._backend.advertise(name, kind.type_name, _SENDS) for name, kind in self._topics.items()
         }
-        self._subscription = self._backend.subscribe(topic, type_name, _QOS, self._on_command)
+        self._subscription = self._backend.subscribe(topic, type_name, _OBEYS, self._on_command)
 
     def _on_command(self, payload: bytes, stamp_ns: int) -> None:
         message = self._command_layout.view(self._command_codec.decode(payload))
@@ -116,7 +121,10 @@ def _drive(robot: Robot, plan: Plan, orders: Orders) -> None:
     while not orders.stop.is_set():
         if orders.go.is_set() and not orders.drain.is_set():
             robot.tick(period / SECOND_NS)
-            due = max(due + period, time.monotonic_ns() - SECOND_NS // 10)
+            # Two clocks of one machine would keep one phase for a whole run, and the age at the PLC
+            # would depend on the moment of the start. A robot's own clock wanders against the PLC's.
+            step = period * random.uniform(1 - _DITHER, 1 + _DITHER)
+            due = max(due + round(step), time.monotonic_ns() - SECOND_NS // 10)
         else:
             due = time.monotonic_ns() + 10_000_000
         if time.monotonic() - reported >= _STATUS_SECONDS:

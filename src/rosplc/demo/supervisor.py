@@ -8,6 +8,7 @@ import secrets
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +16,14 @@ from rosplc.demo.child import Child
 from rosplc.demo.cleanup import remove_objects
 from rosplc.demo.domain import free_domain
 from rosplc.demo.plan import Plan
-from rosplc.demo.result import Result, collect
+from rosplc.demo.result import Outage, Result, collect
 from rosplc.errors import SetupError
 
 __all__ = ["Demo", "new_plan"]
 
 _POLL = 0.05
+_KILL_AFTER = 5.0
+_DOWN_SECONDS = 0.5
 
 
 def new_plan(*, rate: float, topics: int) -> Plan:
@@ -47,8 +50,11 @@ class Demo:
         self.plan = plan
         self.phase = "starting"
         self.children: list[Child] = []
+        self.outage: Outage | None = None
         self._on_tick = on_tick or (lambda _: None)
         self._startup = startup
+        self._before = (0, 0)
+        self._start_bridge: Callable[[], Child]
         self._folder = tempfile.TemporaryDirectory(prefix="rosplc-demo-")
 
     @property
@@ -61,8 +67,12 @@ class Demo:
         """The PLC's last report."""
         return self.children[2].status
 
-    def run(self, duration: float | None) -> Result:
+    def run(self, duration: float | None, *, kill: bool = False) -> Result:
         """Run for ``duration`` seconds (None: until KeyboardInterrupt), drain, and compare.
+
+        Args:
+            duration: Seconds for which messages are sent.
+            kill: Kill the bridge on the way, and start it again.
 
         Raises:
             SetupError: SYS002 if a process failed, SYS004 if they did not find each other.
@@ -72,9 +82,14 @@ class Demo:
         self.phase = "running"
         began = time.monotonic()
         self._order("go")
+        kill_at = None if not kill else _KILL_AFTER if duration is None else duration / 3
         try:
             while duration is None or time.monotonic() - began < duration:
                 self._tick()
+                if kill_at is not None and time.monotonic() - began >= kill_at:
+                    kill_at = None
+                    self._kill_bridge(began)
+                self._note_recovery(began)
         except KeyboardInterrupt:
             if duration is not None:
                 raise
@@ -83,7 +98,7 @@ class Demo:
         drained = self._drain()
         self.phase = "finished"
         robot, plc = self._final()
-        return collect(robot, plc, seconds, drained=drained)
+        return collect(robot, plc, seconds, drained=drained, outage=self.outage)
 
     def _start(self) -> None:
         configuration = Path(self._folder.name) / "rosplc.yaml"
@@ -102,10 +117,38 @@ class Demo:
         )
         plan = self.plan.to_json()
         self.children.append(Child("robot", "rosplc.demo.robot", [plan], environment))
-        self.children.append(
-            Child("bridge", "rosplc.demo.bridge", [str(configuration), self.plan.prefix], environment)
+        self._start_bridge = lambda: Child(
+            "bridge", "rosplc.demo.bridge", [str(configuration), self.plan.prefix], environment
         )
+        self.children.append(self._start_bridge())
         self.children.append(Child("PLC", "rosplc.demo.plc", [plan], environment))
+
+    def _kill_bridge(self, began: float) -> None:
+        bridge = self.children[1]
+        bridge.kill()
+        killed_at = time.monotonic() - began
+        self.phase = "the bridge was killed"
+        end = time.monotonic() + _DOWN_SECONDS
+        while time.monotonic() < end:
+            self._on_tick(self)
+            time.sleep(_POLL)
+        bridge.close()
+        self._before = (_total(self.plc), _total(self.robot))
+        self.outage = Outage(killed_at, time.monotonic() - began)
+        self.children[1] = self._start_bridge()
+        self.phase = "the bridge starts again"
+
+    def _note_recovery(self, began: float) -> None:
+        outage, now = self.outage, time.monotonic() - began
+        if outage is None:
+            return
+        if outage.to_plc_at is None and _total(self.plc) > self._before[0]:
+            outage = replace(outage, to_plc_at=now)
+        if outage.to_ros_at is None and _total(self.robot) > self._before[1]:
+            outage = replace(outage, to_ros_at=now)
+        if outage.to_plc_at is not None and outage.to_ros_at is not None:
+            self.phase = "running again"
+        self.outage = outage
 
     def _wait_until_ready(self) -> None:
         deadline = time.monotonic() + self._startup
@@ -127,18 +170,18 @@ class Demo:
         """Stop both senders, the robot first, and wait until nothing is under way any more."""
         robot, plc = self.children[0], self.children[2]
         robot.order("drain")
-        self._settle(lambda: self.robot.get("drained"), lambda: _received(self.plc) == self.robot["sent"])
+        self._settle(lambda: self.robot.get("drained"), lambda: _newest(self.plc) == self.robot["sent"])
         plc.order("drain")
         return (
-            self._settle(lambda: self.plc.get("drained"), lambda: _received(self.robot) == self.plc["sent"])
-            and _received(self.plc) == self.robot["sent"]
+            self._settle(lambda: self.plc.get("drained"), lambda: _newest(self.robot) == self.plc["sent"])
+            and _newest(self.plc) == self.robot["sent"]
         )
 
     def _settle(self, stopped: Callable[[], Any], arrived: Callable[[], bool], quiet: float = 3.0) -> bool:
         last, since = None, time.monotonic()
         while not (stopped() and arrived()):
             self._tick()
-            now = (_received(self.plc), _received(self.robot), stopped())
+            now = (_newest(self.plc), _newest(self.robot), stopped())
             if now != last:
                 last, since = now, time.monotonic()
             if time.monotonic() - since > quiet:
@@ -179,5 +222,10 @@ class Demo:
         self.close()
 
 
-def _received(status: dict[str, Any]) -> dict[str, int]:
-    return {topic: tally["received"] for topic, tally in status.get("received", {}).items()}
+def _newest(status: dict[str, Any]) -> dict[str, int]:
+    # A receiver that has the newest number has everything that will ever come: order is kept.
+    return {topic: tally["newest"] for topic, tally in status.get("received", {}).items()}
+
+
+def _total(status: dict[str, Any]) -> int:
+    return sum(_newest(status).values())

@@ -14,6 +14,7 @@ class Tally:
     Attributes:
         received: Whole messages with a number that had not been seen.
         missing: Numbers left out so far.
+        gaps: How often numbers were left out.
         torn: Messages whose contents do not agree with their seal.
         repeated: Messages with a number at or below the newest one.
         newest: The highest number received.
@@ -21,6 +22,7 @@ class Tally:
 
     received: int = 0
     missing: int = 0
+    gaps: int = 0
     torn: int = 0
     repeated: int = 0
     newest: int = 0
@@ -33,6 +35,7 @@ class Tally:
             self.repeated += 1
         else:
             self.missing += number - self.newest - 1
+            self.gaps += number > self.newest + 1
             self.newest = number
             self.received += 1
 

@@ -71,12 +71,22 @@ class LiveView:
             age = plc.get("age", {}).get(topic)
             shown = "" if age is None else f"{age:.2f} ms"
             table.add_row(
-                *self._row(topic, kind.type_name, "→ PLC", robot["sent"].get(topic, 0), tally), shown
+                *self._row(
+                    topic, kind.type_name.rpartition("/")[2], "→ PLC", robot["sent"].get(topic, 0), tally
+                ),
+                shown,
             )
         command, type_name = COMMAND
         sent = plc.get("sent", {}).get(command, 0)
         table.add_row(
-            *self._row(command, type_name, "→ ROS", sent, robot.get("received", {}).get(command, {})), ""
+            *self._row(
+                command,
+                type_name.rpartition("/")[2],
+                "→ ROS",
+                sent,
+                robot.get("received", {}).get(command, {}),
+            ),
+            "",
         )
         cycle = plc.get("cycle", {})
         task = (

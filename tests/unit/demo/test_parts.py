@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import signal
+from dataclasses import replace
 
 import pytest
 
@@ -14,7 +15,7 @@ from rosplc.demo.cleanup import remove_objects
 from rosplc.demo.domain import free_domain
 from rosplc.demo.messages import COMMAND, KINDS, command, open_command, robot_topics
 from rosplc.demo.plan import Plan
-from rosplc.demo.result import collect
+from rosplc.demo.result import Outage, collect
 from rosplc.demo.tally import Tally
 from rosplc.demo.turtle import Turtle, steer
 from rosplc.errors import SetupError
@@ -70,22 +71,60 @@ def test_a_tally_counts_each_fault_apart():
     tally = Tally()
     for number, whole in ((1, True), (2, True), (5, True), (5, True), (0, False), (6, True)):
         tally.add(number, whole=whole)
-    assert tally.to_dict() == {"received": 4, "missing": 2, "torn": 1, "repeated": 1, "newest": 6}
+    assert tally.to_dict() == {"received": 4, "missing": 2, "gaps": 1, "torn": 1, "repeated": 1, "newest": 6}
 
 
-def run_of(sent=10, received=10, torn=0, repeated=0, commands=5, arrived=5, counted=0):
-    tally = {"received": received, "missing": 0, "torn": torn, "repeated": repeated, "newest": sent}
+def run_of(
+    sent=10,
+    received=10,
+    torn=0,
+    repeated=0,
+    commands=5,
+    arrived=5,
+    counted=0,
+    gaps=0,
+    newest=None,
+    outage=None,
+):
+    tally = {"received": received, "missing": 0, "gaps": gaps, "torn": torn, "repeated": repeated}
+    newest = sent if newest is None else newest
     robot = {
         "sent": {"/turtle/pose": sent},
-        "received": {COMMAND[0]: {**tally, "received": arrived, "torn": 0, "repeated": 0}},
+        "received": {COMMAND[0]: {**tally, "received": arrived, "torn": 0, "repeated": 0, "newest": arrived}},
         "metres": 1.0,
     }
     plc = {
         "sent": {COMMAND[0]: commands},
-        "received": {"/turtle/pose": tally},
+        "received": {"/turtle/pose": {**tally, "newest": newest}},
         "counters": {"/turtle/pose": {"lost": counted}},
     }
-    return collect(robot, plc, 1.0, drained=True)
+    return collect(robot, plc, 1.0, drained=True, outage=outage)
+
+
+BACK = Outage(killed_at=1.0, restarted_at=2.0, to_plc_at=3.0, to_ros_at=3.0)
+
+
+def test_after_a_kill_one_piece_may_be_missing():
+    """With --kill a run is good if what is missing is one piece and both directions came back."""
+    assert run_of(received=7, gaps=1, outage=BACK).good
+    assert not run_of(received=7, gaps=1, outage=BACK).complete
+    assert not run_of(received=7, gaps=1).good, "without --kill nothing may be missing"
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        {"gaps": 2, "received": 7},
+        {"torn": 1},
+        {"repeated": 1},
+        {"newest": 9, "received": 9},
+        {"outage": replace(BACK, to_ros_at=None)},
+        {"outage": replace(BACK, to_plc_at=None)},
+    ],
+)
+def test_after_a_kill_anything_else_is_a_fault(fault):
+    """Two gaps, torn or repeated messages, a lost tail or a direction that stays silent are not recovery."""
+    assert not run_of(**{"outage": BACK, **fault}).good
 
 
 def test_a_run_without_a_fault_is_complete():
