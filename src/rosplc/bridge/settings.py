@@ -20,8 +20,10 @@ from pydantic import (
     model_validator,
 )
 
+from rosplc.bridge.problems import did_you_mean
 from rosplc.bridge.quantities import Duration, FileMode, Interval, StaleAfter, between
 from rosplc.model import DISTROS
+from rosplc.ros import BACKENDS
 
 __all__ = [
     "DiagnosticsSettings",
@@ -61,6 +63,13 @@ def _known_distro(name: str) -> str:
     return name
 
 
+def _known_backend(name: str) -> str:
+    known = ("auto", *BACKENDS)
+    if name not in known:
+        raise ValueError(f"{name!r} is no backend{did_you_mean(name, known)}")
+    return name
+
+
 def _schema(expression: str) -> WithJsonSchema:
     return WithJsonSchema({"type": "string", "pattern": f"^({expression})$"})
 
@@ -78,6 +87,9 @@ NamespaceName = Annotated[str, _pattern(_NAMESPACE, "/ or a name such as /robot1
 TaskName = Annotated[str, _pattern(_TASK, "letters, digits and _, not a digit first"), _schema(_TASK)]
 TypeName = Annotated[
     str, _pattern(_TYPE, "package/msg/Name, such as geometry_msgs/msg/Twist"), _schema(_TYPE)
+]
+BackendName = Annotated[
+    str, AfterValidator(_known_backend), WithJsonSchema({"type": "string", "enum": ["auto", *BACKENDS]})
 ]
 Distro = Annotated[
     str, AfterValidator(_known_distro), WithJsonSchema({"type": "string", "enum": list(DISTROS)})
@@ -97,7 +109,7 @@ def _f(default: Any, description: str, *, alias: str | None = None, **constraint
 class RosSettings(_Section):
     """The ROS side."""
 
-    backend: Literal["auto", "dds", "memory"] = _f(
+    backend: BackendName = _f(
         "auto",
         "How to reach ROS. `auto` takes the first that is installed and says which in the log; "
         "`memory` stays inside the process and is for tests.",
