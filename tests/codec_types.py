@@ -20,6 +20,7 @@ HARD_TYPES: dict[str, str] = {
     "hard_msgs/msg/HeavyNothings": "HeavyNothing[] items\n",
     "hard_msgs/msg/Pairs": "Pair[] pairs\nPair[3] three\nuint8 end\n",
     "hard_msgs/msg/ShiftedMany": "uint8 start\nShifted[] sequence\nShifted[2] array\nShifted[2] second\n",
+    "hard_msgs/msg/ShiftedFirst": "Shifted[] sequence\nShifted[2] array\n",
     "hard_msgs/msg/Switches": "Switch[] many\nSwitch one\nbool[5] five\nbool[] loose\nuint64 end\n",
     "hard_msgs/msg/Wide": "uint8 a\nuint64 b\nuint8 c\nuint32 d\nuint16 e\nfloat64 f\nint8 g\n",
     "hard_msgs/msg/Texts": "string[3] three\nstring[] many\nint64 end\n",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import array
 import random
 import threading
+import time
 
 import pytest
 
@@ -116,22 +117,27 @@ def test_large_messages_go_through_without_the_interpreters_lock() -> None:
     assert not any(thread.is_alive() for thread in threads)
 
 
-def test_a_record_that_changes_meanwhile_is_encoded_soundly() -> None:
+@pytest.mark.parametrize(
+    ("name", "string", "sequence"), [("hard_msgs/Tree", 2000, 12), ("hard_msgs/Texts", 65534, 4)]
+)
+def test_a_record_that_changes_meanwhile_is_encoded_soundly(name: str, string: int, sequence: int) -> None:
     """While another thread scribbles over the record, every message still decodes."""
-    tested = codec("hard_msgs/Tree", string=2000, sequence=12)
+    tested = codec(name, string=string, sequence=sequence)
     record = bytearray(tested.layout.size)
     assert len(record) >= 256 * 1024  # so that the lock is given away
+    patterns = [byte * len(record) for byte in (b"a", b"\0", b"\xff", b"\0", b"\2")]
     stop = threading.Event()
 
     def scribble() -> None:
-        rng = random.Random(5)
         while not stop.is_set():
-            record[:] = rng.choice((b"\x02", b"a", b"\0", b"\xff")) * len(record)
+            for pattern in patterns:
+                record[:] = pattern
 
     thread = threading.Thread(target=scribble)
     thread.start()
     try:
-        for _ in range(60):
+        end = time.monotonic() + 1
+        while time.monotonic() < end:
             tested.decode(tested.encode(record))
     finally:
         stop.set()
@@ -196,6 +202,8 @@ def test_the_encoded_bound_is_tight_enough() -> None:
         (24, 0x01010301, "alignment"),
         (28, 0xFFFFFFFF, "leaves its element"),
         (32, 0xFFFFFFFF, "leaves its element"),
+        (80, 80, "STRING leaves its element"),  # a capacity of 80 without room for the NUL
+        (112, 0, "no element size"),
     ],
 )
 def test_a_damaged_plan_is_refused(at: int, value: int, reason: str) -> None:
