@@ -20,6 +20,7 @@ __all__ = [
     "CodeInfo",
     "CodecError",
     "ConfigError",
+    "GenerationError",
     "LayoutError",
     "MessageTypeError",
     "RosplcError",
@@ -128,6 +129,12 @@ class BackendError(RosplcError):
     family = "ROS"
 
 
+class GenerationError(RosplcError):
+    """PLC code cannot be generated, or not without destroying something."""
+
+    family = "PLC"
+
+
 class SetupError(RosplcError):
     """The machine lacks something: a package, a right, room in ``/dev/shm``."""
 
@@ -208,6 +215,10 @@ _register("ROS007", "QoS settings are not valid", "See the message for what woul
 _register("ROS008", "payload is not a message of the topic's type", "Send serialized bytes of the advertised type, with their 4-byte header.")
 _register("ROS009", "backend or endpoint is closed", "Open it again; a closed one is of no further use.")
 _register("ROS010", "setting of the ROS environment is not valid", "Correct the named environment variable.")
+
+_register("PLC001", "a generated file was edited", "Move your changes elsewhere and remove the file, or run again with --force.")
+_register("PLC002", "output folder cannot be written", "Check the path and the permissions.")
+_register("PLC003", "too many tasks", "The PLC's blocks serve at most 16 tasks; put topics of like urgency into one.")
 
 _register("SYS001", "a program or package is missing", "Install the named Debian package.")
 _register("SYS002", "a child process failed", "See its output above.")

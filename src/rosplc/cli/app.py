@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from rosplc._version import __version__
-from rosplc.cli import check, demo, run, show, types
+from rosplc.cli import check, demo, generate, run, show, types
 
 __all__ = ["app"]
 
@@ -18,6 +18,8 @@ rosplc demo  —  see it work, without a robot and without a PLC
 rosplc types geometry_msgs/Twist  —  how a ROS type looks in the PLC
 
 rosplc check rosplc.yaml  —  what a configuration means, in plain words
+
+rosplc generate rosplc.yaml  —  the PLC half, for CODESYS
 
 rosplc run rosplc.yaml  —  carry the topics of a configuration
 
@@ -38,6 +40,7 @@ for _name, _verb in (
     ("check", check),
     ("show", show),
     ("types", types),
+    ("generate", generate),
     ("demo", demo),
 ):
     app.command(_name, epilog=_verb.EPILOG)(_verb.command)

@@ -62,12 +62,14 @@ def command(
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
     """Show ROS topics reaching a virtual PLC and its commands coming back."""
+    from rosplc.demo.domain import FreeDomain
     from rosplc.demo.supervisor import new_plan
 
     seconds = None if duration is None else parse_duration(duration)
     if seconds is None and not sys.stdout.isatty():
         seconds = _UNATTENDED
-    plan = new_plan(rate=rate, topics=topics)
+    domain = FreeDomain()
+    plan = new_plan(domain=domain.number, rate=rate, topics=topics)
     result = _run(plan, seconds, kill=kill, live=sys.stdout.isatty() and not as_json)
     if as_json:
         print_json({"plan": {"rate": rate, "topics": topics, "interval": plan.interval}, **result.to_dict()})
@@ -153,8 +155,8 @@ def _in_words(outage: Outage) -> str:
 
     return (
         f"The bridge was killed at {outage.killed_at:.1f} s and started again at "
-        f"{outage.restarted_at:.1f} s; after that the PLC had messages again after {after(outage.to_plc_at)}, "
-        f"the robot after {after(outage.to_ros_at)}. The PLC ran on."
+        f"{outage.restarted_at:.1f} s; from then the PLC had messages after {after(outage.to_plc_at)}, "
+        f"the robot commands after {after(outage.to_ros_at)}. The PLC ran on."
     )
 
 

@@ -62,6 +62,7 @@ class PlcTask:
     priority: int = 4
     kind: Literal["cyclic", "freewheeling"] = "cyclic"
     watchdog_ns: int = 0
+    watchdog_sensitivity: int = 1
 
 
 @dataclass(frozen=True)
@@ -251,7 +252,8 @@ def _programs(
                     task.interval_ns // 1000 if task.kind == "cyclic" else 0,
                     task.priority,
                     task.watchdog_ns // 1000,
-                    programs=tuple(names),
+                    task.watchdog_sensitivity,
+                    tuple(names),
                 )
             )
     return programs, tuple(plc_tasks)

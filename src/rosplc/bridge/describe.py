@@ -1,0 +1,40 @@
+"""What an object says of itself, from a topic's plan: for the bridge and the PLC generator alike."""
+
+from __future__ import annotations
+
+from rosplc.bridge.resolve import Project, TopicPlan
+from rosplc.shm import Description
+from rosplc.shm.header import Identity
+
+__all__ = ["describe", "object_size"]
+
+
+def describe(plan: TopicPlan, *, distro: str, bridge: str) -> Description:
+    """Return the self-description of a topic's object (spec/shm-format.md, section 6)."""
+    layout = plan.layout
+    return Description(
+        topic=plan.topic,
+        type=plan.type_name,
+        distro=distro,
+        direction=plan.direction,
+        limits=layout.limits.to_dict(),
+        layout_id=layout.layout_id,
+        bridge=bridge,
+        definition=layout.store.definition_text(plan.type_name),
+    )
+
+
+def object_size(project: Project, plan: TopicPlan) -> int:
+    """Return the bytes that the bridge's object for a topic will have."""
+    settings = project.config.settings
+    description = describe(plan, distro=settings.ros.distro, bridge=settings.bridge)
+    identity = Identity.plan(
+        direction=plan.direction,
+        slots=plan.slots,
+        record_size=plan.layout.size,
+        description_size=len(description.to_json()),
+        layout_id=plan.layout.layout_id,
+        generation=1,
+        bridge_id=bytes(16),
+    )
+    return identity.object_size

@@ -1,0 +1,147 @@
+"""Write a project's files, and never overwrite what somebody has edited.
+
+A folder that was generated holds a manifest with the hash of every file as it was written. A
+file that differs from its hash was edited: it is kept, and the generation is refused, until
+it is removed or the writing is forced. Files that are no longer generated are removed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+from rosplc.errors import GenerationError
+from rosplc.layout import Layout
+from rosplc.layout.c_header import c_header
+from rosplc.plc.plcopen import plcopen_xml
+from rosplc.plc.project import Dut, Gvl, PlcProject, Pou
+from rosplc.plc.script import import_script
+from rosplc.plc.st_text import object_text
+
+__all__ = ["MANIFEST", "Delivery", "project_files", "write_files"]
+
+MANIFEST = ".rosplc-manifest.json"
+
+
+@dataclass(frozen=True)
+class Delivery:
+    """What a writing did, as paths relative to the folder.
+
+    Attributes:
+        written: New or changed files.
+        unchanged: Files that were already as they should be.
+        removed: Files of a former generation that are no longer generated.
+    """
+
+    written: tuple[str, ...]
+    unchanged: tuple[str, ...]
+    removed: tuple[str, ...]
+
+
+def project_files(project: PlcProject, layouts: list[Layout], name: str) -> dict[str, bytes]:
+    """Return every file of a project by its path below the output folder.
+
+    Args:
+        project: What to write.
+        layouts: The layouts of the C header.
+        name: The stem of the files' names, ``rosplc``.
+    """
+    items: list[Dut | Gvl | Pou] = [*project.duts, *project.gvls, *project.pous]
+    result = {
+        f"st/{_folder(item.folder, project.name)}{item.name}.st": object_text(item).encode("ascii")
+        for item in items
+    }
+    result[f"{name}.xml"] = plcopen_xml(project)
+    result[f"{name}_import.py"] = import_script(project).encode("ascii")
+    result[f"{name}.h"] = c_header(layouts, f"{name.upper()}_H").encode()
+    if project.notes:
+        result["NOTES.txt"] = ("\n".join(project.notes) + "\n").encode()
+    return result
+
+
+def write_files(folder: Path, files: dict[str, bytes], *, force: bool = False) -> Delivery:
+    """Write files below a folder.
+
+    Args:
+        folder: The output folder; created where it is missing.
+        files: Path below the folder → content.
+        force: Overwrite and remove what was edited, too.
+
+    Raises:
+        GenerationError: PLC001, a file was edited since it was generated, or was there before;
+            PLC002, the folder cannot be written.
+    """
+    try:
+        known = _manifest(folder)
+        edited = [] if force else _edited(folder, files, known)
+        if edited:
+            more = f" and {len(edited) - 5} more" if len(edited) > 5 else ""
+            what = f"edited since it was generated: {', '.join(edited[:5])}{more}"
+            raise GenerationError("PLC001", what, where=str(folder))
+        return _write(folder, files, known)
+    except OSError as error:
+        raise GenerationError("PLC002", f"cannot write: {error}", where=str(folder)) from error
+
+
+def _write(folder: Path, files: dict[str, bytes], known: dict[str, str]) -> Delivery:
+    written, unchanged, removed = [], [], []
+    for path, content in sorted(files.items()):
+        target = folder / path
+        if target.is_file() and target.read_bytes() == content:
+            unchanged.append(path)
+            continue
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_bytes(content)
+        written.append(path)
+    for path in sorted(set(known) - set(files)):
+        target = folder / path
+        if target.is_file():
+            target.unlink()
+            removed.append(path)
+            if not any(target.parent.iterdir()):
+                target.parent.rmdir()
+    hashes = {path: hashlib.sha256(content).hexdigest() for path, content in sorted(files.items())}
+    text = json.dumps(
+        {"comment": "Hashes of generated files; rosplc generate keeps edited ones.", "files": hashes}
+    )
+    manifest = folder / MANIFEST
+    if not manifest.is_file() or manifest.read_text(encoding="utf-8") != text:
+        manifest.write_text(text, encoding="utf-8")
+    return Delivery(tuple(written), tuple(unchanged), tuple(removed))
+
+
+def _manifest(folder: Path) -> dict[str, str]:
+    try:
+        data = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+        files = data["files"]
+    except FileNotFoundError:
+        return {}
+    except (ValueError, KeyError, TypeError):
+        what = f"{MANIFEST} cannot be read, so edited files cannot be told from generated ones"
+        raise GenerationError("PLC001", what, where=str(folder)) from None
+    # Paths come from a file that anybody may have edited: only plain ones below the folder count.
+    return {
+        path: digest
+        for path, digest in files.items()
+        if isinstance(digest, str) and not Path(path).is_absolute() and ".." not in Path(path).parts
+    }
+
+
+def _edited(folder: Path, files: dict[str, bytes], known: dict[str, str]) -> list[str]:
+    """Return files that exist with neither the old generation's nor the new one's content."""
+    result = []
+    for path in sorted({*files, *known}):
+        target = folder / path
+        if not target.is_file():
+            continue
+        content = target.read_bytes()
+        if content != files.get(path) and hashlib.sha256(content).hexdigest() != known.get(path):
+            result.append(path)
+    return result
+
+
+def _folder(path: str, top: str) -> str:
+    below = path.removeprefix(top).strip("/")
+    return f"{below}/" if below else ""
