@@ -14,7 +14,6 @@ from typing import Any
 
 from rosplc.demo.child import Child
 from rosplc.demo.cleanup import remove_objects
-from rosplc.demo.domain import free_domain
 from rosplc.demo.plan import Plan
 from rosplc.demo.result import Outage, Result, collect
 from rosplc.errors import SetupError
@@ -26,13 +25,9 @@ _KILL_AFTER = 5.0
 _DOWN_SECONDS = 0.5
 
 
-def new_plan(*, rate: float, topics: int) -> Plan:
-    """Return a plan with a prefix and a DDS domain that nobody else uses.
-
-    Raises:
-        SetupError: SYS003, no free domain.
-    """
-    return Plan(prefix=f"demo-{secrets.token_hex(4)}", domain=free_domain(), rate=rate, topics=topics)
+def new_plan(*, domain: int, rate: float, topics: int) -> Plan:
+    """Return a plan with a prefix that nobody else uses."""
+    return Plan(prefix=f"demo-{secrets.token_hex(4)}", domain=domain, rate=rate, topics=topics)
 
 
 class Demo:

@@ -12,7 +12,7 @@ import pytest
 from rosplc.codec import Codec, Wire
 from rosplc.demo.child import Child
 from rosplc.demo.cleanup import remove_objects
-from rosplc.demo.domain import free_domain
+from rosplc.demo.domain import FreeDomain
 from rosplc.demo.messages import COMMAND, KINDS, command, open_command, robot_topics
 from rosplc.demo.plan import Plan
 from rosplc.demo.result import Outage, collect
@@ -183,9 +183,13 @@ def test_the_plan_is_a_valid_configuration():
 
 
 def test_a_domain_is_within_the_safe_range():
-    """The domain's ports lie below those that Linux gives to clients."""
-    domain = free_domain()
-    assert 1 <= domain <= 101
+    """Ports lie below those that Linux gives to clients, and no two runs get the same domain."""
+    domains = [FreeDomain() for _ in range(5)]
+    numbers = {domain.number for domain in domains}
+    assert len(numbers) == 5, "two demonstrations would meet"
+    assert all(1 <= number <= 101 for number in numbers)
+    for domain in domains:
+        domain.close()
 
 
 def test_cleanup_touches_its_own_prefix_only(tmp_path):
