@@ -112,8 +112,11 @@ def peer(request: pytest.FixtureRequest, graph: Graph) -> Iterator[StartPeer]:
         user_data: str = "",
         defines: tuple[str, ...] = (),
     ) -> Peer:
+        # Cyclone 0.10 crashes when it looks up a type with bounded strings that was built by a newer
+        # release. ROS's own layers on it announce no type information, so neither does this peer.
+        untyped = request.param == "cyclone" and kind == "Nodes"
         try:
-            program = build(request.param, *defines)
+            program = build("cyclone-untyped" if untyped else request.param, *defines)
         except MissingPackageError as missing:
             pytest.skip(f"Debian package {missing} is missing")
         settings: list[object] = []
