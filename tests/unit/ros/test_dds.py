@@ -1,0 +1,281 @@
+"""The DDS backend's own parts: configuration, types, announcements, bad bytes."""
+
+from __future__ import annotations
+
+import logging
+import struct
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+pytest.importorskip("cyclonedds", reason="no wheel of cyclonedds for this machine")
+
+from rosbags.typesys import Stores, get_typestore
+
+from rosplc.errors import BackendError
+from rosplc.model import DISTROS, TypeStore
+from rosplc.ros import Qos
+from rosplc.ros.dds.config import domain_config, domain_id
+from rosplc.ros.dds.discovery import (
+    ANNOUNCEMENT,
+    NodeEntities,
+    decode_announcement,
+    encode_announcement,
+    gid_size,
+)
+from rosplc.ros.dds.graph import AnnouncementTypes
+from rosplc.ros.dds.idl import IdlTypes, dds_topic, dds_type_name, ros_topic, ros_type_name
+from tests.interop.graphs import STRING, Graph, free_domain, string, wait_for
+
+ROS2 = [distro for distro in DISTROS if distro != "noetic"]
+
+
+@pytest.fixture
+def graph() -> Iterator[Graph]:
+    with free_domain() as domain:
+        graph = Graph("dds", domain)
+        yield graph
+        graph.close()
+
+
+def parsed(environment: dict[str, str], distro: str = "jazzy") -> ET.Element:
+    """Return the domain of the first fragment, checked to be XML."""
+    domain = ET.fromstring(domain_config(environment, distro).split(",<")[0]).find("Domain")
+    assert domain is not None
+    return domain
+
+
+def test_default_range_uses_multicast() -> None:
+    """Without variables discovery is what Cyclone does by itself, with more participants per machine."""
+    domain = parsed({})
+    assert domain.find("General") is None
+    assert domain.findtext("Discovery/MaxAutoParticipantIndex") == "32"
+    assert domain.find("Discovery/Peers") is None
+    assert domain.findtext("Compatibility/IgnoreTypeInformation") == "1.15,1.16"
+
+
+@pytest.mark.parametrize(
+    ("environment", "distro"),
+    [
+        ({"ROS_LOCALHOST_ONLY": "1"}, "humble"),
+        ({"ROS_LOCALHOST_ONLY": "1"}, "jazzy"),
+        ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}, "jazzy"),
+        ({"ROS_LOCALHOST_ONLY": "1", "ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF"}, "jazzy"),
+    ],
+)
+def test_localhost_range_uses_unicast(environment: dict[str, str], distro: str) -> None:
+    """On localhost discovery needs no multicast, and hears what is sent to 127.0.0.1."""
+    domain = parsed(environment, distro)
+    assert domain.findtext("General/AllowMulticast") == "false"
+    assert [i.attrib for i in domain.findall("General/Interfaces/*")] == [{"address": "127.0.0.1"}]
+    assert [p.get("address") for p in domain.findall("Discovery/Peers/Peer")] == ["localhost"]
+
+
+def test_static_peers_are_asked() -> None:
+    """``ROS_STATIC_PEERS`` adds peers, and an interface to reach them by."""
+    environment = {
+        "ROS_STATIC_PEERS": "10.0.0.7; robot.local;;",
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+    }
+    domain = parsed(environment)
+    assert [p.get("address") for p in domain.findall("Discovery/Peers/Peer")] == [
+        "localhost",
+        "10.0.0.7",
+        "robot.local",
+    ]
+    assert [i.attrib for i in domain.findall("General/Interfaces/*")] == [
+        {"autodetermine": "true"},
+        {"address": "127.0.0.1"},
+    ]
+
+
+def test_peer_addresses_are_quoted() -> None:
+    """What stands in the variable cannot leave its attribute."""
+    domain = parsed({"ROS_STATIC_PEERS": '"/><Evil a="&'})
+    assert [p.get("address") for p in domain.findall("Discovery/Peers/Peer")] == ['"/><Evil a="&']
+
+
+def test_humble_knows_no_ranges() -> None:
+    """Humble looks at ``ROS_LOCALHOST_ONLY`` alone."""
+    assert (
+        parsed({"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_STATIC_PEERS": "x"}, "humble").find(
+            "General"
+        )
+        is None
+    )
+
+
+def test_discovery_can_be_off() -> None:
+    """With OFF a tag of the process's own keeps everybody out."""
+    domain = parsed({"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF"})
+    assert (domain.findtext("Discovery/Tag") or "").startswith("ros_discovery_off_")
+
+
+def test_users_configuration_comes_last() -> None:
+    """``CYCLONEDDS_URI`` follows ours, so that it wins, and its interfaces stand alone."""
+    interfaces = "<Interfaces><NetworkInterface name='eth1'/></Interfaces>"
+    uri = f"<CycloneDDS><Domain><General>{interfaces}</General></Domain></CycloneDDS>"
+    config = domain_config({"CYCLONEDDS_URI": uri, "ROS_LOCALHOST_ONLY": "1"}, "jazzy")
+    assert config.endswith("," + uri)
+    assert config.count("NetworkInterface") == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("ROS_LOCALHOST_ONLY", "yes"),
+        ("ROS_AUTOMATIC_DISCOVERY_RANGE", "localhost"),
+        ("CYCLONEDDS_URI", "<ä/>"),
+    ],
+)
+def test_wrong_settings_are_named(name: str, value: str) -> None:
+    """A variable with a value that ROS does not know is refused by its name."""
+    with pytest.raises(BackendError, match="ROS010") as refused:
+        domain_config({name: value}, "jazzy")
+    assert refused.value.where == name
+
+
+def test_domain_comes_from_the_environment() -> None:
+    """An explicit domain wins over ``ROS_DOMAIN_ID``, which wins over 0."""
+    assert (
+        domain_id(5, {"ROS_DOMAIN_ID": "7"}),
+        domain_id(None, {"ROS_DOMAIN_ID": "7"}),
+        domain_id(None, {}),
+    ) == (5, 7, 0)
+
+
+def test_broken_configuration_is_explained(graph: Graph) -> None:
+    """A ``CYCLONEDDS_URI`` that the library refuses gives an error that names it."""
+    with pytest.raises(BackendError, match=r"cannot join domain .*ROS002.*CYCLONEDDS_URI"):
+        graph.node(
+            "node",
+            environment={
+                "CYCLONEDDS_URI": "<CycloneDDS><Domain><Nonsense>1</Nonsense></Domain></CycloneDDS>"
+            },
+        )
+    graph.node("node").close()
+
+
+def test_names_are_those_of_ros_2() -> None:
+    """Topic and type names are mangled as every ROS 2 layer over DDS does it."""
+    assert dds_topic("/a/b") == "rt/a/b"
+    assert (ros_topic("rt/a/b"), ros_topic("rq/a/bRequest"), ros_topic("plain")) == ("/a/b", None, None)
+    assert dds_type_name("pkg/msg/T") == dds_type_name("pkg/T") == "pkg::msg::dds_::T_"
+    assert ros_type_name("pkg::msg::dds_::T_") == "pkg/msg/T"
+    assert ros_type_name("Plain::Type") == "Plain::Type"
+
+
+@pytest.mark.parametrize("distro", ROS2)
+def test_every_bundled_type_opens(graph: Graph, distro: str) -> None:
+    """Each type of each distribution makes a DDS topic."""
+    store = TypeStore.bundled(distro)
+    node = graph.node("node", store)
+    for number, name in enumerate(store.names()):
+        node.advertise(f"/t{number}", name, Qos(depth=1)).close()
+
+
+def test_type_classes_are_made_once() -> None:
+    """Asking again, by the long or the short name, gives the same class."""
+    types = IdlTypes(TypeStore.bundled("jazzy"))
+    assert types["geometry_msgs/msg/Twist"] is types["geometry_msgs/Twist"]
+
+
+@pytest.mark.parametrize("distro", ROS2)
+def test_announcement_is_the_distros_message(distro: str) -> None:
+    """The built-in definition and its hash are those of the distribution's own package."""
+    store, types = TypeStore.bundled(distro), AnnouncementTypes(distro)
+    for name in store.dependencies(ANNOUNCEMENT):
+        assert types[name] == store[name]
+    assert types.type_hash(ANNOUNCEMENT) == ("" if distro == "humble" else store.type_hash(ANNOUNCEMENT))
+
+
+def oracle_bytes(distro: str, nodes: list[NodeEntities]) -> bytes:
+    """Serialize an announcement with another project's CDR."""
+    import numpy as np
+
+    store = get_typestore(getattr(Stores, f"ROS2_{distro.upper()}"))
+    t: Any = store.types
+    gid, info = t["rmw_dds_common/msg/Gid"], t["rmw_dds_common/msg/NodeEntitiesInfo"]
+
+    def g(data: bytes) -> Any:
+        return gid(np.frombuffer(data.ljust(gid_size(distro), b"\0"), np.uint8))
+
+    infos = [info(n.namespace, n.name, [g(x) for x in n.readers], [g(x) for x in n.writers]) for n in nodes]
+    return bytes(store.serialize_cdr(t[ANNOUNCEMENT](g(b"p" * 16), infos), ANNOUNCEMENT))
+
+
+NODES = [
+    NodeEntities("/", "a"),
+    NodeEntities("/ns", "talker", (b"r" * 16,), (b"w" * 16, b"x" * 16)),
+    NodeEntities("/nested/ns", "listener1", (bytes(range(16)),)),
+]
+
+
+@pytest.mark.parametrize("distro", ["humble", "jazzy"])
+@pytest.mark.parametrize("count", range(4))
+def test_announcement_bytes(distro: str, count: int) -> None:
+    """Announcements are encoded as another implementation does it, and read back."""
+    nodes = NODES[:count]
+    data = encode_announcement(b"p" * 16, nodes, gid_size(distro))
+    expected = oracle_bytes(distro, nodes)
+    assert data == expected + bytes(-len(expected) % 4)
+    assert decode_announcement(data, gid_size(distro)) == (b"p" * 16, tuple(nodes))
+
+
+def test_damaged_announcements_are_refused() -> None:
+    """Every truncation, and absurd counts, raise ValueError and nothing else."""
+    data = encode_announcement(b"p" * 16, NODES, 16)
+    for length in range(len(data)):
+        with pytest.raises(ValueError, match=r"truncated|plain CDR"):
+            decode_announcement(data[:length], 16)
+    with pytest.raises(ValueError, match="too long"):
+        decode_announcement(data[:20] + struct.pack("<I", 2**32 - 1) + data[24:], 16)
+
+
+@pytest.mark.parametrize(
+    "body",
+    [b"", b"\xff\xff\xff\xff", b"\x09\0\0\0abcd", b"\0\0\0\x02a\0"],
+    ids=["empty", "huge length", "truncated", "other byte order"],
+)
+def test_bytes_that_do_not_fit_are_refused(graph: Graph, body: bytes) -> None:
+    """A payload that is no message of the type is refused before it is sent."""
+    publisher = graph.node("node").advertise("/chatter", STRING, Qos())
+    with pytest.raises(BackendError, match=r"do not fit std_msgs/msg/String.*ROS008"):
+        publisher.write(b"\0\1\0\0" + body)
+    assert (publisher.status().sent, publisher.status().rejected) == (0, 1)
+
+
+def test_mismatch_is_said_once_in_the_log(graph: Graph, caplog: pytest.LogCaptureFixture) -> None:
+    """What keeps a peer from matching is logged, once, without anybody asking."""
+    with caplog.at_level(logging.WARNING, "rosplc.ros.dds"):
+        graph.node("talker").advertise("/chatter", STRING, Qos(reliability="best_effort"))
+        graph.node("listener").subscribe("/chatter", STRING, Qos(), lambda *_: None)
+        words = "the publisher is best_effort, the subscriber wants reliable [ROS004]"
+        wait_for(lambda: caplog.text.count(words) == 2)
+    assert "node /talker publishes /chatter" in caplog.text
+    assert "node /listener subscribes to /chatter" in caplog.text
+
+
+def test_big_endian_arrives_as_little_endian(graph: Graph) -> None:
+    """A message of the other byte order is delivered in the usual one."""
+    got: list[bytes] = []
+    publisher = graph.node("talker").advertise("/number", "std_msgs/msg/UInt32", Qos())
+    graph.node("listener").subscribe(
+        "/number", "std_msgs/msg/UInt32", Qos(), lambda data, _: got.append(data)
+    )
+    wait_for(lambda: publisher.matched)
+    publisher.write(b"\0\0\0\0" + struct.pack(">I", 123456))
+    wait_for(lambda: got)
+    assert got == [b"\0\1\0\0" + struct.pack("<I", 123456)]
+
+
+def test_two_backends_share_a_domain(graph: Graph) -> None:
+    """A domain lives as long as one of the backends in it, and can be entered again afterwards."""
+    one, two = graph.node("one"), graph.node("two")
+    one.close()
+    publisher = two.advertise("/chatter", STRING, Qos())
+    assert publisher.write(string("still here"))
+    two.close()
+    assert graph.node("three").advertise("/chatter", STRING, Qos()).write(string("again"))

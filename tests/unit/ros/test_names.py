@@ -1,0 +1,125 @@
+"""Names of nodes and topics."""
+
+from __future__ import annotations
+
+import pytest
+
+from rosplc.errors import BackendError
+from rosplc.ros.names import (
+    Remapping,
+    join,
+    resolve_topic,
+    validate_namespace,
+    validate_node_name,
+    validate_topic,
+)
+
+
+@pytest.mark.parametrize(
+    "name", ["/a", "/cmd_vel", "/robot1/arm/joint_states", "/_hidden", "/a__b", "/" + "x" * 246]
+)
+def test_good_topics_pass(name: str) -> None:
+    """A valid absolute name comes back as it is."""
+    assert validate_topic(name) == name
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "",
+        "/",
+        "cmd_vel",
+        "/a/",
+        "//a",
+        "/a//b",
+        "/1a",
+        "/a/1b",
+        "/a b",
+        "/a-b",
+        "/ä",
+        "/a\n",
+        "/{x}",
+        "/" + "x" * 247,
+    ],
+)
+def test_bad_topics_are_refused(name: str) -> None:
+    """A name that breaks a rule of ROS is refused with its text in the message."""
+    with pytest.raises(BackendError, match="ROS005") as refused:
+        validate_topic(name)
+    assert repr(name) in str(refused.value)
+
+
+@pytest.mark.parametrize("name", ["", "a/b", "1a", "a-b", "a\n", "x" * 256])
+def test_bad_node_names_are_refused(name: str) -> None:
+    """A node's base name is one token."""
+    with pytest.raises(BackendError, match="ROS005"):
+        validate_node_name(name)
+
+
+@pytest.mark.parametrize("name", ["", "a", "/a/", "/1"])
+def test_bad_namespaces_are_refused(name: str) -> None:
+    """A namespace is absolute and ends with no slash, except the root."""
+    with pytest.raises(BackendError, match="ROS005"):
+        validate_namespace(name)
+    assert validate_namespace("/") == "/"
+
+
+def test_names_are_joined() -> None:
+    """The root namespace adds one slash only."""
+    assert (join("/", "a"), join("/ns", "a")) == ("/a", "/ns/a")
+
+
+@pytest.mark.parametrize(
+    ("name", "full"),
+    [("/abs", "/abs"), ("rel", "/ns/rel"), ("rel/x", "/ns/rel/x"), ("~", "/ns/node"), ("~/x", "/ns/node/x")],
+)
+def test_topics_are_expanded(name: str, full: str) -> None:
+    """Relative names get the namespace, private ones the node's full name."""
+    assert resolve_topic(name, namespace="/ns", node_name="node") == full
+
+
+def test_remapping_compares_expanded_names() -> None:
+    """A rule applies however its two sides are written, and only to its own topic."""
+    rules = {"a": "/x", "/ns/b": "y", "~/c": "~/z"}
+    found = [
+        resolve_topic(n, namespace="/ns", node_name="n", remap=rules) for n in ("/ns/a", "b", "/ns/n/c", "/a")
+    ]
+    assert found == ["/x", "/ns/y", "/ns/n/z", "/a"]
+
+
+def test_arguments_give_remapping() -> None:
+    """``--ros-args`` rules are read up to ``--``; others are left alone."""
+    found = Remapping.from_arguments(
+        [
+            "run",
+            "-r",
+            "no:=no",
+            "--ros-args",
+            "-r",
+            "a:=b",
+            "--remap",
+            "__ns:=/cell",
+            "-r",
+            "__node:=n",
+            "--",
+            "-r",
+            "c:=d",
+        ]
+    )
+    assert found == Remapping({"a": "b"}, "n", "/cell")
+
+
+@pytest.mark.parametrize("rule", ["a", "a:=", ":=b", ""])
+def test_bad_rules_are_refused(rule: str) -> None:
+    """A rule that is not ``from:=to`` is refused."""
+    with pytest.raises(BackendError, match="ROS005"):
+        Remapping.from_arguments(["--ros-args", "-r", rule])
+
+
+def test_namespace_of_the_environment() -> None:
+    """``ROS_NAMESPACE`` serves where no argument names a namespace."""
+    assert Remapping.from_arguments([], {"ROS_NAMESPACE": "robot"}).namespace == "/robot"
+    assert (
+        Remapping.from_arguments(["--ros-args", "-r", "__ns:=/a"], {"ROS_NAMESPACE": "/b"}).namespace == "/a"
+    )
+    assert Remapping.from_arguments([], {}).namespace is None

@@ -1,0 +1,56 @@
+"""Choosing a backend."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+
+from rosplc.errors import BackendError
+from rosplc.model import TypeStore
+from rosplc.ros import open_backend
+from tests.interop.graphs import LOCAL, free_domain
+
+STORE = TypeStore.bundled("jazzy")
+
+
+def test_unknown_backend_is_refused() -> None:
+    """A name that is no backend is refused, with those that are."""
+    with pytest.raises(BackendError, match=r"no backend 'ddz'; there are: auto, dds, memory.*ROS001"):
+        open_backend("ddz", STORE, "node")
+
+
+def test_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without the wheel the error says what is not installed."""
+    for name in [name for name in sys.modules if name.startswith("rosplc.ros.dds")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "cyclonedds", None)
+    monkeypatch.setitem(sys.modules, "cyclonedds._clayer", None)
+    for name in ("auto", "dds"):
+        with pytest.raises(BackendError, match=r"not installed: dds .*cyclonedds.*ROS001"):
+            open_backend(name, STORE, "node")
+
+
+def test_automatic_choice_is_reported() -> None:
+    """``auto`` takes the installed middleware, never the one in memory, and says which."""
+    pytest.importorskip("cyclonedds", reason="no wheel of cyclonedds for this machine")
+    with free_domain() as domain:
+        backend = open_backend("auto", STORE, "node", domain=domain, environment=LOCAL)
+        assert backend.name == "dds"
+        backend.close()
+
+
+@pytest.mark.parametrize("domain", ["-1", "x", "233", "1.5", "²"])
+@pytest.mark.parametrize("name", ["dds"])
+def test_wrong_domain_is_refused(name: str, domain: str) -> None:
+    """``ROS_DOMAIN_ID`` that is no domain is refused by its name."""
+    pytest.importorskip("cyclonedds", reason="no wheel of cyclonedds for this machine")
+    with pytest.raises(BackendError, match=r"ROS_DOMAIN_ID is .*ROS010"):
+        open_backend(name, STORE, "node", environment={"ROS_DOMAIN_ID": domain})
+
+
+def test_ros_1_types_need_another_backend() -> None:
+    """The DDS backend refuses the types of ROS 1."""
+    pytest.importorskip("cyclonedds", reason="no wheel of cyclonedds for this machine")
+    with pytest.raises(BackendError, match=r"noetic is ROS 1.*ROS001"):
+        open_backend("dds", TypeStore.bundled("noetic"), "node")
