@@ -54,8 +54,12 @@ def guarded(verb: Callable[P, None]) -> Callable[P, None]:
 
 
 def print_json(value: Any) -> None:
-    """Print ``value`` as one JSON document on stdout; NaN and infinity become strings."""
-    sys.stdout.write(json.dumps(finite(value), ensure_ascii=False, indent=2) + "\n")
+    """Print ``value`` as one JSON document on stdout; NaN and infinity become strings.
+
+    It is ASCII: text out of shared memory may hold what a terminal would act upon, or bytes
+    that are no UTF-8.
+    """
+    sys.stdout.write(json.dumps(finite(value), indent=2) + "\n")
 
 
 def finite(value: Any) -> Any:

@@ -188,7 +188,7 @@ def _print_message(
             document["writer"] = dataclasses.asdict(snapshot.writer)
             document["readers"] = [dataclasses.asdict(line) for line in snapshot.readers if line.claim]
         if one_line:
-            typer.echo(json.dumps(finite(document), ensure_ascii=False))
+            typer.echo(json.dumps(finite(document)))
         else:
             print_json(document)
         return

@@ -10,13 +10,21 @@ __all__ = ["columns", "in_bytes", "say", "warn"]
 
 
 def say(text: str = "") -> None:
-    """Print one line on stdout."""
-    typer.echo(text)
+    """Print text on stdout, made harmless."""
+    typer.echo(_harmless(text))
 
 
 def warn(text: str) -> None:
-    """Print one line on stderr."""
-    typer.echo(text, err=True)
+    """Print text on stderr, made harmless."""
+    typer.echo(_harmless(text), err=True)
+
+
+def _harmless(text: str) -> str:
+    # Names in an object come from whoever made it: no escape sequence may reach the terminal.
+    return "".join(
+        char if char.isprintable() or char == "\n" else char.encode("unicode_escape").decode()
+        for char in text
+    )
 
 
 def columns(rows: Iterable[Sequence[object]], *, header: Sequence[str] = (), indent: int = 0) -> list[str]:

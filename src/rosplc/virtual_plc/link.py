@@ -89,6 +89,8 @@ class Link:
                 self.attached.valid()
             except ChannelError as error:
                 self.drop(error)
+                # Whoever retires an object puts the next one in its place: look at once.
+                self._back_off.reset()
             else:
                 return self.attached
         if scan.now_ns < self._back_off.due_ns or not scan.claim_open():
@@ -163,13 +165,14 @@ class Link:
         self.attached, self.layout = attached, layout
 
     def _compare(self, attached: Attached, compiled: Layout) -> None:
-        described = attached.description
-        if attached.identity.layout_id == compiled.layout_id:
+        found = attached.identity.layout_id
+        if found == compiled.layout_id:
             return
-        difference = compiled.difference(described_layout(described, where=self.topic))
-        raise ChannelError(
-            "SHM112",
-            f"the program was made for layout {compiled.layout_id} of {compiled.type_name}, "
-            f"the object has {attached.identity.layout_id}: {difference}",
-            where=self.topic,
-        )
+        made_for = f"layout {compiled.layout_id} of {compiled.type_name}"
+        what = f"the program was made for {made_for}, the object has {found}"
+        try:
+            what += f": {compiled.difference(described_layout(attached.description, where=self.topic))}"
+        except ChannelError as error:
+            # That the ids differ is certain; what differs only the description could tell.
+            what += f" (why cannot be said: {error.what})"
+        raise ChannelError("SHM112", what, where=self.topic)

@@ -201,6 +201,21 @@ def test_show_prints_nan_as_valid_json(channel, shm_namespace):
     assert (message["linear"]["x"], message["linear"]["y"]) == ("nan", "-inf")
 
 
+def test_show_survives_text_that_is_none(channel, shm_namespace):
+    """Bytes that are no UTF-8, and escape sequences, reach neither terminal nor JSON as they are."""
+    writer, layout = channel("/text", "std_msgs/msg/String")
+    record = bytearray(layout.size)
+    record[:9] = b"\x1b[31m\xff\xc2\x9b"
+    writer.publish(record)
+    for extra in ([], ["--header"]):
+        output = rosplc("show", "/text", "--prefix", shm_namespace.prefix, *extra).output
+        assert not any((ord(char) < 32 and char != "\n") or 0x7F <= ord(char) < 0xA0 for char in output)
+        assert "\\x1b[31m" in output
+    output = rosplc("show", "/text", "--prefix", shm_namespace.prefix, "--json").output
+    assert output.isascii()
+    assert json.loads(output)["message"]["data"] == "\x1b[31m\udcff\x9b"
+
+
 def test_show_lists_all_channels(channel, shm_namespace):
     """Without a topic every channel is listed, the unreadable ones with their error."""
     channel("/cmd_vel")

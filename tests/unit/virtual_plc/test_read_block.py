@@ -215,6 +215,37 @@ def test_another_layout_is_refused_and_named(side, scans):
     assert bridge.layout.layout_id in block.reason
 
 
+def test_another_layout_is_112_even_if_the_description_is_damaged(side, scans):
+    """That layouts differ is certain from the ids; a damaged description only hides how."""
+    bridge = side("/n", INT, TO_PLC)
+    other = side("/other", "std_msgs/msg/String", TO_PLC)
+    identity = bridge.channel.identity
+    with open(bridge.channel.path, "r+b") as file:
+        file.seek(identity.description_offset)
+        file.write(b"\0" * identity.description_size)
+    block = reading(bridge, layout=other.layout)
+    scans(block)
+    assert block.udiError == 112
+    compiled = reading(bridge, layout=bridge.layout)
+    scans(compiled)
+    assert (compiled.udiError, compiled.xAttached) == (0, True), "a PLC does not need the description"
+    described = reading(bridge)
+    scans(described)
+    assert described.udiError == 113
+
+
+def test_a_successor_is_found_at_once_after_a_long_silence(side, scans):
+    """Back-off from looking for a silent bridge does not delay the opening of a replaced object."""
+    bridge = side("/n", INT, TO_PLC)
+    block = reading(bridge)
+    for _ in range(10):
+        scans(block, ms=2000)
+    bridge.channel.retire()
+    side("/n", INT, TO_PLC, slots=8)
+    scans(block, ms=1)
+    assert block.xAttached
+
+
 def test_the_wrong_direction_is_error_110(side, scans):
     """A Read block does not open an object towards ROS."""
     bridge = side("/n", INT, Direction.TO_ROS)
