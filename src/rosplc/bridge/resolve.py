@@ -225,10 +225,11 @@ def _slots(config: Config, topic: str, entry: TopicSettings, task: str, record_s
     settings = config.settings
     cycle = settings.tasks[task].interval_ns
     if entry.to == "ros":
-        # A PLC publishes a topic at most once per scan.
-        demand = Demand(max(entry.rate_ns or 0, cycle), settings.tick_ns, record_size, every)
+        # A PLC publishes a topic at most once per scan; how long a freewheeling scan takes, nobody knows.
+        period = cycle if settings.tasks[task].kind == "cyclic" else 0
+        demand = Demand(max(entry.rate_ns or 0, period), settings.tick_ns, record_size, every)
     else:
-        # Neither rate given: nothing is known, and the usual number stands.
+        # Where neither is given nothing is known, and the usual number stands.
         demand = Demand(max(entry.rate_ns or 0, entry.rate_limit_ns or 0), cycle, record_size, every)
     if entry.depth is None:
         return usual_slots(demand)

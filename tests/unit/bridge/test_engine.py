@@ -11,8 +11,10 @@ from typing import Any
 
 import pytest
 
-from rosplc.bridge import Bridge, Level, parse_config, read_config
+from rosplc.bridge import Bridge, Level, parse_config, read_config, resolve
+from rosplc.bridge.to_plc import ToPlc
 from rosplc.bridge.to_ros import ToRos
+from rosplc.bridge.topic import Surroundings
 from rosplc.errors import BackendError, ChannelError, ConfigError
 from rosplc.ros import LATCHED, Qos
 from rosplc.ros.memory import MemoryBackend, MemoryPublisher, MemorySubscription, open_backend
@@ -315,14 +317,15 @@ def test_a_removed_object_is_created_again(cell: Cell, topic: str) -> None:
 
 
 @pytest.mark.parametrize("topic", ["/in", "/out"])
-def test_a_retired_object_is_created_again(cell: Cell, topic: str) -> None:
-    """A foreign hand on the state word costs messages, not the topic."""
+@pytest.mark.parametrize("word", ["state", "magic", "slot_stride", "layout_id_lo"])
+def test_a_damaged_object_is_created_again(cell: Cell, topic: str, word: str) -> None:
+    """A foreign hand on the identity costs messages, not the topic."""
     bridge = cell.start(BOTH)
     messages = cell.listen("/out", INT)
     publisher = cell.publisher("/in", INT)
     with attach(cell.namespace, topic, write=True) as found:
         generation = found.identity.generation
-        found.region.store(IDENTITY["state"], STATE_RETIRED)
+        found.region.store(IDENTITY[word], STATE_RETIRED)
     wait_for(lambda: bridge.status().topic(topic).recent)
 
     def replaced() -> bool:
@@ -596,3 +599,21 @@ def test_a_clean_stop_leaves_the_last_state(cell: Cell) -> None:
         record = bytearray(plc.layout.size)
         assert found.reader(latched=True).latest(record) is not None
         assert plc.layout.to_dict(record) == {"data": 9}
+
+
+def test_ros_1_messages(shm_namespace: Namespace) -> None:
+    """With noetic's definitions the same object is filled from ROS 1's serialization."""
+    head = f"prefix: {shm_namespace.prefix}\nros: {{distro: noetic}}\n"
+    project = resolve(parse_config(head + f"topics: {{/in: {{type: {STRING}, to: plc}}}}\n"))
+    around = Surroundings(project.namespace, "cell", bytes(16), "noetic")
+    topic = ToPlc(project.topics[0], around, lambda _: None)
+    topic.open()
+    topic.on_message(b"\x02\0\0\0hi", 1)
+    with attach(shm_namespace, "/in") as found:
+        record = bytearray(project.topics[0].layout.size)
+        assert found.reader(latched=True).latest(record) is not None
+        assert project.topics[0].layout.to_dict(record) == {"data": "hi"}
+        assert found.description.distro == "noetic"
+    topic.on_message(wire(STRING, {"data": "no"}), 1)
+    assert (topic.counters.published, topic.counters.refused) == (1, 1)
+    topic.close()

@@ -85,16 +85,18 @@ def test_tasks_and_slots() -> None:
         f"  /a: {{type: {TWIST}, to: ros, task: Fast}}\n"
         f"  /b: {{type: {TWIST}, to: ros}}\n"
         f"  /c: {{type: {TWIST}, to: plc, depth: 9}}\n"
-        f"  /d: {{type: {TWIST}, to: plc, every: true, rate: 1kHz, task: Fast}}\n",
-        "tasks: {Slow: {interval: 20ms}, Fast: {interval: 1ms}}",
+        f"  /d: {{type: {TWIST}, to: plc, every: true, rate: 1kHz, task: Fast}}\n"
+        f"  /e: {{type: {TWIST}, to: ros, task: Free}}\n",
+        "tasks: {Slow: {interval: 20ms}, Fast: {interval: 1ms}, Free: {kind: freewheeling}}",
     )
     assert [(plan.task, plan.slots) for plan in made.topics] == [
         ("Fast", 32),
         ("Slow", 4),
         ("Slow", 16),
         ("Fast", 32),
+        ("Free", 16),
     ]
-    assert list(made.tasks) == ["Slow", "Fast"]
+    assert list(made.tasks) == ["Slow", "Fast", "Free"]
 
 
 def test_custom_types(tmp_path: Path) -> None:
