@@ -205,7 +205,7 @@ def test_show_survives_text_that_is_none(channel, shm_namespace):
     """Bytes that are no UTF-8, and escape sequences, reach neither terminal nor JSON as they are."""
     writer, layout = channel("/text", "std_msgs/msg/String")
     record = bytearray(layout.size)
-    record[:9] = b"\x1b[31m\xff\xc2\x9b"
+    record[:8] = b"\x1b[31m\xff\xc2\x9b"
     writer.publish(record)
     for extra in ([], ["--header"]):
         output = rosplc("show", "/text", "--prefix", shm_namespace.prefix, *extra).output
