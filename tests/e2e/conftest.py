@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import pytest
 
-from rosplc.demo.domain import free_domain
+from rosplc.demo.domain import FreeDomain
 from rosplc.shm import Namespace
 
 
@@ -15,6 +17,8 @@ def shm_prefix(shm_namespace: Namespace) -> str:
 
 
 @pytest.fixture
-def dds_domain() -> int:
-    """Give a ROS domain that nobody on this machine uses."""
-    return free_domain()
+def dds_domain() -> Iterator[int]:
+    """Give a ROS domain that nobody on this machine uses, and keep it from others meanwhile."""
+    domain = FreeDomain()
+    yield domain.number
+    domain.close()
