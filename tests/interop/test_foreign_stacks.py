@@ -73,9 +73,10 @@ def test_values_from_a_peer(graph: Graph, peer: StartPeer, kind: str) -> None:
     """What a peer publishes arrives whole, in order, and means what the peer meant."""
     got: list[bytes] = []
     subscription = graph.node("cell").subscribe(
-        "/data", ROS_TYPES[kind], RELIABLE, lambda data, _: got.append(data)
+        "/data", ROS_TYPES[kind], LATCHED, lambda data, _: got.append(data)
     )
-    peer("pub", kind, "rt/data", count=20)
+    # Latched, since a peer may begin before our reader knows of it: DDS matches one side first.
+    peer("pub", kind, "rt/data", durability="transient_local", count=20)
     wait_for(lambda: len(got) >= 20)
     expected = [bytes(ORACLE.serialize_cdr(value(kind, i), ROS_TYPES[kind])) for i in range(20)]
     # Cyclone notes in the header's last byte how many bytes of padding follow; others do not.
@@ -195,8 +196,8 @@ def test_other_definition_found_by_its_bytes(graph: Graph, peer: StartPeer) -> N
         return  # it compares type information itself and sends nothing; see the test above
     got: list[bytes] = []
     twist = ROS_TYPES["Twist"]
-    subscription = graph.node("cell").subscribe("/data", twist, Qos(), lambda data, _: got.append(data))
-    peer("pub", "Twist", "rt/data", count=10, defines=("OTHER_DEFINITION",))
+    subscription = graph.node("cell").subscribe("/data", twist, LATCHED, lambda data, _: got.append(data))
+    peer("pub", "Twist", "rt/data", durability="transient_local", count=10, defines=("OTHER_DEFINITION",))
     wait_for(lambda: subscription.status().rejected == 10)
     status = subscription.status()
     assert (status.code, status.reason) == (
