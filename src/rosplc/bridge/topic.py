@@ -7,13 +7,14 @@ import time
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 
+from rosplc.bridge.describe import describe
 from rosplc.bridge.repeats import QUIET_NS, RepeatedWarnings
 from rosplc.bridge.resolve import TopicPlan
 from rosplc.bridge.status import TopicStatus
 from rosplc.codec import Codec, Wire
 from rosplc.errors import ChannelError, RosplcError
 from rosplc.ros import Backend, EndpointStatus
-from rosplc.shm import Description, Liveness, Namespace, OwnedChannel, Region
+from rosplc.shm import Liveness, Namespace, OwnedChannel, Region
 
 __all__ = ["Counters", "Surroundings", "Topic", "log"]
 
@@ -105,21 +106,11 @@ class Topic(ABC):
             ChannelError: As :meth:`OwnedChannel.open`.
         """
         plan, around = self.plan, self.around
-        layout = plan.layout
-        description = Description(
-            topic=plan.topic,
-            type=plan.type_name,
-            distro=around.distro,
-            direction=plan.direction,
-            limits=layout.limits.to_dict(),
-            layout_id=layout.layout_id,
-            bridge=around.bridge,
-            definition=layout.store.definition_text(plan.type_name),
-        )
+        description = describe(plan, distro=around.distro, bridge=around.bridge)
         channel = OwnedChannel.open(
             around.namespace,
             description,
-            record_size=layout.size,
+            record_size=plan.layout.size,
             slots=plan.slots,
             mode=around.mode,
             uid=around.uid,

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from rosplc._core._native import Fault
 from rosplc.bridge import Bridge, Level, parse_config, read_config, resolve
 from rosplc.bridge.to_plc import ToPlc
 from rosplc.bridge.to_ros import ToRos
@@ -343,6 +344,43 @@ def test_a_damaged_object_is_created_again(cell: Cell, topic: str, word: str) ->
     outgoing.write({"data": 9})
     wait_for(lambda: messages)
     assert not bridge.status().topic(topic).problem
+
+
+@pytest.mark.parametrize("topic", ["/in", "/out"])
+def test_a_message_into_a_retired_object_is_noticed_at_once(cell: Cell, topic: str) -> None:
+    """Whoever uses the object first finds out, counts the message or reports, and it is opened again."""
+    bridge = cell.start(BOTH, more="tick: 500ms")
+    messages = cell.listen("/out", INT)
+    publisher, outgoing = cell.publisher("/in", INT), cell.plc("/out")
+    outgoing.write({"data": 1})
+    with attach(cell.namespace, topic, write=True) as found:
+        found.region.store(IDENTITY["state"], STATE_RETIRED)
+    publisher.write(wire(INT, {"data": 2}))
+    wait_for(lambda: bridge.status().topic(topic).code in ("SHM111", "SHM120"))
+    if topic == "/in":
+        assert bridge.status().topic("/in").lost == 1
+    wait_for(lambda: not bridge.status().topic(topic).problem)
+
+    def arrives() -> bool:
+        publisher.write(wire(INT, {"data": 3}))
+        try:
+            cell.plc("/out").write({"data": 4})
+        except ChannelError:
+            return False
+        return bool(messages) and numbers(messages)[-1] == 4 and bridge.status().topic("/in").published > 1
+
+    wait_for(arrives)
+
+
+def test_a_record_that_cannot_be_encoded_is_refused(cell: Cell) -> None:
+    """A fault of the encoder is counted and explained like any other."""
+    bridge = cell.start(BOTH)
+    topic = bridge._topics[1]
+    assert isinstance(topic, ToRos)
+    assert topic.on_fault(Fault(9, 0xFFFFFFFF, 3, 4), time.monotonic_ns()) is False
+    status = bridge.status().topic("/out")
+    assert (status.received, status.refused, status.published) == (1, 1, 0)
+    assert status.code == "COD009"
 
 
 @pytest.mark.parametrize("topic", ["/in", "/out"])
