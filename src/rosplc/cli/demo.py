@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rosplc.cli.guard import EXIT_FAILURE, EXIT_INTERRUPTED, guarded, print_json
-from rosplc.cli.text import columns, say, warn
+from rosplc.cli.text import columns, say
 
 if TYPE_CHECKING:
     from rosplc.demo.plan import Plan
@@ -108,7 +108,11 @@ def _run(plan: Plan, seconds: float | None, *, kill: bool, live: bool) -> Result
 
                 draw = stack.enter_context(LiveView(Console())).draw
             elif sys.stderr.isatty():
-                warn("Starting robot, bridge and virtual PLC …")
+                from rich.console import Console
+
+                from rosplc.demo.view import ProgressLine
+
+                draw = stack.enter_context(ProgressLine(Console(stderr=True), seconds)).draw
             demo = stack.enter_context(Demo(plan, on_tick=draw))
             return demo.run(seconds, kill=kill)
     finally:

@@ -49,6 +49,7 @@ class Demo:
         self._on_tick = on_tick or (lambda _: None)
         self._startup = startup
         self._before = (0, 0)
+        self._began: float | None = None
         self._start_bridge: Callable[[], Child]
         self._folder = tempfile.TemporaryDirectory(prefix="rosplc-demo-")
 
@@ -61,6 +62,11 @@ class Demo:
     def plc(self) -> dict[str, Any]:
         """The PLC's last report."""
         return self.children[2].status
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds since the first message; 0 before."""
+        return 0.0 if self._began is None else time.monotonic() - self._began
 
     def run(self, duration: float | None, *, kill: bool = False) -> Result:
         """Run for ``duration`` seconds (None: until KeyboardInterrupt), drain, and compare.
@@ -75,7 +81,7 @@ class Demo:
         self._start()
         self._wait_until_ready()
         self.phase = "running"
-        began = time.monotonic()
+        began = self._began = time.monotonic()
         self._order("go")
         kill_at = None if not kill else _KILL_AFTER if duration is None else duration / 3
         try:

@@ -7,13 +7,14 @@ from collections import deque
 
 from rich.console import Console, Group
 from rich.live import Live
+from rich.progress import Progress
 from rich.table import Table
 from rich.text import Text
 
 from rosplc.demo.messages import COMMAND, robot_topics
 from rosplc.demo.supervisor import Demo
 
-__all__ = ["LiveView"]
+__all__ = ["LiveView", "ProgressLine"]
 
 _RATE_SECONDS = 2.0
 
@@ -31,6 +32,30 @@ class _Rate:
             self._seen.popleft()
         (then, before), (_, after) = self._seen[0], self._seen[-1]
         return (after - before) / (now - then) if now > then else 0.0
+
+
+class ProgressLine:
+    """One line on stderr for a run whose result goes elsewhere; a context manager.
+
+    Args:
+        console: The terminal.
+        seconds: How long the run sends.
+    """
+
+    def __init__(self, console: Console, seconds: float | None) -> None:
+        self._progress = Progress(console=console, transient=True)
+        self._task = self._progress.add_task("starting", total=seconds)
+
+    def __enter__(self) -> ProgressLine:
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+    def draw(self, demo: Demo) -> None:
+        """Show the present phase and time."""
+        self._progress.update(self._task, description=demo.phase, completed=demo.elapsed)
 
 
 class LiveView:
