@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import itertools
 import logging
+import os
+import subprocess
+import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -11,7 +14,7 @@ import pytest
 from rosbags.typesys import Stores, get_typestore
 
 from rosplc.ros import LATCHED, Qos, incompatibility
-from tests.interop.graphs import STRING, Graph, string, text_of, wait_for
+from tests.interop.graphs import LOCAL, STRING, Graph, string, text_of, wait_for
 
 pytestmark = pytest.mark.timeout(240)
 
@@ -272,3 +275,24 @@ def test_killed_peer_is_missed(graph: Graph, peer: StartPeer) -> None:
     victim.kill()
     wait_for(lambda: subscription.matched == 0)
     wait_for(lambda: subscription.status().reason == "no node publishes /data")
+
+
+_NODE = """
+import sys, time
+from rosplc.model import TypeStore
+from rosplc.ros import open_backend
+node = open_backend("dds", TypeStore.bundled("jazzy"), "victim", domain=int(sys.argv[1]))
+print("ready", flush=True)
+time.sleep(1000)
+"""
+
+
+@pytest.mark.verify
+def test_killed_node_leaves_the_graph(graph: Graph) -> None:
+    """A node whose process was killed is no longer listed once its lease has run out."""
+    node = graph.node("cell")
+    command = [sys.executable, "-c", _NODE, str(graph.domain)]
+    with subprocess.Popen(command, env={**os.environ, **LOCAL}) as victim:
+        wait_for(lambda: node.graph().nodes == ("/victim",))
+        victim.kill()
+    wait_for(lambda: node.graph().nodes == ())

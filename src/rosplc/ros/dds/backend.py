@@ -37,7 +37,7 @@ _logger = logging.getLogger("rosplc.ros.dds")
 
 _TICK_NS = 500_000_000  # how often the receive thread looks at what has no event of its own
 _SETTLE_NS = 1_000_000_000  # matching may take a moment; nothing is called a mismatch before
-_PUBLICATIONS, _SUBSCRIPTIONS, _ANNOUNCEMENTS, _FIRST = 0, 1, 2, 3  # keys in the waitset
+_PARTICIPANTS, _ANNOUNCEMENTS, _FIRST = 2, 3, 4  # keys in the waitset; 0 and 1 are endpoints of peers
 
 DdsEndpoint = DdsSubscription | DdsPublisher
 
@@ -182,6 +182,8 @@ class DdsBackend:
             if isinstance(endpoint, DdsSubscription):
                 self._waitset.detach(endpoint.condition)
             self._announcer.remove(endpoint.guid)
+            for pair in [pair for pair in self._unmatched if pair[0] == endpoint.guid]:
+                del self._unmatched[pair]
             self._changed = True
         self._waitset.wake()
 
@@ -198,6 +200,9 @@ class DdsBackend:
                             endpoint.take()  # type: ignore[union-attr]
                     elif key == _ANNOUNCEMENTS:
                         self._announcer.take()
+                    elif key == _PARTICIPANTS:
+                        for participant in self._peers.gone():
+                            self._announcer.forget(participant)
                     else:
                         self._look(key)
                 if self._changed:

@@ -13,8 +13,13 @@ import threading
 from dataclasses import dataclass
 from typing import Any
 
-from cyclonedds._clayer import ddspy_take_endpoint
-from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription
+from cyclonedds._clayer import ddspy_take_endpoint, ddspy_take_participant
+from cyclonedds.builtin import (
+    BuiltinDataReader,
+    BuiltinTopicDcpsParticipant,
+    BuiltinTopicDcpsPublication,
+    BuiltinTopicDcpsSubscription,
+)
 from cyclonedds.core import InstanceState
 
 from rosplc.ros.backend import Qos, incompatibility
@@ -70,10 +75,11 @@ class PeerTable:
         self.readers = (
             BuiltinDataReader(participant, BuiltinTopicDcpsPublication),
             BuiltinDataReader(participant, BuiltinTopicDcpsSubscription),
+            BuiltinDataReader(participant, BuiltinTopicDcpsParticipant),
         )
 
     def update(self, which: int) -> set[str]:
-        """Take what is new on ``readers[which]``; return the DDS topics concerned."""
+        """Take what is new on ``readers[which]``, 0 or 1; return the DDS topics concerned."""
         ref = self.readers[which]._ref
         writer = which == 0
         changed: set[str] = set()
@@ -117,6 +123,19 @@ class PeerTable:
             taken = ddspy_take_endpoint(ref, _BATCH, see, settings)
             if isinstance(taken, int) or len(taken) < _BATCH:
                 return changed
+
+    def gone(self) -> set[bytes]:
+        """Take what is new on ``readers[2]``; return the ids of participants that have left or died."""
+        left: set[bytes] = set()
+
+        def see(guid: bytes, _: None, info: Any) -> None:
+            if not info.valid_data or info.instance_state != InstanceState.Alive:
+                left.add(guid)
+
+        while True:
+            taken = ddspy_take_participant(self.readers[2]._ref, _BATCH, see, lambda _: None)
+            if isinstance(taken, int) or len(taken) < _BATCH:
+                return left
 
     def _forget(self, guid: bytes) -> set[str]:
         with self._lock:
