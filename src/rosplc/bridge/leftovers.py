@@ -5,7 +5,7 @@ from __future__ import annotations
 from rosplc.bridge.resolve import Project
 from rosplc.bridge.topic import log
 from rosplc.errors import ChannelError
-from rosplc.shm import OwnedChannel, attach
+from rosplc.shm import Direction, OwnedChannel, attach
 from rosplc.shm.lock import NameLock
 
 __all__ = ["retire_leftovers"]
@@ -22,7 +22,13 @@ def retire_leftovers(project: Project) -> None:
     """
     namespace, mode = project.namespace, project.config.settings.shm.mode
     for plan in project.topics:
-        NameLock(namespace.lock_path(plan.topic), mode=mode).release()
+        try:
+            NameLock(namespace.lock_path(plan.topic), mode=mode).release()
+        except ChannelError as error:
+            if error.code != "SHM116":
+                raise
+            what = f"{_holder(project, plan.topic)} holds {plan.topic}"
+            raise ChannelError("SHM116", what, where=error.where) from None
     kept = {namespace.object_name(plan.topic) for plan in project.topics}
     for name in namespace.topics():
         topic = namespace.topic_of(name)
@@ -32,6 +38,18 @@ def retire_leftovers(project: Project) -> None:
             _retire(project, topic)
         except (ChannelError, OSError, ValueError) as error:
             log.debug("%s is left alone: %s", name, error)
+
+
+def _holder(project: Project, topic: str) -> str:
+    """Say who holds a name, as far as its object tells."""
+    try:
+        with attach(project.namespace, topic) as found:
+            state = found.snapshot()
+            to_plc = found.identity.direction is Direction.TO_PLC
+            pid = state.writer.pid if to_plc else state.readers[0].pid
+            return f"bridge {found.description.bridge}, process {pid},"
+    except (ChannelError, OSError):
+        return "another bridge"
 
 
 def _retire(project: Project, topic: str) -> None:
