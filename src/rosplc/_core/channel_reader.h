@@ -25,7 +25,7 @@ typedef struct {
     uint32_t claim;       /* own claim, never 0, unless an observer */
     uint32_t last;        /* newest sequence taken; belongs to region->geometry.generation (M14) */
     uint32_t lost, retries, discontinuities;
-    int latched; /* last = 0 was chosen: what lies before the first message is no loss */
+    int fresh; /* began with last = 0 and has taken nothing: what lies before its first message is no loss */
 } ch_reader;
 
 typedef struct {
@@ -39,7 +39,7 @@ typedef struct {
 /* Starts at `last`. Touches no shared word. */
 static inline void ch_reader_observe(ch_reader *r, const ch_region *region, uint32_t last)
 {
-    *r = (ch_reader){.region = region, .last = last};
+    *r = (ch_reader){.region = region, .last = last, .fresh = last == 0};
 }
 
 /* Claims a line whose claim is `expected` (0: free); 0 or 114. The line's `taken` becomes reader->last. */
@@ -93,11 +93,18 @@ static inline void ch_reader_release(ch_reader *r)
     r->line = NULL;
 }
 
+/* M13: nothing is new under a head that is 0, or at `last`, or so little behind it that its slot may
+ * still hold a message already taken. */
+static inline int ch_is_new(const ch_reader *r, uint32_t head)
+{
+    uint32_t n = r->region->geometry.slot_count;
+    return head != 0 && (r->last == 0 || ch_distance(head, r->last, n) >= n);
+}
+
 /* Whether there may be something to take. */
 static inline int ch_reader_news(const ch_reader *r)
 {
-    uint32_t head = ch_load(&r->region->header->writer.head);
-    return head != r->last && head != 0;
+    return ch_is_new(r, ch_load(&r->region->header->writer.head));
 }
 
 static inline ch_take ch_take_start(int mode)
@@ -112,12 +119,9 @@ static inline int ch_take_choose(const ch_reader *r, ch_take *t)
     t->lost = 0;
     t->discontinuity = 0;
     t->sequence = t->head;
-    if (t->head == 0)
-        return 0;
     if (t->mode == CH_TAKE_PEEK)
-        return 1;
-    /* M13: a head a little behind `last` was scribbled; its slot holds a message already taken. */
-    if (t->head == r->last || (r->last != 0 && ch_distance(t->head, r->last, n) < n))
+        return t->head != 0;
+    if (!ch_is_new(r, t->head))
         return 0;
     d = ch_distance(r->last, t->head, n);
     if (d >= CH_DISCONTINUITY) {
@@ -130,10 +134,8 @@ static inline int ch_take_choose(const ch_reader *r, ch_take *t)
     } else {
         t->sequence = ch_next(r->last, n);
     }
-    if (r->latched) {
+    if (r->fresh)
         t->lost = 0;
-        t->discontinuity = 0;
-    }
     return 1;
 }
 
@@ -196,7 +198,7 @@ static inline void ch_take_accept(ch_reader *r, ch_take *t)
     r->last = t->sequence;
     r->lost += t->lost;
     r->discontinuities += (uint32_t)t->discontinuity;
-    r->latched = 0;
+    r->fresh = 0;
     if (ch_reader_owns(r)) {
         ch_store(&r->line->taken, r->last);
         if (t->lost)

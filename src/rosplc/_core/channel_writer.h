@@ -63,10 +63,9 @@ static inline ch_slot_header *ch_writer_begin(const ch_writer *w, int *error)
         return NULL;
     slot = ch_slot(r, ch_next(w->head, r->geometry.slot_count));
     ch_fence_release(0); /* F1 */
-    /* The slot stays "never used" until its record is complete: not even a scribbled head can then
-     * present half a message, for M12's second condition fails. */
+    /* M22, the seal: not even a scribbled head can then present half a message. */
     ch_store(&slot->sequence, 0);
-    ch_fence_release(r->geometry.record_size);
+    ch_fence_release(r->geometry.record_size); /* F5 */
     return slot;
 }
 
@@ -85,7 +84,7 @@ static inline uint32_t ch_writer_commit(ch_writer *w, ch_slot_header *slot, cons
     ch_store(&slot->stamp_clock, meta->stamp_clock);
     ch_store(&slot->correlation_lo, meta->correlation_lo);
     ch_store(&slot->correlation_hi, meta->correlation_hi);
-    ch_fence_release(r->geometry.record_size);
+    ch_fence_release(r->geometry.record_size); /* F6 */
     ch_store(&slot->sequence, s);
     /* Readers fetch head's line as soon as head changes: a store behind it would take the line away from
      * them again, in the middle of their copy. */

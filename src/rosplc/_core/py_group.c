@@ -202,7 +202,7 @@ static Py_ssize_t group_look(GroupObject *self)
         if (!entry->reader || entry->broken || entry->reader->owner->closed)
             continue;
         head = ch_load(&entry->reader->owner->region.header->writer.head);
-        if (head == entry->reader->reader.last || head == 0)
+        if (!ch_is_new(&entry->reader->reader, head))
             continue;
         if (head == entry->rejected && entry->looks) {
             entry->looks--;

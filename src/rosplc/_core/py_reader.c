@@ -5,12 +5,11 @@
 
 static PyObject *reader_new(PyTypeObject *type, PyObject *args, PyObject *kwargs)
 {
-    static char *names[] = {"region", "last", "latched", NULL};
+    static char *names[] = {"region", "last", NULL};
     RegionObject *owner;
     ReaderObject *self;
     unsigned int last;
-    int latched = 0;
-    if (!PyArg_ParseTupleAndKeywords(args, kwargs, "O!I|p:Reader", names, ch_region_type, &owner, &last, &latched))
+    if (!PyArg_ParseTupleAndKeywords(args, kwargs, "O!I:Reader", names, ch_region_type, &owner, &last))
         return NULL;
     if (ch_region_usable(owner))
         return NULL;
@@ -18,7 +17,6 @@ static PyObject *reader_new(PyTypeObject *type, PyObject *args, PyObject *kwargs
     if (!self)
         return NULL;
     ch_reader_observe(&self->reader, &owner->region, last);
-    self->reader.latched = latched;
     Py_INCREF((PyObject *)owner);
     self->owner = owner;
     return (PyObject *)self;
@@ -291,7 +289,7 @@ static PyGetSetDef attributes[] = {
 };
 
 static PyType_Slot slots[] = {
-    {Py_tp_doc, "Reader(region, last, latched=False): an observer that starts after `last`; see claim()."},
+    {Py_tp_doc, "Reader(region, last): an observer that starts after `last`; see claim()."},
     {Py_tp_new, (void *)reader_new},
     {Py_tp_dealloc, (void *)reader_dealloc},
     {Py_tp_methods, methods},

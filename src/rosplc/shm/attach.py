@@ -111,7 +111,7 @@ class Attached:
             ChannelError: SHM122 if a line is wanted and the object is mapped read-only; SHM111.
         """
         self.valid()
-        reader = Reader(self.region, start_of(self.region, latched=latched), latched)
+        reader = Reader(self.region, start_of(self.region, latched=latched))
         if not observe:
             self._writable()
             first = 1 if self.identity.direction is Direction.TO_ROS else 0

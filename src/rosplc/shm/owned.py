@@ -174,7 +174,7 @@ class OwnedChannel:
         """
         if self.identity.direction is not Direction.TO_ROS:
             raise channel_error(110, "the bridge does not read what it writes", str(self.path))
-        reader = Reader(self.region, start_of(self.region, latched=latched, line=0), latched)
+        reader = Reader(self.region, start_of(self.region, latched=latched, line=0))
         take_over_line(self.region, reader, 0, beat_ms, self.description.bridge)
         self._users.append(reader)
         return reader

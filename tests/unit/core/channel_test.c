@@ -154,7 +154,7 @@ static void test_stream(uint32_t slots, uint32_t start)
     for (uint32_t i = 0; i < slots - 1; i++)
         CHECK(take(&slow, CH_TAKE_NEXT) == (uint8_t)(missed + i + 1));
     CHECK(take(&slow, CH_TAKE_NEXT) == -1);
-    CHECK(slow.lost == 4 * slots - (slots - 1));
+    CHECK(slow.lost == (start ? 4 * slots - (slots - 1) : 0)); /* before a first message lies no loss */
     CHECK(slow.last == w.head && slow.discontinuities == 0);
 }
 
@@ -246,11 +246,11 @@ static void test_scribbled_head(void)
         ch_reader_observe(&newest, &r, truth);
         ch_reader_observe(&in_order, &r, truth);
         ch_store(&r.header->writer.head, heads[i]);
-        /* An older message may come again only as what it is: a jump back in the stream, counted. */
+        /* No message that was taken comes again, and none comes that was not sent. */
         got = take(&newest, CH_TAKE_NEWEST);
-        CHECK(got == -1 || (got == (int)heads[i] && newest.discontinuities == 1));
+        CHECK(got == -1);
         got = take(&in_order, CH_TAKE_NEXT);
-        CHECK(got == -1 || (got == (int)heads[i] && in_order.discontinuities == 1));
+        CHECK(got == -1 && in_order.last == truth && in_order.discontinuities == 0 && in_order.lost == 0);
         publish(&w, 7);
         CHECK(w.head == 7 && r.header->writer.head == 7);
         CHECK(take(&newest, CH_TAKE_NEWEST) == 7);
@@ -287,7 +287,7 @@ static void test_half_written(void)
 /* A writer that claims a scribbled head starts another stream; readers find their way into it. */
 static void test_jumped_stream(void)
 {
-    static const uint32_t jumps[] = {7, 8, 9, 100, 0x7FFFFFF0, 0x80000020, 0xFFFFFFFE, 0xFFFFFFFF};
+    static const uint32_t jumps[] = {7, 8, 9, 100, 0x7FFFFFF0, 0x80000020, 0xFFFFFFF0};
     for (size_t i = 0; i < sizeof jumps / sizeof *jumps; i++) {
         ch_region r = make_region(4, 8);
         ch_writer w;
@@ -306,6 +306,24 @@ static void test_jumped_stream(void)
     }
 }
 
+/* A writer without fences may be one slot ahead of its head: readers keep away from one slot more (M23). */
+static void test_delayed_rule(void)
+{
+    ch_region r = make_region(4, 8);
+    ch_writer w;
+    ch_reader reader;
+    CHECK(ch_writer_claim(&w, &r, 0, 7, 100, 1) == 0);
+    publish(&w, 1);
+    r.header->writer.rule = CH_DELAYED_RULE;
+    ch_reader_observe(&reader, &r, 1);
+    for (uint8_t s = 2; s <= 10; s++)
+        publish(&w, s);
+    CHECK(take(&reader, CH_TAKE_NEXT) == 9);
+    CHECK(reader.lost == 7);
+    CHECK(take(&reader, CH_TAKE_NEXT) == 10);
+    CHECK(take(&reader, CH_TAKE_NEXT) == -1);
+}
+
 static void test_latched(void)
 {
     ch_region r = make_region(4, 8);
@@ -315,7 +333,6 @@ static void test_latched(void)
     for (uint8_t s = 1; s <= 20; s++)
         publish(&w, s);
     ch_reader_observe(&reader, &r, 0);
-    reader.latched = 1;
     CHECK(take(&reader, CH_TAKE_NEXT) == 18);
     CHECK(reader.lost == 0); /* what was before is none of its business */
     CHECK(take(&reader, CH_TAKE_NEXT) == 19);
@@ -569,6 +586,7 @@ int main(int argc, char **argv)
     test_scribbled_head();
     test_half_written();
     test_jumped_stream();
+    test_delayed_rule();
     test_latched();
     test_identity();
     printf("%d failures\n", failures);

@@ -124,14 +124,15 @@ def test_losses_are_counted(shm_namespace: Namespace) -> None:
     """Four slots hold three messages; what came before is counted, once."""
     with open_channel(shm_namespace) as channel, attach(shm_namespace, _TOPIC, write=True) as attached:
         writer = channel.writer()
+        writer.publish(pattern(0, 64))
         reader = attached.reader("motion", observe=False)
         out = bytearray(64)
         for number in range(1, 11):
             writer.publish(pattern(number, 64))
         infos = [reader.next(out) for _ in range(4)]
-        assert [info and (info.sequence, info.lost) for info in infos] == [(8, 7), (9, 0), (10, 0), None]
+        assert [info and (info.sequence, info.lost) for info in infos] == [(9, 7), (10, 0), (11, 0), None]
         line = attached.snapshot().readers[0]
-        assert (line.lost, line.taken, line.task, line.layout_id) == (7, 10, "motion", LAYOUT)
+        assert (line.lost, line.taken, line.task, line.layout_id) == (7, 11, "motion", LAYOUT)
         assert line.generation == channel.generation
 
 
