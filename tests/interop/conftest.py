@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import queue
+import signal
 import subprocess
 import threading
 from collections.abc import Callable, Iterator
@@ -68,6 +69,14 @@ class Peer:
         with contextlib.suppress(queue.Empty):
             if (line := self._news.get(timeout=0.02)) is not None:
                 self.lines.append(line)
+
+    def stop(self) -> None:
+        """Let the program stand still."""
+        self._process.send_signal(signal.SIGSTOP)
+
+    def resume(self) -> None:
+        """Let the program go on."""
+        self._process.send_signal(signal.SIGCONT)
 
     def kill(self) -> None:
         """End the program without letting it say goodbye."""

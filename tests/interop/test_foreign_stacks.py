@@ -296,3 +296,25 @@ def test_killed_node_leaves_the_graph(graph: Graph) -> None:
         wait_for(lambda: node.graph().nodes == ("/victim",))
         victim.kill()
     wait_for(lambda: node.graph().nodes == ())
+
+
+def test_stopped_peer_does_not_stop_us(graph: Graph, peer: StartPeer) -> None:
+    """A reliable subscriber that stands still costs itself messages; the others get theirs."""
+    got: list[str] = []
+    publisher = graph.node("cell").advertise("/data", STRING, Qos(depth=10))
+    healthy = graph.node("other").subscribe(
+        "/data", STRING, RELIABLE, lambda data, _: got.append(text_of(data)[:4])
+    )
+    sleeper = peer("sub", "String", "rt/data", depth=10)
+    wait_for(lambda: publisher.matched == 2 and healthy.matched == 1)
+    sleeper.stop()
+    try:
+        filler = "x" * 10_000
+        accepted = sum(publisher.write(string(f"{number:04}{filler}")) for number in range(500))
+        assert accepted + publisher.status().dropped == 500
+        wait_for(lambda: len(got) >= accepted)
+    finally:
+        sleeper.resume()
+    assert got == sorted(got)
+    wait_for(lambda: publisher.write(string("done")))
+    sleeper.wait(lambda lines: 'message "done"' in lines)
