@@ -110,8 +110,10 @@ class Demo:
             for key, value in os.environ.items()
             if key not in ("CYCLONEDDS_URI", "ROS_STATIC_PEERS")
         }
-        # Loopback alone, whatever this machine's ROS is set to.
+        # Loopback alone, whatever this machine's ROS is set to; and no module of the folder in
+        # which the user happens to stand in place of a library's (from Python 3.11 on).
         environment.update(
+            PYTHONSAFEPATH="1",
             ROS_LOCALHOST_ONLY="1",
             ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST",
             ROS_DOMAIN_ID=str(self.plan.domain),
