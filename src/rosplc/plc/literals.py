@@ -67,5 +67,5 @@ def literal(kind: str, value: Any) -> str | None:
 
 
 def time_literal(nanoseconds: int) -> str:
-    """Return a TIME literal, rounded up to whole milliseconds."""
-    return f"T#{-(-nanoseconds // 1_000_000)}ms"
+    """Return a TIME literal, rounded up to whole milliseconds, at most what the type holds (49 days)."""
+    return f"T#{min(-(-nanoseconds // 1_000_000), 2**32 - 1)}ms"
