@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from types import TracebackType
 from typing import Any
 
-from rosplc.described import described_layout
+from rosplc.described import layout_of
 from rosplc.errors import ChannelError
 from rosplc.layout import Layout, RecordView
 from rosplc.monitor import ObjectState, find_objects
@@ -255,11 +255,12 @@ class Channel:
             self._namespace,
             self.topic,
             layout_id=None if self._expected is None else self._expected.layout_id,
+            record_size=None if self._expected is None else self._expected.size,
             write=self._write or bool(self._task),
         )
         try:
             description = attached.description
-            layout = self._expected or described_layout(description, where=self.topic)
+            layout = self._expected or layout_of(attached)
             reader = attached.reader(self._task, latched=self._latched, observe=not self._task)
             # 0: a program that writes now and then promises no beat; a killed one is replaced after 1 s.
             writer = attached.writer(beat_ms=0) if self._write else None

@@ -13,9 +13,9 @@ from functools import lru_cache
 from rosplc.errors import ChannelError, RosplcError
 from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
-from rosplc.shm import Description
+from rosplc.shm import Attached, Description
 
-__all__ = ["described_layout"]
+__all__ = ["described_layout", "layout_of"]
 
 
 def described_layout(description: Description, *, where: str = "") -> Layout:
@@ -43,6 +43,24 @@ def described_layout(description: Description, *, where: str = "") -> Layout:
             "SHM113",
             f"it describes layout {layout.layout_id}, but states {description.layout_id}",
             where=where,
+        )
+    return layout
+
+
+def layout_of(attached: Attached) -> Layout:
+    """Return the layout of an attached object, its header and its description agreeing on it.
+
+    Raises:
+        ChannelError: SHM113, as :func:`described_layout`, or because the two disagree.
+    """
+    identity = attached.identity
+    layout = described_layout(attached.description, where=attached.path)
+    if (layout.layout_id, layout.size) != (identity.layout_id, identity.record_size):
+        raise ChannelError(
+            "SHM113",
+            f"it describes layout {layout.layout_id} of {layout.size} bytes, "
+            f"the header says {identity.layout_id} of {identity.record_size}",
+            where=attached.path,
         )
     return layout
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from rosplc.described import described_layout
+from rosplc.described import described_layout, layout_of
 from rosplc.errors import ChannelError
 from rosplc.layout import Layout
 from rosplc.shm import Attached, Direction, Namespace, attach
@@ -155,7 +155,7 @@ class Link:
             raise
         try:
             if compiled is None:
-                layout = described_layout(attached.description, where=self.topic)
+                layout = layout_of(attached)
             else:
                 layout = compiled
                 self._compare(attached, compiled)
@@ -166,7 +166,7 @@ class Link:
 
     def _compare(self, attached: Attached, compiled: Layout) -> None:
         found = attached.identity.layout_id
-        if found == compiled.layout_id:
+        if found == compiled.layout_id and attached.identity.record_size == compiled.size:
             return
         made_for = f"layout {compiled.layout_id} of {compiled.type_name}"
         what = f"the program was made for {made_for}, the object has {found}"

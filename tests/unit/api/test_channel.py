@@ -12,6 +12,7 @@ from rosplc import ChannelError, Direction, LayoutError
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.shm import Description, OwnedChannel
+from rosplc.virtual_plc import ReadBlock
 
 STORE = TypeStore.bundled("jazzy")
 
@@ -76,10 +77,12 @@ def test_read_returns_each_message_once(bridge, attach):
     side = bridge()
     channel = attach()
     assert channel.read() is None
+    side.send(data=0)
+    assert channel.read().data == 0
     side.send(data=1)
     side.send(data=2)
     message = channel.read()
-    assert (message.data, channel.info.sequence, channel.info.stamp_ns, channel.lost) == (2, 2, 42, 1)
+    assert (message.data, channel.info.sequence, channel.info.stamp_ns, channel.lost) == (2, 3, 42, 1)
     assert channel.read() is None
     assert (channel.type_name, channel.direction) == ("std_msgs/msg/Int32", Direction.TO_PLC)
 
@@ -323,6 +326,31 @@ def test_a_description_that_cannot_be_used_is_refused(attach, shm_namespace, cha
         pytest.raises(ChannelError, match="SHM113"),
     ):
         attach("/odd")
+
+
+@pytest.mark.parametrize("record_size", [4, 16])
+def test_a_header_that_disagrees_with_the_description_is_refused(attach, shm_namespace, record_size):
+    """A record size that the described layout does not have is SHM113, or SHM112 for who expects it."""
+    layout = compute_layout(STORE, "std_msgs/msg/Int64")
+    description = Description(
+        topic="/odd",
+        type="std_msgs/msg/Int64",
+        distro="jazzy",
+        direction=Direction.TO_PLC,
+        limits=layout.limits.to_dict(),
+        layout_id=layout.layout_id,
+        bridge="test",
+        definition="int64 data",
+    )
+    with OwnedChannel.open(shm_namespace, description, record_size=record_size):
+        with pytest.raises(ChannelError, match="SHM113"):
+            attach("/odd")
+        with pytest.raises(ChannelError, match="SHM112"):
+            attach("/odd", layout=layout)
+        for given, number in ((None, 113), (layout, 112)):
+            block = ReadBlock("/odd", prefix=shm_namespace.prefix, layout=given)
+            block()
+            assert block.udiError == number
 
 
 def test_topics_lists_live_and_unreadable_objects(bridge, shm_namespace):

@@ -57,10 +57,23 @@ def test_latest_skips_and_counts(side, scans):
     bridge = side("/n", INT, TO_PLC)
     block = reading(bridge)
     scans(block)
+    bridge.send(data=0)
+    scans(block)
     for number in range(1, 4):
         bridge.send(data=number)
     scans(block)
     assert (block.msg.data, block.udiLost, block.uiTaken) == (3, 2, 1)
+
+
+def test_what_came_before_the_first_message_is_no_loss(side, scans):
+    """A block that attached before anything was sent counts from the first message it takes."""
+    bridge = side("/n", INT, TO_PLC)
+    block = reading(bridge)
+    scans(block)
+    for number in range(1, 4):
+        bridge.send(data=number)
+    scans(block)
+    assert (block.msg.data, block.udiLost) == (3, 0)
 
 
 def test_every_takes_all_in_order(side, scans):
@@ -81,6 +94,8 @@ def test_every_counts_what_the_slots_could_not_hold(side, scans):
     """N slots hold N-1 messages; the others are counted as lost."""
     bridge = side("/n", INT, TO_PLC, slots=4)
     block = reading(bridge, mode="every")
+    scans(block)
+    bridge.send(data=0)
     scans(block)
     for number in range(1, 11):
         bridge.send(data=number)
