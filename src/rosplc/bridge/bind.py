@@ -6,20 +6,20 @@ object, decides when to write and when to read, and publishes or subscribes itse
 
 from __future__ import annotations
 
-import importlib
 import logging
 import os
 import threading
 import time
-import weakref
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 from rosplc._core._native import Fault
+from rosplc.bridge.beats import BEAT_MS, Beats
+from rosplc.bridge.message_class import definition_of, deserialize, type_name_of
 from rosplc.codec import Codec, Wire
-from rosplc.errors import ChannelError, MessageTypeError
+from rosplc.errors import ChannelError
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import DISTROS, TypeStore
 from rosplc.shm import Description, Direction, Namespace, OwnedChannel, Reader, Writer
@@ -27,7 +27,6 @@ from rosplc.shm import Description, Direction, Namespace, OwnedChannel, Reader, 
 __all__ = ["Binding", "bind"]
 
 _log = logging.getLogger("rosplc.bind")
-_BEAT_MS = 100
 _LOOK_NS = 1_000_000_000
 _DIRECTIONS = {"to_plc": Direction.TO_PLC, "to_ros": Direction.TO_ROS}
 
@@ -81,8 +80,8 @@ def bind(
     if direction not in _DIRECTIONS:
         raise ValueError(f"direction is {direction!r}; it is 'to_plc' or 'to_ros'")
     message_class = None if isinstance(type, str) else type
-    type_name = type if isinstance(type, str) else _type_name(type)
-    definition = getattr(message_class, "_full_text", None)  # rospy's classes carry theirs
+    type_name = type if isinstance(type, str) else type_name_of(type)
+    definition = definition_of(message_class)
     chosen = distro or ("noetic" if definition else _environment_distro())
     store = TypeStore.bundled(chosen).with_paths(Path(path) for path in paths)
     if type_name not in store and definition:
@@ -123,6 +122,7 @@ class Binding:
     Attributes:
         topic: The topic.
         layout: The record's layout.
+        closed: Whether :meth:`close` was called.
     """
 
     def __init__(
@@ -148,9 +148,9 @@ class Binding:
         self._writer: Writer | None = None
         self._reader: Reader | None = None
         self._channel: OwnedChannel | None = None
-        self._closed = False
+        self.closed = False
         self._open()
-        _Beats.add(self)
+        Beats.add(self)
 
     def write(self, message: Any, *, stamp_ns: int | None = None) -> int:
         """Put a message where the PLC reads it.
@@ -210,7 +210,7 @@ class Binding:
         if record is None:
             return None
         if self._message_class is not None:
-            return _deserialize(self._message_class, self._codec.encode(record))
+            return deserialize(self._message_class, self._codec.encode(record))
         return self.layout.view(record)
 
     def read_bytes(self) -> bytes | None:
@@ -252,7 +252,7 @@ class Binding:
     def close(self) -> None:
         """Leave the object, with its last state, for the PLC and the next owner; harmless twice."""
         with self._lock:
-            self._closed = True
+            self.closed = True
             self._leave()
 
     def __enter__(self) -> Binding:
@@ -266,9 +266,9 @@ class Binding:
     def _open(self) -> None:
         channel: OwnedChannel = self._open_channel()
         if self._to_plc:
-            self._writer = channel.writer(_BEAT_MS)
+            self._writer = channel.writer(BEAT_MS)
         else:
-            self._reader = channel.reader(_BEAT_MS)
+            self._reader = channel.reader(BEAT_MS)
         self._channel = channel
         self._looked_ns = time.monotonic_ns()
 
@@ -285,7 +285,7 @@ class Binding:
 
     def _look_after(self) -> None:
         """Check about once a second that the name still leads to the object."""
-        if self._closed:
+        if self.closed:
             raise ValueError(f"the binding of {self.topic} is closed")
         now = time.monotonic_ns()
         if self._channel is None or (now - self._looked_ns >= _LOOK_NS and not self._channel.still_there()):
@@ -299,38 +299,6 @@ class Binding:
         return self.layout.to_dict(self.layout.pack(message))
 
 
-class _Beats:
-    """One thread that beats for all bindings of the process."""
-
-    _bindings: ClassVar[weakref.WeakSet[Binding]] = weakref.WeakSet()
-    _lock = threading.Lock()
-    _running = False
-
-    @classmethod
-    def add(cls, binding: Binding) -> None:
-        with cls._lock:
-            cls._bindings.add(binding)
-            if not cls._running:
-                cls._running = True
-                threading.Thread(target=cls._run, name="rosplc-beats", daemon=True).start()
-
-    @classmethod
-    def _run(cls) -> None:
-        while True:
-            time.sleep(_BEAT_MS / 1e3)
-            with cls._lock:
-                bindings = [binding for binding in cls._bindings if not binding._closed]
-                if not bindings:
-                    cls._running = False
-                    return
-            for binding in bindings:
-                try:
-                    binding.beat()
-                except (ChannelError, ValueError):
-                    continue  # write() and read() report it to whoever can act
-            del bindings
-
-
 def _limits(limits: Limits | Mapping[str, int] | None) -> Limits:
     if limits is None or isinstance(limits, Limits):
         return limits or Limits()
@@ -341,24 +309,3 @@ def _limits(limits: Limits | Mapping[str, int] | None) -> Limits:
 def _environment_distro() -> str:
     distro = os.environ.get("ROS_DISTRO", "")
     return distro if distro in DISTROS else "jazzy"
-
-
-def _type_name(message_class: type) -> str:
-    """Return the type name of a message class of rospy, rosbags or rclpy."""
-    for attribute in ("_type", "__msgtype__"):
-        if isinstance(name := getattr(message_class, attribute, None), str):
-            return name
-    package, *rest = message_class.__module__.split(".")
-    if not rest or rest[0] != "msg":
-        raise MessageTypeError(
-            "TYP001",
-            f"{message_class.__name__} is no message class",
-            remedy="Give the class of rclpy or rospy, or the type's name.",
-        )
-    return f"{package}/msg/{message_class.__name__}"
-
-
-def _deserialize(message_class: type, data: bytes) -> Any:
-    if hasattr(message_class, "deserialize"):  # rospy
-        return message_class().deserialize(data)
-    return importlib.import_module("rclpy.serialization").deserialize_message(data, message_class)

@@ -150,7 +150,10 @@ class _Builder:
                 )
         elif isinstance(event, yaml.AliasEvent):
             self._refuse(f"*{event.anchor} is an alias", line)
-            self._value(None, line)
+            if self._expects_key():
+                self._key(f"*{event.anchor}", line)
+            else:
+                self._value(None, line)
         elif isinstance(event, yaml.ScalarEvent):
             self._tag(event.tag, line)
             if self._expects_key():

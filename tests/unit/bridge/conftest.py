@@ -20,6 +20,10 @@ from rosplc.shm import Attached, Namespace, Reader, Writer, attach
 DOMAIN = 41
 STORE = TypeStore.bundled("jazzy")
 WATCHDOG_S = 20.0
+STRING = "std_msgs/msg/String"
+INT = "std_msgs/msg/Int32"
+JOINTS = "sensor_msgs/msg/JointState"
+BOTH = f"  /in: {{type: {INT}, to: plc}}\n  /out: {{type: {INT}, to: ros}}\n"
 
 
 def wait_for(condition: Callable[[], Any], what: str = "") -> Any:
@@ -42,6 +46,11 @@ def unwire(type_name: str, data: bytes) -> dict[str, Any]:
     """Return the content of a message that came to a ROS node."""
     layout = compute_layout(STORE, type_name, Limits(string=2000, sequence=200))
     return layout.to_dict(Codec(layout, Wire.CDR).decode(data))
+
+
+def numbers(messages: list[bytes]) -> list[int]:
+    """Return what Int32 messages hold."""
+    return [unwire(INT, data)["data"] for data in messages]
 
 
 class PlcTopic:

@@ -120,6 +120,7 @@ def test_defaults() -> None:
         ("bridge: a\n\nbridge: b\n", [("CFG010", "c.yaml:3: bridge")]),
         ("bridge: &x a\nprefix: *x\n", [("CFG009", "c.yaml:2")]),
         ("bridge: !!python/name:os.getcwd ''\n", [("CFG009", "c.yaml:1"), ("CFG004", "c.yaml:1: bridge")]),
+        ("*x : a\n", [("CFG009", "c.yaml:1"), ("CFG003", "c.yaml:1: *x")]),
         ("bridge: !env HOME\n", [("CFG009", "c.yaml:1")]),
         ("bridge: 5\n", [("CFG004", "c.yaml:1: bridge")]),
         ("bridge: a/b\n", [("CFG004", "c.yaml:1: bridge")]),

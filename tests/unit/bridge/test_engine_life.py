@@ -1,0 +1,461 @@
+"""A running bridge: who may start, stop, fail or vanish, and what survives it."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rosplc._core._native import Fault
+from rosplc.bridge import Bridge, Level, parse_config, read_config, resolve
+from rosplc.bridge.to_plc import ToPlc
+from rosplc.bridge.to_ros import ToRos
+from rosplc.bridge.topic import Surroundings
+from rosplc.errors import BackendError, ChannelError, ConfigError
+from rosplc.ros import LATCHED, Qos
+from rosplc.ros.memory import MemoryBackend, MemoryPublisher, MemorySubscription, open_backend
+from rosplc.shm import Namespace, OwnedChannel, attach
+from rosplc.shm.constants import IDENTITY, STATE_RETIRED
+from tests.unit.bridge.conftest import (
+    BOTH,
+    DOMAIN,
+    INT,
+    STORE,
+    STRING,
+    Cell,
+    numbers,
+    wait_for,
+    wire,
+)
+
+
+def test_a_restart_adopts_and_goes_on(cell: Cell) -> None:
+    """An attached PLC notices no restart; what it wrote meanwhile is sent once, nothing twice."""
+    topics = BOTH.replace("to: ros", "to: ros, depth: 16")
+    cell.start(topics)
+    messages = cell.listen("/out", INT)
+    incoming, outgoing = cell.plc("/in"), cell.plc("/out")
+    publisher = cell.publisher("/in", INT)
+    publisher.write(wire(INT, {"data": 1}))
+    assert wait_for(incoming.read) == {"data": 1}
+    outgoing.write({"data": 10})
+    wait_for(lambda: len(messages) == 1)
+    cell.stop()
+    assert incoming.attached.snapshot().writer.epoch == 0, "a clean stop gives the claim back"
+    outgoing.write({"data": 11})
+    outgoing.write({"data": 12})
+    bridge = cell.start(topics)
+    assert all(topic.channel is not None and topic.channel.adopted for topic in bridge._topics)
+    wait_for(lambda: len(messages) == 3)
+    publisher.write(wire(INT, {"data": 2}))
+    assert wait_for(incoming.read) == {"data": 2}
+    incoming.attached.valid()
+    outgoing.write({"data": 13})
+    wait_for(lambda: len(messages) == 4)
+    assert numbers(messages) == [10, 11, 12, 13]
+
+
+def test_a_changed_layout_retires_the_old_object(cell: Cell) -> None:
+    """A PLC with the old layout is told, and the new object stands in its place."""
+    cell.start(f"  /text: {{type: {STRING}, to: plc, limits: {{data: 4}}}}\n")
+    old = cell.plc("/text")
+    cell.stop()
+    cell.start(f"  /text: {{type: {STRING}, to: plc, limits: {{data: 8}}}}\n")
+    with pytest.raises(ChannelError, match="SHM111"):
+        old.attached.valid()
+    new = cell.plc("/text")
+    cell.publisher("/text", STRING).write(wire(STRING, {"data": "12345678"}))
+    assert wait_for(new.read) == {"data": "12345678"}
+
+
+def test_two_bridges_on_one_name(cell: Cell) -> None:
+    """The second is refused before it disturbs anything, even where layouts or topics differ."""
+    cell.start(BOTH)
+    plc = cell.plc("/in")
+    other = cell.make(f"  /a: {{type: {INT}, to: plc}}\n  /in: {{type: {STRING}, to: plc}}\n", name="other")
+    with pytest.raises(ChannelError, match=rf"bridge cell, process {os.getpid()}, holds /in \[SHM116\]"):
+        other.start()
+    assert not other.status().running
+    assert not cell.namespace.path("/a").exists()
+    cell.publisher("/in", INT).write(wire(INT, {"data": 5}))
+    assert wait_for(plc.read) == {"data": 5}
+    cell.stop()
+    other.start()
+    other.stop()
+
+
+def test_topics_that_left_the_configuration_are_retired(cell: Cell, shm_namespace: Namespace) -> None:
+    """Objects of this bridge that nobody carries any more are removed; those of others stay."""
+    cell.start(BOTH)
+    plc = cell.plc("/out")
+    cell.stop()
+    with cell.make(f"  /theirs: {{type: {INT}, to: plc}}\n", name="other"):
+        pass
+    cell.start(f"  /in: {{type: {INT}, to: plc}}\n")
+    assert not shm_namespace.path("/out").exists()
+    assert shm_namespace.path("/theirs").exists()
+    with pytest.raises(ChannelError, match="SHM111"):
+        plc.attached.valid()
+
+
+@pytest.mark.parametrize("topic", ["/in", "/out"])
+def test_a_removed_object_is_created_again(cell: Cell, topic: str) -> None:
+    """Somebody empties /dev/shm: within a second or so both directions work again."""
+    bridge = cell.start(BOTH)
+    messages = cell.listen("/out", INT)
+    publisher = cell.publisher("/in", INT)
+    path = cell.namespace.path(topic)
+    path.unlink()
+    wait_for(path.exists)
+    assert wait_for(lambda: bridge.status().topic(topic).code) == "SHM120"
+    incoming, outgoing = cell.plc("/in"), cell.plc("/out")
+    wait_for(lambda: incoming.attached.snapshot().writer.epoch, "the bridge to claim the new object")
+    publisher.write(wire(INT, {"data": 6}))
+    assert wait_for(incoming.read) == {"data": 6}
+    outgoing.write({"data": 7})
+    wait_for(lambda: messages)
+    assert numbers(messages) == [7]
+
+
+@pytest.mark.parametrize("topic", ["/in", "/out"])
+@pytest.mark.parametrize("word", ["state", "magic", "slot_stride", "layout_id_lo"])
+def test_a_damaged_object_is_created_again(cell: Cell, topic: str, word: str) -> None:
+    """A foreign hand on the identity costs messages, not the topic."""
+    bridge = cell.start(BOTH)
+    messages = cell.listen("/out", INT)
+    publisher = cell.publisher("/in", INT)
+    with attach(cell.namespace, topic, write=True) as found:
+        generation = found.identity.generation
+        found.region.store(IDENTITY[word], STATE_RETIRED)
+    wait_for(lambda: bridge.status().topic(topic).recent)
+
+    def replaced() -> bool:
+        try:
+            with attach(cell.namespace, topic) as found:
+                return found.identity.generation != generation
+        except ChannelError:
+            return False
+
+    wait_for(replaced)
+    incoming, outgoing = cell.plc("/in"), cell.plc("/out")
+    wait_for(lambda: incoming.attached.snapshot().writer.epoch)
+    publisher.write(wire(INT, {"data": 8}))
+    assert wait_for(incoming.read) == {"data": 8}
+    outgoing.write({"data": 9})
+    wait_for(lambda: messages)
+    assert not bridge.status().topic(topic).problem
+
+
+@pytest.mark.parametrize("topic", ["/in", "/out"])
+def test_a_message_into_a_retired_object_is_noticed_at_once(cell: Cell, topic: str) -> None:
+    """Whoever uses the object first finds out, counts the message or reports, and it is opened again."""
+    bridge = cell.start(BOTH, more="tick: 500ms")
+    messages = cell.listen("/out", INT)
+    publisher, outgoing = cell.publisher("/in", INT), cell.plc("/out")
+    outgoing.write({"data": 1})
+    with attach(cell.namespace, topic, write=True) as found:
+        found.region.store(IDENTITY["state"], STATE_RETIRED)
+    publisher.write(wire(INT, {"data": 2}))
+    wait_for(lambda: bridge.status().topic(topic).code in ("SHM111", "SHM120"))
+    if topic == "/in":
+        assert bridge.status().topic("/in").lost == 1
+    wait_for(lambda: not bridge.status().topic(topic).problem)
+
+    def arrives() -> bool:
+        publisher.write(wire(INT, {"data": 3}))
+        try:
+            cell.plc("/out").write({"data": 4})
+        except ChannelError:
+            return False
+        return bool(messages) and numbers(messages)[-1] == 4 and bridge.status().topic("/in").published > 1
+
+    wait_for(arrives)
+
+
+def test_a_record_that_cannot_be_encoded_is_refused(cell: Cell) -> None:
+    """A fault of the encoder is counted and explained like any other."""
+    bridge = cell.start(BOTH)
+    topic = bridge._topics[1]
+    assert isinstance(topic, ToRos)
+    assert topic.on_fault(Fault(9, 0xFFFFFFFF, 3, 4), time.monotonic_ns()) is False
+    status = bridge.status().topic("/out")
+    assert (status.received, status.refused, status.published) == (1, 1, 0)
+    assert status.code == "COD009"
+
+
+@pytest.mark.parametrize("topic", ["/in", "/out"])
+def test_an_object_that_cannot_be_made_is_tried_again(
+    cell: Cell, topic: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A full /dev/shm is an error of the topic for as long as it lasts, and logged once."""
+    bridge = cell.start(BOTH)
+
+    def full(*_: object, **__: object) -> None:
+        raise ChannelError("SHM117", "no space left")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(OwnedChannel, "open", full)
+        cell.namespace.path(topic).unlink()
+        wait_for(lambda: "SHM117" in bridge.status().topic(topic).problem)
+        assert bridge.status().topic(topic).judgement[0] is Level.ERROR
+        cell.publisher("/in", INT).write(wire(INT, {"data": 1}))
+        if topic == "/in":
+            wait_for(lambda: bridge.status().topic("/in").lost == 1)
+        time.sleep(1.1)
+    assert caplog.text.count("no space left") == 1
+    wait_for(lambda: not bridge.status().topic(topic).problem)
+    assert cell.namespace.path(topic).exists()
+
+
+def test_a_failed_start_leaves_nothing_open(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
+    """If ROS refuses the second topic, names, node and claims are free again."""
+    bridge = cell.make(BOTH)
+
+    def refuse(*_: object) -> None:
+        raise BackendError("ROS002", "no")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(MemoryBackend, "advertise", refuse)
+        with pytest.raises(BackendError, match="ROS002"):
+            bridge.start()
+    assert cell.peer.graph().nodes == ()
+    assert not bridge.status().running
+    bridge.start()
+    bridge.stop()
+    cell.start(BOTH)
+
+
+def test_one_topics_trouble_is_no_others(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A publisher that fails, even with an unforeseen error, keeps no other topic from being carried."""
+    topics = "".join(f"  /out{i}: {{type: {INT}, to: ros}}\n" for i in range(3))
+    bridge = cell.start(topics)
+    messages = cell.listen("/out2", INT)
+    write = MemoryPublisher.write
+
+    def sometimes(self: MemoryPublisher, payload: bytes, stamp_ns: int | None = None) -> bool:
+        if self.topic == "/out0":
+            raise RuntimeError("a mistake in a backend")
+        return self.topic != "/out1" and write(self, payload, stamp_ns)
+
+    monkeypatch.setattr(MemoryPublisher, "write", sometimes)
+    for number in range(3):
+        cell.plc(f"/out{number}").write({"data": number})
+    wait_for(lambda: messages)
+    status = bridge.status()
+    assert (status.topic("/out0").lost, status.topic("/out1").lost, status.topic("/out2").lost) == (1, 1, 0)
+    assert "a mistake in a backend" in status.topic("/out0").reason
+    assert "does not keep up" in status.topic("/out1").reason
+
+
+def test_an_unforeseen_error_costs_no_other_message(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Messages that were taken together with one that fails are sent all the same."""
+    bridge = cell.start(f"  /a: {{type: {INT}, to: ros, depth: 64}}\n", more="tick: 200ms")
+    messages = cell.listen("/a", INT)
+    on_message = ToRos.on_message
+    fails = [True]
+
+    def once(self: ToRos, *arguments: Any) -> None:
+        if fails:
+            fails.clear()
+            raise ZeroDivisionError
+        on_message(self, *arguments)
+
+    monkeypatch.setattr(ToRos, "on_message", once)
+    plc = cell.plc("/a")
+    for number in range(5):
+        plc.write({"data": number})
+    wait_for(lambda: len(messages) == 4)
+    assert numbers(messages) == [1, 2, 3, 4]
+    assert bridge.status().topic("/a").published == 4
+
+
+def test_a_quiet_bridge_wakes_seldom_and_becomes_alert(cell: Cell) -> None:
+    """Without a living writer the pump ticks slowly; a message or a beat brings the configured tick back."""
+    bridge = cell.start(BOTH)
+    pump = bridge._pump
+    assert pump is not None
+    assert pump._tick(time.monotonic_ns()) == 10_000_000
+    messages = cell.listen("/out", INT)
+    plc = cell.plc("/out")
+    plc.write({"data": 1})
+    wait_for(lambda: messages)
+    now = time.monotonic_ns()
+    assert pump._tick(now) == 1_000_000
+    bridge._topics[1].peer_alive = False
+    assert pump._tick(now + 10**11) == 10_000_000
+    bridge._topics[1].peer_alive = True
+    assert pump._tick(now + 10**11) == 1_000_000
+
+
+def test_both_sides_know_how_many_stand_behind(cell: Cell) -> None:
+    """The PLC sees the number of publishers and subscribers, the status the PLC's task."""
+    bridge = cell.start(BOTH)
+    incoming, outgoing = cell.plc("/in"), cell.plc("/out")
+    assert incoming.reader is not None
+    assert outgoing.writer is not None
+    wait_for(lambda: incoming.attached.snapshot().writer.sources == 0)
+    cell.publisher("/in", INT)
+    cell.listen("/out", INT)
+    cell.peer.subscribe("/out", INT, Qos(), lambda *_: None)
+
+    def beaten() -> bool:
+        assert incoming.reader is not None
+        assert outgoing.writer is not None
+        incoming.reader.beat()
+        outgoing.writer.beat()
+        status = bridge.status()
+        return status.topic("/in").peer_alive and status.topic("/out").peer_alive
+
+    wait_for(beaten)
+    wait_for(lambda: incoming.attached.snapshot().writer.sources == 1)
+    wait_for(lambda: outgoing.attached.snapshot().readers[0].sinks == 2)
+    assert bridge.status().topic("/in").tasks == ("MainTask",)
+    assert bridge.status().topic("/in").judgement == (Level.STALE, "no message yet from ROS publisher")
+    wait_for(
+        lambda: not bridge.status().topic("/in").peer_alive and not bridge.status().topic("/out").peer_alive
+    )
+    assert bridge.status().topic("/out").judgement == (Level.WARN, "no PLC task writes it")
+
+
+def test_the_bridge_beats_while_ros_hangs(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A ROS side that does not return stops neither beats nor messages towards the PLC, and is reported."""
+    bridge = cell.start(BOTH)
+    incoming, outgoing = cell.plc("/in"), cell.plc("/out")
+    go_on = threading.Event()
+    hang = lambda *_: go_on.wait(20) and None  # noqa: E731
+    with monkeypatch.context() as patch:
+        patch.setattr(MemoryPublisher, "write", hang)
+        patch.setattr(MemoryPublisher, "status", hang)
+        patch.setattr(MemorySubscription, "status", hang)
+        outgoing.write({"data": 1})
+        wait_for(lambda: bridge._pump is not None and bridge._pump.busy_since_ns)
+        time.sleep(1.1)  # the observer hangs too
+        before = outgoing.attached.snapshot().readers[0].beat
+        wait_for(lambda: outgoing.attached.snapshot().readers[0].beat >= before + 3)
+        bridge._topics[0].on_message(wire(INT, {"data": 2}), 0)  # type: ignore[attr-defined]
+        assert wait_for(incoming.read) == {"data": 2}
+    monkeypatch.setattr("rosplc.bridge.engine._STUCK_NS", 1)
+    assert "has not returned from publishing" in bridge.status().judgement[1]
+    go_on.set()
+
+
+def test_a_message_that_was_not_sent_is_no_old_one(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With on_change a message that ROS refused is sent when the PLC repeats it."""
+    bridge = cell.start(f"  /out: {{type: {INT}, to: ros, on_change: true}}\n")
+    messages = cell.listen("/out", INT)
+    plc = cell.plc("/out")
+    with monkeypatch.context() as patch:
+        patch.setattr(MemoryPublisher, "write", lambda *_: False)
+        plc.write({"data": 1})
+        wait_for(lambda: bridge.status().topic("/out").lost == 1)
+    plc.write({"data": 1})
+    wait_for(lambda: messages)
+    assert numbers(messages) == [1]
+
+
+def test_a_configuration_edited_while_running_is_noticed(
+    cell: Cell, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The status and the log say that a restart is needed; nothing else happens."""
+    path = tmp_path / "rosplc.yaml"
+    path.write_text(cell.config(BOTH))
+    cell.bridge = Bridge(read_config(path))
+    cell.bridge.start()
+    time.sleep(1.2)
+    assert cell.bridge.status().notes == ()
+    path.write_text(cell.config(BOTH) + "\n# a comment\n")
+    wait_for(lambda: cell.bridge is not None and cell.bridge.status().config_changed)
+    level, message = cell.bridge.status().judgement
+    assert level is Level.WARN
+    assert "configuration changed on disk" in message
+    assert caplog.text.count("configuration changed on disk") == 1
+
+
+def test_defaults_of_quality_of_service(cell: Cell) -> None:
+    """Towards ROS late subscribers get what was sent before; towards the PLC no old command comes."""
+    cell.publisher("/in", INT, LATCHED).write(wire(INT, {"data": 1}))
+    bridge = cell.start(BOTH + f"  /latched: {{type: {INT}, to: plc, latched: true}}\n")
+    cell.publisher("/latched", INT, LATCHED).write(wire(INT, {"data": 3}))
+    cell.plc("/out").write({"data": 2})
+    wait_for(lambda: bridge.status().topic("/out").published)
+    late = cell.listen("/out", INT, Qos(durability="transient_local"))
+    wait_for(lambda: late)
+    assert numbers(late) == [2]
+    wait_for(lambda: bridge.status().topic("/latched").received == 1)
+    assert bridge.status().topic("/in").received == 0
+
+
+def test_peers_that_do_not_match_are_explained(cell: Cell) -> None:
+    """Another type or excluding settings show as an error with the reason in words."""
+    bridge = cell.start(f"  /in: {{type: {INT}, to: plc}}\n  /fast: {{type: {INT}, to: plc}}\n")
+    cell.publisher("/in", STRING)
+    cell.publisher("/fast", INT, Qos(reliability="best_effort"))
+    status = bridge.status()
+    assert status.topic("/in").judgement[0] is Level.ERROR
+    assert status.topic("/in").code == "ROS003"
+    assert "std_msgs/msg/String" in status.topic("/in").judgement[1]
+    assert status.topic("/fast").code == "ROS004"
+    assert "best_effort" in status.topic("/fast").judgement[1]
+
+
+def test_mode_and_group_reach_the_objects(cell: Cell) -> None:
+    """shm.mode and shm.group are those of the objects."""
+    cell.start(BOTH, more=f"shm: {{mode: 0640, group: {os.getgid()}}}")
+    found = cell.namespace.path("/in").stat()
+    assert (found.st_mode & 0o777, found.st_gid) == (0o640, os.getgid())
+
+
+@pytest.mark.parametrize("key", ["owner", "group"])
+def test_unknown_users_and_groups(cell: Cell, key: str) -> None:
+    """A name that this machine does not know is an error at its line, before anything is opened."""
+    bridge = cell.make(BOTH, more=f"shm: {{{key}: no-such-name}}")
+    with pytest.raises(ConfigError, match=rf"shm\.{key}: there is no .* 'no-such-name'"):
+        bridge.start()
+    assert not cell.namespace.path("/in").exists()
+
+
+def test_a_given_backend_is_left_open(cell: Cell) -> None:
+    """Whoever passes a backend keeps it; the bridge takes only its endpoints off."""
+    backend = open_backend(STORE, "mine", domain=DOMAIN)
+    with Bridge(parse_config(cell.config(BOTH)), backend) as bridge:
+        assert len(backend.endpoints) == 2
+        with pytest.raises(RuntimeError, match="started already"):
+            bridge.start()
+    assert backend.endpoints == []
+    assert backend.graph().nodes == ("/peer",)
+    backend.close()
+
+
+def test_a_clean_stop_leaves_the_last_state(cell: Cell) -> None:
+    """After the bridge has gone a reader still finds the last message."""
+    cell.start(BOTH)
+    plc = cell.plc("/in")
+    cell.publisher("/in", INT).write(wire(INT, {"data": 9}))
+    wait_for(plc.read)
+    cell.stop()
+    with attach(cell.namespace, "/in") as found:
+        record = bytearray(plc.layout.size)
+        assert found.reader(latched=True).latest(record) is not None
+        assert plc.layout.to_dict(record) == {"data": 9}
+
+
+def test_ros_1_messages(shm_namespace: Namespace) -> None:
+    """With noetic's definitions the same object is filled from ROS 1's serialization."""
+    head = f"prefix: {shm_namespace.prefix}\nros: {{distro: noetic}}\n"
+    project = resolve(parse_config(head + f"topics: {{/in: {{type: {STRING}, to: plc}}}}\n"))
+    around = Surroundings(project.namespace, "cell", bytes(16), "noetic")
+    topic = ToPlc(project.topics[0], around, lambda _: None)
+    topic.open()
+    topic.on_message(b"\x02\0\0\0hi", 1)
+    with attach(shm_namespace, "/in") as found:
+        record = bytearray(project.topics[0].layout.size)
+        assert found.reader(latched=True).latest(record) is not None
+        assert project.topics[0].layout.to_dict(record) == {"data": "hi"}
+        assert found.description.distro == "noetic"
+    topic.on_message(wire(STRING, {"data": "no"}), 1)
+    assert (topic.counters.published, topic.counters.refused) == (1, 1)
+    topic.close()
