@@ -52,7 +52,7 @@ class ReadBlock:
         xTruncated: Something was cut off to make the message fit.
         xSubstituted: The bridge put a configured value in the source's place.
         udiSequence: The sequence number of the message in ``msg``.
-        udiLost: Messages that this block has missed.
+        udiLost: Messages missed since the first one that this block took.
         udiError: 0, or a number of spec/shm-format.md, section 9.
         uiTaken: Messages taken in this scan.
         udiSources: ROS publishers of the topic; None if unknown (16#FFFFFFFF in the PLC).
