@@ -1,0 +1,1 @@
+"""The generated Structured Text, parsed, translated to C, and run against real shared memory."""

@@ -1,0 +1,138 @@
+"""Data types, and what may be assigned to what."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+__all__ = [
+    "ALIASES", "ANY_INT", "ANY_REAL", "BOOL", "BYTE", "ELEMENTARY", "STRING_DEFAULT",
+    "Array", "Block", "Elementary", "List", "Pointer", "String", "Struct", "Type",
+    "c_declaration", "fits", "smallest",
+]  # fmt: skip
+
+STRING_DEFAULT = 80
+
+
+@dataclass(frozen=True)
+class Elementary:
+    """A type with one value; ``kind``: int, bit, bool, real, time."""
+
+    name: str
+    kind: str
+    bits: int
+    signed: bool = False
+
+    @property
+    def c(self) -> str:
+        """The C type."""
+        if self.kind == "real":
+            return "float" if self.bits == 32 else "double"
+        return f"{'' if self.signed else 'u'}int{self.bits}_t"
+
+    @property
+    def integral(self) -> bool:
+        """Whether integer arithmetic is allowed."""
+        return self.kind in ("int", "bit")
+
+
+@dataclass(frozen=True)
+class String:
+    """STRING(n)."""
+
+    length: int
+
+
+@dataclass(frozen=True)
+class Pointer:
+    """POINTER TO; target None: ADR's result or 0, which fits every pointer."""
+
+    target: Type | None
+
+
+@dataclass(frozen=True)
+class Array:
+    """ARRAY[low..high] OF; several dimensions are nested."""
+
+    low: int
+    high: int
+    element: Type
+
+
+@dataclass(frozen=True)
+class Struct:
+    """A DUT, by its name in capitals."""
+
+    name: str
+
+
+@dataclass(frozen=True)
+class Block:
+    """A function block or program."""
+
+    name: str
+
+
+@dataclass(frozen=True)
+class List:
+    """A variable list itself, as in ``GVL.x``."""
+
+    name: str
+
+
+Type: TypeAlias = "Elementary | String | Pointer | Array | Struct | Block | List"
+
+_E = Elementary
+BOOL = _E("BOOL", "bool", 8)
+BYTE = _E("BYTE", "bit", 8)
+ELEMENTARY = {
+    t.name: t
+    for t in (
+        BOOL, BYTE, _E("WORD", "bit", 16), _E("DWORD", "bit", 32), _E("LWORD", "bit", 64),
+        _E("SINT", "int", 8, True), _E("INT", "int", 16, True), _E("DINT", "int", 32, True),
+        _E("LINT", "int", 64, True), _E("USINT", "int", 8), _E("UINT", "int", 16), _E("UDINT", "int", 32),
+        _E("ULINT", "int", 64), _E("REAL", "real", 32), _E("LREAL", "real", 64), _E("TIME", "time", 32),
+        _E("LTIME", "time", 64), _E("DT", "time", 32), _E("LDT", "time", 64), _E("DATE", "time", 32),
+        _E("TOD", "time", 32),
+    )
+}  # fmt: skip
+ANY_INT = _E("integer literal", "int", 64, True)
+ANY_REAL = _E("real literal", "real", 64)
+# How a runtime names what has its processor's width; the width is the translation's option.
+ALIASES = {
+    "__UXINT": ("ULINT", "UDINT"),
+    "__XINT": ("LINT", "DINT"),
+    "__XWORD": ("LWORD", "DWORD"),
+    "RTS_IEC_HANDLE": ("LWORD", "DWORD"),
+    "RTS_IEC_RESULT": ("UDINT", "UDINT"),
+    "DATE_AND_TIME": ("DT", "DT"),
+    "LDATE_AND_TIME": ("LDT", "LDT"),
+}
+
+
+def fits(value: int, type_: Elementary) -> bool:
+    """Whether an integer constant lies within a type's range."""
+    if type_.kind == "bool":
+        return value in (0, 1)
+    low = -(1 << (type_.bits - 1)) if type_.signed else 0
+    return low <= value < (1 << (type_.bits - type_.signed))
+
+
+def smallest(value: int) -> Elementary:
+    """Return the smallest integer type that holds a constant."""
+    order = ("USINT", "SINT", "UINT", "INT", "UDINT", "DINT", "ULINT", "LINT")
+    return next(ELEMENTARY[name] for name in order if fits(value, ELEMENTARY[name]))
+
+
+def c_declaration(type_: Type, name: str) -> str:
+    """Return a C declaration of a variable."""
+    if isinstance(type_, Elementary):
+        return f"{type_.c} {name}"
+    if isinstance(type_, String):
+        return f"char {name}[{type_.length + 1}]"
+    if isinstance(type_, Pointer):
+        # All pointers are bytes in C: CODESYS assigns them across types and counts in bytes.
+        return f"uint8_t *{name}"
+    if isinstance(type_, Array):
+        return c_declaration(type_.element, f"{name}[{type_.high - type_.low + 1}]")
+    return f"struct {'D' if isinstance(type_, Struct) else 'B'}_{type_.name} {name}"
