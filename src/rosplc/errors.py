@@ -224,3 +224,4 @@ _register("SYS001", "a program or package is missing", "Install the named Debian
 _register("SYS002", "a child process failed", "See its output above.")
 _register("SYS003", "no DDS domain is free", "End other ROS programs on this machine; the demo needs a domain of its own.")
 _register("SYS004", "processes did not find each other", "See the message for who waits for what; a firewall on loopback is a usual cause.")
+_register("SYS005", "output cannot be written", "Free space where stdout leads to, or send it elsewhere.")

@@ -8,6 +8,12 @@ __all__ = ["main"]
 def main() -> None:
     """Run the ``rosplc`` command with the process's arguments; never returns."""
     # Imported here so that `import rosplc.cli` stays cheap for tools that only look at it.
-    from rosplc.cli.app import app
+    from rosplc.cli.streams import prepare_streams
 
-    app(prog_name="rosplc")
+    prepare_streams()
+    try:
+        from rosplc.cli.app import app
+
+        app(prog_name="rosplc")
+    except KeyboardInterrupt:  # before a verb has begun, which takes over (guard.py)
+        raise SystemExit(130) from None

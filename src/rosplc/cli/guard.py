@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import functools
 import json
 import os
@@ -11,7 +12,7 @@ from typing import Any, NoReturn, ParamSpec
 
 import typer
 
-from rosplc.errors import ConfigError, RosplcError
+from rosplc.errors import ConfigError, RosplcError, SetupError
 
 __all__ = ["EXIT_CONFIG", "EXIT_FAILURE", "EXIT_INTERRUPTED", "EXIT_PIPE", "finite", "guarded", "print_json"]
 
@@ -20,6 +21,8 @@ EXIT_CONFIG = 2
 EXIT_INTERRUPTED = 130
 EXIT_PIPE = 141
 """What a shell reports for a program that ended by SIGPIPE, as `rosplc … | head` does."""
+
+_NO_OUTPUT = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 P = ParamSpec("P")
 
@@ -42,15 +45,25 @@ def guarded(verb: Callable[P, None]) -> Callable[P, None]:
         except KeyboardInterrupt:
             raise typer.Exit(EXIT_INTERRUPTED) from None
         except BrokenPipeError:
-            # The interpreter flushes stdout once more at exit; give it somewhere to go.
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            _leave_stdout()
             raise typer.Exit(EXIT_PIPE) from None
         except (typer.Exit, typer.Abort, typer.BadParameter):
             raise
+        except OSError as error:
+            if error.errno not in _NO_OUTPUT or error.filename is not None:
+                _unexpected(error, as_json=as_json)
+            _leave_stdout()
+            what = f"cannot write the output: {error.strerror}"
+            _report(SetupError("SYS005", what, where="stdout"), as_json=as_json)
         except Exception as error:
             _unexpected(error, as_json=as_json)
 
     return run
+
+
+def _leave_stdout() -> None:
+    # The interpreter flushes stdout once more at exit; give it somewhere to go.
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def print_json(value: Any) -> None:
