@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -76,6 +77,16 @@ def test_a_signal_stops_cleanly(run: object, number: int, shm_namespace: Namespa
     assert (process.returncode, out) == (0, "left cleanly\n"), err
     with attach(shm_namespace, "/in") as found:
         assert found.snapshot().writer.epoch == 0
+
+
+def test_a_repeated_signal_is_one(run: object) -> None:
+    """What timeout(1) and launch tools do, signal to process and group at once, is still a clean stop."""
+    process = run()  # type: ignore[operator]
+    for _ in range(3):
+        process.send_signal(signal.SIGINT)
+        time.sleep(0.02)
+    out, err = process.communicate(timeout=20)
+    assert (process.returncode, out) == (0, "left cleanly\n"), err
 
 
 def test_a_closing_terminal_stops_nothing(run: object, shm_namespace: Namespace) -> None:
