@@ -17,7 +17,7 @@ from rosbags.typesys import Stores, get_typestore
 from rosplc.errors import BackendError
 from rosplc.model import DISTROS, TypeStore
 from rosplc.ros import Qos
-from rosplc.ros.dds.config import domain_config, domain_id
+from rosplc.ros.dds.config import check_peers, domain_config, domain_id
 from rosplc.ros.dds.discovery import (
     ANNOUNCEMENT,
     NodeEntities,
@@ -95,6 +95,27 @@ def test_peer_addresses_are_quoted() -> None:
     """What stands in the variable cannot leave its attribute."""
     domain = parsed({"ROS_STATIC_PEERS": '"/><Evil a="&'})
     assert [p.get("address") for p in domain.findall("Discovery/Peers/Peer")] == ['"/><Evil a="&']
+
+
+@pytest.mark.parametrize("peer", ["::1", "256.1.1.1", "host.invalid", "10.0.0.7:http", "<>"])
+def test_peers_without_an_address_are_named(peer: str) -> None:
+    """The library would abort the process; the rest of the list does not hide it."""
+    with pytest.raises(BackendError, match="ROS010") as refused:
+        check_peers({"ROS_STATIC_PEERS": f"10.0.0.7; {peer}"}, "jazzy")
+    assert peer in refused.value.what
+
+
+@pytest.mark.parametrize(
+    "environment",
+    [
+        {"ROS_STATIC_PEERS": "10.0.0.7;localhost; 10.0.0.8:7410"},
+        {"ROS_STATIC_PEERS": "host.invalid", "ROS_LOCALHOST_ONLY": "1"},
+        {"ROS_STATIC_PEERS": "host.invalid", "ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF"},
+    ],
+)
+def test_peers_with_addresses_and_unused_ones_are_fine(environment: dict[str, str]) -> None:
+    """Only what will be looked up has to be found."""
+    check_peers(environment, "jazzy")
 
 
 def test_humble_knows_no_ranges() -> None:

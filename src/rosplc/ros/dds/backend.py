@@ -23,7 +23,7 @@ from rosplc.errors import BackendError
 from rosplc.ros.backend import EndpointInfo, EndpointStatus, GraphInfo, OnMessage, Qos, TypeSource
 from rosplc.ros.dds import domain as domains
 from rosplc.ros.dds import native
-from rosplc.ros.dds.config import domain_config, domain_id
+from rosplc.ros.dds.config import check_peers, domain_config, domain_id
 from rosplc.ros.dds.endpoint import DdsPublisher, DdsSubscription
 from rosplc.ros.dds.graph import Announcer
 from rosplc.ros.dds.idl import IdlTypes, dds_topic, ros_topic, ros_type_name
@@ -105,6 +105,7 @@ class DdsBackend:
         self._said: set[tuple[int, str]] = set()
         self._unmatched: dict[tuple[bytes, bytes], int] = {}
         self.domain = domain_id(domain, environment)
+        check_peers(environment, store.distro)
         tracing = TRACING.format(library_log().path)
         domains.enter(self.domain, domain_config(environment, store.distro, tracing))
         try:

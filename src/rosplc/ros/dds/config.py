@@ -7,12 +7,13 @@ with the same environment would be. The user's ``CYCLONEDDS_URI`` comes last and
 from __future__ import annotations
 
 import os
+import socket
 from collections.abc import Mapping
 from xml.sax.saxutils import quoteattr
 
 from rosplc.errors import BackendError
 
-__all__ = ["MAX_DOMAIN", "domain_config", "domain_id"]
+__all__ = ["MAX_DOMAIN", "check_peers", "domain_config", "domain_id"]
 
 MAX_DOMAIN = 232  # above, port numbers exceed 65535 (DDSI-RTPS 2.2, 9.6.1.1)
 
@@ -92,7 +93,7 @@ def domain_config(environment: Mapping[str, str], distro: str, extra: str = "") 
     if humble:
         environment = {key: value for key, value in environment.items() if key not in _NOT_HUMBLE}
     reach = _discovery_range(environment)
-    static = [] if humble or environment.get("ROS_LOCALHOST_ONLY") == "1" else _static_peers(environment)
+    static = _static_peers(environment)
     general, discovery = "", ""
     if reach == "LOCALHOST":
         general = "<AllowMulticast>false</AllowMulticast>" + _interfaces(environment, beyond=bool(static))
@@ -118,7 +119,33 @@ def domain_config(environment: Mapping[str, str], distro: str, extra: str = "") 
 _NOT_HUMBLE = ("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS")
 
 
+def check_peers(environment: Mapping[str, str], distro: str) -> None:
+    """Make sure that every static peer has an address: the library aborts the process otherwise.
+
+    Raises:
+        BackendError: ROS010 naming the first that has none.
+    """
+    users = environment.get("CYCLONEDDS_URI", "")
+    if distro == "humble" or "udp6" in users or "IPv6" in users:
+        return  # not looked at; or other addresses are fine
+    if _discovery_range(environment) not in ("SUBNET", "LOCALHOST"):
+        return
+    for peer in _static_peers(environment):
+        host, _, port = peer.partition(":")
+        try:
+            if not port or port.isdigit():
+                socket.getaddrinfo(host, None, socket.AF_INET)
+                continue
+            why = "it is HOST or HOST:PORT"
+        except (OSError, UnicodeError) as error:
+            why = getattr(error, "strerror", None) or str(error)
+        what = f"ROS_STATIC_PEERS has {peer!r}: {why}"
+        raise BackendError("ROS010", what, where="ROS_STATIC_PEERS")
+
+
 def _static_peers(environment: Mapping[str, str]) -> list[str]:
+    if environment.get("ROS_LOCALHOST_ONLY") == "1":
+        return []
     return [
         peer for peer in (part.strip() for part in environment.get("ROS_STATIC_PEERS", "").split(";")) if peer
     ]
