@@ -37,7 +37,7 @@ class WriteBlock:
 
     Attributes:
         msg: The message to send; every field can be set. None before the type is known.
-        xEnable: Whether a call publishes; False sends nothing but the beat.
+        xEnable: Whether a call publishes; False, as it is at first, sends nothing but the beat.
         xAttached: The object is open and fits.
         xReady: The object is open and the claim is this block's: a call will publish.
         xPeerAlive: The bridge beats.
@@ -61,7 +61,7 @@ class WriteBlock:
     ) -> None:
         self.topic = topic
         self.msg: Any = None if layout is None else Message.initial(layout)
-        self.xEnable = True
+        self.xEnable = False
         self.xAttached = self.xReady = self.xPeerAlive = self.xPublished = False
         self.udiSequence = self.udiPublished = self.udiTaken = 0
         self.udiSinks: int | None = None

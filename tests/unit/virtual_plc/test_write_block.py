@@ -16,7 +16,10 @@ TO_ROS = Direction.TO_ROS
 
 
 def writing(side_, **settings) -> WriteBlock:
-    return WriteBlock(side_.topic, prefix=side_.namespace.prefix, **settings)
+    block = WriteBlock(side_.topic, prefix=side_.namespace.prefix, **settings)
+    assert not block.xEnable  # nothing is sent before a program says so
+    block.xEnable = True
+    return block
 
 
 def test_each_enabled_call_publishes_one_message(side, scans):
@@ -108,7 +111,7 @@ def test_an_absent_bridge_costs_nothing_but_the_message(shm_namespace, scans, si
     scans(block)
     assert (block.udiError, block.xPublished) == (101, False)
     after = side("/n", INT, TO_ROS)
-    block.msg.data = 4
+    block.msg.data, block.xEnable = 4, True
     scans(block, ms=3000)
     assert after.take()[1].data == 4
 
