@@ -128,7 +128,7 @@ def _print(result: Result) -> None:
     rows = [
         (
             flow.topic,
-            "ROS → PLC" if flow.to == "plc" else "PLC → ROS",
+            "→ PLC" if flow.to == "plc" else "→ ROS",
             flow.sent,
             flow.received,
             flow.lost,
@@ -138,7 +138,7 @@ def _print(result: Result) -> None:
         )
         for flow in result.flows
     ]
-    header = ("topic", "way", "sent", "received", "lost", "torn", "repeated", "age at the PLC, median / p99")
+    header = ("topic", "way", "sent", "received", "lost", "torn", "repeated", "age ms (p99)")
     for line in columns(rows, header=header):
         say(line)
     cycle = result.cycle
@@ -166,4 +166,4 @@ def _in_words(outage: Outage) -> str:
 
 def _age(result: Result, topic: str) -> str:
     age = result.ages.get(topic)
-    return "" if age is None else f"{age['median_ms']:.2f} ms / {age['p99_ms']:.2f} ms"
+    return "" if age is None else f"{age['median_ms']:.2f} ({age['p99_ms']:.2f})"

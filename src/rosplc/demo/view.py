@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import deque
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console, Group
 from rich.live import Live
 from rich.progress import Progress
@@ -17,6 +18,9 @@ from rosplc.demo.supervisor import Demo
 __all__ = ["LiveView", "ProgressLine"]
 
 _RATE_SECONDS = 2.0
+# Columns of the terminal from which on the table has room for everything; a narrow one must still
+# show topics and numbers whole, so it does without the types and what the counts tell anyway.
+_WIDE = 104
 
 
 class _Rate:
@@ -86,49 +90,55 @@ class LiveView:
                 Text("Starting robot, bridge and virtual PLC: three processes that find each other …")
             )
         robot, plc = demo.robot, demo.plc
-        table = Table(title="ROS ⇄ shared memory ⇄ virtual PLC", title_justify="left")
-        for name in ("topic", "type", "way"):
-            table.add_column(name)
-        for name in ("sent", "received", "per s", "under way", "missing", "torn", "age at PLC"):
-            table.add_column(name, justify="right")
+        wide = self._live.console.width >= _WIDE
+        table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, show_edge=False)
+        for name in ("topic", "type", "way") if wide else ("topic", "way"):
+            table.add_column(name, no_wrap=True)
+        counts = ("sent", "received", "per s", "under way", "lost", "torn", "age at PLC")
+        for name in counts if wide else (name for name in counts if name != "under way"):
+            table.add_column(name, justify="right", no_wrap=True)
         for topic, kind in robot_topics(demo.plan.topics).items():
             tally = plc.get("received", {}).get(topic, {})
             age = plc.get("age", {}).get(topic)
-            shown = "" if age is None else f"{age:.2f} ms"
-            table.add_row(
-                *self._row(
-                    topic, kind.type_name.rpartition("/")[2], "→ PLC", robot["sent"].get(topic, 0), tally
-                ),
-                shown,
-            )
+            names = (topic, kind.type_name, "→ PLC")
+            table.add_row(*self._row(names, robot["sent"].get(topic, 0), tally, age, wide=wide))
         command, type_name = COMMAND
-        sent = plc.get("sent", {}).get(command, 0)
-        table.add_row(
-            *self._row(
-                command,
-                type_name.rpartition("/")[2],
-                "→ ROS",
-                sent,
-                robot.get("received", {}).get(command, {}),
-            ),
-            "",
-        )
+        sent, tally = plc.get("sent", {}).get(command, 0), robot.get("received", {}).get(command, {})
+        table.add_row(*self._row((command, type_name, "→ ROS"), sent, tally, None, wide=wide))
         cycle = plc.get("cycle", {})
         task = (
             f"PLC task: {cycle.get('scans', 0)} scans of {demo.plan.interval * 1000:g} ms, "
-            f"{cycle.get('missed', 0)} missed, mean {cycle.get('cycle_mean_us', 0) / 1000:.2f} ms, "
-            f"longest {cycle.get('cycle_max_us', 0) / 1000:.2f} ms, latest start "
-            f"{cycle.get('jitter_max_us', 0) / 1000:.2f} ms late"
+            f"{cycle.get('missed', 0)} missed; a scan takes {cycle.get('cycle_mean_us', 0) / 1000:.2f} ms, "
+            f"at most {cycle.get('cycle_max_us', 0) / 1000:.2f} ms"
         )
-        metres = robot.get("metres", 0.0)
-        drive = f"The robot went {metres:.2f} m on the PLC's commands.   {demo.phase}; Ctrl-C ends it."
-        return Group(table, Text(task), Text(drive))
+        drive = f"The robot went {robot.get('metres', 0.0):.2f} m on the PLC's commands."
+        path = "robot (DDS) ⇄ bridge ⇄ shared memory ⇄ virtual PLC"
+        return Group(
+            Text(path, style="bold"),
+            Text(),
+            table,
+            Text(),
+            Text(task),
+            Text(drive),
+            Text(f"{demo.phase}; Ctrl-C ends it and sums up", style="dim"),
+        )
 
-    def _row(self, topic: str, type_name: str, way: str, sent: int, tally: dict[str, int]) -> list[str]:
-        received = tally.get("received", 0)
+    def _row(
+        self,
+        names: tuple[str, str, str],
+        sent: int,
+        tally: dict[str, int],
+        age: float | None,
+        *,
+        wide: bool,
+    ) -> list[str]:
+        topic, type_name, way = names
+        received, lost = tally.get("received", 0), tally.get("missing", 0)
+        row = [topic, type_name.rpartition("/")[2], way] if wide else [topic, way]
         rate = self._rates.setdefault(topic, _Rate()).of(received)
-        missing, torn = tally.get("missing", 0), tally.get("torn", 0)
-        # The two ends report at different moments, so the difference swings around zero.
-        under_way = max(0, sent - received - missing)
-        numbers = [str(sent), str(received), f"{rate:.0f}", str(under_way), str(missing), str(torn)]
-        return [topic, type_name, way, *numbers]
+        # The two ends report at different moments; what has arrived has been sent.
+        sent = max(sent, received + lost)
+        row += [str(sent), str(received), f"{rate:.0f}"]
+        if wide:
+            row.append(str(sent - received - lost))
+        return [*row, str(lost), str(tally.get("torn", 0)), "" if age is None else f"{age:.2f} ms"]
