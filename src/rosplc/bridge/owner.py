@@ -10,12 +10,14 @@ from rosplc.errors import ConfigError
 
 __all__ = ["group_id", "user_id"]
 
+_LARGEST_ID = 2**32 - 2
+
 
 def user_id(config: Config) -> int | None:
     """Return ``shm.owner`` as a number. Raises CFG004 at its line if there is no such user."""
     owner = config.settings.shm.owner
     if not isinstance(owner, str):
-        return owner
+        return _checked(config, "owner", owner)
     try:
         return pwd.getpwnam(owner).pw_uid
     except KeyError:
@@ -26,11 +28,20 @@ def group_id(config: Config) -> int | None:
     """Return ``shm.group`` as a number. Raises CFG004 at its line if there is no such group."""
     group = config.settings.shm.group
     if not isinstance(group, str):
-        return group
+        return _checked(config, "group", group)
     try:
         return grp.getgrnam(group).gr_gid
     except KeyError:
         raise _unknown(config, "group", f"there is no group {group!r} on this machine") from None
+
+
+def _checked(config: Config, key: str, number: int | None) -> int | None:
+    # -1 and its unsigned twin would mean "leave it as it is" to the kernel.
+    if number is not None and not 0 <= number <= _LARGEST_ID:
+        raise ConfigError(
+            "CFG004", f"{number} is not within 0 … {_LARGEST_ID}", where=config.source.place(("shm", key))
+        )
+    return number
 
 
 def _unknown(config: Config, key: str, what: str) -> ConfigError:

@@ -19,6 +19,7 @@ from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.ros import PRESETS, Qos
 from rosplc.shm import Direction, Namespace
+from rosplc.shm.constants import HEADER_SIZE, LINE_SIZE, MAX_DESCRIPTION_SIZE, MAX_OBJECT_SIZE
 
 __all__ = ["Project", "TopicPlan", "load_config", "load_project", "resolve"]
 
@@ -145,7 +146,7 @@ def resolve(config: Config) -> Project:
             continue
         try:
             plans.append(_plan(config, topic, entry, task, layout))
-        except ConfigError as error:
+        except (ConfigError, LayoutError) as error:
             problems.add(error, config.source.line((*where, "depth")))
     problems.check()
     return Project(config, store, namespace, tuple(plans))
@@ -194,13 +195,21 @@ def _plan(config: Config, topic: str, entry: TopicSettings, task: str, layout: L
     qos = _qos(entry)
     every = entry.every if entry.every is not None else not to_plc
     stale = entry.stale_after_ns if entry.stale_after_ns is not None else _STALE_NS[entry.to]
+    slots = _slots(config, topic, entry, task, layout.size, every)
+    if slots * (layout.size + 2 * LINE_SIZE) + HEADER_SIZE + MAX_DESCRIPTION_SIZE > MAX_OBJECT_SIZE:
+        raise LayoutError(
+            "LAY003",
+            f"{slots} slots of {layout.size} bytes exceed the 2 GiB that an object may have",
+            where=config.source.place(("topics", topic, "depth")),
+            remedy="Lower the limits of the largest fields, or depth:.",
+        )
     return TopicPlan(
         topic=topic,
         type_name=layout.type_name,
         direction=Direction.TO_PLC if to_plc else Direction.TO_ROS,
         layout=layout,
         qos=qos,
-        slots=_slots(config, topic, entry, task, layout.size, every),
+        slots=slots,
         every=every,
         latched=qos.durability == "transient_local",
         task=task,

@@ -65,6 +65,8 @@ class YamlSource:
         text = ""
         for part in path:
             text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
+        # A key is whatever the file holds; no escape sequence of it may reach a terminal.
+        text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
         return f"{self.name}:{self.line(path)}" + (f": {text}" if text else "")
 
 

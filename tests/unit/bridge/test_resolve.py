@@ -161,6 +161,11 @@ def test_errors_in_custom_types_name_both_places(tmp_path: Path) -> None:
             "topics:\n  /a: {type: a/b, to: plc}\n  /b: {type: c/d, to: plc}\n",
             [("TYP001", "c.yaml:2: topics./a.type"), ("TYP001", "c.yaml:3: topics./b.type")],
         ),
+        (  # an object has at most 2 GiB
+            "topics:\n  /a: {type: std_msgs/ByteMultiArray, to: plc, limits: {data: 16777216},\n"
+            "    depth: 128}\n",
+            [("LAY003", "c.yaml:3: topics./a.depth")],
+        ),
     ],
 )
 def test_errors(text: str, expected: list[tuple[str, str]]) -> None:
