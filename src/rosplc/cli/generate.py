@@ -9,7 +9,6 @@ import typer
 
 from rosplc.cli.guard import guarded, print_json
 from rosplc.cli.text import say
-from rosplc.errors import GenerationError
 
 if TYPE_CHECKING:
     from rosplc.bridge.resolve import Project
@@ -29,7 +28,6 @@ In CODESYS: Tools > Scripting > Execute Script File, and choose plc/rosplc_impor
 """
 
 _TARGETS = ("x86", "arm")
-_MOST_TASKS = 16
 
 
 @guarded
@@ -99,7 +97,8 @@ def _from_config(config: Path, options: ProjectOptions) -> tuple[PlcProject, lis
     from rosplc.bridge.resolve import load_project
 
     project = load_project(config)
-    return plc_project(project, options), [plan.layout for plan in project.topics]
+    topics = sorted(project.topics, key=lambda plan: plan.topic)  # as the PLC's objects are ordered
+    return plc_project(project, options), [plan.layout for plan in topics]
 
 
 def plc_project(project: Project, options: ProjectOptions) -> PlcProject:
@@ -113,10 +112,6 @@ def plc_project(project: Project, options: ProjectOptions) -> PlcProject:
     from rosplc.plc.build import build_project
 
     topics, tasks = _topics(project), _tasks(project)
-    if len(tasks) > _MOST_TASKS:
-        raise GenerationError(
-            "PLC003", f"the topics use {len(tasks)} tasks", where=str(project.config.path or "tasks")
-        )
     slowest = max((task.interval_ns for task in tasks), default=0)
     settings = project.config.settings
     chosen = replace(

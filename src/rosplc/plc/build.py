@@ -10,11 +10,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
+from rosplc.errors import GenerationError
 from rosplc.layout import Layout
 from rosplc.model import TypeStore
 from rosplc.plc.base import base_objects
 from rosplc.plc.blocks import read_block, write_block
-from rosplc.plc.helpers import helper_objects
+from rosplc.plc.helpers import HELPER_NAMES, helper_objects
+from rosplc.plc.instances import instance_names, plain_name
 from rosplc.plc.literals import string_literal, time_literal
 from rosplc.plc.names import Scope
 from rosplc.plc.project import Dut, Gvl, PlcProject, Pou, Task, VarBlock, Variable
@@ -24,6 +26,8 @@ __all__ = ["PlcTask", "PlcTopic", "ProjectOptions", "build_project", "build_type
 
 _ON_STALE = {"hold": 0, "zero": 1, "value": 2}
 _LARGE_DUT = 64 * 1024
+_MOST_TASKS = 16  # as many as RosPlc_State.axMayOpen has elements
+_READ_GVL, _WRITE_GVL, _SETTINGS_GVL = "ROS_Read", "ROS_Write", "RosPlc_Settings"
 
 
 @dataclass(frozen=True)
@@ -94,13 +98,15 @@ class _Blocks:
     options: ProjectOptions
     pous: list[Pou] = field(default_factory=list)
     _known: dict[tuple[str, Layout], str] = field(default_factory=dict)
-    _scope: Scope = field(default_factory=Scope)
 
     def name(self, layout: Layout, direction: str) -> str:
         key = (direction, layout)
         if key not in self._known:
             dut = self.builder.add(layout)
-            name = self._scope.give(f"{dut}_{'Read' if direction == 'read' else 'Write'}")
+            wanted = f"{dut}_{'Read' if direction == 'read' else 'Write'}"
+            name = self.builder.scope.give(wanted)
+            if name != wanted:
+                self.builder.renamings.append(Renaming(f"block of {layout.type_name}", wanted, name))
             make = read_block if direction == "read" else write_block
             folder = f"{self.options.folder}/Blocks"
             self.pous.append(make(layout, self.builder, name, folder, pins=self.options.pins))
@@ -121,29 +127,37 @@ def build_project(
         topics: Every topic once.
         tasks: Every task that a topic names; at most 16.
         options: See :class:`ProjectOptions`.
+
+    Raises:
+        GenerationError: PLC003, there are more tasks than the blocks serve.
     """
+    if len(tasks) > _MOST_TASKS:
+        raise GenerationError("PLC003", f"the topics use {len(tasks)} tasks", where="tasks")
     options = options or ProjectOptions()
-    builder = DutBuilder(store, f"{options.folder}/Types")
+    topics = sorted(topics, key=lambda item: item.topic)
+    base = base_objects(f"{options.folder}/Base")
+    builder = _builder(store, options, base)
     blocks = _Blocks(builder, options)
-    scopes = {"read": Scope(), "write": Scope()}
+    names = {
+        direction: instance_names([topic.topic for topic in topics if topic.direction == direction])
+        for direction in ("read", "write")
+    }
     instances: dict[str, list[Variable]] = {"read": [], "write": []}
     calls: dict[tuple[str, str], list[str]] = {}
     renamings: list[Renaming] = []
     order = sorted(tasks, key=lambda task: task.name)
     indices = {task.name: index for index, task in enumerate(order)}
-    for topic in sorted(topics, key=lambda item: item.topic):
+    for topic in topics:
         block = blocks.name(topic.layout, topic.direction)
-        wanted = topic.topic.strip("/").replace("/", "_")
-        name = scopes[topic.direction].give(wanted)
+        wanted, name = plain_name(topic.topic), names[topic.direction][topic.topic]
         if name != wanted:
             renamings.append(Renaming(f"instance of {topic.topic}", wanted, name))
         argument = (("sTopic", string_literal(topic.topic)),)
         instances[topic.direction].append(Variable(name, block, None, "", argument))
         calls.setdefault((topic.direction, topic.task), []).append(_call(name, topic, indices[topic.task]))
-    base = base_objects(f"{options.folder}/Base")
-    programs, plc_tasks = _programs(order, indices, calls, options)
+    programs, plc_tasks = _programs(order, indices, calls, options, builder.scope)
     gvls = [*(item for item in base if isinstance(item, Gvl)), _settings(options), *builder.constants]
-    for direction, name in (("read", "ROS_Read"), ("write", "ROS_Write")):
+    for direction, name in (("read", _READ_GVL), ("write", _WRITE_GVL)):
         if instances[direction]:
             block_ = VarBlock("VAR_GLOBAL", tuple(instances[direction]))
             comment = "One function block per topic; programs of the project use their outputs."
@@ -167,12 +181,12 @@ def build_type_library(
 ) -> PlcProject:
     """Return a project with both blocks of each layout and no topics or tasks."""
     options = options or ProjectOptions()
-    builder = DutBuilder(store, f"{options.folder}/Types")
+    base = base_objects(f"{options.folder}/Base")
+    builder = _builder(store, options, base)
     blocks = _Blocks(builder, options)
     for layout in sorted(layouts, key=lambda item: item.type_name):
         blocks.name(layout, "read")
         blocks.name(layout, "write")
-    base = base_objects(f"{options.folder}/Base")
     helpers = helper_objects(store, builder, f"{options.folder}/Helpers")
     return PlcProject(
         options.folder,
@@ -182,6 +196,12 @@ def build_type_library(
         libraries=("SysShm", "SysMem", "SysTypes2 Interfaces"),
         notes=tuple(_notes(builder, [], ())),
     )
+
+
+def _builder(store: TypeStore, options: ProjectOptions, base: Sequence[Dut | Gvl | Pou]) -> DutBuilder:
+    """Return a builder whose scope knows the hand-written objects: all objects share one namespace."""
+    taken = [*(item.name for item in base), *HELPER_NAMES, _READ_GVL, _WRITE_GVL, _SETTINGS_GVL]
+    return DutBuilder(store, f"{options.folder}/Types", scope=Scope(taken))
 
 
 def _settings(options: ProjectOptions) -> Gvl:
@@ -194,11 +214,11 @@ def _settings(options: ProjectOptions) -> Gvl:
     )
     block = VarBlock("VAR_GLOBAL", variables, constant=True)
     comment = "What the generation fixed for the whole project."
-    return Gvl("RosPlc_Settings", (block,), (("qualified_only", ""),), comment, f"{options.folder}/Base")
+    return Gvl(_SETTINGS_GVL, (block,), (("qualified_only", ""),), comment, f"{options.folder}/Base")
 
 
 def _call(name: str, topic: PlcTopic, task: int) -> str:
-    gvl = "ROS_Read" if topic.direction == "read" else "ROS_Write"
+    gvl = _READ_GVL if topic.direction == "read" else _WRITE_GVL
     arguments = [f"uiTask := {task}", f"udiMapSize := {topic.object_size}"]
     if topic.direction == "read":
         if topic.stale_after_ns:
@@ -217,12 +237,12 @@ def _programs(
     indices: dict[str, int],
     calls: dict[tuple[str, str], list[str]],
     options: ProjectOptions,
+    scope: Scope,
 ) -> tuple[list[Pou], tuple[Task, ...]]:
     """Return a reading and a writing program per task that has topics, and the tasks."""
     programs: list[Pou] = []
     plc_tasks: list[Task] = []
     single = sum(1 for task in tasks if any((d, task.name) in calls for d in ("read", "write"))) == 1
-    scope = Scope()
     for task in tasks:
         names = []
         for direction in ("read", "write"):
@@ -261,6 +281,7 @@ def _programs(
 
 def _notes(builder: DutBuilder, renamings: list[Renaming], topics: Sequence[PlcTopic]) -> list[str]:
     notes = [f"{r.where}: {r.wanted} is named {r.given}" for r in (*builder.renamings, *renamings)]
+    notes += builder.omitted
     for topic in topics:
         if topic.layout.size > _LARGE_DUT:
             copies = 3 if topic.direction == "read" else 1

@@ -8,7 +8,7 @@ from rosplc.plc.base import read_objects
 from rosplc.plc.project import Dut, Gvl, Pou
 from rosplc.plc.types import DutBuilder
 
-__all__ = ["helper_objects"]
+__all__ = ["HELPER_NAMES", "helper_objects"]
 
 # Message type that a helper uses → the helpers, each after those that it calls.
 _TIMES = (
@@ -24,6 +24,8 @@ _HELPERS = {
     "builtin_interfaces/msg/Duration": _DURATIONS,
     "geometry_msgs/msg/Quaternion": _ANGLES,
 }
+HELPER_NAMES = (*_GENERAL, *_TIMES, *_DURATIONS, *_ANGLES)
+"""Names that no generated object may take, whether or not the helper is part of a project."""
 
 
 def helper_objects(store: TypeStore, builder: DutBuilder, folder: str) -> tuple[Dut | Gvl | Pou, ...]:

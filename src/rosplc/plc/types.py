@@ -60,18 +60,21 @@ class DutBuilder:
     Attributes:
         store: Knows default values and constants.
         folder: The folder of everything built.
+        scope: Names of the project's objects; who adds objects takes their names from it.
         duts: What has been built.
         constants: Variable lists of the types' constants.
         renamings: Names that had to change.
+        omitted: Values that Structured Text cannot write, as sentences.
     """
 
     store: TypeStore
     folder: str = ""
+    scope: Scope = field(default_factory=Scope)
     duts: list[Dut] = field(default_factory=list)
     constants: list[Gvl] = field(default_factory=list)
     renamings: list[Renaming] = field(default_factory=list)
+    omitted: list[str] = field(default_factory=list)
     _names: dict[StructNode, MemberNames] = field(default_factory=dict)
-    _scope: Scope = field(default_factory=Scope)
     _seen_types: set[str] = field(default_factory=set)
 
     def add(self, layout: Layout) -> str:
@@ -89,18 +92,24 @@ class DutBuilder:
                 self.struct(inner)
         message = self.store[node.type_name]
         scope = Scope()
-        names = tuple(self._member_name(member, node, scope) for member in node.members)
+        names = tuple(scope.give(_wanted(member)) for member in node.members)
         wanted = type_prefix(node.type_name)
+        plain = wanted
         if node.type_name in self._seen_types:
             wanted += "_" + hashlib.sha256(repr(node).encode()).hexdigest()[:6]
-        dut = self._scope.give(wanted)
+        dut = self.scope.give(wanted)
         result = MemberNames(dut, names)
         self._names[node] = result
-        self._note(node, result, dut, wanted)
+        self._note(node, result, plain)
         defaults = {item.name: item for item in message.fields}
         members = tuple(
-            Variable(name, self._type(member.node), self._initial(member, defaults), self._comment(member))
+            Variable(name, self._type(member.node), _initial(member, defaults), self._comment(member))
             for name, member in zip(names, node.members, strict=True)
+        )
+        self.omitted.extend(
+            f"{dut}: the default value of {item.name} is {item.default}, which cannot be written"
+            for item in message.fields
+            if item.default not in (None, ()) and _literal_of(item.default) is None
         )
         comment = f"{node.type_name}, {node.size} bytes"
         self.duts.append(Dut(dut, members, comment=comment, folder=self.folder))
@@ -109,20 +118,13 @@ class DutBuilder:
             self._constants(message)
         return result
 
-    def _note(self, node: StructNode, names: MemberNames, dut: str, wanted: str) -> None:
-        if dut != wanted:
-            self.renamings.append(Renaming(node.type_name, wanted, dut))
-        self.renamings.extend(
-            Renaming(names.dut, member.name, name)
-            for name, member in zip(names.names, node.members, strict=True)
-            if member.name and not member.count_of and name != member.name
-        )
-
-    @staticmethod
-    def _member_name(member: Member, node: StructNode, scope: Scope) -> str:
-        if isinstance(member.node, PaddingNode):
-            return scope.give(f"abPad{member.offset}")
-        return scope.give(f"{member.name}_count" if member.count_of else member.name)
+    def _note(self, node: StructNode, names: MemberNames, wanted: str) -> None:
+        if names.dut != wanted:
+            self.renamings.append(Renaming(f"{node.type_name}, {node.size} bytes", wanted, names.dut))
+        for name, member in zip(names.names, node.members, strict=True):
+            own = _wanted(member)
+            if name != own and not isinstance(member.node, PaddingNode):
+                self.renamings.append(Renaming(names.dut, own, name))
 
     def _type(self, node: Node) -> str:
         if isinstance(node, ScalarNode):
@@ -145,39 +147,16 @@ class DutBuilder:
             return f"elements of {member.count_of} in use"
         return ""
 
-    @staticmethod
-    def _initial(member: Member, fields: dict[str, Field]) -> str | None:
-        """Return a member's initial value; a sequence's default also sets its count."""
-        item = fields.get(member.count_of or member.name)
-        if item is None or item.default is None or isinstance(member.node, PaddingNode):
-            return None
-        default: Value = item.default
-        if member.count_of:
-            return str(len(default)) if isinstance(default, tuple) else None
-        element = _element(member.node)
-        kind = element.kind if isinstance(element, ScalarNode) else "string"
-        if (
-            isinstance(member.node, SequenceNode)
-            and isinstance(default, tuple)
-            and element is not member.node
-        ):
-            missing = member.node.capacity - len(default)
-            text = literal(kind, default)
-            if text is None or not missing:
-                return text
-            zero = "''" if kind == "string" else literal(kind, 0)
-            return f"{text[:-1]}, {missing}({zero})]"
-        return literal(kind, default)
-
     def _constants(self, message: MessageType) -> None:
         if not message.constants:
             return
-        name = self._scope.give(f"{type_prefix(message.name)}_Const")
+        name = self.scope.give(f"{type_prefix(message.name)}_Const")
         scope = Scope()
         variables = []
         for constant in message.constants:
             value = _constant(constant)
             if value is None:
+                self.omitted.append(f"{name}: {constant.name} is {constant.value}, which cannot be written")
                 continue
             given = scope.give(constant.name)
             if given != constant.name:
@@ -188,6 +167,32 @@ class DutBuilder:
         self.constants.append(Gvl(name, (block,), (("qualified_only", ""),), comment, self.folder))
 
 
+def _initial(member: Member, fields: dict[str, Field]) -> str | None:
+    """Return a member's initial value; a sequence's default also sets its count."""
+    item = fields.get(member.count_of or member.name)
+    if item is None or item.default is None or isinstance(member.node, PaddingNode):
+        return None
+    default: Value = item.default
+    if member.count_of:
+        return str(len(default)) if isinstance(default, tuple) else None
+    element = _element(member.node)
+    kind = element.kind if isinstance(element, ScalarNode) else "string"
+    if isinstance(member.node, SequenceNode) and isinstance(default, tuple):
+        missing = member.node.capacity - len(default)
+        text = literal(kind, default)
+        if text is None or not missing:
+            return text
+        zero = "''" if kind == "string" else literal(kind, 0)
+        return f"{text[:-1]}, {missing}({zero})]"
+    return literal(kind, default)
+
+
+def _literal_of(value: Value) -> str | None:
+    """Return some literal of a value; None where Structured Text has none (infinity, NaN)."""
+    items = value if isinstance(value, tuple) else (value,)
+    return literal("float64", items) if any(isinstance(item, float) for item in items) else ""
+
+
 def _constant(constant: Constant) -> tuple[str, str] | None:
     if isinstance(constant.type, PrimitiveType):
         text = literal(constant.type.name, constant.value)
@@ -195,6 +200,13 @@ def _constant(constant: Constant) -> tuple[str, str] | None:
     length = min(max(1, len(str(constant.value).encode())), _MAX_STRING)
     text = literal("string", constant.value)
     return (f"STRING({length})", text) if text is not None else None
+
+
+def _wanted(member: Member) -> str:
+    """Return what a member is called if nothing speaks against it."""
+    if isinstance(member.node, PaddingNode):
+        return f"abPad{member.offset}"
+    return f"{member.name}_count" if member.count_of else member.name
 
 
 def _element(node: Node) -> Node:
