@@ -77,7 +77,7 @@ class Product:
         return self._attached.snapshot().writer.head
 
     def read(self, order: str, last: int) -> dict[str, Any]:
-        reader = Reader(self._attached.region, last, last == 0)
+        reader = Reader(self._attached.region, last)
         take = {"newest": reader.latest, "in_order": reader.next}[order]
         out = bytearray(b"\xa5" * self._attached.region.record_size)
         messages = []
