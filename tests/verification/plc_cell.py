@@ -1,0 +1,182 @@
+"""What the tests share: a generated project, built once, and the bridge's side of its channels."""
+
+from __future__ import annotations
+
+import shutil
+import struct
+import tempfile
+from collections.abc import Iterable, Mapping
+from functools import lru_cache
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from rosplc.layout import Layout, Limits, compute_layout
+from rosplc.model import TypeStore
+from rosplc.plc.build import PlcTask, PlcTopic, ProjectOptions, build_project
+from rosplc.plc.project import PlcProject
+from rosplc.plc.st_text import object_text
+from rosplc.shm import Description, Direction, Namespace, OwnedChannel
+from verification.st.build import Build, Toolchain, build
+from verification.st.machine import LibraryMachine, Machine
+from verification.st.translator import Options
+
+__all__ = ["READ", "WRITE", "Cell", "cell_build", "describe", "pattern", "project_texts", "twist"]
+
+READ, WRITE = "SharedMemory_Read", "SharedMemory_Write"
+
+
+@lru_cache
+def store(distro: str = "jazzy") -> TypeStore:
+    return TypeStore.bundled(distro)
+
+
+@lru_cache
+def layout_of(name: str, distro: str = "jazzy", limits: Limits | None = None) -> Layout:
+    return compute_layout(store(distro), name, limits or Limits())
+
+
+def project_texts(project: PlcProject) -> dict[str, str]:
+    """Return a project's objects as texts by their names."""
+    return {item.name: object_text(item) for item in (*project.duts, *project.gvls, *project.pous)}
+
+
+def describe(topic: str, layout: Layout, direction: Direction) -> Description:
+    """Return the self-description that a bridge writes."""
+    return Description(
+        topic=topic, type=layout.type_name, distro=layout.store.distro, direction=direction,
+        limits=layout.limits.to_dict(), layout_id=layout.layout_id, bridge="test",
+        definition=layout.store.definition_text(layout.type_name),
+    )  # fmt: skip
+
+
+def twist(number: float) -> dict[str, Any]:
+    """Return a Twist whose six numbers are all ``number``."""
+    vector = {"x": number, "y": number, "z": number}
+    return {"linear": vector, "angular": vector}
+
+
+def pattern(number: int) -> bytes:
+    """Return a Twist's record whose six numbers are all ``number``."""
+    return struct.pack("<6d", *[float(number)] * 6)
+
+
+TWIST = "geometry_msgs/msg/Twist"
+# The topics of the cell that the tests of the state machine use.
+TOPICS: dict[str, dict[str, Any]] = {
+    "/plain": {"direction": "read", "stale_after_ns": 200_000_000},
+    "/in_order": {"direction": "read", "in_order": True},
+    "/latched": {"direction": "read", "latched": True},
+    "/zero": {"direction": "read", "stale_after_ns": 200_000_000, "on_stale": "zero"},
+    "/value": {"direction": "read", "stale_after_ns": 200_000_000, "on_stale": "value"},
+    "/out": {"direction": "write"},
+    "/out2": {"direction": "write"},
+}
+CONSUME = """PROGRAM Consume
+VAR
+    adValues : ARRAY[0..31] OF LREAL;
+    uiCount : UINT;
+    xMore : BOOL;
+END_VAR
+uiCount := 0;
+xMore := ROS_Read.in_order.xNew;
+WHILE xMore DO
+    adValues[uiCount] := ROS_Read.in_order.msg.linear.x;
+    uiCount := uiCount + 1;
+    xMore := ROS_Read.in_order.Next();
+END_WHILE;
+END_PROGRAM
+"""
+
+
+@lru_cache
+def cell_texts() -> dict[str, str]:
+    """Return the cell's objects."""
+    topics = [PlcTopic(topic, layout_of(TWIST), task="RosTask", **rest) for topic, rest in TOPICS.items()]
+    project = build_project(store(), topics, [PlcTask("RosTask")], ProjectOptions())
+    return {**project_texts(project), "Consume": CONSUME}
+
+
+def cell_build(
+    options: Options | None = None,
+    toolchain: Toolchain | None = None,
+    *,
+    program: bool = False,
+    more: Mapping[str, str] | None = None,
+) -> Build:
+    """Return the cell, built; ``more``: further objects."""
+    return build({**cell_texts(), **(more or {})}, options, toolchain, program=program)
+
+
+class Cell:
+    """A folder of shared memory, the bridge's channels in it, and a PLC; a context manager."""
+
+    def __init__(self, machine_of: Build | None = None, machine: Machine | None = None) -> None:
+        self.folder = Path(tempfile.mkdtemp(prefix="T", dir="/dev/shm"))
+        self.namespace = Namespace("rosplc", str(self.folder))
+        self.channels: list[OwnedChannel] = []
+        self.machine: Machine = machine or LibraryMachine(machine_of or cell_build(), str(self.folder))
+        if machine is None:
+            self.machine.start()
+
+    def __enter__(self) -> Cell:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for channel in self.channels:
+            channel.close()
+        shutil.rmtree(self.folder)
+
+    def channel(
+        self, topic: str, layout: Layout | None = None, direction: Direction | None = None, slots: int = 4
+    ) -> OwnedChannel:
+        """Own a topic's object, as the bridge does."""
+        layout = layout or layout_of(TWIST)
+        if direction is None:
+            direction = Direction.TO_PLC if TOPICS[topic]["direction"] == "read" else Direction.TO_ROS
+        channel = OwnedChannel.open(
+            self.namespace, describe(topic, layout, direction), record_size=layout.size, slots=slots
+        )
+        self.channels.append(channel)
+        return channel
+
+    def drop(self, channel: OwnedChannel) -> None:
+        """Close a channel before the test ends, leaving its object."""
+        self.channels.remove(channel)
+        channel.close()
+
+    def block(self, topic: str) -> str:
+        """Return the path of a topic's block."""
+        kind = "Read" if TOPICS[topic]["direction"] == "read" else "Write"
+        return f"ROS_{kind}.{topic.strip('/')}"
+
+    def get(self, topic: str, *names: str) -> Any:
+        """Return outputs of a topic's block: one value, or a tuple."""
+        values = tuple(self.machine.get(f"{self.block(topic)}.{name}") for name in names)
+        return values[0] if len(values) == 1 else values
+
+    def set(self, topic: str, name: str, value: Any) -> None:
+        """Set an input of a topic's block."""
+        self.machine.set(f"{self.block(topic)}.{name}", value)
+
+    def record(self, topic: str) -> bytes:
+        """Return a topic's msg."""
+        return self.machine.read(f"{self.block(topic)}.msg")
+
+    def scan(self, count: int = 1, step: int = 10, beats: Iterable[Any] = ()) -> None:
+        """Run both programs ``count`` times; ``beats``: the bridge's ends, which beat before each scan."""
+        for _ in range(count):
+            for end in beats:
+                end.beat()
+            self.machine.scan(READ, WRITE, step=step)
+
+    def until(self, topic: str, name: str, value: Any, scans: int = 2000, beats: Iterable[Any] = ()) -> int:
+        """Scan until an output has a value; return how many scans it took."""
+        beats = list(beats)
+        for done in range(scans):
+            if self.get(topic, name) == value:
+                return done
+            self.scan(beats=beats)
+        raise AssertionError(f"{topic}: {name} is {self.get(topic, name)!r} after {scans} scans, not {value!r}")
