@@ -125,7 +125,9 @@ class Topic(ABC):
         self.channel = channel
         self._alive.clear()
         if channel.replaced_reason:
-            log.info("%s: the object was replaced: %s", plan.topic, channel.replaced_reason)
+            # With an error's code it was damaged or something else's, and not just of an older configuration.
+            level = logging.WARNING if channel.replaced_reason.endswith("]") else logging.INFO
+            log.log(level, "%s: the object was replaced: %s", plan.topic, channel.replaced_reason)
 
     def close(self) -> None:
         """Leave the object with its last state."""

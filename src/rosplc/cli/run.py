@@ -27,7 +27,10 @@ the next start goes on with them.
 def command(
     config: Annotated[Path, typer.Argument(help="The configuration file, such as rosplc.yaml.")],
     status: Annotated[
-        float, typer.Option(metavar="SECONDS", help="Time between two status lines; 0 for none.", min=0.0)
+        float,
+        typer.Option(
+            metavar="SECONDS", help="Time between two status lines; 0 for none.", min=0.0, max=86400.0
+        ),
     ] = 10.0,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log more.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Log warnings and errors only.")] = False,

@@ -13,6 +13,12 @@ from rosplc.shm.header import channel_error
 
 __all__ = ["create_complete", "open_plain_file", "read_header", "same_file"]
 
+_NO_PLAIN_FILE = {
+    # What the kernel says of these ("too many levels of symbolic links") is about something else.
+    errno.ELOOP: "a symbolic link stands at this name",
+    errno.EISDIR: "a directory stands at this name",
+    errno.ENXIO: "a socket or pipe stands at this name",
+}
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.ENOMEM)
 
 
@@ -54,7 +60,8 @@ def _opening_error(error: OSError, path: Path, flags: int, denied: int) -> Excep
     elif error.errno in (errno.ENOENT, errno.EACCES) and (flags & os.O_CREAT or not path.parent.is_dir()):
         # With O_CREAT only the directory can be missing; and it, or an old file, may be closed to us.
         number = denied if error.errno == errno.EACCES and os.path.lexists(path) else 123
-    return channel_error(number, error.strerror or str(error), str(path))
+    what = _NO_PLAIN_FILE.get(error.errno or 0) if number == 121 else None
+    return channel_error(number, what or error.strerror or str(error), str(path))
 
 
 def read_header(fd: int) -> tuple[bytes, int]:
