@@ -118,6 +118,8 @@ class Cell:
         self.machine: Machine = machine or LibraryMachine(machine_of or cell_build(), str(self.folder))
         if machine is None:
             self.machine.start()
+            for topic in ("/out", "/out2"):
+                self.set(topic, "xEnable", True)
 
     def __enter__(self) -> Cell:
         return self

@@ -15,7 +15,6 @@ from rosplc.layout import Limits
 from rosplc.shm import Direction
 from rosplc.shm.constants import IDENTITY, STATE_RETIRED, WRITER_LINE
 from tests.verification.plc_cell import READ, Cell, layout_of, pattern
-from verification.st.machine import LibraryMachine
 
 
 @pytest.fixture
@@ -222,6 +221,8 @@ def test_in_order_counts_losses(cell: Cell) -> None:
     """Messages that the ring no longer holds are counted, and reading goes on with the oldest left."""
     writer = cell.channel("/in_order", slots=4).writer()
     cell.until("/in_order", "xAttached", True)
+    writer.publish(pattern(0))
+    cell.scan()
     for number in range(1, 11):
         writer.publish(pattern(number))
     cell.scan()
@@ -279,7 +280,19 @@ def test_writer_wrap_around(cell: Cell) -> None:
             assert out == pattern(number)
             taken.append(info.sequence)
     assert taken[:4] == [2**32 - 2, 2**32 - 1, 4, 5]
-    assert reader.lost == 0 and reader.discontinuities == 0
+    assert reader.lost == 0
+    assert reader.discontinuities == 1, "the bridge began with 0, far from head"
+
+
+def test_writer_sends_nothing_before_it_is_told() -> None:
+    """A block whose program never sets xEnable claims and beats, and publishes nothing."""
+    with Cell() as cell:
+        cell.machine.start()
+        reader = cell.channel("/out").reader()
+        cell.until("/out", "xReady", True)
+        cell.scan(20, beats=[reader])
+        assert cell.get("/out", "xEnable", "udiPublished") == (False, 0)
+        assert reader.latest(bytearray(48)) is None
 
 
 def test_writer_publishes_what_msg_holds(cell: Cell) -> None:
@@ -449,6 +462,7 @@ def test_unknown_behaviour_of_the_runtime(option: str) -> None:
         channel.retire()
         cell.channels.remove(channel)
         writer = cell.channel("/plain").writer()
+        cell.scan()
         cell.until("/plain", "xPeerAlive", True, beats=[writer])
         writer.publish(pattern(5))
         cell.scan()
@@ -467,8 +481,3 @@ def test_clock_wraps(cell: Cell) -> None:
     for age in range(1, 20):
         cell.scan(beats=[writer])
         assert cell.get("/plain", "tAge", "xStale") == (10 * age, False)
-
-
-def test_counts_and_strings_of_a_faulty_writer(cell: Cell) -> None:
-    """The machine that runs the tests is the one that the module names."""
-    assert isinstance(cell.machine, LibraryMachine)
