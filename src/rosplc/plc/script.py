@@ -20,7 +20,6 @@ def import_script(project: PlcProject) -> str:
     items: list[Dut | Gvl | Pou] = [*project.duts, *project.gvls, *project.pous]
     lines = [
         program,
-        f"FOLDER = {_text(project.name.split('/')[0])}",
         f"LIBRARIES = [{', '.join(_text(name) for name in project.libraries)}]",
         "NOTES = [",
         *(f"    {_text(note)}," for note in project.notes),
@@ -31,9 +30,8 @@ def import_script(project: PlcProject) -> str:
         lines += [
             "    {",
             f"        'name': {_text(task.name)}, 'cyclic': {task.kind == 'cyclic'},",
-            f"        'interval': {_text(_time(task.interval_us))}, 'priority': {_text(str(task.priority))},",
-            f"        'watchdog': {_text(_time(task.watchdog_us) if task.watchdog_us else '')},"
-            f" 'sensitivity': {_text(str(task.watchdog_sensitivity))},",
+            f"        'interval_us': {task.interval_us}, 'priority': {task.priority},",
+            f"        'watchdog_us': {task.watchdog_us}, 'sensitivity': {task.watchdog_sensitivity},",
             f"        'programs': [{', '.join(_text(name) for name in task.programs)}],",
             "    },",
         ]
@@ -84,8 +82,3 @@ def _text(text: str) -> str:
     escaped = ascii(text)
     return f"u{escaped}" if "\\u" in escaped or "\\x" in escaped or "\\U" in escaped else escaped
 
-
-def _time(microseconds: int) -> str:
-    if microseconds % 1000 == 0:
-        return f"T#{microseconds // 1000}ms"
-    return f"T#{microseconds}us"

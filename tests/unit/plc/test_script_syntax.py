@@ -1,0 +1,119 @@
+"""The IDE runs the import script with IronPython 2.7: nothing newer may stand in it."""
+
+from __future__ import annotations
+
+import ast
+import io
+import os
+import shutil
+import subprocess
+import tokenize
+from pathlib import Path
+
+import pytest
+
+from rosplc.layout import Limits
+from rosplc.plc.build import build_type_library
+from rosplc.plc.script import import_script
+from tests.unit.plc.projects import JOINTS, STORE, TWIST, custom, layout, project, read, write
+
+NEWER = (
+    ast.JoinedStr,
+    ast.AnnAssign,
+    ast.Nonlocal,
+    ast.AsyncFunctionDef,
+    ast.AsyncFor,
+    ast.AsyncWith,
+    ast.Await,
+    ast.YieldFrom,
+    ast.NamedExpr,
+    ast.MatMult,
+    ast.Starred,
+)
+
+
+@pytest.fixture(scope="module")
+def script(tmp_path_factory):
+    """A script with everything that a project can hold, texts that are not ASCII included."""
+    store = custom(
+        tmp_path_factory.mktemp("types"), Text='string NAME="grün"\nstring text "it\'s $ \\"x\\""\n'
+    )
+    assert "cell_msgs/msg/Text" in store
+    made = project(
+        read("/j", JOINTS, task="Fast"), read("/k", JOINTS, limits=Limits(sequence=3)), write("/t", TWIST)
+    )
+    text = layout("cell_msgs/msg/Text", store=store)
+    return (
+        import_script(made)
+        + import_script(build_type_library(store, [text]))
+        + import_script(build_type_library(STORE, [layout(name) for name in STORE.names()[:40]]))
+    )
+
+
+def newer(text: str) -> list[str]:
+    """Return what Python 2.7 would not read, or would read otherwise."""
+    found = []
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, NEWER):
+            found.append(type(node).__name__)
+        if isinstance(node, ast.FunctionDef):
+            arguments = node.args
+            everything = [*arguments.posonlyargs, *arguments.args, *arguments.kwonlyargs]
+            annotated = [a for a in everything if a.annotation] or node.returns
+            if annotated or arguments.kwonlyargs or arguments.posonlyargs:
+                found.append(f"signature of {node.name}")
+        if isinstance(node, ast.Raise) and node.cause:
+            found.append("raise from")
+        if isinstance(node, ast.Dict) and None in node.keys:
+            found.append("** in a dict")
+        if isinstance(node, ast.ClassDef) and node.keywords:
+            found.append("metaclass")
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "super":
+            found.append("super()")
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        if token.type == tokenize.NUMBER and ("_" in token.string or token.string.lower().startswith("0o")):
+            found.append(token.string)
+    return found
+
+
+def test_nothing_newer_than_python_2_7_stands_in_it(script):
+    """No f-string, annotation, nonlocal, keyword-only argument or the like."""
+    assert newer(script) == []
+    assert script.isascii()
+    assert "from __future__ import print_function" in script
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        'f"{x}"', "x: int = 1", "def f(a: int): pass", "def f(*, a): pass", "def f() -> int: pass", "(y := 3)",
+        "def f():\n    x = 1\n    def g():\n        nonlocal x", "a, *b = c", "raise A from B", "{**a}", "1_000",
+        "async def f(): pass", "class A(metaclass=B): pass", "a @ b", "def f(a, /): pass",
+    ],
+)  # fmt: skip
+def test_the_check_finds_what_is_newer(text):
+    """Each construct that the check looks for is found in a text that has it."""
+    assert newer(text)
+
+
+def python_2_7() -> str | None:
+    """Return a Python 2.7 that runs; $PYTHON27 may name one."""
+    for command in (os.environ.get("PYTHON27"), shutil.which("python2.7"), shutil.which("python2")):
+        if not command:
+            continue
+        result = subprocess.run([command, "--version"], capture_output=True, text=True, check=False)
+        if result.returncode == 0 and "2.7" in result.stdout + result.stderr:
+            return command
+    return None
+
+
+def test_python_2_7_compiles_it(script, tmp_path: Path):
+    """Where a Python 2.7 is at hand, it has the last word."""
+    python = python_2_7()
+    if not python:
+        pytest.skip("no Python 2.7 on this machine ($PYTHON27 may name one)")
+    path = tmp_path / "rosplc_import.py"
+    path.write_text(script, encoding="ascii")
+    command = [python, "-c", f"compile(open({str(path)!r}).read(), 'script', 'exec')"]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert result.returncode == 0, result.stderr
