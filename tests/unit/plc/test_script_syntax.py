@@ -32,22 +32,16 @@ NEWER = (
 )
 
 
-@pytest.fixture(scope="module")
-def script(tmp_path_factory):
-    """A script with everything that a project can hold, texts that are not ASCII included."""
-    store = custom(
-        tmp_path_factory.mktemp("types"), Text='string NAME="grün"\nstring text "it\'s $ \\"x\\""\n'
-    )
-    assert "cell_msgs/msg/Text" in store
-    made = project(
-        read("/j", JOINTS, task="Fast"), read("/k", JOINTS, limits=Limits(sequence=3)), write("/t", TWIST)
-    )
-    text = layout("cell_msgs/msg/Text", store=store)
-    return (
-        import_script(made)
-        + import_script(build_type_library(store, [text]))
-        + import_script(build_type_library(STORE, [layout(name) for name in STORE.names()[:40]]))
-    )
+@pytest.fixture(scope="module", params=["topics", "types"])
+def script(request, tmp_path_factory):
+    """Scripts with everything that a project can hold, texts that are not ASCII included."""
+    if request.param == "topics":
+        slow = (read("/k", JOINTS, limits=Limits(sequence=3)), write("/t", TWIST))
+        return import_script(project(read("/j", JOINTS, task="Fast"), *slow))
+    text = 'string NAME="grün"\nstring text "it\'s 5 $"\n'
+    store = custom(tmp_path_factory.mktemp("types"), Text=text)
+    names = ["cell_msgs/msg/Text", *STORE.names()]
+    return import_script(build_type_library(store, [layout(name, store=store) for name in names]))
 
 
 def newer(text: str) -> list[str]:
@@ -86,9 +80,9 @@ def test_nothing_newer_than_python_2_7_stands_in_it(script):
 @pytest.mark.parametrize(
     "text",
     [
-        'f"{x}"', "x: int = 1", "def f(a: int): pass", "def f(*, a): pass", "def f() -> int: pass", "(y := 3)",
-        "def f():\n    x = 1\n    def g():\n        nonlocal x", "a, *b = c", "raise A from B", "{**a}", "1_000",
-        "async def f(): pass", "class A(metaclass=B): pass", "a @ b", "def f(a, /): pass",
+        'f"{x}"', "x: int = 1", "def f(a: int): pass", "def f(*, a): pass", "def f() -> int: pass",
+        "def f():\n    x = 1\n    def g():\n        nonlocal x", "a, *b = c", "raise A from B", "{**a}",
+        "(y := 3)", "1_000", "async def f(): pass", "class A(metaclass=B): pass", "a @ b", "def f(a, /): pass",
     ],
 )  # fmt: skip
 def test_the_check_finds_what_is_newer(text):
