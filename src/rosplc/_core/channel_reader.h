@@ -126,6 +126,14 @@ static inline int ch_take_choose(const ch_reader *r, ch_take *t)
     d = ch_distance(r->last, t->head, n);
     if (d >= CH_DISCONTINUITY) {
         t->discontinuity = 1;
+    } else if (d == 1) {
+        /* The same number as head, computed from `last`: so that the processor, which foresees that branch,
+         * fetches the slot while head is still on its way from the writer's core. Whatever it fetched too
+         * early it throws away; F3 orders the loads as before. The empty statement keeps the compiler from
+         * seeing that the numbers are equal. */
+        uint32_t next = ch_next(r->last, n);
+        __asm__("" : "+r"(next));
+        t->sequence = next;
     } else if (t->mode == CH_TAKE_NEWEST || t->at_head) {
         t->lost = d - 1;
     } else if (d > t->window + 1) {

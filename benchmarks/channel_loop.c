@@ -1,0 +1,300 @@
+/* The channel's operations in C, on the protocol's own headers, against bare copies of the same bytes.
+ *
+ *   channel_loop operations PATH BATCH      PATH: an object that nobody writes yet
+ *   channel_loop exchange PATH_A PATH_B BATCH CORE_A CORE_B
+ *
+ * Both print one JSON line per line read from standard input: the mean nanoseconds of one operation over a
+ * batch, by contender (`exchange`: of many batches). All contenders run in every round, in turn. `exchange` forks: both processes spin,
+ * each pinned to its core, and hand 200 bytes (whatever the record has) to each other and back.
+ */
+#define _GNU_SOURCE
+#include <fcntl.h>
+#include <sched.h>
+#include <signal.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <sys/mman.h>
+#include <sys/prctl.h>
+#include <sys/stat.h>
+#include <time.h>
+#include <unistd.h>
+
+#include "channel.h"
+
+static void stop(const char *what)
+{
+    perror(what);
+    exit(1);
+}
+
+static double now_ns(void)
+{
+    struct timespec t;
+    clock_gettime(CLOCK_MONOTONIC, &t);
+    return (double)t.tv_sec * 1e9 + (double)t.tv_nsec;
+}
+
+static void relax(void)
+{
+#if defined(__x86_64__) || defined(__i386__)
+    __builtin_ia32_pause();
+#endif
+}
+
+/* Keeps a copy that nobody reads. */
+static void used(void *memory)
+{
+    __asm__ volatile("" : : "r"(memory) : "memory");
+}
+
+static ch_region open_object(const char *path)
+{
+    ch_region region;
+    struct stat status;
+    int fd = open(path, O_RDWR | O_CLOEXEC);
+    uint8_t first[CH_HEADER_SIZE];
+    if (fd < 0 || fstat(fd, &status) || read(fd, first, sizeof first) != (ssize_t)sizeof first)
+        stop(path);
+    if (ch_identity_check(first, (uint64_t)status.st_size, 0, &region.geometry)) {
+        fprintf(stderr, "%s is not an object\n", path);
+        exit(1);
+    }
+    region.header = mmap(NULL, region.geometry.object_size, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_POPULATE, fd, 0);
+    if (region.header == MAP_FAILED)
+        stop("mmap");
+    close(fd);
+    return region;
+}
+
+static void claim(ch_writer *writer, const ch_region *region)
+{
+    if (ch_writer_claim(writer, region, 0, (uint32_t)getpid(), 1000, (uint32_t)getpid())) {
+        fprintf(stderr, "the object has a writer\n");
+        exit(1);
+    }
+}
+
+static void publish(ch_writer *writer, const uint8_t *record, uint32_t size)
+{
+    static const ch_meta meta;
+    int error;
+    ch_slot_header *slot = ch_writer_begin(writer, &error);
+    if (!slot)
+        exit(1);
+    memcpy(ch_record(slot), record, size);
+    ch_writer_commit(writer, slot, &meta);
+}
+
+static int take(ch_reader *reader, uint8_t *out, uint32_t size)
+{
+    ch_take t = ch_take_start(CH_TAKE_NEWEST);
+    while (ch_take_begin(reader, &t)) {
+        memcpy(out, ch_record(t.slot), size);
+        if (ch_take_check(reader, &t)) {
+            ch_take_accept(reader, &t);
+            return 1;
+        }
+    }
+    return 0;
+}
+
+static void *zeroed(size_t size)
+{
+    void *memory = mmap(NULL, size, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS | MAP_POPULATE, -1, 0);
+    if (memory == MAP_FAILED)
+        stop("mmap");
+    return memory;
+}
+
+/* ---------------------------------------------------------------- operations of one process */
+
+static void operations(const char *path, long batch)
+{
+    ch_region region = open_object(path);
+    uint32_t size = region.geometry.record_size, slots = region.geometry.slot_count;
+    size_t stride = region.geometry.slot_stride;
+    uint8_t *record = zeroed(size), *out = zeroed(size), *buffers = zeroed(slots * stride);
+    ch_writer writer;
+    ch_reader reader;
+    char line[16];
+    claim(&writer, &region);
+    ch_reader_observe(&reader, &region, writer.head);
+    for (uint32_t i = 0; i < size; i++)
+        record[i] = (uint8_t)i;
+    while (fgets(line, sizeof line, stdin)) {
+        double a, b, c, d, e;
+        a = now_ns();
+        for (long i = 0; i < batch; i++) {
+            memcpy(buffers + (size_t)(i & (slots - 1)) * stride + CH_SLOT_HEADER_SIZE, record, size);
+            used(buffers);
+        }
+        b = now_ns();
+        for (long i = 0; i < batch; i++)
+            publish(&writer, record, size);
+        c = now_ns();
+        for (long i = 0; i < batch; i++) {
+            memcpy(buffers + (size_t)(i & (slots - 1)) * stride + CH_SLOT_HEADER_SIZE, record, size);
+            used(buffers);
+            memcpy(out, buffers + (size_t)(i & (slots - 1)) * stride + CH_SLOT_HEADER_SIZE, size);
+            used(out);
+        }
+        d = now_ns();
+        for (long i = 0; i < batch; i++) {
+            publish(&writer, record, size);
+            if (!take(&reader, out, size))
+                exit(1);
+            used(out);
+        }
+        e = now_ns();
+        printf("{\"copy in\": %.3f, \"publish\": %.3f, \"copy in and out\": %.3f, \"publish and take\": %.3f}\n",
+               (b - a) / (double)batch, (c - b) / (double)batch, (d - c) / (double)batch, (e - d) / (double)batch);
+        fflush(stdout);
+    }
+    ch_writer_release(&writer);
+}
+
+/* ---------------------------------------------------------------- there and back between two processes */
+
+/* The bare exchange: a flag in a line of its own, then the bytes. */
+typedef struct {
+    _Alignas(64) uint32_t flag;
+    _Alignas(64) uint8_t bytes[];
+} mailbox;
+
+static void send_bare(mailbox *box, uint32_t number, const uint8_t *record, uint32_t size)
+{
+    memcpy(box->bytes, record, size);
+    __atomic_store_n(&box->flag, number, __ATOMIC_RELEASE);
+}
+
+static void receive_bare(mailbox *box, uint32_t number, uint8_t *out, uint32_t size)
+{
+    while (__atomic_load_n(&box->flag, __ATOMIC_ACQUIRE) != number)
+        relax();
+    memcpy(out, box->bytes, size);
+}
+
+static void receive(ch_reader *reader, uint8_t *out, uint32_t size)
+{
+    while (!ch_reader_news(reader) || !take(reader, out, size))
+        relax();
+}
+
+/* How often both contenders take turns within a round: a batch must be short enough that most of them
+ * meet no other process, and the two of a turn the same machine. */
+#define TURNS 40
+
+static void print_list(const double *values, int count)
+{
+    for (int i = 0; i < count; i++)
+        printf("%s%.3f", i ? ", " : "[", values[i]);
+    printf("]");
+}
+
+static void pin(int core)
+{
+    cpu_set_t set;
+    CPU_ZERO(&set);
+    CPU_SET(core, &set);
+    if (sched_setaffinity(0, sizeof set, &set))
+        stop("sched_setaffinity");
+}
+
+static int wrong(const uint8_t *record, uint32_t size, uint8_t expected)
+{
+    return record[0] != expected || record[size / 2] != expected || record[size - 1] != expected;
+}
+
+static void exchange(const char *path_a, const char *path_b, long batch, int core_a, int core_b)
+{
+    ch_region forth = open_object(path_a), back = open_object(path_b);
+    uint32_t size = forth.geometry.record_size, number = 0;
+    size_t room = sizeof(mailbox) + (size + 127u) / 64u * 64u;
+    mailbox *boxes[2];
+    uint8_t *record = zeroed(size), *out = zeroed(size);
+    volatile uint32_t *order = zeroed(64); /* how often the child is to answer; odd: over the channel */
+    ch_writer writer;
+    ch_reader reader;
+    char line[16];
+    pid_t child;
+    boxes[0] = zeroed(room);
+    boxes[1] = zeroed(room);
+    child = fork();
+    if (child < 0)
+        stop("fork");
+    if (child == 0) {
+        prctl(PR_SET_PDEATHSIG, SIGKILL);
+        record = zeroed(size);
+        pin(core_b);
+        claim(&writer, &back);
+        ch_reader_observe(&reader, &forth, 0);
+        if (ch_reader_claim(&reader, 0, 0, 2, 1000, (uint32_t)getpid()))
+            exit(1);
+        for (uint32_t round = 1;; round++) {
+            while (*order != round)
+                usleep(100);
+            for (int turn = 0; turn < TURNS; turn++) {
+                for (long i = 0; i < batch; i++) {
+                    receive_bare(boxes[0], ++number, record, size);
+                    send_bare(boxes[1], number, record, size);
+                }
+                for (long i = 0; i < batch; i++) {
+                    receive(&reader, record, size);
+                    publish(&writer, record, size);
+                }
+            }
+        }
+    }
+    pin(core_a);
+    claim(&writer, &forth);
+    ch_reader_observe(&reader, &back, 0);
+    if (ch_reader_claim(&reader, 0, 0, 1, 1000, (uint32_t)getpid()))
+        exit(1);
+    for (uint32_t round = 1; fgets(line, sizeof line, stdin); round++) {
+        double bare[TURNS], channel[TURNS];
+        long torn = 0;
+        *order = round;
+        usleep(2000); /* both are up and spinning */
+        for (int turn = 0; turn < TURNS; turn++) {
+            double a = now_ns(), b;
+            for (long i = 0; i < batch; i++) {
+                memset(record, (int)(i & 255), size);
+                send_bare(boxes[0], ++number, record, size);
+                receive_bare(boxes[1], number, out, size);
+                torn += wrong(out, size, (uint8_t)i);
+            }
+            b = now_ns();
+            for (long i = 0; i < batch; i++) {
+                memset(record, (int)(i & 255), size);
+                publish(&writer, record, size);
+                receive(&reader, out, size);
+                torn += wrong(out, size, (uint8_t)i);
+            }
+            bare[turn] = (b - a) / (double)batch;
+            channel[turn] = (now_ns() - b) / (double)batch;
+        }
+        if (torn) {
+            fprintf(stderr, "%ld answers were not what was sent\n", torn);
+            exit(1);
+        }
+        printf("{\"flag and copy\": ");
+        print_list(bare, TURNS);
+        printf(", \"channel\": ");
+        print_list(channel, TURNS);
+        printf("}\n");
+        fflush(stdout);
+    }
+    kill(child, SIGKILL);
+    ch_writer_release(&writer);
+}
+
+int main(int argc, char **argv)
+{
+    if (argc == 4 && !strcmp(argv[1], "operations"))
+        operations(argv[2], atol(argv[3]));
+    else if (argc == 7 && !strcmp(argv[1], "exchange"))
+        exchange(argv[2], argv[3], atol(argv[4]), atoi(argv[5]), atoi(argv[6]));
+    else
+        return 2;
+    return 0;
+}
