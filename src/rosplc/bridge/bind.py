@@ -56,7 +56,8 @@ def bind(
         type: ``"package/msg/Name"``, or the message class of rclpy or rospy; with a class,
             :meth:`Binding.read` returns its objects.
         direction: ``"to_plc"`` to write, ``"to_ros"`` to read.
-        print: Log each message, for debugging.
+        print: Log each message (logger ``rosplc.bind``, level INFO), for debugging; on stderr if the
+            program has set up no logging.
         limits: Capacities: a :class:`~rosplc.layout.Limits`, or a mapping of field paths in which
             ``string`` and ``sequence`` stand for the defaults. The PLC's code must be generated
             with the same.
@@ -142,6 +143,8 @@ class Binding:
         self._open_channel = open_channel
         self._message_class = message_class
         self._print, self._truncate, self._every = print, truncate, every
+        if print:
+            _be_heard()
         self._to_plc = description.direction is Direction.TO_PLC
         self._lock = threading.RLock()
         self._record = bytearray(self.layout.size)
@@ -151,6 +154,10 @@ class Binding:
         self.closed = False
         self._open()
         Beats.add(self)
+
+    def __repr__(self) -> str:
+        way = "to the PLC" if self._to_plc else "to ROS"
+        return f"Binding({self.topic}, {self.layout.type_name}, {way}{', closed' if self.closed else ''})"
 
     def write(self, message: Any, *, stamp_ns: int | None = None) -> int:
         """Put a message where the PLC reads it.
@@ -309,3 +316,11 @@ def _limits(limits: Limits | Mapping[str, int] | None) -> Limits:
 def _environment_distro() -> str:
     distro = os.environ.get("ROS_DISTRO", "")
     return distro if distro in DISTROS else "jazzy"
+
+
+def _be_heard() -> None:
+    # Without this a node that never set up Python's logging would ask for its messages and see none.
+    if not _log.isEnabledFor(logging.INFO):
+        _log.setLevel(logging.INFO)
+    if not _log.hasHandlers():
+        _log.addHandler(logging.StreamHandler())

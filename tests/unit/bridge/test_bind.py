@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import subprocess
 import sys
 from types import ModuleType
 from typing import Any
@@ -158,6 +159,23 @@ def test_print_logs_each_message(shm_namespace: Namespace, caplog: pytest.LogCap
         "/in was written: {'data': 'two'}",
         "/out was read: {'data': 'three'}",
     ]
+
+
+def test_print_is_seen_in_a_program_without_logging(shm_namespace: Namespace) -> None:
+    """print=True reaches stderr where nobody has set up logging."""
+    program = (
+        "import rosplc\n"
+        f"with rosplc.bind('/in', '{STRING}', print=True, prefix='{shm_namespace.prefix}') as binding:\n"
+        "    binding.write({'data': 'one'})\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stderr == "/in was written: {'data': 'one'}\n"
+
+
+def test_a_binding_says_what_it_is(shm_namespace: Namespace) -> None:
+    """The representation names topic, type and direction."""
+    with bind("/in", STRING, prefix=shm_namespace.prefix) as binding:
+        assert repr(binding) == "Binding(/in, std_msgs/msg/String, to the PLC)"
 
 
 def test_the_wrong_direction_is_an_error(shm_namespace: Namespace) -> None:
