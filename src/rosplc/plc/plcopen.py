@@ -194,13 +194,12 @@ def _body(parent: ET.Element, text: str) -> None:
 def _pou(parent: ET.Element, pou: Pou) -> None:
     element = ET.SubElement(parent, "pou", name=pou.name, pouType=_POU_TYPES[pou.kind])
     interface = _interface(element, pou.blocks, pou.return_type)
-    if pou.extends or pou.attributes or pou.abstract:
+    # ABSTRACT stands in the plain text alone: no export at hand shows another place for it.
+    if pou.extends or pou.attributes:
         extra = ET.SubElement(interface, "addData")
         if pou.extends:
             inheritance = ET.SubElement(_data(extra, "pouinheritance"), "Inheritance")
             ET.SubElement(inheritance, "Extends").text = pou.extends
-        if pou.abstract:
-            ET.SubElement(_data(extra, "accessmodifiers"), "AccessModifiers", Abstract="true")
         _attributes(extra, pou.attributes)
     _documentation(interface, pou.comment)
     _body(element, pou.implementation)

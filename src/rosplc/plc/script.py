@@ -43,10 +43,12 @@ def import_script(project: PlcProject) -> str:
 
 
 def _object(item: Dut | Gvl | Pou) -> list[str]:
+    instances = isinstance(item, Gvl) and any(v.arguments for block in item.blocks for v in block.variables)
     kind = "DUT" if isinstance(item, Dut) else "GVL" if isinstance(item, Gvl) else item.kind
     lines = [
         "    {",
         f"        'kind': {_text(kind)}, 'name': {_text(item.name)}, 'folder': {_text(item.folder)},",
+        f"        'instances': {instances},",
     ]
     if isinstance(item, Pou):
         lines.append(
@@ -81,4 +83,3 @@ def _text(text: str) -> str:
     """Return a literal that Python 2.7 and 3 read alike; what is not ASCII is escaped."""
     escaped = ascii(text)
     return f"u{escaped}" if "\\u" in escaped or "\\x" in escaped or "\\U" in escaped else escaped
-

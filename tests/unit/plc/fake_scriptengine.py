@@ -1,14 +1,16 @@
 """A stand-in for the object model that CODESYS gives to scripts, as its help documents it.
 
-Only what is documented exists here, so that a script which asks for more fails; documented
-oddities are kept: ``pous.remove`` does nothing, names are unique within an application and
-case does not tell them apart, line ends may come back changed, and create calls may return
-nothing. Every change of the project is counted in :attr:`Project.changes`.
+Only what is documented exists here, so that a script which asks for more fails; known oddities
+are kept: ``pous.remove`` does nothing, names are unique within an application and case does not
+tell them apart, line ends may come back changed, create calls may return nothing, and a text
+that replaces another one does not change the FB_Init arguments of an instance that was there.
+Every change of the project is counted in :attr:`Project.changes`.
 """
 
 from __future__ import annotations
 
 import enum
+import re
 import sys
 import types
 from collections.abc import Iterator
@@ -60,6 +62,7 @@ class Project:
 class Document:
     def __init__(self, project: Project, owner: str, text: str) -> None:
         self._project, self._owner, self._text = project, owner, text
+        self.arguments: dict[str, str] = {}
 
     @property
     def text(self) -> str:
@@ -69,6 +72,8 @@ class Document:
         assert isinstance(new_text, str)
         self._project.changed(f"replace {self._owner}")
         self._text = new_text.replace("\r\n", "\n")
+        for name, arguments in re.findall(r"^ *(\w+) : \w+\((.*)\);", self._text, re.MULTILINE):
+            self.arguments.setdefault(name, arguments)
 
 
 class Item:

@@ -96,6 +96,15 @@ def test_a_change_replaces_what_it_concerns_alone(ide):
     assert touched == {"sensor_msgs_JointState", "sensor_msgs_JointState_Read", "Mend"}
 
 
+def test_an_instance_of_another_topic_gets_its_new_argument(ide):
+    """The IDE keeps an instance's FB_Init arguments when the text is replaced, so the list is made anew."""
+    for topic in ("/a/b", "/a_b"):
+        run(import_script(project(read(topic), read("/c"))), ide)
+        ros = next(i for i in ide.active_application.get_children(False) if i.get_name(False) == "ROS")
+        gvl = next(item for item in ros.get_children(False) if item.get_name(False) == "ROS_Read")
+        assert gvl.textual_declaration.arguments == {"a_b": f"'{topic}'", "c": "'/c'"}
+
+
 def test_what_is_no_longer_configured_is_removed(ide, capsys):
     """A topic, its type and its task go; what stays is as if it had been made alone."""
     run(import_script(two_tasks()), ide)

@@ -82,7 +82,8 @@ def test_nothing_newer_than_python_2_7_stands_in_it(script):
     [
         'f"{x}"', "x: int = 1", "def f(a: int): pass", "def f(*, a): pass", "def f() -> int: pass",
         "def f():\n    x = 1\n    def g():\n        nonlocal x", "a, *b = c", "raise A from B", "{**a}",
-        "(y := 3)", "1_000", "async def f(): pass", "class A(metaclass=B): pass", "a @ b", "def f(a, /): pass",
+        "(y := 3)", "1_000", "async def f(): pass", "class A(metaclass=B): pass", "a @ b",
+        "def f(a, /): pass",
     ],
 )  # fmt: skip
 def test_the_check_finds_what_is_newer(text):
