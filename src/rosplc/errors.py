@@ -219,6 +219,7 @@ _register("ROS010", "setting of the ROS environment is not valid", "Correct the 
 _register("PLC001", "a generated file was edited", "Move your changes elsewhere and remove the file, or run again with --force.")
 _register("PLC002", "output folder cannot be written", "Check the path and the permissions.")
 _register("PLC003", "too many tasks", "The PLC's blocks serve at most 16 tasks; put topics of like urgency into one.")
+_register("PLC004", "Structured Text cannot be translated", "Correct the named line; the translator knows the constructs that generated code uses.")
 
 _register("SYS001", "a program or package is missing", "Install the named Debian package.")
 _register("SYS002", "a child process failed", "See its output above.")

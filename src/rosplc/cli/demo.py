@@ -6,6 +6,8 @@ import contextlib
 import re
 import signal
 import sys
+import tempfile
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -14,6 +16,8 @@ from rosplc.cli.guard import EXIT_FAILURE, EXIT_INTERRUPTED, guarded, print_json
 from rosplc.cli.text import columns, say
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
     from rosplc.demo.plan import Plan
     from rosplc.demo.result import Outage, Result
 
@@ -29,16 +33,23 @@ rosplc demo --duration 20s --rate 500 --topics 6 --json
 
 rosplc demo --duration 20s --kill  —  the bridge is killed on the way, and started again
 
+rosplc demo --plc st --duration 20s  —  the PLC runs generated Structured Text, compiled by gcc
+
 A simulated robot publishes over DDS; the bridge carries its topics into shared memory; a
 virtual PLC steers the robot from its pose. They are three processes of their own, in a DDS
 domain and under a prefix that nobody else uses. The exit status is 0 only if every message
 arrived, whole and once. With --kill messages are missing, and it is 0 only if they are one piece
 around the kill, nothing is torn or comes twice, and both directions work again.
+
+With --plc st the PLC is what the generator makes of the demo's configuration, with the program
+examples/st/PLC_PRG.st: Structured Text, translated to C, not run by CODESYS. It needs gcc and a
+checkout of the sources; the first time it translates for a minute or two.
 """
 
 _DURATION = re.compile(r"(\d+(?:\.\d+)?)\s*(ms|s|min|h)?")
 _UNITS = {"ms": 0.001, "s": 1.0, "min": 60.0, "h": 3600.0, None: 1.0}
 _UNATTENDED = 20.0
+_PLCS = ("python", "st")
 
 
 @guarded
@@ -53,6 +64,12 @@ def command(
         float, typer.Option(metavar="HZ", help="Messages per second and topic.", min=1.0, max=1000.0)
     ] = 100.0,
     topics: Annotated[int, typer.Option(metavar="N", help="Topics that the robot sends.", min=1, max=32)] = 3,
+    plc: Annotated[
+        str,
+        typer.Option(
+            metavar="LANGUAGE", help="What the PLC runs: python, or st, generated Structured Text in C."
+        ),
+    ] = "python",
     kill: Annotated[
         bool,
         typer.Option(
@@ -65,14 +82,18 @@ def command(
     from rosplc.demo.domain import FreeDomain
     from rosplc.demo.supervisor import new_plan
 
+    if plc not in _PLCS:
+        raise typer.BadParameter(f"there are: {', '.join(_PLCS)}", param_hint="--plc")
     seconds = None if duration is None else parse_duration(duration)
     if seconds is None and not sys.stdout.isatty():
         seconds = _UNATTENDED
     domain = FreeDomain()
     plan = new_plan(domain=domain.number, rate=rate, topics=topics)
-    result = _run(plan, seconds, kill=kill, live=sys.stdout.isatty() and not as_json)
+    with _structured_text(plan) if plc == "st" else contextlib.nullcontext() as folder:
+        result = _run(plan, seconds, kill=kill, live=sys.stdout.isatty() and not as_json, folder=folder)
     if as_json:
-        print_json({"plan": {"rate": rate, "topics": topics, "interval": plan.interval}, **result.to_dict()})
+        facts = {"rate": rate, "topics": topics, "interval": plan.interval, "plc": plc}
+        print_json({"plan": facts, **result.to_dict()})
     else:
         _print(result)
     if not result.good:
@@ -94,7 +115,54 @@ def parse_duration(text: str) -> float:
     return seconds
 
 
-def _run(plan: Plan, seconds: float | None, *, kill: bool, live: bool) -> Result:
+@contextlib.contextmanager
+def _structured_text(plan: Plan) -> Iterator[Path]:
+    """Give a folder with the PLC project in Structured Text, compiled by the time it is given."""
+    from rosplc.bridge.resolve import load_project
+    from rosplc.cli.generate import plc_project
+    from rosplc.demo.st.checkout import find_translator
+    from rosplc.demo.st.sources import CONFIGURATION, read_texts, write_configuration, write_texts
+    from rosplc.plc.build import ProjectOptions
+
+    translator = find_translator()
+    with tempfile.TemporaryDirectory(prefix="rosplc-demo-st-") as name:
+        folder = Path(name)
+        write_configuration(folder, plan)
+        project = plc_project(load_project(folder / CONFIGURATION), ProjectOptions())
+        write_texts(folder, plan, project, translator.programs)
+        with _translating() as on_parsed:
+            built = translator.build(read_texts(folder), on_parsed)
+        try:
+            yield folder
+        finally:
+            # The prefix is of this run alone, so no other run would find its library useful.
+            built.path.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def _translating() -> Iterator[Callable[[int, int], None]]:
+    """Show on stderr how the translation gets on."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    text = "translating Structured Text to C"
+    if not sys.stderr.isatty():
+        told = 0
+
+        def tell(done: int, of: int) -> None:
+            nonlocal told
+            if of > 10 and done >= told:
+                told = done + max(1, of // 10)
+                print(f"{text}: {done} of {of} new objects", file=sys.stderr, flush=True)
+
+        yield tell
+        return
+    with Progress(console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task(text, total=None)
+        yield lambda done, of: progress.update(task, completed=done, total=of)
+
+
+def _run(plan: Plan, seconds: float | None, *, kill: bool, live: bool, folder: Path | None) -> Result:
     from rosplc.demo.supervisor import Demo
 
     before = signal.signal(signal.SIGTERM, _terminate)
@@ -113,7 +181,7 @@ def _run(plan: Plan, seconds: float | None, *, kill: bool, live: bool) -> Result
                 from rosplc.demo.view import ProgressLine
 
                 draw = stack.enter_context(ProgressLine(Console(stderr=True), seconds)).draw
-            demo = stack.enter_context(Demo(plan, on_tick=draw))
+            demo = stack.enter_context(Demo(plan, on_tick=draw, structured_text=folder))
             return demo.run(seconds, kill=kill)
     finally:
         signal.signal(signal.SIGTERM, before)
@@ -147,6 +215,11 @@ def _print(result: Result) -> None:
         f"mean {cycle['cycle_mean_us'] / 1000:.2f} ms, longest {cycle['cycle_max_us'] / 1000:.2f} ms; "
         f"the robot went {result.metres:.2f} m on its commands"
     )
+    if result.program is not None:
+        say(
+            f"Structured Text alone: mean {result.program['mean_us']:.0f} µs of a scan, "
+            f"longest {result.program['max_us']:.0f} µs"
+        )
     if result.outage is not None:
         say(_in_words(result.outage))
     word = "INCOMPLETE" if not result.good else "OK" if result.outage is None else "RECOVERED"

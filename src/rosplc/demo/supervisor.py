@@ -36,11 +36,18 @@ class Demo:
     Args:
         plan: What to run.
         on_tick: Called some twenty times per second with this object, to draw a view.
+        structured_text: The folder of a PLC project (``demo.st.sources``) to run as the PLC;
+            None: the Python program.
         startup: Seconds that the processes may take to find each other.
     """
 
     def __init__(
-        self, plan: Plan, *, on_tick: Callable[[Demo], None] | None = None, startup: float = 60.0
+        self,
+        plan: Plan,
+        *,
+        on_tick: Callable[[Demo], None] | None = None,
+        startup: float = 60.0,
+        structured_text: Path | None = None,
     ) -> None:
         self.plan = plan
         self.phase = "starting"
@@ -48,6 +55,7 @@ class Demo:
         self.outage: Outage | None = None
         self._on_tick = on_tick or (lambda _: None)
         self._startup = startup
+        self._structured_text = structured_text
         self._before = (0, 0)
         self._began: float | None = None
         self._start_bridge: Callable[[], Child]
@@ -124,7 +132,11 @@ class Demo:
             "bridge", "rosplc.demo.bridge", [str(configuration), self.plan.prefix], environment
         )
         self.children.append(self._start_bridge())
-        self.children.append(Child("PLC", "rosplc.demo.plc", [plan], environment))
+        if self._structured_text is None:
+            plc = Child("PLC", "rosplc.demo.plc", [plan], environment)
+        else:
+            plc = Child("PLC", "rosplc.demo.st.process", [plan, str(self._structured_text)], environment)
+        self.children.append(plc)
 
     def _kill_bridge(self, began: float) -> None:
         bridge = self.children[1]

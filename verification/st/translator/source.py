@@ -10,7 +10,7 @@ import hashlib
 import os
 import pickle
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -111,18 +111,28 @@ def _parse(text: str) -> None:
     temporary.replace(path)
 
 
-def parse_units(units: Iterable[Unit], workers: int | None = None) -> list[tuple[Unit, list[Any]]]:
-    """Return each unit with its syntax trees, parsing what the cache does not know."""
+def parse_units(
+    units: Iterable[Unit], workers: int | None = None, progress: Callable[[int, int], None] | None = None
+) -> list[tuple[Unit, list[Any]]]:
+    """Return each unit with its syntax trees, parsing what the cache does not know.
+
+    ``progress`` is called with how many of the unknown texts are parsed, and of how many.
+    """
     units = list(units)
     missing = [t for t in dict.fromkeys(u.text for u in units) if t not in _memory and not _path(t).exists()]
     workers = workers or min(len(os.sched_getaffinity(0)), 4)
+    tell = progress or (lambda done, of: None)
     if sum(map(len, missing)) < 2000 or workers == 1:
-        for text in missing:
+        for number, text in enumerate(missing):
+            tell(number, len(missing))
             _parse(text)
     else:
         missing.sort(key=len, reverse=True)
         with ProcessPoolExecutor(workers) as pool:
-            list(pool.map(_parse, missing))
+            for number, _ in enumerate(pool.map(_parse, missing)):
+                tell(number, len(missing))
+    if missing:
+        tell(len(missing), len(missing))
     result = []
     for unit in units:
         if unit.text not in _memory:
@@ -134,7 +144,12 @@ def parse_units(units: Iterable[Unit], workers: int | None = None) -> list[tuple
     return result
 
 
-def parse_texts(texts: Mapping[str, str], defined: Iterable[str] = ()) -> list[tuple[Unit, list[Any]]]:
-    """Return the syntax trees of texts by object name, in their order."""
+def parse_texts(
+    texts: Mapping[str, str],
+    defined: Iterable[str] = (),
+    progress: Callable[[int, int], None] | None = None,
+) -> list[tuple[Unit, list[Any]]]:
+    """Return the syntax trees of texts by object name, in their order; ``progress`` as above."""
     defined = tuple(defined)
-    return parse_units(unit for name, text in texts.items() for unit in split(name, text, defined))
+    units = [unit for name, text in texts.items() for unit in split(name, text, defined)]
+    return parse_units(units, progress=progress)

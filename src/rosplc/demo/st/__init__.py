@@ -1,0 +1,9 @@
+"""The demonstration's PLC program in Structured Text, translated to C and run.
+
+Only in a checkout of the sources: the translator stands in ``verification/st`` and needs
+blark, whose licence (GPL) keeps it out of what rosplc depends on.
+"""
+
+from __future__ import annotations
+
+__all__: list[str] = []

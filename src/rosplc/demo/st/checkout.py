@@ -1,0 +1,96 @@
+"""Find the translator, which belongs to the checkout of the sources and not to the package."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import shutil
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import rosplc
+from rosplc.errors import GenerationError, SetupError
+
+__all__ = ["Translator", "find_translator"]
+
+
+@dataclass(frozen=True)
+class Translator:
+    """The translator of a checkout.
+
+    Attributes:
+        root: The checkout's top folder.
+    """
+
+    root: Path
+
+    @property
+    def programs(self) -> Path:
+        """The folder of the demonstration's own Structured Text."""
+        return self.root / "examples" / "st"
+
+    def build(self, texts: Mapping[str, str], on_parsed: Callable[[int, int], None] | None = None) -> Any:
+        """Translate and compile objects; texts and programs known from before come from ``.cache``.
+
+        Args:
+            texts: Structured Text by object name.
+            on_parsed: Called with how many of the new texts are parsed, and of how many.
+
+        Raises:
+            GenerationError: PLC004, a text cannot be translated.
+            SetupError: SYS001, gcc does not compile it.
+        """
+        source = _module("translator.source")
+        try:
+            # Parsing takes the time; what it found stays in memory for the build.
+            source.parse_texts(texts, progress=on_parsed)
+            return _module("build").build(texts)
+        except source.TranslationError as error:
+            where = f"{error.file}.st:{error.line}"
+            raise GenerationError("PLC004", str(error.what), where=where) from error
+        except RuntimeError as error:
+            raise SetupError(
+                "SYS001", str(error).strip(), remedy="sudo apt-get install gcc libc6-dev"
+            ) from error
+
+    def machine(self, built: Any) -> Any:
+        """Load a built program into this process, by the machine's own clock."""
+        machine = _module("machine").LibraryMachine(built)
+        machine.option("real_clock")
+        return machine
+
+
+def find_translator() -> Translator:
+    """Return the translator of the checkout that this package runs from.
+
+    Raises:
+        SetupError: SYS001, there is none, or what it needs is missing; the remedy says how to get it.
+    """
+    root = Path(rosplc.__file__).resolve().parents[2]
+    if not (root / "verification" / "st" / "build.py").is_file():
+        raise SetupError(
+            "SYS001",
+            "the translator for Structured Text is missing; it is no part of the installed package",
+            where=str(root),
+            remedy="Take a checkout of rosplc's sources, `make setup` there, and run "
+            "`.venv/bin/rosplc demo --plc st`.",
+        )
+    if shutil.which("gcc") is None:
+        raise SetupError("SYS001", "gcc is missing", remedy="sudo apt-get install gcc libc6-dev")
+    if importlib.util.find_spec("blark") is None:
+        raise SetupError(
+            "SYS001",
+            "the Python package blark is missing, which parses Structured Text",
+            remedy=f"{sys.executable} -m pip install -e '{root}[test]'",
+        )
+    if str(root) not in sys.path:
+        sys.path.append(str(root))
+    return Translator(root)
+
+
+def _module(name: str) -> Any:
+    # By name: nothing in the package may depend on what the package does not contain.
+    return importlib.import_module(f"verification.st.{name}")

@@ -1,0 +1,93 @@
+"""What both of the demonstration's PLC programs share: the task, and what is kept of messages."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Iterable
+from statistics import median, quantiles
+from typing import Any, Protocol
+
+from rosplc.demo.messages import Opened
+from rosplc.demo.pipe import Orders, report
+from rosplc.demo.tally import Tally
+from rosplc.virtual_plc import VirtualPlc
+
+__all__ = ["Arrivals", "Program", "serve"]
+
+_STATUS_SECONDS = 0.1
+_AGES_KEPT = 200_000
+
+
+class Arrivals:
+    """What came, per topic: counted, and how old it was.
+
+    Attributes:
+        tallies: The counters per topic.
+    """
+
+    def __init__(self, topics: Iterable[str]) -> None:
+        self.tallies = {topic: Tally() for topic in topics}
+        self._ages: dict[str, deque[int]] = {topic: deque(maxlen=_AGES_KEPT) for topic in self.tallies}
+
+    def add(self, topic: str, opened: Opened, now_ns: int) -> None:
+        """Count a message that the program had in hand at ``now_ns`` (ns since 1970)."""
+        self.tallies[topic].add(opened.number, whole=opened.whole)
+        if opened.whole:
+            self._ages[topic].append(now_ns - opened.stamp_ns)
+
+    def summary(self) -> dict[str, dict[str, float]]:
+        """Return median and p99 age in milliseconds, per topic and over all (``""``)."""
+        ages = {topic: list(values) for topic, values in self._ages.items()}
+        ages[""] = [age for values in list(ages.values()) for age in values]
+        return {topic: _percentiles(values) for topic, values in ages.items() if values}
+
+    def recent(self) -> dict[str, float]:
+        """Return the age in milliseconds of each topic's last message."""
+        return {topic: values[-1] / 1e6 for topic, values in self._ages.items() if values}
+
+
+def _percentiles(values: list[int]) -> dict[str, float]:
+    p99 = quantiles(values, n=100, method="inclusive")[98] if len(values) > 1 else values[0]
+    return {"median_ms": median(values) / 1e6, "p99_ms": p99 / 1e6}
+
+
+class Program(Protocol):
+    """A PLC program that the task calls once per scan.
+
+    Attributes:
+        arrivals: What it took.
+        lock: Guards ``state``.
+        state: What it last knew: ready, waiting, sent, received, counters.
+    """
+
+    arrivals: Arrivals
+    lock: threading.Lock
+    state: dict[str, Any]
+
+    def __call__(self) -> None:
+        """Run one scan."""
+
+
+def serve(program: Program, interval: float, orders: Orders) -> None:
+    """Run ``program`` every ``interval`` seconds and report, until told to stop.
+
+    Raises:
+        BaseException: What the program raised.
+    """
+    plc = VirtualPlc()
+    task = plc.task("RosTask", interval, priority=4)
+    task.program(program)
+    with plc:
+        while not orders.stop.wait(_STATUS_SECONDS):
+            plc.check()
+            with program.lock:
+                state = program.state
+            report(
+                "status",
+                drained=orders.drain.is_set(),
+                cycle=task.stats.to_dict(),
+                age=program.arrivals.recent(),
+                **state,
+            )
+    report("status", cycle=task.stats.to_dict(), ages=program.arrivals.summary(), **program.state)
