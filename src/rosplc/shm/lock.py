@@ -20,7 +20,8 @@ class NameLock:
 
     Raises:
         ChannelError: SHM116 if another bridge holds it, SHM119 if the file is another user's,
-            SHM121 if it is no plain file, SHM123 if the directory cannot be used.
+            SHM102 if it cannot be given to the group, SHM121 if it is no plain file, SHM123 if the
+            directory cannot be used.
     """
 
     def __init__(self, path: Path, *, mode: int, gid: int | None = None) -> None:
@@ -40,10 +41,19 @@ class NameLock:
             if self.still_there():
                 break
             os.close(fd)
-        if os.fstat(fd).st_uid == os.geteuid():
-            if gid is not None and os.fstat(fd).st_gid != gid:
-                os.fchown(fd, -1, gid)
-            os.fchmod(fd, mode & 0o666)
+        try:
+            self._share(mode & 0o666, gid)
+        except OSError as error:
+            self.release()
+            what = f"cannot give the lock file to group {gid}: {error.strerror}"
+            raise channel_error(102, what, str(path)) from error
+
+    def _share(self, mode: int, gid: int | None) -> None:
+        status = os.fstat(self._fd)
+        if status.st_uid == os.geteuid():
+            if gid is not None and status.st_gid != gid:
+                os.fchown(self._fd, -1, gid)
+            os.fchmod(self._fd, mode)
 
     def still_there(self) -> bool:
         """Return whether the name still leads to the file that is locked."""

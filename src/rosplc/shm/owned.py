@@ -41,6 +41,8 @@ from rosplc.shm.snapshot import Snapshot
 
 __all__ = ["OwnedChannel"]
 
+_LOOKS = 100
+
 
 class OwnedChannel:
     """An object that this process created or adopted, and whose name it holds; a context manager.
@@ -289,11 +291,22 @@ def _difference(
             return f"{name} was {getattr(found, name)}, now {getattr(wanted, name)}"
     if os.pread(fd, found.description_size, found.description_offset) != description.to_json():
         return "the self-description differs"
+    return _head_without_slot(fd, found)
+
+
+def _head_without_slot(fd: int, found: Identity) -> str:
+    """Say that head names a slot which does not hold it; empty if all is well."""
     head = _word(fd, WRITER_LINE["head"])
-    slot = found.slots_offset + head % found.slot_count * found.slot_stride
-    if head and _word(fd, slot + SLOT_HEADER["sequence"]) != head:
-        return f"head is {head}, which its slot does not hold"
-    return ""
+    for _ in range(_LOOKS):
+        slot = found.slots_offset + head % found.slot_count * found.slot_stride
+        if head == 0 or _word(fd, slot + SLOT_HEADER["sequence"]) == head:
+            return ""
+        # The PLC goes on meanwhile, and may have come round to this slot: only under a head that
+        # stands still is the slot's word evidence.
+        before, head = head, _word(fd, WRITER_LINE["head"])
+        if before == head:
+            return f"head is {head}, which its slot does not hold"
+    return ""  # it moves faster than we can look: somebody writes
 
 
 def _word(fd: int, offset: int) -> int:

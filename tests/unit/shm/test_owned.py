@@ -132,6 +132,35 @@ def test_foreign_file_is_replaced(shm_namespace: Namespace, content: bytes) -> N
         attach(shm_namespace, _TOPIC).close()
 
 
+@pytest.mark.parametrize("busy", [3, 10_000])
+def test_object_is_adopted_under_a_running_writer(
+    shm_namespace: Namespace, monkeypatch: pytest.MonkeyPatch, busy: int
+) -> None:
+    """A PLC that laps a bridge's look at head and its slot, once or for ever, keeps its object."""
+    open_channel(shm_namespace, Direction.TO_ROS).close()
+    with attach(shm_namespace, _TOPIC, write=True) as plc:
+        writer = plc.writer()
+        writer.publish(bytes(64))
+        looks = 0
+
+        def pread(fd: int, size: int, offset: int) -> bytes:
+            nonlocal looks
+            data = read(fd, size, offset)
+            if size == 4 and looks < busy:
+                looks += 1
+                for _ in range(4):
+                    writer.publish(bytes(64))
+            return data
+
+        with monkeypatch.context() as patch:
+            read = os.pread
+            patch.setattr(os, "pread", pread)
+            with open_channel(shm_namespace, Direction.TO_ROS) as channel:
+                assert channel.adopted, channel.replaced_reason
+        assert looks >= 3
+        writer.publish(bytes(64))
+
+
 def test_second_bridge_is_refused(shm_namespace: Namespace) -> None:
     """Two bridges on one name are refused, and the first does not notice (section 8.2)."""
     with open_channel(shm_namespace) as first:
@@ -268,6 +297,20 @@ def test_object_for_another_user(shm_namespace: Namespace) -> None:
             status = shm_namespace.path(_TOPIC).stat()
             assert (status.st_uid, status.st_gid) == (12345, 54321)
             assert channel.adopted is adopted
+
+
+def test_group_that_is_not_ours(shm_namespace: Namespace, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A group that the object cannot be given to is refused with its number, and the name stays free."""
+
+    def refuse(*_: int) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fchown", refuse)
+        with pytest.raises(ChannelError) as caught:
+            OwnedChannel.open(shm_namespace, describe(), record_size=8, gid=54321)
+        assert _code(caught) == "SHM102"
+    open_channel(shm_namespace).close()
 
 
 def test_missing_directory(tmp_path: Path) -> None:
