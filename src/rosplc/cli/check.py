@@ -86,6 +86,9 @@ def _topic_facts(project: Project, plan: TopicPlan) -> dict[str, Any]:
             "depth": plan.qos.depth,
         },
         "stale_after_ms": plan.stale_after_ns / 1e6,
+        "min_interval_ms": plan.min_interval_ns / 1e6,
+        "on_change": plan.on_change,
+        "print": plan.print,
         "on_overflow": "truncate" if plan.truncate else "refuse",
     }
 
@@ -121,6 +124,13 @@ def warnings(project: Project) -> list[str]:
     return found
 
 
+def _sieve(plan: TopicPlan) -> str:
+    words = ["only what changed"] if plan.on_change else []
+    if plan.min_interval_ns:
+        words.append(f"one message per {plan.min_interval_ns / 1e6:g} ms at most")
+    return ", ".join(words)
+
+
 def _explain(project: Project) -> None:
     settings = project.config.settings
     topics = project.topics
@@ -131,6 +141,8 @@ def _explain(project: Project) -> None:
         f"ROS backend {settings.ros.backend}, definitions of {settings.ros.distro}, "
         f"objects named {settings.prefix}.t.… in {settings.shm.directory}."
     )
+    domain = settings.ros.domain
+    say(f"ROS domain {domain}." if domain is not None else "ROS domain: ROS_DOMAIN_ID's, else 0.")
     given = settings.topics
     for plan in topics:
         arrow = "ROS → PLC" if plan.direction == 1 else "PLC → ROS"
@@ -146,8 +158,13 @@ def _explain(project: Project) -> None:
             ("takes", f"{how}; PLC task {plan.task}"),
             ("QoS", f"{plan.qos.reliability}, {plan.qos.durability}, depth {plan.qos.depth} ({qos})"),
             ("stale after", stale),
-            ("too large", "cut and counted" if plan.truncate else "refused and counted"),
         ]
+        if plan.direction == 1:
+            rows.append(("too large", "cut and counted" if plan.truncate else "refused and counted"))
+        if sieve := _sieve(plan):
+            rows.append(("passes on", sieve))
+        if plan.print:
+            rows.append(("print", "each message is logged"))
         for line in columns(rows, indent=2):
             say(line)
     say(f"\nShared memory in all: {in_bytes(sum(_memory(plan) for plan in topics))}.")

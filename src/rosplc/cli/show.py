@@ -108,7 +108,7 @@ def _list(states: list[ObjectState]) -> None:
         if state.error:
             continue
         arrow = "→ PLC" if state.direction == "to_plc" else "→ ROS"
-        writer = "writing" if state.writer_alive else "silent"
+        writer = "alive" if state.writer_alive else "silent"
         readers = ", ".join(state.readers) or "nobody"
         rows.append(
             (
