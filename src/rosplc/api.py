@@ -149,7 +149,7 @@ class Channel:
     @property
     def lost(self) -> int:
         """Messages that this channel has missed, skipped ones included."""
-        return self._lost_before + self._reader.lost
+        return self._lost_before + (self._reader.lost if self._attached is not None else 0)
 
     @property
     def retries(self) -> int:
@@ -217,10 +217,10 @@ class Channel:
         """
         if not self._write:
             raise ChannelError("SHM122", "attached for reading only", where=self.topic)
-        record = self.layout.pack(value)
         stamp = time.time_ns() if stamp_ns is None else stamp_ns
         for attempt in range(2):
             self._need()
+            record = self.layout.pack(value)  # only now: another object may have another layout
             try:
                 assert self._writer is not None
                 return self._writer.publish(record, stamp_ns=stamp)
@@ -228,15 +228,12 @@ class Channel:
                 if error.code not in ("SHM111", "SHM112") or attempt:
                     raise
                 self._drop()
-                record = self.layout.pack(value) if self._follow() else record
         raise AssertionError  # the loop returns or raises
 
     def close(self) -> None:
         """Give claims back and let go of the object; a second call does nothing."""
         self._closed = True
-        if self._attached is not None:
-            self._attached.close()
-            self._attached = None
+        self._drop()
 
     def __enter__(self) -> Channel:
         return self
@@ -264,7 +261,7 @@ class Channel:
             reader = attached.reader(self._task, latched=self._latched, observe=not self._task)
             # 0: a program that writes now and then promises no beat; a killed one is replaced after 1 s.
             writer = attached.writer(beat_ms=0) if self._write else None
-        except ChannelError:
+        except BaseException:
             attached.close()
             raise
         self._attached, self._description, self.layout = attached, description, layout

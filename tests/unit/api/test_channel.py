@@ -386,3 +386,52 @@ def test_topics_knows_the_topic_of_a_shortened_name(bridge, shm_namespace):
     topic = "/" + "/".join(["very_long_name"] * 8)
     bridge(topic)
     assert [state.topic for state in rosplc.topics(shm_namespace.prefix)] == [topic]
+
+
+def test_a_writer_that_changes_objects_packs_for_the_new_one(bridge, attach, shm_namespace):
+    """A message written at the moment in which the type changed never carries the old one's bytes."""
+    first = bridge(direction=Direction.TO_ROS)
+    channel = attach(write=True)
+    channel.write({"data": -1})
+    shm_namespace.path("/n").unlink()
+    first.channel.close()
+    second = bridge(type_name="std_msgs/msg/Float32", direction=Direction.TO_ROS)
+    channel._moved_at = 0.0  # a second has passed
+    channel.write({"data": 2.5})
+    assert second.take().data == 2.5
+
+
+def test_losses_are_counted_once_while_there_is_no_object(bridge, attach):
+    """What was lost in an object stands in `lost` once: with it, without it, and after close()."""
+    one = bridge()
+    channel = attach()
+    one.send(data=1)
+    channel.read()
+    for number in range(3):
+        one.send(data=number)
+    channel.read()
+    assert channel.lost == 2
+    one.channel.retire()
+    assert channel.read() is None
+    assert not channel.attached
+    assert channel.lost == 2
+    bridge()
+    time.sleep(0.11)
+    channel.read()
+    assert channel.attached
+    assert channel.lost == 2
+    channel.close()
+    assert channel.lost == 2
+
+
+def test_a_failed_attach_gives_its_line_back(bridge, attach, monkeypatch):
+    """Whatever interrupts an attach, no reader line stays claimed."""
+    one = bridge(direction=Direction.TO_ROS)
+
+    def interrupt(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(rosplc.shm.Attached, "writer", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        attach(write=True, task="probe")
+    assert [line.claim for line in one.channel.snapshot().readers[1:]] == [0, 0, 0]
