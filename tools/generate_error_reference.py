@@ -11,6 +11,7 @@ from rosplc.errors import (
     ChannelError,
     CodecError,
     ConfigError,
+    GenerationError,
     LayoutError,
     MessageTypeError,
     RosplcError,
@@ -25,6 +26,7 @@ FAMILIES: tuple[tuple[str, type[RosplcError]], ...] = (
     ("Channels in shared memory", ChannelError),
     ("Configuration", ConfigError),
     ("The ROS side", BackendError),
+    ("The PLC's code", GenerationError),
     ("The machine", SetupError),
 )
 HEAD = """\
