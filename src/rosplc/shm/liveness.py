@@ -21,12 +21,13 @@ class Liveness:
     periods. What stands still since the first look has shown no life.
 
     Args:
-        period_ms: The period that the peer promises; 0 counts as a third of a second.
+        period_ms: The period that the peer promises; 0 counts as a third of a second, more than
+            10 s as 10 s (a damaged word must not keep a dead peer alive for months).
         factor: How many periods it may miss.
     """
 
     def __init__(self, period_ms: int, factor: int = 3) -> None:
-        self._limit_ns = factor * period_ms * 1_000_000 if period_ms else 1_000_000_000
+        self._limit_ns = factor * min(period_ms, MAX_BEAT_MS) * 1_000_000 if period_ms else 1_000_000_000
         self._seen: tuple[int, int] | None = None
         self._changed_ns: int | None = None
 

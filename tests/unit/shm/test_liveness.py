@@ -37,6 +37,15 @@ def test_no_promise() -> None:
     assert not peer.observe(2, 0, 1001 * _MS)
 
 
+def test_damaged_promise() -> None:
+    """A damaged period keeps a dead peer alive for 30 s, not for months."""
+    peer = Liveness(2**32 - 1)
+    peer.observe(1, 0, 0)
+    assert peer.observe(2, 0, 1)
+    assert peer.observe(2, 0, 29_000 * _MS)
+    assert not peer.observe(2, 0, 31_000 * _MS)
+
+
 @pytest.mark.parametrize(
     ("beat_ms", "silence"), [(0, 1000), (1, 100), (33, 100), (50, 150), (1000, 3000), (2**32 - 1, 30_000)]
 )
