@@ -481,3 +481,78 @@ def test_clock_wraps(cell: Cell) -> None:
     for age in range(1, 20):
         cell.scan(beats=[writer])
         assert cell.get("/plain", "tAge", "xStale") == (10 * age, False)
+
+
+def test_delayed_reader(cell: Cell) -> None:
+    """Without fences a message is chosen, copied and proven in three scans, and then new exactly once."""
+    cell.machine.set("RosPlc_Settings.xFenced", False)
+    writer = cell.channel("/plain").writer()
+    cell.until("/plain", "xAttached", True)
+    assert cell.get("/plain", "xDelayed") is True
+    for number in range(1, 6):
+        writer.publish(pattern(number))
+        news = []
+        for _ in range(5):
+            cell.scan()
+            news.append(cell.get("/plain", "xNew"))
+        assert news.count(True) == 1 and news.index(True) <= 2
+        assert cell.record("/plain") == pattern(number)
+    assert cell.get("/plain", "udiLost") == 0
+
+
+def test_delayed_reader_refuses_what_was_overtaken(cell: Cell) -> None:
+    """A copy whose slot was written again before the proof is thrown away and counted."""
+    cell.machine.set("RosPlc_Settings.xFenced", False)
+    writer = cell.channel("/plain").writer()
+    cell.until("/plain", "xAttached", True)
+    taken = []
+    for number in range(1, 61):
+        writer.publish(pattern(number))
+        writer.publish(pattern(number + 1000))
+        cell.scan()
+        if cell.get("/plain", "xNew"):
+            taken.append(cell.get("/plain", "udiSequence"))
+            sequence = taken[-1]
+            assert cell.record("/plain") == pattern((sequence + 1) // 2 + (0 if sequence % 2 else 1000))
+    assert taken == sorted(set(taken))
+    assert cell.get("/plain", "udiRetries") > 0
+
+
+def test_delayed_writer(cell: Cell) -> None:
+    """Without fences a message is published in the scan after it was filled, and the writer says so."""
+    cell.machine.set("RosPlc_Settings.xFenced", False)
+    channel = cell.channel("/out")
+    reader = channel.reader()
+    out = bytearray(48)
+    cell.until("/out", "xReady", True)
+    assert channel.region.word(WRITER_LINE["writer_rule"]) == 2
+    got = []
+    for number in range(1, 20):
+        cell.machine.write("ROS_Write.out.msg", pattern(number))
+        cell.scan()
+        if reader.next(out) is not None:
+            got.append(bytes(out))
+    assert got[-18:] == [pattern(number) for number in range(1, 19)], "the last one waits for its scan"
+    assert reader.lost == 0
+
+
+def test_fenced_writer_says_so(cell: Cell) -> None:
+    """With fences the writer's rule is 1."""
+    channel = cell.channel("/out")
+    cell.until("/out", "xReady", True)
+    assert channel.region.word(WRITER_LINE["writer_rule"]) == 1
+
+
+def test_reader_under_a_delayed_writer(cell: Cell) -> None:
+    """A reader uses one slot less where the writer follows the delayed rule (M23)."""
+    channel = cell.channel("/in_order")
+    writer = channel.writer()
+    cell.until("/in_order", "xAttached", True)
+    writer.publish(pattern(0))
+    cell.scan()
+    channel.region.store(WRITER_LINE["writer_rule"], 2)
+    for number in range(1, 4):
+        writer.publish(pattern(number))
+    cell.scan()
+    assert cell.record("/in_order") == pattern(2), "of three messages in four slots the oldest is given up"
+    assert cell.get("/in_order", "udiLost") == 1
