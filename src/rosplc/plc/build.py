@@ -129,10 +129,10 @@ def build_project(
         options: See :class:`ProjectOptions`.
 
     Raises:
-        GenerationError: PLC003, there are more tasks than the blocks serve.
+        GenerationError: PLC003, there are more tasks than the blocks serve; PLC005, two tasks have
+            names that are one to CODESYS.
     """
-    if len(tasks) > _MOST_TASKS:
-        raise GenerationError("PLC003", f"the topics use {len(tasks)} tasks", where="tasks")
+    _check_tasks(tasks)
     options = options or ProjectOptions()
     topics = sorted(topics, key=lambda item: item.topic)
     base = base_objects(f"{options.folder}/Base")
@@ -196,6 +196,16 @@ def build_type_library(
         libraries=("SysShm", "SysMem", "SysTypes2 Interfaces"),
         notes=tuple(_notes(builder, [], ())),
     )
+
+
+def _check_tasks(tasks: Sequence[PlcTask]) -> None:
+    if len(tasks) > _MOST_TASKS:
+        raise GenerationError("PLC003", f"the topics use {len(tasks)} tasks", where="tasks")
+    seen: dict[str, str] = {}
+    for task in tasks:
+        other = seen.setdefault(task.name.upper(), task.name)
+        if other != task.name:
+            raise GenerationError("PLC005", f"{other} and {task.name}", where="tasks")
 
 
 def _builder(store: TypeStore, options: ProjectOptions, base: Sequence[Dut | Gvl | Pou]) -> DutBuilder:

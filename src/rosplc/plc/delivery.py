@@ -23,6 +23,7 @@ from rosplc.plc.st_text import object_text
 __all__ = ["MANIFEST", "Delivery", "project_files", "write_files"]
 
 MANIFEST = ".rosplc-manifest.json"
+_LONGEST_STEM = 120  # with the folders still within the 260 characters of a path on Windows
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,7 @@ def project_files(project: PlcProject, layouts: list[Layout], name: str) -> dict
     """
     items: list[Dut | Gvl | Pou] = [*project.duts, *project.gvls, *project.pous]
     result = {
-        f"st/{_folder(item.folder, project.name)}{item.name}.st": object_text(item).encode("ascii")
+        f"st/{_folder(item.folder, project.name)}{_stem(item.name)}.st": object_text(item).encode("ascii")
         for item in items
     }
     result[f"{name}.xml"] = plcopen_xml(project)
@@ -74,7 +75,7 @@ def write_files(folder: Path, files: dict[str, bytes], *, force: bool = False) -
             PLC002, the folder cannot be written.
     """
     try:
-        known = _manifest(folder)
+        known = _manifest(folder, force=force)
         edited = [] if force else _edited(folder, files, known)
         if edited:
             more = f" and {len(edited) - 5} more" if len(edited) > 5 else ""
@@ -112,21 +113,26 @@ def _write(folder: Path, files: dict[str, bytes], known: dict[str, str]) -> Deli
     return Delivery(tuple(written), tuple(unchanged), tuple(removed))
 
 
-def _manifest(folder: Path) -> dict[str, str]:
+def _manifest(folder: Path, *, force: bool) -> dict[str, str]:
     try:
         data = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
-        files = data["files"]
+        entries = data["files"].items()
     except FileNotFoundError:
         return {}
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        if force:
+            return {}
         what = f"{MANIFEST} cannot be read, so edited files cannot be told from generated ones"
         raise GenerationError("PLC001", what, where=str(folder)) from None
-    # Paths come from a file that anybody may have edited: only plain ones below the folder count.
-    return {
-        path: digest
-        for path, digest in files.items()
-        if isinstance(digest, str) and not Path(path).is_absolute() and ".." not in Path(path).parts
-    }
+    return {path: str(digest) for path, digest in entries if _is_below(folder, path)}
+
+
+def _is_below(folder: Path, path: str) -> bool:
+    """Whether a path names a file below the folder: the manifest is a file that anybody may have edited."""
+    if "\0" in path or Path(path).is_absolute() or ".." in Path(path).parts:
+        return False
+    top = folder.resolve()
+    return top in (folder / path).parent.resolve().joinpath("file").parents
 
 
 def _edited(folder: Path, files: dict[str, bytes], known: dict[str, str]) -> list[str]:
@@ -140,6 +146,13 @@ def _edited(folder: Path, files: dict[str, bytes], known: dict[str, str]) -> lis
         if content != files.get(path) and hashlib.sha256(content).hexdigest() != known.get(path):
             result.append(path)
     return result
+
+
+def _stem(name: str) -> str:
+    """Return a file name for an identifier: those may be longer than a file system allows (255 bytes)."""
+    if len(name) <= _LONGEST_STEM:
+        return name
+    return f"{name[: _LONGEST_STEM - 9]}_{hashlib.sha256(name.encode()).hexdigest()[:8]}"
 
 
 def _folder(path: str, top: str) -> str:
