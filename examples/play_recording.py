@@ -1,6 +1,6 @@
 """Play a recording onto ROS 2 topics, as a program of its own that knows nothing of the bridge.
 
-    python examples/play_recording.py FILE.bag --speed 2 --wait-for /turtle1/pose
+    python examples/play_recording.py FILE.bag --speed 2 --topic /turtle1/pose --wait 10
 
 ROS 1 recordings are translated into ROS 2 types; what is mapped or dropped is printed.
 """
@@ -21,8 +21,8 @@ from rosplc.ros.recording import Recording
 def main() -> int:
     """Play the recording that the command line names."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("file")
-    parser.add_argument("--distro", default="jazzy")
+    parser.add_argument("file", help="the recording: a .bag, or the folder of a ROS 2 recording")
+    parser.add_argument("--distro", default="jazzy", help="whose message definitions hold on the wire")
     parser.add_argument("--speed", type=float, default=1.0, help="1 is as recorded, 0 as fast as possible")
     parser.add_argument("--topic", action="append", default=[], help="only this topic (may be repeated)")
     parser.add_argument(

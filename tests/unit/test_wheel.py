@@ -25,6 +25,8 @@ def run(*command: str, cwd: Path) -> str:
 
 def build(folder: Path) -> Path:
     """Build a wheel from a copy, so that nothing that lies about in the tree gets into it."""
+    # `make setup` installs it; an environment of one's own may have an older one, or none.
+    pytest.importorskip("setuptools", minversion="77")
     source = folder / "source"
     unwanted = shutil.ignore_patterns("*.so", "*.o", "__pycache__", "*.egg-info")
     shutil.copytree(ROOT / "src", source / "src", ignore=unwanted)
