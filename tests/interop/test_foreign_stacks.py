@@ -182,13 +182,19 @@ def test_other_type_of_a_peer(graph: Graph, peer: StartPeer, caplog: pytest.LogC
 
 
 def test_other_definition_announced_by_a_peer(graph: Graph, peer: StartPeer) -> None:
-    """A peer whose type hash differs, as ROS announces it, is named with both hashes."""
+    """A peer whose type hash differs is named with both hashes, and what it sends is refused and counted."""
+    got: list[bytes] = []
     twist = ROS_TYPES["Twist"]
-    subscription = graph.node("cell").subscribe("/data", twist, Qos(), lambda *_: None)
-    peer("pub", "Twist", "rt/data", count=0, user_data=f"typehash=RIHS01_{'ab' * 32};")
-    wait_for(lambda: subscription.status().code == "ROS003")
+    subscription = graph.node("cell").subscribe("/data", twist, LATCHED, lambda data, _: got.append(data))
+    other = f"typehash=RIHS01_{'ab' * 32};"
+    peer("pub", "Twist", "rt/data", durability="transient_local", count=10, user_data=other)
+    wait_for(lambda: subscription.status().rejected == 10)
+    assert got == []
+    assert subscription.matched == 0
+    status = subscription.status()
     ours = graph.store.type_hash(twist)[7:15]
-    assert subscription.status().reason.endswith(
+    assert status.code == "ROS003"
+    assert status.reason.endswith(
         f"publishes /data as {twist} with another definition (type hash abababab… there, {ours}… here)"
     )
 

@@ -28,7 +28,7 @@ from rosplc.ros.dds.endpoint import DdsPublisher, DdsSubscription
 from rosplc.ros.dds.graph import Announcer
 from rosplc.ros.dds.idl import IdlTypes, dds_topic, ros_topic, ros_type_name
 from rosplc.ros.dds.log import TRACING, library_log
-from rosplc.ros.dds.peers import Peer, PeerTable, describe, explain
+from rosplc.ros.dds.peers import Peer, PeerTable, describe, differs, explain
 from rosplc.ros.names import resolve_topic, validate_namespace, validate_node_name
 
 __all__ = ["DdsBackend", "open_backend"]
@@ -173,6 +173,7 @@ class DdsBackend:
         self._announcer.add(endpoint.guid, reader=isinstance(endpoint, DdsSubscription))
         self._changed = True
         self._suspects.setdefault(dds_topic(endpoint.topic), time.monotonic_ns())
+        self._find_strangers(endpoint)
         return key
 
     def _forget(self, endpoint: DdsEndpoint) -> None:
@@ -195,7 +196,7 @@ class DdsBackend:
         next_tick = 0
         while not self._closed:
             try:
-                for key in wait(_TICK_NS):
+                for key in sorted(wait(_TICK_NS)):  # who the peers are, before what they say
                     if key >= _FIRST:
                         if (endpoint := endpoints.get(key)) is not None:
                             endpoint.take()  # type: ignore[union-attr]
@@ -220,8 +221,20 @@ class DdsBackend:
     def _look(self, which: int) -> None:
         now = time.monotonic_ns()
         with self._lock:
-            for topic in self._peers.update(which):
+            changed = self._peers.update(which)
+            for topic in changed:
                 self._suspects[topic] = now
+            for endpoint in self._endpoints.values():
+                if dds_topic(endpoint.topic) in changed:
+                    self._find_strangers(endpoint)
+
+    def _find_strangers(self, endpoint: DdsEndpoint) -> None:
+        if isinstance(endpoint, DdsSubscription):
+            endpoint.strangers = frozenset(
+                peer.handle
+                for peer in self._peers.on(dds_topic(endpoint.topic), writers=True)
+                if differs(peer.type_hash, endpoint.type_hash)
+            )
 
     # -- what is wrong
 

@@ -101,11 +101,22 @@ class DdsSubscription(_Endpoint):
         super().__init__(*arguments)
         self._on_message = on_message
         self._failed = 0
+        self._refused = 0
+        self.strangers: frozenset[int] = frozenset()  # set by the backend as peers come and go
         self._dropped_before = library_log().dropped(dds_topic(self.topic))
         self.condition = 0  # set by the backend when the receive thread watches the reader
 
+    @property
+    def matched(self) -> int:
+        """Publishers whose messages are delivered."""
+        return len(self.matched_handles() - self.strangers) if self.strangers else super().matched
+
     def take(self) -> None:
-        """Deliver what has arrived; called by the receive thread alone."""
+        """Deliver what has arrived; called by the receive thread alone.
+
+        DDS matches a publisher that announces another definition of the type. Its messages may
+        decode, with values in the wrong fields, so they are refused and counted.
+        """
         with self._lock:
             if self._closed:
                 return
@@ -113,10 +124,13 @@ class DdsSubscription(_Endpoint):
             if samples.__class__ is int:
                 _logger.error("%s: taking messages failed: %s", self.topic, native.refusal("take", samples))
                 return
-            on_message = self._on_message
+            on_message, strangers = self._on_message, self.strangers
             count = 0
             for payload, info in samples:
                 if not info.valid_data:  # a peer has gone: no message
+                    continue
+                if strangers and info.publication_handle in strangers:
+                    self._refused += 1
                     continue
                 count += 1
                 try:
@@ -149,7 +163,7 @@ class DdsSubscription(_Endpoint):
             )
         log = library_log()
         log.drain()
-        rejected = log.dropped(dds_topic(self.topic)) - self._dropped_before
+        rejected = log.dropped(dds_topic(self.topic)) - self._dropped_before + self._refused
         code, reason = self._diagnose(self)
         if rejected and not reason:
             code = "ROS003"

@@ -26,7 +26,7 @@ from rosplc.ros.backend import Qos, incompatibility
 from rosplc.ros.dds.announced import Announced, read_announced
 from rosplc.ros.dds.idl import ros_topic, ros_type_name
 
-__all__ = ["Peer", "PeerTable", "describe", "explain"]
+__all__ = ["Peer", "PeerTable", "describe", "differs", "explain"]
 
 _TYPE_HASH = re.compile(rb"(?:^|;)typehash=(RIHS01_[0-9a-f]{64});")
 _BATCH = 256
@@ -156,6 +156,11 @@ class PeerTable:
             return tuple(self._peers.values())
 
 
+def differs(ours: str, theirs: str) -> bool:
+    """Return whether two announced type hashes say that the definitions differ; empty says nothing."""
+    return bool(ours and theirs and ours != theirs)
+
+
 def describe(peer: Peer, name: str) -> str:
     """Return what a peer does, such as ``node /talker publishes /chatter as std_msgs/msg/String``."""
     verb = "publishes" if peer.writer else "subscribes to"
@@ -181,7 +186,7 @@ def explain(
     does = describe(peer, name)
     if theirs != type_name:
         return "ROS003", f"{does}, here it is {type_name}"
-    if type_hash and peer.type_hash and type_hash != peer.type_hash:
+    if differs(type_hash, peer.type_hash):
         here, there = type_hash[7:15], peer.type_hash[7:15]
         return "ROS003", f"{does} with another definition (type hash {there}… there, {here}… here)"
     if matched:
