@@ -9,7 +9,7 @@ from pathlib import Path
 from rosplc.bridge.engine import Bridge
 from rosplc.bridge.resolve import load_project
 from rosplc.bridge.run import stop_on_signals
-from rosplc.bridge.status import BridgeStatus
+from rosplc.bridge.status import BridgeStatus, Level
 
 __all__ = ["run_bridge"]
 
@@ -57,8 +57,9 @@ class _Reporter:
         )
         for topic in topics:
             level, message = topic.judgement
-            # A rate differs each time and is no news; a change of level is, and so is its reason.
-            now = level.name if level == 0 else f"{level.name}: {message}"
-            if self._before.get(topic.topic, "OK") != now:
-                log.log(logging.INFO if level == 0 else logging.WARNING, "%s: %s", topic.topic, now)
-            self._before[topic.topic] = now
+            # Rates and ages differ each time and are no news; a change of level is, and so is its reason.
+            same = level.name if level in (Level.OK, Level.STALE) else f"{level.name}: {message}"
+            if self._before.get(topic.topic, "OK") != same:
+                text = level.name if level == Level.OK else f"{level.name}: {message}"
+                log.log(logging.INFO if level == Level.OK else logging.WARNING, "%s: %s", topic.topic, text)
+            self._before[topic.topic] = same
