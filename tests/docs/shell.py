@@ -11,7 +11,7 @@ import threading
 import time
 from pathlib import Path
 
-COMMAND_SECONDS = 120.0
+COMMAND_SECONDS = 240.0  # a watchdog; a first translation of Structured Text takes a minute or two
 END = re.compile(rb"\n--rosplc-docs-end (\d+)--\n")
 
 

@@ -20,7 +20,7 @@ PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").r
 SHARED_MEMORY = Path("/dev/shm")
 
 # Pages use the default prefix, as their reader does: one page at a time.
-pytestmark = pytest.mark.xdist_group("docs")
+pytestmark = [pytest.mark.xdist_group("docs"), pytest.mark.timeout(600)]
 
 
 def runs(block: Block) -> bool:
