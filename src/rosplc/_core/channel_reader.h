@@ -67,28 +67,32 @@ static inline int ch_reader_claim(ch_reader *r, uint32_t index, uint32_t expecte
     return 0;
 }
 
-/* True while the line is this reader's; a reader that lost its line goes on as an observer (M9). */
-static inline int ch_reader_owns(ch_reader *r)
+/* The line while it is this reader's, else NULL; a reader that lost its line goes on as an observer (M9).
+ * One thread may beat while another takes, and either may find that the line is lost: so whoever uses the
+ * line uses what this returned, and never r->line a second time. */
+static inline ch_reader_line *ch_reader_owned(ch_reader *r)
 {
-    if (!r->line)
-        return 0;
-    if (ch_load(&r->line->claim) == r->claim)
-        return 1;
-    r->line = NULL;
-    return 0;
+    ch_reader_line *line = __atomic_load_n(&r->line, __ATOMIC_RELAXED);
+    if (line && ch_load(&line->claim) != r->claim) {
+        line = NULL;
+        __atomic_store_n(&r->line, line, __ATOMIC_RELAXED);
+    }
+    return line;
 }
 
 static inline void ch_reader_beat(ch_reader *r)
 {
-    if (ch_reader_owns(r))
-        ch_store(&r->line->beat, ch_load(&r->line->beat) + 1);
+    ch_reader_line *line = ch_reader_owned(r);
+    if (line)
+        ch_store(&line->beat, ch_load(&line->beat) + 1);
 }
 
 static inline void ch_reader_release(ch_reader *r)
 {
-    if (ch_reader_owns(r)) {
-        ch_store(&r->line->beat_ms, 0);
-        (void)ch_compare_and_swap(&r->line->claim, r->claim, 0);
+    ch_reader_line *line = ch_reader_owned(r);
+    if (line) {
+        ch_store(&line->beat_ms, 0);
+        (void)ch_compare_and_swap(&line->claim, r->claim, 0);
     }
     r->line = NULL;
 }
@@ -159,9 +163,10 @@ static inline int ch_take_begin(ch_reader *r, ch_take *t)
         if (!ch_take_choose(r, t))
             return 0;
         if (again) {
+            ch_reader_line *line = ch_reader_owned(r);
             r->retries++;
-            if (ch_reader_owns(r))
-                ch_store(&r->line->retries, r->retries);
+            if (line)
+                ch_store(&line->retries, r->retries);
         }
         t->attempts++;
         t->slot = ch_slot(r->region, t->sequence);
@@ -200,6 +205,7 @@ static inline int ch_take_check(const ch_reader *r, const ch_take *t)
 /* Makes the message the last one taken (but a peeked one), and ends the loop. */
 static inline void ch_take_accept(ch_reader *r, ch_take *t)
 {
+    ch_reader_line *line;
     t->attempts = CH_MAX_RETRIES + 1;
     if (t->mode == CH_TAKE_PEEK)
         return;
@@ -207,10 +213,11 @@ static inline void ch_take_accept(ch_reader *r, ch_take *t)
     r->lost += t->lost;
     r->discontinuities += (uint32_t)t->discontinuity;
     r->fresh = 0;
-    if (ch_reader_owns(r)) {
-        ch_store(&r->line->taken, r->last);
+    line = ch_reader_owned(r);
+    if (line) {
+        ch_store(&line->taken, r->last);
         if (t->lost)
-            ch_store(&r->line->lost, r->lost);
+            ch_store(&line->lost, r->lost);
     }
 }
 

@@ -55,7 +55,7 @@ static PyObject *reader_claim(ReaderObject *self, PyObject *args, PyObject *kwar
     if (ch_reader_claim(&self->reader, index, expected, claim, beat_ms, (uint32_t)getpid()))
         return ch_raise_channel(114, self->owner->path);
     memcpy(name, task, task_size < 15 ? (size_t)task_size : 15);
-    memcpy(self->reader.line->task, name, sizeof name);
+    memcpy(self->owner->region.header->reader[index].task, name, sizeof name);
     Py_RETURN_NONE;
 }
 
@@ -227,10 +227,12 @@ static PyObject *reader_release(ReaderObject *self, PyObject *unused)
 static PyObject *reader_set_word(ReaderObject *self, PyObject *value, const char *name, size_t offset)
 {
     uint32_t number;
+    ch_reader_line *line;
     if (ch_as_u32(value, name, &number) || ch_region_usable(self->owner))
         return NULL;
-    if (ch_reader_owns(&self->reader))
-        ch_store((uint32_t *)(void *)((uint8_t *)self->reader.line + offset), number);
+    line = ch_reader_owned(&self->reader);
+    if (line)
+        ch_store((uint32_t *)(void *)((uint8_t *)line + offset), number);
     Py_RETURN_NONE;
 }
 
@@ -257,10 +259,11 @@ READER_NUMBER(discontinuities, self->reader.discontinuities)
 
 static PyObject *reader_get_line(ReaderObject *self, void *unused)
 {
+    ch_reader_line *line = self->owner->closed ? NULL : ch_reader_owned(&self->reader);
     (void)unused;
-    if (self->owner->closed || !ch_reader_owns(&self->reader))
+    if (!line)
         Py_RETURN_NONE;
-    return PyLong_FromSsize_t(self->reader.line - self->owner->region.header->reader);
+    return PyLong_FromSsize_t(line - self->owner->region.header->reader);
 }
 
 static PyMethodDef methods[] = {
