@@ -41,6 +41,7 @@
 #define CH_FLAG_TRUNCATED 2u
 #define CH_FLAG_SUBSTITUTED 4u
 #define CH_MAX_RETRIES 3 /* M12 */
+#define CH_UNKNOWN 0xFFFFFFFFu /* sources, sinks: nobody counts them */
 
 typedef struct {
     uint32_t magic, version, header_size, state;

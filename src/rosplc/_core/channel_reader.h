@@ -57,6 +57,7 @@ static inline int ch_reader_claim(ch_reader *r, uint32_t index, uint32_t expecte
     ch_store(&line->lost, 0);
     ch_store(&line->retries, 0);
     ch_store(&line->error, 0);
+    ch_store(&line->sinks, CH_UNKNOWN);
     ch_store(&line->beat_ms, beat_ms);
     ch_store(&line->layout_lo, region->geometry.layout_lo);
     ch_store(&line->layout_hi, region->geometry.layout_hi);

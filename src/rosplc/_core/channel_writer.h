@@ -35,6 +35,7 @@ static inline int ch_writer_claim(ch_writer *w, const ch_region *region, uint32_
     *w = (ch_writer){region, epoch, ch_load(&line->head), CH_FLAG_FIRST};
     ch_store(&line->beat_ms, beat_ms);
     ch_store(&line->rule, CH_FENCES_RULE);
+    ch_store(&line->sources, CH_UNKNOWN); /* those of the writer before are none of ours */
     ch_store(&line->pid, pid);
     ch_store(&line->error, 0);
     ch_store(&line->beat, ch_load(&line->beat) + 1);

@@ -10,7 +10,7 @@ import pytest
 
 from rosplc.errors import ChannelError
 from rosplc.shm import Direction, Namespace, WriterClaim, attach
-from rosplc.shm.constants import IDENTITY, WRITER_LINE, reader_line
+from rosplc.shm.constants import IDENTITY, UNKNOWN, WRITER_LINE, reader_line
 from tests.channels import LAYOUT, describe, open_channel, pattern
 
 _TOPIC = "/robot1/cmd_vel"
@@ -286,6 +286,21 @@ def test_snapshot(shm_namespace: Namespace) -> None:
         writer.beat()
         assert attached.snapshot().writer.beat == before + 1
         assert [line.claim for line in state.readers] == [0, 0, 0, 0]
+
+
+def test_nobody_speaks_for_the_one_before(shm_namespace: Namespace) -> None:
+    """Sources and sinks are unknown from a claim until the new holder counts them."""
+    with open_channel(shm_namespace, Direction.TO_ROS) as channel:
+        channel.reader().set_sinks(2)
+        with attach(shm_namespace, _TOPIC, write=True) as attached:
+            attached.writer().set_sources(3)
+    with open_channel(shm_namespace, Direction.TO_ROS) as channel:
+        assert channel.adopted
+        channel.reader()
+        with attach(shm_namespace, _TOPIC, write=True) as attached:
+            attached.writer()
+            state = attached.snapshot()
+    assert (state.writer.sources, state.readers[0].sinks) == (UNKNOWN, UNKNOWN)
 
 
 def test_undecodable_task_name(shm_namespace: Namespace) -> None:
