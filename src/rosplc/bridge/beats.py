@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 import weakref
@@ -56,4 +57,14 @@ class Beats:
                     member.beat()
                 except (ChannelError, ValueError):
                     continue  # write() and read() report it to whoever can act
-            del members
+            del members, member  # or this thread would keep alive what nobody else refers to
+
+    @classmethod
+    def _forked(cls) -> None:
+        # Threads stay with the parent, and so does what it owns (rosplc.shm.owned).
+        cls._lock = threading.Lock()
+        cls._all = weakref.WeakSet()
+        cls._running = False
+
+
+os.register_at_fork(after_in_child=Beats._forked)

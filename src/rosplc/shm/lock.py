@@ -6,7 +6,7 @@ import fcntl
 import os
 from pathlib import Path
 
-from rosplc.shm.files import open_plain_file
+from rosplc.shm.files import open_plain_file, same_file
 from rosplc.shm.header import channel_error
 
 __all__ = ["NameLock"]
@@ -40,7 +40,7 @@ class NameLock:
             # Whoever removed the file between open and flock left us with a lock on nothing.
             if self.still_there():
                 break
-            os.close(fd)
+            self.release()
         try:
             self._share(mode & 0o666, gid)
         except OSError as error:
@@ -56,13 +56,11 @@ class NameLock:
             os.fchmod(self._fd, mode)
 
     def still_there(self) -> bool:
-        """Return whether the name still leads to the file that is locked."""
-        try:
-            found = self.path.lstat()
-        except FileNotFoundError:
+        """Return whether the lock is held and the name still leads to the file that is locked."""
+        if self._fd < 0:
             return False
         mine = os.fstat(self._fd)
-        return (found.st_dev, found.st_ino) == (mine.st_dev, mine.st_ino)
+        return same_file(self.path, mine.st_dev, mine.st_ino)
 
     def release(self) -> None:
         """Let go; a second call does nothing."""

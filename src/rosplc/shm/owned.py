@@ -13,6 +13,7 @@ import secrets
 import stat
 import struct
 import time
+import weakref
 from pathlib import Path
 from types import TracebackType
 
@@ -47,7 +48,7 @@ _LOOKS = 100
 class OwnedChannel:
     """An object that this process created or adopted, and whose name it holds; a context manager.
 
-    Use :meth:`open`.
+    Use :meth:`open`. In a process that is forked off, the parent's channels are closed.
 
     Attributes:
         identity: The validated private copy of lines 0 and 1.
@@ -80,6 +81,7 @@ class OwnedChannel:
         status = os.fstat(fd)
         self._file = (status.st_dev, status.st_ino)
         self._users: list[Reader | Writer] = []
+        _owned.add(self)
 
     @classmethod
     def open(
@@ -207,6 +209,9 @@ class OwnedChannel:
         """Give claims and lock back and leave the object with its last state; a second call does nothing."""
         for user in self._users:
             user.release()
+        self._abandon()
+
+    def _abandon(self) -> None:
         self._users.clear()
         self.region.close()
         self._lock.release()
@@ -218,6 +223,22 @@ class OwnedChannel:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+_owned: weakref.WeakSet[OwnedChannel] = weakref.WeakSet()
+
+
+def _forked() -> None:
+    """A child owns nothing of its parent's.
+
+    With the descriptor it would inherit the lock, and a worker that outlives its killed parent would
+    keep the next bridge out; and what it closes on its way out would be the parent's claims.
+    """
+    for channel in list(_owned):
+        channel._abandon()
+
+
+os.register_at_fork(after_in_child=_forked)
 
 
 def _image(identity: Identity, text: bytes) -> bytes:

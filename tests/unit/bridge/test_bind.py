@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
+import gc
 import logging
+import os
+import signal
 import subprocess
 import sys
+import time
+import weakref
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -17,6 +24,7 @@ from rosplc.errors import ChannelError, CodecError, LayoutError, MessageTypeErro
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.shm import Namespace, attach
+from tests.channels import start_child
 from tests.unit.bridge.conftest import PlcTopic, wait_for, wire
 
 STRING = "std_msgs/msg/String"
@@ -258,3 +266,58 @@ def test_the_environment_names_the_distribution(
         monkeypatch.setenv("ROS_DISTRO", value)
         with bind("/a", STRING, prefix=shm_namespace.prefix), attach(shm_namespace, "/a") as found:
             assert found.description.distro == expected
+
+
+def test_a_binding_that_nobody_holds_lets_go_of_its_name(shm_namespace: Namespace) -> None:
+    """A forgotten close() costs no other program the name."""
+    binding = bind("/text", STRING, prefix=shm_namespace.prefix)
+    reference = weakref.ref(binding)
+    time.sleep(0.25)  # a few beats
+    del binding
+    wait_for(lambda: gc.collect() >= 0 and reference() is None)
+    bind("/text", STRING, prefix=shm_namespace.prefix).close()
+
+
+_FORKED = """
+import os, sys, time
+from rosplc.bridge import bind
+from rosplc.shm import Namespace, attach
+prefix = sys.argv[1]
+binding = bind("/parent", "std_msgs/msg/String", prefix=prefix)
+if os.fork():
+    print("parent", flush=True)
+    time.sleep(60)
+own = bind("/child", "std_msgs/msg/String", prefix=prefix)
+with attach(Namespace(prefix), "/child") as found:
+    before = found.snapshot().writer.beat
+    while found.snapshot().writer.beat < before + 3:
+        time.sleep(0.01)
+print("beats", flush=True)
+time.sleep(60)
+"""
+
+
+def test_a_forked_child_holds_no_name_and_beats_for_its_own(shm_namespace: Namespace) -> None:
+    """A worker that outlives its killed parent keeps nobody from the parent's topics."""
+    process = start_child(_FORKED, shm_namespace.prefix)
+    assert process.stdout is not None
+    try:
+        assert {process.stdout.readline(), process.stdout.readline()} == {"parent\n", "beats\n"}
+        process.kill()
+        process.wait()
+        bind("/parent", STRING, prefix=shm_namespace.prefix).close()
+    finally:
+        process.kill()
+        for pid in _children_of_prefix(shm_namespace.prefix):
+            os.kill(pid, signal.SIGKILL)
+
+
+def _children_of_prefix(prefix: str) -> list[int]:
+    """The processes that were started with this test's prefix as their last argument."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit():
+            with contextlib.suppress(OSError):
+                if (entry / "cmdline").read_bytes().endswith(b"\0" + prefix.encode() + b"\0"):
+                    found.append(int(entry.name))
+    return found
