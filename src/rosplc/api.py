@@ -67,7 +67,7 @@ def attach(
                 task=task,
             )
         except ChannelError as error:
-            if error.code != "SHM101" or time.monotonic() >= deadline:
+            if error.code != "SHM101" or not time.monotonic() < deadline:  # NaN is no time to wait
                 raise
             time.sleep(min(0.05, max(0.0, deadline - time.monotonic())))
 
@@ -323,6 +323,6 @@ class Channel:
             if message is not None:
                 return message
             rest = poll if deadline is None else deadline - time.monotonic()
-            if rest <= 0:
+            if not rest > 0:
                 return None
             time.sleep(min(poll, rest))

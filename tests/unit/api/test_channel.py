@@ -129,6 +129,15 @@ def test_messages_outlive_the_next_one(bridge, attach):
     assert [message.data for message in kept] == [0, 1, 2]
 
 
+@pytest.mark.parametrize("timeout", [-1.0, float("nan")])
+def test_what_is_no_time_to_wait_is_none(bridge, attach, timeout):
+    """A negative timeout and NaN wait for nothing, and not for ever."""
+    bridge()
+    assert attach().wait(timeout) is None
+    with pytest.raises(ChannelError, match="SHM101"):
+        attach("/missing", timeout=timeout)
+
+
 def test_wait_returns_when_a_message_comes(bridge, attach):
     """wait() comes back with the message, or with None when its time is over."""
     side = bridge()

@@ -1,0 +1,31 @@
+"""What a bridge in the foreground logs of its status."""
+
+from __future__ import annotations
+
+import logging
+
+import pytest
+
+from rosplc.bridge.foreground import _Reporter
+from rosplc.bridge.status import BridgeStatus, TopicStatus
+from rosplc.shm import Direction
+
+
+def status(**topic: object) -> BridgeStatus:
+    """Return a bridge with one topic that stands so."""
+    state = TopicStatus("/in", "std_msgs/msg/Int32", Direction.TO_PLC, matched=1, **topic)  # type: ignore[arg-type]
+    return BridgeStatus(bridge="cell", backend="dds", running=True, topics=(state,))
+
+
+def test_only_news_is_logged(caplog: pytest.LogCaptureFixture) -> None:
+    """A topic that stays stale is named once, whatever its age; recovery is news again."""
+    reporter = _Reporter()
+    with caplog.at_level(logging.INFO, "rosplc.run"):
+        for second in (2, 3, 4):
+            reporter.report(status(stale=True, age_ns=second * 10**9))
+        for rate in (10.0, 11.0):
+            reporter.report(status(rate_hz=rate, peer_alive=True))
+    lines = [record.getMessage() for record in caplog.records if record.getMessage().startswith("/in: ")]
+    assert len(lines) == 2
+    assert lines[0].startswith("/in: STALE: last message 2")
+    assert lines[1] == "/in: OK"
