@@ -59,7 +59,7 @@ Degrade();{assigns}"""
 IF NOT Enter() THEN
     RETURN;
 END_IF;
-IF xInOrder AND xAttached AND (uiTaken < uiMaxPerScan) THEN
+IF xInOrder AND xAttached AND (uiTaken < uiMaxPerScan) AND NOT xDelayed THEN
     xNew := FALSE;
     IF Receive() THEN
         Next := xNew;
@@ -68,7 +68,7 @@ END_IF;
 EndRead();
 Degrade();{assigns}""",
             "BOOL",
-            comment="In order: the next message of this scan. FALSE: none left, or uiMaxPerScan reached.",
+            comment="In order: the next message of this scan. FALSE: none left, uiMaxPerScan or xDelayed.",
         ),
         Method(
             "Receive",
