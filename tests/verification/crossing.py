@@ -55,11 +55,15 @@ class Crossing:
 
     @staticmethod
     def _block(project: PlcProject, layout: Layout, verb: str) -> str:
-        found = [p.name for p in project.pous if re.match(rf"{verb} {re.escape(layout.type_name)} ", p.comment)]
+        found = [
+            p.name for p in project.pous if re.match(rf"{verb} {re.escape(layout.type_name)} ", p.comment)
+        ]
         assert len(found) == 1, (layout.type_name, found)
         return found[0]
 
-    def run(self, seed: int, rounds: int = 3, toolchain: Toolchain | None = None, options: Options | None = None) -> None:
+    def run(
+        self, seed: int, rounds: int = 3, toolchain: Toolchain | None = None, options: Options | None = None
+    ) -> None:
         """Send random messages through; assert that each comes out equal, as record and as wire bytes."""
         toolchain = toolchain or Toolchain(flags=("-O0",))
         program = bool(toolchain.runner)
@@ -156,7 +160,9 @@ def check_layout(machine: Machine, duts: dict[str, Dut], node: StructNode, name:
     """Assert that gcc's sizes and offsets of a DUT, and of all DUTs in it, are the layout's."""
     assert machine.offset(name, "")[1] == node.size, name
     for variable, member in zip(duts[name].members, node.members, strict=True):
-        assert machine.offset(name, variable.name) == (member.offset, member.node.size), f"{name}.{variable.name}"
+        assert machine.offset(name, variable.name) == (member.offset, member.node.size), (
+            f"{name}.{variable.name}"
+        )
         inner = member.node.element if isinstance(member.node, (ArrayNode, SequenceNode)) else member.node
         if isinstance(inner, StructNode):
             check_layout(machine, duts, inner, variable.type.rpartition(" OF ")[2].strip())

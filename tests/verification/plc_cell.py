@@ -181,4 +181,6 @@ class Cell:
             if self.get(topic, name) == value:
                 return done
             self.scan(beats=beats)
-        raise AssertionError(f"{topic}: {name} is {self.get(topic, name)!r} after {scans} scans, not {value!r}")
+        raise AssertionError(
+            f"{topic}: {name} is {self.get(topic, name)!r} after {scans} scans, not {value!r}"
+        )

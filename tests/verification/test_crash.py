@@ -62,11 +62,13 @@ def test_plc_killed_while_writing(cell: Cell) -> None:
             assert plc.get("ROS_Write.out.xReady"), f"life {life}"
             plc.write("ROS_Write.out.msg", pattern(life + 1))
             plc.send(f"scan {WRITE.upper()} 100000000 0")
-            for _ in range(draw.randrange(2000, 20000)):
+            taken, enough = 0, draw.randrange(20, 2000)
+            while taken < enough:
                 if (info := reader.next(out)) is not None:
                     assert whole(out)
                     assert info.sequence > last
                     last = info.sequence
+                    taken += 1
             plc.kill()
         while (info := reader.next(out)) is not None:
             assert whole(out)
@@ -92,7 +94,6 @@ def test_bridge_killed_while_writing(cell: Cell) -> None:
         "    writer.publish(struct.pack('<6d', *[float(number)] * 6))\n"
     )
     draw = random.Random(2)
-    seen = 0
     for life in range(4):
         child = subprocess.Popen(
             [sys.executable, "-c", script, str(cell.folder), str(life * 10**9)],
@@ -101,11 +102,11 @@ def test_bridge_killed_while_writing(cell: Cell) -> None:
         assert child.stdout is not None
         assert child.stdout.readline().split() == ["ready", str(life > 0)]
         cell.until("/plain", "xNew", True)
-        for _ in range(draw.randrange(500, 3000)):
+        seen, enough = 0, draw.randrange(20, 500)
+        while seen < enough:
             cell.machine.scan(READ)
             if cell.get("/plain", "xNew"):
-                record = cell.record("/plain")
-                assert whole(record)
+                assert whole(cell.record("/plain"))
                 seen += 1
         child.send_signal(signal.SIGKILL)
         child.wait()
@@ -113,7 +114,6 @@ def test_bridge_killed_while_writing(cell: Cell) -> None:
         cell.scan(20)
         assert cell.get("/plain", "xNew") is False
         assert cell.get("/plain", "udiError") in (0, 125)
-    assert seen > 100
 
 
 def test_one_writer_is_refused_while_another_lives(cell: Cell) -> None:

@@ -35,7 +35,8 @@ def test_project_runs_as_a_process(tmp_path: Path) -> None:
         channel = cell.channel("/out")
         reader = channel.reader()
         plc = subprocess.Popen(
-            [sys.executable, "-m", "verification.st.run_project", str(tmp_path), "--directory", str(cell.folder),
+            [sys.executable, "-m", "verification.st.run_project", str(tmp_path),
+             "--directory", str(cell.folder),
              "--task", "2ms", "SharedMemory_Read", "Echo", "SharedMemory_Write"],
             stdout=subprocess.PIPE, text=True, cwd=_ROOT,
         )  # fmt: skip

@@ -110,7 +110,9 @@ def read_stress(built: Build, seconds: float, fenced: bool) -> dict[str, int]:
         plc._ask(f"directory {cell.folder}")
         plc.start()
         plc.set("RosPlc_Settings.xFenced", fenced)
-        child = subprocess.Popen([sys.executable, "-c", _WRITER, str(cell.folder)], stdout=subprocess.PIPE, cwd=_ROOT)
+        child = subprocess.Popen(
+            [sys.executable, "-c", _WRITER, str(cell.folder)], stdout=subprocess.PIPE, cwd=_ROOT
+        )
         try:
             assert child.stdout is not None and child.stdout.readline() == b"ready\n"
             end = time.monotonic() + seconds

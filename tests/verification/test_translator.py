@@ -1,7 +1,10 @@
 """The translator from Structured Text to C on trial: cases computed by hand from CODESYS' help."""
 
+# ruff: noqa: E501 (one case per line reads as a table)
+
 from __future__ import annotations
 
+import re
 import shutil
 from typing import Any
 
@@ -22,27 +25,43 @@ CASES: dict[str, tuple[str, str, dict[str, Any]]] = {
     "sint_wraps": ("_a : SINT := 127;", "_a := _a + 1;", {"_a": -128}),
     "uint_wraps_down": ("_a : UINT;", "_a := _a - 1;", {"_a": 65535}),
     "udint_difference_wraps": (
-        "_a : UDINT := 3; _b : UDINT := 4294967295; _c : UDINT;", "_c := _a - _b;", {"_c": 4},
+        "_a : UDINT := 3; _b : UDINT := 4294967295; _c : UDINT;",
+        "_c := _a - _b;",
+        {"_c": 4},
     ),
     "difference_is_wide_before_it_is_stored": (
         # 3 - 4294967295 in a 64-bit register is far above 16#FFFFFFFF, and only a UDINT makes it 4.
-        "_a : UDINT := 3; _b : UDINT := 4294967295; _w : BOOL;", "_w := (_a - _b) > 16#FFFFFFFF;", {"_w": True},
+        "_a : UDINT := 3; _b : UDINT := 4294967295; _w : BOOL;",
+        "_w := (_a - _b) > 16#FFFFFFFF;",
+        {"_w": True},
     ),
     "product_is_wide_before_it_is_divided": (
-        "_a : UDINT := 4000000000; _c : UDINT;", "_c := _a * 2 / 2;", {"_c": 4000000000},
+        "_a : UDINT := 4000000000; _c : UDINT;",
+        "_c := _a * 2 / 2;",
+        {"_c": 4000000000},
     ),
     "byte_times": ("_a : BYTE := 200; _b : UINT;", "_b := _a * 3;", {"_b": 600}),
-    "dint_division_truncates": ("_a : DINT := -7; _b : DINT; _c : DINT;", "_b := _a / 2; _c := _a MOD 2;", {"_b": -3, "_c": -1}),
+    "dint_division_truncates": (
+        "_a : DINT := -7; _b : DINT; _c : DINT;",
+        "_b := _a / 2; _c := _a MOD 2;",
+        {"_b": -3, "_c": -1},
+    ),
     "int_to_sint": ("_a : SINT;", "_a := INT_TO_SINT(4223);", {"_a": 127}),  # CODESYS' help: 16#107F
     "udint_to_uint": ("_a : UDINT := 65537; _b : UINT;", "_b := UDINT_TO_UINT(_a);", {"_b": 1}),
     "sint_to_usint": ("_a : SINT := -1; _b : USINT;", "_b := SINT_TO_USINT(_a);", {"_b": 255}),
     "widening_keeps_the_sign": ("_a : SINT := -5; _b : LINT;", "_b := _a;", {"_b": -5}),
     "uxint_to_udint": ("_a : __UXINT := 7; _b : UDINT;", "_b := __UXINT_TO_UDINT(_a);", {"_b": 7}),
-    "int_to_bool": ("_a : INT := 2; _b : BOOL; _c : INT;", "_b := INT_TO_BOOL(_a); _c := BOOL_TO_INT(_b);", {"_b": True, "_c": 1}),
+    "int_to_bool": (
+        "_a : INT := 2; _b : BOOL; _c : INT;",
+        "_b := INT_TO_BOOL(_a); _c := BOOL_TO_INT(_b);",
+        {"_b": True, "_c": 1},
+    ),
     "smallest_lint": ("_a : LINT := -9223372036854775807 - 1;", ";", {"_a": -(2**63)}),
     "largest_ulint": ("_a : ULINT := ULINT#18446744073709551615;", ";", {"_a": 2**64 - 1}),
     "literals": (
-        "_a : UINT; _b : BYTE; _c : DINT;", "_a := 16#FF_FF; _b := 2#1010_1010; _c := 1_000;", {"_a": 65535, "_b": 170, "_c": 1000},
+        "_a : UINT; _b : BYTE; _c : DINT;",
+        "_a := 16#FF_FF; _b := 2#1010_1010; _c := 1_000;",
+        {"_a": 65535, "_b": 170, "_c": 1000},
     ),
     # Bits.
     "shl_cuts_off": ("_a : BYTE := 16#F0; _b : BYTE;", "_b := SHL(_a, 4);", {"_b": 0}),
@@ -55,11 +74,14 @@ CASES: dict[str, tuple[str, str, dict[str, Any]]] = {
     "fnv_step": ("_a : DWORD := 16#811C9DC5;", "_a := (_a XOR 97) * 16777619;", {"_a": 0xE40C292C}),
     # BOOL.
     "bool_operators": (
-        "_a : BOOL; _b : BOOL; _c : BOOL;", "_a := TRUE AND NOT FALSE; _b := TRUE XOR TRUE; _c := FALSE OR (3 > 2);",
+        "_a : BOOL; _b : BOOL; _c : BOOL;",
+        "_a := TRUE AND NOT FALSE; _b := TRUE XOR TRUE; _c := FALSE OR (3 > 2);",
         {"_a": True, "_b": False, "_c": True},
     ),
     "both_operands_run": (
-        "_n : INT; _x : BOOL; _y : BOOL;", "_x := FALSE AND Step(_n); _y := TRUE OR Step(_n);", {"_n": 2, "_y": True},
+        "_n : INT; _x : BOOL; _y : BOOL;",
+        "_x := FALSE AND Step(_n); _y := TRUE OR Step(_n);",
+        {"_n": 2, "_y": True},
     ),
     "left_before_right": ("_n : INT; _r : INT;", "_r := Count(_n) - 10 * Count(_n);", {"_r": 1 - 20}),
     # REAL.
@@ -70,52 +92,96 @@ CASES: dict[str, tuple[str, str, dict[str, Any]]] = {
     ),
     "trunc": ("_a : DINT; _b : DINT;", "_a := TRUNC(1.9); _b := TRUNC(-1.9);", {"_a": 1, "_b": -1}),
     "real_loses_digits": ("_a : REAL; _b : LREAL;", "_a := 0.1; _b := _a;", {"_b": 0.10000000149011612}),
-    "lreal_to_real": ("_a : LREAL := 1.0E-3; _b : REAL;", "_b := LREAL_TO_REAL(_a);", {"_b": 0.0010000000474974513}),
+    "lreal_to_real": (
+        "_a : LREAL := 1.0E-3; _b : REAL;",
+        "_b := LREAL_TO_REAL(_a);",
+        {"_b": 0.0010000000474974513},
+    ),
     "integers_divide_as_integers": ("_a : LREAL;", "_a := 7 / 2;", {"_a": 3.0}),
     "real_times_int": ("_a : INT := 3; _b : LREAL;", "_b := _a * 1.5;", {"_b": 4.5}),
     # TIME.
     "time_literal": ("_a : UDINT;", "_a := TIME_TO_UDINT(T#1m2s30ms);", {"_a": 62030}),
-    "time_sum": ("_a : TIME := T#1s; _b : BOOL;", "_a := _a + T#500ms; _b := _a > T#1s499ms;", {"_a": 1500, "_b": True}),
+    "time_sum": (
+        "_a : TIME := T#1s; _b : BOOL;",
+        "_a := _a + T#500ms; _b := _a > T#1s499ms;",
+        {"_a": 1500, "_b": True},
+    ),
     "ltime_from_time": ("_a : LTIME;", "_a := TIME_TO_LTIME(T#5ms);", {"_a": 5_000_000}),
     # STRING.
     "string_truncates": ("_a : STRING(3);", "_a := 'abcdef';", {"_a": "abc"}),
-    "string_escapes": ("_a : STRING(10); _l : INT;", "_a := '$$$'$41$L$R$T$00x'; _l := LEN('$0D$0A');", {"_a": "$'A\n\r\t", "_l": 2}),
+    "string_escapes": (
+        "_a : STRING(10); _l : INT;",
+        "_a := '$$$'$41$L$R$T$00x'; _l := LEN('$0D$0A');",
+        {"_a": "$'A\n\r\t", "_l": 2},
+    ),
     "concat": ("_a : STRING(5); _b : STRING(9) := 'xyz';", "_a := CONCAT(_b, '-tail');", {"_a": "xyz-t"}),
     "parts": (
         "_a : STRING(5); _b : STRING(5); _c : STRING(5); _d : INT;",
         "_a := LEFT('hello', 2); _b := RIGHT('hello', 3); _c := MID('hello', 2, 2); _d := FIND('hello', 'l');",
         {"_a": "he", "_b": "llo", "_c": "el", "_d": 3},
     ),
-    "string_equality": ("_a : STRING(5) := 'ab'; _b : BOOL; _c : BOOL;", "_b := _a = 'ab'; _c := _a < 'b';", {"_b": True, "_c": True}),
+    "string_equality": (
+        "_a : STRING(5) := 'ab'; _b : BOOL; _c : BOOL;",
+        "_b := _a = 'ab'; _c := _a < 'b';",
+        {"_b": True, "_c": True},
+    ),
     "bytes_behind_the_end_stay": (
         "_a : STRING(5) := 'abcde'; _p : POINTER TO BYTE; _b : BYTE;",
-        "_a := 'x'; _p := ADR(_a); _p := _p + 3; _b := _p^;", {"_b": ord("d")},
+        "_a := 'x'; _p := ADR(_a); _p := _p + 3; _b := _p^;",
+        {"_b": ord("d")},
     ),
     "string_parameter_is_cut": ("_a : INT;", "_a := Length('abcdefgh');", {"_a": 4}),
     "string_by_reference": ("_a : INT;", "_a := Whole('abcdefgh');", {"_a": 8}),
     "function_returns_string": ("_a : STRING(20);", "_a := CONCAT(Greet('you'), '!');", {"_a": "hi you!"}),
     # Initial values.
-    "array_repetition": ("_a : ARRAY[0..5] OF INT := [1, 2(7), 3(0)]; _s : INT;", "_s := _a[0] + 10 * _a[1] + 100 * _a[2] + _a[3];", {"_s": 771}),
+    "array_repetition": (
+        "_a : ARRAY[0..5] OF INT := [1, 2(7), 3(0)]; _s : INT;",
+        "_s := _a[0] + 10 * _a[1] + 100 * _a[2] + _a[3];",
+        {"_s": 771},
+    ),
     "array_from_another_bound": ("_a : ARRAY[-2..1] OF INT := [1, 2, 3, 4];", ";", {"_a[-2]": 1, "_a[1]": 4}),
     "array_rest_is_zero": ("_a : ARRAY[0..3] OF INT := [5];", ";", {"_a[0]": 5, "_a[3]": 0}),
     "struct_members": ("_a : Pair := (y := 9);", ";", {"_a.x": 4, "_a.y": 9}),
-    "array_of_structs": ("_a : ARRAY[1..3] OF Pair := [(x := 1)];", ";", {"_a[1].x": 1, "_a[2].x": 4, "_a[3].y": 0}),
+    "array_of_structs": (
+        "_a : ARRAY[1..3] OF Pair := [(x := 1)];",
+        ";",
+        {"_a[1].x": 1, "_a[2].x": 4, "_a[3].y": 0},
+    ),
     "nested_struct": ("_a : Outer;", ";", {"_a.inner.x": 4, "_a.names[1]": "b", "_a.names[2]": ""}),
-    "two_dimensions": ("_a : ARRAY[0..1, 0..2] OF INT;", "_a[1, 2] := 5; _a[0, 1] := 3;", {"_a[1][2]": 5, "_a[0][1]": 3}),
+    "two_dimensions": (
+        "_a : ARRAY[0..1, 0..2] OF INT;",
+        "_a[1, 2] := 5; _a[0, 1] := 3;",
+        {"_a[1][2]": 5, "_a[0][1]": 3},
+    ),
     # Assignment of wholes.
     "struct_copy": ("_a : Pair := (x := 7); _b : Pair;", "_b := _a; _a.x := 1;", {"_b.x": 7}),
-    "array_copy": ("_a : ARRAY[0..2] OF INT := [1, 2, 3]; _b : ARRAY[0..2] OF INT;", "_b := _a;", {"_b[2]": 3}),
+    "array_copy": (
+        "_a : ARRAY[0..2] OF INT := [1, 2, 3]; _b : ARRAY[0..2] OF INT;",
+        "_b := _a;",
+        {"_b[2]": 3},
+    ),
     # Statements.
-    "for_runs_to_its_end": ("_i : INT; _n : INT;", "FOR _i := 1 TO 5 DO _n := _n + _i; END_FOR;", {"_n": 15, "_i": 6}),
-    "for_by": ("_i : INT; _n : INT;", "FOR _i := 10 TO 1 BY -3 DO _n := _n + 1; END_FOR;", {"_n": 4, "_i": -2}),
+    "for_runs_to_its_end": (
+        "_i : INT; _n : INT;",
+        "FOR _i := 1 TO 5 DO _n := _n + _i; END_FOR;",
+        {"_n": 15, "_i": 6},
+    ),
+    "for_by": (
+        "_i : INT; _n : INT;",
+        "FOR _i := 10 TO 1 BY -3 DO _n := _n + 1; END_FOR;",
+        {"_n": 4, "_i": -2},
+    ),
     "for_never": ("_i : UINT; _n : UINT;", "FOR _i := 5 TO 4 DO _n := 1; END_FOR;", {"_n": 0, "_i": 5}),
     "for_to_a_difference": (
         # 0 - 1 is wide and large: the loop must be left by hand, as on a real processor.
-        "_i : UDINT; _e : UDINT; _n : UDINT;", "FOR _i := 0 TO _e - 1 DO _n := _n + 1; IF _n > 9 THEN EXIT; END_IF; END_FOR;", {"_n": 10},
+        "_i : UDINT; _e : UDINT; _n : UDINT;",
+        "FOR _i := 0 TO _e - 1 DO _n := _n + 1; IF _n > 9 THEN EXIT; END_IF; END_FOR;",
+        {"_n": 10},
     ),
     "exit_leaves_the_inner_loop": (
         "_i : INT; _j : INT; _n : INT;",
-        "FOR _i := 0 TO 2 DO FOR _j := 0 TO 9 DO IF _j = 2 THEN EXIT; END_IF; _n := _n + 1; END_FOR; END_FOR;", {"_n": 6},
+        "FOR _i := 0 TO 2 DO FOR _j := 0 TO 9 DO IF _j = 2 THEN EXIT; END_IF; _n := _n + 1; END_FOR; END_FOR;",
+        {"_n": 6},
     ),
     "while": ("_n : INT;", "WHILE _n < 3 DO _n := _n + 1; END_WHILE;", {"_n": 3}),
     "repeat_runs_once": ("_n : INT;", "REPEAT _n := _n + 1; UNTIL TRUE END_REPEAT;", {"_n": 1}),
@@ -124,7 +190,11 @@ CASES: dict[str, tuple[str, str, dict[str, Any]]] = {
         "FOR _i := -2 TO 7 DO CASE _i OF -1: _n := _n + 1; 1, 3..5: _n := _n + 10; 6: _n := _n + 100; ELSE _n := _n + 1000; END_CASE; END_FOR;",
         {"_n": 1 + 4 * 10 + 100 + 4 * 1000},
     ),
-    "elsif": ("_a : INT := 2; _n : INT;", "IF _a = 1 THEN _n := 1; ELSIF _a = 2 THEN _n := 2; ELSE _n := 3; END_IF;", {"_n": 2}),
+    "elsif": (
+        "_a : INT := 2; _n : INT;",
+        "IF _a = 1 THEN _n := 1; ELSIF _a = 2 THEN _n := 2; ELSE _n := 3; END_IF;",
+        {"_n": 2},
+    ),
     # Functions: locals start anew; parameters by name; in-outs by reference.
     "locals_start_anew": ("_a : INT; _b : INT;", "_a := Fresh(); _b := Fresh();", {"_a": 6, "_b": 6}),
     "named_parameters": ("_a : INT;", "_a := Minus(subtrahend := 3, minuend := 10);", {"_a": 7}),
@@ -132,20 +202,39 @@ CASES: dict[str, tuple[str, str, dict[str, Any]]] = {
     "out_parameter": ("_q : INT; _r : INT;", "_q := Divide(17, 5, rest => _r);", {"_q": 3, "_r": 2}),
     # Pointers count bytes.
     "pointer_bytes": (
-        "_a : UDINT := 16#04030201; _p : POINTER TO BYTE; _b : BYTE;", "_p := ADR(_a); _p := _p + 2; _b := _p^;", {"_b": 3},
+        "_a : UDINT := 16#04030201; _p : POINTER TO BYTE; _b : BYTE;",
+        "_p := ADR(_a); _p := _p + 2; _b := _p^;",
+        {"_b": 3},
     ),
     "pointer_to_another_type": (
         "_a : ARRAY[0..7] OF BYTE := [1, 0, 0, 0, 2, 0, 0, 0]; _p : POINTER TO BYTE; _q : POINTER TO Words; _w : UDINT;",
-        "_p := ADR(_a); _q := _p; _w := _q^.high; _q^.low := 258;", {"_w": 2, "_a[0]": 2, "_a[1]": 1},
+        "_p := ADR(_a); _q := _p; _w := _q^.high; _q^.low := 258;",
+        {"_w": 2, "_a[0]": 2, "_a[1]": 1},
     ),
-    "pointer_walks_a_struct": ("_a : Words; _p : POINTER TO Words;", "_p := ADR(_a); _p^.high := 5; _p^.low := _p^.high + 1;", {"_a.low": 6}),
-    "sizeof": ("_a : Outer; _n : UDINT; _s : STRING(10); _m : UDINT;", "_n := SIZEOF(_a); _m := SIZEOF(_s);", {"_n": 10, "_m": 11}),
+    "pointer_walks_a_struct": (
+        "_a : Words; _p : POINTER TO Words;",
+        "_p := ADR(_a); _p^.high := 5; _p^.low := _p^.high + 1;",
+        {"_a.low": 6},
+    ),
+    "sizeof": (
+        "_a : Outer; _n : UDINT; _s : STRING(10); _m : UDINT;",
+        "_n := SIZEOF(_a); _m := SIZEOF(_s);",
+        {"_n": 10, "_m": 11},
+    ),
     "xadd": ("_a : DINT := 5; _o : DINT;", "_o := __XADD(ADR(_a), 3);", {"_o": 5, "_a": 8}),
     "memset": ("_a : UDINT := 1;", "SysMemSet(ADR(_a), 255, SIZEOF(_a));", {"_a": 0xFFFFFFFF}),
     # Function blocks: inputs stay, EXTENDS, SUPER, methods found by the instance's own type.
-    "inputs_stay": ("_f : Adder(100); _a : INT; _b : INT;", "_f(x := 5); _a := _f.sum; _f(); _b := _f.sum;", {"_a": 105, "_b": 110}),
+    "inputs_stay": (
+        "_f : Adder(100); _a : INT; _b : INT;",
+        "_f(x := 5); _a := _f.sum; _f(); _b := _f.sum;",
+        {"_a": 105, "_b": 110},
+    ),
     "init_base_first": ("_f : Derived(3);", ";", {"_f.trace": 312, "_f.given": 3}),
-    "override_is_found": ("_f : Derived(0); _b : Base(0); _m : INT; _n : INT;", "_m := _f.Ask(); _n := _b.Ask();", {"_m": 21, "_n": 1}),
+    "override_is_found": (
+        "_f : Derived(0); _b : Base(0); _m : INT; _n : INT;",
+        "_m := _f.Ask(); _n := _b.Ask();",
+        {"_m": 21, "_n": 1},
+    ),
     "super_body": ("_f : Derived(0);", "_f(); _f();", {"_f.runs": 2, "_f.more": 4}),
     "instance_in_instance": ("_h : Holder; _a : INT;", "_h(v := 2); _a := _h.result;", {"_a": 42}),
     "in_out_of_a_block": ("_u : User; _v : INT := 1;", "_u(v := _v); _u(v := _v);", {"_v": 3}),
@@ -263,8 +352,6 @@ END_FUNCTION_BLOCK
 
 def prefixed(text: str, case: str) -> str:
     """Replace the leading underscore of a case's variables by its name."""
-    import re
-
     return re.sub(r"(?<![A-Za-z0-9_])_(?=[a-z])", f"{case}_", text)
 
 
@@ -308,7 +395,11 @@ REFUSED = {
     "condition": ("a : INT;", "IF a THEN ; END_IF;", "a condition of type INT"),
     "index": ("a : ARRAY[0..3] OF INT;", "a[4] := 1;", "index 4 of ARRAY[0..3]"),
     "bit_access": ("a : BYTE;", "a.7 := TRUE;", "bit access"),
-    "continue": ("a : INT;", "WHILE a < 1 DO a := a + 1; CONTINUE; END_WHILE;", "statement ContinueStatement"),
+    "continue": (
+        "a : INT;",
+        "WHILE a < 1 DO a := a + 1; CONTINUE; END_WHILE;",
+        "statement ContinueStatement",
+    ),
     "jump": ("a : INT;", "JMP there;", "statement JumpStatement"),
     "reference": ("a : REFERENCE TO INT;", ";", "REFERENCE TO"),
     "wstring": ("a : WSTRING(3);", ";", "WSTRING"),
@@ -321,7 +412,11 @@ REFUSED = {
     "missing_argument": ("a : Adder;", ";", "FB_Init's START is missing"),
     "argument_twice": ("a : INT;", "a := Minus(1, minuend := 2);", "given twice"),
     "unknown_parameter": ("a : Adder(1);", "a(z := 1);", "ADDER has no parameter Z"),
-    "pointer_arithmetic": ("a : POINTER TO UDINT;", "a := a + 4;", "arithmetic on a pointer to something other"),
+    "pointer_arithmetic": (
+        "a : POINTER TO UDINT;",
+        "a := a + 4;",
+        "arithmetic on a pointer to something other",
+    ),
     "mixed_sign": ("a : DINT; b : UDINT; c : BOOL;", "c := a < b;", "the sign is ambiguous"),
     "escape": ("a : STRING(3);", "a := '$G';", "syntax"),
     "symbolic_bound": ("a : ARRAY[0..Fixed.answer] OF INT;", ";", "not a literal"),
@@ -373,7 +468,9 @@ def test_conditional_pragma_takes_one_branch() -> None:
 
 def test_index_at_run_time_is_a_fault() -> None:
     """An index beyond its array is reported with file and line, not written to memory."""
-    text = "PROGRAM P\nVAR\n    i : INT := 4;\n    a : ARRAY[0..3] OF INT;\nEND_VAR\na[i] := 1;\nEND_PROGRAM\n"
+    text = (
+        "PROGRAM P\nVAR\n    i : INT := 4;\n    a : ARRAY[0..3] OF INT;\nEND_VAR\na[i] := 1;\nEND_PROGRAM\n"
+    )
     machine = LibraryMachine(build({"P": text}))
     machine.start()
     with pytest.raises(AssertionError, match="P:6: index"):

@@ -18,8 +18,9 @@ from verification.st.translator import Options
 
 LIMITS = Limits(string=20, sequence=3)
 SAMPLE = (
-    "geometry_msgs/msg/Twist", "sensor_msgs/msg/JointState", "std_msgs/msg/Empty", "std_msgs/msg/String",
-    "std_msgs/msg/Bool", "sensor_msgs/msg/Imu", "std_msgs/msg/Float32MultiArray", "sensor_msgs/msg/BatteryState",
+    "geometry_msgs/msg/Twist", "sensor_msgs/msg/JointState", "std_msgs/msg/Empty",
+    "std_msgs/msg/String", "std_msgs/msg/Bool", "sensor_msgs/msg/Imu",
+    "std_msgs/msg/Float32MultiArray", "sensor_msgs/msg/BatteryState",
     "builtin_interfaces/msg/Duration", "diagnostic_msgs/msg/KeyValue",
 )  # fmt: skip
 DISTROS = ("humble", "jazzy", "kilted", "lyrical", "noetic")

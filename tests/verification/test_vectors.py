@@ -36,13 +36,18 @@ def probe_build() -> Build:
     high, _, rest = rest.partition(", udiRecordSize := 48)")
     assert low.startswith("16#") and high.startswith("16#"), "the block's text has another form"
     text = f"{head}udiLayoutLo := udiWantLo, udiLayoutHi := udiWantHi, udiRecordSize := udiWantSize){rest}"
-    text = text.replace("VAR_INPUT\n", "VAR_INPUT\n    udiWantLo : UDINT;\n    udiWantHi : UDINT;\n    udiWantSize : UDINT := 12;\n", 1)
+    text = text.replace(
+        "VAR_INPUT\n",
+        "VAR_INPUT\n    udiWantLo : UDINT;\n    udiWantHi : UDINT;\n    udiWantSize : UDINT := 12;\n",
+        1,
+    )
     more = {
         "Sample": "TYPE Sample :\nSTRUCT\n    abData : ARRAY[0..11] OF BYTE;\nEND_STRUCT\nEND_TYPE\n",
         "Sample_Read": text,
         "Probes": "{attribute 'qualified_only'}\nVAR_GLOBAL\n    probe : Sample_Read('/v');\nEND_VAR\n",
         "Probe": "PROGRAM Probe\nRosPlc_State.axMayOpen[0] := TRUE;\nProbes.probe();\nEND_PROGRAM\n",
-        "Sequences": "PROGRAM Sequences\nVAR\n    a : UDINT;\n    b : UDINT;\n    n : UDINT;\n    d : UDINT;\n    s : UDINT;\n"
+        "Sequences": "PROGRAM Sequences\nVAR\n    a : UDINT;\n    b : UDINT;\n    n : UDINT;\n"
+        "    d : UDINT;\n    s : UDINT;\n"
         "END_VAR\nd := RosPlc_Distance(a, b, n);\ns := RosPlc_Advance(a, b, n);\nEND_PROGRAM\n",
     }
     return cell_build(more=more)
@@ -140,7 +145,8 @@ def test_read(cell: Cell, machine: Machine, folder: str, vector: dict[str, Any])
 
 def check_reading(machine: Machine, reading: dict[str, Any]) -> None:
     """Let the block read on from a reading's ``last``, and compare all that it takes."""
-    for name, value in (("udiLast", reading["last"]), ("udiLost", 0), ("udiDiscontinuities", 0), ("xShow", False),
+    for name, value in (("udiLast", reading["last"]), ("udiLost", 0), ("udiDiscontinuities", 0),
+                        ("xShow", False),
                         ("xPending", False), ("xInOrder", reading["order"] == "in_order")):  # fmt: skip
         machine.set(f"{PROBE}.{name}", value)
     taken: list[dict[str, Any]] = []
@@ -155,14 +161,20 @@ def check_reading(machine: Machine, reading: dict[str, Any]) -> None:
         now = machine.get(f"{PROBE}.udiLost")
         stamp = machine.get(f"{PROBE}.udiStampHi") << 32 | machine.get(f"{PROBE}.udiStampLo")
         flags = sum(
-            bit for bit, name in ((1, "xFirst"), (2, "xTruncated"), (4, "xSubstituted")) if machine.get(f"{PROBE}.{name}")
+            bit
+            for bit, name in ((1, "xFirst"), (2, "xTruncated"), (4, "xSubstituted"))
+            if machine.get(f"{PROBE}.{name}")
         )
         taken.append({
-            "sequence": machine.get(f"{PROBE}.udiSequence"), "lost": now - lost, "flags": flags, "stamp_ns": stamp,
+            "sequence": machine.get(f"{PROBE}.udiSequence"), "lost": now - lost, "flags": flags,
+            "stamp_ns": stamp,
             "record": machine.read(f"{PROBE}.msg").hex(),
         })  # fmt: skip
         lost = now
-    expected = [{key: message[key] for key in ("sequence", "lost", "flags", "stamp_ns", "record")} for message in reading["messages"]]
+    expected = [
+        {key: message[key] for key in ("sequence", "lost", "flags", "stamp_ns", "record")}
+        for message in reading["messages"]
+    ]
     for message in expected:
         message["flags"] &= 7
     assert taken == expected

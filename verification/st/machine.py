@@ -7,6 +7,7 @@ Used by the tests, and by :mod:`verification.st.run_project`.
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import os
 import re
@@ -105,7 +106,9 @@ class Machine:
         for _ in range(count if len(programs) > 1 else 1):
             self.set_time(self._time + step if len(programs) > 1 else self._time)
             for program in programs:
-                self._scan(program.upper(), count if len(programs) == 1 else 1, step if len(programs) == 1 else 0)
+                self._scan(
+                    program.upper(), count if len(programs) == 1 else 1, step if len(programs) == 1 else 0
+                )
         if len(programs) == 1:
             self._time = (self._time + step * count) & 0xFFFFFFFF
         self.check()
@@ -293,7 +296,10 @@ class ProcessMachine(Machine):
     def __init__(self, built: Build, directory: str = "/dev/shm") -> None:
         super().__init__(built)
         self.process = subprocess.Popen(
-            [*built.toolchain.runner, str(built.path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+            [*built.toolchain.runner, str(built.path)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
         )
         self._say("tables")
         while True:
@@ -322,10 +328,8 @@ class ProcessMachine(Machine):
         self.process.wait()
         for pipe in (self.process.stdin, self.process.stdout):
             if pipe is not None:
-                try:
+                with contextlib.suppress(BrokenPipeError):
                     pipe.close()
-                except BrokenPipeError:
-                    pass
 
     def _say(self, text: str) -> None:
         assert self.process.stdin is not None

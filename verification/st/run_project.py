@@ -83,7 +83,9 @@ def default_task(programs: Sequence[str], interval: float = 0.01) -> CyclicTask:
     return CyclicTask(interval, tuple(sorted(programs, key=order)))
 
 
-def run_tasks(machine: Machine, tasks: Sequence[CyclicTask], seconds: float | None, stop: threading.Event) -> None:
+def run_tasks(
+    machine: Machine, tasks: Sequence[CyclicTask], seconds: float | None, stop: threading.Event
+) -> None:
     """Start a machine, run its tasks until ``stop`` is set or time is up, and end its program.
 
     Raises:
@@ -112,7 +114,9 @@ def _seconds(text: str) -> float:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a project from the command line; return the exit status."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("project", type=Path, help="folder with .st files")
     parser.add_argument("--task", nargs="+", action="append", metavar=("INTERVAL", "PROGRAM"))
     parser.add_argument("--seconds", type=float, help="stop after this time")
@@ -137,7 +141,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print("running", *known, flush=True)
     run_tasks(machine, tasks, given.seconds, stop)
     for task in tasks:
-        print(f"{' '.join(task.programs)}: {task.scans} scans, {task.late} late, longest {task.longest * 1e6:.0f} us")
+        print(
+            f"{' '.join(task.programs)}: {task.scans} scans, {task.late} late,"
+            f" longest {task.longest * 1e6:.0f} us"
+        )
     return 0
 
 

@@ -9,14 +9,16 @@ from typing import Any
 
 from verification.st.translator import types as t
 from verification.st.translator.declarations import Callable_, Declared
-from verification.st.translator.expressions import Expressions, Value, c_string
+from verification.st.translator.expressions import Expressions
 from verification.st.translator.library import LIBRARY
+from verification.st.translator.source import TranslationError
 from verification.st.translator.types import (
     ALIASES,
     ANY_INT,
     ANY_REAL,
     BOOL,
     ELEMENTARY,
+    NANOSECONDS,
     Array,
     Block,
     Elementary,
@@ -24,12 +26,12 @@ from verification.st.translator.types import (
     String,
     Struct,
 )
+from verification.st.translator.value import Value
 
-__all__ = ["bind", "call", "call_statement", "virtual_methods"]
+__all__ = ["LIFECYCLE", "bind", "call", "call_statement", "store", "virtual_methods"]
 
 LIFECYCLE = ("FB_INIT", "FB_EXIT", "FB_REINIT")
 _CONVERSION = re.compile(r"(?:(?P<source>\w+?)_)?TO_(?P<target>\w+)\Z")
-_NS = {"TIME": 1_000_000, "LTIME": 1, "DT": 1_000_000_000, "LDT": 1, "DATE": 1_000_000_000, "TOD": 1_000_000}
 _MATH = {"SIN": "sin", "COS": "cos", "TAN": "tan", "ASIN": "asin", "ACOS": "acos", "ATAN": "atan",
          "SQRT": "sqrt", "EXP": "exp", "LN": "log", "LOG": "log10"}  # fmt: skip
 
@@ -60,7 +62,9 @@ def bind(e: Expressions, name: str, parameters: Sequence[Declared], given: Seque
         declared = next((p for p in parameters if p.name == key), None)
         if declared is None:
             raise e.here.error(f"{name} has no parameter {key}")
-        if (type(argument).__name__ == "OutputParameterAssignment") != (declared.kind == "out") and argument.name:
+        if (type(argument).__name__ == "OutputParameterAssignment") != (
+            declared.kind == "out"
+        ) and argument.name:
             raise e.here.error(f"{name}: {key} with the wrong arrow")
         if key in bound:
             raise e.here.error(f"{name}: {key} is given twice")
@@ -91,7 +95,7 @@ def _arguments(e: Expressions, name: str, target: Callable_, given: Sequence[Any
         node = bound.get(declared.name)
         if node is None:
             if declared.kind == "out":
-                codes.append(f"({t.c_declaration(declared.type, '*')})st_nowhere" if not isinstance(declared.type, (String, Array)) else "(void *)st_nowhere")
+                codes.append("(void *)st_nowhere")
                 continue
             if declared.kind == "in" and declared.initial is not None:
                 node = declared.initial
@@ -112,7 +116,9 @@ def _result(target: Callable_, function: str, first: list[str], arguments: list[
     return Value(f"{function}({', '.join([*first, *hidden, *arguments])})", target.returns, calls=True)
 
 
-def _method(e: Expressions, target: Callable_, me: str, virtual: bool, block: str, given: Sequence[Any]) -> Value:
+def _method(
+    e: Expressions, target: Callable_, me: str, virtual: bool, block: str, given: Sequence[Any]
+) -> Value:
     if target.name in LIFECYCLE:
         raise e.here.error(f"a call of {target.name}")
     arguments = _arguments(e, target.name, target, given)
@@ -142,9 +148,11 @@ def _shift(e: Expressions, name: str, given: Sequence[Any]) -> Value:
         raise e.here.error(f"{name} by {e.name(count.type)}")
     sign = "s" if type_.signed else "u"
     return Value(
-        f"(({type_.c})st_{name.lower()}_{sign}(({type_.c})({value.code}), (uint64_t)({count.code}), {type_.bits}))", type_,
+        f"(({type_.c})st_{name.lower()}_{sign}"
+        f"(({type_.c})({value.code}), (uint64_t)({count.code}), {type_.bits}))",
+        type_,
         calls=value.calls or count.calls,
-    )  # fmt: skip
+    )
 
 
 def _convert(e: Expressions, source: str | None, target: str, given: Sequence[Any]) -> Value | None:
@@ -181,9 +189,13 @@ def _conversion(code: str, source: Elementary, to: Elementary) -> str:
         return f"(({code}) != 0)"
     if source.kind == "real" and to.kind != "real":
         # Rounded to the nearest, halves away from zero.
-        return f"(({to.c})(int64_t)st_round({code}))" if to.bits < 64 or to.signed else f"(({to.c})st_round({code}))"
+        return (
+            f"(({to.c})(int64_t)st_round({code}))"
+            if to.bits < 64 or to.signed
+            else f"(({to.c})st_round({code}))"
+        )
     if source.kind == "time" and to.kind == "time" and source.name != to.name:
-        return f"(({to.c})((uint64_t)({code}) * {_NS[source.name]}ULL / {_NS[to.name]}ULL))"
+        return f"(({to.c})((uint64_t)({code}) * {NANOSECONDS[source.name]}ULL / {NANOSECONDS[to.name]}ULL))"
     return f"(({to.c})({code}))"
 
 
@@ -194,7 +206,10 @@ def _select(e: Expressions, name: str, given: Sequence[Any]) -> Value:
         if type_.kind == "real":
             return Value(f"fabs({values[0].code})" if type_.bits == 64 else f"fabsf({values[0].code})", type_)
         if type_.kind == "int":
-            return Value(f"({{ __auto_type st_v = ({e.width(type_)})({values[0].code}); st_v < 0 ? -st_v : st_v; }})", type_)
+            return Value(
+                f"({{ __auto_type st_v = ({e.width(type_)})({values[0].code}); st_v < 0 ? -st_v : st_v; }})",
+                type_,
+            )
     if name == "LIMIT" and len(values) == 3:
         low, value, high = values
         return _extreme(e, "MIN", _extreme(e, "MAX", value, low), high)
@@ -349,11 +364,11 @@ def call_statement(e: Expressions, node: Any) -> str:
         instance = e.find(str(name.name).upper()) if not name.dereferenced else None
         if e.routine is not None and str(name.name).upper() == e.routine.name:
             instance = None
-    elif not (str(name.name.name).upper() == "SUPER"):
+    elif str(name.name.name).upper() != "SUPER":
         try:
             instance = e.variable(name)
-        except Exception:
-            instance = None
+        except TranslationError:
+            instance = None  # a method, or unknown: call() says which
     if instance is not None and isinstance(instance.type, Block):
         return _instance(e, instance, given)
     return call(e, node).code + ";"
@@ -363,7 +378,9 @@ def _instance(e: Expressions, instance: Value, given: Sequence[Any]) -> str:
     assert isinstance(instance.type, Block)
     block = instance.type.name
     parameters = [v for v in e.program.members(block) if v.kind in ("in", "out", "inout")]
-    bound = bind(e, block, [p for p in parameters if p.kind == "in"] + [p for p in parameters if p.kind != "in"], given)
+    bound = bind(
+        e, block, [p for p in parameters if p.kind == "in"] + [p for p in parameters if p.kind != "in"], given
+    )
     before, after = [], []
     for declared in parameters:
         path = f"({instance.code}).f_{declared.name}"
@@ -398,6 +415,3 @@ def store(e: Expressions, target: Value, value: Value) -> str:
     if isinstance(target.type, Struct) and value.type != target.type:
         raise e.refuse(value.type, target.type)
     return f"{target.code} = {code};"
-
-
-_ = c_string

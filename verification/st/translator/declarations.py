@@ -230,7 +230,9 @@ class _Collector:
             if located is not None:
                 raise here.error("AT")
             init = item.init
-            initial = getattr(init, "init" if type(init).__name__ == "InitializedStructure" else "value", None)
+            initial = getattr(
+                init, "init" if type(init).__name__ == "InitializedStructure" else "value", None
+            )
             arguments = getattr(getattr(init, "spec", None), "init_parameters", None) or ()
             if type(init).__name__ == "FunctionCall":
                 arguments, initial = init.parameters, None
@@ -256,7 +258,9 @@ class _Collector:
 
     def callable(self, item: Any, place: Place, base: int) -> Callable_:
         access = str(item.access or "").lower().rpartition(".")[2]
-        level = next((w.upper() for w in ("private", "protected", "internal", "final") if w in access), "PUBLIC")
+        level = next(
+            (w.upper() for w in ("private", "protected", "internal", "final") if w in access), "PUBLIC"
+        )
         if level in ("INTERNAL", "FINAL"):
             raise place.error(level)
         returns = self.type(item.return_type, place) if item.return_type is not None else None

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from verification.st.translator import types as t
 from verification.st.translator.calls import LIFECYCLE, virtual_methods
 from verification.st.translator.declarations import Callable_, Declared, FunctionBlock, Program, collect
-from verification.st.translator.expressions import Expressions, c_string
+from verification.st.translator.expressions import Expressions
 from verification.st.translator.initial import init_parameters, instances, set_initial
 from verification.st.translator.source import parse_texts
 from verification.st.translator.statements import statements
@@ -218,15 +218,26 @@ class _Emitter:
         chain = self.program.ancestry(name)
         parameters = init_parameters(self.program, name)
         e = Expressions(self.program, block.place, block.base_line, name, None, self.options.bounds)
-        lines = [f"static void values_{name}(struct B_{name} *self, int st_retains, int st_copy)", "{", "(void)self; (void)st_retains; (void)st_copy;"]
+        lines = [
+            f"static void values_{name}(struct B_{name} *self, int st_retains, int st_copy)",
+            "{",
+            "(void)self; (void)st_retains; (void)st_copy;",
+        ]
         if block.base:
             lines.append(f"values_{block.base}((void *)self, st_retains, st_copy);")
         for v in block.variables:
             if v.kind not in ("temp", "inout"):
                 lines += set_initial(e, f"self->f_{v.name}", v, "st_retains", "st_copy")
         lines.append("}")
-        signature = ", ".join([f"struct B_{name} *self", "int st_retains", "int st_copy", *map(self._parameter, parameters)])
-        lines += [f"static void make_{name}({signature})", "{", f"values_{name}(self, st_retains, st_copy);", f"self->vt = vt_{name};"]
+        signature = ", ".join(
+            [f"struct B_{name} *self", "int st_retains", "int st_copy", *map(self._parameter, parameters)]
+        )
+        lines += [
+            f"static void make_{name}({signature})",
+            "{",
+            f"values_{name}(self, st_retains, st_copy);",
+            f"self->vt = vt_{name};",
+        ]
         for item in chain:
             method = item.methods.get("FB_INIT")
             if method is None:
@@ -241,11 +252,15 @@ class _Emitter:
                     raise method.place.error(f"{name}: nobody gives FB_Init's {p.name}")
             lines.append(f"M_{item.name}_FB_INIT({', '.join(['self', *codes])});")
         lines.append("}")
-        for verb, flag, order in (("FB_EXIT", "int st_copy", reversed(chain)), ("FB_REINIT", "void", chain)):
+        for verb, order in (("FB_EXIT", reversed(chain)), ("FB_REINIT", chain)):
             lower = verb[3:].lower()
             argument = ", int st_copy" if verb == "FB_EXIT" else ""
             passed = ", st_copy" if argument else ""
-            lines += [f"static void {lower}_{name}(struct B_{name} *self{argument})", "{", "(void)self;" + (" (void)st_copy;" if argument else "")]
+            lines += [
+                f"static void {lower}_{name}(struct B_{name} *self{argument})",
+                "{",
+                "(void)self;" + (" (void)st_copy;" if argument else ""),
+            ]
             for item in order:
                 if verb in item.methods:
                     if len(item.methods[verb].parameters) != bool(argument):
@@ -255,7 +270,6 @@ class _Emitter:
                 if v.kind != "inout":
                     lines += self._each(f"self->f_{v.name}", v.type, lower, passed)
             lines.append("}")
-            _ = flag
         return lines
 
     def _each(self, path: str, type_: Type, verb: str, passed: str) -> list[str]:
@@ -293,12 +307,20 @@ class _Emitter:
         for item in ordered:
             name = f"G_{item.name}"
             e = Expressions(self.program, item.place, 1, "", None, self.options.bounds)
-            lines += [f"static void make_{name}(struct {name} *self, int st_retains, int st_copy)", "{", "(void)self; (void)st_retains; (void)st_copy;"]
+            lines += [
+                f"static void make_{name}(struct {name} *self, int st_retains, int st_copy)",
+                "{",
+                "(void)self; (void)st_retains; (void)st_copy;",
+            ]
             for v in item.variables:
                 lines += set_initial(e, f"self->f_{v.name}", v, "st_retains", "st_copy")
             lines.append("}")
             for verb, argument, passed in (("exit", ", int st_copy", ", st_copy"), ("reinit", "", "")):
-                lines += [f"static void {verb}_{name}(struct {name} *self{argument})", "{", "(void)self;" + (" (void)st_copy;" if argument else "")]
+                lines += [
+                    f"static void {verb}_{name}(struct {name} *self{argument})",
+                    "{",
+                    "(void)self;" + (" (void)st_copy;" if argument else ""),
+                ]
                 for v in item.variables:
                     lines += self._each(f"self->f_{v.name}", v.type, verb, passed)
                 lines.append("}")
@@ -324,7 +346,11 @@ class _Emitter:
             maker = name if name.startswith("G_") else name[2:]
             lines += ["{", f"struct {name} *st_old = {pointer}, *st_new;", f"exit_{maker}(st_old, 1);"]
             lines += [f"st_new = create_{pointer}(0, 1);", "memcpy(st_new, st_old, sizeof *st_new);"]
-            lines += [f"{pointer} = st_new; st_poison(st_old, sizeof *st_old);", f"reinit_{maker}(st_new);", "}"]
+            lines += [
+                f"{pointer} = st_new; st_poison(st_old, sizeof *st_old);",
+                f"reinit_{maker}(st_new);",
+                "}",
+            ]
         lines.append("}")
         lines.append("const struct st_global st_globals[] = {")
         for _name, pointer, _ in holders:
@@ -335,14 +361,12 @@ class _Emitter:
                 lines.append(f'    {{ "{block.name}", R_{block.name}, (void **)&p_{block.name} }},')
         lines += ["    { 0, 0, 0 } };", "const struct st_member st_members[] = {"]
         for name, members in self._owners():
-            kind = name[0]
             lines.append(f'    {{ "{name[2:]}", "", 0, sizeof(struct {name}) }},')
             for m in members:
                 if m.kind != "inout":
                     where = f"struct {name}, f_{m.name}"
                     size = f"sizeof(((struct {name} *)0)->f_{m.name})"
                     lines.append(f'    {{ "{name[2:]}", "{m.name}", offsetof({where}), {size} }},')
-            _ = kind
         lines.append("    { 0, 0, 0, 0 } };")
         return lines
 
@@ -359,6 +383,3 @@ class _Emitter:
         for block in self.program.blocks.values():
             lines += self._block(block)
         return "\n".join([*lines, *self._globals()]) + "\n"
-
-
-_ = c_string

@@ -7,8 +7,9 @@ from typing import Any
 
 from verification.st.translator.calls import bind, store
 from verification.st.translator.declarations import Declared, Program
-from verification.st.translator.expressions import Expressions, Value
-from verification.st.translator.types import Array, Block, String, Struct, Type
+from verification.st.translator.expressions import Expressions
+from verification.st.translator.types import Array, Block, Struct, Type
+from verification.st.translator.value import Value
 
 __all__ = ["instances", "set_initial"]
 
@@ -33,7 +34,9 @@ def _initial(
         given = _fields(e, node) if node is not None else {}
         for member in e.program.duts[type_.name].members:
             inner = given.pop(member.name, member.initial)
-            lines += _initial(e, f"{path}.f_{member.name}", member.type, inner, member.arguments, retains, copy)
+            lines += _initial(
+                e, f"{path}.f_{member.name}", member.type, inner, member.arguments, retains, copy
+            )
         if given:
             raise e.here.error(f"{type_.name} has no {', '.join(given)}")
         return lines
@@ -100,7 +103,9 @@ def _has_initial(program: Program, type_: Type) -> bool:
     if isinstance(type_, Array):
         return _has_initial(program, type_.element)
     if isinstance(type_, Struct):
-        return any(m.initial is not None or _has_initial(program, m.type) for m in program.duts[type_.name].members)
+        return any(
+            m.initial is not None or _has_initial(program, m.type) for m in program.duts[type_.name].members
+        )
     return isinstance(type_, Block)
 
 
@@ -133,6 +138,3 @@ def instances(program: Program, path: str, type_: Type) -> Iterator[tuple[str, s
         head = f"for (int {index} = 0; {index} < {type_.high - type_.low + 1}; {index}++)"
         for inner, block, heads in instances(program, f"{path}[{index}]", type_.element):
             yield inner, block, [head, *heads]
-
-
-_ = String

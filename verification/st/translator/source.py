@@ -21,7 +21,9 @@ __all__ = ["TranslationError", "Unit", "clear_memory", "parse_texts", "parse_uni
 _CACHE = Path(__file__).resolve().parents[3] / ".cache" / "blark"
 _VERSION = "0.8.3-1"
 _END = re.compile(r"^\s*END_(?:FUNCTION_BLOCK|FUNCTION|PROGRAM|METHOD|TYPE)\b", re.IGNORECASE)
-_IF = re.compile(r"^\s*\{\s*IF\s+(?P<not>NOT\s+)?defined\s*\(\s*(?P<what>[^)]*?)\s*\)\s*\}\s*$", re.IGNORECASE)
+_IF = re.compile(
+    r"^\s*\{\s*IF\s+(?P<not>NOT\s+)?defined\s*\(\s*(?P<what>[^)]*?)\s*\)\s*\}\s*$", re.IGNORECASE
+)
 _ELSE = re.compile(r"^\s*\{\s*ELSE\s*\}\s*$", re.IGNORECASE)
 _END_IF = re.compile(r"^\s*\{\s*END_IF\s*\}\s*$", re.IGNORECASE)
 _PRAGMA = re.compile(r"^\s*\{(?P<text>.*)\}\s*$")
@@ -96,7 +98,7 @@ def _path(text: str) -> Path:
 
 def _parse(text: str) -> None:
     """Parse one text and leave the tree in the cache; a syntax error is kept as (message, line)."""
-    from blark.parse import parse_source_code
+    from blark.parse import parse_source_code  # type: ignore[import-untyped]
 
     result = parse_source_code(text)
     if result.exception is not None:

@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from verification.st.translator.calls import call_statement, store
-from verification.st.translator.declarations import Declared
-from verification.st.translator.expressions import Expressions, Value
-from verification.st.translator.types import ANY_INT, BOOL, ELEMENTARY, Elementary
+from verification.st.translator.expressions import Expressions
+from verification.st.translator.types import ANY_INT, BOOL, Elementary
 
 __all__ = ["statements"]
 
@@ -36,13 +35,7 @@ def _assignment(e: Expressions, node: Any, loops: int) -> list[str]:
         raise e.here.error("several assignments in one")
     value = e.expression(node.expression)
     target = e.variable(node.variables[0])
-    _no_own_loop(e, target)
     return [store(e, target, value)]
-
-
-def _no_own_loop(e: Expressions, target: Value) -> None:
-    if e.routine is None and target.code.startswith("l_"):
-        return
 
 
 def _if(e: Expressions, node: Any, loops: int) -> list[str]:
@@ -160,4 +153,3 @@ _HANDLERS = {
     "ReturnStatement": _return,
     "NoOpStatement": _nothing,
 }
-_ = (Declared, ELEMENTARY)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 __all__ = [
-    "ALIASES", "ANY_INT", "ANY_REAL", "BOOL", "BYTE", "ELEMENTARY", "STRING_DEFAULT",
+    "ALIASES", "ANY_INT", "ANY_REAL", "BOOL", "BYTE", "ELEMENTARY", "NANOSECONDS", "STRING_DEFAULT",
     "Array", "Block", "Elementary", "List", "Pointer", "String", "Struct", "Type",
     "c_declaration", "fits", "smallest",
 ]  # fmt: skip
@@ -108,6 +108,11 @@ ALIASES = {
     "DATE_AND_TIME": ("DT", "DT"),
     "LDATE_AND_TIME": ("LDT", "LDT"),
 }
+
+
+NANOSECONDS = {
+    "TIME": 1_000_000, "LTIME": 1, "DT": 1_000_000_000, "LDT": 1, "DATE": 1_000_000_000, "TOD": 1_000_000,
+}  # fmt: skip
 
 
 def fits(value: int, type_: Elementary) -> bool:
