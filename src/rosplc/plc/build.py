@@ -172,7 +172,7 @@ def build_project(
         pous=(*(item for item in (*base, *helpers) if isinstance(item, Pou)), *blocks.pous, *programs),
         tasks=plc_tasks,
         libraries=("SysShm", "SysMem", "SysTypes2 Interfaces"),
-        notes=tuple(_notes(builder, renamings, topics)),
+        notes=tuple(_notes(builder, renamings, topics, options)),
     )
 
 
@@ -194,7 +194,7 @@ def build_type_library(
         gvls=(*(item for item in base if isinstance(item, Gvl)), _settings(options), *builder.constants),
         pous=(*(item for item in (*base, *helpers) if isinstance(item, Pou)), *blocks.pous),
         libraries=("SysShm", "SysMem", "SysTypes2 Interfaces"),
-        notes=tuple(_notes(builder, [], ())),
+        notes=tuple(_notes(builder, [], (), options)),
     )
 
 
@@ -289,7 +289,9 @@ def _programs(
     return programs, tuple(plc_tasks)
 
 
-def _notes(builder: DutBuilder, renamings: list[Renaming], topics: Sequence[PlcTopic]) -> list[str]:
+def _notes(
+    builder: DutBuilder, renamings: list[Renaming], topics: Sequence[PlcTopic], options: ProjectOptions
+) -> list[str]:
     notes = [f"{r.where}: {r.wanted} is named {r.given}" for r in (*builder.renamings, *renamings)]
     notes += builder.omitted
     for topic in topics:
@@ -298,5 +300,10 @@ def _notes(builder: DutBuilder, renamings: list[Renaming], topics: Sequence[PlcT
             notes.append(
                 f"{topic.topic}: {topic.layout.type_name} takes {topic.layout.size} bytes, "
                 f"{copies} times in the PLC; check the size of the application's data area"
+            )
+        if topic.in_order and topic.direction == "read" and not options.fenced:
+            notes.append(
+                f"{topic.topic}: without a memory fence the PLC takes one message in two scans at most; "
+                "if more come for longer, messages are lost, and counted"
             )
     return notes

@@ -246,3 +246,11 @@ def test_a_changed_limit_changes_the_files_that_hold_the_type_alone():
     changed = {path for path in a if path.startswith("st/") and a[path] != b[path]}
     assert changed == {"st/Types/sensor_msgs_JointState.st", "st/Blocks/sensor_msgs_JointState_Read.st"}
     assert hashlib.sha256(a["rosplc.xml"]).digest() != hashlib.sha256(b["rosplc.xml"]).digest()
+
+
+def test_every_message_without_a_fence_is_noted():
+    """In order on a PLC without fences: the note says how many messages it can take."""
+    topics = (read("/every", in_order=True), read("/newest"), write("/out"))
+    notes = project(*topics, fenced=False).notes
+    assert len(notes) == 1 and notes[0].startswith("/every: ") and "one message in two scans" in notes[0]
+    assert project(*topics).notes == ()
