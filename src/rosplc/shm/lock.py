@@ -26,6 +26,7 @@ class NameLock:
 
     def __init__(self, path: Path, *, mode: int, gid: int | None = None) -> None:
         self.path = path
+        self._fd = -1
         while True:
             fd = open_plain_file(path, os.O_RDWR | os.O_CREAT, denied=119)
             try:
@@ -67,3 +68,7 @@ class NameLock:
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
+
+    def __del__(self) -> None:
+        # A descriptor is a plain number: one that nobody closes keeps the name until the process ends.
+        self.release()
