@@ -110,9 +110,11 @@ def row(name: str, values: Sequence[float], **more: Any) -> dict[str, Any]:
     }
 
 
-def table(title: str, unit: str, waiting: str, rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return a table; ``waiting`` says how whoever waits in it does so."""
-    return {"title": title, "unit": unit, "waiting": waiting, "rows": rows}
+def table(
+    title: str, unit: str, waiting: str, rows: list[dict[str, Any]], facts: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """Return a table; ``waiting`` says how whoever waits in it does so, ``facts`` what else was found."""
+    return {"title": title, "unit": unit, "waiting": waiting, "rows": rows, "facts": dict(facts or {})}
 
 
 def report(tables: list[dict[str, Any]], before: Mapping[str, Any]) -> dict[str, Any]:
@@ -154,6 +156,8 @@ def print_table(one: Mapping[str, Any]) -> None:
     print(f"\n{one['title']} ({one['unit']})".ljust(width + 1) + "".join(f"{name:>14}" for name in columns))
     for line in one["rows"]:
         print(line["name"].ljust(width) + "".join(f"{_cell(line.get(name)):>14}" for name in columns))
+    if one["facts"]:
+        print(", ".join(f"{name}: {value}" for name, value in one["facts"].items()))
     print(f"waiting: {one['waiting']}")
 
 

@@ -1,0 +1,112 @@
+"""Programs that a measurement needs beside it, and the bridge between them."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from rosplc.demo.domain import FreeDomain
+
+__all__ = ["Peer", "bridge", "cpu_seconds", "environment", "ros_domain"]
+
+HERE = Path(__file__).resolve().parent
+_TICKS = os.sysconf("SC_CLK_TCK")
+
+
+@contextmanager
+def ros_domain() -> Iterator[int]:
+    """Give a ROS domain that nobody on this machine uses."""
+    domain = FreeDomain()
+    try:
+        yield domain.number
+    finally:
+        domain.close()
+
+
+def environment(domain: int) -> dict[str, str]:
+    """Return an environment whose ROS nodes meet on this machine alone."""
+    return {
+        **os.environ,
+        "ROS_DOMAIN_ID": str(domain),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "PYTHONUNBUFFERED": "1",
+    }
+
+
+class Peer:
+    """A process that takes words on standard input and answers with lines of JSON."""
+
+    def __init__(self, script: str, role: str, order: dict[str, Any], domain: int) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, str(HERE / script), role, json.dumps(order)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            env=environment(domain),
+        )
+        self.pid = self._process.pid
+
+    def tell(self, word: str) -> None:
+        """Send a word."""
+        assert self._process.stdin is not None
+        self._process.stdin.write(word + "\n")
+        self._process.stdin.flush()
+
+    def hear(self) -> dict[str, Any]:
+        """Wait for the next answer."""
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline()
+        if not line:
+            raise RuntimeError(f"{self._process.args!r} ended with status {self._process.wait()}")
+        answer: dict[str, Any] = json.loads(line)
+        return answer
+
+    def __enter__(self) -> Peer:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._process.kill()
+        self._process.communicate()
+
+
+@contextmanager
+def bridge(folder: Path, config: str, domain: int) -> Iterator[subprocess.Popen[bytes]]:
+    """Run a bridge; it is up when the block begins, and its objects are gone when it has ended."""
+    path, log = folder / "rosplc.yaml", folder / "bridge.log"
+    path.write_text(config)
+    with log.open("wb") as errors:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "rosplc", "run", str(path)],
+            env=environment(domain),
+            stdout=errors,
+            stderr=errors,
+        )
+        try:
+            while b"carries" not in log.read_bytes():
+                if process.poll() is not None:
+                    raise RuntimeError(log.read_text())
+                time.sleep(0.05)
+            yield process
+        finally:
+            process.terminate()
+            try:
+                process.wait(10)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+            prefix = next(line.split()[1] for line in config.splitlines() if line.startswith("prefix:"))
+            for left in Path("/dev/shm").glob(f"{prefix}.*"):
+                left.unlink()
+
+
+def cpu_seconds(pid: int) -> tuple[float, float]:
+    """Return a process's user and system time."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return int(fields[11]) / _TICKS, int(fields[12]) / _TICKS
