@@ -75,8 +75,8 @@ def loaded(topics: int, rate: int, rounds: int, seconds: float = ROUND_S) -> dic
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         order["domain"] = domain = stack.enter_context(ros_domain())
         process = stack.enter_context(bridge(folder, config(prefix, topics, depth=4096), domain))
-        plc = stack.enter_context(Peer("load_peers.py", "plc", order, domain))
-        ros = stack.enter_context(Peer("load_peers.py", "ros", order, domain))
+        plc = stack.enter_context(Peer("load_peers", "plc", order, domain))
+        ros = stack.enter_context(Peer("load_peers", "ros", order, domain))
         for peer in (plc, ros):
             peer.hear()
         for peer in (plc, ros):

@@ -1,6 +1,6 @@
 """Both ends of a bridge under load, as processes of their own; every message is checked.
 
-    python load_peers.py ros|plc ORDERS_JSON
+    python -m benchmarks.load_peers ros|plc ORDERS_JSON
 
 ``ros`` publishes on some topics and subscribes to others, ``plc`` does the same through shared
 memory, both at a fixed rate. A message carries its number and its topic's, and everything in it

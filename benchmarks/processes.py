@@ -16,7 +16,7 @@ from rosplc.demo.domain import FreeDomain
 
 __all__ = ["Peer", "bridge", "cpu_seconds", "environment", "ros_domain"]
 
-HERE = Path(__file__).resolve().parent
+ROOT = Path(__file__).resolve().parent.parent
 _TICKS = os.sysconf("SC_CLK_TCK")
 
 
@@ -45,7 +45,8 @@ class Peer:
 
     def __init__(self, script: str, role: str, order: dict[str, Any], domain: int) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, str(HERE / script), role, json.dumps(order)],
+            [sys.executable, "-m", f"benchmarks.{script}", role, json.dumps(order)],
+            cwd=ROOT,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,

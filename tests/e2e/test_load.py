@@ -25,7 +25,7 @@ def carry(folder: Path, text: str, order: dict[str, Any]) -> tuple[dict[str, Any
     domain = order["domain"]
     with ExitStack() as stack:
         stack.enter_context(bridge(folder, text, domain))
-        peers = [stack.enter_context(Peer("load_peers.py", role, order, domain)) for role in ("plc", "ros")]
+        peers = [stack.enter_context(Peer("load_peers", role, order, domain)) for role in ("plc", "ros")]
         for peer in peers:
             assert peer.hear() == {"ready": True}
         for peer in peers:
