@@ -170,7 +170,7 @@ _READ_NAMES = (
     "uiTaken", "stSafe", "msg", "stShadow", "xTaken", "Next", "Receive", "Mend", "Degrade", "Slot", "Open",
     "Close", "Watch", "Draw", "Claim", "Leave", "Enter", "Attach", "Accept", "Proven", "Confirm", "Count",
     "Candidate", "Choose",
-    "BeginRead", "EndRead", "Validate", "Checksum", "MakeName", "Postpone",
+    "BeginRead", "EndRead", "SilentAfter", "Validate", "Checksum", "MakeName", "Postpone",
 )  # fmt: skip
 _WRITE_NAMES = (
     *_READ_NAMES, "xEnable", "xReady", "xPublished", "udiPublished", "udiTaken", "udiSinks", "xUsePins",
