@@ -68,6 +68,7 @@ class Keeper(_Thread):
         super().__init__("rosplc-keeper")
         self._beat_ns = beat_ns
         self._beat, self._check, self._flush = beat, check, flush
+        self._due_ns: int | None = None
 
     def due(self, _when_ns: int) -> None:
         """A message waits for its time: look again; from any thread."""
@@ -84,12 +85,16 @@ class Keeper(_Thread):
             if now >= check_at:
                 self._guard("checking", lambda: self._check(time.monotonic_ns()))
                 check_at = now + _CHECK_NS
+            self._due_ns = None
+            self._guard("sending what waited", self._send)
             next_at = min(beat_at, check_at)
-            due = self._flush(time.monotonic_ns())
-            if due is not None:
-                next_at = min(next_at, due)
+            if self._due_ns is not None:
+                next_at = min(next_at, self._due_ns)
             self._wake.wait(max(0, next_at - time.monotonic_ns()) / 1e9)
             self._wake.clear()
+
+    def _send(self) -> None:
+        self._due_ns = self._flush(time.monotonic_ns())
 
 
 class Observer(_Thread):

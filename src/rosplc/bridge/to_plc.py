@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 
 from rosplc._core._native import Fault
 from rosplc.bridge.gate import Gate
@@ -63,7 +64,8 @@ class ToPlc(Topic):
     def beat(self) -> None:
         """Show that the writer lives; from any thread."""
         if (writer := self.writer) is not None:
-            writer.beat()
+            with suppress(ValueError):  # closed at this moment
+                writer.beat()
 
     def on_message(self, data: bytes, stamp_ns: int) -> None:
         """Take a message from the backend."""

@@ -6,6 +6,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 
 from rosplc._core._native import Fault, Group
 from rosplc.bridge.gate import Gate
@@ -61,7 +62,8 @@ class ToRos(Topic):
     def beat(self) -> None:
         """Show that this side lives; from any thread."""
         if (reader := self.reader) is not None:
-            reader.beat()
+            with suppress(ValueError):  # closed at this moment: the pump opens it again
+                reader.beat()
 
     def on_message(self, data: bytes, flags: int, stamp_ns: int, stamp_clock: int) -> None:
         """Pass on a message that was taken."""
@@ -142,18 +144,19 @@ class ToRos(Topic):
         return None if self._publisher is None else self._publisher.status()
 
     def _lost(self, endpoint: EndpointStatus | None) -> int:
-        reader = self.reader
-        lost = self.counters.lost + self._reader_lost
         # Taking the newest alone skips messages on purpose.
-        return lost + (reader.lost if reader is not None and self.plan.every else 0)
+        return self.counters.lost + (self._missed() if self.plan.every else 0)
 
     def _loss(self, count: int) -> str:
         return f"{count} messages were lost on the way out; raise depth: (now {self.plan.slots} slots)"
 
     def _skipped(self) -> int:
         skipped = self.counters.unchanged + (self._gate.replaced if self._gate else 0)
+        return skipped + (0 if self.plan.every else self._missed())
+
+    def _missed(self) -> int:
         reader = self.reader
-        return skipped + (reader.lost if reader is not None and not self.plan.every else 0)
+        return self._reader_lost + (0 if reader is None else reader.lost)
 
 
 class Pump:

@@ -167,13 +167,14 @@ class Topic(ABC):
         if now_ns - since >= 500_000_000:
             self._rate = (self.counters.received - count) * 1e9 / (now_ns - since)
             self._rate_from = (now_ns, self.counters.received)
-        if self.channel is None:
+        channel = self.channel  # another thread may open it again meanwhile
+        if channel is None:
             return True
         try:
-            if not self.channel.still_there():
+            if not channel.still_there():
                 self.note(now_ns, "the object was removed or replaced; it is created again", "SHM120")
                 return True
-            self._observe(self.channel.region, now_ns)
+            self._observe(channel.region, now_ns)
         except (ChannelError, ValueError, OSError) as error:
             self.fail(now_ns, error)
             return True

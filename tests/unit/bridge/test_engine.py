@@ -86,6 +86,25 @@ def test_newest_alone_where_asked(cell: Cell) -> None:
     assert status.received + status.skipped == 100
 
 
+def test_what_was_skipped_on_purpose_is_no_loss_of_the_next_object(cell: Cell) -> None:
+    """With every: false skipped messages stay skipped ones when the object is opened again."""
+    bridge = cell.start(f"  /out: {{type: {INT}, to: ros, every: false}}\n", more="tick: 200ms")
+    messages = cell.listen("/out", INT)
+    plc = cell.plc("/out")
+    plc.write({"data": 0})
+    wait_for(lambda: messages)
+    for number in range(1, 20):
+        plc.write({"data": number})
+    wait_for(lambda: numbers(messages)[-1] == 19)
+    skipped = bridge.status().topic("/out").skipped
+    assert skipped
+    cell.namespace.path("/out").unlink()
+    wait_for(lambda: cell.namespace.path("/out").exists())
+    wait_for(lambda: bridge.status().topic("/out").problem == "")
+    status = bridge.status().topic("/out")
+    assert (status.lost, status.skipped) == (0, skipped)
+
+
 def test_overwritten_messages_are_counted_and_named(cell: Cell) -> None:
     """What the PLC overwrote before the bridge came counts as lost, with what would help."""
     bridge = cell.start(f"  /out: {{type: {INT}, to: ros}}\n", more="tick: 200ms")

@@ -12,6 +12,7 @@ import pytest
 
 from rosplc._core._native import Fault
 from rosplc.bridge import Bridge, Level, parse_config, read_config, resolve
+from rosplc.bridge.keeper import Keeper
 from rosplc.bridge.to_plc import ToPlc
 from rosplc.bridge.to_ros import ToRos
 from rosplc.bridge.topic import Surroundings
@@ -209,6 +210,51 @@ def test_an_object_that_cannot_be_made_is_tried_again(
     assert caplog.text.count("no space left") == 1
     wait_for(lambda: not bridge.status().topic(topic).problem)
     assert cell.namespace.path(topic).exists()
+
+
+def test_an_object_reopened_during_its_check_is_no_problem(
+    cell: Cell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The pump may open an object again while the keeper looks after it; no error stays behind."""
+    bridge = cell.start(f"  /out: {{type: {INT}, to: ros}}\n")
+    (topic,) = bridge._topics
+    look = OwnedChannel.still_there
+    done: list[OwnedChannel] = []
+
+    def still_there(channel: OwnedChannel) -> bool:
+        found = look(channel)
+        if not done:
+            done.append(channel)
+            topic.channel = None  # as the pump does first
+        return found
+
+    monkeypatch.setattr(OwnedChannel, "still_there", still_there)
+    wait_for(lambda: done)
+    topic.channel = done[0]
+    time.sleep(1.5)  # a check more
+    assert not topic.problem
+
+
+def test_a_beat_into_an_object_just_closed_costs_no_other(cell: Cell) -> None:
+    """Whatever is closed at the moment of a beat, the other topics beat."""
+    bridge = cell.start(BOTH)
+    for topic in bridge._topics:
+        assert topic.channel is not None
+        topic.channel.region.close()
+    bridge.beat()
+
+
+def test_an_unforeseen_error_in_sending_does_not_end_the_beats() -> None:
+    """The keeper survives whatever a message that waited for its time brings about."""
+    beats = []
+
+    def flush(_now_ns: int) -> None:
+        raise TypeError("a defect")
+
+    keeper = Keeper(10_000_000, lambda: beats.append(1), lambda _now_ns: None, flush)
+    keeper.start()
+    wait_for(lambda: len(beats) > 2)
+    keeper.stop()
 
 
 def test_a_failed_start_leaves_nothing_open(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
