@@ -145,12 +145,16 @@ class ReadBlock:
         ``msg`` then shows it; ``xNew`` stays set, as in the PLC.
         """
         scan = current_scan()
-        if not self._every or self._reader is None or not self._owner.enter(scan):
+        if not self._every or not self._owner.enter(scan):
             return False
         try:
+            # A link that found another object in this scan has closed the one of this reader.
+            if self._reader is None or self._link.opened != self._opened:
+                return False
             return self._take(self._reader, scan)
         except ChannelError as error:
             self._link.drop(error)
+            self._reader = self._claim = None
             return False
         finally:
             self._owner.leave()

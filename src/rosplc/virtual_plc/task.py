@@ -149,10 +149,10 @@ class Task:
         Raises:
             RuntimeError: The task halted with an exception; make a new one.
         """
-        if self._thread is not None:
-            return
         if self.state is TaskState.EXCEPTION:
             raise RuntimeError(f"task {self.name} halted: {self.error}")
+        if self._thread is not None:
+            return
         self._stop.clear()
         self.state = TaskState.RUNNING
         self._thread = threading.Thread(target=self._run, name=f"plc-{self.name}", daemon=True)

@@ -219,6 +219,26 @@ def test_an_object_that_was_removed_and_made_again_is_found(side, scans):
     assert (block.xNew, block.msg.data) == (True, 9)
 
 
+def test_next_after_the_object_was_retired_brings_nothing(side, scans):
+    """An object that is retired in the middle of a scan ends its messages; nothing is raised."""
+    bridge = side("/n", INT, TO_PLC, slots=16)
+    block = reading(bridge, mode="every")
+    scans(block)
+    for number in range(3):
+        bridge.send(data=number)
+    seen = []
+
+    def program():
+        block()
+        bridge.channel.retire()
+        seen.extend((block.next(), block.next()))
+
+    scans(program)
+    assert seen == [False, False]
+    scans(block)
+    assert not block.xAttached
+
+
 def test_another_layout_is_refused_and_named(side, scans):
     """A compiled-in layout that differs gives error 112 and says what differs."""
     bridge = side("/j", "sensor_msgs/msg/JointState", TO_PLC, fields={"name": 6})

@@ -77,6 +77,17 @@ def test_an_exception_halts_the_task_and_is_kept():
         task.start()
 
 
+def test_a_halted_task_is_not_started_again():
+    """start() on a task that halted raises, stopped or not."""
+    task = Task("T", 0.001, programs=[lambda: 1 / 0])
+    task.start()
+    while task.state is not TaskState.EXCEPTION:
+        time.sleep(0.001)
+    with pytest.raises(RuntimeError, match="halted"):
+        task.start()
+    task.stop()
+
+
 def test_the_watchdog_halts_after_its_sensitivity():
     """Only as many long scans in a row as the sensitivity allows halt the task."""
     task = Task("T", 0.001, watchdog=0.005, watchdog_sensitivity=2)
