@@ -255,10 +255,10 @@ def _image(identity: Identity, text: bytes) -> bytes:
 def _sweep(directory: Path, temporary_prefix: str) -> None:
     """Remove temporaries that a killed bridge has left; the caller holds the lock."""
     pattern = re.compile(re.escape(temporary_prefix) + "[0-9a-f]{8}")
-    for entry in directory.iterdir():
-        if pattern.fullmatch(entry.name):
+    for name in os.listdir(directory):  # noqa: PTH208 - once per topic, and each may have thousands of others
+        if name.startswith(temporary_prefix) and pattern.fullmatch(name):
             with contextlib.suppress(OSError):  # another user's, or a directory: in nobody's way
-                entry.unlink()
+                (directory / name).unlink()
 
 
 def _adopt(
