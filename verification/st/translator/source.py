@@ -6,12 +6,14 @@ and kept under ``.cache/blark`` by a hash of its text.
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import os
 import pickle
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -121,8 +123,36 @@ def parse_units(
     ``progress`` is called with how many of the unknown texts are parsed, and of how many.
     """
     units = list(units)
-    missing = [t for t in dict.fromkeys(u.text for u in units) if t not in _memory and not _path(t).exists()]
-    workers = workers or min(len(os.sched_getaffinity(0)), 4)
+    if _missing(units):
+        with _one_at_a_time():
+            _fill(_missing(units), workers or min(len(os.sched_getaffinity(0)), 4), progress)
+    result = []
+    for unit in units:
+        if unit.text not in _memory:
+            _memory[unit.text] = pickle.loads(_path(unit.text).read_bytes())
+        kept = _memory[unit.text]
+        if isinstance(kept, tuple):
+            raise TranslationError(f"syntax: {kept[0]}", unit.file, unit.line + max(kept[1], 1) - 1)
+        result.append((unit, kept))
+    return result
+
+
+def _missing(units: Iterable[Unit]) -> list[str]:
+    texts = dict.fromkeys(unit.text for unit in units)
+    return [text for text in texts if text not in _memory and not _path(text).exists()]
+
+
+@contextmanager
+def _one_at_a_time() -> Iterator[None]:
+    """Wait for other processes that parse: they are likely to parse the same."""
+    _CACHE.mkdir(parents=True, exist_ok=True)
+    with (_CACHE / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
+def _fill(missing: list[str], workers: int, progress: Callable[[int, int], None] | None) -> None:
+    """Parse texts, the longest first where several processes share the work."""
     tell = progress or (lambda done, of: None)
     if sum(map(len, missing)) < 2000 or workers == 1:
         for number, text in enumerate(missing):
@@ -135,15 +165,6 @@ def parse_units(
                 tell(number, len(missing))
     if missing:
         tell(len(missing), len(missing))
-    result = []
-    for unit in units:
-        if unit.text not in _memory:
-            _memory[unit.text] = pickle.loads(_path(unit.text).read_bytes())
-        kept = _memory[unit.text]
-        if isinstance(kept, tuple):
-            raise TranslationError(f"syntax: {kept[0]}", unit.file, unit.line + max(kept[1], 1) - 1)
-        result.append((unit, kept))
-    return result
 
 
 def parse_texts(
