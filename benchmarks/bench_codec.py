@@ -9,16 +9,19 @@ slow moment of the machine hits them alike; a round's value is the mean over a b
 
 from __future__ import annotations
 
-import argparse
-import json
 import statistics
 import struct
-import time
+import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from rosbags.typesys import Stores, get_typestore
 
+if __name__ == "__main__":
+    sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from benchmarks import measure
 from rosplc.codec import Codec, Wire
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
@@ -107,14 +110,6 @@ def contenders(name: str, store: TypeStore) -> dict[str, Callable[[], object]]:
     }
 
 
-def once(function: Callable[[], object], batch: int) -> float:
-    """Return the mean cost of one call in microseconds."""
-    start = time.perf_counter_ns()
-    for _ in range(batch):
-        function()
-    return (time.perf_counter_ns() - start) / batch / 1000
-
-
 def run(rounds: int) -> dict[str, Any]:
     """Measure in ``rounds`` rounds.
 
@@ -130,7 +125,8 @@ def run(rounds: int) -> dict[str, Any]:
     for _ in range(rounds):
         for name, these in measured.items():
             for key, function in these.items():
-                times[name][key].append(once(function, BATCH // 10 if "rosbags" in key else BATCH))
+                batch = BATCH // 10 if "rosbags" in key else BATCH
+                times[name][key].append(measure.mean_ns(function, batch) / 1000)
     result: dict[str, Any] = {}
     for name, rows in times.items():
         medians = {key: statistics.median(values) for key, values in rows.items()}
@@ -138,30 +134,25 @@ def run(rounds: int) -> dict[str, Any]:
         result[name] = {}
         for key, values in rows.items():
             base = medians["encode (rosbags)" if key.startswith("encode") else "rosbags + struct"]
-            p99 = sorted(values)[min(len(values) - 1, int(len(values) * 0.99))]
-            row = {"median_us": medians[key], "p99_us": p99}
+            row = {"median_us": medians[key], "p99_us": measure.percentile(values, 99)}
             if not key.startswith("nothing"):
                 row["ratio"] = (base - empty) / max(medians[key] - empty, 1e-3)
             result[name][key] = row
     return result
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--rounds", type=int, default=15)
-    parser.add_argument("--json", action="store_true")
-    arguments = parser.parse_args()
-    result = run(arguments.rounds)
-    if arguments.json:
-        print(json.dumps(result, indent=2))
-        return
-    print(f"{'µs per message':<32}{'median':>9}{'p99':>9}{'times faster':>14}")
-    for name, rows in result.items():
-        print(name)
-        for key, row in rows.items():
-            ratio = f"{row['ratio']:.0f}" if "ratio" in row else ""
-            print(f"  {key:<30}{row['median_us']:>9.3f}{row['p99_us']:>9.3f}{ratio:>14}")
+def report(rounds: int) -> dict[str, Any]:
+    """Return what :func:`run` measures in the shape that all benchmarks share."""
+    before = measure.environment()
+    tables = []
+    for name, rows in run(rounds).items():
+        lines = [
+            {"name": key, "median": row["median_us"], "p99": row["p99_us"], "times faster": row.get("ratio")}
+            for key, row in rows.items()
+        ]
+        tables.append(measure.table(name, "µs per message", "nobody waits", lines))
+    return measure.report(tables, before)
 
 
 if __name__ == "__main__":
-    main()
+    measure.main(report, __doc__, 15)

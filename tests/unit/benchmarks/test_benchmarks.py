@@ -1,0 +1,83 @@
+"""Each benchmark runs to its end and reports in the common shape; how fast anything is, no test says."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+
+import pytest
+
+from benchmarks import bench_bridge_latency, bench_bridge_load, bench_channel, measure
+
+
+def rows(report: dict[str, object]) -> dict[str, dict[str, dict[str, float]]]:
+    """Check a report's shape; return its rows by table and name."""
+    json.dumps(report)
+    assert {"processor", "kernel", "versions", "load_average", "load_average_after"} <= set(
+        report["environment"]  # type: ignore[call-overload]
+    )
+    found = {}
+    for table in report["tables"]:  # type: ignore[attr-defined]
+        assert table["waiting"] and table["unit"]
+        for row in table["rows"]:
+            assert 0 <= row["median"] <= row["p99"] and row["count"] > 0
+        found[table["title"]] = {row["name"]: row for row in table["rows"]}
+        measure.print_table(table)
+    return found
+
+
+def test_turns_interleave_the_contenders() -> None:
+    """Every contender measures once per round, in turn."""
+    order: list[str] = []
+
+    def contender(name: str) -> dict[str, list[float]]:
+        order.append(name)
+        return {name: [1.0, 2.0]}
+
+    values = measure.turns({"a": lambda: contender("a"), "b": lambda: contender("b")}, 2)
+    assert order == ["a", "b", "a", "b"]
+    assert values == {"a": [1.0, 2.0, 1.0, 2.0], "b": [1.0, 2.0, 1.0, 2.0]}
+
+
+def test_statistics_of_known_values() -> None:
+    """Median, 99th percentile and the median ratio of turns are what arithmetic says."""
+    values = [float(value) for value in range(1, 201)]
+    assert measure.row("x", values) == {"name": "x", "median": 100.5, "p99": 199.0, "count": 200}
+    assert measure.median_ratio([2.0, 9.0, 4.0], [1.0, 3.0, 1.0]) == 3.0
+
+
+@pytest.mark.serial
+def test_the_channel_benchmark() -> None:
+    """Copies, publications and round trips are measured from Python and, with a compiler, from C."""
+    if shutil.which("gcc") is None:
+        pytest.skip("Debian package gcc is missing")
+    found = rows(bench_channel.run(1))
+    assert "200 B there and back, two processes" in found
+    for size in bench_channel.SIZES:
+        table = next(table for title, table in found.items() if title.startswith(size + ", one"))
+        assert {"C, publish", "Python, publish", "Python, publish and take"} <= set(table)
+
+
+@pytest.mark.serial
+def test_the_load_benchmark() -> None:
+    """The load's messages all arrive, and the CPU of all three processes is found."""
+    found = rows(bench_bridge_load.run(1, topics=2, rate=100, still=4, seconds=1.0))
+    assert {"bridge", "ROS peer", "PLC"} <= set(found["2 topics x 100 Hz each way"])
+    assert "bridge" in found["4 quiet topics"]
+
+
+@pytest.mark.serial
+def test_the_latency_benchmark() -> None:
+    """Both directions are measured against the bare subscriber."""
+    found = rows(bench_bridge_latency.run(1, {100: 20}))
+    assert len(found) == 2
+    for table in found.values():
+        assert "DDS → bare subscriber" in table
+
+
+def test_a_benchmark_prints_json(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """``--json`` prints the report as it is."""
+    monkeypatch.setattr(sys, "argv", ["bench", "--json", "--rounds", "3"])
+    measure.main(lambda rounds: {"rounds": rounds}, "What it does.", 7)
+    assert json.loads(capsys.readouterr().out) == {"rounds": 3}
