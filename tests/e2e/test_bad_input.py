@@ -276,6 +276,21 @@ def test_objects_removed_under_a_running_bridge(
     assert bridge.stop() == 0
 
 
+def test_more_topics_than_files(config: Callable[..., Path]) -> None:
+    """A limit on open files is asked to be lifted, and named where it cannot be."""
+    topics = "".join(f"  /t{index}: {{type: std_msgs/Bool, to: plc}}\n" for index in range(80))
+    limited = 'ulimit -n 60 && exec "$0" -m rosplc run "$1"'
+    done = subprocess.run(
+        ["sh", "-c", limited, sys.executable, str(config("topics:\n" + topics))],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stderr.count("error SYS006: too many files are open")) == (1, 1), (
+        done.stderr
+    )
+
+
 # -- the ROS side
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
+import resource
 import sys
 from pathlib import Path
 
@@ -14,6 +16,7 @@ from rosplc.bridge.status import BridgeStatus, Level
 __all__ = ["run_bridge"]
 
 log = logging.getLogger("rosplc.run")
+_FILES = 65536
 
 
 def run_bridge(config: Path, *, status_seconds: float | None, level: int = logging.INFO) -> None:
@@ -30,11 +33,20 @@ def run_bridge(config: Path, *, status_seconds: float | None, level: int = loggi
     logging.basicConfig(
         level=level, stream=sys.stderr, format="%(asctime)s %(levelname)-7s %(message)s", datefmt="%H:%M:%S"
     )
+    _allow_many_files()
     project = load_project(config)
     with stop_on_signals() as stop, Bridge(project) as bridge:
         reporter = _Reporter()
         while not stop.wait(status_seconds):
             reporter.report(bridge.status())
+
+
+def _allow_many_files() -> None:
+    """Ask for as many open files as this user may have: each topic holds one, and 1024 are usual."""
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    wanted = _FILES if most == resource.RLIM_INFINITY else min(most, _FILES)
+    with contextlib.suppress(OSError, ValueError):
+        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, most))
 
 
 class _Reporter:

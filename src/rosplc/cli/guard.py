@@ -50,6 +50,8 @@ def guarded(verb: Callable[P, None]) -> Callable[P, None]:
         except (typer.Exit, typer.Abort, typer.BadParameter):
             raise
         except OSError as error:
+            if error.errno in (errno.EMFILE, errno.ENFILE):
+                _report(SetupError("SYS006", "too many files are open", where=_name(error)), as_json=as_json)
             if error.errno not in _NO_OUTPUT or error.filename is not None:
                 _unexpected(error, as_json=as_json)
             _leave_stdout()
@@ -59,6 +61,10 @@ def guarded(verb: Callable[P, None]) -> Callable[P, None]:
             _unexpected(error, as_json=as_json)
 
     return run
+
+
+def _name(error: OSError) -> str:
+    return "" if error.filename is None else str(error.filename)
 
 
 def _leave_stdout() -> None:
