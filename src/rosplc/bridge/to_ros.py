@@ -24,6 +24,8 @@ _IN_ORDER = 1
 _LONGEST_WAIT_NS = 200_000_000
 _LAZY_TICK_NS = 10_000_000
 """The tick while no PLC writes anything: the wake-ups are what an idle bridge costs."""
+_NO_TIME = 2**63 - 1
+"""DDS and ROS count ns since 1970 in signed 64 bits; the largest number means none."""
 _ALERT_NS = 10_000_000_000
 """How long after a message the configured tick holds, whether a writer beats or not."""
 
@@ -80,7 +82,8 @@ class ToRos(Topic):
                 return
             self._last_data = data
         # A stamp of the PLC's own clock means nothing in ROS; the bridge stamps on arrival.
-        stamp = stamp_ns if stamp_clock == STAMP_SYSTEM and stamp_ns else time.time_ns()
+        usable = stamp_clock == STAMP_SYSTEM and 0 < stamp_ns < _NO_TIME
+        stamp = stamp_ns if usable else time.time_ns()
         if self._gate is None or self._gate.offer((data, stamp), now) is not None:
             self._write(data, stamp, now)
 

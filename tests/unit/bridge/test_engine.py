@@ -59,6 +59,17 @@ def test_a_message_from_the_plc_is_published(cell: Cell) -> None:
     assert third == 99
 
 
+@pytest.mark.parametrize("stamp_ns", [2**63 - 1, 2**63, 2**64 - 1])
+def test_a_stamp_that_ros_cannot_carry_costs_no_message(cell: Cell, stamp_ns: int) -> None:
+    """A PLC's stamp beyond signed 64 bits is replaced by the time of arrival."""
+    cell.start(f"  /out: {{type: {INT}, to: ros}}\n")
+    messages = cell.listen("/out", INT)
+    before = time.time_ns()
+    cell.plc("/out").write({"data": 1}, stamp_ns=stamp_ns, stamp_clock=1)
+    wait_for(lambda: messages)
+    assert before <= cell.stamps["/out"][0] <= time.time_ns()
+
+
 def test_every_message_from_the_plc_arrives_in_order(cell: Cell) -> None:
     """By default nothing that the PLC writes is skipped, as long as the slots hold it."""
     cell.start(f"  /out: {{type: {INT}, to: ros, depth: 256}}\n")
