@@ -218,6 +218,7 @@ static PyObject *group_wait(GroupObject *self, PyObject *args)
 {
     long long tick, timeout = -1;
     int64_t now, deadline;
+    unsigned int looks = 0;
     Py_ssize_t news = 0;
     if (!PyArg_ParseTuple(args, "L|L:wait", &tick, &timeout))
         return NULL;
@@ -246,6 +247,7 @@ static PyObject *group_wait(GroupObject *self, PyObject *args)
                 now = target;
             } else {
                 sched_yield();
+                interrupted = ++looks % 4096 == 0; /* no call that a signal could interrupt: look for one */
             }
             news = group_look(self);
             done = news || __atomic_exchange_n(&self->woken, 0, __ATOMIC_ACQ_REL) || now >= deadline;

@@ -126,8 +126,9 @@ def test_wait_follows_a_grid(pairs: list[_Pair]) -> None:
     assert time.monotonic_ns() - begin >= 9 * tick
 
 
-def test_signal_interrupts_wait() -> None:
-    """A signal's handler runs while wait() sleeps, and its exception comes through."""
+@pytest.mark.parametrize("tick", [10 * _SECOND, 0])
+def test_signal_interrupts_wait(tick: int) -> None:
+    """A signal's handler runs while wait() sleeps or spins, and its exception comes through."""
 
     def handler(number: int, frame: object) -> None:
         raise InterruptedError("handled")
@@ -136,7 +137,7 @@ def test_signal_interrupts_wait() -> None:
     try:
         signal.setitimer(signal.ITIMER_REAL, 0.05)
         with pytest.raises(InterruptedError):
-            _native.Group().wait(10 * _SECOND)
+            _native.Group().wait(tick)
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
         signal.signal(signal.SIGALRM, before)
