@@ -35,7 +35,9 @@ def command(
     config: Annotated[
         Path | None, typer.Argument(help="The configuration file, such as rosplc.yaml.")
     ] = None,
-    out: Annotated[Path, typer.Option("--out", "-o", help="The folder to write.")] = Path("plc"),
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="FOLDER", help="The folder to write.")] = Path(
+        "plc"
+    ),
     all_types: Annotated[
         str | None,
         typer.Option("--all-types", metavar="DISTRO", help="Every type of a ROS distribution, no topics."),
@@ -43,8 +45,9 @@ def command(
     target: Annotated[
         str,
         typer.Option(
+            metavar="PROCESSOR",
             help="Processor of the PLC: x86, or arm. On arm messages take longer, because no memory "
-            "fence is proven there; see --fences."
+            "fence is proven there; see --fences.",
         ),
     ] = "x86",
     fences: Annotated[
