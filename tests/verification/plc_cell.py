@@ -11,17 +11,30 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+import pytest
+
 from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.plc.build import PlcTask, PlcTopic, ProjectOptions, build_project
 from rosplc.plc.project import PlcProject
 from rosplc.plc.st_text import object_text
 from rosplc.shm import Description, Direction, Namespace, OwnedChannel
-from verification.st.build import Build, Toolchain, build
-from verification.st.machine import LibraryMachine, Machine
+from verification.st.build import ARMHF, Build, Toolchain, build
+from verification.st.machine import LibraryMachine, Machine, ProcessMachine
 from verification.st.translator import Options
 
-__all__ = ["READ", "WRITE", "Cell", "cell_build", "describe", "pattern", "project_texts", "twist"]
+__all__ = [
+    "READ",
+    "TARGETS",
+    "WRITE",
+    "Cell",
+    "cell_build",
+    "describe",
+    "pattern",
+    "project_texts",
+    "target",
+    "twist",
+]
 
 READ, WRITE = "SharedMemory_Read", "SharedMemory_Write"
 
@@ -108,6 +121,27 @@ def cell_build(
     return build({**cell_texts(), **(more or {})}, options, toolchain, program=program)
 
 
+_BARRIER = ("pou: MemoryBarrier.MemoryBarrier",)
+TARGETS: dict[str, tuple[Options, Toolchain | None]] = {
+    "64-bit": (Options(), None),
+    "32-bit-with-barrier": (Options(cpu_bits=32, defined=_BARRIER), None),
+    "armhf": (Options(cpu_bits=32), ARMHF),
+}
+
+
+def target(name: str, more: Mapping[str, str] | None = None) -> Build:
+    """Return the cell, built for a target; skip the test where its tools are missing."""
+    options, toolchain = TARGETS[name]
+    if toolchain is ARMHF:
+        for tool, package in (
+            ("arm-linux-gnueabihf-gcc", "gcc-arm-linux-gnueabihf"),
+            ("qemu-arm", "qemu-user"),
+        ):
+            if shutil.which(tool) is None:
+                pytest.skip(f"Debian package {package} is missing")
+    return cell_build(options, toolchain, program=toolchain is not None, more=more)
+
+
 class Cell:
     """A folder of shared memory, the bridge's channels in it, and a PLC; a context manager."""
 
@@ -115,7 +149,9 @@ class Cell:
         self.folder = Path(tempfile.mkdtemp(prefix="T", dir="/dev/shm"))
         self.namespace = Namespace("rosplc", str(self.folder))
         self.channels: list[OwnedChannel] = []
-        self.machine: Machine = machine or LibraryMachine(machine_of or cell_build(), str(self.folder))
+        built = machine_of or cell_build()
+        kind = ProcessMachine if built.toolchain.runner else LibraryMachine
+        self.machine: Machine = machine or kind(built, str(self.folder))
         if machine is None:
             self.machine.start()
             for topic in ("/out", "/out2"):
@@ -129,6 +165,8 @@ class Cell:
     ) -> None:
         for channel in self.channels:
             channel.close()
+        if isinstance(self.machine, ProcessMachine):
+            self.machine.kill()
         shutil.rmtree(self.folder)
 
     def channel(

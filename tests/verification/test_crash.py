@@ -43,7 +43,6 @@ def whole(record: bytes | bytearray) -> bool:
     return bytes(record[8:]) == bytes(record[:-8])
 
 
-@pytest.mark.timeout(120)
 def test_plc_killed_while_writing(cell: Cell) -> None:
     """A PLC killed at any instruction leaves whole messages only; the next PLC takes over and goes on."""
     channel = cell.channel("/out")
@@ -77,7 +76,6 @@ def test_plc_killed_while_writing(cell: Cell) -> None:
     assert last > 8
 
 
-@pytest.mark.timeout(120)
 def test_bridge_killed_while_writing(cell: Cell) -> None:
     """A bridge killed mid-copy leaves the last whole message; the next adopts, and the PLC goes on."""
     script = (

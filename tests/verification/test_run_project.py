@@ -25,7 +25,6 @@ END_PROGRAM
 """
 
 
-@pytest.mark.timeout(120)
 def test_project_runs_as_a_process(tmp_path: Path) -> None:
     """The project echoes a message in real time, and ends cleanly on SIGTERM."""
     for name, text in {**cell_texts(), "Echo": _ECHO}.items():

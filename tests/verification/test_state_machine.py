@@ -14,12 +14,12 @@ if shutil.which("gcc") is None:
 from rosplc.layout import Limits
 from rosplc.shm import Direction
 from rosplc.shm.constants import IDENTITY, STATE_RETIRED, WRITER_LINE
-from tests.verification.plc_cell import READ, Cell, layout_of, pattern
+from tests.verification.plc_cell import READ, TARGETS, Cell, layout_of, pattern, target
 
 
-@pytest.fixture
-def cell() -> Iterator[Cell]:
-    with Cell() as made:
+@pytest.fixture(params=TARGETS)
+def cell(request: pytest.FixtureRequest) -> Iterator[Cell]:
+    with Cell(target(request.param)) as made:
         yield made
 
 

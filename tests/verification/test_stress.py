@@ -157,7 +157,6 @@ def write_stress(built: Build, seconds: float, fenced: bool) -> tuple[int, int]:
 
 
 @pytest.mark.serial
-@pytest.mark.timeout(120)
 @pytest.mark.parametrize("fenced", [True, False], ids=["fences", "delayed"])
 def test_reader(fenced: bool) -> None:
     """Structured Text never takes a torn message, or an older one, from a writer that never pauses."""
@@ -167,7 +166,6 @@ def test_reader(fenced: bool) -> None:
 
 
 @pytest.mark.serial
-@pytest.mark.timeout(120)
 @pytest.mark.parametrize("fenced", [True, False], ids=["fences", "delayed"])
 def test_writer(fenced: bool) -> None:
     """A bridge never takes a torn message, or an older one, from Structured Text that never pauses."""

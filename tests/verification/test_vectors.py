@@ -16,7 +16,7 @@ pytest.importorskip("blark")
 if shutil.which("gcc") is None:
     pytest.skip("Debian package gcc is missing", allow_module_level=True)
 
-from tests.verification.plc_cell import Cell, cell_build, cell_texts
+from tests.verification.plc_cell import Cell, cell_texts, target
 from verification.st.build import Build
 from verification.st.machine import Machine
 
@@ -28,7 +28,7 @@ RECORD = 12
 
 
 @lru_cache
-def probe_build() -> Build:
+def probe_build(name: str) -> Build:
     """Return a project with a Read block for the vectors' records, and calls of the sequence functions."""
     text = cell_texts()["geometry_msgs_Twist_Read"].replace("geometry_msgs_Twist", "Sample")
     head, _, rest = text.partition("udiLayoutLo := ")
@@ -50,12 +50,12 @@ def probe_build() -> Build:
         "    d : UDINT;\n    s : UDINT;\n"
         "END_VAR\nd := RosPlc_Distance(a, b, n);\ns := RosPlc_Advance(a, b, n);\nEND_PROGRAM\n",
     }
-    return cell_build(more=more)
+    return target(name, more)
 
 
-@pytest.fixture(scope="module")
-def cell() -> Iterator[Cell]:
-    with Cell(probe_build()) as made:
+@pytest.fixture(scope="module", params=["64-bit", pytest.param("armhf", marks=pytest.mark.verify(minutes=1))])
+def cell(request: pytest.FixtureRequest) -> Iterator[Cell]:
+    with Cell(probe_build(request.param)) as made:
         yield made
 
 
