@@ -38,7 +38,7 @@ def read_block(layout: Layout, builder: DutBuilder, name: str, folder: str, *, p
     """
     dut = builder.add(layout)
     low, high = layout.layout_id_words
-    pin_list = _pins(layout, builder, _READ_NAMES) if pins else []
+    pin_list = _pins(layout, builder) if pins else []
     outputs = [Variable("msg", dut, None, "the message")]
     outputs += [Variable(pin, type_, None, f"msg.{field}") for pin, field, type_ in pin_list]
     assigns = "".join(f"\n{pin} := msg.{field};" for pin, field, _ in pin_list)
@@ -131,7 +131,7 @@ def write_block(layout: Layout, builder: DutBuilder, name: str, folder: str, *, 
     """Return ``<Type>_Write``; arguments as of :func:`read_block`, ``pins`` adds inputs."""
     dut = builder.add(layout)
     low, high = layout.layout_id_words
-    pin_list = _pins(layout, builder, _WRITE_NAMES) if pins else []
+    pin_list = _pins(layout, builder) if pins else []
     inputs = [Variable("msg", dut, None, "the message")]
     inputs += [Variable(pin, type_, None, f"msg.{field}, with xUsePins") for pin, field, type_ in pin_list]
     if pin_list:
@@ -163,27 +163,11 @@ EndWrite();"""
     )  # fmt: skip
 
 
-_READ_NAMES = (
-    "uiTask", "udiMapSize", "xAttached", "xPeerAlive", "udiError", "udiResult", "xDelayed", "tStaleAfter",
-    "uiOnStale", "xInOrder", "uiMaxPerScan", "xLatched", "xValid", "xNew", "xStale", "xFirst", "xTruncated",
-    "xSubstituted", "udiSequence", "tAge", "udiLost", "udiRetries", "udiSources", "udiStampLo", "udiStampHi",
-    "uiTaken", "stSafe", "msg", "stShadow", "xTaken", "Next", "Receive", "Mend", "Degrade", "Slot", "Open",
-    "Close", "Watch", "Draw", "Claim", "Leave", "Enter", "Attach", "Accept", "Proven", "Confirm", "Count",
-    "Candidate", "Choose",
-    "BeginRead", "EndRead", "SilentAfter", "Validate", "Checksum", "MakeName", "Postpone",
-)  # fmt: skip
-_WRITE_NAMES = (
-    *_READ_NAMES, "xEnable", "xReady", "xPublished", "udiPublished", "udiTaken", "udiSinks", "xUsePins",
-    "pbRecord", "pstRecord", "BeginWrite", "EndWrite", "OpenSlot", "CloseSlot", "Publish", "PublishFilled",
-)  # fmt: skip
-
-
-def _pins(layout: Layout, builder: DutBuilder, taken: tuple[str, ...]) -> list[tuple[str, str, str]]:
+def _pins(layout: Layout, builder: DutBuilder) -> list[tuple[str, str, str]]:
     """Return (pin, member, type) for each top-level field; counts are fields too."""
     names = builder.struct(layout.root)
     types = {v.name: v.type for v in next(d for d in builder.duts if d.name == names.dut).members}
-    # Members of the base blocks, private ones included, hide nothing in a derived block.
-    scope = Scope(taken)
+    scope = Scope()  # nothing in the base blocks begins with pin_
     result = []
     for name, member in zip(names.names, layout.root.members, strict=True):
         if not isinstance(member.node, PaddingNode):
