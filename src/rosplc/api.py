@@ -322,7 +322,10 @@ class Channel:
             message = self._take(how)
             if message is not None:
                 return message
-            rest = poll if deadline is None else deadline - time.monotonic()
+            if deadline is None:
+                time.sleep(poll)
+                continue
+            rest = deadline - time.monotonic()
             if not rest > 0:
                 return None
             time.sleep(min(poll, rest))

@@ -149,6 +149,18 @@ def test_wait_returns_when_a_message_comes(bridge, attach):
     timer.join()
 
 
+def test_wait_for_ever_holds_without_a_pause_too(bridge, attach):
+    """Without a timeout wait() returns a message and nothing else, whatever its pause."""
+    side = bridge()
+    channel = attach()
+    timer = threading.Timer(0.1, lambda: side.send(data=7))
+    timer.start()
+    message = channel.wait(poll=0.0)
+    timer.join()
+    assert message is not None
+    assert message.data == 7
+
+
 def test_write_takes_mappings_records_and_objects(bridge, attach):
     """What can be packed can be written, and arrives."""
 
