@@ -11,6 +11,7 @@ machine's loopback interface.
 
 from __future__ import annotations
 
+import os
 import secrets
 import statistics
 import sys
@@ -46,6 +47,13 @@ def config(prefix: str) -> str:
             "",
         )
     )
+
+
+def place(pids: list[int], cores: set[int]) -> None:
+    """Bind all threads of processes to cores."""
+    for pid in pids:
+        for thread in os.listdir(f"/proc/{pid}/task"):
+            os.sched_setaffinity(int(thread), cores)
 
 
 def ask(peer: Peer) -> dict[str, list[float]]:
@@ -93,7 +101,7 @@ def tables_of(rate: int, inward: list[dict[str, list[float]]], outward: list[Any
     first = measure.table(
         f"ROS to PLC, {size}, {rate} Hz on each path",
         "µs",
-        f"{BARE_WAITS}; bridge: WaitSet; PLC: spins, giving its core away at every turn",
+        f"{BARE_WAITS}; bridge: WaitSet; PLC: spins on a core of its own",
         [
             measure.row("DDS → bare subscriber", values["bare"], ratio=1.0),
             measure.row("DDS → bridge → PLC record", values["bridge"], ratio=ratio("bridge")),
@@ -124,18 +132,23 @@ def run(rounds: int, messages: dict[int, int] = MESSAGES) -> dict[str, Any]:
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         domain = stack.enter_context(ros_domain())
-        stack.enter_context(bridge(folder, config(prefix), domain))
+        process = stack.enter_context(bridge(folder, config(prefix), domain))
         subscriber = stack.enter_context(Peer("latency_peers", "subscriber", order, domain))
         source = stack.enter_context(Peer("latency_peers", "source", order, domain))
         for peer in (subscriber, source):
             peer.hear()
         for peer_rate in messages:  # everything has run once before anything counts
             way_out(source, subscriber, peer_rate, 10)
+        cores = os.sched_getaffinity(0)
+        others = cores - {max(cores)} or cores
         for _ in range(rounds):
+            place([process.pid, source.pid, subscriber.pid], others)
             with Peer("latency_peers", "spinner", order, domain) as spinner:
                 spinner.hear()
+                place([spinner.pid], {max(cores)})
                 for rate, count in messages.items():
                     inward[rate].append(way_in(source, subscriber, spinner, rate, count))
+            place([process.pid, source.pid, subscriber.pid], cores)
             for rate, count in messages.items():
                 outward[rate].append(way_out(source, subscriber, rate, count))
     tables = [one for rate in messages for one in tables_of(rate, inward[rate], outward[rate])]

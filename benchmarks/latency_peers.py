@@ -131,15 +131,13 @@ def spinner(order: dict[str, Any]) -> None:
     orders = Lines()
     ages: list[float] = []
     say(ready=True)
-    latest, now, pause = reader.latest, time.monotonic_ns, os.sched_yield
+    latest, now = reader.latest, time.monotonic_ns
     while not orders.ended:
         if latest(record) is not None:
             ages.append(age_us(record, 0, now()))
         elif orders.asked():
             say(ages={TO_PLC: ages})
             ages = []
-        else:
-            pause()
 
 
 class Lines(Orders):
