@@ -88,7 +88,7 @@ def test_killed_bridge_is_succeeded(shm_namespace: Namespace) -> None:
     _adopt_after_kills(shm_namespace, 10)
 
 
-@pytest.mark.verify(minutes=5)
+@pytest.mark.verify(minutes=1)
 def test_bridge_killed_two_hundred_times(shm_namespace: Namespace) -> None:
     """The same, two hundred times."""
     _adopt_after_kills(shm_namespace, 200)

@@ -112,7 +112,7 @@ def test_scribbled_object(shm_namespace: Namespace, codec: Codec) -> None:
     _rounds(shm_namespace, codec, 60, seed=1)
 
 
-@pytest.mark.verify(minutes=3)
+@pytest.mark.verify(minutes=1)
 def test_scribbled_object_for_long(shm_namespace: Namespace, codec: Codec) -> None:
     """A hundred thousand scribbles."""
     _rounds(shm_namespace, codec, 2000, seed=2)
