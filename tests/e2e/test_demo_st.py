@@ -99,13 +99,30 @@ def test_a_killed_plc_ends_it_with_a_clear_message():
         pids = wait_until(lambda: plc_processes(child), "three processes", 300)
         prefix = prefix_of(pids)
         wait_until(lambda: objects(prefix), "objects in shared memory")
+        folder = Path(Path(f"/proc/{pids['plc']}/cmdline").read_bytes().decode().split("\0")[4])
+        assert (folder / "PLC_PRG.st").is_file()
         os.kill(pids["plc"], signal.SIGKILL)
         out, err = finish(child)
     assert child.returncode == 1, out + err
     assert "SYS002" in err and "the PLC process failed" in err and "SIGKILL" in err
     assert "Traceback" not in err
+    assert not folder.exists()
     assert objects(prefix) == []
     assert not any(alive(pid) for pid in pids.values())
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_it_and_nothing_is_left(number, tmp_path):
+    """Ctrl-C and SIGTERM end it while it still prepares the PLC, and the project's folder goes."""
+    command = [sys.executable, "-m", "rosplc", "demo", "--plc", "st", "--duration", "600s"]
+    environment = {**os.environ, "TMPDIR": str(tmp_path)}
+    with subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True) as child:
+        wait_until(lambda: list(tmp_path.glob("rosplc-demo-st-*/PLC_PRG.st")), "the project's folder")
+        child.send_signal(number)
+        _, err = finish(child)
+    assert child.returncode == 130, err
+    assert "Traceback" not in err
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_killed_bridge_is_survived():

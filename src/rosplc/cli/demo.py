@@ -89,8 +89,9 @@ def command(
         seconds = _UNATTENDED
     domain = FreeDomain()
     plan = new_plan(domain=domain.number, rate=rate, topics=topics)
-    with _structured_text(plan) if plc == "st" else contextlib.nullcontext() as folder:
-        result = _run(plan, seconds, kill=kill, live=sys.stdout.isatty() and not as_json, folder=folder)
+    live = sys.stdout.isatty() and not as_json
+    with _ended_by_sigterm(), _structured_text(plan) if plc == "st" else contextlib.nullcontext() as folder:
+        result = _run(plan, seconds, kill=kill, live=live, folder=folder)
     if as_json:
         facts = {"rate": rate, "topics": topics, "interval": plan.interval, "plc": plc}
         print_json({"plan": facts, **result.to_dict()})
@@ -165,24 +166,29 @@ def _translating() -> Iterator[Callable[[int, int], None]]:
 def _run(plan: Plan, seconds: float | None, *, kill: bool, live: bool, folder: Path | None) -> Result:
     from rosplc.demo.supervisor import Demo
 
+    with contextlib.ExitStack() as stack:
+        draw = None
+        if live:
+            from rich.console import Console
+
+            from rosplc.demo.view import LiveView
+
+            draw = stack.enter_context(LiveView(Console())).draw
+        elif sys.stderr.isatty():
+            from rich.console import Console
+
+            from rosplc.demo.view import ProgressLine
+
+            draw = stack.enter_context(ProgressLine(Console(stderr=True), seconds)).draw
+        demo = stack.enter_context(Demo(plan, on_tick=draw, structured_text=folder))
+        return demo.run(seconds, kill=kill)
+
+
+@contextlib.contextmanager
+def _ended_by_sigterm() -> Iterator[None]:
     before = signal.signal(signal.SIGTERM, _terminate)
     try:
-        with contextlib.ExitStack() as stack:
-            draw = None
-            if live:
-                from rich.console import Console
-
-                from rosplc.demo.view import LiveView
-
-                draw = stack.enter_context(LiveView(Console())).draw
-            elif sys.stderr.isatty():
-                from rich.console import Console
-
-                from rosplc.demo.view import ProgressLine
-
-                draw = stack.enter_context(ProgressLine(Console(stderr=True), seconds)).draw
-            demo = stack.enter_context(Demo(plan, on_tick=draw, structured_text=folder))
-            return demo.run(seconds, kill=kill)
+        yield
     finally:
         signal.signal(signal.SIGTERM, before)
 

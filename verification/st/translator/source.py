@@ -155,16 +155,15 @@ def _fill(missing: list[str], workers: int, progress: Callable[[int, int], None]
     """Parse texts, the longest first where several processes share the work."""
     tell = progress or (lambda done, of: None)
     if sum(map(len, missing)) < 2000 or workers == 1:
-        for number, text in enumerate(missing):
-            tell(number, len(missing))
+        for number, text in enumerate(missing, 1):
             _parse(text)
+            tell(number, len(missing))
     else:
         missing.sort(key=len, reverse=True)
         with ProcessPoolExecutor(workers) as pool:
-            for number, _ in enumerate(pool.map(_parse, missing)):
+            tell(0, len(missing))
+            for number, _ in enumerate(pool.map(_parse, missing), 1):
                 tell(number, len(missing))
-    if missing:
-        tell(len(missing), len(missing))
 
 
 def parse_texts(

@@ -52,6 +52,8 @@ class Translator:
             where = f"{error.file}.st:{error.line}"
             raise GenerationError("PLC004", str(error.what), where=where) from error
         except RuntimeError as error:
+            if type(error) is not RuntimeError:
+                raise  # what ends a command line is a RuntimeError, too
             raise SetupError(
                 "SYS001", str(error).strip(), remedy="sudo apt-get install gcc libc6-dev"
             ) from error
