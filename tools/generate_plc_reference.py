@@ -46,6 +46,10 @@ with the topic as ROS writes it. The instance is named as the topic, with `_` fo
 block opens the object which the bridge made, and nothing else: it never creates, deletes, blocks or
 waits. While the object is missing it tries again, first after 10 ms, then later and later up to every
 2 s, and at most one block per task and scan tries.
+
+The generated programs call the generated instances, and hand out that one attempt. In a task without them, as
+after `--all-types`, a program of your own begins with `RosPlc_State.axMayOpen[0] := TRUE;` and then calls its
+instances: without that line no block opens anything.
 """
 
 
