@@ -59,6 +59,7 @@ Degrade();{assigns}"""
 IF NOT Enter() THEN
     RETURN;
 END_IF;
+udiSilent := udiSilent + udiElapsed; // a call that watches no beat must not swallow its time
 IF xInOrder AND xAttached AND (uiTaken < uiMaxPerScan) AND NOT xDelayed THEN
     xNew := FALSE;
     IF Receive() THEN

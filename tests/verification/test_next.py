@@ -1,4 +1,4 @@
-"""Next() under the delayed rule: the end of a scan stands for a fence, so a scan may not do two steps."""
+"""Next(): no step of the delayed rule within a scan, and no time swallowed."""
 
 from __future__ import annotations
 
@@ -42,3 +42,20 @@ def test_next_neither_chooses_nor_copies_nor_proves() -> None:
             assert cell.get("/in_order", "xPending", "xChosen", "udiSequence") == before
         assert taken == list(range(1, 9))
         assert cell.get("/in_order", "udiLost") == 0
+
+
+def test_time_before_next_counts_as_silence() -> None:
+    """A peer that falls silent is found as soon where programs spend the scan before they call Next()."""
+    spent = []
+    for in_between in (0, 9):
+        with Cell(cell_build(more={"Step": STEP})) as cell:
+            writer = cell.channel("/in_order").writer(beat_ms=100)
+            cell.until("/in_order", "xPeerAlive", True, beats=[writer])
+            milliseconds = 0
+            while cell.get("/in_order", "xPeerAlive"):
+                cell.scan(step=10 - in_between)
+                cell.machine.scan("Step", step=in_between)
+                milliseconds += 10
+                assert milliseconds < 2000
+            spent.append(milliseconds)
+    assert spent[0] == pytest.approx(spent[1], abs=20)
