@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 import uuid
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from xml.etree import ElementTree as ET
 
 from rosplc._version import __version__
@@ -173,7 +173,10 @@ def _plain_text(parent: ET.Element, text: str) -> None:
     _xhtml(ET.SubElement(parent, "InterfaceAsPlainText"), text)
 
 
-def _interface(parent: ET.Element, blocks: Iterable[VarBlock], return_type: str | None) -> ET.Element:
+def _interface(parent: ET.Element, blocks: Sequence[VarBlock], return_type: str | None) -> ET.Element:
+    for block in blocks:
+        if block.kind not in _SECTIONS:  # nothing may get lost silently
+            raise ValueError(f"PLCopenXML has no section for {block.kind}")
     interface = ET.SubElement(parent, "interface")
     if return_type:
         _type(ET.SubElement(interface, "returnType"), return_type)

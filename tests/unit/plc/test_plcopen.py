@@ -18,7 +18,7 @@ from rosplc.layout import Limits
 from rosplc.model import DISTROS, TypeStore
 from rosplc.plc.build import ProjectOptions, build_type_library
 from rosplc.plc.plcopen import plcopen_xml
-from rosplc.plc.project import Pou
+from rosplc.plc.project import PlcProject, Pou, VarBlock, Variable
 from rosplc.plc.st_text import declaration, method_declaration
 from tests.unit.plc.projects import JOINTS, STORE, TWIST, custom, layout, project, read, write
 
@@ -347,3 +347,10 @@ def test_every_bundled_type_can_be_written():
     tree = etree.fromstring(plcopen_xml(made))
     assert len(tree.findall(f".//{PLC}dataType")) == len(made.duts)
     assert len(tree.findall(f".//{PLC}pou")) == len(made.pous)
+
+
+def test_variables_without_a_section_are_an_error():
+    """A kind of variables that the writer does not know is not left out silently."""
+    variables_ = VarBlock("VAR_IN_OUT CONSTANT", (Variable("x", "STRING(80)"),))
+    with pytest.raises(ValueError, match="VAR_IN_OUT CONSTANT"):
+        plcopen_xml(PlcProject("ROS", pous=(Pou("F", "FUNCTION", (variables_,), "", return_type="BOOL"),)))
