@@ -26,6 +26,7 @@ from rosplc.demo.messages import COMMAND, command, open_command
 from rosplc.demo.plan import Plan
 from rosplc.demo.st.checkout import find_translator
 from rosplc.demo.st.sources import CONFIGURATION, MAIN, read_texts, write_configuration, write_texts
+from rosplc.demo.supervisor import Demo, new_plan
 from rosplc.demo.turtle import steer
 from rosplc.errors import GenerationError
 from rosplc.layout import compute_layout
@@ -198,16 +199,37 @@ def test_a_mistake_in_the_program_is_named_with_its_line():
         assert caught.value.where == f"Broken.st:{line}"
 
 
+def generate(folder, plan, options):
+    """Write the PLC project of a run into a folder and build it."""
+    write_configuration(folder, plan)
+    project = plc_project(load_project(folder / CONFIGURATION), options)
+    translator = find_translator()
+    write_texts(folder, plan, project, translator.programs)
+    return translator, translator.build(read_texts(folder))
+
+
+@pytest.mark.verify(minutes=1)
+@pytest.mark.parametrize("kill", [False, True])
+def test_a_plc_without_fences_works_with_the_bridge(kill, tmp_path, dds_domain):
+    """By the delayed rule all arrives, too; a killed bridge is survived, and nothing is torn."""
+    plan = new_plan(domain=dds_domain, rate=30.0, topics=3)
+    _, built = generate(tmp_path, plan, ProjectOptions(fenced=False))
+    try:
+        with Demo(plan, structured_text=tmp_path) as run:
+            result = run.run(8.0, kill=kill)
+    finally:
+        built.path.unlink(missing_ok=True)
+    assert result.good, result
+    assert result.drained
+    assert result.total("plc", "torn") == result.total("ros", "torn") == 0
+
+
 @pytest.fixture(scope="module")
 def machine(tmp_path_factory):
     """Load the demonstration's PLC, which finds no bridge."""
-    folder = tmp_path_factory.mktemp("project")
     plan = Plan(prefix="demo-nobody", domain=1, rate=100.0, topics=1)
-    write_configuration(folder, plan)
-    project = plc_project(load_project(folder / CONFIGURATION), ProjectOptions())
-    translator = find_translator()
-    write_texts(folder, plan, project, translator.programs)
-    loaded = translator.machine(translator.build(read_texts(folder)))
+    translator, built = generate(tmp_path_factory.mktemp("project"), plan, ProjectOptions())
+    loaded = translator.machine(built)
     loaded.start()
     return loaded
 
