@@ -51,7 +51,7 @@ def test_a_documented_limit_is_real(scenario: Scenario) -> None:
     assert result.violation.startswith(scenario.breaks), result
 
 
-@pytest.mark.verify
+@pytest.mark.verify(minutes=0.25)
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("scenario", LARGE, ids=name)
 def test_every_property_holds_in_larger_bounds(scenario: Scenario) -> None:

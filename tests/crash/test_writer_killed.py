@@ -85,7 +85,7 @@ def test_killed_writer(shm_namespace: Namespace, size: int, times: int) -> None:
     _kills(shm_namespace, size, times, seed=size)
 
 
-@pytest.mark.verify(minutes=3)
+@pytest.mark.verify(minutes=1.5)
 @pytest.mark.parametrize(("size", "times"), [(64, 300), (4096, 300), (65536, 200), (1 << 20, 200)])
 def test_writer_killed_a_thousand_times(shm_namespace: Namespace, size: int, times: int) -> None:
     """The same, a thousand times in all."""

@@ -272,7 +272,7 @@ def test_peer_without_a_node_is_named_by_its_id(graph: Graph, peer: StartPeer) -
     assert (seen.qos.reliability, seen.qos.durability) == ("best_effort", "transient_local")
 
 
-@pytest.mark.verify
+@pytest.mark.verify(minutes=0.5)
 def test_killed_peer_is_missed(graph: Graph, peer: StartPeer) -> None:
     """A publisher that was killed is no longer matched once its lease has run out."""
     subscription = graph.node("cell").subscribe("/data", STRING, Qos(), lambda *_: None)
@@ -293,7 +293,7 @@ time.sleep(1000)
 """
 
 
-@pytest.mark.verify
+@pytest.mark.verify(minutes=0.5)
 def test_killed_node_leaves_the_graph(graph: Graph) -> None:
     """A node whose process was killed is no longer listed once its lease has run out."""
     node = graph.node("cell")

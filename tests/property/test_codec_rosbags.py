@@ -108,7 +108,7 @@ def test_rosbags_and_the_codec_agree(distro: str) -> None:
             check(distro, name, seed)
 
 
-@pytest.mark.verify(minutes=1)
+@pytest.mark.verify(minutes=0.75)
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("distro", DISTROS)
 def test_rosbags_and_the_codec_agree_often(distro: str) -> None:

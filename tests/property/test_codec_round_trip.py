@@ -62,7 +62,7 @@ def test_every_type_goes_both_ways(distro: str) -> None:
     check_all(distro, 2)
 
 
-@pytest.mark.verify(minutes=1)
+@pytest.mark.verify(minutes=0.25)
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("distro", DISTROS)
 def test_every_type_goes_both_ways_often(distro: str) -> None:
@@ -87,7 +87,7 @@ def test_searched_contents_go_both_ways(
     check(*which, *sizes, rng)
 
 
-@pytest.mark.verify(minutes=2)
+@pytest.mark.verify(minutes=0.5)
 @pytest.mark.timeout(1200)
 @given(
     which=st.sampled_from(every_name()),

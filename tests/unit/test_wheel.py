@@ -63,7 +63,7 @@ def test_wheel_holds_package_types_and_core(tmp_path: Path) -> None:
     assert {Path(name).name for name in information} >= {"METADATA", "LICENSE", "entry_points.txt"}
 
 
-@pytest.mark.verify(minutes=3)
+@pytest.mark.verify(minutes=1)
 @pytest.mark.timeout(900)
 def test_wheel_works_in_an_empty_environment(tmp_path: Path) -> None:
     """Installed with the dependencies that it names, the package imports and the command runs."""

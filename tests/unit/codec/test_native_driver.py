@@ -41,7 +41,7 @@ def drive(
     return done.stdout
 
 
-@pytest.mark.parametrize("rounds", [300, pytest.param(30_000, marks=pytest.mark.verify(minutes=3))])
+@pytest.mark.parametrize("rounds", [300, pytest.param(30_000, marks=pytest.mark.verify(minutes=2))])
 @pytest.mark.timeout(1200)
 def test_sanitizers_find_nothing(tmp_path: Path, plans: Path, rounds: int) -> None:
     """Truncated, mutated and random input in exact-size memory gives no bad access and no undefined step."""
@@ -61,7 +61,7 @@ def test_processors_agree(tmp_path: Path, plans: Path, compiler: str) -> None:
     assert there == here
 
 
-@pytest.mark.verify(minutes=2)
+@pytest.mark.verify(minutes=1)
 @pytest.mark.timeout(600)
 def test_the_fuzzer_finds_nothing(tmp_path: Path) -> None:
     """A minute of coverage-guided fuzzing ends without a finding."""
