@@ -16,6 +16,7 @@ import signal
 import struct
 import subprocess
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -229,6 +230,7 @@ class LibraryMachine(Machine):
             copy = Path(folder) / "plc.so"
             shutil.copyfile(built.path, copy)
             self.library = ctypes.CDLL(str(copy), mode=os.RTLD_LOCAL | os.RTLD_NOW)
+        self._broken: BaseException | None = None
         self.library.st_last_fault.restype = ctypes.c_char_p
         self.library.st_set_directory(directory.encode())
         table: Any = (_Global * 100_000).in_dll(self.library, "st_globals")
@@ -258,6 +260,28 @@ class LibraryMachine(Machine):
     def last_fault(self) -> str:
         """Return where an index or divisor was wrong last."""
         return str(self.library.st_last_fault().decode())
+
+    def on_barrier(self, hook: Callable[[], None] | None) -> None:
+        """Call a function at each MemoryBarrier, inside the scan; what it raises, `check` raises."""
+        kind = ctypes.CFUNCTYPE(None)
+        self._broken = None
+
+        def call() -> None:
+            try:
+                if hook is not None:
+                    hook()
+            except BaseException as error:
+                self._broken = error
+
+        self._hook = kind(call)  # kept alive for as long as C may call it
+        place = ctypes.c_void_p.in_dll(self.library, "st_barrier_hook")
+        place.value = ctypes.cast(self._hook, ctypes.c_void_p).value if hook is not None else None
+
+    def check(self) -> None:
+        """Assert what holds for every program at all times."""
+        super().check()
+        if self._broken is not None:
+            raise self._broken
 
     def _start(self) -> None:
         self.library.st_start()

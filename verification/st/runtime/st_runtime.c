@@ -27,6 +27,7 @@ struct mapping {
 struct st_options st_options;
 struct st_counters st_counters;
 uint8_t st_nowhere[65536];
+void (*st_barrier_hook)(void);
 static struct mapping mappings[HANDLES];
 static char directory[4096] = "/dev/shm";
 static char last_fault[256];
@@ -218,5 +219,7 @@ uint8_t MemoryBarrier_MemoryBarrier(void)
 {
     st_counters.barriers++;
     __atomic_thread_fence(__ATOMIC_SEQ_CST);
+    if (st_barrier_hook)
+        st_barrier_hook();
     return 1;
 }

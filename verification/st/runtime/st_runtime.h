@@ -39,6 +39,9 @@ struct st_counters {
 };
 extern struct st_counters st_counters;
 
+/* Called at each MemoryBarrier: a test then looks at, or changes, what the program has in hand. */
+extern void (*st_barrier_hook)(void);
+
 void st_set_directory(const char *path);
 void st_set_time(uint32_t milliseconds);
 const char *st_last_fault(void);
