@@ -90,11 +90,16 @@ class TopicStatus:
         if self.recent and self.reason:
             return Level.WARN, self.reason
         if self.stale:
-            source = "ROS publisher" if to_plc else "the PLC"
-            age = "no message yet" if self.age_ns is None else f"last message {format_age(self.age_ns)} ago"
-            return (
-                Level.STALE,
-                f"{age} from {source}{'' if self.matched or not to_plc else ': nobody publishes'}",
+            if self.age_ns is not None:
+                return Level.STALE, f"last message {format_age(self.age_ns)} ago"
+            if not to_plc:
+                return Level.STALE, "no message yet from the PLC"
+            if not self.matched:
+                return Level.STALE, "no message yet from ROS: nobody publishes"
+            # DDS does not say it where a peer refuses this side for its definition of the type.
+            return Level.STALE, (
+                "no message yet from ROS, though a publisher is there: it is silent, "
+                "or it has another definition of the type and DDS keeps the two apart (ROS003)"
             )
         if not self.peer_alive:
             return Level.WARN, "no PLC task reads it" if to_plc else "no PLC task writes it"
