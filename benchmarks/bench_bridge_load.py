@@ -113,11 +113,17 @@ def quiet(topics: int, rounds: int, seconds: float = ROUND_S) -> dict[str, Any]:
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         text = config(prefix, topics // 2, depth=4, cycle="10ms")
-        process = stack.enter_context(bridge(folder, text, stack.enter_context(ros_domain())))
+        domain = stack.enter_context(ros_domain())
+        process = stack.enter_context(bridge(folder, text, domain))
         time.sleep(min(3.0, seconds))
-        found = share({"bridge": process.pid}, seconds, rounds)
+        found = share({"bridge, nobody there": process.pid}, seconds, rounds)
+        order = {"topics": topics // 2, "count": 0, "rate": 100, "per_scan": 1, "prefix": prefix}
+        with Peer("load_peers", "plc", order, domain) as plc:
+            plc.hear()
+            time.sleep(min(3.0, seconds))
+            found |= share({"bridge, a PLC scans": process.pid}, seconds, rounds)
     rows = [measure.row(name, values) for name, values in found.items()]
-    waiting = "the bridge sleeps as above; no PLC beats, so it ticks every 10 ms"
+    waiting = "the bridge sleeps as above; it ticks every 10 ms while no PLC beats, every 1 ms while one does"
     return measure.table(f"{topics} quiet topics", "% of a core", waiting, rows)
 
 
