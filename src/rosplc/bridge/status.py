@@ -79,6 +79,20 @@ class TopicStatus:
     code: str = ""
     recent: bool = False
 
+    def _staleness(self, to_plc: bool) -> str:
+        source = "ROS publisher" if to_plc else "the PLC"
+        if self.age_ns is not None:
+            return f"last message {format_age(self.age_ns)} ago from {source}"
+        if not to_plc:
+            return f"no message yet from {source}"
+        if not self.matched:
+            return f"no message yet from {source}: nobody publishes"
+        # DDS does not tell this side that a peer refuses it for its definition of the type.
+        return (
+            f"no message yet from {source}, though one is there: it is silent, or it has another "
+            "definition of the type and DDS keeps the two apart (ROS003)"
+        )
+
     @property
     def judgement(self) -> tuple[Level, str]:
         """The level and a sentence for it; the worst counts."""
@@ -90,17 +104,7 @@ class TopicStatus:
         if self.recent and self.reason:
             return Level.WARN, self.reason
         if self.stale:
-            if self.age_ns is not None:
-                return Level.STALE, f"last message {format_age(self.age_ns)} ago"
-            if not to_plc:
-                return Level.STALE, "no message yet from the PLC"
-            if not self.matched:
-                return Level.STALE, "no message yet from ROS: nobody publishes"
-            # DDS does not say it where a peer refuses this side for its definition of the type.
-            return Level.STALE, (
-                "no message yet from ROS, though a publisher is there: it is silent, "
-                "or it has another definition of the type and DDS keeps the two apart (ROS003)"
-            )
+            return Level.STALE, self._staleness(to_plc)
         if not self.peer_alive:
             return Level.WARN, "no PLC task reads it" if to_plc else "no PLC task writes it"
         if not self.matched:

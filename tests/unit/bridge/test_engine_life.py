@@ -362,7 +362,7 @@ def test_both_sides_know_how_many_stand_behind(cell: Cell) -> None:
     assert bridge.status().topic("/in").tasks == ("MainTask",)
     level, words = bridge.status().topic("/in").judgement
     assert level is Level.STALE
-    assert "a publisher is there: it is silent, or it has another definition" in words
+    assert "one is there: it is silent, or it has another definition" in words
     wait_for(
         lambda: not bridge.status().topic("/in").peer_alive and not bridge.status().topic("/out").peer_alive
     )
