@@ -132,3 +132,29 @@ def test_reader_checks_the_distance_too(cell: Cell) -> None:
     plc.on_barrier(None)
     assert cell.get("/plain", "xNew") is False
     assert cell.record("/plain") == bytes(48)
+
+
+def test_reader_checks_the_sequence_again(cell: Cell) -> None:
+    """A slot that is sealed by the second fence is refused, though head stands where it stood (M12, M22)."""
+    channel = cell.channel("/plain")
+    writer = channel.writer()
+    plc = machine(cell)
+    cell.until("/plain", "xAttached", True)
+    sequence = writer.publish(pattern(1))
+    identity = channel.identity
+    at = identity.slots_offset + sequence % identity.slot_count * identity.slot_stride
+    calls = 0
+
+    def seal() -> None:
+        nonlocal calls
+        calls += 1
+        if calls == 2:
+            with channel.path.open("r+b") as file:
+                file.seek(at)
+                file.write(bytes(4))
+
+    plc.on_barrier(seal)
+    plc.scan(READ)
+    plc.on_barrier(None)
+    assert cell.get("/plain", "xNew", "udiRetries") == (False, 4)
+    assert cell.record("/plain") == bytes(48)
