@@ -24,17 +24,9 @@ from verification.st.machine import LibraryMachine, Machine, ProcessMachine
 from verification.st.translator import Options
 
 __all__ = [
-    "READ",
-    "TARGETS",
-    "WRITE",
-    "Cell",
-    "cell_build",
-    "describe",
-    "pattern",
-    "project_texts",
-    "target",
-    "twist",
-]
+    "READ", "TARGETS", "WRITE", "Cell", "cell_build", "cell_texts", "describe", "layout_of", "need_armhf",
+    "pattern", "project_texts", "store", "target", "twist",
+]  # fmt: skip
 
 READ, WRITE = "SharedMemory_Read", "SharedMemory_Write"
 
@@ -129,16 +121,22 @@ TARGETS: dict[str, tuple[Options, Toolchain | None]] = {
 }
 
 
+def need_armhf() -> None:
+    """Skip the test where programs for 32-bit ARM cannot be built or run."""
+    for found, package in (
+        (shutil.which("arm-linux-gnueabihf-gcc"), "gcc-arm-linux-gnueabihf"),
+        (Path("/usr/arm-linux-gnueabihf/include/stdio.h").exists(), "libc6-dev-armhf-cross"),
+        (shutil.which("qemu-arm"), "qemu-user"),
+    ):
+        if not found:
+            pytest.skip(f"Debian package {package} is missing")
+
+
 def target(name: str, more: Mapping[str, str] | None = None) -> Build:
     """Return the cell, built for a target; skip the test where its tools are missing."""
     options, toolchain = TARGETS[name]
     if toolchain is ARMHF:
-        for tool, package in (
-            ("arm-linux-gnueabihf-gcc", "gcc-arm-linux-gnueabihf"),
-            ("qemu-arm", "qemu-user"),
-        ):
-            if shutil.which(tool) is None:
-                pytest.skip(f"Debian package {package} is missing")
+        need_armhf()
     return cell_build(options, toolchain, program=toolchain is not None, more=more)
 
 

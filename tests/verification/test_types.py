@@ -12,7 +12,7 @@ if shutil.which("gcc") is None:
 
 from rosplc.layout import Limits
 from tests.verification.crossing import Crossing
-from tests.verification.plc_cell import layout_of, store
+from tests.verification.plc_cell import layout_of, need_armhf, store
 from verification.st.build import ARMHF
 from verification.st.translator import Options
 
@@ -58,10 +58,6 @@ def test_all_types(distro: str, batch: int) -> None:
 
 def test_sample_under_armhf() -> None:
     """The same blocks, compiled for a 32-bit ARM, cross under qemu-user."""
-    for tool, package in (
-        ("arm-linux-gnueabihf-gcc", "gcc-arm-linux-gnueabihf"), ("qemu-arm", "qemu-user"),
-    ):  # fmt: skip
-        if shutil.which(tool) is None:
-            pytest.skip(f"Debian package {package} is missing")
+    need_armhf()
     crossing = Crossing.of([layout_of(name, "jazzy", LIMITS) for name in SAMPLE[:4]], "jazzy")
     crossing.run(seed=3, toolchain=ARMHF, options=Options(cpu_bits=32))
