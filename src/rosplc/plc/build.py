@@ -153,7 +153,7 @@ def build_project(
         if name != wanted:
             renamings.append(Renaming(f"instance of {topic.topic}", wanted, name))
         argument = (("sTopic", string_literal(topic.topic)),)
-        instances[topic.direction].append(Variable(name, block, None, "", argument))
+        instances[topic.direction].append(Variable(name, block, None, _what(topic), argument))
         calls.setdefault((topic.direction, topic.task), []).append(_call(name, topic, indices[topic.task]))
     programs, plc_tasks = _programs(order, indices, calls, options, builder.scope)
     gvls = [*(item for item in base if isinstance(item, Gvl)), _settings(options), *builder.constants]
@@ -225,6 +225,14 @@ def _settings(options: ProjectOptions) -> Gvl:
     block = VarBlock("VAR_GLOBAL", variables, constant=True)
     comment = "What the generation fixed for the whole project."
     return Gvl(_SETTINGS_GVL, (block,), (("qualified_only", ""),), comment, f"{options.folder}/Base")
+
+
+def _what(topic: PlcTopic) -> str:
+    """Say in a line what an instance carries."""
+    which = ""
+    if topic.direction == "read":
+        which = ", every message" if topic.in_order else ", the newest message"
+    return f"{topic.layout.type_name} in task {topic.task}{which}"
 
 
 def _call(name: str, topic: PlcTopic, task: int) -> str:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import dataclass
+from importlib.resources import files as package_files
 from pathlib import Path
 
 from rosplc.errors import GenerationError
@@ -57,9 +58,14 @@ def project_files(project: PlcProject, layouts: list[Layout], name: str) -> dict
     result[f"{name}.xml"] = plcopen_xml(project)
     result[f"{name}_import.py"] = import_script(project).encode("ascii")
     result[f"{name}.h"] = c_header(layouts, f"{name.upper()}_H").encode()
+    result["README.txt"] = _template("README.txt").replace("{name}", name).encode("ascii")
     if project.notes:
         result["NOTES.txt"] = ("\n".join(project.notes) + "\n").encode()
     return result
+
+
+def _template(name: str) -> str:
+    return package_files("rosplc.plc").joinpath(f"templates/{name}").read_text(encoding="ascii")
 
 
 def write_files(folder: Path, files: dict[str, bytes], *, force: bool = False) -> Delivery:
