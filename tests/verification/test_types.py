@@ -45,7 +45,7 @@ def all_layouts(distro: str) -> list:  # type: ignore[type-arg]
     return [layout_of(name, distro, LIMITS) for name in store(distro).names()]
 
 
-@pytest.mark.verify(minutes=2)
+@pytest.mark.verify(minutes=0.4)
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("batch", range(BATCHES))
 @pytest.mark.parametrize("distro", DISTROS)
