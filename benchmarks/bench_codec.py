@@ -64,7 +64,7 @@ def pack_imu(message: Any) -> bytes:
     stamp, q = message.header.stamp, message.orientation
     w, a = message.angular_velocity, message.linear_acceleration
     head = _IMU.pack(stamp.sec, stamp.nanosec, message.header.frame_id.encode(), q.x, q.y, q.z, q.w)
-    return (
+    return bytes(
         head
         + message.orientation_covariance.tobytes()
         + struct.pack("<3d", w.x, w.y, w.z)

@@ -58,7 +58,13 @@ def test_nothing_is_lost_where_depth_allows_it(
     rate: int, seconds: int, tmp_path: Path, dds_domain: int, shm_prefix: str
 ) -> None:
     """Of 20 topics in each direction every message arrives once, in order, with every byte as it was."""
-    order = {"topics": TOPICS, "count": rate * seconds, "rate": rate, "per_scan": 1, "qos_depth": 5000}
+    order: dict[str, Any] = {
+        "topics": TOPICS,
+        "count": rate * seconds,
+        "rate": rate,
+        "per_scan": 1,
+        "qos_depth": 5000,
+    }
     order |= {"prefix": shm_prefix, "domain": dds_domain}
     ros, plc = carry(tmp_path, config(shm_prefix, TOPICS, depth=4096), order)
     whole = {"received": rate * seconds, "missing": 0, "wrong": 0, "last": rate * seconds}
@@ -81,7 +87,13 @@ def test_what_too_small_a_depth_loses_is_counted_to_the_message(
     rate: int, seconds: int, tmp_path: Path, dds_domain: int, shm_prefix: str
 ) -> None:
     """Where four slots meet a scan of 20 ms, messages that arrive and messages counted as lost are all."""
-    order = {"topics": TOPICS, "count": rate * seconds, "rate": rate, "per_scan": 20, "qos_depth": 5000}
+    order: dict[str, Any] = {
+        "topics": TOPICS,
+        "count": rate * seconds,
+        "rate": rate,
+        "per_scan": 20,
+        "qos_depth": 5000,
+    }
     order |= {"prefix": shm_prefix, "domain": dds_domain}
     ros, plc = carry(tmp_path, config(shm_prefix, TOPICS, depth=4, cycle="20ms"), order)
     for seen, lost, kind in ((plc["seen"], plc["lost"], "in"), (ros["seen"], plc["lost"], "out")):
