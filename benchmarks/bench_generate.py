@@ -22,7 +22,7 @@ from rosplc.model import DISTROS, TypeStore
 from rosplc.plc.build import build_type_library
 from rosplc.plc.delivery import project_files
 from rosplc.plc.plcopen import plcopen_xml
-from rosplc.plc.project import PlcProject
+from rosplc.plc.project import Dut, Gvl, PlcProject, Pou
 from rosplc.plc.script import import_script
 from rosplc.plc.st_text import object_text
 from rosplc.plc.types import DutBuilder
@@ -33,10 +33,11 @@ def contenders(distro: str) -> dict[str, Callable[[], object]]:
     store = TypeStore.bundled(distro)
     layouts = [compute_layout(store, name) for name in store.names()]
     project = build_type_library(store, layouts)
+    items: list[Dut | Gvl | Pou] = [*project.duts, *project.gvls, *project.pous]
     return {
         "layouts": lambda: [compute_layout(store, name) for name in store.names()],
         "project": lambda: build_type_library(store, layouts),
-        "st": lambda: [object_text(item) for item in (*project.duts, *project.gvls, *project.pous)],
+        "st": lambda: [object_text(item) for item in items],
         "plcopen xml": lambda: plcopen_xml(project),
         "import script": lambda: import_script(project),
         "c header": lambda: c_header(layouts),
@@ -49,7 +50,8 @@ def sizes(store: TypeStore, layouts: list[Layout], project: PlcProject) -> dict[
     builder = DutBuilder(store)
     owner = {builder.add(layout): layout.type_name for layout in layouts}
     result: dict[str, int] = dict.fromkeys(owner.values(), 0)
-    for item in (*project.duts, *project.pous):
+    items: list[Dut | Pou] = [*project.duts, *project.pous]
+    for item in items:
         name = item.name.removesuffix("_Read").removesuffix("_Write")
         type_name = owner.get(item.name) or owner.get(name)
         if type_name:
