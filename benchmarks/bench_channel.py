@@ -58,8 +58,8 @@ def channels() -> Iterator[Callable[[str, int], OwnedChannel]]:
 
 
 @contextmanager
-def native(program: Path, *arguments: object) -> Iterator[Callable[[], Measured]]:
-    """Run the C program; give a function that lets it measure once."""
+def native(program: Path, *arguments: object, prefix: str = "C, ") -> Iterator[Callable[[], Measured]]:
+    """Run the C program; give a function that lets it measure once and puts a prefix before its names."""
     process = subprocess.Popen(
         [str(program), *map(str, arguments)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )
@@ -70,7 +70,9 @@ def native(program: Path, *arguments: object) -> Iterator[Callable[[], Measured]
         process.stdin.write("\n")
         process.stdin.flush()
         found = json.loads(process.stdout.readline())
-        return {f"C, {key}": value if isinstance(value, list) else [value] for key, value in found.items()}
+        return {
+            f"{prefix}{key}": value if isinstance(value, list) else [value] for key, value in found.items()
+        }
 
     try:
         yield once

@@ -9,6 +9,7 @@ import sys
 import pytest
 
 from benchmarks import bench_bridge_latency, bench_bridge_load, bench_channel, measure
+from rosplc.layout import Limits
 
 
 def rows(report: dict[str, object]) -> dict[str, dict[str, dict[str, float]]]:
@@ -74,6 +75,19 @@ def test_the_latency_benchmark() -> None:
     assert len(found) == 2
     for table in found.values():
         assert "DDS → bare subscriber" in table
+
+
+def test_the_structured_text_benchmark() -> None:
+    """Both blocks move every message of the loop, and so does the core beside them."""
+    pytest.importorskip("blark")
+    if shutil.which("gcc") is None:
+        pytest.skip("Debian package gcc is missing")
+    from benchmarks import bench_st
+
+    found = rows(bench_st.run(1, {"Twist": bench_st.Case("geometry_msgs/msg/Twist", Limits(), 64)}))
+    table = found["Twist, one cycle"]
+    assert set(table) == {"ST, read", "ST, write", "C core, read", "C core, write"}
+    assert all(row["count"] == 20 and row["median"] > 0 for row in table.values())
 
 
 def test_a_benchmark_prints_json(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
