@@ -221,6 +221,7 @@ _register("PLC002", "output folder cannot be written", "Check the path and the p
 _register("PLC003", "too many tasks", "The PLC's blocks serve at most 16 tasks; put topics of like urgency into one.")
 _register("PLC004", "Structured Text cannot be translated", "Correct the named line; the translator knows the constructs that generated code uses.")
 _register("PLC005", "tasks differ by case only", "CODESYS does not tell such names apart; rename one in `tasks`.")
+_register("PLC006", "topic name is too long for the PLC", "The blocks take names of up to 255 characters; choose a shorter one.")
 
 _register("SYS001", "a program or package is missing", "Install the named Debian package.")
 _register("SYS002", "a child process failed", "See its output above.")

@@ -27,6 +27,7 @@ __all__ = ["PlcTask", "PlcTopic", "ProjectOptions", "build_project", "build_type
 _ON_STALE = {"hold": 0, "zero": 1, "value": 2}
 _LARGE_DUT = 64 * 1024
 _MOST_TASKS = 16  # as many as RosPlc_State.axMayOpen has elements
+_LONGEST_TOPIC = 255  # bytes: FB_Init of RosPlc_Channel takes a STRING(255)
 _READ_GVL, _WRITE_GVL, _SETTINGS_GVL = "ROS_Read", "ROS_Write", "RosPlc_Settings"
 
 
@@ -130,9 +131,10 @@ def build_project(
 
     Raises:
         GenerationError: PLC003, there are more tasks than the blocks serve; PLC005, two tasks have
-            names that are one to CODESYS.
+            names that are one to CODESYS; PLC006, a topic's name is longer than the blocks take.
     """
     _check_tasks(tasks)
+    _check_topics(topics)
     options = options or ProjectOptions()
     topics = sorted(topics, key=lambda item: item.topic)
     base = base_objects(f"{options.folder}/Base")
@@ -206,6 +208,13 @@ def _check_tasks(tasks: Sequence[PlcTask]) -> None:
         other = seen.setdefault(task.name.upper(), task.name)
         if other != task.name:
             raise GenerationError("PLC005", f"{other} and {task.name}", where="tasks")
+
+
+def _check_topics(topics: Sequence[PlcTopic]) -> None:
+    for topic in topics:
+        # CODESYS would cut the literal off without a word, and the block look for another object.
+        if len(topic.topic.encode()) > _LONGEST_TOPIC:
+            raise GenerationError("PLC006", f"the name has {len(topic.topic)} characters", where=topic.topic)
 
 
 def _builder(store: TypeStore, options: ProjectOptions, base: Sequence[Dut | Gvl | Pou]) -> DutBuilder:

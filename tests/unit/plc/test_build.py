@@ -95,6 +95,17 @@ def test_sixteen_tasks_are_served_and_seventeen_refused():
     assert "17" in str(caught.value)
 
 
+@pytest.mark.parametrize("make", [read, write])
+def test_a_topic_of_255_characters_is_served_and_a_longer_one_refused(make):
+    """CODESYS would cut the name off, and the block would wait for an object that never comes."""
+    longest = "/" + "a" * 254
+    assert f"'{longest}'" in str(project(make(longest)).gvls)
+    with pytest.raises(GenerationError) as caught:
+        project(make(longest + "a"))
+    assert caught.value.code == "PLC006"
+    assert longest + "a" in str(caught.value)
+
+
 def test_topics_that_share_an_instance_name_are_told_apart_by_suffixes():
     """Neither keeps the plain name, so that it never comes to stand for another topic."""
     made = project(read("/a/b"), read("/a_b", TWIST), read("/A/b"))
