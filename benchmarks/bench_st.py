@@ -105,8 +105,8 @@ def objects_of(namespace: Namespace, index: int, layout: Layout) -> Iterator[lis
         ):
             about = Description(
                 topic=f"/{verb}{index}", type=layout.type_name, distro=layout.store.distro,
-                direction=direction, limits=layout.limits.to_dict(), layout_id=layout.layout_id, bridge="bench",
-                definition=layout.store.definition_text(layout.type_name),
+                direction=direction, limits=layout.limits.to_dict(), layout_id=layout.layout_id,
+                bridge="bench", definition=layout.store.definition_text(layout.type_name),
             )  # fmt: skip
             channel = OwnedChannel.open(namespace, about, record_size=layout.size, slots=SLOTS)
             stack.callback(channel.close)
