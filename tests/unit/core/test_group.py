@@ -251,24 +251,21 @@ def test_ticks_that_are_none(arguments: tuple[int, ...]) -> None:
         _native.Group().wait(*arguments)
 
 
-@pytest.mark.serial
-def test_idle_costs_little(shm_namespace: Namespace, codec: Codec) -> None:
-    """200 quiet channels at a tick of 1 ms cost less than 3 % of a core."""
+def test_a_quiet_wait_sleeps_once_a_tick(shm_namespace: Namespace, codec: Codec) -> None:
+    """With nothing to take, the wait sleeps from tick to tick; what that costs is benchmarks/'s to say."""
     group = _native.Group()
     channels = []
-    for index in range(200):
+    for index in range(20):
         channel = open_channel(
             shm_namespace, Direction.TO_ROS, topic=f"/quiet{index}", record_size=codec.layout.size
         )
         group.add_reader(channel.reader(), codec.plan)
         channels.append(channel)
-    shares = []
-    for _ in range(3):
-        before, begin = resource.getrusage(resource.RUSAGE_SELF), time.monotonic()
-        assert group.wait(_TICK, 2 * _SECOND) == 0
-        after = resource.getrusage(resource.RUSAGE_SELF)
-        spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-        shares.append(spent / (time.monotonic() - begin))
+    begin, before = time.monotonic(), resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw
+    assert group.wait(10 * _TICK, _SECOND) == 0
+    sleeps = resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw - before
+    ticks = (time.monotonic() - begin) * 100
     for channel in channels:
         channel.close()
-    assert min(shares) < 0.03
+    # A spinning wait never sleeps, one that wakes for other reasons sleeps more often than it ticks.
+    assert 1 <= sleeps <= ticks + 5
