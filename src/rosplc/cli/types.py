@@ -29,12 +29,6 @@ rosplc types my_msgs/Part --path ./msg  —  a custom type
 rosplc types --distros  —  the bundled distributions
 """
 
-_IEC = {
-    "bool": "BOOL", "byte": "BYTE", "char": "USINT", "uint8": "USINT", "int8": "SINT", "uint16": "UINT",
-    "int16": "INT", "uint32": "UDINT", "int32": "DINT", "uint64": "ULINT", "int64": "LINT",
-    "float32": "REAL", "float64": "LREAL",
-}  # fmt: skip
-
 
 @guarded
 def command(
@@ -179,9 +173,10 @@ def ros_name(node: Node) -> str:
 def iec_name(node: Node) -> str:
     """Return a node's type in IEC 61131-3, messages by their ROS name's last part."""
     from rosplc.layout import ArrayNode, ScalarNode, SequenceNode, StringNode, StructNode
+    from rosplc.plc.literals import IEC_TYPES
 
     if isinstance(node, ScalarNode):
-        return _IEC[node.kind]
+        return IEC_TYPES[node.kind]
     if isinstance(node, StringNode):
         return f"STRING({node.capacity})"
     if isinstance(node, ArrayNode):
