@@ -42,12 +42,11 @@ def read_block(layout: Layout, builder: DutBuilder, name: str, folder: str, *, p
     outputs = [Variable("msg", dut, None, "the message")]
     outputs += [Variable(pin, type_, None, f"msg.{field}") for pin, field, type_ in pin_list]
     assigns = "".join(f"\n{pin} := msg.{field};" for pin, field, _ in pin_list)
-    body = f"""xTaken := FALSE;
-IF NOT Enter() THEN
+    body = f"""IF NOT Enter() THEN
     RETURN;
 END_IF;
 IF BeginRead(udiLayoutLo := 16#{low:08X}, udiLayoutHi := 16#{high:08X}, udiRecordSize := {layout.size}) THEN
-    xTaken := Receive();
+    Receive();
 END_IF;
 EndRead();
 Degrade();{assigns}"""
@@ -120,7 +119,7 @@ Degrade := xNowStale;""",
     blocks = (
         VarBlock("VAR_INPUT", (Variable("stSafe", dut, None, "msg when stale, with uiOnStale = 2"),)),
         VarBlock("VAR_OUTPUT", tuple(outputs)),
-        VarBlock("VAR", (Variable("stShadow", dut), Variable("xTaken", "BOOL"))),
+        VarBlock("VAR", (Variable("stShadow", dut),)),
     )
     return Pou(
         name, "FUNCTION_BLOCK", blocks, body, methods, "RosPlc_Reader",
