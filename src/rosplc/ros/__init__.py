@@ -27,6 +27,7 @@ from rosplc.ros.names import Remapping
 __all__ = [
     "BACKENDS",
     "DEFAULT",
+    "INSTALL",
     "LATCHED",
     "PRESETS",
     "SENSOR_DATA",
@@ -44,8 +45,22 @@ __all__ = [
     "open_backend",
 ]
 
-BACKENDS: dict[str, str] = {"dds": "rosplc.ros.dds", "memory": "rosplc.ros.memory"}
-"""Backend name → the module whose ``open_backend`` makes one."""
+BACKENDS: dict[str, str] = {
+    "dds": "rosplc.ros.dds",
+    "rclpy": "rosplc.ros.rclpy",
+    "zenoh": "rosplc.ros.zenoh",
+    "rospy": "rosplc.ros.rospy",
+    "memory": "rosplc.ros.memory",
+}
+"""Backend name → the module whose ``open_backend`` makes one; imported when it is asked for."""
+
+INSTALL: dict[str, str] = {
+    "dds": "pip install cyclonedds (x86-64, Python before 3.14)",
+    "rclpy": "install ROS 2 and source its setup.bash, with a Python that its packages are built for",
+    "zenoh": "pip install 'rosplc[zenoh]'",
+    "rospy": "apt-get install python3-rospy",
+}
+"""Backend name → how its package comes onto a machine."""
 
 _AUTOMATIC = ("dds",)  # in this order; `memory` leads nowhere and is never chosen by itself
 
@@ -59,6 +74,7 @@ def open_backend(
     *,
     remap: Mapping[str, str] | None = None,
     environment: Mapping[str, str] | None = None,
+    options: Mapping[str, object] | None = None,
 ) -> Backend:
     """Join the ROS graph as one node.
 
@@ -71,6 +87,7 @@ def open_backend(
         domain: The ROS domain; None: ``ROS_DOMAIN_ID`` of the environment, else 0.
         remap: Topic → topic (:func:`rosplc.ros.names.resolve_topic`).
         environment: Variables to use in place of the process's own.
+        options: The backend's own keys of the configuration (``ros.zenoh``); others have none.
 
     Raises:
         BackendError: ROS001 if the backend is unknown or its package is missing, ROS002 if
@@ -78,15 +95,19 @@ def open_backend(
     """
     if name != "auto" and name not in BACKENDS:
         raise BackendError("ROS001", f"there is no backend {name!r}; there are: auto, {', '.join(BACKENDS)}")
-    missing = []
+    missing: list[tuple[str, ImportError]] = []
     for candidate in _AUTOMATIC if name == "auto" else (name,):
         try:
             module = importlib.import_module(BACKENDS[candidate])
         except ImportError as error:
-            missing.append(f"{candidate} ({error})")
+            missing.append((candidate, error))
             continue
         backend: Backend = module.open_backend(
-            store, node_name, namespace, domain, remap=remap, environment=environment
+            store, node_name, namespace, domain, remap=remap, environment=environment, options=options
         )
         return backend
-    raise BackendError("ROS001", f"the packages of these backends are not installed: {', '.join(missing)}")
+    raise BackendError(
+        "ROS001",
+        f"the packages of these backends are not installed: {', '.join(f'{n} ({e})' for n, e in missing)}",
+        remedy="; ".join(f"for {n}: {INSTALL[n]}" for n, _ in missing if n in INSTALL) + ".",
+    )

@@ -52,6 +52,12 @@ class TypeSource(Protocol):
     def type_hash(self, name: str) -> str:
         """Return the ROS 2 type hash, ``RIHS01_`` and 64 hex digits."""
 
+    def md5(self, name: str) -> str:
+        """Return the ROS 1 MD5 sum, 32 hex digits."""
+
+    def definition_text(self, name: str) -> str:
+        """Return the definition with every type it needs, as ROS 1 puts it into connection headers."""
+
 
 @dataclass(frozen=True, slots=True)
 class EndpointStatus:

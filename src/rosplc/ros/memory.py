@@ -326,8 +326,9 @@ def open_backend(
     *,
     remap: Mapping[str, str] | None = None,
     environment: Mapping[str, str] | None = None,
+    options: Mapping[str, object] | None = None,
 ) -> MemoryBackend:
-    """Join the graph of this process; arguments and errors as for :func:`rosplc.ros.open_backend`."""
+    """Join the graph of this process; arguments, without options, as :func:`rosplc.ros.open_backend`."""
     variables = os.environ if environment is None else environment
     text = str(domain) if domain is not None else variables.get("ROS_DOMAIN_ID") or "0"
     if not text.isascii() or not text.isdigit():

@@ -346,8 +346,9 @@ def open_backend(
     *,
     remap: Mapping[str, str] | None = None,
     environment: Mapping[str, str] | None = None,
+    options: Mapping[str, object] | None = None,
 ) -> DdsBackend:
-    """Join a ROS 2 graph; arguments and errors as for :func:`rosplc.ros.open_backend`."""
+    """Join a ROS 2 graph; arguments and errors as for :func:`rosplc.ros.open_backend`; no options."""
     return DdsBackend(
         store, node_name, namespace, domain, remap or {}, os.environ if environment is None else environment
     )

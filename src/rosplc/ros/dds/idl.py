@@ -8,7 +8,7 @@ XCDR version 1; ``byte`` and ``char`` travel as octets
 from __future__ import annotations
 
 import threading
-from typing import Any
+from typing import Any, Protocol
 
 from cyclonedds.idl import make_idl_struct
 from cyclonedds.idl import types as idl_types
@@ -22,7 +22,6 @@ from rosplc.model.types import (
     SequenceType,
     StringType,
 )
-from rosplc.ros.backend import TypeSource
 
 __all__ = ["IdlTypes", "dds_topic", "dds_type_name", "ros_topic", "ros_type_name"]
 
@@ -61,10 +60,17 @@ def ros_topic(name: str) -> str | None:
     return name[2:] if name.startswith("rt/") else None
 
 
+class Definitions(Protocol):
+    """What the types are built from; a type store is one."""
+
+    def __getitem__(self, name: str) -> MessageType:
+        """Return a type; TYP001 if it is unknown."""
+
+
 class IdlTypes:
     """The wheel's type classes for the message types of one store, made when first asked for."""
 
-    def __init__(self, store: TypeSource) -> None:
+    def __init__(self, store: Definitions) -> None:
         self._store = store
         self._made: dict[str, Any] = {}
         self._lock = threading.Lock()
