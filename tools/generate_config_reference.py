@@ -119,6 +119,8 @@ def page() -> str:
         if name == "topics":
             qos = definitions["QosSettings"]
             lines += ["\n### `qos`\n", f"{qos['description']}\n", *_rows(qos, definitions)]
+            classic = definitions["ClassicSettings"]
+            lines += ["\n### `classic`\n", f"{classic['description']}\n", *_rows(classic, definitions)]
     return "\n".join(lines) + "\n"
 
 

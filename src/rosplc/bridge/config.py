@@ -86,6 +86,8 @@ def _allow_short_forms(schema: dict[str, Any]) -> None:
     qos = schema["$defs"]["TopicSettings"]["properties"]["qos"]
     reference = {"$ref": qos.pop("$ref")} if "$ref" in qos else {"allOf": qos.pop("allOf")}
     qos["anyOf"] = [reference, {"enum": ["default", "sensor_data", "latched"], "type": "string"}]
+    classic = schema["$defs"]["TopicSettings"]["properties"]["classic"]
+    classic["anyOf"] = [{"type": "boolean"}, *classic["anyOf"]]
     for name in ("tasks", "topics"):
         schema["properties"][name]["additionalProperties"] = False  # names that miss the pattern
     for name, value in schema["properties"].items():

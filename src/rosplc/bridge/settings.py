@@ -26,6 +26,7 @@ from rosplc.model import DISTROS
 from rosplc.ros import BACKENDS
 
 __all__ = [
+    "ClassicSettings",
     "DiagnosticsSettings",
     "LimitSettings",
     "QosSettings",
@@ -77,6 +78,7 @@ def _schema(expression: str) -> WithJsonSchema:
 _WORD = r"[A-Za-z][A-Za-z0-9_-]{0,31}"
 _NODE = r"[A-Za-z_][A-Za-z0-9_]{0,254}"
 _NAMESPACE = r"/|(/[A-Za-z_][A-Za-z0-9_]*)+"
+_SHM_NAME = r"(?!sem\.)[A-Za-z0-9_][A-Za-z0-9_.-]{0,79}"
 _TASK = r"[A-Za-z_][A-Za-z0-9_]{0,63}"
 _TYPE = r"[A-Za-z][A-Za-z0-9_]*(/msg)?/[A-Za-z][A-Za-z0-9_]*"
 
@@ -84,6 +86,11 @@ TopicName = Annotated[str, AfterValidator(_topic_name), _schema(_TOPIC)]
 Word = Annotated[str, _pattern(_WORD, "a letter, then at most 31 letters, digits, _ or -"), _schema(_WORD)]
 NodeName = Annotated[str, _pattern(_NODE, "letters, digits and _, not a digit first"), _schema(_NODE)]
 NamespaceName = Annotated[str, _pattern(_NAMESPACE, "/ or a name such as /robot1"), _schema(_NAMESPACE)]
+SharedName = Annotated[
+    str,
+    _pattern(_SHM_NAME, "a name without a slash: at most 80 letters, digits, _ . or -, not sem.… itself"),
+    _schema(_SHM_NAME),
+]
 TaskName = Annotated[str, _pattern(_TASK, "letters, digits and _, not a digit first"), _schema(_TASK)]
 TypeName = Annotated[
     str, _pattern(_TYPE, "package/msg/Name, such as geometry_msgs/msg/Twist"), _schema(_TYPE)
@@ -197,6 +204,39 @@ def _qos(value: Any) -> Any:
     return {"preset": value} if isinstance(value, str) else value
 
 
+class ClassicSettings(_Section):
+    """Classic mode: the bare record at offset 0 of a shared memory, guarded by a named semaphore.
+
+    For PLC projects that exist already; `classic: true` takes every default.
+    """
+
+    name: SharedName | None = _f(
+        None,
+        "Name of the shared memory, without a slash. "
+        "Without it the topic's, with dots for inner slashes: `/cmd_vel` is `cmd_vel`.",
+    )
+    semaphore: SharedName | None = _f(
+        None,
+        "Name of the semaphore, without `sem.`; without it the memory's. "
+        "`none`: nothing guards the memory, as in CODESYS' own sample.",
+    )
+    wait_ns: Annotated[Duration, between("100us", "1s")] = _f(
+        "5ms",
+        "How long a side tries to get the lock before it leaves it for the next time, 100us to 1s.",
+        alias="wait",
+    )
+    recover_after_ns: Annotated[Duration, between("20ms", "1h")] = _f(
+        "1s",
+        "How long the lock must be held without any sign of life before its holder counts as dead and the "
+        "bridge frees it, 20ms to 1h. Longer than anything that may stop a living holder.",
+        alias="recover_after",
+    )
+
+
+def _classic(value: Any) -> Any:
+    return {} if value is True else None if value is False else value
+
+
 class TopicSettings(_Section):
     """One topic, carried in one direction."""
 
@@ -240,7 +280,11 @@ class TopicSettings(_Section):
         "In between the newest waits; the last one is never dropped.",
         alias="rate_limit",
     )
-    on_change: bool = _f(False, "Pass a message on only if it differs from the one before.")
+    on_change: bool = _f(
+        False,
+        "Pass a message on only if it differs from the one before. `classic` towards ROS: true unless "
+        "written, since nothing else tells of a new message; `false` publishes at every look.",
+    )
     on_overflow: Literal["refuse", "truncate"] = _f(
         "refuse", "What happens to a message that exceeds a limit: refused and counted, or cut and counted."
     )
@@ -251,6 +295,11 @@ class TopicSettings(_Section):
         alias="stale_after",
     )
     print: bool = _f(False, "Log each message; for debugging.")
+    classic: Annotated[ClassicSettings | None, BeforeValidator(_classic)] = _f(
+        None,
+        "`true`, or keys below: carry this topic as existing shared-memory projects do. "
+        "There is one record, so `depth` and `every` do not go with it.",
+    )
 
     @model_validator(mode="after")
     def _latched_and_durability_agree(self) -> TopicSettings:
@@ -263,6 +312,13 @@ class TopicSettings(_Section):
             raise ValueError(
                 f"latched: {str(self.latched).lower()} contradicts durability: {durability}; keep one of them"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _classic_memory_holds_one_record(self) -> TopicSettings:
+        if self.classic is not None and (self.depth is not None or self.every):
+            word = "every: true" if self.every else "depth"
+            raise ValueError(f"{word} does not go with classic, which holds one record; remove one of them")
         return self
 
 

@@ -51,6 +51,9 @@ topics:
     stale_after: never
     print: true
   /scan: {type: sensor_msgs/msg/LaserScan, to: plc, qos: sensor_data, rate_limit: 10Hz, latched: false}
+  /old: {type: std_msgs/msg/Bool, to: ros, classic: {name: io, semaphore: lock, wait: 2ms, recover_after: 3s}}
+  /older: {type: std_msgs/msg/Bool, to: ros, classic: true}
+  /new: {type: std_msgs/msg/Bool, to: ros, classic: false}
 """
 TOPIC = "topics: {/a: {type: std_msgs/msg/Bool, to: plc, "
 
@@ -83,7 +86,7 @@ def test_every_key_is_read() -> None:
         "type": "sensor_msgs/JointState", "to": "ros", "task": None, "latched": None, "every": False,
         "limits": {"name": 6, "name[]": 20, "string": 16}, "depth": 9, "rate_ns": 10**7,
         "rate_limit_ns": 2 * 10**7, "on_change": True, "on_overflow": "truncate", "stale_after_ns": 0,
-        "print": True,
+        "print": True, "classic": None,
     }  # fmt: skip
     assert joints.qos.model_dump() == {
         "preset": "sensor_data", "reliability": "reliable", "durability": None, "depth": 3,
@@ -91,6 +94,14 @@ def test_every_key_is_read() -> None:
     assert settings.topics["/cmd_vel"].stale_after_ns == 200_000_000
     assert settings.topics["/scan"].qos.preset == "sensor_data"
     assert settings.topics["/scan"].rate_limit_ns == 100_000_000
+    old = settings.topics["/old"].classic
+    assert old is not None
+    assert old.model_dump() == {
+        "name": "io", "semaphore": "lock", "wait_ns": 2 * 10**6, "recover_after_ns": 3 * 10**9,
+    }  # fmt: skip
+    older = settings.topics["/older"].classic
+    assert older is not None and older.name is None and older.wait_ns == 5 * 10**6
+    assert settings.topics["/new"].classic is None
 
 
 def test_defaults() -> None:
