@@ -193,6 +193,8 @@ _register("SHM123", "shared memory directory cannot be used", "Check that /dev/s
 _register("SHM124", "function block was called by two tasks at once", "An instance belongs to one task; declare one instance per task.")
 _register("SHM125", "peer is silent", "Start the other side, or look why it stopped; it is found again by itself.")
 _register("SHM126", "handshake took too long", "Look why the other side did not report the job as done.")
+_register("SHM127", "the lock was not free in time", "Somebody holds the semaphore, or died inside; the bridge frees it after classic: recover_after.")
+_register("SHM128", "the semaphore cannot be opened", "Both sides must be allowed to write /dev/shm/sem.NAME: same user or group; remove one that nobody needs.")
 
 _register("CFG001", "file cannot be read", "Check the path and the permissions.")
 _register("CFG002", "not valid YAML", "Correct the named line; indentation and colons are the usual causes.")
@@ -229,3 +231,5 @@ _register("SYS003", "no DDS domain is free", "End other ROS programs on this mac
 _register("SYS004", "processes did not find each other", "See the message for who waits for what; a firewall on loopback is a usual cause.")
 _register("SYS005", "output cannot be written", "Free space where stdout leads to, or send it elsewhere.")
 _register("SYS006", "too many files are open", "A bridge holds one per topic: raise the limit (ulimit -n, LimitNOFILE= in a systemd unit).")
+_register("SYS007", "benchmark report cannot be read", "Name a report.json that `rosplc bench --out DIR` of this release wrote.")
+_register("SYS008", "shared memory cannot be used", "Check that /dev/shm is mounted, writable for this user and not full.")
