@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from rosplc._version import __version__
-from rosplc.cli import check, demo, generate, run, show, types
+from rosplc.cli import bench, check, demo, generate, run, show, types
 
 __all__ = ["app"]
 
@@ -24,6 +24,8 @@ rosplc generate rosplc.yaml  —  the PLC half, for CODESYS
 rosplc run rosplc.yaml  —  carry the topics of a configuration
 
 rosplc show /cmd_vel  —  what stands in a topic's shared memory now
+
+rosplc bench  —  Modbus, OPC UA and shared memory compared on this machine
 """
 
 app = typer.Typer(
@@ -42,6 +44,7 @@ for _name, _verb in (
     ("types", types),
     ("generate", generate),
     ("demo", demo),
+    ("bench", bench),
 ):
     app.command(_name, epilog=_verb.EPILOG)(_verb.command)
 

@@ -1,0 +1,89 @@
+"""Figures as PNG and SVG; the only module that knows matplotlib."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from rosplc.bench.results import Figure
+from rosplc.errors import SetupError
+
+__all__ = ["available", "draw"]
+
+_MARKERS = "osD^vP*Xhp<>d"
+_WIDTH, _HEIGHT, _DPI = 9.0, 5.2, 130
+
+
+def available() -> bool:
+    """Return whether figures can be drawn here."""
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError:
+        return False
+    return True
+
+
+def draw(figure: Figure, folder: Path) -> list[Path]:
+    """Write a figure as ``NAME.png`` and ``NAME.svg``; return the files.
+
+    Raises:
+        SetupError: SYS001, matplotlib is missing.
+    """
+    try:
+        import matplotlib as mpl
+    except ImportError as error:
+        raise SetupError(
+            "SYS001", "the Python package matplotlib is missing", remedy="pip install 'rosplc[bench]'"
+        ) from error
+    mpl.use("Agg")  # no display is needed, and none is looked for
+    from matplotlib import pyplot
+
+    # The same text for the same figure: no random ids and no date in the SVG.
+    with mpl.rc_context({"svg.hashsalt": "rosplc", "font.size": 10, "axes.grid": True, "grid.alpha": 0.3}):
+        height = max(_HEIGHT, 0.36 * len(figure.series) + 1.5) if figure.kind == "bars" else _HEIGHT
+        drawing, axes = pyplot.subplots(figsize=(_WIDTH, height), layout="constrained")
+        if figure.kind == "bars":
+            _bars(axes, figure)
+        else:
+            _lines(axes, figure)
+        axes.set_title(figure.title, fontsize=11, loc="left", wrap=True)
+        paths = [folder / f"{figure.name}.{ending}" for ending in ("png", "svg")]
+        drawing.savefig(paths[0], dpi=_DPI, metadata={"Software": None})
+        drawing.savefig(paths[1], metadata={"Date": None, "Creator": None})
+        pyplot.close(drawing)
+    return paths
+
+
+def _lines(axes: Any, figure: Figure) -> None:
+    for number, series in enumerate(figure.series):
+        axes.plot(
+            series.x,
+            series.y,
+            marker=_MARKERS[number % len(_MARKERS)],
+            markersize=5,
+            linewidth=1.5,
+            linestyle="-" if number < 10 else "--",
+            label=series.name,
+        )
+    if figure.x_log:
+        axes.set_xscale("log")
+    if figure.y_log:
+        axes.set_yscale("log")
+    axes.set_xlabel(figure.x_label)
+    axes.set_ylabel(figure.y_label)
+    # Beside the lines and in their order: a dozen names inside would cover what they name.
+    axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), fontsize=8, frameon=False)
+
+
+def _bars(axes: Any, figure: Figure) -> None:
+    names = [series.name for series in figure.series]
+    values = [series.y[0] for series in figure.series]
+    bars = axes.barh(range(len(names)), values, color="#4477aa", height=0.7)
+    axes.set_yticks(range(len(names)), names, fontsize=9)
+    axes.invert_yaxis()
+    axes.grid(visible=False, axis="y")
+    if figure.y_log:
+        axes.set_xscale("log")
+    axes.bar_label(bars, labels=[f"{value:,.3g}" for value in values], padding=3, fontsize=8)
+    axes.margins(x=0.15)
+    axes.set_xlabel(figure.y_label)
