@@ -195,6 +195,12 @@ _register("SHM125", "peer is silent", "Start the other side, or look why it stop
 _register("SHM126", "handshake took too long", "Look why the other side did not report the job as done.")
 _register("SHM127", "the lock was not free in time", "Somebody holds the semaphore, or died inside; the bridge frees it after classic: recover_after.")
 _register("SHM128", "the semaphore cannot be opened", "Both sides must be allowed to write /dev/shm/sem.NAME: same user or group; remove one that nobody needs.")
+_register("SHM129", "the memory is smaller than the record", "Both sides need the same message type and limits; remove /dev/shm/NAME when nobody uses it, or choose another name.")
+_register("SHM129", "classic memory is smaller than the record", "The other side has another struct: correct type, limits or name of the topic, or remove an object that nobody uses.")
+_register("SHM130", "classic memory has an odd size", "Larger than the record is allowed, but where it is not by whole pages the other side probably has another struct: compare the two.")
+_register("SHM131", "a lock that nobody alive held was freed", "Look why its holder died or stood still; if it was only slow, raise classic: recover_after.")
+_register("SHM132", "a semaphore let in more than one", "Somebody created it with more than 1 or left it twice; the bridge has corrected it.")
+_register("SHM133", "semaphore of programs of another word size", "A 32-bit and a 64-bit program cannot share a semaphore: run both sides with the same word size, or carry the topic over the default channel.")
 
 _register("CFG001", "file cannot be read", "Check the path and the permissions.")
 _register("CFG002", "not valid YAML", "Correct the named line; indentation and colons are the usual causes.")
@@ -217,6 +223,8 @@ _register("ROS007", "QoS settings are not valid", "See the message for what woul
 _register("ROS008", "payload is not a message of the topic's type", "Send serialized bytes of the advertised type, with their 4-byte header.")
 _register("ROS009", "backend or endpoint is closed", "Open it again; a closed one is of no further use.")
 _register("ROS010", "setting of the ROS environment is not valid", "Correct the named environment variable.")
+_register("ROS011", "message package is not installed in ROS", "Install the package for the ROS distribution, or build it, and source its setup.bash.")
+_register("ROS012", "installed message type differs from the bridge's", "Set ros.distro to the installed distribution, or name the installed package's .msg folder in types.paths.")
 
 _register("PLC001", "a generated file was edited", "Move your changes elsewhere and remove the file, or run again with --force.")
 _register("PLC002", "output folder cannot be written", "Check the path and the permissions.")
