@@ -225,6 +225,7 @@ _register("ROS009", "backend or endpoint is closed", "Open it again; a closed on
 _register("ROS010", "setting of the ROS environment is not valid", "Correct the named environment variable.")
 _register("ROS011", "message package is not installed in ROS", "Install the package for the ROS distribution, or build it, and source its setup.bash.")
 _register("ROS012", "installed message type differs from the bridge's", "Set ros.distro to the installed distribution, or name the installed package's .msg folder in types.paths.")
+_register("ROS013", "option of a backend is not valid", "See the message for the keys and values that the backend takes.")
 
 _register("PLC001", "a generated file was edited", "Move your changes elsewhere and remove the file, or run again with --force.")
 _register("PLC002", "output folder cannot be written", "Check the path and the permissions.")
