@@ -195,7 +195,6 @@ _register("SHM125", "peer is silent", "Start the other side, or look why it stop
 _register("SHM126", "handshake took too long", "Look why the other side did not report the job as done.")
 _register("SHM127", "the lock was not free in time", "Somebody holds the semaphore, or died inside; the bridge frees it after classic: recover_after.")
 _register("SHM128", "the semaphore cannot be opened", "Both sides must be allowed to write /dev/shm/sem.NAME: same user or group; remove one that nobody needs.")
-_register("SHM129", "the memory is smaller than the record", "Both sides need the same message type and limits; remove /dev/shm/NAME when nobody uses it, or choose another name.")
 _register("SHM129", "classic memory is smaller than the record", "The other side has another struct: correct type, limits or name of the topic, or remove an object that nobody uses.")
 _register("SHM130", "classic memory has an odd size", "Larger than the record is allowed, but where it is not by whole pages the other side probably has another struct: compare the two.")
 _register("SHM131", "a lock that nobody alive held was freed", "Look why its holder died or stood still; if it was only slow, raise classic: recover_after.")
@@ -226,6 +225,8 @@ _register("ROS010", "setting of the ROS environment is not valid", "Correct the 
 _register("ROS011", "message package is not installed in ROS", "Install the package for the ROS distribution, or build it, and source its setup.bash.")
 _register("ROS012", "installed message type differs from the bridge's", "Set ros.distro to the installed distribution, or name the installed package's .msg folder in types.paths.")
 _register("ROS013", "option of a backend is not valid", "See the message for the keys and values that the backend takes.")
+_register("ROS014", "ROS master is not reachable", "Start roscore, or set ROS_MASTER_URI to where it runs; the bridge connects as soon as it answers.")
+_register("ROS015", "node was told to leave the ROS graph", "Give each bridge a name of its own in ros.node_name, and start this one again.")
 
 _register("PLC001", "a generated file was edited", "Move your changes elsewhere and remove the file, or run again with --force.")
 _register("PLC002", "output folder cannot be written", "Check the path and the permissions.")
@@ -233,6 +234,7 @@ _register("PLC003", "too many tasks", "The PLC's blocks serve at most 16 tasks; 
 _register("PLC004", "Structured Text cannot be translated", "Correct the named line; the translator knows the constructs that generated code uses.")
 _register("PLC005", "tasks differ by case only", "CODESYS does not tell such names apart; rename one in `tasks`.")
 _register("PLC006", "topic name is too long for the PLC", "The blocks take names of up to 255 characters; choose a shorter one.")
+_register("PLC007", "name is not valid for a classic topic", "Memories and semaphores have 1 to 80 printable characters, none of them a slash or a blank.")
 
 _register("SYS001", "a program or package is missing", "Install the named Debian package.")
 _register("SYS002", "a child process failed", "See its output above.")
@@ -242,3 +244,4 @@ _register("SYS005", "output cannot be written", "Free space where stdout leads t
 _register("SYS006", "too many files are open", "A bridge holds one per topic: raise the limit (ulimit -n, LimitNOFILE= in a systemd unit).")
 _register("SYS007", "benchmark report cannot be read", "Name a report.json that `rosplc bench --out DIR` of this release wrote.")
 _register("SYS008", "shared memory cannot be used", "Check that /dev/shm is mounted, writable for this user and not full.")
+_register("SYS009", "a program of the comparison does not compile", "See the compiler's message; a missing header belongs to a -dev package.")

@@ -126,6 +126,7 @@ def plc_project(project: Project, options: ProjectOptions) -> PlcProject:
 def _topics(project: Project) -> list[PlcTopic]:
     from rosplc.bridge.describe import object_size
     from rosplc.plc.build import PlcTopic
+    from rosplc.plc.classic import Classic
     from rosplc.shm import Direction
 
     return [
@@ -134,10 +135,13 @@ def _topics(project: Project) -> list[PlcTopic]:
             layout=plan.layout,
             direction="read" if plan.direction == Direction.TO_PLC else "write",
             task=plan.task,
-            object_size=object_size(project, plan),
+            object_size=object_size(project, plan) if plan.classic is None else 0,
             stale_after_ns=plan.stale_after_ns,
             in_order=plan.every,
-            latched=plan.latched,
+            latched=plan.latched if plan.classic is None else plan.classic.retained,
+            classic=None
+            if plan.classic is None
+            else Classic(plan.classic.name, plan.classic.semaphore, plan.classic.wait_ns),
         )
         for plan in project.topics
     ]

@@ -15,7 +15,7 @@ from rosplc.plc.names import Scope
 from rosplc.plc.project import Method, Pou, VarBlock, Variable
 from rosplc.plc.types import DutBuilder
 
-__all__ = ["BlockNames", "read_block", "write_block"]
+__all__ = ["BlockNames", "degrade", "mend", "pin_inputs", "pins_of", "read_block", "write_block"]
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ def read_block(layout: Layout, builder: DutBuilder, name: str, folder: str, *, p
     """
     dut = builder.add(layout)
     low, high = layout.layout_id_words
-    pin_list = _pins(layout, builder) if pins else []
+    pin_list = pins_of(layout, builder) if pins else []
     outputs = [Variable("msg", dut, None, "the message")]
     outputs += [Variable(pin, type_, None, f"msg.{field}") for pin, field, type_ in pin_list]
     assigns = "".join(f"\n{pin} := msg.{field};" for pin, field, _ in pin_list)
@@ -101,20 +101,8 @@ END_WHILE;""",
             "PRIVATE",
             "Copies into the shadow, proves the copy, then moves it to msg.",
         ),
-        Method(
-            "Degrade",
-            (),
-            """IF xNowStale AND (uiOnStale = 1) THEN
-    SysMemSet(ADR(msg), 0, SIZEOF(msg));
-ELSIF xNowStale AND (uiOnStale = 2) THEN
-    msg := stSafe;
-END_IF;
-Degrade := xNowStale;""",
-            "BOOL",
-            "PRIVATE",
-            "What msg becomes at the moment when it gets stale.",
-        ),
-        _mend(layout, builder),
+        degrade(),
+        mend(layout, builder),
     )
     blocks = (
         VarBlock("VAR_INPUT", (Variable("stSafe", dut, None, "msg when stale, with uiOnStale = 2"),)),
@@ -131,13 +119,8 @@ def write_block(layout: Layout, builder: DutBuilder, name: str, folder: str, *, 
     """Return ``<Type>_Write``; arguments as of :func:`read_block`, ``pins`` adds inputs."""
     dut = builder.add(layout)
     low, high = layout.layout_id_words
-    pin_list = _pins(layout, builder) if pins else []
-    inputs = [Variable("msg", dut, None, "the message")]
-    inputs += [Variable(pin, type_, None, f"msg.{field}, with xUsePins") for pin, field, type_ in pin_list]
-    if pin_list:
-        inputs.append(Variable("xUsePins", "BOOL", None, "the pins are copied into msg at each call"))
-    assigns = "".join(f"\n    msg.{field} := {pin};" for pin, field, _ in pin_list)
-    use_pins = f"\nIF xUsePins THEN{assigns}\nEND_IF;" if pin_list else ""
+    pin_list = pins_of(layout, builder) if pins else []
+    inputs, use_pins = pin_inputs(dut, pin_list)
     body = f"""IF NOT Enter() THEN
     RETURN;
 END_IF;{use_pins}
@@ -163,7 +146,35 @@ EndWrite();"""
     )  # fmt: skip
 
 
-def _pins(layout: Layout, builder: DutBuilder) -> list[tuple[str, str, str]]:
+def degrade() -> Method:
+    """Return the method that makes of a stale ``msg`` what was asked for."""
+    return Method(
+        "Degrade",
+        (),
+        """IF xNowStale AND (uiOnStale = 1) THEN
+    SysMemSet(ADR(msg), 0, SIZEOF(msg));
+ELSIF xNowStale AND (uiOnStale = 2) THEN
+    msg := stSafe;
+END_IF;
+Degrade := xNowStale;""",
+        "BOOL",
+        "PRIVATE",
+        "What msg becomes at the moment when it gets stale.",
+    )
+
+
+def pin_inputs(dut: str, pin_list: list[tuple[str, str, str]]) -> tuple[list[Variable], str]:
+    """Return a Write block's inputs, msg and the pins, and the statements that use the pins."""
+    inputs = [Variable("msg", dut, None, "the message")]
+    inputs += [Variable(pin, type_, None, f"msg.{field}, with xUsePins") for pin, field, type_ in pin_list]
+    if not pin_list:
+        return inputs, ""
+    inputs.append(Variable("xUsePins", "BOOL", None, "the pins are copied into msg at each call"))
+    assigns = "".join(f"\n    msg.{field} := {pin};" for pin, field, _ in pin_list)
+    return inputs, f"\nIF xUsePins THEN{assigns}\nEND_IF;"
+
+
+def pins_of(layout: Layout, builder: DutBuilder) -> list[tuple[str, str, str]]:
     """Return (pin, member, type) for each top-level field; counts are fields too."""
     names = builder.struct(layout.root)
     types = {v.name: v.type for v in next(d for d in builder.duts if d.name == names.dut).members}
@@ -175,7 +186,7 @@ def _pins(layout: Layout, builder: DutBuilder) -> list[tuple[str, str, str]]:
     return result
 
 
-def _mend(layout: Layout, builder: DutBuilder) -> Method:
+def mend(layout: Layout, builder: DutBuilder) -> Method:
     """Return the method that clamps counts and ends strings, so that a faulty writer stays harmless."""
     lines: list[str] = []
     depth = _mend_struct(layout.root, "stShadow", builder, lines, 0)

@@ -15,6 +15,17 @@ from rosplc.layout import Layout
 from rosplc.model import TypeStore
 from rosplc.plc.base import base_objects
 from rosplc.plc.blocks import read_block, write_block
+from rosplc.plc.classic import (
+    CLASSIC_NAMES,
+    LIBRARY,
+    Classic,
+    check_classic,
+    classic_arguments,
+    classic_objects,
+    classic_read_block,
+    classic_wait,
+    classic_write_block,
+)
 from rosplc.plc.helpers import HELPER_NAMES, helper_objects
 from rosplc.plc.instances import instance_names, plain_name
 from rosplc.plc.literals import string_literal, time_literal
@@ -28,6 +39,7 @@ _ON_STALE = {"hold": 0, "zero": 1, "value": 2}
 _LARGE_DUT = 64 * 1024
 _MOST_TASKS = 16  # as many as RosPlc_State.axMayOpen has elements
 _LONGEST_TOPIC = 255  # bytes: FB_Init of RosPlc_Channel takes a STRING(255)
+_LIBRARIES: tuple[str, ...] = ("SysShm", "SysMem", "SysTypes2 Interfaces")
 _READ_GVL, _WRITE_GVL, _SETTINGS_GVL = "ROS_Read", "ROS_Write", "RosPlc_Settings"
 
 
@@ -45,6 +57,7 @@ class PlcTopic:
         on_stale: What the message becomes then.
         in_order: Take every message, not only the newest.
         latched: Take the state found at the start as a new message.
+        classic: Set for a topic in classic mode; ``object_size`` and ``in_order`` then have no meaning.
     """
 
     topic: str
@@ -56,6 +69,7 @@ class PlcTopic:
     on_stale: Literal["hold", "zero", "value"] = "hold"
     in_order: bool = False
     latched: bool = False
+    classic: Classic | None = None
 
 
 @dataclass(frozen=True)
@@ -91,6 +105,14 @@ class ProjectOptions:
     pins: bool = False
 
 
+_MAKERS = {
+    ("read", False): read_block,
+    ("write", False): write_block,
+    ("read", True): classic_read_block,
+    ("write", True): classic_write_block,
+}
+
+
 @dataclass
 class _Blocks:
     """The function blocks of the types in use, each built once."""
@@ -98,17 +120,17 @@ class _Blocks:
     builder: DutBuilder
     options: ProjectOptions
     pous: list[Pou] = field(default_factory=list)
-    _known: dict[tuple[str, Layout], str] = field(default_factory=dict)
+    _known: dict[tuple[str, bool, Layout], str] = field(default_factory=dict)
 
-    def name(self, layout: Layout, direction: str) -> str:
-        key = (direction, layout)
+    def name(self, layout: Layout, direction: str, classic: bool = False) -> str:
+        key = (direction, classic, layout)
         if key not in self._known:
             dut = self.builder.add(layout)
-            wanted = f"{dut}_{'Read' if direction == 'read' else 'Write'}"
+            wanted = f"{dut}_{'Classic' if classic else ''}{'Read' if direction == 'read' else 'Write'}"
             name = self.builder.scope.give(wanted)
             if name != wanted:
                 self.builder.renamings.append(Renaming(f"block of {layout.type_name}", wanted, name))
-            make = read_block if direction == "read" else write_block
+            make = _MAKERS[direction, classic]
             folder = f"{self.options.folder}/Blocks"
             self.pous.append(make(layout, self.builder, name, folder, pins=self.options.pins))
             self._known[key] = name
@@ -131,13 +153,18 @@ def build_project(
 
     Raises:
         GenerationError: PLC003, there are more tasks than the blocks serve; PLC005, two tasks have
-            names that are one to CODESYS; PLC006, a topic's name is longer than the blocks take.
+            names that are one to CODESYS; PLC006, a topic's name is longer than the blocks take; PLC007, the
+            name of a classic topic's memory or semaphore is none.
     """
     _check_tasks(tasks)
     _check_topics(topics)
     options = options or ProjectOptions()
     topics = sorted(topics, key=lambda item: item.topic)
     base = base_objects(f"{options.folder}/Base")
+    libraries = _LIBRARIES
+    if any(topic.classic for topic in topics):
+        base = (*base, *classic_objects(f"{options.folder}/Base"))
+        libraries = (*_LIBRARIES, LIBRARY)
     builder = _builder(store, options, base)
     blocks = _Blocks(builder, options)
     names = {
@@ -149,14 +176,19 @@ def build_project(
     renamings: list[Renaming] = []
     order = sorted(tasks, key=lambda task: task.name)
     indices = {task.name: index for index, task in enumerate(order)}
+    cycles = {task.name: task.interval_ns if task.kind == "cyclic" else 0 for task in tasks}
     for topic in topics:
-        block = blocks.name(topic.layout, topic.direction)
+        block = blocks.name(topic.layout, topic.direction, topic.classic is not None)
         wanted, name = plain_name(topic.topic), names[topic.direction][topic.topic]
         if name != wanted:
             renamings.append(Renaming(f"instance of {topic.topic}", wanted, name))
-        argument = (("sTopic", string_literal(topic.topic)),)
+        argument: tuple[tuple[str, str], ...] = (("sTopic", string_literal(topic.topic)),)
+        if topic.classic is not None:
+            argument = classic_arguments(topic.classic)
         instances[topic.direction].append(Variable(name, block, None, _what(topic), argument))
-        calls.setdefault((topic.direction, topic.task), []).append(_call(name, topic, indices[topic.task]))
+        calls.setdefault((topic.direction, topic.task), []).append(
+            _call(name, topic, indices[topic.task], cycles[topic.task])
+        )
     programs, plc_tasks = _programs(order, indices, calls, options, builder.scope)
     gvls = [*(item for item in base if isinstance(item, Gvl)), _settings(options), *builder.constants]
     for direction, name in (("read", _READ_GVL), ("write", _WRITE_GVL)):
@@ -173,7 +205,7 @@ def build_project(
         gvls=tuple(gvls),
         pous=(*(item for item in (*base, *helpers) if isinstance(item, Pou)), *blocks.pous, *programs),
         tasks=plc_tasks,
-        libraries=("SysShm", "SysMem", "SysTypes2 Interfaces"),
+        libraries=libraries,
         notes=tuple(_notes(builder, renamings, topics, options)),
     )
 
@@ -195,7 +227,7 @@ def build_type_library(
         duts=(*(item for item in (*base, *helpers) if isinstance(item, Dut)), *builder.duts),
         gvls=(*(item for item in base if isinstance(item, Gvl)), _settings(options), *builder.constants),
         pous=(*(item for item in (*base, *helpers) if isinstance(item, Pou)), *blocks.pous),
-        libraries=("SysShm", "SysMem", "SysTypes2 Interfaces"),
+        libraries=_LIBRARIES,
         notes=tuple(_notes(builder, [], (), options)),
     )
 
@@ -215,11 +247,20 @@ def _check_topics(topics: Sequence[PlcTopic]) -> None:
         # CODESYS would cut the literal off without a word, and the block look for another object.
         if len(topic.topic.encode()) > _LONGEST_TOPIC:
             raise GenerationError("PLC006", f"the name has {len(topic.topic)} characters", where=topic.topic)
+        if topic.classic is not None:
+            check_classic(topic.topic, topic.classic)
 
 
 def _builder(store: TypeStore, options: ProjectOptions, base: Sequence[Dut | Gvl | Pou]) -> DutBuilder:
     """Return a builder whose scope knows the hand-written objects: all objects share one namespace."""
-    taken = [*(item.name for item in base), *HELPER_NAMES, _READ_GVL, _WRITE_GVL, _SETTINGS_GVL]
+    taken = [
+        *(item.name for item in base),
+        *CLASSIC_NAMES,
+        *HELPER_NAMES,
+        _READ_GVL,
+        _WRITE_GVL,
+        _SETTINGS_GVL,
+    ]
     return DutBuilder(store, f"{options.folder}/Types", scope=Scope(taken))
 
 
@@ -239,20 +280,24 @@ def _settings(options: ProjectOptions) -> Gvl:
 def _what(topic: PlcTopic) -> str:
     """Say in a line what an instance carries."""
     which = ""
-    if topic.direction == "read":
+    if topic.classic is not None:
+        which = ", classic"
+    elif topic.direction == "read":
         which = ", every message" if topic.in_order else ", the newest message"
     return f"{topic.layout.type_name} in task {topic.task}{which}"
 
 
-def _call(name: str, topic: PlcTopic, task: int) -> str:
+def _call(name: str, topic: PlcTopic, task: int, cycle_ns: int) -> str:
     gvl = _READ_GVL if topic.direction == "read" else _WRITE_GVL
     arguments = [f"uiTask := {task}", f"udiMapSize := {topic.object_size}"]
+    if topic.classic is not None:
+        arguments[1] = f"tWait := {time_literal(classic_wait(topic.classic, cycle_ns) * 1_000_000)}"
     if topic.direction == "read":
         if topic.stale_after_ns:
             arguments.append(f"tStaleAfter := {time_literal(topic.stale_after_ns)}")
         if topic.on_stale != "hold":
             arguments.append(f"uiOnStale := {_ON_STALE[topic.on_stale]}")
-        if topic.in_order:
+        if topic.in_order and topic.classic is None:
             arguments.append("xInOrder := TRUE")
         if topic.latched:
             arguments.append("xLatched := TRUE")
@@ -318,7 +363,7 @@ def _notes(
                 f"{topic.topic}: {topic.layout.type_name} takes {topic.layout.size} bytes, "
                 f"{copies} times in the PLC; check the size of the application's data area"
             )
-        if topic.in_order and topic.direction == "read" and not options.fenced:
+        if topic.in_order and topic.direction == "read" and not options.fenced and topic.classic is None:
             notes.append(
                 f"{topic.topic}: without a memory fence the PLC takes one message in two scans at most; "
                 "if more come for longer, messages are lost, and counted"
