@@ -1,0 +1,140 @@
+"""Calls to the master and to other nodes, each bounded in time (http://wiki.ros.org/ROS/Master_API)."""
+
+from __future__ import annotations
+
+import http.client
+import xmlrpc.client
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+from xml.parsers.expat import ExpatError
+
+__all__ = ["Master", "RefusedError", "SystemState", "UnreachableError", "call", "proxy"]
+
+_TIMEOUT_S = 3.0
+
+
+class UnreachableError(Exception):
+    """Nobody answers there, or not in the way of ROS; the text says what happened."""
+
+
+class RefusedError(Exception):
+    """The other side answered that it will not."""
+
+
+class _Transport(xmlrpc.client.Transport):
+    """The standard one, which knows no timeout."""
+
+    def __init__(self, timeout_s: float) -> None:
+        super().__init__()
+        self._timeout_s = timeout_s
+
+    def make_connection(self, host: Any) -> http.client.HTTPConnection:
+        connection = super().make_connection(host)
+        connection.timeout = self._timeout_s
+        return connection
+
+
+def proxy(uri: str, timeout_s: float = _TIMEOUT_S) -> xmlrpc.client.ServerProxy:
+    """Return a proxy for one thread's use whose calls end after ``timeout_s`` seconds without news."""
+    return xmlrpc.client.ServerProxy(uri, transport=_Transport(timeout_s))
+
+
+def call(server: xmlrpc.client.ServerProxy, method: str, *arguments: Any) -> Any:
+    """Call a method of ROS's API and return its value.
+
+    Raises:
+        UnreachableError: No answer, or none that ROS's API knows.
+        RefusedError: An answer with a code other than 1.
+    """
+    try:
+        code, text, value = getattr(server, method)(*arguments)
+    except (OSError, http.client.HTTPException) as error:
+        raise UnreachableError(
+            getattr(error, "strerror", None) or str(error) or type(error).__name__
+        ) from error
+    except (xmlrpc.client.Error, ExpatError, ValueError, TypeError) as error:
+        raise UnreachableError(f"its answer is none of ROS: {error}") from error
+    if code != 1:
+        raise RefusedError(str(text))
+    return value
+
+
+@dataclass(frozen=True, slots=True)
+class SystemState:
+    """What the master knows.
+
+    Attributes:
+        publishers: Topic → names of the nodes that publish it.
+        subscribers: Topic → names of the nodes that subscribe to it.
+        nodes: The names of all nodes.
+        types: Topic → type as ROS 1 writes it; ``*`` where nobody has said.
+    """
+
+    publishers: dict[str, frozenset[str]] = field(default_factory=dict)
+    subscribers: dict[str, frozenset[str]] = field(default_factory=dict)
+    nodes: frozenset[str] = frozenset()
+    types: dict[str, str] = field(default_factory=dict)
+
+
+class Master:
+    """The master as one node sees it; for one thread's use.
+
+    Args:
+        uri: Where the master is.
+        caller: The full name of the calling node.
+        timeout_s: How long a call may wait for an answer.
+    """
+
+    def __init__(self, uri: str, caller: str, timeout_s: float = _TIMEOUT_S) -> None:
+        self.uri = uri
+        self._caller = caller
+        self._server = proxy(uri, timeout_s)
+
+    def register(self, direction: str, topic: str, type_name: str, node_uri: str) -> list[str]:
+        """Register an endpoint, ``in`` or ``out``; return the URIs of the topic's publishers (for ``in``)."""
+        method = "registerSubscriber" if direction == "in" else "registerPublisher"
+        value = self._call(method, topic, type_name, node_uri)
+        return [uri for uri in value if isinstance(uri, str)] if isinstance(value, list) else []
+
+    def unregister(self, direction: str, topic: str, node_uri: str) -> None:
+        """Withdraw an endpoint."""
+        self._call("unregisterSubscriber" if direction == "in" else "unregisterPublisher", topic, node_uri)
+
+    def node_uri(self, node: str) -> str:
+        """Return a node's URI; empty if the master does not know it."""
+        try:
+            return str(self._call("lookupNode", node))
+        except RefusedError:
+            return ""
+
+    def setting(self, name: str) -> object:
+        """Return a parameter of the parameter server; None if it is not set."""
+        try:
+            return self._call("getParam", name)
+        except RefusedError:
+            return None
+
+    def state(self, known: SystemState | None = None) -> SystemState:
+        """Return what the master knows; types are asked for only where ``known`` differs."""
+        try:
+            publishers, subscribers, services = (_table(part) for part in self._call("getSystemState"))
+            nodes = frozenset().union(*publishers.values(), *subscribers.values(), *services.values())
+            if known and (publishers, subscribers) == (known.publishers, known.subscribers):
+                types = known.types
+            else:
+                types = {str(topic): str(kind) for topic, kind in self._call("getTopicTypes")}
+        except (TypeError, ValueError) as error:
+            raise UnreachableError(f"its answer is none of ROS: {error}") from error
+        return SystemState(publishers, subscribers, nodes, types)
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._server("close")()
+
+    def _call(self, method: str, *arguments: Any) -> Any:
+        return call(self._server, method, self._caller, *arguments)
+
+
+def _table(rows: Iterable[Any]) -> dict[str, frozenset[str]]:
+    return {str(name): frozenset(map(str, nodes)) for name, nodes in rows}

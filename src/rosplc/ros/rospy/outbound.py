@@ -1,0 +1,297 @@
+"""A topic that is sent: a bounded queue and one thread for each subscriber, as rospy has it."""
+
+from __future__ import annotations
+
+import select
+import socket
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+from rosplc.errors import BackendError
+from rosplc.ros.backend import EndpointStatus, Qos
+from rosplc.ros.rospy.debian import QueuedConnection, TCPROSPub, TCPROSTransport
+from rosplc.ros.rospy.handshake import ANY, peer_type, write_header
+from rosplc.ros.rospy.inbound import raw_class
+from rosplc.ros.rospy.reasons import mismatch
+
+__all__ = ["Outgoing", "RospyPublisher"]
+
+_FLUSH_S = 0.5  # how long the last messages of a publisher may take to leave
+_GONE = select.POLLHUP | select.POLLERR | select.POLLRDHUP | select.POLLNVAL
+
+
+class _Queue(QueuedConnection):  # type: ignore[misc]
+    """rospy's queue before a connection, which here tells when it drops a message.
+
+    A message that is being sent is out of the queue already, so a subscriber that stands still holds
+    ``depth`` messages and one.
+    """
+
+    def write_data(self, data: bytes) -> bool:
+        """Queue a message; return False if the oldest had to give way. Never blocks."""
+        with self._lock:
+            if self._error is not None:
+                raise self._error
+            full = len(self._queue) >= self._queue_size
+            if full:
+                del self._queue[0]
+            self._queue.append(data)
+            self._cond_data_available.notify_all()
+        return not full
+
+    def _run(self) -> None:
+        connection, news = self._connection, self._cond_data_available
+        while True:
+            with self._lock:
+                while not self._queue and not connection.done:
+                    news.wait()
+                if connection.done:
+                    return
+                data = self._queue[0]
+            try:
+                connection.write_data(data)
+            except Exception as error:
+                with self._lock:
+                    self._error = error
+                    self._queue.clear()
+                    news.notify_all()
+                return
+            with self._lock:
+                # The oldest may have given way while it was being sent: then it is counted as
+                # dropped although it left, which errs on the safe side.
+                if self._queue and self._queue[0] is data:
+                    del self._queue[0]
+                if not self._queue:
+                    news.notify_all()
+
+    def flush(self, deadline: float) -> None:
+        """Wait until everything has gone out, at most to a point in time (monotonic seconds)."""
+        with self._lock:
+            while self._queue and not self._connection.done:
+                if not self._cond_data_available.wait(deadline - time.monotonic()):
+                    return
+
+    def close(self) -> None:
+        """Disconnect; the thread ends."""
+        self._connection.close()
+
+    def join(self) -> None:
+        """Wait a moment for the thread."""
+        if self._thread is not threading.current_thread():
+            self._thread.join(1.0)
+
+
+class Outgoing:
+    """One topic that the node sends.
+
+    Args:
+        caller: The full name of the node.
+        topic: The topic.
+        type_name: Its type, ``package/msg/Name``.
+        md5: The type's MD5 sum.
+        text: The type's definition.
+        changed: Called when a connection comes or goes.
+    """
+
+    direction = "out"
+
+    def __init__(
+        self, caller: str, topic: str, type_name: str, md5: str, text: str, changed: Callable[[], None]
+    ) -> None:
+        self.topic = topic
+        self.type_name = type_name
+        self.identity = (type_name, md5)
+        self.kind = raw_class(type_name, md5, text)
+        self.strangers: dict[str, tuple[str, str]] = {}
+        self._caller = caller
+        self._changed = changed
+        self._lock = threading.Lock()
+        self._queues: tuple[Any, ...] = ()
+        self._closed = False
+        self._latched: bytes | None = None
+        self.publishers: tuple[RospyPublisher, ...] = ()
+
+    @property
+    def latching(self) -> bool:
+        """Whether late subscribers get the last message."""
+        return any(p.qos.durability == "transient_local" for p in self.publishers)
+
+    def subscribers(self) -> frozenset[str]:
+        """Return the names of the nodes that are connected."""
+        return frozenset(queue.endpoint_id for queue in self._queues if not queue.done)
+
+    def matched(self) -> int:
+        """Return how many subscribers are connected."""
+        return sum(not queue.done for queue in self._queues)
+
+    def accept(self, sock: socket.socket, address: tuple[str, int], header: dict[str, str]) -> str:
+        """Serve a subscriber that has connected; return why not, or an empty text."""
+        node = header.get("callerid", "?")[:256]
+        wrong = mismatch(node, "subscribes to", self.topic, peer_type(header), self.identity)
+        if wrong is not None:
+            self.strangers[node] = wrong
+            self._changed()
+            name, md5 = self.identity
+            return f"topic {self.topic} is {name} with md5sum {md5} here: {wrong[1]}"
+        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        fields = TCPROSPub(self.topic, self.kind, self.latching, {"callerid": self._caller})
+        transport = TCPROSTransport(fields, self.topic)
+        transport.set_socket(sock, node)
+        transport.remote_endpoint = address
+        write_header(sock, fields.get_header_fields())
+        sock.settimeout(None)
+        with self._lock:
+            if self._closed:
+                return f"topic {self.topic} is no longer published"
+            depth = max((p.qos.depth for p in self.publishers), default=1)
+            queue = _Queue(transport, depth)
+            former = [q for q in self._queues if q.endpoint_id == node and node != ANY]
+            if self._latched is not None and self.latching:
+                queue.write_data(self._latched)
+            self._queues = (*(q for q in self._queues if q not in former), queue)
+            self.strangers.pop(node, None)
+        for one in former:  # as rospy does: one connection for each node
+            one.close()
+        self._changed()
+        return ""
+
+    def send(self, payload: bytes, latch: bool) -> int:
+        """Queue a message for every subscriber; return how many messages had to give way."""
+        frame = len(payload).to_bytes(4, "little") + payload
+        lost = 0
+        failed = []
+        with self._lock:
+            if latch:
+                self._latched = frame
+            for queue in self._queues:
+                try:
+                    lost += not queue.write_data(frame)
+                except Exception:  # the error that its thread met: the subscriber has gone
+                    failed.append(queue)
+            if failed:
+                self._queues = tuple(queue for queue in self._queues if queue not in failed)
+        for queue in failed:
+            queue.close()
+        if self._queues:
+            time.sleep(0)  # as rospy does: lets the queues' threads run now
+        return lost
+
+    def check(self) -> None:
+        """Forget subscribers that have closed the connection; nobody reads from it to notice."""
+        queues = {queue.fileno(): queue for queue in self._queues if not queue.done}
+        poller = select.poll()
+        for number in queues:
+            poller.register(number, _GONE)
+        gone = [queues[number] for number, _ in poller.poll(0)]
+        gone += [queue for queue in self._queues if queue.done]
+        if gone:
+            with self._lock:
+                self._queues = tuple(queue for queue in self._queues if queue not in gone)
+            for queue in gone:
+                queue.close()
+
+    def info(self) -> list[list[Any]]:
+        """Return what ``rosnode info`` prints of the connections."""
+        return [
+            [q.id, q.endpoint_id, "o", "TCPROS", self.topic, True, q.get_transport_info()]
+            for q in self._queues
+        ]
+
+    def add(self, publisher: RospyPublisher) -> None:
+        """Serve one more publisher."""
+        with self._lock:
+            self.publishers += (publisher,)
+
+    def remove(self, publisher: RospyPublisher) -> int:
+        """Serve it no longer; return how many publishers are left."""
+        with self._lock:
+            self.publishers = tuple(p for p in self.publishers if p is not publisher)
+            return len(self.publishers)
+
+    def close(self) -> tuple[Any, ...]:
+        """Disconnect; return the queues, whose threads are about to end."""
+        with self._lock:
+            self._closed = True
+            queues, self._queues = self._queues, ()
+        deadline = time.monotonic() + _FLUSH_S
+        for queue in queues:
+            queue.flush(deadline)
+            queue.close()
+        return queues
+
+
+class RospyPublisher:
+    """A topic that is being sent; see :class:`rosplc.ros.backend.Publisher`.
+
+    ROS 1 carries no source stamp, so ``stamp_ns`` goes no further than the bridge.
+    """
+
+    direction = "out"
+
+    def __init__(
+        self,
+        outgoing: Outgoing,
+        qos: Qos,
+        diagnose: Callable[[Outgoing], tuple[str, str]],
+        forget: Callable[[RospyPublisher], None],
+        usable: Callable[[], None],
+    ) -> None:
+        self.topic = outgoing.topic
+        self.type_name = outgoing.type_name
+        self.qos = qos
+        self.outgoing = outgoing
+        self._latch = qos.durability == "transient_local"
+        self._diagnose = diagnose
+        self._forget = forget
+        self._usable = usable
+        self._closed = False
+        self._count = threading.Lock()
+        self._messages = self._dropped = self._last_ns = 0
+
+    @property
+    def matched(self) -> int:
+        """Subscribers that this publisher sends to."""
+        return 0 if self._closed else self.outgoing.matched()
+
+    def write(self, payload: bytes, stamp_ns: int | None = None) -> bool:
+        """Send one message; see :meth:`rosplc.ros.backend.Publisher.write`.
+
+        False means that a subscriber's queue was full and its oldest message gave way to this one.
+        The payload is not looked into: nothing of ROS 1's bytes shows whether they fit a type.
+
+        Raises:
+            BackendError: ROS009 after close, ROS015 if the node was told to leave.
+        """
+        if self._closed:
+            raise BackendError("ROS009", f"the publisher of {self.topic} is closed")
+        self._usable()
+        lost = self.outgoing.send(bytes(payload), self._latch)
+        with self._count:
+            self._messages += 1
+            self._dropped += lost
+            self._last_ns = time.time_ns()
+        return not lost
+
+    def status(self) -> EndpointStatus:
+        """Return the present state."""
+        code, reason = ("", "closed") if self._closed else self._diagnose(self.outgoing)
+        return EndpointStatus(
+            self.topic,
+            self.type_name,
+            "out",
+            matched=self.matched,
+            messages=self._messages,
+            dropped=self._dropped,
+            last_ns=self._last_ns,
+            reason=reason,
+            code=code,
+        )
+
+    def close(self) -> None:
+        """Stop sending; closing twice is harmless."""
+        if self._closed:
+            return
+        self._closed = True
+        self._forget(self)
