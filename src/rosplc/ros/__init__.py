@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Mapping
 
 from rosplc.errors import BackendError
@@ -22,6 +21,7 @@ from rosplc.ros.backend import (
     TypeSource,
     incompatibility,
 )
+from rosplc.ros.choice import BACKENDS, INSTALL, ROS1, Choice, choose, load
 from rosplc.ros.names import Remapping
 
 __all__ = [
@@ -30,8 +30,10 @@ __all__ = [
     "INSTALL",
     "LATCHED",
     "PRESETS",
+    "ROS1",
     "SENSOR_DATA",
     "Backend",
+    "Choice",
     "EndpointInfo",
     "EndpointStatus",
     "GraphInfo",
@@ -41,28 +43,10 @@ __all__ = [
     "Remapping",
     "Subscription",
     "TypeSource",
+    "choose",
     "incompatibility",
     "open_backend",
 ]
-
-BACKENDS: dict[str, str] = {
-    "dds": "rosplc.ros.dds",
-    "rclpy": "rosplc.ros.rclpy",
-    "zenoh": "rosplc.ros.zenoh",
-    "rospy": "rosplc.ros.rospy",
-    "memory": "rosplc.ros.memory",
-}
-"""Backend name → the module whose ``open_backend`` makes one; imported when it is asked for."""
-
-INSTALL: dict[str, str] = {
-    "dds": "pip install cyclonedds (x86-64, Python before 3.14)",
-    "rclpy": "install ROS 2 and source its setup.bash, with a Python that its packages are built for",
-    "zenoh": "pip install 'rosplc[zenoh]'",
-    "rospy": "apt-get install python3-rospy",
-}
-"""Backend name → how its package comes onto a machine."""
-
-_AUTOMATIC = ("dds",)  # in this order; `memory` leads nowhere and is never chosen by itself
 
 
 def open_backend(
@@ -79,8 +63,8 @@ def open_backend(
     """Join the ROS graph as one node.
 
     Args:
-        name: One of :data:`BACKENDS`, or ``auto`` for the first that is installed; the
-            backend's ``name`` tells which one it became.
+        name: One of :data:`BACKENDS`, or ``auto`` (:func:`choose`); the backend's ``name``
+            tells which one it became.
         store: Where message types come from.
         node_name: The node's base name.
         namespace: The node's namespace.
@@ -95,19 +79,17 @@ def open_backend(
     """
     if name != "auto" and name not in BACKENDS:
         raise BackendError("ROS001", f"there is no backend {name!r}; there are: auto, {', '.join(BACKENDS)}")
-    missing: list[tuple[str, ImportError]] = []
-    for candidate in _AUTOMATIC if name == "auto" else (name,):
-        try:
-            module = importlib.import_module(BACKENDS[candidate])
-        except ImportError as error:
-            missing.append((candidate, error))
-            continue
-        backend: Backend = module.open_backend(
-            store, node_name, namespace, domain, remap=remap, environment=environment, options=options
-        )
-        return backend
-    raise BackendError(
-        "ROS001",
-        f"the packages of these backends are not installed: {', '.join(f'{n} ({e})' for n, e in missing)}",
-        remedy="; ".join(f"for {n}: {INSTALL[n]}" for n, _ in missing if n in INSTALL) + ".",
+    if name == "auto":
+        name = choose(store.distro, environment, zenoh_settings=bool(options)).name
+    try:
+        module = load(name)
+    except ImportError as error:
+        raise BackendError(
+            "ROS001",
+            f"the package of backend {name} is not installed: {error}",
+            remedy=f"For {name}: {INSTALL.get(name, 'a complete rosplc')}.",
+        ) from error
+    backend: Backend = module.open_backend(
+        store, node_name, namespace, domain, remap=remap, environment=environment, options=options
     )
+    return backend

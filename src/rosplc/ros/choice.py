@@ -1,0 +1,141 @@
+"""Which backend ``ros.backend: auto`` becomes on this machine, and why.
+
+The rule is a decision of its own (docs/decisions/the-choice-of-a-backend.md): the graph decides
+what can reach it, the machine what is installed, and nothing is chosen that would reach nobody.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from rosplc.errors import BackendError
+
+__all__ = ["BACKENDS", "INSTALL", "ROS1", "Choice", "choose", "load", "why_not_installed"]
+
+BACKENDS: dict[str, str] = {
+    "dds": "rosplc.ros.dds",
+    "rclpy": "rosplc.ros.rclpy",
+    "zenoh": "rosplc.ros.zenoh",
+    "rospy": "rosplc.ros.rospy",
+    "memory": "rosplc.ros.memory",
+}
+"""Backend name → the module whose ``open_backend`` makes one; imported when it is asked for."""
+
+INSTALL: dict[str, str] = {
+    "dds": "pip install 'cyclonedds>=11,<12' (x86-64, Python before 3.14)",
+    "rclpy": "install ROS 2, source its setup.bash and use the Python that its packages are built for",
+    "zenoh": "pip install 'rosplc[zenoh]'",
+    "rospy": "apt-get install python3-rospy",
+}
+"""Backend name → how its package comes onto a machine."""
+
+ROS1 = "noetic"
+"""The distribution that is ROS 1; all others are ROS 2."""
+
+# The RMW implementations that the DDS backend is tested against; the empty name is ROS 2's default.
+_PLAIN_DDS = ("", "rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp", "rmw_cyclonedds_cpp")
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A backend that was chosen.
+
+    Attributes:
+        name: The backend.
+        why: What decided, in words.
+        passed_over: Backend → why it was not taken.
+    """
+
+    name: str
+    why: str
+    passed_over: Mapping[str, str] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        others = "; ".join(f"{name}: {why}" for name, why in self.passed_over.items())
+        return f"{self.name}, because {self.why}" + (f" (passed over: {others})" if others else "")
+
+
+def load(name: str) -> Any:
+    """Import a backend's module; ImportError if its package is missing."""
+    return importlib.import_module(BACKENDS[name])
+
+
+def why_not_installed(name: str) -> str:
+    """Return why a backend cannot be imported here; empty if it can."""
+    try:
+        load(name)
+    except ImportError as error:
+        return str(error)
+    return ""
+
+
+def choose(
+    distro: str,
+    environment: Mapping[str, str] | None = None,
+    *,
+    zenoh_settings: bool = False,
+    missing: Callable[[str], str] = why_not_installed,
+) -> Choice:
+    """Choose a backend for a ROS distribution.
+
+    Args:
+        distro: Whose definitions the configuration takes.
+        environment: Variables to use in place of the process's own: ``RMW_IMPLEMENTATION`` and
+            ``ROS_SECURITY_ENABLE`` count.
+        zenoh_settings: Whether the configuration says how to reach Zenoh.
+        missing: Returns why a backend cannot be imported; empty if it can.
+
+    Raises:
+        BackendError: ROS001, nothing usable is installed; the text lists what was tried and how
+            each is installed.
+    """
+    variables = os.environ if environment is None else environment
+    wanted, why, unfit = _candidates(distro, variables, zenoh_settings)
+    passed_over = {}
+    for place, name in enumerate(wanted):
+        if reason := missing(name):
+            passed_over[name] = f"not installed: {reason}"
+            continue
+        # In the order of BACKENDS, so that the same machine always says the same.
+        others = passed_over | unfit | dict.fromkeys(wanted[place + 1 :], f"comes after {name}")
+        return Choice(name, why, {other: others[other] for other in BACKENDS if other in others})
+    everything = {**passed_over, **unfit}
+    tried = "; ".join(f"{name} ({everything[name]})" for name in INSTALL if name in everything)
+    raise BackendError(
+        "ROS001",
+        f"ros.backend: auto found no backend ({why}): {tried}",
+        where="ros.backend",
+        remedy="Install one: "
+        + "; ".join(f"for {name}: {INSTALL[name]}" for name in wanted)
+        + ". Or name another in ros.backend.",
+    )
+
+
+def _candidates(
+    distro: str, variables: Mapping[str, str], zenoh_settings: bool
+) -> tuple[tuple[str, ...], str, dict[str, str]]:
+    """Return what may be taken, in this order, the reason, and why the others are out of the question."""
+    rmw = variables.get("RMW_IMPLEMENTATION", "").strip()
+    secured = variables.get("ROS_SECURITY_ENABLE", "").strip().lower() == "true"
+    if distro == ROS1:
+        why = f"{distro} is ROS 1"
+        return ("rospy",), why, dict.fromkeys(("dds", "rclpy", "zenoh"), "speaks ROS 2")
+    unfit = {"rospy": "speaks ROS 1"}
+    if secured:
+        why = "ROS_SECURITY_ENABLE is true"
+        return ("rclpy",), why, unfit | dict.fromkeys(("dds", "zenoh"), "takes no part in ROS 2's security")
+    if zenoh_settings:
+        why = "the configuration has settings for it in ros.zenoh"
+        return ("zenoh",), why, unfit | dict.fromkeys(("dds", "rclpy"), "does not read ros.zenoh")
+    if rmw == "rmw_zenoh_cpp":
+        return ("zenoh", "rclpy"), f"RMW_IMPLEMENTATION is {rmw}", unfit | {"dds": "speaks no Zenoh"}
+    unfit["zenoh"] = "speaks no DDS, and RMW_IMPLEMENTATION is not rmw_zenoh_cpp"
+    if rmw not in _PLAIN_DDS:
+        why = f"RMW_IMPLEMENTATION is {rmw}"
+        return ("rclpy",), why, unfit | {"dds": f"is not known to understand {rmw}"}
+    why = f"RMW_IMPLEMENTATION is {rmw}" if rmw else "ROS 2 speaks DDS unless RMW_IMPLEMENTATION is set"
+    return ("dds", "rclpy"), why, unfit
