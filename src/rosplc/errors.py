@@ -211,6 +211,7 @@ _register("CFG007", "two topics lead to one object name", "Rename one of the top
 _register("CFG008", "depth is too small for the topic's rate", "Raise depth:, so that the slots outlast a copy plus a preemption.")
 _register("CFG009", "aliases and custom tags are not accepted", "Write the value out; configurations are plain YAML.")
 _register("CFG010", "key is written twice", "Keep one of the two; YAML readers drop the other silently.")
+_register("CFG011", "ROS argument is not valid", "Correct the named argument: --ros-args -r from:=to, or __name:=node __ns:=/namespace from:=to in ROS 1.")
 
 _register("ROS001", "backend is not available", "Install the backend's package, or choose another in ros.backend.")
 _register("ROS002", "middleware refused", "See the message; domain, network interface and QoS are the usual causes.")

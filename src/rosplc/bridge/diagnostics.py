@@ -111,13 +111,13 @@ def _fitting(entry: dict[str, Any]) -> dict[str, Any]:
 
 
 def _values(topic: TopicStatus) -> dict[str, str]:
-    return {
+    values = {
         "type": topic.type_name,
         "direction": topic.direction.word,
         "rate [Hz]": f"{topic.rate_hz:.4g}",
         "age": "never" if topic.age_ns is None else format_age(topic.age_ns),
         "matched": str(topic.matched),
-        "PLC alive": str(topic.peer_alive),
+        "PLC alive": "unknown" if topic.peer_alive is None else str(topic.peer_alive),
         "received": str(topic.received),
         "published": str(topic.published),
         "skipped": str(topic.skipped),
@@ -126,6 +126,10 @@ def _values(topic: TopicStatus) -> dict[str, str]:
         "truncated": str(topic.truncated),
         "reason": topic.reason,
     }
+    if (classic := topic.classic) is not None:
+        values["classic memory"] = f"{classic.memory}, {classic.bytes} bytes"
+        values["lock"] = classic.lock
+    return values
 
 
 def _fit(text: str) -> str:

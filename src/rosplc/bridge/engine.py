@@ -1,8 +1,8 @@
 """The running bridge: opens everything or nothing, carries, looks after itself, leaves cleanly.
 
 Threads: the backend's own call :class:`ToPlc`; the pump carries towards ROS; the keeper beats and
-looks after the objects; the observer asks the ROS side and reports. An error in one topic stops
-no other, and a ROS side that hangs stops no beat.
+looks after the objects; the observer asks the ROS side and reports. Classic topics have a thread for each
+direction. An error in one topic stops no other, and a ROS side that hangs stops no beat.
 """
 
 from __future__ import annotations
@@ -12,12 +12,15 @@ import threading
 import time
 from contextlib import ExitStack
 
+from rosplc.bridge.classic import ClassicCarrier
+from rosplc.bridge.classic_to_plc import ClassicToPlc
+from rosplc.bridge.classic_to_ros import ClassicToRos
 from rosplc.bridge.config import Config
 from rosplc.bridge.diagnostics import Diagnostics
 from rosplc.bridge.keeper import Keeper, Observer
 from rosplc.bridge.leftovers import retire_leftovers
 from rosplc.bridge.owner import group_id, user_id
-from rosplc.bridge.resolve import Project, resolve
+from rosplc.bridge.resolve import Project, TopicPlan, resolve
 from rosplc.bridge.status import BridgeStatus
 from rosplc.bridge.to_plc import ToPlc
 from rosplc.bridge.to_ros import Pump, ToRos
@@ -50,6 +53,7 @@ class Bridge:
         self._owns_backend = backend is None
         self._topics: tuple[Topic, ...] = ()
         self._pump: Pump | None = None
+        self._classic_to_ros = ClassicCarrier("rosplc-classic-to-ros")
         self._open = ExitStack()
         self._started_ns = 0
         self._file_seen = self._file_state()
@@ -95,10 +99,9 @@ class Bridge:
         keeper = Keeper(settings.beat_ns, self.beat, self.check, self.flush)
         plans = self.project.topics
         retire_leftovers(self.project)
-        self._topics = tuple(
-            ToPlc(plan, around, keeper.due) if plan.direction is Direction.TO_PLC else ToRos(plan, around)
-            for plan in plans
-        )
+        self._classic_to_ros = ClassicCarrier("rosplc-classic-to-ros")
+        classic_to_plc = ClassicCarrier("rosplc-classic-to-plc")
+        self._topics = tuple(_topic(plan, around, keeper, classic_to_plc) for plan in plans)
         for topic in self._topics:
             topic.open()
             stack.callback(topic.close)
@@ -113,9 +116,14 @@ class Bridge:
             diagnostics = Diagnostics(self.project.store, self.backend)
             stack.callback(diagnostics.close)
             publish = diagnostics.publish
-        self._pump = Pump(tuple(t for t in self._topics if isinstance(t, ToRos)), settings.tick_ns)
+        channels = tuple(t for t in self._topics if isinstance(t, ToRos) and not isinstance(t, ClassicToRos))
+        self._pump = Pump(channels, settings.tick_ns)
         stack.callback(self._stop_pump)
         self._pump.start()
+        classic_to_plc.start(tuple(t for t in self._topics if isinstance(t, ClassicToPlc)))
+        stack.callback(classic_to_plc.stop)
+        self._classic_to_ros.start(tuple(t for t in self._topics if isinstance(t, ClassicToRos)))
+        stack.callback(self._stop_classic)
         keeper.start()
         stack.callback(keeper.stop)
         observer = Observer(settings.diagnostics.period_ns, self.ask, self.status, publish)
@@ -134,6 +142,10 @@ class Bridge:
 
     def _stop_pump(self) -> None:
         if self._pump is not None and not self._pump.stop():
+            log.error("the ROS side does not return from publishing; the bridge leaves it behind")
+
+    def _stop_classic(self) -> None:
+        if not self._classic_to_ros.stop():
             log.error("the ROS side does not return from publishing; the bridge leaves it behind")
 
     def stop(self) -> None:
@@ -170,7 +182,9 @@ class Bridge:
         notes = []
         if self._config_changed:
             notes.append("configuration changed on disk; restart the bridge to apply it")
-        if self._pump is not None and (busy := self._pump.busy_since_ns) and now - busy > _STUCK_NS:
+        pump_busy = self._pump.busy_since_ns if self._pump is not None else 0
+        busy = min((t for t in (pump_busy, self._classic_to_ros.busy_since_ns) if t), default=now)
+        if now - busy > _STUCK_NS:
             notes.append(f"the ROS side has not returned from publishing for {(now - busy) / 1e9:.0f} s")
         return BridgeStatus(
             bridge=self.settings.bridge,
@@ -234,3 +248,10 @@ class Bridge:
         except OSError:
             return (0, 0, 0)
         return found.st_ino, found.st_size, found.st_mtime_ns
+
+
+def _topic(plan: TopicPlan, around: Surroundings, keeper: Keeper, classic_to_plc: ClassicCarrier) -> Topic:
+    to_plc = plan.direction is Direction.TO_PLC
+    if plan.classic is not None:
+        return ClassicToPlc(plan, around, classic_to_plc.wake) if to_plc else ClassicToRos(plan, around)
+    return ToPlc(plan, around, keeper.due) if to_plc else ToRos(plan, around)

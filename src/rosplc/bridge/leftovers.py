@@ -21,7 +21,8 @@ def retire_leftovers(project: Project) -> None:
         ChannelError: SHM116, or what else keeps a lock from being taken.
     """
     namespace, mode = project.namespace, project.config.settings.shm.mode
-    for plan in project.topics:
+    channels = [plan for plan in project.topics if plan.classic is None]
+    for plan in channels:
         try:
             NameLock(namespace.lock_path(plan.topic), mode=mode).release()
         except ChannelError as error:
@@ -29,7 +30,7 @@ def retire_leftovers(project: Project) -> None:
                 raise
             what = f"{_holder(project, plan.topic)} holds {plan.topic}"
             raise ChannelError("SHM116", what, where=error.where) from None
-    kept = {namespace.object_name(plan.topic) for plan in project.topics}
+    kept = {namespace.object_name(plan.topic) for plan in channels}
     for name in namespace.topics():
         topic = namespace.topic_of(name)
         if topic is None or name in kept:

@@ -8,7 +8,7 @@ from typing import Any
 
 from rosplc.shm import Direction
 
-__all__ = ["BridgeStatus", "Level", "TopicStatus", "format_age"]
+__all__ = ["BridgeStatus", "ClassicStatus", "Level", "TopicStatus", "format_age"]
 
 
 class Level(enum.IntEnum):
@@ -34,6 +34,39 @@ def format_age(age_ns: int) -> str:
 
 
 @dataclass(frozen=True, slots=True)
+class ClassicStatus:
+    """What can be known of a classic topic's memory and lock: there is no beat in them.
+
+    Attributes:
+        memory: The memory's name.
+        semaphore: The semaphore's name; empty if nothing guards the memory.
+        bytes: The memory's size; 0 while there is none that can be used.
+        attached: Whether memory and lock are in use.
+        held_ns: How long the lock has been taken at every look, without a sign of life; 0 if it was free.
+        timeouts: How often the lock was not free within ``wait``.
+        recovered: How often it was freed for a holder that counted as dead.
+        mended: How often it would have let in more than one.
+    """
+
+    memory: str
+    semaphore: str
+    bytes: int
+    attached: bool
+    held_ns: int = 0
+    timeouts: int = 0
+    recovered: int = 0
+    mended: int = 0
+
+    @property
+    def lock(self) -> str:
+        """The lock in a few words."""
+        if not self.semaphore:
+            return "none"
+        state = f"held for {format_age(self.held_ns)}" if self.held_ns > 1_000_000_000 else "in order"
+        return f"{state}, {self.timeouts} timeouts, {self.recovered} freed, {self.mended} corrected"
+
+
+@dataclass(frozen=True, slots=True)
 class TopicStatus:
     """One topic as it stands.
 
@@ -52,11 +85,13 @@ class TopicStatus:
         age_ns: Time since the last message came in; None before the first.
         stale: Whether that is longer than the topic allows.
         peer_alive: Whether the PLC's side beats: a reader for ``to: plc``, the writer for ``to: ros``.
+            None where that cannot be known: classic memory has no beat.
         tasks: Names of the PLC's reading tasks (``to: plc``).
         problem: Why the topic cannot be carried at present; empty if it is.
         reason: In words, what is wrong or was wrong last; empty if all is well.
         code: The error code that goes with ``reason``; empty if there is none.
         recent: Whether ``reason`` is from the last ten seconds, or still holds.
+        classic: Memory and lock of a classic topic; None for a channel.
     """
 
     topic: str
@@ -72,12 +107,13 @@ class TopicStatus:
     rate_hz: float = 0.0
     age_ns: int | None = None
     stale: bool = False
-    peer_alive: bool = False
+    peer_alive: bool | None = False
     tasks: tuple[str, ...] = ()
     problem: str = ""
     reason: str = ""
     code: str = ""
     recent: bool = False
+    classic: ClassicStatus | None = None
 
     def _staleness(self, to_plc: bool) -> str:
         source = "ROS publisher" if to_plc else "the PLC"
@@ -105,7 +141,7 @@ class TopicStatus:
             return Level.WARN, self.reason
         if self.stale:
             return Level.STALE, self._staleness(to_plc)
-        if not self.peer_alive:
+        if self.peer_alive is False:
             return Level.WARN, "no PLC task reads it" if to_plc else "no PLC task writes it"
         if not self.matched:
             return Level.OK, "nobody publishes" if to_plc else "nobody subscribes"

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from rosplc.bridge.describe import describe
 from rosplc.bridge.repeats import QUIET_NS, RepeatedWarnings
 from rosplc.bridge.resolve import TopicPlan
-from rosplc.bridge.status import TopicStatus
+from rosplc.bridge.status import ClassicStatus, TopicStatus
 from rosplc.codec import Codec, Wire
 from rosplc.errors import ChannelError, RosplcError
 from rosplc.ros import Backend, EndpointStatus
@@ -77,7 +77,7 @@ class Topic(ABC):
         codec: Wire bytes to record and back.
         channel: The object; None while there is none.
         counters: What was counted since the start.
-        peer_alive: Whether the PLC's side beats, as of the last check.
+        peer_alive: Whether the PLC's side beats, as of the last check; None where that cannot be known.
     """
 
     def __init__(self, plan: TopicPlan, around: Surroundings) -> None:
@@ -91,7 +91,7 @@ class Topic(ABC):
         self._reason: tuple[str, str, int] | None = None  # words, code, when
         self._started_ns = time.monotonic_ns()
         self._alive: dict[int, tuple[int, Liveness]] = {}
-        self.peer_alive = False
+        self.peer_alive: bool | None = False
         self._tasks: tuple[str, ...] = ()
         self._lost_before = 0
         self._rate = 0.0
@@ -163,10 +163,7 @@ class Topic(ABC):
 
         Never calls the ROS side, which may hang while the beats go on.
         """
-        since, count = self._rate_from
-        if now_ns - since >= 500_000_000:
-            self._rate = (self.counters.received - count) * 1e9 / (now_ns - since)
-            self._rate_from = (now_ns, self.counters.received)
+        self._count_rate(now_ns)
         channel = self.channel  # another thread may open it again meanwhile
         if channel is None:
             return True
@@ -179,6 +176,12 @@ class Topic(ABC):
             self.fail(now_ns, error)
             return True
         return False
+
+    def _count_rate(self, now_ns: int) -> None:
+        since, count = self._rate_from
+        if now_ns - since >= 500_000_000:
+            self._rate = (self.counters.received - count) * 1e9 / (now_ns - since)
+            self._rate_from = (now_ns, self.counters.received)
 
     def ask(self, now_ns: int) -> None:
         """Ask the ROS side: tell the PLC how many stand behind it, and note new losses."""
@@ -253,6 +256,10 @@ class Topic(ABC):
     def _skipped(self) -> int:
         """Return what was held back on purpose."""
 
+    def classic_status(self, now_ns: int) -> ClassicStatus | None:
+        """Return what can be known of a classic topic's memory and lock; None for a channel."""
+        return None
+
     def status(self, now_ns: int) -> TopicStatus:
         """Return how the topic stands."""
         plan, count = self.plan, self.counters
@@ -282,4 +289,5 @@ class Topic(ABC):
             reason=reason,
             code=code,
             recent=recent,
+            classic=self.classic_status(now_ns),
         )

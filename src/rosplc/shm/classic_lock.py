@@ -1,0 +1,227 @@
+"""The lock of a classic topic: a named semaphore that nobody can be trusted to leave.
+
+It is described in spec/classic-mode.md, section 2.
+
+Nothing here ever waits: who wants the lock tries, and comes back. A semaphore does not know who
+holds it, so a holder's death can only be inferred: it was taken at every look for a long time, and
+nothing moved. Time is passed in.
+"""
+
+from __future__ import annotations
+
+import enum
+import os
+import struct
+from contextlib import suppress
+from pathlib import Path
+
+import posix_ipc
+
+from rosplc.errors import ChannelError
+from rosplc.shm.classic_memory import describe_owner, give_away
+from rosplc.shm.files import same_file
+from rosplc.shm.header import channel_error
+
+__all__ = ["ClassicLock", "Entry"]
+
+SEMAPHORE_SIZE = 32 if struct.calcsize("P") == 8 else 16
+"""Bytes of glibc's sem_t for programs of this word size."""
+
+_LEAST_LOOKS = 20
+_MOST_EXTRA = 64
+_LONGEST_GAP = 4
+"""Looks further apart than this part of the time say nothing: this process itself stood still."""
+
+
+class Entry(enum.Enum):
+    """What came of an attempt to take the lock."""
+
+    ENTERED = enum.auto()
+    BUSY = enum.auto()
+    RECOVERED = enum.auto()
+    """It was held by nobody alive and is free now; what it guarded may be half written."""
+
+
+class ClassicLock:
+    """A semaphore that either side may have made, opened or created with the value 1.
+
+    Args:
+        name: Without a slash and without ``sem.``.
+        recover_after_ns: See :class:`rosplc.bridge.classic_plan.ClassicPlan`.
+        mode: Permission bits of a new one.
+        uid: Owner of a new one; None for this process's.
+        gid: Group of a new one; None for this process's.
+        directory: Where the C library keeps semaphores.
+
+    Attributes:
+        created: Whether it was made here.
+        held_since_ns: Since when it was taken at every look without a sign of life; None if it was free.
+        recovered: How often it was freed for a holder that counted as dead.
+        mended: How often it would have let in more than one.
+        doubtful: Whether somebody may be inside without the lock: after either of the two.
+
+    Raises:
+        ChannelError: SHM128 if it cannot be opened, SHM133 if programs of another word size made it,
+            SHM102 if a new one cannot be given to its group.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        recover_after_ns: int,
+        *,
+        mode: int = 0o660,
+        uid: int | None = None,
+        gid: int | None = None,
+        directory: Path | str = "/dev/shm",
+    ) -> None:
+        self.name = name
+        self.path = Path(directory) / f"sem.{name}"
+        self.created = False
+        self.held_since_ns: int | None = None
+        self.recovered = self.mended = 0
+        self.doubtful = False
+        self._recover_after_ns = recover_after_ns
+        self._looked_ns = 0
+        self._looks = 0
+        self._semaphore, self._identity = self._open(mode, uid, gid)
+
+    @property
+    def value(self) -> int:
+        """How many could enter now: 1 if it is free, 0 if it is taken."""
+        return int(self._semaphore.value)
+
+    def enter(self, now_ns: int, *, alive: bool = False) -> Entry:
+        """Try to take the lock.
+
+        Args:
+            now_ns: The time, of a monotonic clock.
+            alive: Whether something showed since the last attempt that the holder lives.
+        """
+        try:
+            self._semaphore.acquire(0)
+        except posix_ipc.BusyError:
+            return self._taken(now_ns, alive)
+        self.held_since_ns = None
+        extra = 0
+        # Nobody but this process should be able to enter now.
+        while extra < _MOST_EXTRA and self._semaphore.value > 0:
+            try:
+                self._semaphore.acquire(0)
+            except posix_ipc.BusyError:
+                break
+            extra += 1
+        if extra:
+            self.mended += 1
+            self.doubtful = True
+        return Entry.ENTERED
+
+    def leave(self) -> None:
+        """Give the lock back. Raises SHM128 if the semaphore does not take it."""
+        try:
+            self._semaphore.release()
+        except (posix_ipc.Error, OSError, ValueError) as error:
+            raise channel_error(128, f"cannot be left: {error}", str(self.path)) from error
+
+    def look(self, now_ns: int, *, alive: bool = False) -> Entry:
+        """Judge the lock without using it; ``ENTERED`` means that it is free."""
+        value = self._semaphore.value
+        if value == 0:
+            return self._taken(now_ns, alive)
+        self.held_since_ns = None
+        if value > 1:
+            if (entry := self.enter(now_ns, alive=alive)) is Entry.ENTERED:
+                self.leave()
+            return entry
+        return Entry.ENTERED
+
+    def in_place(self) -> bool:
+        """Return whether the name still leads to this semaphore."""
+        return same_file(self.path, *self._identity)
+
+    def close(self) -> None:
+        """Let go of it; the semaphore stays. A second call does nothing."""
+        with suppress(posix_ipc.Error, ValueError):
+            self._semaphore.close()
+
+    def _taken(self, now_ns: int, alive: bool) -> Entry:
+        gap = now_ns - self._looked_ns
+        self._looked_ns = now_ns
+        if self.held_since_ns is None or alive or gap * _LONGEST_GAP > self._recover_after_ns:
+            self.held_since_ns, self._looks = now_ns, 0
+        self._looks += 1
+        if now_ns - self.held_since_ns < self._recover_after_ns or self._looks < _LEAST_LOOKS:
+            return Entry.BUSY
+        if self._semaphore.value != 0:
+            return Entry.BUSY
+        # Between the look and the post the holder may leave after all. Then two could enter, which the
+        # next attempt finds and mends.
+        self.leave()
+        self.held_since_ns = None
+        self.recovered += 1
+        self.doubtful = True
+        return Entry.RECOVERED
+
+    def _open(
+        self, mode: int, uid: int | None, gid: int | None
+    ) -> tuple[posix_ipc.Semaphore, tuple[int, int]]:
+        while True:
+            try:
+                found = self.path.lstat()
+            except FileNotFoundError:
+                self._create(mode, uid, gid)
+                continue
+            except OSError as error:
+                raise channel_error(123, error.strerror or "", str(self.path)) from error
+            if found.st_size != SEMAPHORE_SIZE:
+                raise _other_kind(self.path, found.st_size)
+            try:
+                semaphore = posix_ipc.Semaphore(f"/{self.name}")
+            except posix_ipc.ExistentialError:
+                continue
+            except posix_ipc.PermissionsError as error:
+                if found.st_uid == os.geteuid() and found.st_mode & 0o600 != 0o600:
+                    # Made by this very user, who passed O_RDWR for the mode and so gave it no rights at all.
+                    self.path.chmod(mode)
+                    continue
+                raise _denied(self.path) from error
+            except (posix_ipc.Error, OSError, ValueError) as error:
+                raise channel_error(128, f"cannot be opened: {error}", str(self.path)) from error
+            # The library does not tell which file it opened; a name that stood still tells it.
+            if same_file(self.path, found.st_dev, found.st_ino):
+                return semaphore, (found.st_dev, found.st_ino)
+            semaphore.close()
+
+    def _create(self, mode: int, uid: int | None, gid: int | None) -> None:
+        try:
+            made = posix_ipc.Semaphore(f"/{self.name}", posix_ipc.O_CREX, mode=mode, initial_value=1)
+        except posix_ipc.ExistentialError:
+            return
+        except (posix_ipc.Error, OSError, ValueError) as error:
+            raise channel_error(128, f"cannot be created: {error}", str(self.path)) from error
+        made.close()
+        self.created = True
+        with suppress(FileNotFoundError):  # replaced at this moment: the other side's is as good
+            fd = os.open(self.path, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
+            try:
+                give_away(fd, self.path, mode, uid, gid)
+            finally:
+                os.close(fd)
+
+
+def _other_kind(path: Path, size: int) -> ChannelError:
+    if size in (16, 32):
+        bits, here = size * 2, SEMAPHORE_SIZE * 2
+        what = f"a {bits}-bit program made it ({size} bytes), and this process has {here} bits"
+        return channel_error(133, what, str(path))
+    return channel_error(128, f"it has {size} bytes, a semaphore has {SEMAPHORE_SIZE}", str(path))
+
+
+def _denied(path: Path) -> ChannelError:
+    return ChannelError(
+        "SHM128",
+        f"the semaphore is {describe_owner(path)}, and this process is user {os.geteuid()}",
+        where=str(path),
+        remedy="Run the bridge as the user that made it, or start the bridge first and give the semaphore to "
+        "a common group with shm.group.",
+    )

@@ -1,0 +1,181 @@
+"""The memory of a classic topic: one bare record at offset 0 (spec/classic-mode.md, section 1).
+
+It is read and written through its descriptor, not through a mapping: peers of this kind call
+ftruncate on an object that others use, and a mapping would answer that with SIGBUS, whatever was
+checked before. A copy by system call comes back short instead.
+"""
+
+from __future__ import annotations
+
+import grp
+import mmap
+import os
+import pwd
+import secrets
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+
+from rosplc.errors import ChannelError
+from rosplc.shm.files import open_plain_file, same_file
+from rosplc.shm.header import channel_error
+
+__all__ = ["ClassicMemory", "describe_owner", "give_away"]
+
+
+class ClassicMemory:
+    """An object that either side may have made, opened or created.
+
+    Args:
+        path: Its file.
+        record_size: Bytes of the record.
+        write: Whether it is written too; without it rights to read are enough.
+        mode: Permission bits of a new one.
+        uid: Owner of a new one; None for this process's.
+        gid: Group of a new one; None for this process's.
+
+    Attributes:
+        path: As given.
+        created: Whether it was made here.
+        identity: Device and inode of its file.
+        size: Bytes that it had when it was opened.
+
+    Raises:
+        ChannelError: SHM129 if it is smaller than the record, SHM102 without the rights, SHM117 without
+            room for a new one, SHM121 if the name leads to no plain file, SHM123 without a directory.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        record_size: int,
+        *,
+        write: bool = True,
+        mode: int = 0o660,
+        uid: int | None = None,
+        gid: int | None = None,
+    ) -> None:
+        self.path = path
+        self.record_size = record_size
+        self.created = False
+        self._fd = -1
+        flags = os.O_RDWR if write else os.O_RDONLY
+        while self._fd < 0:
+            try:
+                self._fd = open_plain_file(path, flags)
+            except ChannelError as error:
+                if error.code == "SHM102":
+                    raise _denied(path) from error
+                if error.code != "SHM101":
+                    raise
+                self.created = _create(path, record_size, mode, uid, gid)
+        try:
+            found = os.fstat(self._fd)
+            self.identity = found.st_dev, found.st_ino
+            self.size = found.st_size
+            self._large_enough(found.st_size)
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def odd_size(self) -> bool:
+        """Whether it is larger than the record by something else than a rounding to pages."""
+        return self.size > self.record_size and self.size % mmap.PAGESIZE != 0
+
+    def read(self) -> bytes:
+        """Return the record. Raises SHM129 if the object has become too small."""
+        image = os.pread(self._fd, self.record_size, 0)
+        if len(image) < self.record_size:
+            self._large_enough(len(image))
+        return image
+
+    def write(self, record: bytes) -> None:
+        """Write the record. Raises SHM129 if the object has become too small, SHM117 without room."""
+        # A write beyond the end would make it grow again under the hands of whoever cut it.
+        self._large_enough(os.fstat(self._fd).st_size)
+        if os.pwrite(self._fd, record, 0) != len(record):
+            raise channel_error(117, "a record was written in part", str(self.path))
+
+    def in_place(self) -> bool:
+        """Return whether the name still leads to this object."""
+        return same_file(self.path, *self.identity)
+
+    def close(self) -> None:
+        """Let go of it; the object stays. A second call does nothing."""
+        if self._fd >= 0:
+            os.close(self._fd)
+            self._fd = -1
+
+    def __enter__(self) -> ClassicMemory:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _large_enough(self, size: int) -> None:
+        if size >= self.record_size:
+            return
+        what = f"the memory has {size} bytes, the record {self.record_size}"
+        if not size:
+            what = f"the memory is empty (whoever made it gave it no size), the record has {self.record_size}"
+        raise channel_error(129, what, str(self.path))
+
+
+def _create(path: Path, size: int, mode: int, uid: int | None, gid: int | None) -> bool:
+    """Make a zeroed object visible complete, or leave the one that somebody else made meanwhile."""
+    temporary = path.parent / f"rosplc.new.{secrets.token_hex(8)}"
+    fd = open_plain_file(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL, denied=123)
+    try:
+        try:
+            os.posix_fallocate(fd, 0, size)
+        except OSError as error:
+            raise channel_error(117, f"{size} bytes: {error.strerror}", str(path)) from error
+        give_away(fd, path, mode, uid, gid)
+        try:
+            os.link(temporary, path)  # unlike a rename it replaces nothing
+        except FileExistsError:
+            return False
+        except OSError as error:
+            raise channel_error(123, error.strerror or "", str(path)) from error
+    finally:
+        os.close(fd)
+        with suppress(OSError):
+            temporary.unlink()
+    return True
+
+
+def give_away(fd: int, path: Path, mode: int, uid: int | None, gid: int | None) -> None:
+    """Set owner, group and mode of a file. Raises SHM102 where that is not allowed."""
+    try:
+        if uid is not None or gid is not None:
+            os.fchown(fd, -1 if uid is None else uid, -1 if gid is None else gid)
+        os.fchmod(fd, mode)
+    except PermissionError as error:
+        raise channel_error(102, f"cannot give it to user {uid}, group {gid}", str(path)) from error
+
+
+def describe_owner(path: Path) -> str:
+    """Return a file's owner, group and mode as a person reads them, ``root:root 0750``."""
+    try:
+        found = path.stat()
+    except OSError:
+        return "somebody else"
+    user, group = str(found.st_uid), str(found.st_gid)
+    with suppress(KeyError):
+        user = pwd.getpwuid(found.st_uid).pw_name
+    with suppress(KeyError):
+        group = grp.getgrgid(found.st_gid).gr_name
+    return f"{user}:{group} {found.st_mode & 0o7777:04o}"
+
+
+def _denied(path: Path) -> ChannelError:
+    return ChannelError(
+        "SHM102",
+        f"the memory is {describe_owner(path)}, and this process is user {os.geteuid()}",
+        where=str(path),
+        remedy="Objects of a PLC runtime that runs as root are closed to others: run the bridge as the "
+        "runtime's user, or start it first and give the object to a common group with shm.group.",
+    )
