@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from rosplc.errors import BackendError
+from rosplc.ros.arguments import Remapping, RosArguments, split_arguments
 from rosplc.ros.backend import (
     DEFAULT,
     LATCHED,
@@ -22,7 +23,6 @@ from rosplc.ros.backend import (
     incompatibility,
 )
 from rosplc.ros.choice import BACKENDS, INSTALL, ROS1, Choice, choose, load
-from rosplc.ros.names import Remapping
 
 __all__ = [
     "BACKENDS",
@@ -41,11 +41,13 @@ __all__ = [
     "Publisher",
     "Qos",
     "Remapping",
+    "RosArguments",
     "Subscription",
     "TypeSource",
     "choose",
     "incompatibility",
     "open_backend",
+    "split_arguments",
 ]
 
 

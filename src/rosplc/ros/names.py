@@ -7,12 +7,11 @@ remapping follows https://design.ros2.org/articles/static_remapping.html, global
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 
 from rosplc.errors import BackendError
 
-__all__ = ["Remapping", "join", "resolve_topic", "validate_namespace", "validate_node_name", "validate_topic"]
+__all__ = ["join", "resolve_topic", "validate_namespace", "validate_node_name", "validate_topic"]
 
 _TOKEN = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
 _LONGEST = 247  # RMW_TOPIC_MAX_NAME_LENGTH: 255 less the prefixes of the middleware
@@ -90,47 +89,3 @@ def resolve_topic(
         if expand(source) == full:
             return validate_topic(expand(target))
     return full
-
-
-@dataclass(frozen=True, slots=True)
-class Remapping:
-    """Rules given to a node from outside, as ``ros2 run`` and launch files do.
-
-    Attributes:
-        topics: Topic → topic.
-        node: Another base name for the node, if given (``__node:=``).
-        namespace: Another namespace, if given (``__ns:=`` or ``ROS_NAMESPACE``).
-    """
-
-    topics: Mapping[str, str] = field(default_factory=dict)
-    node: str | None = None
-    namespace: str | None = None
-
-    @classmethod
-    def from_arguments(
-        cls, arguments: Sequence[str], environment: Mapping[str, str] | None = None
-    ) -> Remapping:
-        """Read ``--ros-args -r from:=to`` rules; other arguments are left alone.
-
-        ``ROS_NAMESPACE`` of the environment (a ROS 1 habit) serves where no rule names a namespace.
-
-        Raises:
-            BackendError: ROS005 if a rule is not ``from:=to``.
-        """
-        topics: dict[str, str] = {}
-        special: dict[str, str] = {}
-        inside = False
-        rest = iter(arguments)
-        for argument in rest:
-            if argument in ("--ros-args", "--"):
-                inside = argument == "--ros-args"
-            elif inside and argument in ("-r", "--remap"):
-                rule = next(rest, "")
-                source, arrow, target = rule.partition(":=")
-                if not arrow or not source or not target:
-                    raise BackendError("ROS005", f"remapping rule {rule!r} is not of the form from:=to")
-                (special if source.startswith("__") else topics)[source] = target
-        namespace = special.get("__ns") or (environment or {}).get("ROS_NAMESPACE") or None
-        if namespace and not namespace.startswith("/"):
-            namespace = "/" + namespace
-        return cls(topics, special.get("__node") or special.get("__name"), namespace)

@@ -6,7 +6,6 @@ import pytest
 
 from rosplc.errors import BackendError
 from rosplc.ros.names import (
-    Remapping,
     join,
     resolve_topic,
     validate_namespace,
@@ -85,41 +84,3 @@ def test_remapping_compares_expanded_names() -> None:
         resolve_topic(n, namespace="/ns", node_name="n", remap=rules) for n in ("/ns/a", "b", "/ns/n/c", "/a")
     ]
     assert found == ["/x", "/ns/y", "/ns/n/z", "/a"]
-
-
-def test_arguments_give_remapping() -> None:
-    """``--ros-args`` rules are read up to ``--``; others are left alone."""
-    found = Remapping.from_arguments(
-        [
-            "run",
-            "-r",
-            "no:=no",
-            "--ros-args",
-            "-r",
-            "a:=b",
-            "--remap",
-            "__ns:=/cell",
-            "-r",
-            "__node:=n",
-            "--",
-            "-r",
-            "c:=d",
-        ]
-    )
-    assert found == Remapping({"a": "b"}, "n", "/cell")
-
-
-@pytest.mark.parametrize("rule", ["a", "a:=", ":=b", ""])
-def test_bad_rules_are_refused(rule: str) -> None:
-    """A rule that is not ``from:=to`` is refused."""
-    with pytest.raises(BackendError, match="ROS005"):
-        Remapping.from_arguments(["--ros-args", "-r", rule])
-
-
-def test_namespace_of_the_environment() -> None:
-    """``ROS_NAMESPACE`` serves where no argument names a namespace."""
-    assert Remapping.from_arguments([], {"ROS_NAMESPACE": "robot"}).namespace == "/robot"
-    assert (
-        Remapping.from_arguments(["--ros-args", "-r", "__ns:=/a"], {"ROS_NAMESPACE": "/b"}).namespace == "/a"
-    )
-    assert Remapping.from_arguments([], {}).namespace is None
