@@ -1,0 +1,211 @@
+"""The end-to-end comparison: ROS 2 message → PLC variable and back, over three ways.
+
+One ROS process sends by turns over rosplc, over Modbus TCP registers and over OPC UA nodes; each way has a
+bridge process and a PLC process of its own, all of which live through the whole run. What a way loses is
+computed from what came back: :mod:`rosplc.bench.end_to_end_messages` makes messages that tell.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import secrets
+import socket
+import time
+from collections.abc import Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from rosplc.bench.context import Context
+from rosplc.bench.end_to_end_child import WATCHDOG_S, ask, python
+from rosplc.bench.end_to_end_messages import KINDS
+from rosplc.bench.end_to_end_page import render
+from rosplc.bench.end_to_end_registers import size
+from rosplc.bench.end_to_end_ros import DISTRO, LIMITS, topics
+from rosplc.bench.process import Side
+from rosplc.bench.section import Section
+from rosplc.demo.domain import FreeDomain
+from rosplc.errors import SetupError
+
+__all__ = ["SECTION", "run"]
+
+CYCLE_S = 0.001
+RATE_HZ = 100.0
+_FIND_S = 60.0
+_COUNTS = {"quick": (1, 10, 0.1), "default": (2, 25, 0.2), "full": (9, 200, 2.0)}
+"""Effort → rounds, messages of a stream, seconds of a ping-pong."""
+
+
+def run(context: Context) -> dict[str, Any]:
+    """Measure; see :class:`rosplc.bench.section.Section`."""
+    rounds, count, seconds = _COUNTS[context.effort.name]
+    methods = _methods(context)
+    if not methods:
+        return {}
+    data: dict[str, Any] = {
+        "cycle_ms": CYCLE_S * 1000,
+        "rate_hz": RATE_HZ,
+        "rounds": [],
+        "kinds": {
+            name: {"strings": kind.strings(), "leaves": len(kind.paths), "registers": size(kind)}
+            for name, kind in KINDS.items()
+        },
+    }
+    with ExitStack() as stack:
+        cell = Cell(context, methods, stack)
+        total = rounds * len(methods) * len(KINDS)
+        for number in range(rounds):
+            for kind in KINDS:
+                for method in methods:
+                    done = len(data["rounds"])
+                    context.notify(done, total, f"{kind} over {method}, round {number + 1}")
+                    data["rounds"].append(cell.measure(method, kind, count, seconds))
+    _check(context, data["rounds"])
+    return data
+
+
+def _check(context: Context, rounds: list[dict[str, Any]]) -> None:
+    """Say it if rosplc did not do what it promises; of the others nothing is demanded."""
+    for one in rounds:
+        if one["method"] != "rosplc":
+            continue
+        for part in (one["stream"], one["ping"]):
+            what = f"{one['kind']} over rosplc"
+            if part["torn"] or one["ping"]["plc"]["torn"]:
+                context.fail(what, f"{part['torn']} torn messages came back")
+            if part["latencies_us"] and (part["error"] or part["strings"] < KINDS[one["kind"]].strings()):
+                context.fail(what, "what came back is not what was sent")
+            if not part["latencies_us"]:
+                context.fail(what, f"none of {part['sent']} messages came back")
+
+
+def _methods(context: Context) -> list[str]:
+    found = []
+    for method, package in (("rosplc", "cyclonedds"), ("modbus", "pymodbus"), ("opcua", "asyncua")):
+        if not context.wants(method):
+            continue
+        if importlib.util.find_spec("cyclonedds") is None:
+            context.skip("end to end", "the Python package cyclonedds is missing", "pip install cyclonedds")
+        elif importlib.util.find_spec(package) is None:
+            context.skip(
+                f"end to end over {method}",
+                f"the Python package {package} is missing",
+                "pip install 'rosplc[bench]'",
+            )
+        else:
+            found.append(method)
+    return found
+
+
+class Cell:
+    """All processes of the comparison; they end with ``stack``."""
+
+    def __init__(self, context: Context, methods: list[str], stack: ExitStack) -> None:
+        domain = FreeDomain()
+        stack.callback(domain.close)
+        prefix = f"e2e-{secrets.token_hex(4)}"
+        configuration = context.scratch / f"{prefix}.json"
+        configuration.write_text(json.dumps(_configuration(prefix, context.scratch, domain.number)))
+        common = {"domain": domain.number, "configuration": str(configuration)}
+        self._plcs: dict[str, Side] = {}
+        self._bridges: dict[str, Side] = {}
+
+        def start(role: str, module: str, *arguments: str) -> Side:
+            side = Side(role, _local(domain.number, module, *arguments))
+            stack.callback(side.close)
+            return side
+
+        plan = {"domain": domain.number, "methods": methods, "kinds": list(KINDS)}
+        self._ros = start("ROS", "end_to_end_ros", json.dumps(plan))
+        places: dict[str, Any] = {}
+        if "rosplc" in methods:  # objects before the PLC looks for them
+            self._bridges["rosplc"] = start("bridge", "end_to_end_bridge", "rosplc", json.dumps(common))
+        for method in methods:
+            places[method] = [prefix, str(context.scratch)] if method == "rosplc" else _free_port()
+            order = {"cycle": CYCLE_S, "where": places[method]}
+            self._plcs[method] = start(f"{method} PLC", "end_to_end_plc", method, json.dumps(order))
+        for plc in self._plcs.values():
+            plc.hear_json(WATCHDOG_S)
+        for method in methods:
+            if method != "rosplc":
+                order = {**common, "where": places[method]}
+                self._bridges[method] = start(
+                    f"{method} bridge", "end_to_end_bridge", method, json.dumps(order)
+                )
+        for bridge in (*self._bridges.values(), self._ros):
+            bridge.hear_json(WATCHDOG_S)
+        self._find_each_other()
+        for kind in KINDS:  # everything has run once before anything counts
+            for method in methods:
+                self._begin(method, kind)
+                ask(self._ros, do="ping", method=method, kind=kind, seconds=0.05)
+
+    def _find_each_other(self) -> None:
+        end = time.monotonic() + _FIND_S
+        while missing := ask(self._ros, do="ready")["missing"]:
+            if time.monotonic() > end:
+                raise SetupError("SYS004", f"the ROS process finds no bridge for {', '.join(missing)}")
+            time.sleep(0.05)
+
+    def _begin(self, method: str, kind: str) -> None:
+        ask(self._plcs[method], kind=kind)
+        ask(self._bridges[method], kind=kind)
+
+    def measure(self, method: str, kind: str, count: int, seconds: float) -> dict[str, Any]:
+        """Measure one turn: a stream, then a ping-pong."""
+        self._begin(method, kind)
+        bridge, plc = self._bridges[method], self._plcs[method]
+        before = [side.cpu_seconds() for side in (bridge, plc)]
+        stream = ask(self._ros, do="stream", method=method, kind=kind, count=count, rate=RATE_HZ)
+        after = [side.cpu_seconds() for side in (bridge, plc)]
+        stream["cpu"] = [(b - a) / stream["seconds"] for a, b in zip(before, after, strict=True)]
+        stream["plc"] = ask(plc, report=True)
+        ping = ask(self._ros, do="ping", method=method, kind=kind, seconds=seconds)
+        ping["plc"] = ask(plc, report=True)
+        return {"method": method, "kind": kind, "stream": stream, "ping": ping}
+
+
+def _local(domain: int, module: str, *arguments: str) -> list[str]:
+    """Return the command line of a process whose ROS stays on this machine."""
+    return python(
+        module,
+        *arguments,
+        without=("CYCLONEDDS_URI", "ROS_STATIC_PEERS"),
+        ROS_LOCALHOST_ONLY="1",
+        ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST",
+        ROS_DOMAIN_ID=str(domain),
+    )
+
+
+def _configuration(prefix: str, folder: Path, domain: int) -> Mapping[str, Any]:
+    limits = {"string": LIMITS.string, "sequence": LIMITS.sequence}
+    carried: dict[str, Any] = {}
+    for kind in KINDS.values():
+        forth, back = topics("rosplc", kind.name)
+        carried[forth] = {"type": kind.type_name, "to": "plc", "limits": limits}
+        carried[back] = {"type": kind.type_name, "to": "ros", "limits": limits, "latched": False}
+    return {
+        "bridge": "bench",
+        "prefix": prefix,
+        "ros": {"backend": "dds", "distro": DISTRO, "domain": domain},
+        "shm": {"directory": str(folder)},
+        "diagnostics": {"enabled": False},
+        "topics": carried,
+    }
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+SECTION = Section(
+    name="end-to-end",
+    title="From a ROS 2 message to a PLC variable and back",
+    question="What does each way between ROS 2 and a PLC cost, and what does it lose?",
+    run=run,
+    render=render,
+    contenders=("rosplc", "modbus", "opcua"),
+)
