@@ -1,0 +1,321 @@
+"""The rclpy backend: raw subscriptions and serialized publishing on a node of rclpy."""
+
+from __future__ import annotations
+
+import logging
+import os
+import threading
+import time
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any, Literal
+
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.exceptions import InvalidHandle
+from rclpy.subscription import Subscription as NativeSubscription
+
+from rosplc.errors import BackendError, RosplcError
+from rosplc.ros.backend import EndpointInfo, EndpointStatus, GraphInfo, OnMessage, Qos, TypeSource
+from rosplc.ros.names import join, resolve_topic, validate_namespace, validate_node_name
+from rosplc.ros.rclpy.endpoint import RclpyPublisher, RclpySubscription
+from rosplc.ros.rclpy.events import create
+from rosplc.ros.rclpy.messages import MessageClasses
+from rosplc.ros.rclpy.options import domain_of, read_options
+from rosplc.ros.rclpy.parameters import show
+from rosplc.ros.rclpy.peers import Peer, explain, read_peers
+from rosplc.ros.rclpy.qos import profile
+from rosplc.ros.rclpy.spin import OwnNode
+
+__all__ = ["RclpyBackend", "from_node", "open_backend"]
+
+_logger = logging.getLogger("rosplc.ros.rclpy")
+
+_SETTLE_NS = 1_000_000_000  # matching may take a moment; nothing is called a mismatch before
+_GIVES_STAMPS = hasattr(NativeSubscription, "CallbackType")  # since ROS 2 Iron
+
+RclpyEndpoint = RclpySubscription | RclpyPublisher
+
+
+class RclpyBackend:
+    """One node of rclpy; see :class:`rosplc.ros.backend.Backend`.
+
+    Made by :func:`open_backend`, with a node and a thread of its own, or by :func:`from_node`, on a
+    node that the caller spins.
+
+    Attributes:
+        name: ``rclpy``.
+        capabilities: ``topics``.
+        domain: The ROS domain.
+        node: The node's full name.
+    """
+
+    name = "rclpy"
+    capabilities = frozenset({"topics"})
+
+    def __init__(self, node: Any, store: TypeSource, remap: Mapping[str, str]) -> None:
+        _refuse_ros1(store)
+        self._node = node
+        self._own: OwnNode | None = None
+        self._store = store
+        self._remap = dict(remap)
+        self._classes = MessageClasses(store)
+        self._namespace: str = node.get_namespace()
+        self._node_name: str = node.get_name()
+        self.node = join(self._namespace, self._node_name)
+        self.domain: int = node.context.get_domain_id()
+        # All callbacks in one group: one at a time, whatever executor spins the node.
+        self._group = MutuallyExclusiveCallbackGroup()
+        self._lock = threading.RLock()
+        self._closed = False
+        self._lost = False
+        self._endpoints: list[RclpyEndpoint] = []
+        self._short: dict[RclpyEndpoint, int] = {}
+        self._said: set[tuple[str, str]] = set()
+
+    # -- endpoints
+
+    def check(self, type_name: str) -> None:
+        """Find out whether a type can be carried, without opening anything.
+
+        Raises:
+            RosplcError: TYP001, ROS011 or ROS012.
+        """
+        _ = self._classes[self._store[type_name].name]
+
+    def subscribe(self, topic: str, type_name: str, qos: Qos, on_message: OnMessage) -> RclpySubscription:
+        """Receive a topic; see :meth:`rosplc.ros.backend.Backend.subscribe`."""
+        full, name, kind = self._names(topic, type_name)
+        native = profile(qos)
+        subscription = RclpySubscription(
+            on_message, self._fitting, full, name, qos, native, self._diagnose, self._forget
+        )
+        callback = subscription.receive if _GIVES_STAMPS else subscription.receive_plain
+        make = partial(
+            self._node.create_subscription, kind, full, callback, native, callback_group=self._group, raw=True
+        )
+        self._open(subscription, make)
+        return subscription
+
+    def advertise(self, topic: str, type_name: str, qos: Qos) -> RclpyPublisher:
+        """Send a topic; see :meth:`rosplc.ros.backend.Backend.advertise`."""
+        full, name, kind = self._names(topic, type_name)
+        native = profile(qos)
+        publisher = RclpyPublisher(full, name, qos, native, self._diagnose, self._forget)
+        make = partial(self._node.create_publisher, kind, full, native, callback_group=self._group)
+        self._open(publisher, make)
+        return publisher
+
+    def _names(self, topic: str, type_name: str) -> tuple[str, str, Any]:
+        if self._closed:
+            raise BackendError("ROS009", f"node {self.node} has left the graph")
+        full = resolve_topic(topic, namespace=self._namespace, node_name=self._node_name, remap=self._remap)
+        name = self._store[type_name].name
+        return full, name, self._classes[name]
+
+    def _open(self, endpoint: RclpyEndpoint, make: Callable[..., Any]) -> None:
+        with self._lock:
+            if self._closed:
+                raise BackendError("ROS009", f"node {self.node} has left the graph")
+            try:
+                endpoint.entity = create(make, endpoint, self._look)
+                endpoint.topic = endpoint.entity.topic_name  # after the node's own remapping rules
+            except RosplcError:
+                raise
+            except Exception as error:
+                raise refusal(f"cannot open {endpoint.topic} as {endpoint.type_name}", error) from error
+            self._endpoints.append(endpoint)
+
+    def _forget(self, endpoint: RclpyEndpoint) -> None:
+        with self._lock:
+            if endpoint in self._endpoints:
+                self._endpoints.remove(endpoint)
+            self._short.pop(endpoint, None)
+        node, entity = self._node, endpoint.entity
+        destroy = node.destroy_subscription if endpoint.direction == "in" else node.destroy_publisher
+        # On the executor's thread, which would else meet a half-destroyed entity in its wait set.
+        try:
+            node.executor.create_task(partial(_destroy, destroy, entity))
+        except Exception:  # nobody spins the node (any more)
+            _destroy(destroy, entity)
+
+    # -- what is wrong
+
+    def _peers(self, topic: str, direction: Literal["in", "out"]) -> tuple[Peer, ...]:
+        """Return the endpoints of one direction on a topic, our own node's too, as in ROS."""
+        node = self._node
+        ask = (
+            node.get_publishers_info_by_topic if direction == "out" else node.get_subscriptions_info_by_topic
+        )
+        try:
+            return read_peers(ask(topic), topic, direction)
+        except (InvalidHandle, RuntimeError):  # the node is being destroyed
+            return ()
+
+    def _judge(self, endpoint: RclpyEndpoint) -> tuple[tuple[Peer, ...], list[tuple[str, str]]]:
+        peers = self._peers(endpoint.topic, "out" if endpoint.direction == "in" else "in")
+        ours = self._store.type_hash(endpoint.type_name)
+        judged = (explain(peer, endpoint.type_name, ours, endpoint.profile) for peer in peers)
+        return peers, sorted(filter(None, judged))
+
+    def _fitting(self, subscription: RclpySubscription) -> int:
+        peers, problems = self._judge(subscription)
+        return len(peers) - len(problems)
+
+    def _diagnose(self, endpoint: RclpyEndpoint) -> tuple[str, str]:
+        if self._lost:
+            return "ROS009", "the ROS context was shut down"
+        peers, problems = self._judge(endpoint)
+        if problems:
+            return problems[0][0], "; ".join(words for _, words in problems)
+        if not peers:
+            verb = "publishes" if endpoint.direction == "in" else "subscribes to"
+            return "", f"no node {verb} {endpoint.topic}"
+        return self._unexplained(endpoint, peers, len(peers) - endpoint.matched)
+
+    def _unexplained(self, endpoint: RclpyEndpoint, peers: tuple[Peer, ...], short: int) -> tuple[str, str]:
+        """Judge by count: rclpy does not tell which peers are matched."""
+        if short <= 0:
+            with self._lock:
+                self._short.pop(endpoint, None)
+            return "", ""
+        now = time.monotonic_ns()
+        with self._lock:
+            since = self._short.setdefault(endpoint, now)
+        text = "; ".join(map(str, peers))
+        if now - since < _SETTLE_NS:
+            return "", f"{text}, not matched yet"
+        return "ROS003", f"{text}; {short} of {len(peers)} not matched: another definition, or access rules"
+
+    def _look(self, endpoint: RclpyEndpoint) -> None:
+        """Say once in the log what the middleware's event is about; on the executor's thread."""
+        if endpoint.closed or endpoint.entity is None:
+            return
+        code, reason = self._diagnose(endpoint)
+        with self._lock:
+            if not code or (endpoint.topic, reason) in self._said:
+                return
+            self._said.add((endpoint.topic, reason))
+        _logger.warning("%s [%s]", reason, code)
+
+    # -- looking at it
+
+    def status(self) -> tuple[EndpointStatus, ...]:
+        """Return the state of all endpoints."""
+        with self._lock:
+            endpoints = list(self._endpoints)
+        return tuple(endpoint.status() for endpoint in endpoints)
+
+    def graph(self) -> GraphInfo:
+        """Return what is seen of the other nodes."""
+        if self._closed or self._lost:
+            return GraphInfo()
+        try:
+            names = self._node.get_node_names_and_namespaces()
+            found = [
+                peer
+                for topic, _ in self._node.get_topic_names_and_types()
+                for direction in ("in", "out")
+                for peer in self._peers(topic, direction)
+                if peer.node != self.node
+            ]
+        except RuntimeError as error:  # InvalidHandle too: closed at this moment
+            _logger.debug("the graph could not be read: %s", error)
+            return GraphInfo()
+        topics: dict[str, set[str]] = {}
+        for peer in found:
+            topics.setdefault(peer.topic, set()).add(peer.type_name)
+        infos = (EndpointInfo(p.topic, p.type_name, p.direction, p.node, p.qos, p.type_hash) for p in found)
+        return GraphInfo(
+            tuple(sorted({join(namespace, name) for name, namespace in names} - {self.node})),
+            tuple(sorted(infos, key=lambda info: (info.topic, info.direction, info.node))),
+            {topic: tuple(sorted(kinds)) for topic, kinds in sorted(topics.items())},
+        )
+
+    def lose(self) -> None:
+        """Note that the context is gone."""
+        self._lost = True
+
+    def adopt(self, own: OwnNode) -> None:
+        """Take over the node's thread, to end it in :meth:`close`."""
+        self._own = own
+
+    def close(self) -> None:
+        """Leave the graph; a node that was given stays. See :meth:`rosplc.ros.backend.Backend.close`."""
+        with self._lock:
+            own, self._own = self._own, None
+            self._closed = True
+            endpoints = list(self._endpoints)
+        for endpoint in endpoints:
+            endpoint.close()
+        if own is not None:
+            own.close()
+
+
+def _destroy(destroy: Callable[[Any], bool], entity: Any) -> None:
+    try:
+        destroy(entity)
+    except Exception:  # gone already, with its node
+        _logger.debug("destroying an entity failed", exc_info=True)
+
+
+def _refuse_ros1(store: TypeSource) -> None:
+    if store.distro == "noetic":
+        raise BackendError(
+            "ROS001", "the rclpy backend speaks ROS 2; noetic is ROS 1", remedy="Set ros.distro."
+        )
+
+
+def refusal(what: str, error: Exception) -> BackendError:
+    """Return ROS002 for whatever rclpy raised."""
+    return BackendError("ROS002", f"{what}: {str(error).strip() or type(error).__name__}")
+
+
+def from_node(node: Any, store: TypeSource, *, remap: Mapping[str, str] | None = None) -> RclpyBackend:
+    """Carry topics on a node that the caller owns and spins, such as a lifecycle node.
+
+    Args:
+        node: An ``rclpy.node.Node``; :meth:`RclpyBackend.close` leaves it alone.
+        store: Where message types come from.
+        remap: Topic → topic, besides the node's own rules.
+
+    Raises:
+        BackendError: ROS001 if the types are ROS 1's.
+    """
+    return RclpyBackend(node, store, remap or {})
+
+
+def open_backend(
+    store: TypeSource,
+    node_name: str,
+    namespace: str = "/",
+    domain: int | None = None,
+    *,
+    remap: Mapping[str, str] | None = None,
+    environment: Mapping[str, str] | None = None,
+    options: Mapping[str, object] | None = None,
+) -> RclpyBackend:
+    """Join a ROS 2 graph with a context, a node and a thread of its own.
+
+    Arguments and errors are those of :func:`rosplc.ros.open_backend`. ``environment`` serves for
+    ``ROS_DOMAIN_ID`` alone: everything else (RMW_IMPLEMENTATION, ROS_SECURITY_*, discovery) the
+    middleware reads from the process. ``options`` are described in
+    :class:`rosplc.ros.rclpy.options.Options`.
+    """
+    _refuse_ros1(store)
+    chosen = read_options(options or {})
+    validate_node_name(node_name)
+    validate_namespace(namespace)
+    number = domain_of(domain, os.environ if environment is None else environment)
+    try:
+        own = OwnNode(node_name, namespace, number, chosen.ros_args)
+    except Exception as error:
+        raise refusal(f"cannot join the graph as {join(namespace, node_name)}", error) from error
+    backend = RclpyBackend(own.node, store, remap or {})
+    backend.adopt(own)
+    try:
+        show(own.node, chosen.parameters)
+    except BaseException:
+        own.leave()
+        raise
+    own.start(backend.lose)
+    return backend

@@ -1,0 +1,115 @@
+"""Message classes of the ROS installation: found by name, and compared with the bridge's definition.
+
+The bridge carries bytes by its own definition of a type; the middleware finds its type support by
+the class. Were the two of different definitions, values would stand in the wrong fields.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+from rosplc.errors import BackendError
+from rosplc.model.types import (
+    ArrayType,
+    FieldType,
+    MessageType,
+    NamedType,
+    PrimitiveType,
+    SequenceType,
+    StringType,
+)
+from rosplc.ros.backend import TypeSource
+
+__all__ = ["MessageClasses", "field_text", "message_class"]
+
+# How rosidl_generator_py writes a field's type (resource/_msg.py.em); `char` is uint8 there.
+_NAMES = {"bool": "boolean", "byte": "octet", "char": "uint8", "float32": "float", "float64": "double"}
+
+
+def message_class(type_name: str) -> Any:
+    """Import the Python class of ``package/msg/Name``.
+
+    Raises:
+        BackendError: ROS011, the ROS installation has no such package, or not this type in it.
+    """
+    package, _, name = type_name.split("/")
+    try:
+        module = importlib.import_module(f"{package}.msg")
+    except Exception as error:  # whatever a half-installed package raises
+        raise BackendError(
+            "ROS011",
+            f"the Python package {package} of {type_name} cannot be imported: {error}",
+            remedy=f"Install ros-DISTRO-{package.replace('_', '-')}, or build it with colcon, and source its "
+            "setup.bash before the bridge starts.",
+        ) from error
+    try:
+        return getattr(module, name)
+    except AttributeError:
+        raise BackendError(
+            "ROS011", f"the installed package {package} has no message {name} ({module.__file__})"
+        ) from None
+
+
+def field_text(kind: FieldType) -> str:
+    """Return a field's type as a generated class's ``get_fields_and_field_types`` writes it."""
+    if isinstance(kind, SequenceType):
+        bound = "" if kind.bound is None else f", {kind.bound}"
+        return f"sequence<{field_text(kind.element)}{bound}>"
+    if isinstance(kind, ArrayType):
+        return f"{field_text(kind.element)}[{kind.length}]"
+    if isinstance(kind, StringType):
+        return "string" if kind.bound is None else f"string<{kind.bound}>"
+    if isinstance(kind, PrimitiveType):
+        return _NAMES.get(kind.name, kind.name)
+    return kind.name.replace("/msg/", "/")
+
+
+class MessageClasses:
+    """The classes of a store's types, each compared once.
+
+    Args:
+        store: The bridge's own definitions.
+    """
+
+    def __init__(self, store: TypeSource) -> None:
+        self._store = store
+        self._found: dict[str, Any] = {}
+
+    def __getitem__(self, type_name: str) -> Any:
+        """Return a type's class.
+
+        Raises:
+            MessageTypeError: TYP001, the store does not know the type.
+            BackendError: ROS011 if it is not installed, ROS012 if it is installed with other fields.
+        """
+        if type_name not in self._found:
+            self._compare(self._store[type_name], set())
+            self._found[type_name] = message_class(type_name)
+        return self._found[type_name]
+
+    def _compare(self, message: MessageType, seen: set[str]) -> None:
+        if message.name in seen or message.name in self._found:
+            return
+        seen.add(message.name)
+        theirs = list(message_class(message.name).get_fields_and_field_types().items())
+        ours = [(field.name, field_text(field.type)) for field in message.fields]
+        if ours != theirs:
+            raise BackendError(
+                "ROS012",
+                f"{message.name} is installed with another definition than the bridge has ("
+                f"{self._store.distro}): {_first_difference(ours, theirs)}",
+            )
+        for field in message.fields:
+            kind = field.type.element if isinstance(field.type, ArrayType | SequenceType) else field.type
+            if isinstance(kind, NamedType):
+                self._compare(self._store[kind.name], seen)
+
+
+def _first_difference(ours: list[tuple[str, str]], theirs: list[tuple[str, str]]) -> str:
+    for number, (one, other) in enumerate(zip(ours, theirs, strict=False), 1):
+        if one != other:
+            return f"field {number} is `{other[1]} {other[0]}` there, `{one[1]} {one[0]}` here"
+    more, where = (theirs, "there") if len(theirs) > len(ours) else (ours, "here")
+    name, kind = more[min(len(ours), len(theirs))]
+    return f"`{kind} {name}` exists only {where}"

@@ -1,0 +1,64 @@
+"""What the configuration may say under ``ros.rclpy``, and the ROS domain."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from rosplc.errors import BackendError
+
+__all__ = ["Options", "domain_of", "read_options"]
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """The backend's own keys.
+
+    Attributes:
+        ros_args: ROS arguments for the bridge's node, as after ``--ros-args`` on a command line:
+            ``["-r", "cmd_vel:=base/cmd_vel", "--enclave", "/cell1"]``.
+        parameters: Name → value of parameters that the node shows, and nobody can set.
+    """
+
+    ros_args: tuple[str, ...] = ()
+    parameters: Mapping[str, str | list[str]] = field(default_factory=dict)
+
+
+def read_options(options: Mapping[str, object]) -> Options:
+    """Read the keys.
+
+    Raises:
+        BackendError: ROS013, a key is unknown or its value is not of its kind.
+    """
+    for key in options:
+        if key not in ("ros_args", "parameters"):
+            raise BackendError("ROS013", f"ros.rclpy has no key {key!r}; there are: ros_args, parameters")
+    arguments = options.get("ros_args", ())
+    if not isinstance(arguments, list | tuple) or not all(isinstance(one, str) for one in arguments):
+        raise BackendError("ROS013", f"ros.rclpy.ros_args is {arguments!r}; it is a list of strings")
+    parameters = options.get("parameters", {})
+    if not isinstance(parameters, Mapping) or not all(map(_is_shown, parameters.values())):
+        raise BackendError(
+            "ROS013", f"ros.rclpy.parameters is {parameters!r}; it maps names to strings or lists of strings"
+        )
+    return Options(tuple(one for one in arguments if one != "--ros-args"), dict(parameters))
+
+
+def _is_shown(value: object) -> bool:
+    return isinstance(value, str) or (isinstance(value, list) and all(isinstance(one, str) for one in value))
+
+
+def domain_of(domain: int | None, environment: Mapping[str, str]) -> int | None:
+    """Return the ROS domain, or None to leave the choice to rcl.
+
+    Raises:
+        BackendError: ROS010, ``ROS_DOMAIN_ID`` is no number.
+    """
+    text = environment.get("ROS_DOMAIN_ID") or ""
+    if domain is not None or not text:
+        return domain
+    if not text.isascii() or not text.isdigit():
+        raise BackendError(
+            "ROS010", f"ROS_DOMAIN_ID is {text!r}; it is a number from 0 up", where="ROS_DOMAIN_ID"
+        )
+    return int(text)

@@ -1,0 +1,98 @@
+"""A context, a node and a thread of our own: nothing of rclpy's process-wide state is touched.
+
+rclpy's default context and its signal handlers belong to the program that the bridge may be part of.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from typing import Any
+
+from rclpy.context import Context
+from rclpy.exceptions import InvalidHandle
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+
+__all__ = ["OwnNode"]
+
+_logger = logging.getLogger("rosplc.ros.rclpy")
+
+
+class OwnNode:
+    """One node that a thread of its own serves until :meth:`close`.
+
+    Args:
+        name: Its base name.
+        namespace: Its namespace.
+        domain: The ROS domain; None leaves it to ``ROS_DOMAIN_ID``.
+        ros_args: ROS arguments, as after ``--ros-args``; they apply to this node alone.
+
+    Raises:
+        Exception: Whatever rclpy raises; nothing is left behind.
+    """
+
+    def __init__(self, name: str, namespace: str, domain: int | None, ros_args: Sequence[str]) -> None:
+        self.context = Context()
+        # Never None: rclpy would take the arguments of the whole program.
+        self.context.init(args=["--ros-args", *ros_args] if ros_args else [], domain_id=domain)
+        try:
+            self.node: Any = Node(name, context=self.context, namespace=namespace)
+            self._executor = SingleThreadedExecutor(context=self.context)
+            self._executor.add_node(self.node)
+        except BaseException:
+            self.context.try_shutdown()
+            raise
+        self._stopping = False
+        self._thread = threading.Thread(target=self._run, name=f"rosplc-rclpy-{name}", daemon=True)
+
+    def start(self, on_lost: Callable[[], None]) -> None:
+        """Begin to serve; ``on_lost`` is called if somebody else shuts the context down."""
+        self._on_lost = on_lost
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop serving and leave the graph; waits for that, unless called from a callback."""
+        self._stopping = True
+        with suppress(Exception):  # the executor is gone already, if the context was shut down
+            self._executor.create_task(_nothing)  # spin_once returns after it
+        if threading.current_thread() is not self._thread:
+            self._thread.join()
+
+    def _run(self) -> None:
+        try:
+            while not self._stopping and self._spin():
+                pass
+        finally:
+            self.leave()
+
+    def _spin(self) -> bool:
+        try:
+            self._executor.spin_once()
+        except InvalidHandle:  # an entity was destroyed while the executor looked at it
+            _logger.debug("the executor met a destroyed entity", exc_info=True)
+        except ExternalShutdownException:
+            pass
+        except Exception:  # a defect; but the other topics have to go on
+            _logger.exception("serving the node %s failed", self.node.get_name())
+            time.sleep(0.1)
+        if self.context.ok() or self._stopping:
+            return True
+        _logger.error("the ROS context was shut down by somebody else; nothing is carried any more")
+        self._on_lost()
+        return False
+
+    def leave(self) -> None:
+        """Give everything back; the thread's last work."""
+        for step in (self.node.destroy_node, self._executor.shutdown, self.context.try_shutdown):
+            try:
+                step()
+            except Exception:  # the rest must still be given back
+                _logger.debug("leaving the graph: %s failed", step, exc_info=True)
+
+
+def _nothing() -> None:
+    """Wake the executor."""

@@ -1,0 +1,154 @@
+"""rclpy/executors.py: one wait set over all entities for each thing that is done, as there."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+from rclpy import _graph
+from rclpy._distro import HUMBLE
+from rclpy._handles import InvalidHandle
+from rclpy.task import Task
+
+
+class ExternalShutdownException(Exception):
+    pass
+
+
+class Executor:
+    def __init__(self, *, context: Any = None) -> None:
+        if context is None:
+            from rclpy.utilities import get_default_context
+
+            context = get_default_context()
+        if not context.ok():
+            raise RuntimeError("failed to create guard condition: the given context is not valid")
+        self._context = context
+        self._nodes: list[Any] = []
+        self._tasks: list[Task] = []
+        self._woken = False
+        self._is_shutdown = False
+        context.on_shutdown(self.wake)
+
+    @property
+    def context(self) -> Any:
+        return self._context
+
+    def create_task(self, callback: Callable[..., Any], *args: Any, **kwargs: Any) -> Task:
+        if self._is_shutdown:
+            raise AttributeError("'NoneType' object has no attribute 'trigger'")
+        task = Task(callback, args, kwargs)
+        with _graph.changed:
+            self._tasks.append(task)
+            _graph.changed.notify_all()
+        return task
+
+    def shutdown(self, timeout_sec: float | None = None) -> bool:
+        with _graph.changed:
+            self._is_shutdown = True
+            self._nodes = []
+            _graph.changed.notify_all()
+        return True
+
+    def add_node(self, node: Any) -> bool:
+        with _graph.changed:
+            if node in self._nodes:
+                return False
+            self._nodes.append(node)
+        node.executor = self
+        self.wake()
+        return True
+
+    def remove_node(self, node: Any) -> None:
+        with _graph.changed:
+            if node in self._nodes:
+                self._nodes.remove(node)
+                _graph.changed.notify_all()
+
+    def wake(self) -> None:
+        with _graph.changed:
+            _graph.changed.notify_all()
+
+    def get_nodes(self) -> list[Any]:
+        return list(self._nodes)
+
+    def spin(self) -> None:
+        while self._context.ok() and not self._is_shutdown:
+            self.spin_once()
+
+    def spin_once(self, timeout_sec: float | None = None) -> None:
+        raise NotImplementedError
+
+
+class SingleThreadedExecutor(Executor):
+    def __init__(self, *, context: Any = None) -> None:
+        super().__init__(context=context)
+
+    def spin_once(self, timeout_sec: float | None = None) -> None:
+        work = self._wait(None if timeout_sec is None or timeout_sec < 0 else time.monotonic() + timeout_sec)
+        if work is not None:
+            work()  # what a callback raises comes out here, as in rclpy
+
+    def _wait(self, end: float | None) -> Callable[[], None] | None:
+        with _graph.changed:
+            while True:
+                if self._is_shutdown:
+                    return None
+                if not self._context.ok():
+                    raise ExternalShutdownException
+                if self._tasks:
+                    return _raising(self._tasks.pop(0))
+                if (work := self._ready()) is not None:
+                    return work
+                left = None if end is None else end - time.monotonic()
+                if left is not None and left <= 0:
+                    return None
+                _graph.changed.wait(left)
+
+    def _ready(self) -> Callable[[], None] | None:
+        for node in self._nodes:
+            for handler in list(node.waitables):
+                if handler.ready() and handler.callback_group.can_execute(handler):
+                    return _guarded(handler, lambda h=handler: h.callback(h.take()))  # type: ignore[misc]
+            for subscription in list(node.subscriptions):
+                waits = subscription.handle.endpoint.waiting
+                if waits and subscription.callback_group.can_execute(subscription):
+                    return _guarded(subscription, lambda s=subscription: _take(s))  # type: ignore[misc]
+        return None
+
+
+def _raising(task: Task) -> Callable[[], None]:
+    def run() -> None:
+        task()
+        if (error := task.exception()) is not None:
+            raise error
+
+    return run
+
+
+def _guarded(entity: Any, work: Callable[[], None]) -> Callable[[], None]:
+    def run() -> None:
+        if entity.callback_group.beginning_execution(entity):
+            try:
+                work()
+            finally:
+                entity.callback_group.ending_execution(entity)
+
+    return run
+
+
+def _take(subscription: Any) -> None:
+    try:
+        with subscription.handle:
+            taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
+    except InvalidHandle:
+        if HUMBLE:  # there the executor does not expect it
+            raise
+        return
+    if taken is None:
+        return
+    if HUMBLE or subscription._callback_type.name == "MessageOnly":
+        subscription.callback(taken[0])
+    else:
+        subscription.callback(*taken)
