@@ -16,6 +16,7 @@ __all__ = ["ARMHF", "Build", "Toolchain", "build"]
 
 _HERE = Path(__file__).resolve().parent
 _CACHE = _HERE.parents[1] / ".cache" / "st"
+_RUNTIME = ("st_runtime.c", "st_semaphore.c")
 _FLAGS = ("-std=gnu11", "-fwrapv", "-fno-strict-aliasing", "-Wall", "-Wno-unused", "-Wno-stringop-overread",
           "-Wno-attributes", "-Wno-discarded-qualifiers", "-Wno-ignored-qualifiers")  # fmt: skip
 
@@ -62,7 +63,7 @@ def build(
     """
     toolchain = toolchain or Toolchain()
     translation = translate(texts, options)
-    runtime = [_HERE / "runtime" / name for name in ("st_runtime.h", "st_runtime.c", "st_main.c")]
+    runtime = [_HERE / "runtime" / name for name in ("st_runtime.h", *_RUNTIME, "st_main.c")]
     digest = hashlib.sha256(translation.code.encode())
     for file in runtime:
         digest.update(file.read_bytes())
@@ -81,12 +82,14 @@ def _compile(code: str, path: Path, toolchain: Toolchain, program: bool) -> None
     source = path.with_suffix(f".{os.getpid()}.c")
     target = path.with_suffix(f".{os.getpid()}.tmp")
     source.write_text(code)
-    sources = [str(source), str(_HERE / "runtime" / "st_runtime.c")]
+    sources = [str(source), *(str(_HERE / "runtime" / name) for name in _RUNTIME)]
     if program:
         sources.append(str(_HERE / "runtime" / "st_main.c"))
     shape = [] if program else ["-fPIC", "-shared"]
     command = [compiler, *_FLAGS, *toolchain.flags, *shape, "-I", str(_HERE / "runtime"), "-o", str(target)]
-    done = subprocess.run([*command, *sources, "-lm"], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [*command, *sources, "-lm", "-pthread"], capture_output=True, text=True, check=False
+    )
     if done.returncode:
         raise RuntimeError(f"gcc refuses {source}:\n{done.stderr[:4000]}")
     source.unlink()

@@ -26,9 +26,13 @@ from verification.st.translator.types import Array, Block, Elementary, List, Poi
 
 __all__ = ["Counters", "LibraryMachine", "Machine", "ProcessMachine"]
 
-_OPTIONS = ("round_pages", "check_size", "return_size", "cache_names", "real_clock")
+_OPTIONS = (
+    "round_pages", "check_size", "return_size", "cache_names", "real_clock",
+    "sem_born_locked", "sem_failed", "sem_recursive", "sem_cache", "stop_inside",
+)  # fmt: skip
 _COUNTERS = (
     "opens", "opened", "closes", "creates", "deletes", "faults", "open_handles", "bad_handles", "barriers",
+    "sem_creates", "sem_made", "sem_enters", "sem_timeouts", "sem_leaves", "sem_waited", "sem_endless",
 )  # fmt: skip
 _STEP = re.compile(r"\.?(\w+)|\[(-?\d+)\]")
 _CODES = {(8, True): "b", (8, False): "B", (16, True): "h", (16, False): "H", (32, True): "i",
@@ -43,7 +47,11 @@ class Counters(dict[str, int]):
 
 
 class Machine:
-    """What both kinds share: access to variables by their paths, as ``ROS_Read.cmd_vel.xNew``."""
+    """What both kinds share: access to variables by their paths, as ``ROS_Read.cmd_vel.xNew``.
+
+    Attributes:
+        may_create: Whether the program may create memories, as classic blocks do.
+    """
 
     def __init__(self, built: Build) -> None:
         self.program = built.translation.program
@@ -51,6 +59,7 @@ class Machine:
         self._members: dict[tuple[str, str], tuple[int, int]] = {}
         self._pointer = 8
         self._time = 0
+        self.may_create = False
 
     # ---- what a kind provides
 
@@ -89,6 +98,10 @@ class Machine:
         """Switch one of the runtime's variations, a member of ``st_options``."""
         raise NotImplementedError
 
+    def set_prefix(self, prefix: str) -> None:
+        """Have a text put before every name of a memory or semaphore."""
+        raise NotImplementedError
+
     def _scan(self, program: str, count: int, step: int) -> None:
         raise NotImplementedError
 
@@ -118,7 +131,8 @@ class Machine:
         """Assert what holds for every program at all times."""
         counters = self.counters()
         assert counters.faults == 0, self.last_fault()
-        assert counters.creates == 0, "the program created an object"
+        assert counters.creates == 0 or self.may_create, "the program created an object"
+        assert counters.sem_endless == 0, "the program waited without a limit"
         assert counters.deletes == 0, "the program deleted an object"
         assert counters.bad_handles == 0, "the program used an invalid handle"
 
@@ -263,6 +277,13 @@ class LibraryMachine(Machine):
 
     def on_barrier(self, hook: Callable[[], None] | None) -> None:
         """Call a function at each MemoryBarrier, inside the scan; what it raises, `check` raises."""
+        self._on("st_barrier_hook", hook)
+
+    def on_inside(self, hook: Callable[[], None] | None) -> None:
+        """Call a function inside the lock, after each SysSemProcessEnter that succeeds."""
+        self._on("st_inside_hook", hook)
+
+    def _on(self, place_name: str, hook: Callable[[], None] | None) -> None:
         kind = ctypes.CFUNCTYPE(None)
         self._broken = None
 
@@ -274,7 +295,7 @@ class LibraryMachine(Machine):
                 self._broken = error
 
         self._hook = kind(call)  # kept alive for as long as C may call it
-        place = ctypes.c_void_p.in_dll(self.library, "st_barrier_hook")
+        place = ctypes.c_void_p.in_dll(self.library, place_name)
         place.value = ctypes.cast(self._hook, ctypes.c_void_p).value if hook is not None else None
 
     def check(self) -> None:
@@ -303,6 +324,10 @@ class LibraryMachine(Machine):
         """Switch one of the runtime's variations, a member of ``st_options``."""
         options: Any = (ctypes.c_uint32 * len(_OPTIONS)).in_dll(self.library, "st_options")
         options[_OPTIONS.index(name)] = value
+
+    def set_prefix(self, prefix: str) -> None:
+        """Have a text put before every name of a memory or semaphore."""
+        self.library.st_set_prefix(prefix.encode())
 
     def _scan(self, program: str, count: int, step: int) -> None:
         name = program.encode()
@@ -414,6 +439,14 @@ class ProcessMachine(Machine):
         """Switch one of the runtime's variations, a member of ``st_options``."""
         assert name in _OPTIONS
         self._ask(f"option {name} {value}")
+
+    def set_prefix(self, prefix: str) -> None:
+        """Have a text put before every name of a memory or semaphore."""
+        self._ask(f"prefix {prefix}")
+
+    def become(self, user: int) -> None:
+        """Go on as a user without rights; only root can."""
+        self._ask(f"user {user}")
 
     def _scan(self, program: str, count: int, step: int) -> None:
         self._ask(f"scan {program} {count} {step}")

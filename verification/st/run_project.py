@@ -123,7 +123,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--directory", default="/dev/shm", help="where shared memory lies")
     given = parser.parse_args(arguments)
     try:
-        built = build(load_texts(given.project), Options())
+        texts = load_texts(given.project)
+        built = build(texts, Options())
     except (TranslationError, FileNotFoundError, RuntimeError) as error:
         print(f"run_project: {error}", file=sys.stderr)
         return 1
@@ -135,6 +136,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
     tasks = tasks or [default_task(known)]
     machine = LibraryMachine(built, given.directory)
+    machine.may_create = "RosPlc_Classic" in texts
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())

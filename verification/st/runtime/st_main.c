@@ -1,10 +1,14 @@
 /* A translated program as a process of its own, driven line by line through its stdin. */
+#define _GNU_SOURCE
 #include "st_runtime.h"
 
+#include <grp.h>
 #include <inttypes.h>
 #include <stdio.h>
+#include <unistd.h>
 
-static const char *const option_names[] = { "round_pages", "check_size", "return_size", "cache_names", "real_clock" };
+static const char *const option_names[] = { "round_pages", "check_size", "return_size", "cache_names", "real_clock",
+    "sem_born_locked", "sem_failed", "sem_recursive", "sem_cache", "stop_inside" };
 
 static void tables(void)
 {
@@ -45,6 +49,11 @@ int main(void)
             }
         } else if (!strcmp(word, "directory") && sscanf(rest, "%255s", name) == 1) {
             st_set_directory(name);
+        } else if (!strcmp(word, "prefix") && sscanf(rest, "%255s", name) == 1) {
+            st_set_prefix(name);
+        } else if (!strcmp(word, "user") && sscanf(rest, "%lu", &number) == 1) {
+            if (setgroups(0, NULL) || setgid((gid_t)number) || setuid((uid_t)number))
+                fputs("?", stdout);
         } else if (!strcmp(word, "option") && sscanf(rest, "%255s %lu", name, &number) == 2) {
             for (size_t i = 0; i < sizeof option_names / sizeof *option_names; i++)
                 if (!strcmp(option_names[i], name))

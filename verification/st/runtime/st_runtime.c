@@ -113,17 +113,25 @@ static st_uxint open_object(const char *name, uint8_t *psize, uint8_t *result, i
                 put_result(result, ERR_OK);
                 return (st_uxint)i + 1;
             }
-    snprintf(path, sizeof path, "%s/%s", directory, name);
-    int fd = open(path, flags | O_NOFOLLOW | O_CLOEXEC | O_NONBLOCK, 0640);
+    snprintf(path, sizeof path, "%s/%s%s", directory, st_prefix(), name);
+    uint32_t answer = ERR_OK;
+    int made = 0, fd = -1;
+    if (flags & O_CREAT) {
+        fd = open(path, O_RDWR | O_CREAT | O_EXCL | O_NOFOLLOW | O_CLOEXEC, 0640);
+        made = fd >= 0;
+        answer = made ? ERR_OK : ERR_DUPLICATE;
+    }
+    if (fd < 0)
+        fd = open(path, O_RDWR | O_NOFOLLOW | O_CLOEXEC | O_NONBLOCK);
     if (fd < 0)
         return refuse(result, errno == ENOENT ? ERR_NO_OBJECT : ERR_FAILED);
+    if (made && ftruncate(fd, (off_t)asked)) {
+        close(fd);
+        return refuse(result, ERR_NOMEMORY);
+    }
     if (fstat(fd, &about) || !S_ISREG(about.st_mode)) {
         close(fd);
         return refuse(result, ERR_FAILED);
-    }
-    if ((flags & O_CREAT) && about.st_size == 0 && ftruncate(fd, (off_t)asked)) {
-        close(fd);
-        return refuse(result, ERR_NOMEMORY);
     }
     size_t actual = countable((size_t)about.st_size);
     if (st_options.check_size && asked > actual) {
@@ -146,7 +154,7 @@ static st_uxint open_object(const char *name, uint8_t *psize, uint8_t *result, i
                 st_uxint size = (st_uxint)actual;
                 memcpy(psize, &size, sizeof size);
             }
-            put_result(result, ERR_OK);
+            put_result(result, answer);
             return (st_uxint)i + 1;
         }
     munmap(memory, asked);
@@ -206,7 +214,7 @@ uint32_t SysSharedMemoryDelete(st_uxint handle)
     st_counters.deletes++;
     if (!m)
         return ERR_INVALID_HANDLE;
-    snprintf(path, sizeof path, "%s/%s", directory, m->name);
+    snprintf(path, sizeof path, "%s/%s%s", directory, st_prefix(), m->name);
     unlink(path);
     return SysSharedMemoryClose(handle);
 }

@@ -30,19 +30,33 @@ struct st_options {
     uint32_t return_size;  /* Open2 stores the object's size in *pulSize */
     uint32_t cache_names;  /* a second Open2 of a name gives the mapping made first, while one is open */
     uint32_t real_clock;   /* TIME() by the machine's clock instead of st_set_time */
+    uint32_t sem_born_locked; /* SysSemProcessCreate makes semaphores with the count 0 */
+    uint32_t sem_failed;      /* Enter in vain gives FAILED instead of TIMEOUT */
+    uint32_t sem_recursive;   /* Enter lets its own process in again */
+    uint32_t sem_cache;       /* Create of a name that this process knows gives the handle made first */
+    uint32_t stop_inside;     /* the next Enter that succeeds stops the process there (SIGSTOP) */
 };
 extern struct st_options st_options;
 
 /* What a test asserts about the libraries' use. */
 struct st_counters {
     uint32_t opens, opened, closes, creates, deletes, faults, open_handles, bad_handles, barriers;
+    uint32_t sem_creates, sem_made, sem_enters, sem_timeouts, sem_leaves;
+    uint32_t sem_waited;  /* ms that Enter was told to wait, where it was in vain, added up */
+    uint32_t sem_endless; /* calls of Enter without a limit */
 };
 extern struct st_counters st_counters;
 
 /* Called at each MemoryBarrier: a test then looks at, or changes, what the program has in hand. */
 extern void (*st_barrier_hook)(void);
 
+/* Called inside the lock, after each SysSemProcessEnter that succeeds. */
+extern void (*st_inside_hook)(void);
+
 void st_set_directory(const char *path);
+/* Put before every name of a memory or semaphore, so that tests with fixed names do not meet. */
+void st_set_prefix(const char *prefix);
+const char *st_prefix(void);
 void st_set_time(uint32_t milliseconds);
 const char *st_last_fault(void);
 int st_scan(const char *program);
@@ -57,6 +71,10 @@ st_uxint SysSharedMemoryOpen2(const char *name, st_uxint physical, uint8_t *size
 uint8_t *SysSharedMemoryGetPointer(st_uxint handle, uint8_t *result);
 uint32_t SysSharedMemoryClose(st_uxint handle);
 uint32_t SysSharedMemoryDelete(st_uxint handle);
+st_uxint SysSemProcessCreate(const char *name, uint8_t *result);
+uint32_t SysSemProcessEnter(st_uxint handle, uint32_t milliseconds);
+uint32_t SysSemProcessLeave(st_uxint handle);
+uint32_t SysSemProcessDelete(st_uxint handle);
 uint8_t *SysMemSet(uint8_t *memory, int32_t value, st_uxint size);
 uint8_t *SysMemCpy(uint8_t *to, uint8_t *from, st_uxint size);
 int32_t SysMemCmp(uint8_t *a, uint8_t *b, st_uxint size);
