@@ -73,7 +73,9 @@ def _type(schema: dict[str, Any], definitions: dict[str, Any]) -> str:
     if kind == "array":
         return "list of text"
     if kind == "object":
-        return "keys below" if "$ref" in str(schema) else "field path: number"
+        if "$ref" in str(schema):
+            return "keys below"
+        return "field path: number" if "integer" in str(schema.get("additionalProperties")) else "name: text"
     if kind == "integer":
         low, high = schema.get("minimum"), schema.get("maximum")
         return "whole number" if low is None else f"{low} … {high}" if high is not None else f"from {low}"
@@ -116,6 +118,10 @@ def page() -> str:
         model = definitions[_model_of(schema["properties"][name])]
         each = {"tasks": " (each)", "topics": " (each)"}.get(name, "")
         lines += [f"\n## `{name}`{each}\n", f"{model['description']}\n", *_rows(model, definitions)]
+        if name == "ros":
+            for backend in ("zenoh", "rclpy"):
+                own = definitions[_model_of(model["properties"][backend])]
+                lines += [f"\n### `{backend}`\n", f"{own['description']}\n", *_rows(own, definitions)]
         if name == "topics":
             qos = definitions["QosSettings"]
             lines += ["\n### `qos`\n", f"{qos['description']}\n", *_rows(qos, definitions)]

@@ -89,6 +89,7 @@ def diagnostic_statuses(status: BridgeStatus) -> list[dict[str, Any]]:
     level, message = status.judgement
     values = {
         "backend": status.backend,
+        "backend chosen": status.backend_why,
         "uptime": format_age(status.uptime_ns),
         "topics": str(len(status.topics)),
     }

@@ -21,12 +21,13 @@ from rosplc.bridge.keeper import Keeper, Observer
 from rosplc.bridge.leftovers import retire_leftovers
 from rosplc.bridge.owner import group_id, user_id
 from rosplc.bridge.resolve import Project, TopicPlan, resolve
+from rosplc.bridge.ros_side import RosSide
 from rosplc.bridge.status import BridgeStatus
 from rosplc.bridge.to_plc import ToPlc
 from rosplc.bridge.to_ros import Pump, ToRos
 from rosplc.bridge.topic import Surroundings, Topic, log
 from rosplc.errors import RosplcError
-from rosplc.ros import Backend, open_backend
+from rosplc.ros import Backend, Choice, RosArguments
 from rosplc.shm import Direction
 
 __all__ = ["Bridge"]
@@ -40,17 +41,26 @@ class Bridge:
     Args:
         config: A configuration, or one that is resolved already.
         backend: The ROS side; by default the configuration's is opened, and closed again at the end.
+        arguments: ROS arguments of the command line, for a backend that is opened.
 
     Raises:
         ConfigErrors: The configuration is wrong.
     """
 
-    def __init__(self, config: Config | Project, backend: Backend | None = None) -> None:
+    def __init__(
+        self,
+        config: Config | Project,
+        backend: Backend | None = None,
+        *,
+        arguments: RosArguments | None = None,
+    ) -> None:
         self.project = config if isinstance(config, Project) else resolve(config)
         self.config = self.project.config
         self.settings = self.config.settings
         self.backend = backend
         self._owns_backend = backend is None
+        self._ros = RosSide(self.config, arguments or RosArguments())
+        self._choice: Choice | None = None
         self._topics: tuple[Topic, ...] = ()
         self._pump: Pump | None = None
         self._classic_to_ros = ClassicCarrier("rosplc-classic-to-ros")
@@ -106,7 +116,7 @@ class Bridge:
             topic.open()
             stack.callback(topic.close)
         if self.backend is None:
-            self.backend = self._open_backend()
+            self.backend, self._choice = self._ros.open(self.project.store)
             stack.callback(self._close_backend)
         for topic in self._topics:
             topic.join(self.backend)
@@ -129,11 +139,6 @@ class Bridge:
         observer = Observer(settings.diagnostics.period_ns, self.ask, self.status, publish)
         observer.start()
         stack.callback(observer.stop)
-
-    def _open_backend(self) -> Backend:
-        ros = self.settings.ros
-        name = ros.node_name or "rosplc_" + self.settings.bridge.replace("-", "_")
-        return open_backend(ros.backend, self.project.store, name, ros.namespace, ros.domain)
 
     def _close_backend(self) -> None:
         if self._owns_backend and self.backend is not None:
@@ -189,6 +194,7 @@ class Bridge:
         return BridgeStatus(
             bridge=self.settings.bridge,
             backend=self.backend.name if self.backend is not None else "",
+            backend_why=str(self._choice) if self._choice is not None else "",
             running=bool(self._started_ns),
             uptime_ns=now - self._started_ns if self._started_ns else 0,
             topics=tuple(topic.status(now) for topic in self._topics),

@@ -12,6 +12,7 @@ from rosplc.bridge.engine import Bridge
 from rosplc.bridge.resolve import load_project
 from rosplc.bridge.run import stop_on_signals
 from rosplc.bridge.status import BridgeStatus, Level
+from rosplc.ros import RosArguments
 
 __all__ = ["run_bridge"]
 
@@ -19,13 +20,20 @@ log = logging.getLogger("rosplc.run")
 _FILES = 65536
 
 
-def run_bridge(config: Path, *, status_seconds: float | None, level: int = logging.INFO) -> None:
+def run_bridge(
+    config: Path,
+    *,
+    status_seconds: float | None,
+    level: int = logging.INFO,
+    arguments: RosArguments | None = None,
+) -> None:
     """Run a bridge until SIGINT or SIGTERM; a second signal ends the process at once.
 
     Args:
         config: The configuration file.
         status_seconds: Time between two status lines in the log; None for none.
         level: The lowest level that is logged.
+        arguments: ROS arguments of the command line.
 
     Raises:
         RosplcError: The configuration is wrong, or the bridge cannot start.
@@ -35,7 +43,7 @@ def run_bridge(config: Path, *, status_seconds: float | None, level: int = loggi
     )
     _allow_many_files()
     project = load_project(config)
-    with stop_on_signals() as stop, Bridge(project) as bridge:
+    with stop_on_signals() as stop, Bridge(project, arguments=arguments) as bridge:
         reporter = _Reporter()
         while not stop.wait(status_seconds):
             reporter.report(bridge.status())

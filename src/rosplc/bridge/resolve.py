@@ -14,6 +14,7 @@ from rosplc.bridge.config import Config, read_config
 from rosplc.bridge.depth import Demand, least_slots, usual_slots
 from rosplc.bridge.problems import Problems, relocated
 from rosplc.bridge.quantities import format_duration
+from rosplc.bridge.ros_side import check_ros
 from rosplc.bridge.settings import TaskSettings, TopicSettings
 from rosplc.errors import ConfigError, LayoutError, RosplcError
 from rosplc.layout import Layout, Limits, compute_layout
@@ -125,6 +126,7 @@ def resolve(config: Config) -> Project:
     """
     problems = Problems()
     settings = config.settings
+    check_ros(config, problems)
     store = _store(config, problems)
     problems.check()
     namespace = Namespace(settings.prefix, settings.shm.directory)

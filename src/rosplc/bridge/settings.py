@@ -30,12 +30,14 @@ __all__ = [
     "DiagnosticsSettings",
     "LimitSettings",
     "QosSettings",
+    "RclpySettings",
     "RosSettings",
     "Settings",
     "ShmSettings",
     "TaskSettings",
     "TopicSettings",
     "TypesSettings",
+    "ZenohSettings",
 ]
 
 _TOPIC = r"(/[A-Za-z_][A-Za-z0-9_]*)+"
@@ -82,8 +84,15 @@ _SHM_NAME = r"(?!sem\.)[A-Za-z0-9_][A-Za-z0-9_.-]{0,79}"
 _TASK = r"[A-Za-z_][A-Za-z0-9_]{0,63}"
 _TYPE = r"[A-Za-z][A-Za-z0-9_]*(/msg)?/[A-Za-z][A-Za-z0-9_]*"
 
+_NAME = r"(/|~/)?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*"
+_LOCATOR = r"[a-z0-9_-]+/.+"
+
 TopicName = Annotated[str, AfterValidator(_topic_name), _schema(_TOPIC)]
 Word = Annotated[str, _pattern(_WORD, "a letter, then at most 31 letters, digits, _ or -"), _schema(_WORD)]
+GraphName = Annotated[str, _pattern(_NAME, "a name such as /cmd_vel, cmd_vel or ~/cmd_vel"), _schema(_NAME)]
+Locator = Annotated[
+    str, _pattern(_LOCATOR, "protocol/address:port, such as tcp/192.168.1.10:7447"), _schema(_LOCATOR)
+]
 NodeName = Annotated[str, _pattern(_NODE, "letters, digits and _, not a digit first"), _schema(_NODE)]
 NamespaceName = Annotated[str, _pattern(_NAMESPACE, "/ or a name such as /robot1"), _schema(_NAMESPACE)]
 SharedName = Annotated[
@@ -113,13 +122,39 @@ def _f(default: Any, description: str, *, alias: str | None = None, **constraint
     return Field(default, description=description, alias=alias, **constraints)
 
 
+class ZenohSettings(_Section):
+    """How the `zenoh` backend reaches the others; what is not given is as rmw_zenoh has it."""
+
+    mode: Literal["peer", "client"] | None = _f(
+        None, "`peer` finds others by gossip and speaks to them directly; `client` goes through a router."
+    )
+    connect: tuple[Locator, ...] | None = _f(
+        None, "Where routers or peers are, such as `tcp/192.168.1.10:7447`."
+    )
+    listen: tuple[Locator, ...] | None = _f(None, "Where others may connect, such as `tcp/0.0.0.0:0`.")
+    config: Annotated[str, Field(min_length=1)] | None = _f(
+        None, "A Zenoh configuration file (JSON5), relative to this file; the keys above come on top of it."
+    )
+
+
+class RclpySettings(_Section):
+    """What the `rclpy` backend's node is started with."""
+
+    ros_args: tuple[Annotated[str, Field(min_length=1)], ...] = _f(
+        (), "ROS arguments of the node, as after `--ros-args` on a command line, one by one."
+    )
+    parameters: dict[str, str | list[str]] = _f(
+        {}, "Parameters that the node shows, by name: texts or lists of texts."
+    )
+
+
 class RosSettings(_Section):
     """The ROS side."""
 
     backend: BackendName = _f(
         "auto",
-        "How to reach ROS. `auto` takes the first that is installed and says which in the log; "
-        "`memory` stays inside the process and is for tests.",
+        "How to reach ROS. `auto` chooses by distribution, environment and what is installed, and says "
+        "what and why (`rosplc check`); `memory` stays inside the process and is for tests.",
     )
     distro: Distro = _f("jazzy", "Whose message definitions hold; `noetic` is ROS 1.")
     domain: StrictInt | None = _f(
@@ -129,6 +164,11 @@ class RosSettings(_Section):
     namespace: NamespaceName = _f(
         "/", "The node's namespace; topics in this file are absolute and ignore it."
     )
+    remap: dict[GraphName, GraphName] = _f(
+        {}, "Topic → topic, as `-r from:=to` on the command line, which comes first; the PLC's names stay."
+    )
+    zenoh: ZenohSettings | None = _f(None, "Settings of the `zenoh` backend; `auto` then takes it.")
+    rclpy: RclpySettings | None = _f(None, "Settings of the `rclpy` backend.")
 
 
 class TypesSettings(_Section):

@@ -165,6 +165,7 @@ class BridgeStatus:
     Attributes:
         bridge: Its name.
         backend: The ROS backend in use; empty before start.
+        backend_why: How it was chosen, in words, with what was passed over; empty before start.
         running: Whether it is started.
         uptime_ns: Time since the start; 0 before.
         topics: In the order of the configuration.
@@ -179,6 +180,7 @@ class BridgeStatus:
     topics: tuple[TopicStatus, ...] = ()
     config_changed: bool = False
     notes: tuple[str, ...] = ()
+    backend_why: str = ""
 
     @property
     def judgement(self) -> tuple[Level, str]:
@@ -199,7 +201,9 @@ class BridgeStatus:
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""
         level, message = self.judgement
-        own = {name: getattr(self, name) for name in ("bridge", "backend", "running", "uptime_ns")}
+        own = {
+            name: getattr(self, name) for name in ("bridge", "backend", "backend_why", "running", "uptime_ns")
+        }
         return {
             **own,
             "config_changed": self.config_changed,

@@ -8,6 +8,7 @@ import typer
 
 from rosplc._version import __version__
 from rosplc.cli import bench, check, demo, generate, run, show, types
+from rosplc.cli.ros_arguments import RosCommand
 
 __all__ = ["app"]
 
@@ -46,7 +47,7 @@ for _name, _verb in (
     ("demo", demo),
     ("bench", bench),
 ):
-    app.command(_name, epilog=_verb.EPILOG)(_verb.command)
+    app.command(_name, epilog=_verb.EPILOG, cls=RosCommand if _verb is run else None)(_verb.command)
 
 
 def _print_version(wanted: bool) -> None:

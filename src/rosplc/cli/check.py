@@ -9,9 +9,11 @@ import typer
 
 from rosplc.cli.guard import guarded, print_json
 from rosplc.cli.text import columns, in_bytes, say
+from rosplc.errors import RosplcError
 
 if TYPE_CHECKING:
     from rosplc.bridge.resolve import Project, TopicPlan
+    from rosplc.ros import Choice
 
 __all__ = ["EPILOG", "command"]
 
@@ -58,15 +60,29 @@ def command(
 def facts(project: Project) -> dict[str, Any]:
     """Return what a configuration leads to, as plain data."""
     settings = project.config.settings
+    chosen = chosen_backend(project)
     return {
         "bridge": settings.bridge,
         "prefix": settings.prefix,
         "backend": settings.ros.backend,
+        "backend_here": None
+        if isinstance(chosen, RosplcError)
+        else {"name": chosen.name, "why": chosen.why, "passed_over": dict(chosen.passed_over)},
         "distro": settings.ros.distro,
         "topics": {plan.topic: _topic_facts(project, plan) for plan in project.topics},
         "memory_bytes": sum(_memory(plan) for plan in project.topics),
         "warnings": warnings(project),
     }
+
+
+def chosen_backend(project: Project) -> Choice | RosplcError:
+    """Return the backend that the configuration leads to on this machine, or why there is none."""
+    from rosplc.bridge.ros_side import choose_backend
+
+    try:
+        return choose_backend(project.config)
+    except RosplcError as error:
+        return error
 
 
 def _topic_facts(project: Project, plan: TopicPlan) -> dict[str, Any]:
@@ -103,6 +119,8 @@ def _memory(plan: TopicPlan) -> int:
 def warnings(project: Project) -> list[str]:
     """Return what is allowed but probably not meant."""
     found = []
+    if isinstance(chosen := chosen_backend(project), RosplcError):
+        found.append(f"on this machine the bridge would not start: {chosen.what}. {chosen.remedy}")
     if not project.topics:
         found.append("the file names no topics: a bridge would carry nothing")
     for plan in project.topics:
@@ -141,6 +159,8 @@ def _explain(project: Project) -> None:
         f"ROS backend {settings.ros.backend}, definitions of {settings.ros.distro}, "
         f"objects named {settings.prefix}.t.… in {settings.shm.directory}."
     )
+    if settings.ros.backend == "auto" and not isinstance(chosen := chosen_backend(project), RosplcError):
+        say(f"ROS backend auto is {chosen}.")
     domain = settings.ros.domain
     say(f"ROS domain {domain}." if domain is not None else "ROS domain: ROS_DOMAIN_ID's, else 0.")
     given = settings.topics

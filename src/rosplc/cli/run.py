@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from rosplc.cli.guard import guarded
+from rosplc.cli.ros_arguments import given_to
 
 __all__ = ["EPILOG", "command"]
 
@@ -18,13 +19,26 @@ rosplc run rosplc.yaml  —  carry the topics; Ctrl-C or SIGTERM ends it
 
 rosplc run rosplc.yaml --status 2  —  with a status line every two seconds
 
+rosplc run rosplc.yaml --ros-args -r __ns:=/robot1 -r /cmd_vel:=/base/cmd_vel  —  ROS arguments, as every
+ROS program takes them; in ROS 1 `__ns:=/robot1 /cmd_vel:=/base/cmd_vel`
+
 The objects in shared memory stay when it ends: a PLC that runs on keeps its last values, and
 the next start goes on with them.
 """
 
 
+_LEVELS = {
+    "debug": logging.DEBUG,
+    "info": logging.INFO,
+    "warn": logging.WARNING,
+    "error": logging.ERROR,
+    "fatal": logging.CRITICAL,
+}
+
+
 @guarded
 def command(
+    context: typer.Context,
     config: Annotated[Path, typer.Argument(help="The configuration file, such as rosplc.yaml.")],
     status: Annotated[
         float,
@@ -37,6 +51,10 @@ def command(
 ) -> None:
     """Run the bridge in the foreground; logs go to stderr."""
     from rosplc.bridge.foreground import run_bridge
+    from rosplc.ros import RosArguments
 
+    arguments = RosArguments.parse(given_to(context))
     level = logging.DEBUG if verbose else logging.WARNING if quiet else logging.INFO
-    run_bridge(config, status_seconds=status or None, level=level)
+    if arguments.log_level is not None and not (verbose or quiet):
+        level = _LEVELS[arguments.log_level]
+    run_bridge(config, status_seconds=status or None, level=level, arguments=arguments)

@@ -25,7 +25,15 @@ TOOL = Path(__file__).parents[3] / "tools" / "generate_config_reference.py"
 GOOD = """\
 bridge: cell1
 prefix: cell-1
-ros: {backend: dds, distro: humble, domain: 7, node_name: bridge, namespace: /robot1}
+ros:
+  backend: auto
+  distro: humble
+  domain: 7
+  node_name: bridge
+  namespace: /robot1
+  remap: {/cmd_vel: /base/cmd_vel, "~/state": state}
+  zenoh: {mode: client, connect: ["tcp/10.0.0.1:7447"], listen: ["tcp/0.0.0.0:0"], config: z.json5}
+  rclpy: {ros_args: [--enclave, /cell], parameters: {site: north, lines: [a, b]}}
 types: {paths: [./msg, /opt/msg]}
 limits: {string: 40, sequence: 8}
 shm: {mode: 0640, owner: root, group: 1000, directory: /dev/shm}
@@ -70,7 +78,13 @@ def test_every_key_is_read() -> None:
     settings = parse_config(GOOD).settings
     assert (settings.bridge, settings.prefix) == ("cell1", "cell-1")
     assert settings.ros.model_dump() == {
-        "backend": "dds", "distro": "humble", "domain": 7, "node_name": "bridge", "namespace": "/robot1",
+        "backend": "auto", "distro": "humble", "domain": 7, "node_name": "bridge", "namespace": "/robot1",
+        "remap": {"/cmd_vel": "/base/cmd_vel", "~/state": "state"},
+        "zenoh": {
+            "mode": "client", "connect": ("tcp/10.0.0.1:7447",), "listen": ("tcp/0.0.0.0:0",),
+            "config": "z.json5",
+        },
+        "rclpy": {"ros_args": ("--enclave", "/cell"), "parameters": {"site": "north", "lines": ["a", "b"]}},
     }  # fmt: skip
     assert settings.types.paths == ("./msg", "/opt/msg")
     assert (settings.limits.string, settings.limits.sequence) == (40, 8)

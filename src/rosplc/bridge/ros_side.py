@@ -1,0 +1,140 @@
+"""The bridge's way into ROS: which backend, under which names, with which settings.
+
+Command line before configuration before environment, as everywhere in ROS.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from rosplc.bridge.config import Config
+from rosplc.bridge.problems import Problems
+from rosplc.errors import ConfigError
+from rosplc.model import TypeStore
+from rosplc.ros import ROS1, Backend, Choice, RosArguments, choose, open_backend
+
+__all__ = ["RosSide", "check_ros", "choose_backend"]
+
+log = logging.getLogger("rosplc.bridge")
+_OWN_SETTINGS = ("zenoh", "rclpy")
+_ROS2 = ("dds", "rclpy", "zenoh")
+
+
+def check_ros(config: Config, problems: Problems) -> None:
+    """Note what contradicts itself in the section ``ros``."""
+    ros, source = config.settings.ros, config.source
+
+    def refuse(key: tuple[str, ...], what: str, remedy: str = "", code: str = "CFG004") -> None:
+        error = ConfigError(code, what, where=source.place(key), remedy=remedy)
+        problems.add(error, source.line(key))
+
+    if ros.backend in _ROS2 and ros.distro == ROS1:
+        what = f"the {ros.backend} backend speaks ROS 2, and {ROS1} is ROS 1"
+        refuse(("ros", "backend"), what, "Write `backend: rospy` (or auto), or a distro of ROS 2.")
+    if ros.backend == "rospy" and ros.distro != ROS1:
+        known = "" if "distro" in ros.model_fields_set else " (the default)"
+        what = f"the rospy backend speaks ROS 1, and {ros.distro}{known} is ROS 2"
+        refuse(("ros", "backend"), what, f"Write `distro: {ROS1}`, or `backend: auto`.")
+    for name in _OWN_SETTINGS:
+        if getattr(ros, name) is None:
+            continue
+        if ros.backend not in ("auto", name):
+            what = f"settings of the {name} backend, while the backend is {ros.backend}"
+            refuse(("ros", name), what, f"Write `backend: {name}`, or remove them.")
+        elif ros.distro == ROS1:
+            what = f"settings of the {name} backend, which speaks ROS 2; {ROS1} is ROS 1"
+            refuse(("ros", name), what, "Remove them, or choose a distro of ROS 2.")
+    if ros.zenoh is not None and ros.zenoh.config is not None:
+        path = config.base / ros.zenoh.config
+        if not path.is_file():
+            refuse(("ros", "zenoh", "config"), f"{path} is no file", "Correct the path.", "CFG001")
+
+
+def choose_backend(config: Config, environment: Mapping[str, str] | None = None) -> Choice:
+    """Return the backend that the configuration leads to on this machine.
+
+    Raises:
+        BackendError: ROS001, ``auto`` found nothing that would reach the graph.
+    """
+    ros = config.settings.ros
+    if ros.backend != "auto":
+        return Choice(ros.backend, "ros.backend names it")
+    return choose(ros.distro, environment, zenoh_settings=ros.zenoh is not None)
+
+
+@dataclass(frozen=True)
+class RosSide:
+    """A configuration together with a command line.
+
+    Attributes:
+        config: The configuration.
+        arguments: The ROS arguments of the command line.
+    """
+
+    config: Config
+    arguments: RosArguments = field(default_factory=RosArguments)
+
+    def environment(self) -> dict[str, str]:
+        """Return the environment that holds for the backend."""
+        return {**os.environ, **self.arguments.environment}
+
+    def names(self) -> tuple[str, str, dict[str, str]]:
+        """Return the node's base name, its namespace, and topic → topic."""
+        settings = self.config.settings
+        ros = settings.ros
+        name = ros.node_name or "rosplc_" + settings.bridge.replace("-", "_")
+        given = self.arguments.for_node(name)
+        namespace = ros.namespace
+        if "namespace" not in ros.model_fields_set and ros.distro == ROS1:
+            namespace = "/" + self.environment().get("ROS_NAMESPACE", "").strip("/")
+        remap = dict(given.topics)
+        for source, target in ros.remap.items():
+            remap.setdefault(source, target)
+        return given.node or name, given.namespace or namespace, remap
+
+    def options(self, backend: str) -> dict[str, Any]:
+        """Return the backend's own settings."""
+        section = getattr(self.config.settings.ros, backend, None) if backend in _OWN_SETTINGS else None
+        options: dict[str, Any] = {} if section is None else section.model_dump(exclude_none=True)
+        if "config" in options:
+            options["config"] = str((self.config.base / options["config"]).absolute())
+        if backend == "rclpy" and self.arguments.others:
+            options["ros_args"] = (*options.get("ros_args", ()), *self.arguments.others)
+        return options
+
+    def open(self, store: TypeStore) -> tuple[Backend, Choice]:
+        """Join the graph; return the backend, and how it was chosen.
+
+        Raises:
+            BackendError: As :func:`rosplc.ros.open_backend`.
+        """
+        environment = self.environment()
+        choice = choose_backend(self.config, environment)
+        if self.config.settings.ros.backend == "auto":
+            log.info("ros.backend: auto is %s", choice)
+        if choice.name != "rclpy" and (unused := self._without_effect()):
+            log.warning("the %s backend has no use for the ROS arguments %s", choice.name, " ".join(unused))
+        name, namespace, remap = self.names()
+        backend = open_backend(
+            choice.name,
+            store,
+            name,
+            namespace,
+            self.config.settings.ros.domain,
+            remap=remap,
+            environment=environment,
+            options=self.options(choice.name),
+        )
+        return backend, choice
+
+    def _without_effect(self) -> list[str]:
+        """Return the arguments for a client library that the bridge does not follow itself."""
+        others = iter(self.arguments.others)
+        pairs = [
+            (one, next(others, "")) for one in others if one in ("-p", "--params-file", "-e", "--enclave")
+        ]
+        return [f"{name} {value}" for name, value in pairs]
