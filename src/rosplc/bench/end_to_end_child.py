@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import signal
 import sys
-from collections.abc import Iterator, Mapping
+import threading
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from rosplc.bench.process import Side
 
-__all__ = ["WATCHDOG_S", "ask", "orders", "python", "say"]
+__all__ = ["WATCHDOG_S", "ask", "in_background", "orders", "python", "say"]
 
 WATCHDOG_S = 60.0
 
@@ -26,6 +28,24 @@ def orders() -> Iterator[dict[str, Any]]:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for line in sys.stdin:
         yield json.loads(line)
+
+
+def in_background(serve: Callable[[Callable[[], None]], Any]) -> None:
+    """Run an event loop in a thread of its own; return when ``serve`` says that it is ready."""
+    ready = threading.Event()
+    failed: list[BaseException] = []
+
+    def run() -> None:
+        try:
+            asyncio.run(serve(ready.set))
+        except BaseException as error:
+            failed.append(error)
+            ready.set()
+
+    threading.Thread(target=run, name="loop", daemon=True).start()
+    ready.wait(30)
+    if failed:
+        raise failed[0]
 
 
 def ask(side: Side, **order: Any) -> Any:

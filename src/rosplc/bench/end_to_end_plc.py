@@ -13,12 +13,11 @@ import asyncio
 import json
 import logging
 import sys
-import threading
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 from rosplc.bench import end_to_end_registers as registers
-from rosplc.bench.end_to_end_child import orders, say
+from rosplc.bench.end_to_end_child import in_background, orders, say
 from rosplc.bench.end_to_end_messages import KINDS, Kind
 from rosplc.virtual_plc import ReadBlock, Task, WriteBlock
 
@@ -104,7 +103,7 @@ class Modbus:
             ready()
             await asyncio.Event().wait()
 
-        _in_background(serve)
+        in_background(serve)
 
     def read(self, kind: Kind) -> Sequence[Any] | None:
         """Look at the registers."""
@@ -161,7 +160,7 @@ class OpcUa:
                 ready()
                 await asyncio.Event().wait()
 
-        _in_background(serve)
+        in_background(serve)
 
     def read(self, kind: Kind) -> Sequence[Any] | None:
         """Copy the variables, one after the other, as a program does."""
@@ -190,24 +189,6 @@ def _zero(kind: Kind) -> list[Any]:
     return [
         zeros.get(path.rpartition(".")[2], [0.0] * kind.length if kind.length else 0.0) for path in kind.paths
     ]
-
-
-def _in_background(serve: Callable[[Callable[[], None]], Any]) -> None:
-    """Run a server's event loop beside the task; return when it listens."""
-    ready = threading.Event()
-    failed: list[BaseException] = []
-
-    def run() -> None:
-        try:
-            asyncio.run(serve(ready.set))
-        except BaseException as error:
-            failed.append(error)
-            ready.set()
-
-    threading.Thread(target=run, name="server", daemon=True).start()
-    ready.wait(30)
-    if failed:
-        raise failed[0]
 
 
 class Program:
