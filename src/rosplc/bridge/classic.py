@@ -27,6 +27,8 @@ LOOK_NS = 50_000_000
 """How often names and lock are looked at while nothing else leads there."""
 _AGAIN_NS = 100_000
 """Time between two attempts within ``wait``."""
+_RETURN_NS = 10_000_000_000
+"""How long after a recovery the lock is looked at often: a holder that was only slow leaves it again."""
 _SETTLING_NS = 300_000_000
 """How long objects may be half made before that is a problem: their makers make them in steps."""
 
@@ -70,6 +72,7 @@ class ClassicSide:
         self._failing_since_ns: int | None = None
         self._trying_since_ns: int | None = None
         self._mended = 0
+        self._often_until_ns = 0
 
     @property
     def attached(self) -> bool:
@@ -151,7 +154,7 @@ class ClassicSide:
         if not self.attached:
             return self._retry_ns
         lock = self.object.lock
-        if lock is not None and lock.held_since_ns is not None:
+        if lock is not None and (lock.held_since_ns is not None or now_ns < self._often_until_ns):
             # Taken at the last look: look often, since a holder is called dead by many looks alone.
             self._look_ns = min(self._look_ns, now_ns + random.randrange(1_000_000, 3_000_000))
         return self._look_ns
@@ -198,6 +201,7 @@ class ClassicSide:
 
     def _judge(self, entry: Entry, now_ns: int) -> None:
         if entry is Entry.RECOVERED:
+            self._often_until_ns = now_ns + _RETURN_NS
             words = (
                 f"semaphore {self.plan.semaphore} was locked for "
                 f"{format_duration(self.plan.recover_after_ns)} without a sign of life and has been freed: "

@@ -132,6 +132,9 @@ class ClassicToRos(ToRos):
         # On one grid all topics share a wake-up.
         return max(self._open_ns, now_ns - now_ns % period + period)
 
+    def _loss(self, count: int) -> str:
+        return f"{count} messages were lost: not taken by ROS, or perhaps half written by one that died"
+
     def classic_status(self, now_ns: int) -> ClassicStatus:
         """Return what can be known of memory and lock."""
         return self._side.status(now_ns)

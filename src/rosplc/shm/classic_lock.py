@@ -27,6 +27,8 @@ __all__ = ["ClassicLock", "Entry"]
 SEMAPHORE_SIZE = 32 if struct.calcsize("P") == 8 else 16
 """Bytes of glibc's sem_t for programs of this word size."""
 
+_SHARED = 128
+"""What sem_open of glibc leaves in ``private``: waiters may be in other processes."""
 _LEAST_LOOKS = 20
 _MOST_EXTRA = 64
 _LONGEST_GAP = 4
@@ -112,8 +114,11 @@ class ClassicLock:
                 break
             extra += 1
         if extra:
+            # Whoever else got in is perhaps still there; this attempt has no lock to speak of.
             self.mended += 1
             self.doubtful = True
+            self.leave()
+            return Entry.BUSY
         return Entry.ENTERED
 
     def leave(self) -> None:
@@ -129,10 +134,8 @@ class ClassicLock:
         if value == 0:
             return self._taken(now_ns, alive)
         self.held_since_ns = None
-        if value > 1:
-            if (entry := self.enter(now_ns, alive=alive)) is Entry.ENTERED:
-                self.leave()
-            return entry
+        if value > 1 and self.enter(now_ns, alive=alive) is Entry.ENTERED:
+            self.leave()
         return Entry.ENTERED
 
     def in_place(self) -> bool:
@@ -175,6 +178,7 @@ class ClassicLock:
                 raise channel_error(123, error.strerror or "", str(self.path)) from error
             if found.st_size != SEMAPHORE_SIZE:
                 raise _other_kind(self.path, found.st_size)
+            self._refuse_nonsense()
             try:
                 semaphore = posix_ipc.Semaphore(f"/{self.name}")
             except posix_ipc.ExistentialError:
@@ -191,6 +195,16 @@ class ClassicLock:
             if same_file(self.path, found.st_dev, found.st_ino):
                 return semaphore, (found.st_dev, found.st_ino)
             semaphore.close()
+
+    def _refuse_nonsense(self) -> None:
+        """Refuse a file that no C library made: glibc ends the process over a semaphore full of nonsense."""
+        try:
+            content = self.path.read_bytes()
+        except OSError:
+            return  # gone, or not readable: opening it says so
+        value, shared = struct.unpack_from("=IxxxxI" if SEMAPHORE_SIZE == 32 else "=II", content)
+        if shared != _SHARED or value > posix_ipc.SEMAPHORE_VALUE_MAX:
+            raise channel_error(128, "its content is none of a semaphore", str(self.path))
 
     def _create(self, mode: int, uid: int | None, gid: int | None) -> None:
         try:
