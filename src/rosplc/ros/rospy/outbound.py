@@ -25,9 +25,11 @@ _GONE = select.POLLHUP | select.POLLERR | select.POLLRDHUP | select.POLLNVAL
 class _Queue(QueuedConnection):  # type: ignore[misc]
     """rospy's queue before a connection, which here tells when it drops a message.
 
-    A message that is being sent is out of the queue already, so a subscriber that stands still holds
-    ``depth`` messages and one.
+    rospy's takes out everything at once and then sends it, so it would hold twice its size. Here a
+    subscriber that stands still holds ``depth`` messages and the one that is being sent.
     """
+
+    _busy = False
 
     def write_data(self, data: bytes) -> bool:
         """Queue a message; return False if the oldest had to give way. Never blocks."""
@@ -45,11 +47,15 @@ class _Queue(QueuedConnection):  # type: ignore[misc]
         connection, news = self._connection, self._cond_data_available
         while True:
             with self._lock:
+                self._busy = False
+                if not self._queue:
+                    news.notify_all()
                 while not self._queue and not connection.done:
                     news.wait()
                 if connection.done:
                     return
-                data = self._queue[0]
+                data = self._queue.pop(0)
+                self._busy = True
             try:
                 connection.write_data(data)
             except Exception as error:
@@ -58,19 +64,12 @@ class _Queue(QueuedConnection):  # type: ignore[misc]
                     self._queue.clear()
                     news.notify_all()
                 return
-            with self._lock:
-                # The oldest may have given way while it was being sent: then it is counted as
-                # dropped although it left, which errs on the safe side.
-                if self._queue and self._queue[0] is data:
-                    del self._queue[0]
-                if not self._queue:
-                    news.notify_all()
 
     def flush(self, deadline: float) -> None:
         """Wait until everything has gone out, at most to a point in time (monotonic seconds)."""
         with self._lock:
-            while self._queue and not self._connection.done:
-                if not self._cond_data_available.wait(deadline - time.monotonic()):
+            while (self._queue or self._busy) and self._error is None and not self._connection.done:
+                if not self._cond_data_available.wait(max(0.0, deadline - time.monotonic())):
                     return
 
     def close(self) -> None:
@@ -258,7 +257,8 @@ class RospyPublisher:
     def write(self, payload: bytes, stamp_ns: int | None = None) -> bool:
         """Send one message; see :meth:`rosplc.ros.backend.Publisher.write`.
 
-        False means that a subscriber's queue was full and its oldest message gave way to this one.
+        False means that a subscriber's queue was full and its oldest message gave way to this one;
+        the message then counts as dropped and not as sent.
         The payload is not looked into: nothing of ROS 1's bytes shows whether they fit a type.
 
         Raises:
@@ -269,7 +269,8 @@ class RospyPublisher:
         self._usable()
         lost = self.outgoing.send(bytes(payload), self._latch)
         with self._count:
-            self._messages += 1
+            # With one subscriber, sent and dropped add up to what was written.
+            self._messages += not lost
             self._dropped += lost
             self._last_ns = time.time_ns()
         return not lost

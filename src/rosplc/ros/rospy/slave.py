@@ -109,7 +109,12 @@ class _SlaveServer(ThreadingXMLRPCServer):  # type: ignore[misc]
 
     def close(self) -> None:
         """Stop serving."""
-        self.shutdown()
+        stopping = threading.Thread(target=self.shutdown, name="rosplc-stop", daemon=True)
+        stopping.start()
+        host, port = self.server_address[:2]
+        with contextlib.suppress(OSError):  # a connection ends its wait, which lasts half a second
+            socket.create_connection(("127.0.0.1" if host == "0.0.0.0" else host, port), 1.0).close()
+        stopping.join()
         self.server_close()
         for request in tuple(self._connections):
             with contextlib.suppress(OSError):

@@ -1,0 +1,82 @@
+"""ROS 1 through Debian's rospy, with a master of each test's own."""
+
+from __future__ import annotations
+
+import atexit
+import time
+from collections.abc import Callable
+from typing import ClassVar
+
+from tests.conformance.backends.base import Abilities, Harness, Peer
+from tests.interop.graphs import wait_for
+from tests.interop.ros1.graph import Graph, missing
+
+_idle: list[Graph] = []  # masters that run and know nobody: starting one takes a second
+
+
+def _give_back(graph: Graph) -> None:
+    if graph.is_empty():
+        _idle.append(graph)
+    else:
+        graph.__exit__()
+
+
+@atexit.register
+def _end() -> None:
+    for graph in _idle:
+        graph.__exit__()
+
+
+class RospyHarness(Harness):
+    """A master on the loopback interface."""
+
+    backend = "rospy"
+    title = "rospy"
+    distros = ("noetic",)
+    abilities: ClassVar[Abilities] = Abilities(
+        source_stamps=False,
+        matches_qos=False,
+        latched_depth=False,
+        latched_by_publisher=True,
+        tells_definitions=True,
+        checks_outgoing=False,
+        checks_incoming=False,
+        counts_losses=True,
+        shows_qos=False,
+        shows_hashes=False,
+        many_nodes=True,
+        has_hub=True,
+    )
+
+    @classmethod
+    def missing(cls) -> str | None:
+        """Return what is not installed."""
+        package = missing("/usr/lib/python3/dist-packages/rospy/__init__.py", "rosmaster")
+        return f"Debian package {package} is missing" if package else None
+
+    def start(self) -> None:
+        """Take a master that nobody uses."""
+        self._graph = _idle.pop() if _idle else Graph()
+        self.stack.callback(_give_back, self._graph)
+        self.environment = dict(self._graph.environment)
+
+    def restart_hub(self, silent_s: float = 0.0) -> None:
+        """Kill the master and start another one."""
+        self._graph.kill_master()
+        time.sleep(silent_s)
+        self._graph.start_master()
+
+    def foreign_peers(self) -> tuple[str, ...]:
+        """Programs of rospy and roscpp."""
+        return ("rospy", "roscpp")
+
+    def foreign(self, which: str, name: str) -> Peer:
+        """Start one."""
+        return self._graph.peer(which, name)
+
+    def rogue(self, topic: str, type_name: str) -> Callable[[bytes], object] | None:
+        """Send through another node: nothing looks at the bytes there."""
+        node = self.node("rogue")
+        outbox = node.advertise(topic, type_name)
+        wait_for(outbox.matched)
+        return outbox.write
