@@ -10,7 +10,6 @@ from __future__ import annotations
 import importlib.util
 import json
 import secrets
-import socket
 import time
 from collections.abc import Mapping
 from contextlib import ExitStack
@@ -23,6 +22,7 @@ from rosplc.bench.end_to_end_messages import KINDS
 from rosplc.bench.end_to_end_page import render
 from rosplc.bench.end_to_end_registers import size
 from rosplc.bench.end_to_end_ros import DISTRO, LIMITS, topics
+from rosplc.bench.free_port import free_port
 from rosplc.bench.process import Side
 from rosplc.bench.section import Section
 from rosplc.demo.domain import FreeDomain
@@ -122,7 +122,7 @@ class Cell:
         if "rosplc" in methods:  # objects before the PLC looks for them
             self._bridges["rosplc"] = start("bridge", "end_to_end_bridge", "rosplc", json.dumps(common))
         for method in methods:
-            places[method] = [prefix, str(context.scratch)] if method == "rosplc" else _free_port()
+            places[method] = [prefix, str(context.scratch)] if method == "rosplc" else free_port()
             order = {"cycle": CYCLE_S, "where": places[method]}
             self._plcs[method] = start(f"{method} PLC", "end_to_end_plc", method, json.dumps(order))
         for plc in self._plcs.values():
@@ -193,12 +193,6 @@ def _configuration(prefix: str, folder: Path, domain: int) -> Mapping[str, Any]:
         "diagnostics": {"enabled": False},
         "topics": carried,
     }
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 SECTION = Section(

@@ -190,8 +190,9 @@ def _summary(runs: list[Mapping[str, Any]], data: Mapping[str, Any]) -> tuple[st
 _LEAD = (
     "A task reads one message of 200 bytes and writes another in each scan. In C the task is a loop that "
     "sleeps with clock_nanosleep, as soft-PLC runtimes on Linux do. With Modbus the PLC is either the "
-    "server, whose thread fills registers that the program copies, or it asks in its task and waits for the "
-    "answers. There is no OPC UA server in C here: that row is Python, and so is one of rosplc's, to compare it with. "
+    "server, whose thread fills registers that the program copies, or it asks in its task and "
+    "waits for the answers. There is no OPC UA server in C here: that row is Python, and so is one of "
+    "rosplc's, to compare it with. "
     "A hog is a program that computes without end; one runs on each core.",
 )
 
@@ -199,8 +200,9 @@ _AFTER = (
     "**What this means.** The age is about half a cycle with every method that keeps up: a message waits for "
     "the next scan, and the cycle, not the transport, decides how old it is. At 10 ms nobody gains anything "
     "there from a faster transport. What is left to win is in the other tables: the time that calls take "
-    "from the cycle, and above all their longest time, because that is what a watchdog and a drive notice; "
-    "whether a scan is missed because the other side stood still; whether a message is torn; and the CPU that stays "
+    "from the cycle, and above all their longest time, because that is what a watchdog and a drive "
+    "notice; whether a scan is missed because the other side stood still; whether a message is torn; and "
+    "the CPU that stays "
     "for the rest.",
     "A call that waits for somebody else, for a lock or for an answer, takes as long as the other one takes. "
     "Most of the time that is little, which is why medians look harmless. rosplc's calls wait for nobody.",
