@@ -19,16 +19,24 @@ class Effort:
         name: "quick", "default" or "full".
         rounds: How often the contenders take turns.
         turn_seconds: About how long one turn of one contender may take.
+        cyclic_rounds: The same where both programs are cyclic, which takes its time whoever measures.
+        cyclic_turn_seconds: And about how long such a turn may take.
     """
 
     name: str
     rounds: int
     turn_seconds: float
+    cyclic_rounds: int
+    cyclic_turn_seconds: float
 
 
 EFFORTS = {
     effort.name: effort
-    for effort in (Effort("quick", 1, 0.2), Effort("default", 3, 1.0), Effort("full", 9, 5.0))
+    for effort in (
+        Effort("quick", 1, 0.5, 1, 0.15),
+        Effort("default", 3, 5.0, 2, 0.7),
+        Effort("full", 9, 10.0, 2, 26.0),
+    )
 }
 """By name. The default ends in about two minutes on a small machine, quick in half a minute."""
 

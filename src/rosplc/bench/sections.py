@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from rosplc.bench.experiment import EXPERIMENT
 from rosplc.bench.section import Section
 
 __all__ = ["SECTIONS", "find"]
 
-SECTIONS: tuple[Section, ...] = ()
+SECTIONS: tuple[Section, ...] = (EXPERIMENT,)
 
 
 def find(name: str) -> Section:

@@ -1,0 +1,20 @@
+/* Either side of the exchange over rosplc's channel.
+ *
+ *   rosplc_peer SIDE OBJECT_TO_B OBJECT_TO_A NAME_A NAME_B
+ */
+#include "channel_peer.h"
+
+int main(int argc, char **argv)
+{
+    if (argc != 6)
+        return 2;
+    int b = argv[1][0] == 'B';
+    /* Line 0 of an object towards ROS is the bridge's, which A stands for. */
+    attach(argv[b ? 3 : 2], argv[b ? 2 : 3], b ? 1 : 0);
+    out_bell = named_semaphore(argv[4 + b], 0);
+    in_bell = named_semaphore(argv[4 + !b], 0);
+    exchange_main(argv[1][0]);
+    ch_writer_release(&writer);
+    ch_reader_release(&reader);
+    return 0;
+}

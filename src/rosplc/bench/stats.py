@@ -1,0 +1,35 @@
+"""Medians, percentiles and ratios of values measured in turns."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+__all__ = ["PERCENTILES", "distribution", "median_ratio"]
+
+PERCENTILES = {"p50": 50.0, "p99": 99.0, "p999": 99.9}
+
+
+def distribution(spent_ns: Sequence[int]) -> dict[str, Any]:
+    """Return count, p50, p99, p99.9 and max of times in nanoseconds, as microseconds.
+
+    A percentile is a value that was measured (the smallest that so many do not exceed), never
+    one between two.
+    """
+    values = np.asarray(spent_ns, dtype=np.float64) / 1000
+    found = {
+        f"{name}_us": float(np.percentile(values, percent, method="inverted_cdf"))
+        for name, percent in PERCENTILES.items()
+    }
+    return {"count": int(values.size), **found, "max_us": float(values.max())}
+
+
+def median_ratio(these: Sequence[float], those: Sequence[float]) -> float:
+    """Return the median of the ratios of values of the same round.
+
+    Rounds that only one of the two has are left out. Raises statistics.StatisticsError if there is none.
+    """
+    return statistics.median(a / b for a, b in zip(these, those, strict=False))
