@@ -26,6 +26,7 @@ __all__ = ["TWIST", "ClassicCell", "Peer", "classic_build", "classic_target", "r
 SHM = Path("/dev/shm")
 TWIST = "geometry_msgs/msg/Twist"
 JOINTS = "sensor_msgs/msg/JointState"
+LARGE = "geometry_msgs/msg/PoseWithCovariance"  # 43 doubles: long enough for a copy to be interrupted
 _SMALL = Limits(8, 16, {"name": 3, "position": 3, "velocity": 3, "effort": 3})
 # Topic → type, direction, semaphore, and what else the configuration says.
 TOPICS: dict[str, tuple[str, str, str, dict[str, Any]]] = {
@@ -36,6 +37,8 @@ TOPICS: dict[str, tuple[str, str, str, dict[str, Any]]] = {
     "/joints": (JOINTS, "read", "joints", {}),
     "/out": (TWIST, "write", "out", {}),
     "/bare_out": (TWIST, "write", "", {}),
+    "/large": (LARGE, "read", "large", {}),
+    "/large_out": (LARGE, "write", "large_out", {}),
 }
 
 PATIENT = """PROGRAM Patient

@@ -1,0 +1,192 @@
+"""Classic blocks, as generated, and the bridge: a ROS node on one side, a PLC on the other."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+pytest.importorskip("blark")
+if shutil.which("gcc") is None:
+    pytest.skip("Debian package gcc is missing", allow_module_level=True)
+
+from rosplc.bridge import Bridge, parse_config
+from rosplc.codec import Codec, Wire
+from rosplc.ros import Publisher, Qos
+from rosplc.ros.memory import open_backend
+from tests.verification.classic_cell import TWIST, ClassicCell, record
+from tests.verification.plc_cell import READ, WRITE, layout_of, store
+from tests.verification.test_classic_crash import stop_inside
+from verification.st.machine import ProcessMachine
+
+DOMAIN = 47
+WATCHDOG_S = 30.0
+_CODEC = Codec(layout_of(TWIST), Wire.CDR)
+
+
+class Joint:
+    """A PLC, a bridge and a ROS node around the topics /in and /out."""
+
+    def __init__(self, recover_after: str = "300ms") -> None:
+        self.cell = ClassicCell(start=False)
+        self.peer = open_backend(store(), "peer", domain=DOMAIN)
+        self.received: list[bytes] = []
+        qos = Qos(depth=1000)
+        prefix = self.cell.prefix
+        self.topics = {way: f"/{prefix}{way}" for way in ("in", "out")}
+        lines = [
+            f"  {topic}: {{type: {TWIST}, to: {'plc' if way == 'in' else 'ros'}, "
+            f"classic: {{name: {prefix}{way}, recover_after: {recover_after}}}}}"
+            for way, topic in self.topics.items()
+        ]
+        self.config = (
+            f"bridge: classic\nprefix: {prefix}r\nros: {{backend: memory, domain: {DOMAIN}}}\n"
+            "diagnostics: {enabled: false}\ntopics:\n" + "\n".join(lines) + "\n"
+        )
+        self.bridge: Bridge | None = None
+        self.publisher: Publisher = self.peer.advertise(self.topics["in"], TWIST, qos)
+        self.peer.subscribe(self.topics["out"], TWIST, qos, lambda data, _: self.received.append(data))
+
+    def start_bridge(self) -> None:
+        self.bridge = Bridge(parse_config(self.config))
+        self.bridge.start()
+
+    def stop_bridge(self) -> None:
+        if self.bridge is not None:
+            self.bridge.stop()
+        self.bridge = None
+
+    def close(self) -> None:
+        self.stop_bridge()
+        self.peer.close()
+        self.cell.__exit__(None, None, None)
+
+    def publish(self, number: float) -> None:
+        """Send a Twist towards the PLC."""
+        self.publisher.write(_CODEC.encode(record(number)), 0)
+
+    def scan_until(self, condition: Callable[[], Any], what: str) -> None:
+        """Let the PLC run until something holds."""
+        deadline = time.monotonic() + WATCHDOG_S
+        self.cell.machine.scan(READ, WRITE)
+        while not condition():
+            assert time.monotonic() < deadline, f"still waiting for {what}"
+            time.sleep(0.002)
+            self.cell.machine.scan(READ, WRITE)
+
+    def exchange(self, number: float) -> None:
+        """Send a number both ways, and see it arrive."""
+        self.publish(number)
+        self.cell.put("/out", record(-number))
+        self.scan_until(lambda: self.cell.msg("/in") == record(number), f"{number} in the PLC")
+        sent = _CODEC.encode(record(-number))
+        self.scan_until(lambda: sent in self.received, f"{-number} in ROS")
+
+
+@pytest.fixture
+def joint() -> Iterator[Joint]:
+    made = Joint()
+    yield made
+    made.close()
+
+
+@pytest.mark.parametrize("first", ["bridge", "plc"])
+def test_values_cross_both_ways(joint: Joint, first: str) -> None:
+    """Whoever starts first makes the names, and every number arrives on the other side."""
+    for starter in (joint.start_bridge, joint.cell.start)[:: 1 if first == "bridge" else -1]:
+        starter()
+    for number in range(1, 20):
+        joint.exchange(number)
+    assert joint.cell.get("/in", "udiError", "udiMended") == (0, 0)
+    assert joint.cell.get("/out", "udiError", "udiSurplus") == (0, 0)
+
+
+def test_a_semaphore_born_locked_is_mended_once(joint: Joint) -> None:
+    """The PLC's runtime makes locked semaphores: one side frees them, and no lock lets two in."""
+    joint.cell.options = {"sem_born_locked": 1}
+    joint.cell.start()
+    joint.start_bridge()
+    joint.exchange(1)
+    for _ in range(300):
+        joint.cell.machine.scan(READ, WRITE)
+    probe = joint.cell.peer("/in"), joint.cell.peer("/out")
+    for peer in probe:
+        assert peer.ask("count") in "01"  # 0: the other side is just inside
+    joint.exchange(2)
+
+
+def test_either_side_starts_again(joint: Joint) -> None:
+    """Bridge and PLC end and come back in any order, and messages flow on."""
+    joint.start_bridge()
+    joint.cell.start()
+    joint.exchange(1)
+    joint.stop_bridge()
+    for _ in range(20):
+        joint.cell.machine.scan(READ, WRITE)
+    assert joint.cell.msg("/in") == record(1)
+    joint.start_bridge()
+    joint.exchange(2)
+    joint.cell.machine.stop()
+    joint.cell.start()
+    joint.exchange(3)
+    joint.cell.machine.online_change()
+    joint.exchange(4)
+
+
+def test_plc_killed_inside_the_lock(joint: Joint) -> None:
+    """The bridge frees a lock whose holder, the PLC, was killed; the PLC's successor goes on."""
+    joint.start_bridge()
+    machine = joint.cell.start(process=True)
+    assert isinstance(machine, ProcessMachine)
+    joint.exchange(1)
+    stop_inside(machine)
+    joint.publish(2)
+    machine.kill()
+    joint.cell.start()
+    joint.scan_until(lambda: joint.cell.msg("/in") == record(2), "the message sent meanwhile")
+    joint.exchange(3)
+    assert joint.cell.get("/in", "udiError", "udiMended") == (0, 0)
+
+
+def test_plc_that_stood_still_inside_the_lock(joint: Joint) -> None:
+    """A PLC halted inside the lock until the bridge has freed it goes on, and no lock lets two in."""
+    joint.start_bridge()
+    machine = joint.cell.start(process=True)
+    assert isinstance(machine, ProcessMachine)
+    joint.exchange(1)
+    stop_inside(machine)
+    probe = joint.cell.peer("/in")
+    deadline = time.monotonic() + WATCHDOG_S
+    while probe.ask("count") == "0":
+        assert time.monotonic() < deadline, "the bridge never freed the lock"
+        time.sleep(0.01)
+    os.kill(machine.process.pid, signal.SIGCONT)
+    machine._line()
+    for number in range(2, 6):
+        joint.exchange(number)
+    joint.scan_until(lambda: probe.ask("count") in "01", "one lock")
+
+
+@pytest.mark.parametrize("rounds", [3, pytest.param(60, marks=pytest.mark.verify(minutes=2))])
+def test_plc_killed_anywhere(joint: Joint, rounds: int) -> None:
+    """Killed with -9 at any instant and started again, the PLC gets whole messages, and ROS only sent ones."""
+    joint.start_bridge()
+    for number in range(1, rounds + 1):
+        machine = joint.cell.start(process=True)
+        assert isinstance(machine, ProcessMachine)
+        joint.exchange(number)
+        machine.send("scan SHAREDMEMORY_READ 100000000 10")
+        for late in range(20):
+            joint.publish(number + late / 100)
+            time.sleep(0.0007)
+        machine.kill()
+        joint.cell.machines.remove(machine)
+    joint.cell.start()
+    joint.exchange(1000)
+    allowed = {_CODEC.encode(record(-number)) for number in (*range(1, rounds + 1), 1000)}
+    assert set(joint.received) <= allowed

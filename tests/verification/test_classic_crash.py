@@ -1,0 +1,196 @@
+"""Classic blocks and the death of either side, inside the lock too; and names that lead elsewhere by now."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import time
+from collections.abc import Iterator
+
+import pytest
+
+pytest.importorskip("blark")
+if shutil.which("gcc") is None:
+    pytest.skip("Debian package gcc is missing", allow_module_level=True)
+
+from tests.verification.classic_cell import ClassicCell, record
+from tests.verification.plc_cell import READ, WRITE
+from verification.st.machine import LibraryMachine, ProcessMachine
+
+
+@pytest.fixture
+def cell() -> Iterator[ClassicCell]:
+    with ClassicCell() as made:
+        yield made
+
+
+def stopped(machine: ProcessMachine) -> bool:
+    with open(f"/proc/{machine.process.pid}/stat") as file:
+        return file.read().rpartition(")")[2].split()[0] == "T"
+
+
+def stop_inside(machine: ProcessMachine) -> None:
+    """Let a PLC stand still inside the next lock that it gets."""
+    machine.option("stop_inside")
+    machine.send(f"scan {READ.upper()} 1 10")
+    deadline = time.monotonic() + 30
+    while not stopped(machine):
+        assert time.monotonic() < deadline, "the PLC never got a lock"
+        time.sleep(0.002)
+
+
+def test_peer_killed_inside_and_started_again(cell: ClassicCell) -> None:
+    """While a dead peer holds the lock the last message stays; the new semaphore of the next one is found."""
+    cell.scan()
+    peer = cell.peer("/in", "make")
+    peer.write(record(1))
+    cell.set("/in", "xReopen", True)  # the peer made its own semaphore after the PLC's
+    cell.scan(20)
+    assert (cell.msg("/in"), cell.get("/in", "udiError")) == (record(1), 0)
+    peer.ask("half 255")
+    peer.kill()
+    cell.scan(150)
+    assert (cell.msg("/in"), cell.get("/in", "xValid", "udiError")) == (record(1), (True, 127))
+    again = cell.peer("/in", "make")
+    again.write(record(2))
+    cell.scan(400)
+    assert (cell.msg("/in"), cell.get("/in", "udiError", "xNew")) == (record(2), (0, False))
+    assert cell.get("/in", "udiChanges") == 2
+    again.write(record(3))
+    cell.scan()
+    assert cell.msg("/in") == record(3)
+
+
+def test_a_lock_that_stays_taken_is_looked_for_rarely(cell: ClassicCell) -> None:
+    """In ten minutes in vain the names are opened again a dozen times, since a handle cannot be closed."""
+    peer = cell.peer("/in")
+    peer.ask("enter")
+    before = cell.machine.counters().sem_creates
+    cell.scan(6000, step=100)
+    assert 8 <= cell.get("/in", "udiReopened") <= 20
+    assert cell.machine.counters().sem_creates - before == cell.get("/in", "udiReopened")
+    assert cell.get("/in", "udiTimeouts") <= 6000
+    peer.ask("leave")
+    cell.scan(2)
+    assert cell.get("/in", "udiError", "xAttached") == (0, True)
+
+
+@pytest.mark.parametrize("options", [{"sem_failed": 1}, {"sem_cache": 1}, {"cache_names": 1}])
+def test_runtimes_that_differ(options: dict[str, int]) -> None:
+    """Another result for a wait in vain, or handles kept by name, change nothing about bounded waits."""
+    with ClassicCell(**options) as cell:
+        peer = cell.peer("/in")
+        peer.write(record(1))
+        cell.scan()
+        peer.ask("enter")
+        cell.scan(500)
+        assert (cell.msg("/in"), cell.get("/in", "udiError", "xValid")) == (record(1), (127, True))
+        peer.ask("leave")
+        peer.write(record(2))
+        cell.scan(3)
+        assert (cell.msg("/in"), cell.get("/in", "udiError")) == (record(2), 0)
+
+
+def test_names_made_anew_are_found_on_demand(cell: ClassicCell) -> None:
+    """A PLC cannot see that a name leads elsewhere while the old lock is free: it only gets stale."""
+    peer = cell.peer("/in")
+    peer.write(record(1))
+    cell.scan()
+    peer.kill()
+    for path in (cell.memory("/in"), cell.semaphore("/in")):
+        path.unlink()
+    peer = cell.peer("/in", "make")
+    peer.write(record(2))
+    cell.scan(100)
+    assert (cell.msg("/in"), cell.get("/in", "xStale", "udiError")) == (record(1), (True, 0))
+    cell.set("/in", "xReopen", True)
+    cell.scan()
+    assert (cell.msg("/in"), cell.get("/in", "xNew", "udiReopened")) == (record(2), (True, 1))
+    cell.scan(5)
+    assert cell.get("/in", "udiReopened") == 1
+
+
+def test_a_new_memory_of_zeros_is_no_message(cell: ClassicCell) -> None:
+    """Opened again, a memory that nobody has written leaves msg as it was, and says that it is not valid."""
+    peer = cell.peer("/in")
+    peer.write(record(1))
+    cell.scan()
+    peer.kill()
+    cell.memory("/in").unlink()
+    peer = cell.peer("/in")
+    cell.set("/in", "xReopen", True)
+    cell.scan(2)
+    assert (cell.msg("/in"), cell.get("/in", "xValid", "xNew")) == (record(1), (False, False))
+    peer.write(record(2))
+    cell.scan()
+    assert (cell.msg("/in"), cell.get("/in", "xValid", "xNew")) == (record(2), (True, True))
+
+
+def test_plc_killed_inside() -> None:
+    """The PLC's successor finds the lock taken, waits briefly at each start and never breaks in by itself."""
+    with ClassicCell(start=False) as cell:
+        peer = cell.peer("/in")
+        peer.write(record(1))
+        first = cell.start(process=True)
+        assert isinstance(first, ProcessMachine)
+        stop_inside(first)
+        first.kill()
+        assert peer.ask("count") == "0"
+        cell.start()
+        cell.scan(150)
+        assert cell.get("/in", "udiError", "udiMended", "xValid") == (127, 0, False)
+        assert peer.ask("count") == "0"
+        cell.set("/in", "xUnlock", True)  # a person, who knows that nobody is inside
+        cell.scan(60)
+        assert (peer.ask("count"), cell.get("/in", "udiError")) == ("1", 0)
+        assert cell.msg("/in") == record(1)
+        cell.set("/in", "xUnlock", False)
+        cell.scan()
+        cell.set("/in", "xUnlock", True)  # the lock is free: nothing to do
+        cell.scan()
+        assert (peer.ask("count"), cell.get("/in", "udiSurplus")) == ("1", 0)
+
+
+def test_plc_that_stood_still_inside() -> None:
+    """A PLC that goes on after its lock was freed for it (a breakpoint, say) does not leave two locks."""
+    with ClassicCell(start=False) as cell:
+        peer = cell.peer("/in")
+        machine = cell.start(process=True)
+        assert isinstance(machine, ProcessMachine)
+        cell.scan(3)
+        stop_inside(machine)
+        peer.ask("leave")  # as the bridge frees it
+        os.kill(machine.process.pid, signal.SIGCONT)
+        machine._line()
+        assert peer.ask("count") == "2"
+        cell.scan(300)
+        assert (peer.ask("count"), cell.get("/in", "udiSurplus")) == ("1", 1)
+
+
+@pytest.mark.parametrize("seconds", [0.7, pytest.param(20.0, marks=pytest.mark.verify(minutes=1))])
+def test_no_torn_message(cell: ClassicCell, seconds: float) -> None:
+    """Both sides read and write as fast as they can, and every message is whole."""
+    reader, writer = cell.peer("/large", size=344), cell.peer("/large_out", size=344)
+    machine = cell.machine
+    assert isinstance(machine, LibraryMachine)
+    cell.set("/large_out", "xEnable", True)
+    reader.send(f"writing {seconds}")
+    writer.send(f"reading {seconds}")
+    until, number = time.monotonic() + seconds, 0
+    while time.monotonic() < until:
+        number += 1
+        machine.write("ROS_Write.large_out.msg", record(number)[:8] * 43)
+        machine.scan(READ, WRITE)
+        message = cell.msg("/large")
+        assert message == message[:8] * 43
+    assert int(reader.answer()) > 0
+    looks, broken = map(int, writer.answer().split())
+    assert looks > 0
+    assert broken == 0
+    assert cell.get("/large", "udiChanges") > 0
+    assert cell.get("/large_out", "udiPublished") > 0
+    assert reader.ask("count") == writer.ask("count") == "1"
+    # Whoever was turned away was counted, and nothing else was lost.
+    counters = machine.counters()
+    assert counters.sem_enters - counters.sem_timeouts == counters.sem_leaves
