@@ -30,8 +30,8 @@ def orders() -> Iterator[dict[str, Any]]:
         yield json.loads(line)
 
 
-def in_background(serve: Callable[[Callable[[], None]], Any]) -> None:
-    """Run an event loop in a thread of its own; return when ``serve`` says that it is ready."""
+def in_background(serve: Callable[[Callable[[], None]], Any]) -> threading.Thread:
+    """Run an event loop in a thread of its own; return that when ``serve`` says that it is ready."""
     ready = threading.Event()
     failed: list[BaseException] = []
 
@@ -42,10 +42,13 @@ def in_background(serve: Callable[[Callable[[], None]], Any]) -> None:
             failed.append(error)
             ready.set()
 
-    threading.Thread(target=run, name="loop", daemon=True).start()
-    ready.wait(30)
+    thread = threading.Thread(target=run, name="loop", daemon=True)
+    thread.start()
+    if not ready.wait(WATCHDOG_S):
+        raise TimeoutError("the event loop does not become ready")
     if failed:
         raise failed[0]
+    return thread
 
 
 def ask(side: Side, **order: Any) -> Any:

@@ -3,11 +3,11 @@
  *   sweep payload PATH SIZE            PATH: a channel of SIZE bytes that nobody writes yet
  *   sweep topics PATHS SIZE            PATHS: a file with a channel's path per line
  *   sweep modbus-server                prints its port
- *   sweep modbus PORT SIZE             SIZE bytes in as many requests of 123 registers as it takes
+ *   sweep modbus PORT SIZE             SIZE bytes in as many requests as it takes, and back
  *
  * An order is one number: how often. The answer is a line of JSON with the nanoseconds that one message took
- * (payload, modbus), or one round over all topics (topics), each way apart. Writing and taking happen in
- * one process, one after the other: nobody waits, so this is what the work itself costs.
+ * (payload, modbus), or one round over all topics (topics). But for Modbus, writing and taking happen in one
+ * process, one after the other: nobody waits, so this is what the work itself costs.
  */
 #include <pthread.h>
 
@@ -101,7 +101,7 @@ static void expect(const uint8_t *out, const uint8_t *record, size_t size)
     }
 }
 
-static void answer(const char *name, uint64_t spent, long count)
+static void report(const char *name, uint64_t spent, long count)
 {
     printf("\"%s\": %.1f", name, (double)spent / (double)count);
 }
@@ -146,11 +146,11 @@ static void payload(const char *path, size_t size)
         }
         d = now_ns();
         printf("{");
-        answer("memcpy", b - a, count);
+        report("memcpy", b - a, count);
         printf(", ");
-        answer("rosplc", c - b, count);
+        report("rosplc", c - b, count);
         printf(", ");
-        answer("semaphore", d - c, count);
+        report("semaphore", d - c, count);
         printf("}\n");
         fflush(stdout);
     }
@@ -184,7 +184,7 @@ static void topics(const char *paths, size_t size)
         }
         b = now_ns();
         printf("{");
-        answer("rosplc", b - a, rounds);
+        report("rosplc", b - a, rounds);
         printf("}\n");
         fflush(stdout);
     }
@@ -192,7 +192,8 @@ static void topics(const char *paths, size_t size)
 
 #ifdef WITH_MODBUS
 #define REGISTERS 65536
-#define AT_A_TIME 123
+#define MOST_WRITTEN 123
+#define MOST_READ 125
 
 static void serve(void)
 {
@@ -222,28 +223,38 @@ static void ask(int port, size_t size)
 {
     char line[32];
     long registers = (long)(size + 1) / 2;
-    uint16_t *values = (uint16_t *)(void *)zeroed((size_t)registers * 2), back;
+    uint16_t *values = (uint16_t *)(void *)zeroed((size_t)registers * 2);
+    uint16_t *back = (uint16_t *)(void *)zeroed((size_t)registers * 2);
     modbus_t *client = modbus_new_tcp("127.0.0.1", port);
     if (registers > REGISTERS || !client || modbus_connect(client) < 0)
         stop("modbus_connect");
     while (fgets(line, sizeof line, stdin)) {
         long count = number(line);
-        uint64_t a = now_ns(), b;
+        uint64_t a = now_ns(), b, c;
         for (long i = 0; i < count; i++) {
             values[0] = values[registers - 1] = (uint16_t)(i + 1);
-            for (long at = 0; at < registers; at += AT_A_TIME) {
-                int part = (int)(registers - at < AT_A_TIME ? registers - at : AT_A_TIME);
+            for (long at = 0; at < registers; at += MOST_WRITTEN) {
+                int part = (int)(registers - at < MOST_WRITTEN ? registers - at : MOST_WRITTEN);
                 if (modbus_write_registers(client, (int)at, part, values + at) != part)
                     stop("modbus_write_registers");
             }
         }
         b = now_ns();
-        if (modbus_read_registers(client, (int)registers - 1, 1, &back) != 1 || back != values[registers - 1]) {
+        for (long i = 0; i < count; i++)
+            for (long at = 0; at < registers; at += MOST_READ) {
+                int part = (int)(registers - at < MOST_READ ? registers - at : MOST_READ);
+                if (modbus_read_registers(client, (int)at, part, back + at) != part)
+                    stop("modbus_read_registers");
+            }
+        c = now_ns();
+        if (memcmp(back, values, (size_t)registers * 2)) {
             fprintf(stderr, "what arrived is not what was sent\n");
             exit(1);
         }
         printf("{");
-        answer("modbus", b - a, count);
+        report("modbus", b - a, count);
+        printf(", ");
+        report("there and back", c - a, count);
         printf("}\n");
         fflush(stdout);
     }
