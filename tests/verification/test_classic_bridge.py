@@ -174,7 +174,7 @@ def test_plc_that_stood_still_inside_the_lock(joint: Joint) -> None:
 
 @pytest.mark.parametrize("rounds", [3, pytest.param(60, marks=pytest.mark.verify(minutes=2))])
 def test_plc_killed_anywhere(joint: Joint, rounds: int) -> None:
-    """Killed with -9 at any instant and started again, the PLC gets whole messages, and ROS only sent ones."""
+    """Killed with -9 at any instant and started again, the PLC gets what was sent, and so does ROS."""
     joint.start_bridge()
     for number in range(1, rounds + 1):
         machine = joint.cell.start(process=True)

@@ -91,7 +91,7 @@ END_PROGRAM
 
 
 def test_the_sample_of_codesys(tmp_path: Path) -> None:
-    """A configuration for CODESYS' sample of two integers gives blocks that exchange them with a C program."""
+    """A configuration for CODESYS' sample gives blocks that exchange its two integers with a C program."""
     folder = tmp_path / "msg" / "codesys_sample" / "msg"
     folder.mkdir(parents=True)
     (folder / "DataExchange.msg").write_text("int32 value1\nint32 value2\n")

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Literal
 
 from rosplc.errors import GenerationError
 from rosplc.layout import Layout
@@ -18,7 +17,6 @@ from rosplc.plc.blocks import read_block, write_block
 from rosplc.plc.classic import (
     CLASSIC_NAMES,
     LIBRARY,
-    Classic,
     check_classic,
     classic_arguments,
     classic_objects,
@@ -28,81 +26,21 @@ from rosplc.plc.classic import (
 )
 from rosplc.plc.helpers import HELPER_NAMES, helper_objects
 from rosplc.plc.instances import instance_names, plain_name
-from rosplc.plc.literals import string_literal, time_literal
+from rosplc.plc.literals import string_literal
 from rosplc.plc.names import Scope
-from rosplc.plc.project import Dut, Gvl, PlcProject, Pou, Task, VarBlock, Variable
+from rosplc.plc.plan import PlcTask, PlcTopic, ProjectOptions
+from rosplc.plc.programs import READ_GVL, WRITE_GVL, call
+from rosplc.plc.programs import programs as programs_of
+from rosplc.plc.project import Dut, Gvl, PlcProject, Pou, VarBlock, Variable
 from rosplc.plc.types import DutBuilder, Renaming
 
 __all__ = ["PlcTask", "PlcTopic", "ProjectOptions", "build_project", "build_type_library"]
 
-_ON_STALE = {"hold": 0, "zero": 1, "value": 2}
 _LARGE_DUT = 64 * 1024
 _MOST_TASKS = 16  # as many as RosPlc_State.axMayOpen has elements
 _LONGEST_TOPIC = 255  # bytes: FB_Init of RosPlc_Channel takes a STRING(255)
 _LIBRARIES: tuple[str, ...] = ("SysShm", "SysMem", "SysTypes2 Interfaces")
-_READ_GVL, _WRITE_GVL, _SETTINGS_GVL = "ROS_Read", "ROS_Write", "RosPlc_Settings"
-
-
-@dataclass(frozen=True)
-class PlcTopic:
-    """One topic as the PLC sees it.
-
-    Attributes:
-        topic: As ROS writes it.
-        layout: Its message's layout.
-        direction: ``"read"`` towards the PLC, ``"write"`` towards ROS.
-        task: Name of the task that serves it.
-        object_size: Bytes of the shared-memory object; 0: the block asks the object.
-        stale_after_ns: Age from which a message is stale; 0: never.
-        on_stale: What the message becomes then.
-        in_order: Take every message, not only the newest.
-        latched: Take the state found at the start as a new message.
-        classic: Set for a topic in classic mode; ``object_size`` and ``in_order`` then have no meaning.
-    """
-
-    topic: str
-    layout: Layout
-    direction: Literal["read", "write"]
-    task: str
-    object_size: int = 0
-    stale_after_ns: int = 0
-    on_stale: Literal["hold", "zero", "value"] = "hold"
-    in_order: bool = False
-    latched: bool = False
-    classic: Classic | None = None
-
-
-@dataclass(frozen=True)
-class PlcTask:
-    """One task of the configuration; times in nanoseconds, 0: none."""
-
-    name: str
-    interval_ns: int = 10_000_000
-    priority: int = 4
-    kind: Literal["cyclic", "freewheeling"] = "cyclic"
-    watchdog_ns: int = 0
-    watchdog_sensitivity: int = 1
-
-
-@dataclass(frozen=True)
-class ProjectOptions:
-    """What holds for the whole project.
-
-    Attributes:
-        folder: The top folder in the PLC project.
-        prefix: The prefix of shared-memory names.
-        fenced: Whether the target orders memory accesses by a fence: always on x86, on ARM
-            only where the device description enables the MemoryBarrier library.
-        beat_ms: The longest time between two beats that the PLC promises: several scans of
-            its slowest task.
-        pins: Give blocks a pin for each top-level field.
-    """
-
-    folder: str = "ROS"
-    prefix: str = "rosplc"
-    fenced: bool = True
-    beat_ms: int = 1000
-    pins: bool = False
+_SETTINGS_GVL = "RosPlc_Settings"
 
 
 _MAKERS = {
@@ -187,11 +125,11 @@ def build_project(
             argument = classic_arguments(topic.classic)
         instances[topic.direction].append(Variable(name, block, None, _what(topic), argument))
         calls.setdefault((topic.direction, topic.task), []).append(
-            _call(name, topic, indices[topic.task], cycles[topic.task])
+            call(name, topic, indices[topic.task], cycles[topic.task])
         )
-    programs, plc_tasks = _programs(order, indices, calls, options, builder.scope)
+    programs, plc_tasks = programs_of(order, indices, calls, options, builder.scope)
     gvls = [*(item for item in base if isinstance(item, Gvl)), _settings(options), *builder.constants]
-    for direction, name in (("read", _READ_GVL), ("write", _WRITE_GVL)):
+    for direction, name in (("read", READ_GVL), ("write", WRITE_GVL)):
         if instances[direction]:
             block_ = VarBlock("VAR_GLOBAL", tuple(instances[direction]))
             comment = "One function block per topic; programs of the project use their outputs."
@@ -206,7 +144,7 @@ def build_project(
         pous=(*(item for item in (*base, *helpers) if isinstance(item, Pou)), *blocks.pous, *programs),
         tasks=plc_tasks,
         libraries=libraries,
-        notes=tuple(_notes(builder, renamings, topics, options)),
+        notes=tuple(_notes(builder, renamings, topics, cycles, options)),
     )
 
 
@@ -228,7 +166,7 @@ def build_type_library(
         gvls=(*(item for item in base if isinstance(item, Gvl)), _settings(options), *builder.constants),
         pous=(*(item for item in (*base, *helpers) if isinstance(item, Pou)), *blocks.pous),
         libraries=_LIBRARIES,
-        notes=tuple(_notes(builder, [], (), options)),
+        notes=tuple(_notes(builder, [], (), {}, options)),
     )
 
 
@@ -257,8 +195,8 @@ def _builder(store: TypeStore, options: ProjectOptions, base: Sequence[Dut | Gvl
         *(item.name for item in base),
         *CLASSIC_NAMES,
         *HELPER_NAMES,
-        _READ_GVL,
-        _WRITE_GVL,
+        READ_GVL,
+        WRITE_GVL,
         _SETTINGS_GVL,
     ]
     return DutBuilder(store, f"{options.folder}/Types", scope=Scope(taken))
@@ -287,78 +225,25 @@ def _what(topic: PlcTopic) -> str:
     return f"{topic.layout.type_name} in task {topic.task}{which}"
 
 
-def _call(name: str, topic: PlcTopic, task: int, cycle_ns: int) -> str:
-    gvl = _READ_GVL if topic.direction == "read" else _WRITE_GVL
-    arguments = [f"uiTask := {task}", f"udiMapSize := {topic.object_size}"]
-    if topic.classic is not None:
-        arguments[1] = f"tWait := {time_literal(classic_wait(topic.classic, cycle_ns) * 1_000_000)}"
-    if topic.direction == "read":
-        if topic.stale_after_ns:
-            arguments.append(f"tStaleAfter := {time_literal(topic.stale_after_ns)}")
-        if topic.on_stale != "hold":
-            arguments.append(f"uiOnStale := {_ON_STALE[topic.on_stale]}")
-        if topic.in_order and topic.classic is None:
-            arguments.append("xInOrder := TRUE")
-        if topic.latched:
-            arguments.append("xLatched := TRUE")
-    return f"{gvl}.{name}({', '.join(arguments)});"
-
-
-def _programs(
-    tasks: Sequence[PlcTask],
-    indices: dict[str, int],
-    calls: dict[tuple[str, str], list[str]],
-    options: ProjectOptions,
-    scope: Scope,
-) -> tuple[list[Pou], tuple[Task, ...]]:
-    """Return a reading and a writing program per task that has topics, and the tasks."""
-    programs: list[Pou] = []
-    plc_tasks: list[Task] = []
-    single = sum(1 for task in tasks if any((d, task.name) in calls for d in ("read", "write"))) == 1
-    for task in tasks:
-        names = []
-        for direction in ("read", "write"):
-            lines = calls.get((direction, task.name), [])
-            if not lines and not (direction == "read" and ("write", task.name) in calls):
-                continue
-            wanted = f"SharedMemory_{direction.capitalize()}"
-            name = scope.give(wanted if single else f"{wanted}_{task.name}")
-            body = list(lines)
-            if direction == "read":
-                body.insert(
-                    0, f"RosPlc_State.axMayOpen[{indices[task.name]}] := TRUE; // one open attempt per scan"
-                )
-            what = (
-                "Takes what came from ROS; call it first"
-                if direction == "read"
-                else "Sends to ROS; call it last"
-            )
-            comment = f"{what} in task {task.name}."
-            programs.append(Pou(name, "PROGRAM", (), "\n".join(body), comment=comment, folder=options.folder))
-            names.append(name)
-        if names:
-            plc_tasks.append(
-                Task(
-                    task.name,
-                    task.kind,
-                    task.interval_ns // 1000 if task.kind == "cyclic" else 0,
-                    task.priority,
-                    task.watchdog_ns // 1000,
-                    task.watchdog_sensitivity,
-                    tuple(names),
-                )
-            )
-    return programs, tuple(plc_tasks)
-
-
 def _notes(
-    builder: DutBuilder, renamings: list[Renaming], topics: Sequence[PlcTopic], options: ProjectOptions
+    builder: DutBuilder,
+    renamings: list[Renaming],
+    topics: Sequence[PlcTopic],
+    cycles: dict[str, int],
+    options: ProjectOptions,
 ) -> list[str]:
     notes = [f"{r.where}: {r.wanted} is named {r.given}" for r in (*builder.renamings, *renamings)]
     notes += builder.omitted
     for topic in topics:
+        if topic.classic is not None and (cycle := cycles.get(topic.task, 0)):
+            wait, half = -(-topic.classic.wait_ns // 1_000_000), classic_wait(topic.classic, cycle)
+            if half < wait:
+                notes.append(
+                    f"{topic.topic}: waits {half} ms for its lock instead of {wait} ms, "
+                    f"half of the cycle of {topic.task} at most"
+                )
         if topic.layout.size > _LARGE_DUT:
-            copies = 3 if topic.direction == "read" else 1
+            copies = (4 if topic.classic else 3) if topic.direction == "read" else 1
             notes.append(
                 f"{topic.topic}: {topic.layout.type_name} takes {topic.layout.size} bytes, "
                 f"{copies} times in the PLC; check the size of the application's data area"

@@ -16,6 +16,7 @@ from pathlib import Path
 from rosplc.errors import GenerationError
 from rosplc.layout import Layout
 from rosplc.layout.c_header import c_header
+from rosplc.plc.classic import LIBRARY
 from rosplc.plc.plcopen import plcopen_xml
 from rosplc.plc.project import Dut, Gvl, PlcProject, Pou
 from rosplc.plc.script import import_script
@@ -58,7 +59,10 @@ def project_files(project: PlcProject, layouts: list[Layout], name: str) -> dict
     result[f"{name}.xml"] = plcopen_xml(project)
     result[f"{name}_import.py"] = import_script(project).encode("ascii")
     result[f"{name}.h"] = c_header(layouts, f"{name.upper()}_H").encode()
-    result["README.txt"] = _template("README.txt").replace("{name}", name).encode("ascii")
+    readme = _template("README.txt") + (
+        _template("README_classic.txt") if LIBRARY in project.libraries else ""
+    )
+    result["README.txt"] = readme.replace("{name}", name).encode("ascii")
     if project.notes:
         result["NOTES.txt"] = ("\n".join(project.notes) + "\n").encode()
     return result
