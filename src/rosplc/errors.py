@@ -149,6 +149,7 @@ _register("TYP005", "two definitions of one message type differ", "Keep one of t
 _register("TYP006", "unknown ROS distribution", "Use one of the bundled distributions; `rosplc types --distros` lists them.")
 _register("TYP007", "definition exceeds a limit", "Definitions have limits on size, depth and number of fields, since they may come from the wire.")
 _register("TYP008", "folder of message definitions cannot be used", "Name a folder with PACKAGE/msg/NAME.msg files, a package's own folder, or one .msg file.")
+_register("TYP009", "message definition cannot be saved", "Choose another folder, or remove the file that is in the way.")
 
 _register("LAY001", "capacity is not valid", "Capacities are whole numbers from 1 up; strings at most 65534, sequences at most 16777216.")
 _register("LAY002", "limit names no field of the type", "Use the field path as `rosplc types TYPE` prints it, for example header.frame_id or points[].x.")
@@ -228,6 +229,8 @@ _register("ROS012", "installed message type differs from the bridge's", "Set ros
 _register("ROS013", "option of a backend is not valid", "See the message for the keys and values that the backend takes.")
 _register("ROS014", "ROS master is not reachable", "Start roscore, or set ROS_MASTER_URI to where it runs; the bridge connects as soon as it answers.")
 _register("ROS015", "node was told to leave the ROS graph", "Give each bridge a name of its own in ros.node_name, and start this one again.")
+_register("ROS016", "Zenoh router is not reachable", "Start one where ros.zenoh.connect says (`ros2 run rmw_zenoh_cpp rmw_zenohd`, or `zenohd`); the bridge connects as soon as it answers.")
+_register("ROS017", "definition cannot be taken from the wire", "Start a publisher of the topic; `rostopic info TOPIC` shows who there is.")
 
 _register("PLC001", "a generated file was edited", "Move your changes elsewhere and remove the file, or run again with --force.")
 _register("PLC002", "output folder cannot be written", "Check the path and the permissions.")

@@ -9,6 +9,7 @@ import typer
 
 from rosplc.cli.guard import guarded, print_json
 from rosplc.cli.text import columns, in_bytes, say
+from rosplc.errors import BackendError
 
 if TYPE_CHECKING:
     from rosplc.layout import Layout, Limits, Node
@@ -25,6 +26,8 @@ rosplc types geometry_msgs/Twist  —  its fields, offsets and IEC types
 rosplc types sensor_msgs/JointState --limits name=6 --limits position=6
 
 rosplc types my_msgs/Part --path ./msg  —  a custom type
+
+rosplc types --from-topic /pose --save ./msg  —  a custom type of ROS 1, asked of a running publisher
 
 rosplc types --distros  —  the bundled distributions
 """
@@ -53,6 +56,24 @@ def command(
             help="A capacity: `string=40`, `sequence=8`, or a field's path; may be repeated.",
         ),
     ] = None,
+    from_topic: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TOPIC",
+            help="Ask a publisher of this topic for the type and its definition (ROS 1, `ROS_MASTER_URI`).",
+        ),
+    ] = None,
+    save: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="With --from-topic: write the definitions there, as files for `types.paths`.",
+        ),
+    ] = None,
+    timeout: Annotated[
+        float,
+        typer.Option(metavar="SECONDS", help="With --from-topic: how long to wait for a publisher."),
+    ] = 5.0,
     distros: Annotated[bool, typer.Option("--distros", help="List the bundled distributions.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
@@ -68,7 +89,17 @@ def command(
             for line in columns(((each, count, "types") for each, count in counts.items())):
                 say(line)
         return
-    store = TypeStore.bundled(distro)
+    wire: dict[str, Any] = {}
+    if from_topic is not None:
+        if name is not None or path:
+            raise typer.BadParameter("takes the place of TYPE and --path", param_hint="--from-topic")
+        if not 0 <= timeout <= 3600:  # NaN neither
+            raise typer.BadParameter("is a number from 0 to 3600", param_hint="--timeout")
+        store, name, wire = _ask(from_topic, save, timeout)
+    elif save is not None:
+        raise typer.BadParameter("needs --from-topic", param_hint="--save")
+    else:
+        store = TypeStore.bundled(distro)
     if path:
         store = store.with_paths(path)
     if name is None:
@@ -79,9 +110,26 @@ def command(
         return
     layout = compute_layout(store, store[name].name, parse_limits(limits or []))
     if as_json:
-        print_json(_facts(store, layout))
-    else:
-        _describe(store, layout)
+        print_json({**_facts(store, layout), **wire})
+        return
+    if wire:
+        say(f"{wire['topic']} of node {wire['node']}, md5 {wire['md5']}")
+    _describe(store, layout)
+    for file in wire.get("saved", ()):
+        say(f"written: {file}")
+
+
+def _ask(topic: str, folder: Path | None, timeout: float) -> tuple[TypeStore, str, dict[str, Any]]:
+    """Ask the wire; return the types, the topic's type, and what is to be said about it."""
+    try:
+        from rosplc.ros.rospy import definition_on_wire, save_definition
+    except ImportError as error:
+        raise BackendError("ROS001", str(error)) from error
+    found = definition_on_wire(topic, timeout)
+    wire: dict[str, Any] = {"topic": found.topic, "node": found.node, "md5": found.md5}
+    if folder is not None:
+        wire["saved"] = [str(file) for file in save_definition(found, folder)]
+    return found.store, found.type_name, wire
 
 
 def parse_limits(texts: list[str]) -> Limits:

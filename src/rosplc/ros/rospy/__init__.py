@@ -3,5 +3,6 @@
 from __future__ import annotations
 
 from rosplc.ros.rospy.backend import RospyBackend, open_backend
+from rosplc.ros.rospy.wire import WireDefinition, definition_on_wire, save_definition
 
-__all__ = ["RospyBackend", "open_backend"]
+__all__ = ["RospyBackend", "WireDefinition", "definition_on_wire", "open_backend", "save_definition"]

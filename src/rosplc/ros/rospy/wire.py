@@ -1,0 +1,159 @@
+"""A topic's type and definition, asked of a publisher: for messages whose ``.msg`` files nobody has at hand.
+
+Every ROS 1 publisher sends its type's definition, with all types that it needs, in its connection
+header. It comes from another program and is not trusted: it is parsed within the limits that hold
+for every definition, its MD5 sum must be the one that the publisher states, and nothing of it is
+executed.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from rosplc.errors import BackendError, MessageTypeError
+from rosplc.model import TypeStore
+from rosplc.ros.names import resolve_topic
+from rosplc.ros.rospy.address import is_node_uri, read_address
+from rosplc.ros.rospy.handshake import HandshakeError, ros2_name
+from rosplc.ros.rospy.inbound import WireType, handshake, request
+from rosplc.ros.rospy.master import Master, RefusedError, UnreachableError
+
+__all__ = ["WireDefinition", "definition_on_wire", "save_definition"]
+
+_CALLER = "/rosplc_types"
+_PAUSE_S = 0.2
+_SEPARATOR = re.compile(r"^={80}\s*\nMSG:\s*(\S+)\s*\n", re.MULTILINE)
+
+
+@dataclass(frozen=True, slots=True)
+class WireDefinition:
+    """What a publisher says of its topic.
+
+    Attributes:
+        topic: The topic's full name.
+        node: The publisher's name.
+        type_name: ``package/msg/Name``.
+        md5: The type's MD5 sum, as stated and as computed.
+        text: The definition as it came, with every type it needs.
+        latching: Whether the publisher latches.
+        store: The types of ROS 1 noetic and those of the definition.
+    """
+
+    topic: str
+    node: str
+    type_name: str
+    md5: str
+    text: str
+    latching: bool
+    store: TypeStore
+
+
+def definition_on_wire(
+    topic: str, timeout_s: float = 5.0, *, environment: Mapping[str, str] | None = None
+) -> WireDefinition:
+    """Ask a running publisher for a topic's type and definition.
+
+    Args:
+        topic: The topic; a relative name stands in the root namespace.
+        timeout_s: How long to wait for a publisher.
+        environment: Variables to use in place of the process's own; ``ROS_MASTER_URI`` counts.
+
+    Raises:
+        BackendError: ROS014 without a master, ROS017 if there is no publisher or what it says cannot
+            be true, ROS005 and ROS010 for a bad name or environment.
+        MessageTypeError: TYP… if the definition has mistakes, exceeds a limit, or differs from
+            noetic's own of the same name.
+    """
+    full = resolve_topic(topic)
+    address = read_address(os.environ if environment is None else environment)
+    master = Master(address.master, _CALLER)
+    deadline = time.monotonic() + timeout_s
+    try:
+        while True:
+            trouble = f"nobody publishes {full}"
+            for node in sorted(master.state().publishers.get(full, ())):
+                uri = master.node_uri(node)
+                if not is_node_uri(uri):
+                    continue
+                try:
+                    sock, header = handshake(request(uri, _CALLER, full), _CALLER, full, WireType)
+                except (OSError, UnreachableError, RefusedError, HandshakeError) as error:
+                    trouble = f"node {node} publishes {full}, but cannot be asked: {error}"
+                    continue
+                sock.close()
+                return _checked(full, node, header)
+            if time.monotonic() >= deadline:
+                raise BackendError("ROS017", trouble)
+            time.sleep(_PAUSE_S)
+    except UnreachableError as error:
+        raise BackendError(
+            "ROS014", f"the ROS master at {address.master} does not answer: {error}"
+        ) from error
+    finally:
+        master.close()
+
+
+def _checked(topic: str, node: str, header: Mapping[str, str]) -> WireDefinition:
+    missing = [name for name in ("type", "md5sum", "message_definition") if not header.get(name)]
+    if missing:
+        why = header.get("error") or f"its connection header has no {missing[0]}"
+        raise BackendError("ROS017", f"node {node} does not tell the definition of {topic}: {why[:300]}")
+    text = header["message_definition"]
+    store = TypeStore.bundled("noetic").with_definition(header["type"], text)
+    name = store[header["type"]].name
+    md5 = store.md5(name)
+    if md5 != header["md5sum"]:
+        raise BackendError(
+            "ROS017",
+            f"node {node} gives {name} the md5 {header['md5sum'][:64]}, but its definition has {md5}",
+            remedy="The node's messages were built from other files than it tells; build it anew.",
+        )
+    return WireDefinition(topic, node, name, md5, text, header.get("latching") == "1", store)
+
+
+def save_definition(definition: WireDefinition, folder: Path) -> tuple[Path, ...]:
+    """Write ``package/msg/Name.msg`` for each type that noetic does not bundle; return the files.
+
+    A file that says the same already is left as it is.
+
+    Raises:
+        MessageTypeError: TYP009 if a file of that name says something else, or cannot be written.
+    """
+    parts = _SEPARATOR.split(definition.text.replace("\r\n", "\n"))
+    texts = {definition.type_name: parts[0]}
+    for name, text in zip(parts[1::2], parts[2::2], strict=True):
+        texts.setdefault(ros2_name(name), text)
+    bundled = TypeStore.bundled("noetic")
+    wanted = {
+        folder / package / "msg" / f"{base}.msg": text.strip("\n") + "\n"
+        for name, text in texts.items()
+        if name not in bundled
+        for package, _, base in (definition.store[name].name.split("/"),)
+    }
+    for file, text in wanted.items():  # all or nothing
+        _check(file, text)
+    for file, text in wanted.items():
+        try:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise MessageTypeError(
+                "TYP009", f"cannot be written: {error.strerror}", where=str(file)
+            ) from None
+    return tuple(wanted)
+
+
+def _check(file: Path, text: str) -> None:
+    try:
+        if file.read_text(encoding="utf-8") != text:
+            raise MessageTypeError("TYP009", "holds another definition", where=str(file))
+    except FileNotFoundError:
+        pass
+    except (OSError, UnicodeDecodeError) as error:
+        what = getattr(error, "strerror", None) or "is not UTF-8 text"
+        raise MessageTypeError("TYP009", f"is in the way: {what}", where=str(file)) from None
