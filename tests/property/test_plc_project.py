@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.plc.build import PlcTask, PlcTopic, ProjectOptions, build_project
+from rosplc.plc.classic import Classic
 from rosplc.plc.delivery import project_files
 from rosplc.plc.names import is_reserved
 from tests.unit.plc.fake_scriptengine import Project, run
@@ -51,7 +52,8 @@ def definitions(draw):
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(
     texts=st.lists(definitions(), min_size=1, max_size=3),
-    topics=st.lists(st.tuples(TOPICS, st.booleans(), st.integers(0, 2), st.integers(1, 3)), max_size=8,
+    topics=st.lists(st.tuples(TOPICS, st.booleans(), st.integers(0, 2), st.integers(1, 3),
+                              st.booleans()), max_size=8,
                     unique_by=lambda topic: topic[0]),
     tasks=st.sampled_from([["Ros"], ["Fast", "Slow"]]),
     pins=st.booleans(),
@@ -62,10 +64,18 @@ def test_any_project_is_well_formed_in_every_delivery(texts, topics, tasks, pins
     for number, text in enumerate(texts):
         store = store.with_definition(f"cell_msgs/msg/T{number}", text)
     plans = []
-    for index, (topic, reading, number, sequence) in enumerate(topics):
+    for index, (topic, reading, number, sequence, classic) in enumerate(topics):
         type_name = f"cell_msgs/msg/T{number % len(texts)}"
         layout = compute_layout(store, type_name, Limits(string=9, sequence=sequence))
-        plans.append(PlcTopic(topic, layout, "read" if reading else "write", tasks[index % len(tasks)]))
+        plans.append(
+            PlcTopic(
+                topic,
+                layout,
+                "read" if reading else "write",
+                tasks[index % len(tasks)],
+                classic=Classic(f"m{index}", f"s{index}") if classic else None,
+            )
+        )
     used = [PlcTask(name) for name in tasks if name in {plan.task for plan in plans}]
     made = build_project(store, plans, used, ProjectOptions(pins=pins))
 
@@ -76,7 +86,9 @@ def test_any_project_is_well_formed_in_every_delivery(texts, topics, tasks, pins
         assert len({name.upper() for name in scope}) == len(scope)
         assert all(IDENTIFIER.match(name) and not is_reserved(name) for name in scope)
     instances = [v for gvl in made.gvls for b in gvl.blocks for v in b.variables if v.arguments]
-    assert sorted(v.arguments[0][1] for v in instances) == sorted(f"'{plan.topic}'" for plan in plans)
+    assert sorted(v.arguments[0][1] for v in instances) == sorted(
+        f"'{plan.classic.name if plan.classic else plan.topic}'" for plan in plans
+    )
 
     files = project_files(made, [plan.layout for plan in plans], "rosplc")
     assert len({path.upper() for path in files}) == len(files)
