@@ -21,11 +21,11 @@ import pytest
 from rosplc.bridge import Bridge, parse_config, resolve
 from rosplc.bridge.status import ClassicStatus, TopicStatus
 from rosplc.codec import Codec, Wire
-from rosplc.ros import DEFAULT
+from rosplc.ros import DEFAULT, PRESETS
 from rosplc.ros.memory import open_backend
 
 PEERS = Path(__file__).parent / "interop" / "classic" / "peers"
-_CACHE = Path(__file__).parents[1] / ".cache" / "interop"
+CACHE = Path(__file__).parents[1] / ".cache" / "interop"
 WORDS = 256
 """Words of the record of ``cell_msgs/msg/Words``; all hold the same number, so that a torn one shows."""
 SIZE = 4 * WORDS
@@ -43,9 +43,9 @@ def build(source: str, command: Sequence[str], *libraries: str) -> Path:
         pytest.skip(f"Debian package {command[0]} is missing")
     path = PEERS / source
     digest = hashlib.sha256(path.read_bytes() + repr((command, libraries)).encode()).hexdigest()[:16]
-    program = _CACHE / f"{path.stem}-{digest}"
-    _CACHE.mkdir(parents=True, exist_ok=True)
-    with (_CACHE / f"{path.stem}.lock").open("w") as lock:
+    program = CACHE / f"{path.stem}-{digest}"
+    CACHE.mkdir(parents=True, exist_ok=True)
+    with (CACHE / f"{path.stem}.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not program.exists():
             partial = program.with_suffix(".partial")
@@ -198,7 +198,7 @@ class ClassicCell:
         if to == "ros":
             self.ros.subscribe("/t", self.plan.type_name, DEFAULT, self._on_message)
         else:
-            self._publisher = self.ros.advertise("/t", self.plan.type_name, DEFAULT)
+            self._publisher = self.ros.advertise("/t", self.plan.type_name, PRESETS["latched"])
 
     def _on_message(self, data: bytes, _stamp_ns: int) -> None:
         words = set(self.plan.layout.to_dict(self.codec.decode(data))["words"])

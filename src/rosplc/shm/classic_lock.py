@@ -202,6 +202,8 @@ class ClassicLock:
             content = self.path.read_bytes()
         except OSError:
             return  # gone, or not readable: opening it says so
+        if len(content) != SEMAPHORE_SIZE:
+            raise _other_kind(self.path, len(content))
         value, shared = struct.unpack_from("=IxxxxI" if SEMAPHORE_SIZE == 32 else "=II", content)
         if shared != _SHARED or value > posix_ipc.SEMAPHORE_VALUE_MAX:
             raise channel_error(128, "its content is none of a semaphore", str(self.path))
