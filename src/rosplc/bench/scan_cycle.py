@@ -65,6 +65,8 @@ def run(context: Context) -> dict[str, Any]:
     rounds, seconds, least, quiet = _EFFORTS[context.effort.name]
     conditions = _conditions(context.effort.name)
     data: dict[str, Any] = {"runs": [], "stalls": [], "stall_ms": STALL_NS / 1e6}
+    if not any(context.wants(name) for name in NAMES):
+        return {}
     with ExitStack() as stack:
         programs = Programs.compiled(context)
         methods = start(context, programs, stack)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from rosplc.bench.end_to_end import SECTION as END_TO_END
 from rosplc.bench.experiment import EXPERIMENT
+from rosplc.bench.scan_cycle import SECTION as SCAN_CYCLE
 from rosplc.bench.section import Section
+from rosplc.bench.sweeps import SECTION as SWEEPS
 
 __all__ = ["SECTIONS", "find"]
 
-SECTIONS: tuple[Section, ...] = (EXPERIMENT,)
+SECTIONS: tuple[Section, ...] = (EXPERIMENT, END_TO_END, SCAN_CYCLE, SWEEPS)
 
 
 def find(name: str) -> Section:

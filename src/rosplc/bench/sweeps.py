@@ -63,6 +63,8 @@ _SLOW_MS = 250.0
 def run(context: Context) -> dict[str, Any]:
     """Measure; see :class:`rosplc.bench.section.Section`."""
     effort = _EFFORTS[context.effort.name]
+    if not any(context.wants(name) for name in SECTION.contenders):
+        return {}
     data: dict[str, Any] = {"payload": [], "topics": [], "server_most": effort["server_most"]}
     with ExitStack() as stack:
         around = Around(context, effort, stack)
@@ -91,19 +93,32 @@ def _turns(
 ) -> dict[str, list[float]]:
     """Let all measure once per round; return what each found, by name."""
     values: dict[str, list[float]] = {}
-    budget = effort["turn_ms"] * 1e6
-    counts: list[tuple[Contender, int]] = []
-    for contender in contenders:
-        contender(1)  # everything has run once before anything counts
-        slowest = max(contender(2).values())
-        counts.append((contender, max(1, min(20_000, int(budget / slowest)))))
-    for number in range(effort["rounds"]):
-        for contender, count in counts:
-            if number and values and count == 1 and max(contender(1).values()) > _SLOW_MS * 1e6:
+    counts: dict[Contender, int] = {}
+    for number in range(-1, effort["rounds"]):
+        for contender in contenders:
+            if number >= 0 and contender not in counts:
+                continue  # it failed, or takes too long to be asked again
+            try:
+                if number < 0:
+                    counts[contender] = _calibrated(contender, effort["turn_ms"])
+                    continue
+                found = contender(counts[contender])
+            except Exception as error:  # one that fails is no reason to lose the others
+                context.fail("sweeps", f"{type(error).__name__}: {error}")
+                counts.pop(contender, None)
                 continue
-            for name, ns in contender(count).items():
+            for name, ns in found.items():
                 values.setdefault(name, []).append(ns)
+            if max(found.values()) > _SLOW_MS * 1e6:
+                del counts[contender]
     return {name: found for name, found in values.items() if context.wants(name)}
+
+
+def _calibrated(contender: Contender, turn_ms: float) -> int:
+    """Return how often a contender can do it in a turn; it has run once before anything counts."""
+    contender(1)
+    slowest = max(contender(2).values())
+    return max(1, min(20_000, int(turn_ms * 1e6 / slowest)))
 
 
 class Around:
