@@ -1,0 +1,104 @@
+"""The double of rclpy has rclpy's signatures, as its sources have them; so has an installed rclpy."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import inspect
+import os
+from collections.abc import Iterator
+
+import pytest
+
+from tests.doubles.rclpy_signatures import ALSO, BASES, DIFFERENT, EVERY, HANDLES
+from tests.doubles.ros2 import double
+
+REAL = importlib.util.find_spec("rclpy") is not None
+
+
+def expected(distro: str) -> dict[str, str]:
+    other = {name: by[distro] for name, by in DIFFERENT.items() if distro in by}
+    return EVERY | other
+
+
+def found(name: str) -> object:
+    """Return what stands under ``module:qualified.name``, properties as such."""
+    module, _, path = name.partition(":")
+    here: object = importlib.import_module(module)
+    for part in path.split("."):
+        here = inspect.getattr_static(here, part)
+    return here
+
+
+def written(thing: object) -> str:
+    """Return a signature as the table writes it."""
+    if isinstance(thing, property) or not callable(thing):
+        return "property"
+    words: list[str] = []
+    starred = False
+    for parameter in inspect.signature(thing).parameters.values():
+        if parameter.kind is parameter.KEYWORD_ONLY and not starred:
+            words.append("*")
+            starred = True
+        prefix = {parameter.VAR_POSITIONAL: "*", parameter.VAR_KEYWORD: "**"}.get(parameter.kind, "")
+        starred = starred or prefix == "*"
+        default = parameter.default
+        if default is parameter.empty:
+            words.append(prefix + parameter.name)
+        else:
+            plain = default is None or type(default) in (bool, int, float, str, list)
+            words.append(f"{parameter.name}={default!r}" if plain else f"{parameter.name}=...")
+    return f"({', '.join(words)})"
+
+
+@pytest.fixture(params=["humble", "jazzy"])
+def distro(request: pytest.FixtureRequest) -> Iterator[str]:
+    with double(request.param):
+        yield request.param
+
+
+def test_double_has_the_recorded_signatures(distro: str) -> None:
+    """Every recorded function of the distribution is there, with its parameters, defaults and kinds."""
+    table = expected(distro)
+    assert len(table) > 60
+    assert {name: written(found(name)) for name in table} == table
+
+
+def test_double_lacks_what_the_distribution_lacks(distro: str) -> None:
+    """What rclpy has in another distribution only cannot be found."""
+    missing = [name for name, by in DIFFERENT.items() if distro not in by]
+    assert len(missing) > 1
+    for name in missing:
+        with pytest.raises((AttributeError, ImportError)):
+            found(name)
+
+
+def test_double_has_nothing_of_its_own(distro: str) -> None:
+    """A public name that rclpy's classes do not have, none of the double's has."""
+    members: dict[str, set[str]] = {}
+    for name in expected(distro):
+        where, _, member = name.rpartition(".")
+        if ":" in where:
+            members.setdefault(where, set()).add(member)
+    assert len(members) > 10
+    for where in members:
+        kinds = (where, *BASES.get(where, ()))
+        known = set().union(*(members[kind] | ALSO.get(kind, frozenset()) for kind in kinds))
+        public = {name for name in dir(found(where)) if not name.startswith("_")}
+        assert public <= known, where
+
+
+def test_handles_of_the_double(distro: str) -> None:
+    """The handles have what the backend uses of the C++ ones."""
+    handle = importlib.import_module("rclpy.node")._Handle
+    public = {name for name in dir(handle) if not name.startswith("_")}
+    assert public == HANDLES["subscription"] | HANDLES["publisher"]
+    assert list(inspect.signature(handle.take_message).parameters) == ["self", "pymsg_type", "raw"]
+
+
+@pytest.mark.skipif(not REAL, reason="rclpy is not installed; the double stands in")
+def test_installed_rclpy_has_the_recorded_signatures() -> None:
+    """An installed rclpy has what the backend relies on."""
+    distro = os.environ.get("ROS_DISTRO", "")
+    table = expected(distro if distro in ("humble", "jazzy") else "rolling")
+    assert {name: written(found(name)) for name in table} == table
