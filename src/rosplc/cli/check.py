@@ -12,6 +12,7 @@ from rosplc.cli.text import columns, in_bytes, say
 from rosplc.errors import RosplcError
 
 if TYPE_CHECKING:
+    from rosplc.bridge.classic_plan import ClassicPlan
     from rosplc.bridge.resolve import Project, TopicPlan
     from rosplc.ros import Choice
 
@@ -87,7 +88,8 @@ def chosen_backend(project: Project) -> Choice | RosplcError:
 
 def _topic_facts(project: Project, plan: TopicPlan) -> dict[str, Any]:
     return {
-        "object": project.namespace.object_name(plan.topic),
+        "object": plan.classic.name if plan.classic else project.namespace.object_name(plan.topic),
+        "classic": None if plan.classic is None else _classic_facts(plan.classic),
         "type": plan.type_name,
         "to": "plc" if plan.direction == 1 else "ros",
         "task": plan.task,
@@ -109,7 +111,35 @@ def _topic_facts(project: Project, plan: TopicPlan) -> dict[str, Any]:
     }
 
 
+def _classic_facts(plan: ClassicPlan) -> dict[str, Any]:
+    return {
+        "memory": plan.name,
+        "semaphore": plan.semaphore or None,
+        "wait_ms": plan.wait_ns / 1e6,
+        "recover_after_ms": plan.recover_after_ns / 1e6,
+        "poll_ms": plan.poll_ns / 1e6,
+    }
+
+
+def _classic_rows(plan: TopicPlan, classic: ClassicPlan) -> list[tuple[str, str]]:
+    from rosplc.bridge.quantities import format_duration
+
+    lock = "none: a record may be read while it is written"
+    if classic.semaphore:
+        lock = (
+            f"semaphore {classic.semaphore}, tried for {format_duration(classic.wait_ns)}, freed when it is "
+            f"held for {format_duration(classic.recover_after_ns)} without a sign of life"
+        )
+    rows = [("classic", f"memory {classic.name} with the bare record"), ("lock", lock)]
+    if plan.direction != 1:
+        what = "a changed record is a message" if plan.on_change else "every look is a message"
+        rows.append(("looks", f"every {format_duration(classic.poll_ns)}; {what}"))
+    return rows
+
+
 def _memory(plan: TopicPlan) -> int:
+    if plan.classic is not None:
+        return -(-plan.layout.size // _PAGE) * _PAGE
     # The self-description's length is not known before the object is made; its text dominates.
     description = len(plan.layout.store.definition_text(plan.type_name)) + 512
     stride = -(-(plan.layout.size + 64) // 64) * 64
@@ -132,6 +162,11 @@ def warnings(project: Project) -> list[str]:
         if plan.truncate:
             found.append(
                 f"{plan.topic}: on_overflow is truncate, so the PLC may see shortened data (xTruncated)."
+            )
+        if plan.classic is not None and not plan.classic.semaphore:
+            found.append(
+                f"{plan.topic}: nothing guards the classic memory {plan.classic.name}; a record larger than "
+                "a word can be read half written."
             )
     total = sum(_memory(plan) for plan in project.topics)
     if total > 32 * 1024 * 1024:
@@ -174,7 +209,12 @@ def _explain(project: Project) -> None:
         say(f"\n{plan.topic}  {arrow}  {plan.type_name}")
         rows = [
             ("record", f"{in_bytes(plan.layout.size)}, layout id {plan.layout.layout_id}"),
-            ("slots", f"{plan.slots} ({slots}), {in_bytes(_memory(plan))} of shared memory"),
+            *(
+                [("slots", f"{plan.slots} ({slots}), {in_bytes(_memory(plan))} of shared memory")]
+                if plan.classic is None
+                else []
+            ),
+            *([] if plan.classic is None else _classic_rows(plan, plan.classic)),
             ("takes", f"{how}; PLC task {plan.task}"),
             ("QoS", f"{plan.qos.reliability}, {plan.qos.durability}, depth {plan.qos.depth} ({qos})"),
             ("stale after", stale),

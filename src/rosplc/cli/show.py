@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from rosplc.cli.guard import finite, guarded, print_json
+from rosplc.cli.show_classic import classic_facts, classic_plans, list_classic, show_classic
 from rosplc.cli.text import columns, in_bytes, say, warn
 from rosplc.errors import ChannelError
 
@@ -29,7 +31,9 @@ rosplc show /cmd_vel --follow  —  every message from now on
 
 rosplc show /joint_states --count 10 --json  —  ten messages, one JSON document per line
 
-It needs no configuration, no ROS and no right to write, and nobody notices it.
+rosplc show --config rosplc.yaml  —  its classic topics too, which cannot describe themselves
+
+It needs no configuration otherwise, no ROS and no right to write, and nobody notices it.
 """
 
 
@@ -55,18 +59,28 @@ def command(
         float | None,
         typer.Option(metavar="SECONDS", help="Give up when no message comes for so long.", min=0.0),
     ] = None,
+    config: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="A configuration: show its classic topics too."),
+    ] = None,
     directory: Annotated[str, typer.Option(help="Where the objects stand.", hidden=True)] = "/dev/shm",
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """Show the message in a topic's shared memory, or list all channels of this machine."""
     from rosplc.api import attach, topics
 
+    classic = classic_plans(config) if config is not None else []
     if topic is None:
         states = topics(prefix, directory=directory)
         if as_json:
-            print_json([state.to_dict() for state in states])
+            print_json([state.to_dict() for state in states] + classic_facts(classic))
         else:
-            _list(states)
+            if states or not classic:
+                _list(states)
+            list_classic(classic)
+        return
+    if plan := next((plan for plan in classic if plan.topic == topic), None):
+        show_classic(plan, follow=follow, count=count, timeout=timeout, as_json=as_json)
         return
     try:
         channel = attach(topic, prefix=prefix or "rosplc", directory=directory)
@@ -93,9 +107,19 @@ def _with_hint(error: ChannelError, topic: str, prefix: str | None, directory: s
         if state.topic == topic and not state.error
     )
     if not others:
-        return error
+        return _with_classic_hint(error, topic)
     what = f"no channel {topic} with the prefix {prefix or 'rosplc'}"
     remedy = f"There is one with the prefix {', '.join(others)}: add --prefix {others[0]}."
+    return ChannelError(error.code, what, where=error.where, remedy=remedy)
+
+
+def _with_classic_hint(error: ChannelError, topic: str) -> ChannelError:
+    """Return the error, naming a plain memory that has the topic's name."""
+    name = topic[1:].replace("/", ".")
+    if not name or "/" in name or not (Path("/dev/shm") / name).is_file():
+        return error
+    what = f"{topic} has no channel, but there is a memory /dev/shm/{name}, perhaps of a classic topic"
+    remedy = "Such a memory cannot describe itself: name its configuration with --config FILE."
     return ChannelError(error.code, what, where=error.where, remedy=remedy)
 
 
