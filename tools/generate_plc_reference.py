@@ -12,6 +12,7 @@ from rosplc.layout import compute_layout
 from rosplc.model import TypeStore
 from rosplc.plc.base import base_objects
 from rosplc.plc.build import PlcTask, PlcTopic, build_project
+from rosplc.plc.classic import Classic, classic_objects
 from rosplc.plc.helpers import HELPER_NAMES
 from rosplc.plc.project import Dut, Pou, VarBlock, Variable
 
@@ -50,6 +51,29 @@ waits. While the object is missing it tries again, first after 10 ms, then later
 The generated programs call the generated instances, and hand out that one attempt. In a task without them, as
 after `--all-types`, a program of your own begins with `RosPlc_State.axMayOpen[0] := TRUE;` and then calls its
 instances: without that line no block opens anything.
+"""
+CLASSIC = """\
+## Classic blocks
+
+For topics with `classic:` in [the configuration](configuration.md) there are
+`geometry_msgs_PoseStamped_ClassicRead` and `…_ClassicWrite`. They stand in the same lists under the same
+names, and are called by the same programs; when to use them is told in
+[Use classic blocks](../howto/use-classic-blocks.md). By hand it is
+
+```text
+pose : geometry_msgs_PoseStamped_ClassicRead('pose', 'pose');
+```
+
+with the names of memory and semaphore, without a slash; `''` as the second: nothing guards the memory.
+
+* `FB_Init` opens both, and makes what is missing. If that fails, the block's call tries again, as seldom as
+  the blocks above.
+* The call waits `tWait` for the lock at most, and only once: while the lock stays taken it looks once per
+  scan, counts `udiTimeouts`, and `msg` keeps the last message. After a wait in vain no block of the task
+  waits for ten times as long.
+* A semaphore that this block made, and that for 200 ms and 5 attempts has let nobody in, was made locked:
+  it is freed once. A semaphore that was found is never freed by the block.
+* `FB_Exit` closes the memory when the program ends, not at an online change, and deletes nothing.
 """
 
 
@@ -100,14 +124,17 @@ def _sentence(text: str) -> str:
 def _errors(pous: Iterable[Pou]) -> list[str]:
     texts = [text for pou in pous for text in (pou.implementation, *(m.implementation for m in pou.methods))]
     numbers = {
-        int(n) for text in texts for n in re.findall(r"\b(?:udiError|udiFailed|Validate) := (\d+);", text)
+        int(n)
+        for text in texts
+        for n in re.findall(r"\b(?:udiError|udiFailed|Validate|Open\w+) := (\d+);", text)
     }
     lines = [
         "## Error numbers",
         "",
         "`udiError` is 0 while everything is well, else a number of [the error codes](errors.md): 101 is",
         "SHM101. With 112, `udiFoundLayoutLo` and `udiFoundLayoutHi` hold the layout id that was found.",
-        "`udiResult` is the result of the last SysShm call: 0 fine, 16 (`16#10`) no such object.",
+        "`udiResult` is the result of the last SysShm or SysSemProcess call: 0 fine, 5 a wait in vain,",
+        "16 (`16#10`) no such object, 18 (`16#12`) an object that exists, which is fine.",
         "",
         "| number | meaning | what helps |",
         "| ---: | --- | --- |",
@@ -136,11 +163,16 @@ def page() -> str:
     """Return the page's text."""
     store = TypeStore.bundled("jazzy")
     layout = compute_layout(store, EXAMPLE)
-    topics = [PlcTopic(f"/{way}", layout, way, "RosTask") for way in ("read", "write")]
+    topics = [
+        PlcTopic(f"/{way}{'_classic' if classic else ''}", layout, way, "RosTask", classic=classic)
+        for way in ("read", "write")
+        for classic in (None, Classic("pose", "pose"))
+    ]
     project = build_project(store, topics, [PlcTask("RosTask")])
     pous = {pou.name: pou for pou in project.pous}
     gvls = {gvl.name: gvl for gvl in project.gvls}
-    base = [item for item in base_objects("ROS/Base") if isinstance(item, Pou)]
+    objects = [*base_objects("ROS/Base"), *classic_objects("ROS/Base")]
+    base = [item for item in objects if isinstance(item, Pou)]
     lines = [HEAD]
     for title in ("Read", "Write"):
         lines += _block(f"{title} blocks", pous[f"{EXAMPLE_DUT}_{title}"], pous)
@@ -150,6 +182,9 @@ def page() -> str:
         "[Use the blocks in Ladder](../howto/use-plc-blocks-in-ladder.md).",
         "",
     ]
+    lines.append(CLASSIC)
+    for way in ("Read", "Write"):
+        lines += _block(f"Classic {way} blocks", pous[f"{EXAMPLE_DUT}_Classic{way}"], pous)
     lines += _errors([*base, *(pous[name] for name in HELPER_NAMES if name in pous)])
     lines += [
         "## Programs and tasks",
@@ -178,7 +213,7 @@ def page() -> str:
         "| object | what it is |",
         "| --- | --- |",
     ]
-    for item in base_objects("ROS/Base"):
+    for item in objects:
         lines.append(f"| `{item.name}` | {_cell(_sentence(item.comment))} |")
     return "\n".join(lines).rstrip() + "\n"
 

@@ -14,8 +14,11 @@ if shutil.which("gcc") is None:
     pytest.skip("Debian package gcc is missing", allow_module_level=True)
 
 from rosplc.layout import Limits
-from tests.verification.classic_cell import JOINTS, ClassicCell, classic_target, record
-from tests.verification.plc_cell import TARGETS, layout_of
+from rosplc.plc.build import PlcTask, PlcTopic, build_project
+from rosplc.plc.classic import Classic
+from tests.verification.classic_cell import JOINTS, ClassicCell, Peer, classic_target, record
+from tests.verification.plc_cell import TARGETS, WRITE, layout_of, project_texts, store
+from verification.st.build import build
 
 
 @pytest.fixture
@@ -205,6 +208,30 @@ def test_waits_are_bounded(cell: ClassicCell) -> None:
     assert cell.get("/in", "udiTimeouts", "xValid", "udiError") == (150, True, 127)
     assert cell.msg("/in") == record(5)
     assert cell.get("/in", "xStale") is True
+
+
+def test_blocks_that_share_a_lock_wait_once() -> None:
+    """Ten blocks under one semaphore cost a task one wait in all, not one each."""
+    layout = layout_of("std_msgs/msg/Float64")
+    topics = [
+        PlcTopic(f"/t{n}", layout, "read", "T", classic=Classic(f"t{n}", "shared", 5_000_000))
+        for n in range(10)
+    ]
+    texts = project_texts(build_project(store(), topics, [PlcTask("T")]))
+    with ClassicCell(build({**texts, WRITE: f"PROGRAM {WRITE}\nEND_PROGRAM\n"})) as cell:
+        cell.scan()
+        cell.peers.append(Peer(f"{cell.prefix}shared"))
+        cell.peers[0].ask("enter")
+        for _ in range(50):
+            cell.scan()
+        assert cell.machine.counters().sem_waited == 5
+        assert cell.machine.get("ROS_Read.t7.udiTimeouts") == 50
+        cell.peers[0].ask("leave")
+        cell.scan(20)
+        assert cell.machine.get("ROS_Read.t7.udiError") == 0
+        cell.peers[0].ask("enter")  # some other time: one wait again
+        cell.scan(20)
+        assert cell.machine.counters().sem_waited == 10
 
 
 def test_no_wait_is_endless() -> None:

@@ -23,7 +23,7 @@ __all__ = [
     "classic_read_block", "classic_wait", "classic_write_block",
 ]  # fmt: skip
 
-CLASSIC_NAMES = ("RosPlc_Classic", "RosPlc_ClassicReader", "RosPlc_ClassicWriter")
+CLASSIC_NAMES = ("RosPlc_ClassicState", "RosPlc_Classic", "RosPlc_ClassicReader", "RosPlc_ClassicWriter")
 """Names that no generated object may take, whether or not a project has classic topics."""
 
 LIBRARY = "SysSemProcess"

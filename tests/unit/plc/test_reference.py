@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 from rosplc.plc.base import base_objects
+from rosplc.plc.classic import classic_objects
 from rosplc.plc.project import Pou
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -36,7 +37,7 @@ def test_a_page_that_differs_is_noticed(tmp_path, monkeypatch, capsys):
 def test_every_input_and_output_of_the_base_is_listed_with_a_meaning():
     """A variable without a word on what it means would be of no use; second halves of pairs excepted."""
     text = PAGE.read_text(encoding="utf-8")
-    for item in base_objects("ROS/Base"):
+    for item in (*base_objects("ROS/Base"), *classic_objects("ROS/Base")):
         if not isinstance(item, Pou) or item.kind != "FUNCTION_BLOCK":
             continue
         for block in item.blocks:
