@@ -27,7 +27,7 @@ __all__ = ["DISTRO", "LIMITS", "QOS", "Translator", "main", "topics"]
 DISTRO = "jazzy"
 LIMITS = Limits(string=32, sequence=24)
 QOS = Qos(reliability="reliable", durability="volatile", depth=1000)
-_GRACE_S = 0.5
+_GRACE_S = 5.0
 _LOST_S = 1.0
 
 

@@ -8,6 +8,7 @@ import secrets
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ NAMES = {
     "none": "no exchange (C)",
     "rosplc": "rosplc (C)",
     "semaphore": "shared memory and semaphore (C)",
+    "plain": "shared memory without a lock (C)",
     "modbus-slave": "Modbus TCP, PLC is the server (C)",
     "modbus-master": "Modbus TCP, PLC asks in its task (C)",
     "rosplc-python": "rosplc (Python)",
@@ -106,11 +108,17 @@ def start(context: Context, programs: Programs | None, stack: ExitStack) -> list
 
     def in_python(method: str, to_task: dict[str, Any], to_peer: dict[str, Any]) -> tuple[Side, Side]:
         def one(role: str, plan: dict[str, Any]) -> Side:
-            side = run(f"{method} {role}", python("scan_cycle_python", role, method, json.dumps(plan)))
-            ready(side)
-            return side
+            return run(f"{method} {role}", python("scan_cycle_python", role, method, json.dumps(plan)))
 
-        return one("task", to_task), one("peer", to_peer)
+        task = one("task", to_task)
+        if method == "rosplc":  # neither needs the other to begin with
+            peer = one("peer", to_peer)
+            ready(task)
+        else:
+            ready(task)
+            peer = one("peer", to_peer)
+        ready(peer)
+        return task, peer
 
     def channels() -> tuple[str, str]:
         return _channel(context, stack, Direction.TO_PLC), _channel(context, stack, Direction.TO_ROS)
@@ -126,18 +134,21 @@ def start(context: Context, programs: Programs | None, stack: ExitStack) -> list
     if programs is not None:
         starters["none"] = lambda: in_c("none")
         starters["rosplc"] = lambda: in_c("rosplc", *channels())
-        starters["semaphore"] = lambda: in_c(
-            "semaphore", str(context.scratch / f"areas-{secrets.token_hex(4)}")
-        )
+        for name in ("semaphore", "plain"):
+            areas = str(context.scratch / f"areas-{secrets.token_hex(4)}")
+            starters[name] = partial(in_c, name, areas)
         if programs.modbus:
             starters["modbus-slave"] = lambda: modbus("modbus-slave")
             starters["modbus-master"] = lambda: modbus("modbus-master")
-    starters["rosplc-python"] = rosplc_python
-    if importlib.util.find_spec("asyncua") is None:
+    if context.effort.name == "quick":
+        context.skip("scan cycle in Python, OPC UA among it", "left out of a quick run", "rosplc bench")
+    elif importlib.util.find_spec("asyncua") is None:
+        starters["rosplc-python"] = rosplc_python
         context.skip(
             "scan cycle over OPC UA", "the Python package asyncua is missing", "pip install 'rosplc[bench]'"
         )
     else:
+        starters["rosplc-python"] = rosplc_python
         starters["opcua-python"] = opcua_python
     return [Method(name, *starter()) for name, starter in starters.items() if context.wants(name)]
 

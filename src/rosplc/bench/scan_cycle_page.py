@@ -117,6 +117,7 @@ def _whole(data: Mapping[str, Any], runs: list[Mapping[str, Any]], methods: list
                 sum(one["missed"] for one in mine),
                 stalled["longest_ns"] / 1e6 if stalled else None,
                 stalled["missed"] if stalled else None,
+                stalled["torn"] if stalled else None,
             )
         )
     header = (
@@ -127,10 +128,13 @@ def _whole(data: Mapping[str, Any], runs: list[Mapping[str, Any]], methods: list
         "scans missed",
         "other side stands still: longest call, ms",
         "scans missed then",
+        "messages torn then",
     )
     note = (
-        "Scans are also missed because of the machine, as the first row shows. In the last two columns the "
-        f"other side stops for {data['stall_ms']:g} ms in the middle of a message, as a program does that is "
+        "Scans are also missed because of the machine, as the first row shows. In the last three columns "
+        "the "
+        f"other side stops for {data['stall_ms']:g} ms in the middle of a message, as a program does that "
+        f"is "
         "interrupted there; the task runs every 1 ms."
     )
     return Table("What happens to messages and scans", header, tuple(rows), _WAITING, note)
@@ -179,10 +183,13 @@ def _summary(runs: list[Mapping[str, Any]], data: Mapping[str, Any]) -> tuple[st
                 f"{NAMES[method]}, and pays {cost:.1f} µs per scan."
             )
     for one in data["stalls"]:
-        if one["method"] in ("rosplc", "semaphore"):
+        if one["method"] in ("rosplc", "semaphore", "plain"):
             lines.append(
-                f"The other side stops for {data['stall_ms']:g} ms inside a message, {NAMES[one['method']]}: "
-                f"the task's longest call takes {one['longest_ns'] / 1e6:.3g} ms."
+                f"The other side stops for {data['stall_ms']:g} ms inside a message, "
+                f"{NAMES[one['method']]}: the "
+                f"task's longest call takes {one['longest_ns'] / 1e6:.3g} ms, and {one['torn']} torn "
+                f"messages "
+                "are seen."
             )
     return tuple(lines)
 
@@ -197,17 +204,21 @@ _LEAD = (
 )
 
 _AFTER = (
-    "**What this means.** The age is about half a cycle with every method that keeps up: a message waits for "
-    "the next scan, and the cycle, not the transport, decides how old it is. At 10 ms nobody gains anything "
+    "**What this means.** The age is about half a cycle with every method that keeps up: a message waits "
+    "for "
+    "the next scan, and the cycle, not the transport, decides how old it is. At 10 ms nobody gains "
+    "anything "
     "there from a faster transport. What is left to win is in the other tables: the time that calls take "
     "from the cycle, and above all their longest time, because that is what a watchdog and a drive "
     "notice; whether a scan is missed because the other side stood still; whether a message is torn; and "
     "the CPU that stays "
     "for the rest.",
-    "A call that waits for somebody else, for a lock or for an answer, takes as long as the other one takes. "
+    "A call that waits for somebody else, for a lock or for an answer, takes as long as the other one "
+    "takes. "
     "Most of the time that is little, which is why medians look harmless. rosplc's calls wait for nobody.",
     "**What it does not.** A general-purpose kernel on a shared or virtual machine has pauses of its own, "
-    "which the row without any exchange shows; what lies below them cannot be seen here. A few seconds find "
+    "which the row without any exchange shows; what lies below them cannot be seen here. A few seconds "
+    "find "
     "no worst case. A PLC's own runtime, with its Modbus and OPC UA servers and their priorities, is not "
     "measured. Modbus with the PLC as the server copies registers while the server's thread may be filling "
     "them; that no torn message was seen, where none was, is luck and not a promise.",

@@ -2,7 +2,7 @@
  *
  *   scan_peer none | hog
  *   scan_peer rosplc TO_ROS TO_PLC
- *   scan_peer semaphore FILE
+ *   scan_peer semaphore FILE | plain FILE
  *   scan_peer modbus-slave PORT         the PLC is the server
  *   scan_peer modbus-master             the PLC is the client; prints the server's port
  *
@@ -45,6 +45,10 @@ static void send_message(void)
         stand_still();
         memcpy((uint8_t *)&areas[0].content + SIZE / 2, (uint8_t *)&m + SIZE / 2, SIZE - SIZE / 2);
         sem_post(&areas[0].lock);
+    } else if (!strcmp(method, "plain")) {
+        memcpy(&areas[0].content, &m, SIZE / 2);
+        stand_still();
+        memcpy((uint8_t *)&areas[0].content + SIZE / 2, (uint8_t *)&m + SIZE / 2, SIZE - SIZE / 2);
     }
 #ifdef WITH_MODBUS
     else if (!strcmp(method, "modbus-slave")) {
@@ -71,6 +75,8 @@ static void receive_message(void)
         (void)take(&m);
     else if (!strcmp(method, "semaphore"))
         lock_and_copy(&areas[1], &m, &areas[1].content);
+    else if (!strcmp(method, "plain"))
+        memcpy(&m, &areas[1].content, SIZE);
 #ifdef WITH_MODBUS
     else if (!strcmp(method, "modbus-slave"))
         request_read(client, &m);
@@ -124,7 +130,7 @@ int main(int argc, char **argv)
     method = argc > 1 ? argv[1] : "";
     if (!strcmp(method, "rosplc") && argc == 4) {
         attach(argv[3], argv[2], 0);
-    } else if (!strcmp(method, "semaphore") && argc == 3) {
+    } else if ((!strcmp(method, "semaphore") || !strcmp(method, "plain")) && argc == 3) {
         areas = map_file(argv[2], 2 * sizeof *areas);
         for (int i = 0; i < 2; i++)
             if (sem_init(&areas[i].lock, 1, 1))

@@ -3,6 +3,7 @@
  *   scan_task none
  *   scan_task rosplc TO_PLC TO_ROS
  *   scan_task semaphore FILE
+ *   scan_task plain FILE                the same memory, and nobody asks the semaphore
  *   scan_task modbus-slave              a server thread beside the task; prints its port
  *   scan_task modbus-master PORT        requests inside the task
  *
@@ -21,6 +22,8 @@ static int read_message(message *m, const message *before)
         return ch_reader_news(&reader) && take(m);
     if (!strcmp(method, "semaphore"))
         lock_and_copy(&areas[0], m, &areas[0].content);
+    else if (!strcmp(method, "plain"))
+        memcpy(m, &areas[0].content, SIZE);
 #ifdef WITH_MODBUS
     else if (!strcmp(method, "modbus-slave"))
         memcpy(m, map->tab_registers, SIZE);
@@ -38,6 +41,8 @@ static void write_message(const message *m)
         transport_send((const uint16_t *)m);
     else if (!strcmp(method, "semaphore"))
         lock_and_copy(&areas[1], &areas[1].content, m);
+    else if (!strcmp(method, "plain"))
+        memcpy(&areas[1].content, m, SIZE);
 #ifdef WITH_MODBUS
     else if (!strcmp(method, "modbus-slave"))
         memcpy(map->tab_registers + REGISTERS, m, SIZE);
@@ -120,7 +125,7 @@ int main(int argc, char **argv)
     method = argc > 1 ? argv[1] : "";
     if (!strcmp(method, "rosplc") && argc == 4)
         attach(argv[3], argv[2], 0);
-    else if (!strcmp(method, "semaphore") && argc == 3)
+    else if ((!strcmp(method, "semaphore") || !strcmp(method, "plain")) && argc == 3)
         areas = map_file(argv[2], 2 * sizeof *areas);
 #ifdef WITH_MODBUS
     else if (!strcmp(method, "modbus-slave"))
