@@ -8,7 +8,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["ARRANGEMENTS", "CYCLIC", "ONE_CORE", "ONE_CORE_BUSY", "TWO_CORES", "Arrangement", "Way"]
+__all__ = [
+    "ARRANGEMENTS",
+    "CYCLIC",
+    "ONE_CORE",
+    "ONE_CORE_BUSY",
+    "ONE_CORE_CYCLE",
+    "ONE_CORE_YIELD",
+    "TWO_CORES",
+    "WAITING",
+    "Arrangement",
+    "Way",
+]
 
 
 @dataclass(frozen=True)
@@ -21,6 +32,7 @@ class Arrangement:
         cores: How many cores the two processes use.
         period_ns: The period of both programs; 0 if they are not cyclic.
         waiting: How one waits in it, for the line below every table.
+        slow: Whether a turn is mostly waiting, whoever measures: fewer and shorter turns do.
     """
 
     name: str
@@ -28,6 +40,7 @@ class Arrangement:
     cores: int
     period_ns: int
     waiting: str
+    slow: bool = False
 
 
 @dataclass(frozen=True)
@@ -58,20 +71,22 @@ ONE_CORE = Arrangement(
     0,
     "both processes share one core, as on the source's board, and sleep until they are woken",
 )
-ONE_CORE_BUSY = Arrangement(
-    "one-core-busy",
-    "One core, busy",
-    1,
-    0,
-    "both processes share one core, and whoever waits keeps looking; the column says how",
+_SHARED = "both processes share one core; the column says what whoever waits does meanwhile"
+ONE_CORE_BUSY = Arrangement("one-core-busy", "One core, looking again at once", 1, 0, _SHARED, True)
+ONE_CORE_YIELD = Arrangement("one-core-yield", "One core, giving it away between two looks", 1, 0, _SHARED)
+ONE_CORE_CYCLE = Arrangement(
+    "one-core-cycle", "One core, looking every millisecond", 1, 1_000_000, _SHARED, True
 )
 _CYCLE = (
     "both programs are cyclic and look once per period, B half a period after A; each has a core of its own "
     "where there are two"
 )
 CYCLIC = (
-    Arrangement("cycle-1ms", "Polling in a cycle of 1 ms", 2, 1_000_000, _CYCLE),
-    Arrangement("cycle-10ms", "Polling in a cycle of 10 ms", 2, 10_000_000, _CYCLE),
+    Arrangement("cycle-1ms", "Polling in a cycle of 1 ms", 2, 1_000_000, _CYCLE, True),
+    Arrangement("cycle-10ms", "Polling in a cycle of 10 ms", 2, 10_000_000, _CYCLE, True),
 )
 ARRANGEMENTS = (TWO_CORES, ONE_CORE, *CYCLIC)
 """Those of the experiment, in the order of the report."""
+
+WAITING = (ONE_CORE_BUSY, ONE_CORE_YIELD, ONE_CORE_CYCLE, ONE_CORE)
+"""Those that show what waiting alone does."""

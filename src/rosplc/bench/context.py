@@ -19,15 +19,15 @@ class Effort:
         name: "quick", "default" or "full".
         rounds: How often the contenders take turns.
         turn_seconds: About how long one turn of one contender may take.
-        cyclic_rounds: The same where both programs are cyclic, which takes its time whoever measures.
-        cyclic_turn_seconds: And about how long such a turn may take.
+        slow_rounds: The same in arrangements where a turn is mostly waiting.
+        slow_turn_seconds: And about how long such a turn may take.
     """
 
     name: str
     rounds: int
     turn_seconds: float
-    cyclic_rounds: int
-    cyclic_turn_seconds: float
+    slow_rounds: int
+    slow_turn_seconds: float
 
 
 EFFORTS = {

@@ -22,8 +22,8 @@ EXPERIMENT = Section(
     "experiment",
     "The source's experiment",
     "Two processes exchange 100 unsigned integers of 16 bits: A writes 100, B reads them, adds one to each "
-    "and writes 100 back, A reads and adds one; for 10 to 1000 cycles. The final values prove that nothing was "
-    "torn, lost or repeated.",
+    "and writes 100 back, A reads and adds one; for 10 to 1000 cycles. The final values prove that nothing "
+    "was torn, lost or repeated.",
     _run,
     page,
     tuple(contender.name for contender in CONTENDERS),

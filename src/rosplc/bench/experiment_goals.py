@@ -32,7 +32,7 @@ class _Aim:
     above: tuple[str, ...]
     below: str
     limit: float
-    key: str = "p50_us"
+    key: str = "run_us"
     at_least: bool = True
     if_missed: str = ""
 

@@ -34,13 +34,13 @@ class Found:
         entry = self.entries(arrangement).get(contender)
         return [] if entry is None else [each[key] for each in entry["rounds"]]
 
-    def ratio(self, arrangement: str, slower: str, faster: str, key: str = "p50_us") -> float | None:
+    def ratio(self, arrangement: str, slower: str, faster: str, key: str = "run_us") -> float | None:
         """Return the median over the rounds of ``slower`` divided by ``faster``; None without both."""
         these = self.values(arrangement, slower, key)
         those = self.values(arrangement, faster, key)
         return median_ratio(these, those) if these and those else None
 
-    def median(self, arrangement: str, contender: str, key: str = "p50_us") -> float | None:
+    def median(self, arrangement: str, contender: str, key: str = "run_us") -> float | None:
         """Return the median of the rounds; None if it was not measured."""
         values = self.values(arrangement, contender, key)
         return statistics.median(values) if values else None

@@ -86,7 +86,7 @@ def cell_text(cell: Cell) -> str:
     if isinstance(cell, float):
         if cell != cell or cell in (float("inf"), float("-inf")):
             return str(cell)
-        if abs(cell) >= 1000:
+        if abs(cell) >= 999.5:
             return f"{round(cell, -max(0, len(str(int(abs(cell)))) - 3)):,.0f}"
         digits = 2 if abs(cell) < 10 else 1 if abs(cell) < 100 else 0
         return f"{cell:.3g}" if 0 < abs(cell) < 1 else f"{cell:.{digits}f}"

@@ -7,10 +7,11 @@ from rosplc.bench.experiment import EXPERIMENT
 from rosplc.bench.scan_cycle import SECTION as SCAN_CYCLE
 from rosplc.bench.section import Section
 from rosplc.bench.sweeps import SECTION as SWEEPS
+from rosplc.bench.waiting import WAITING_SECTION
 
 __all__ = ["SECTIONS", "find"]
 
-SECTIONS: tuple[Section, ...] = (EXPERIMENT, END_TO_END, SCAN_CYCLE, SWEEPS)
+SECTIONS: tuple[Section, ...] = (EXPERIMENT, WAITING_SECTION, END_TO_END, SCAN_CYCLE, SWEEPS)
 
 
 def find(name: str) -> Section:

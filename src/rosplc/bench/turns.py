@@ -45,20 +45,20 @@ class Plan:
         self.cycles = cycles
 
 
-def plan_turn(cycle_ns: float, seconds: float, *, cyclic: bool) -> Plan:
+def plan_turn(cycle_ns: float, seconds: float, *, repeat: bool) -> Plan:
     """Return the plan for a contender whose cycle takes so long.
 
     Args:
         cycle_ns: What one cycle takes.
         seconds: How long the turn may take.
-        cyclic: Whether the programs are cyclic; then nothing is repeated.
+        repeat: Whether who is fast runs the whole list again and again.
     """
     cycles = [CYCLES[0]]
     for count in CYCLES[1:]:
         if (sum(cycles) + count) * cycle_ns > seconds * 1e9:
             break
         cycles.append(count)
-    if cyclic:
+    if not repeat:
         return Plan(3, 1, tuple(cycles))
     repeats = int(min(_SHORT_TURN_NS, seconds * 1e9) / (sum(cycles) * cycle_ns))
     return Plan(200 if cycle_ns < 50_000 else 20, max(1, min(_MOST_REPEATS, repeats)), tuple(cycles))
@@ -144,7 +144,7 @@ def _possible(context: Context, arrangement: Arrangement) -> bool:
 
 
 def _rounds(context: Context, arrangement: Arrangement) -> int:
-    return context.effort.cyclic_rounds if arrangement.period_ns else context.effort.rounds
+    return context.effort.slow_rounds if arrangement.slow else context.effort.rounds
 
 
 class _Run:
@@ -184,9 +184,8 @@ class _Run:
         # The median: the first cycle may have waited for the other side to come up.
         cycle_ns = float(statistics.median(turn.spent_ns))
         effort = self._context.effort
-        cyclic = bool(arrangement.period_ns)
-        seconds = effort.cyclic_turn_seconds if cyclic else effort.turn_seconds
-        return plan_turn(max(cycle_ns, 1.0), seconds, cyclic=cyclic)
+        seconds = effort.slow_turn_seconds if arrangement.slow else effort.turn_seconds
+        return plan_turn(max(cycle_ns, 1.0), seconds, repeat=not arrangement.slow)
 
     def _turn(self, arrangement: Arrangement, contender: Contender, plan: Plan) -> Turn | None:
         context = self._context
@@ -233,7 +232,14 @@ def _entry(contender: Contender, arrangement: Arrangement, turns: Sequence[Turn]
 
 def _round(turn: Turn) -> dict[str, Any]:
     by_count = zip(*turn.durations_ns, strict=True)
+    per_cycle = [
+        duration / count / 1000
+        for durations in turn.durations_ns
+        for count, duration in zip(turn.cycles, durations, strict=True)
+    ]
     return {
+        # A run's mean, and of the runs the median: a rate, and yet no interruption of one run decides it.
+        "run_us": statistics.median(per_cycle),
         "durations_s": {
             str(count): statistics.median(values) / 1e9
             for count, values in zip(turn.cycles, by_count, strict=True)

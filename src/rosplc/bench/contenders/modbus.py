@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rosplc.bench.arrangements import CYCLIC, ONE_CORE, TWO_CORES
+from rosplc.bench.arrangements import CYCLIC, ONE_CORE, ONE_CORE_CYCLE, TWO_CORES
 from rosplc.bench.compiling import compile_program, find_library
 from rosplc.bench.contenders.base import BLOCKS, CYCLE, Contender, Place, python_side, start_pair
 from rosplc.bench.contenders.packages import need
@@ -45,7 +45,7 @@ LIBMODBUS = Contender(
     "Modbus TCP, libmodbus (FC16, FC03)",
     "libmodbus client and server in C over the loopback interface; one request writes 100 registers, one "
     "reads 100",
-    {**_BLOCKING, **_CYCLES},
+    {**_BLOCKING, **_CYCLES, ONE_CORE_CYCLE.name: CYCLE},
     lambda place: _start_libmodbus(place, "separate"),
 )
 LIBMODBUS_FC23 = Contender(

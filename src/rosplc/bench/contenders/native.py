@@ -2,27 +2,37 @@
 
 from __future__ import annotations
 
-from rosplc.bench.arrangements import CYCLIC, ONE_CORE, ONE_CORE_BUSY, TWO_CORES, Way
+from rosplc.bench.arrangements import (
+    CYCLIC,
+    ONE_CORE,
+    ONE_CORE_BUSY,
+    ONE_CORE_CYCLE,
+    ONE_CORE_YIELD,
+    TWO_CORES,
+    Way,
+)
 from rosplc.bench.compiling import compile_program
 from rosplc.bench.contenders.base import CYCLE, RINGS, SPINS, Contender, Place, start_pair
+from rosplc.bench.contenders.registers import ANSWER, QUESTION, describe, layout
 from rosplc.bench.pair import Pair
-from rosplc.bench.peers.exchange import COUNT
-from rosplc.shm import Description, Direction, Namespace, OwnedChannel
+from rosplc.shm import Direction, Namespace, OwnedChannel
 
 __all__ = ["BARE", "ROSPLC_C", "SEMAPHORE_C", "SIGNAL_C", "objects"]
 
 _CYCLES = {each.name: CYCLE for each in CYCLIC}
+_BUSY = {
+    ONE_CORE_BUSY.name: SPINS,
+    ONE_CORE_YIELD.name: Way("yield", "looks again when it gets the core back (sched_yield)"),
+    ONE_CORE_CYCLE.name: CYCLE,
+}
 
 
 def objects(place: Place) -> tuple[str, str]:
     """Make an object for each direction; return the paths of the one towards B and the one towards A."""
     namespace = Namespace("rosplc", place.folder)
     paths = []
-    for topic, direction in (("/question", Direction.TO_PLC), ("/answer", Direction.TO_ROS)):
-        about = Description(
-            topic, "std_msgs/msg/UInt16MultiArray", "jazzy", direction, {}, "0" * 16, "bench", "uint16[] data"
-        )
-        with OwnedChannel.open(namespace, about, record_size=2 * COUNT) as channel:
+    for topic, direction in ((QUESTION, Direction.TO_PLC), (ANSWER, Direction.TO_ROS)):
+        with OwnedChannel.open(namespace, describe(topic, direction), record_size=layout().size) as channel:
             paths.append(str(channel.path))
     return paths[0], paths[1]
 
@@ -61,7 +71,7 @@ ROSPLC_C = Contender(
     {
         TWO_CORES.name: SPINS,
         ONE_CORE.name: RINGS,
-        ONE_CORE_BUSY.name: SPINS,
+        **_BUSY,
         **_CYCLES,
     },
     _start_rosplc,
@@ -73,7 +83,7 @@ SEMAPHORE_C = Contender(
     "until the numbers differ, as the source's programs do",
     {
         TWO_CORES.name: Way("spin", "spins (lock, copy, compare)"),
-        ONE_CORE_BUSY.name: Way("spin", "spins (lock, copy, compare)"),
+        **_BUSY,
         **_CYCLES,
     },
     _start_semaphore,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import secrets
 from pathlib import Path
 
-from rosplc.bench.arrangements import CYCLIC, ONE_CORE, ONE_CORE_BUSY, TWO_CORES, Way
+from rosplc.bench.arrangements import CYCLIC, ONE_CORE, TWO_CORES, Way
 from rosplc.bench.contenders.base import (
     BLOCKS,
     CYCLE,
@@ -19,18 +19,15 @@ from rosplc.bench.contenders.base import (
 from rosplc.bench.contenders.packages import need
 from rosplc.bench.pair import Pair
 
-__all__ = ["ASYNCUA", "ICEORYX", "ICEORYX_BLACKBOARD", "ROSPLC_PYTHON", "SEMAPHORE_PYTHON"]
+__all__ = ["ASYNCUA", "ICEORYX", "ICEORYX_BLACKBOARD", "ROSPLC_PYTHON", "ROSPLC_TYPED", "SEMAPHORE_PYTHON"]
 
 _CYCLES = {each.name: CYCLE for each in CYCLIC}
 
 
-def _start_rosplc(place: Place) -> Pair:
+def _start_rosplc(place: Place, module: str) -> Pair:
     tail = (place.folder, *place.names)
     return start_pair(
-        "rosplc in Python",
-        place,
-        a=python_side("channel", "A", *tail),
-        b=python_side("channel", "B", *tail),
+        "rosplc in Python", place, a=python_side(module, "A", *tail), b=python_side(module, "B", *tail)
     )
 
 
@@ -76,8 +73,16 @@ ROSPLC_PYTHON = Contender(
     "rosplc channel, Python",
     "rosplc.shm: publish and take of records of bytes through the C extension; the bell of the blocking "
     "arrangement is a POSIX semaphore (posix_ipc) beside the channel",
-    {TWO_CORES.name: SPINS, ONE_CORE.name: RINGS, ONE_CORE_BUSY.name: SPINS, **_CYCLES},
-    _start_rosplc,
+    {TWO_CORES.name: SPINS, ONE_CORE.name: RINGS, **_CYCLES},
+    lambda place: _start_rosplc(place, "channel"),
+)
+ROSPLC_TYPED = Contender(
+    "rosplc-python-typed",
+    "rosplc channel, Python, B with typed messages",
+    "the same, but B attaches with rosplc.attach and reads and writes messages with fields, lists of Python "
+    "integers, as scripts do",
+    {TWO_CORES.name: SPINS, **_CYCLES},
+    lambda place: _start_rosplc(place, "typed_channel"),
 )
 SEMAPHORE_PYTHON = Contender(
     "semaphore-python",

@@ -10,15 +10,19 @@ from rosplc.bench.contenders.python import (
     ICEORYX,
     ICEORYX_BLACKBOARD,
     ROSPLC_PYTHON,
+    ROSPLC_TYPED,
     SEMAPHORE_PYTHON,
 )
+from rosplc.bench.contenders.structured_text import ROSPLC_ST
 
 __all__ = ["CONTENDERS"]
 
 CONTENDERS: tuple[Contender, ...] = (
     BARE,
     ROSPLC_C,
+    ROSPLC_ST,
     ROSPLC_PYTHON,
+    ROSPLC_TYPED,
     SEMAPHORE_C,
     SIGNAL_C,
     SEMAPHORE_PYTHON,

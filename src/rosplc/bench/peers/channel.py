@@ -8,35 +8,20 @@ from __future__ import annotations
 
 import functools
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rosplc.bench.peers.exchange import COUNT, Transport, serve
+from rosplc.bench.contenders.registers import ANSWER, QUESTION, describe
+from rosplc.bench.peers.exchange import COUNT, Operations, Transport, serve
 from rosplc.errors import ChannelError
-from rosplc.shm import Attached, Description, Direction, Namespace, OwnedChannel, attach
+from rosplc.shm import Attached, Direction, Namespace, OwnedChannel, attach
 
 if TYPE_CHECKING:
     import posix_ipc
 
-__all__ = ["ANSWER", "QUESTION", "Channels", "describe", "main"]
+__all__ = ["Channels", "main"]
 
-QUESTION, ANSWER = "/question", "/answer"
 _WAIT = 20.0
-
-
-def describe(topic: str, direction: Direction) -> Description:
-    """Return the self-description of one of the two objects, which hold bytes."""
-    return Description(
-        topic,
-        "std_msgs/msg/UInt16MultiArray",
-        "jazzy",
-        direction,
-        {},
-        "0" * 16,
-        "bench",
-        "uint16[100] values",
-    )
 
 
 class Channels(Transport):
@@ -64,31 +49,14 @@ class Channels(Transport):
             self.writer, self.reader = answer.writer(), question.reader("bench", observe=False)
         self._bells = bells(side, names)
 
-    def send(self) -> None:
-        """Publish the record."""
-        self.writer.publish(self.record)
-
-    def sender(self) -> Callable[[], object]:
-        """Return the publication itself."""
-        return functools.partial(self.writer.publish, self.record)
-
-    def attempt(self) -> bool:
-        """Take the newest message if it is new."""
-        return self.reader.latest(self.record) is not None
-
-    def spin(self) -> None:
-        """Take the next message as soon as it is there."""
-        latest, record = self.reader.latest, self.record
-        while latest(record) is None:
-            pass
-
-    def ring(self) -> None:
-        """Post the other side's semaphore."""
-        self._bells[0].release()
-
-    def sleep(self) -> None:
-        """Wait for one's own."""
-        self._bells[1].acquire()
+    def operations(self) -> Operations:
+        """Return publication and taking themselves, and the semaphores' own methods."""
+        return Operations(
+            functools.partial(self.writer.publish, self.record),
+            functools.partial(self.reader.latest, self.record),  # None, or what the slot says
+            self._bells[0].release,
+            self._bells[1].acquire,
+        )
 
     def close(self) -> None:
         """Give the claims back."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import signal
@@ -14,7 +15,17 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["COUNT", "Numbers", "Order", "Transport", "read_orders", "say", "serve", "ticks_ahead"]
+__all__ = [
+    "COUNT",
+    "Numbers",
+    "Operations",
+    "Order",
+    "Transport",
+    "read_orders",
+    "say",
+    "serve",
+    "ticks_ahead",
+]
 
 Numbers: TypeAlias = NDArray[np.uint16]
 
@@ -48,8 +59,25 @@ class Order:
         return cls(verb, wait, period_ns, tuple(rest))
 
 
+@dataclass(frozen=True)
+class Operations:
+    """What the loops call; the fewer Python frames lie behind these, the less else is measured.
+
+    Attributes:
+        send: Hands the record to the other side.
+        attempt: Fills the record if something new is there; what it returns is then true.
+        ring: Wakes the other side; called after sending, when it blocks.
+        sleep: Waits until the other side has rung.
+    """
+
+    send: Callable[[], object]
+    attempt: Callable[[], object]
+    ring: Callable[[], object]
+    sleep: Callable[[], object]
+
+
 class Transport:
-    """What carries 100 numbers; a contender overrides the four methods.
+    """What carries 100 numbers; a contender overrides the methods below.
 
     Attributes:
         record: 200 bytes: what is sent, and where what is received goes.
@@ -59,6 +87,10 @@ class Transport:
     def __init__(self) -> None:
         self.record = bytearray(2 * COUNT)
         self.values: Numbers = np.frombuffer(self.record, dtype=np.uint16)
+
+    def operations(self) -> Operations:
+        """Return what the loops call."""
+        return Operations(self.send, self.attempt, self.ring, self.sleep)
 
     def begin(self) -> None:
         """Make ready; called before each order is carried out, when both sides exist."""
@@ -72,20 +104,10 @@ class Transport:
         raise NotImplementedError
 
     def ring(self) -> None:
-        """Wake the other side; called after sending, when it blocks."""
+        """Wake the other side."""
 
     def sleep(self) -> None:
         """Wait until the other side has rung."""
-
-    def sender(self) -> Callable[[], object]:
-        """Return what sends the record, with as few calls as will do."""
-        return self.send
-
-    def spin(self) -> None:
-        """Fill the record, looking again at once. Overridden where fewer calls will do."""
-        attempt = self.attempt
-        while not attempt():
-            pass
 
     def close(self) -> None:
         """Let go of everything."""
@@ -116,43 +138,20 @@ def serve(side: str, transport: Transport) -> None:
     for order in read_orders():
         phase_ns = order.period_ns // 2 if side == "B" else 0
         transport.begin()
-        send, receive = _ways(transport, order, phase_ns)
+        exchange = _EXCHANGES.get(order.wait, _exchange_cyclic)(transport, order.period_ns, phase_ns)
         if order.verb == "answer":
-            _answer(transport, send, receive, order.numbers[0])
+            say("answering")
+            exchange(order.numbers[0], False)
         else:
             warmup, repeats, *cycles = order.numbers
             if order.wait == "cycle":
                 time.sleep(ticks_ahead(order.period_ns, phase_ns))
-            _measure(transport, send, receive, warmup, repeats, cycles)
+            _measure(transport, exchange, warmup, repeats, cycles)
     transport.close()
 
 
-def _ways(
-    transport: Transport, order: Order, phase_ns: int
-) -> tuple[Callable[[], object], Callable[[], None]]:
-    attempt, ring, sleep = transport.attempt, transport.ring, transport.sleep
-    send = transport.sender()
-
-    def send_and_ring() -> None:
-        send()
-        ring()
-
-    def give_away() -> None:
-        while not attempt():
-            os.sched_yield()  # time.sleep(0) would cost the timer's slack
-
-    def block() -> None:
-        sleep()
-        while not attempt():
-            sleep()
-
-    def once_per_period() -> None:
-        time.sleep(ticks_ahead(order.period_ns, phase_ns))
-        while not attempt():
-            time.sleep(ticks_ahead(order.period_ns, phase_ns))
-
-    receivers = {"spin": transport.spin, "yield": give_away, "block": block, "cycle": once_per_period}
-    return (send_and_ring if order.wait == "block" else send), receivers[order.wait]
+Exchange: TypeAlias = Callable[[int, bool], list[int]]
+"""Runs so many cycles, as A (True: sends first, and returns the clock after each) or as B."""
 
 
 def _ones() -> Numbers:
@@ -160,49 +159,117 @@ def _ones() -> Numbers:
     return np.ones(COUNT, dtype=np.uint16)
 
 
-def _answer(
-    transport: Transport, send: Callable[[], object], receive: Callable[[], None], total: int
-) -> None:
-    values, add, ones = transport.values, np.add, _ones()
-    say("answering")
-    for _ in range(total):
-        receive()
+def _exchange_spinning(transport: Transport, period_ns: int, phase_ns: int) -> Exchange:
+    operations, values, add, ones = transport.operations(), transport.values, np.add, _ones()
+    send, attempt, now = operations.send, operations.attempt, time.perf_counter_ns
+
+    def exchange(count: int, first: bool) -> list[int]:
+        clock = [now()]
+        note = clock.append
+        if first:
+            for _ in range(count):
+                send()
+                while not attempt():
+                    pass
+                add(values, ones, values)
+                note(now())
+        else:
+            for _ in range(count):
+                while not attempt():
+                    pass
+                add(values, ones, values)
+                send()
+        return clock
+
+    return exchange
+
+
+def _exchange_blocking(transport: Transport, period_ns: int, phase_ns: int) -> Exchange:
+    operations, values, add, ones = transport.operations(), transport.values, np.add, _ones()
+    send, attempt, now = operations.send, operations.attempt, time.perf_counter_ns
+    ring, sleep = operations.ring, operations.sleep
+
+    def exchange(count: int, first: bool) -> list[int]:
+        clock = [now()]
+        note = clock.append
+        if first:
+            for _ in range(count):
+                send()
+                ring()
+                sleep()
+                while not attempt():
+                    sleep()
+                add(values, ones, values)
+                note(now())
+        else:
+            for _ in range(count):
+                sleep()
+                while not attempt():
+                    sleep()
+                add(values, ones, values)
+                send()
+                ring()
+        return clock
+
+    return exchange
+
+
+def _exchange_cyclic(transport: Transport, period_ns: int, phase_ns: int) -> Exchange:
+    def to_tick() -> None:
+        time.sleep(ticks_ahead(period_ns, phase_ns))
+
+    return _exchange_pausing(transport, to_tick, before=True)
+
+
+def _exchange_yielding(transport: Transport, period_ns: int, phase_ns: int) -> Exchange:
+    # time.sleep(0) would cost the timer's slack
+    return _exchange_pausing(transport, os.sched_yield, before=False)
+
+
+def _exchange_pausing(transport: Transport, pause: Callable[[], object], *, before: bool) -> Exchange:
+    operations, values, add, ones = transport.operations(), transport.values, np.add, _ones()
+    send, attempt, now = operations.send, operations.attempt, time.perf_counter_ns
+
+    def receive() -> None:
+        if before:
+            pause()
+        while not attempt():
+            pause()
         add(values, ones, values)
-        send()
+
+    def exchange(count: int, first: bool) -> list[int]:
+        clock = [now()]
+        for _ in range(count):
+            if first:
+                send()
+                receive()
+                clock.append(now())
+            else:
+                receive()
+                send()
+        return clock
+
+    return exchange
+
+
+_EXCHANGES = {"spin": _exchange_spinning, "block": _exchange_blocking, "yield": _exchange_yielding}
 
 
 def _measure(
-    transport: Transport,
-    send: Callable[[], object],
-    receive: Callable[[], None],
-    warmup: int,
-    repeats: int,
-    cycles: Sequence[int],
+    transport: Transport, exchange: Exchange, warmup: int, repeats: int, cycles: Sequence[int]
 ) -> None:
-    values, add, ones, now = transport.values, np.add, _ones(), time.perf_counter_ns
     spent: list[int] = []
-    note = spent.append
-
-    def run(count: int) -> int:
-        values[:] = 0
-        start = before = now()
-        for _ in range(count):
-            send()
-            receive()
-            add(values, ones, values)
-            after = now()
-            note(after - before)
-            before = after
-        return before - start
-
-    run(warmup)
-    spent.clear()
     durations: list[list[int]] = []
     wrong = 0
+    transport.values[:] = 0
+    exchange(warmup, True)
     for _ in range(repeats):
         durations.append([])
         for count in cycles:
-            durations[-1].append(run(count))
-            wrong += not bool((values == np.uint16(2 * count % 65536)).all())
+            transport.values[:] = 0
+            clock = exchange(count, True)
+            spent += [after - before for before, after in itertools.pairwise(clock)]
+            durations[-1].append(clock[-1] - clock[0])
+            wrong += not bool((transport.values == np.uint16(2 * count % 65536)).all())
     say(json.dumps({"runs": repeats * len(cycles), "wrong": wrong, "durations_ns": durations}))
     say(json.dumps(spent))
