@@ -10,6 +10,7 @@ from contextlib import suppress
 
 from rosplc._core._native import Fault, Group
 from rosplc.bridge.gate import Gate
+from rosplc.bridge.grace import GRACE_NS, Grace
 from rosplc.bridge.resolve import TopicPlan
 from rosplc.bridge.topic import Surroundings, Topic, log
 from rosplc.codec import TRUNCATED
@@ -40,6 +41,8 @@ class ToRos(Topic):
         self._gate: Gate[tuple[bytes, int]] | None = (
             Gate(plan.min_interval_ns) if plan.min_interval_ns else None
         )
+        self._grace: Grace[tuple[bytes, int]] | None = None
+        self._outwaited = 0  # messages that a newer one replaced before any subscriber was there
         self._last_data: bytes | None = None
         self._reader_lost = 0  # of readers that are no more
 
@@ -90,12 +93,36 @@ class ToRos(Topic):
     @property
     def due_ns(self) -> int | None:
         """When a message that waits may go."""
-        return self._gate.due_ns if self._gate is not None else None
+        gate = self._gate.due_ns if self._gate is not None else None
+        grace = self._grace.due_ns if self._grace is not None else None
+        return gate if grace is None else grace if gate is None else min(gate, grace)
 
     def flush(self, now_ns: int) -> None:
-        """Publish the message that waits, if its time has come."""
+        """Publish what waits, if its time has come."""
+        if self._grace is not None:
+            self._release(now_ns)
         if self._gate is not None and (item := self._gate.flush(now_ns)) is not None:
             self._write(*item, now_ns)
+
+    def await_subscriber(self, now_ns: int) -> None:
+        """Let the first messages wait for a subscriber, for a moment; :meth:`flush` sends them."""
+        publisher = self._publisher
+        if publisher is not None:
+            most = self.plan.qos.depth if self.plan.every else 1
+            self._grace = Grace(now_ns + GRACE_NS, most, lambda: publisher.matched > 0)
+
+    def _release(self, now_ns: int, *, anyway: bool = False) -> None:
+        grace = self._grace
+        if grace is not None:
+            for item in grace.release(now_ns, anyway=anyway):
+                self._send(*item, now_ns)
+            if grace.over:
+                self._outwaited += grace.replaced
+                self._grace = None
+
+    def finish(self, now_ns: int) -> None:
+        """Publish what waits for a subscriber, though none has come."""
+        self._release(now_ns, anyway=True)
 
     def on_fault(self, error: Fault | ChannelError, now_ns: int) -> bool:
         """Note what went wrong; return whether the object must be opened again."""
@@ -109,6 +136,13 @@ class ToRos(Topic):
         return True
 
     def _write(self, data: bytes, stamp_ns: int, now_ns: int) -> None:
+        if self._grace is not None:
+            if self._grace.offer((data, stamp_ns), now_ns):
+                return
+            self._release(now_ns, anyway=True)
+        self._send(data, stamp_ns, now_ns)
+
+    def _send(self, data: bytes, stamp_ns: int, now_ns: int) -> None:
         if self._publisher is None:
             self.counters.lost += 1
             return
@@ -154,7 +188,7 @@ class ToRos(Topic):
         return f"{count} messages were lost on the way out; raise depth: (now {self.plan.slots} slots)"
 
     def _skipped(self) -> int:
-        skipped = self.counters.unchanged + (self._gate.replaced if self._gate else 0)
+        skipped = self.counters.unchanged + self._outwaited + (self._gate.replaced if self._gate else 0)
         return skipped + (0 if self.plan.every else self._missed())
 
     def _missed(self) -> int:
@@ -188,7 +222,10 @@ class Pump:
             self._add(topic)
 
     def start(self) -> None:
-        """Begin."""
+        """Begin; what comes first may wait a moment for a subscriber, per topic."""
+        now = time.monotonic_ns()
+        for topic in self._topics:
+            topic.await_subscriber(now)
         self._thread.start()
 
     def stop(self, timeout: float = 5.0) -> bool:
@@ -197,7 +234,11 @@ class Pump:
         self._group.wake()
         if self._thread.is_alive():
             self._thread.join(timeout)
-        return not self._thread.is_alive()
+        if self._thread.is_alive():
+            return False
+        for topic in self._topics:
+            topic.finish(time.monotonic_ns())
+        return True
 
     def reopen(self, topic: ToRos) -> None:
         """Ask, from any thread, that a topic's object be opened again."""

@@ -290,7 +290,7 @@ def test_one_topics_trouble_is_no_others(cell: Cell, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(MemoryPublisher, "write", sometimes)
     for number in range(3):
         cell.plc(f"/out{number}").write({"data": number})
-    wait_for(lambda: messages)
+    wait_for(lambda: messages and all(bridge.status().topic(f"/out{number}").lost for number in range(2)))
     status = bridge.status()
     assert (status.topic("/out0").lost, status.topic("/out1").lost, status.topic("/out2").lost) == (1, 1, 0)
     assert "a mistake in a backend" in status.topic("/out0").reason
