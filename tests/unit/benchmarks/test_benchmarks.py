@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from benchmarks import bench_bridge_latency, bench_bridge_load, bench_channel, measure
+from benchmarks import bench_bridge_latency, bench_bridge_load, bench_channel, bench_classic, measure
 from rosplc.layout import Limits
 
 
@@ -95,3 +95,13 @@ def test_a_benchmark_prints_json(capsys: pytest.CaptureFixture[str], monkeypatch
     monkeypatch.setattr(sys, "argv", ["bench", "--json", "--rounds", "3"])
     measure.main(lambda rounds: {"rounds": rounds}, "What it does.", 7)
     assert json.loads(capsys.readouterr().out) == {"rounds": 3}
+
+
+@pytest.mark.serial
+def test_the_classic_benchmark() -> None:
+    """Classic memory and channel carry the same messages both ways, also while the lock is held."""
+    found = rows(bench_classic.run(1, messages=50, topics=2))
+    assert len(found) == 3
+    for title, table in found.items():
+        names = {"classic", "channel"}
+        assert set(table) == (names if title.startswith("CPU") else {*names, *(f"{n}, held" for n in names)})
