@@ -86,6 +86,11 @@ EVERY: dict[str, str] = {
 """``module:qualified name`` → signature, or ``property``; alike in all three."""
 
 DIFFERENT: dict[str, dict[str, str]] = {
+    "rclpy:try_shutdown": {
+        "humble": "(*, context=None)",
+        "jazzy": "(*, context=None)",
+        "rolling": "(*, context=None, uninstall_handlers=None)",
+    },
     "rclpy.event_handler:PublisherEventCallbacks.__init__": {
         "jazzy": "(self, *, deadline=None, liveliness=None, incompatible_qos=None, incompatible_type=None, matched=None, use_default_callbacks=True)",
         "rolling": "(self, *, deadline=None, liveliness=None, incompatible_qos=None, incompatible_type=None, matched=None, use_default_callbacks=True)",

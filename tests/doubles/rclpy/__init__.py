@@ -15,7 +15,9 @@ from typing import Any
 
 from rclpy import _messages
 from rclpy.context import Context
-from rclpy.utilities import get_default_context
+from rclpy.utilities import get_default_context, try_shutdown
+
+__all__ = ["init", "shutdown", "spin", "try_shutdown"]
 
 _messages.install()
 

@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from rcl_interfaces.msg import ParameterDescriptor
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rclpy.parameter import Parameter
 
 from rosplc._version import __version__
 
-__all__ = ["show"]
+__all__ = ["Shown", "show"]
+
+_WORDS = "shown only; set by rosplc"
 
 
 def show(node: Any, values: Mapping[str, str | list[str]]) -> None:
@@ -22,5 +25,45 @@ def show(node: Any, values: Mapping[str, str | list[str]]) -> None:
     """
     for name, value in {"version": __version__, **values}.items():
         if value != [] and not node.has_parameter(name):
-            descriptor = ParameterDescriptor(read_only=True, description="shown only; set by rosplc")
+            descriptor = ParameterDescriptor(read_only=True, description=_WORDS)
             node.declare_parameter(name, value, descriptor, True)
+
+
+class Shown:
+    """Parameters that change with the bridge's configuration, and that nobody else can set.
+
+    rclpy lets nobody change a read-only parameter, its own node included; so these are guarded by a
+    callback.
+
+    Args:
+        node: An ``rclpy.node.Node``; ``version`` is declared at once.
+    """
+
+    def __init__(self, node: Any) -> None:
+        self._node = node
+        self._names: set[str] = set()
+        self._ours = False
+        show(node, {})
+        node.add_on_set_parameters_callback(self._judge)
+
+    def update(self, values: Mapping[str, str | list[str]]) -> None:
+        """Declare or change parameters; an empty list is shown as the text ``none``."""
+        self._ours = True
+        try:
+            for name, value in values.items():
+                self._put(name, value or "none")
+        finally:
+            self._ours = False
+
+    def _put(self, name: str, value: str | list[str]) -> None:
+        self._names.add(name)
+        if self._node.has_parameter(name):
+            self._node.set_parameters([Parameter(name, value=value)])
+        else:
+            descriptor = ParameterDescriptor(description=_WORDS, dynamic_typing=True)
+            self._node.declare_parameter(name, value, descriptor, True)
+
+    def _judge(self, parameters: list[Any]) -> Any:
+        if self._ours or not any(parameter.name in self._names for parameter in parameters):
+            return SetParametersResult(successful=True)
+        return SetParametersResult(successful=False, reason=f"it is {_WORDS}")

@@ -1,0 +1,1 @@
+"""The rosplc bridge as a ROS 2 package."""

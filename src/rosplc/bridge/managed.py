@@ -1,0 +1,106 @@
+"""A bridge in the states of a ROS 2 managed node: unconfigured, inactive, active.
+
+* Configuring reads the file and opens the objects: a PLC attaches, and sees the bridge's beat.
+* Activating opens the topics: messages are carried, both ways.
+* Deactivating closes the topics: nothing is carried, the objects stay, with their last state.
+* Cleaning up lets go of the objects; they stay in shared memory for the next bridge.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from pathlib import Path
+
+from rosplc.bridge.engine import Bridge
+from rosplc.bridge.resolve import Project, load_project
+from rosplc.bridge.status import BridgeStatus
+from rosplc.model import TypeStore
+from rosplc.ros.backend import Backend
+from rosplc.ros.gated import GatedBackend
+
+__all__ = ["ManagedBridge"]
+
+_logger = logging.getLogger("rosplc.bridge")
+
+
+class ManagedBridge:
+    """Carries the topics of a configuration over a node that somebody else manages.
+
+    The methods are called one at a time, in the order that the states allow.
+
+    Args:
+        connect: Makes the backend on the node; called at each :meth:`configure`, with the
+            configuration's types.
+        check: Tells whether a type can be carried, by raising if not; given the backend and the
+            type's name.
+    """
+
+    def __init__(
+        self,
+        connect: Callable[[TypeStore], Backend],
+        check: Callable[[Backend, str], None] = lambda _backend, _type: None,
+    ) -> None:
+        self._connect = connect
+        self._check = check
+        self._gate: GatedBackend | None = None
+        self._bridge: Bridge | None = None
+        self.project: Project | None = None
+
+    @property
+    def active(self) -> bool:
+        """Whether messages are carried."""
+        return self._gate is not None and self._gate.active
+
+    def configure(self, path: Path | str) -> Project:
+        """Read a configuration, and open its objects.
+
+        Raises:
+            RosplcError: The configuration is wrong, a type is not installed, or something is in the
+                way of the objects; nothing stays open.
+        """
+        self.cleanup()
+        project = load_project(path)
+        backend = self._connect(project.store)
+        gate = GatedBackend(backend, lambda type_name: self._check(backend, type_name))
+        bridge = Bridge(project, gate)
+        try:
+            bridge.start()
+        except BaseException:
+            gate.close()
+            raise
+        self.project, self._gate, self._bridge = project, gate, bridge
+        return project
+
+    def activate(self) -> None:
+        """Begin to carry.
+
+        Raises:
+            RosplcError: A topic cannot be opened; none is then.
+        """
+        if self._gate is None:
+            raise RuntimeError("a bridge is configured before it is activated")
+        self._gate.activate()
+        _logger.info("the bridge is active")
+
+    def deactivate(self) -> None:
+        """Stop carrying; the objects stay open."""
+        if self._gate is not None:
+            self._gate.deactivate()
+            _logger.info("the bridge is inactive")
+
+    def cleanup(self) -> None:
+        """Let go of everything; harmless in every state."""
+        gate, self._gate = self._gate, None
+        bridge, self._bridge = self._bridge, None
+        self.project = None
+        if gate is not None:
+            gate.deactivate()
+        if bridge is not None:
+            bridge.stop()
+        if gate is not None:
+            gate.close()
+
+    def status(self) -> BridgeStatus | None:
+        """Return how bridge and topics stand; None while it is not configured."""
+        return None if self._bridge is None else self._bridge.status()
