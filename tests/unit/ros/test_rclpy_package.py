@@ -123,7 +123,9 @@ def test_program_serves_the_node_until_the_context_ends(monkeypatch: pytest.Monk
 
         def spin(node: Any, executor: Any = None) -> None:
             seen.append(node.get_fully_qualified_name())
-            node.context.shutdown()
+            executors = importlib.import_module("rclpy.executors")
+            executor = executors.SingleThreadedExecutor(context=node.context)
+            executor.create_task(node.context.shutdown)  # as the signal handler does
             original(node, executor)
 
         original = rclpy.spin
