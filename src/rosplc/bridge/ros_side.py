@@ -102,9 +102,16 @@ class RosSide:
         options: dict[str, Any] = {} if section is None else section.model_dump(exclude_none=True)
         if "config" in options:
             options["config"] = str((self.config.base / options["config"]).absolute())
-        if backend == "rclpy" and self.arguments.others:
+        if backend == "rclpy":
             options["ros_args"] = (*options.get("ros_args", ()), *self.arguments.others)
+            options["parameters"] = self._shown() | options.get("parameters", {})
         return options
+
+    def _shown(self) -> dict[str, str | list[str]]:
+        """Return what the bridge's node shows as parameters."""
+        settings, path = self.config.settings, self.config.path
+        shown: dict[str, str | list[str]] = {"bridge": settings.bridge, "topics": list(settings.topics)}
+        return shown if path is None else shown | {"config": str(path.absolute())}
 
     def open(self, store: TypeStore) -> tuple[Backend, Choice]:
         """Join the graph; return the backend, and how it was chosen.

@@ -65,14 +65,24 @@ class Context:
         return self._domain
 
 
+# rcl/include/rcl/arguments.h
+_PAIRS = {
+    "-r", "--remap", "-p", "--param", "--params-file", "-e", "--enclave", "--log-level", "--log-config-file",
+}  # fmt: skip
+_LOGS = ("rosout-logs", "stdout-logs", "external-lib-logs")
+_FLAGS = {f"--{word}-{what}" for word in ("enable", "disable") for what in _LOGS}
+
+
 def _ros_arguments(args: list[str]) -> list[str]:
     """Return what stands between --ros-args and --; unknown words there are an error, as in rcl."""
     inside, found, rest = False, [], iter(args)
     for word in rest:
         if word in ("--ros-args", "--"):
             inside = word == "--ros-args"
-        elif inside and word in ("-r", "--remap", "-p", "--param", "-e", "--enclave", "--log-level"):
+        elif inside and word in _PAIRS:
             found += [word, next(rest)]
+        elif inside and word in _FLAGS:
+            continue
         elif inside:
             raise RCLError(f"Failed to parse global arguments: unknown ROS argument {word}")
     return found

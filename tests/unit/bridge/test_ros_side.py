@@ -78,7 +78,9 @@ def test_backends_get_their_own_settings(tmp_path: Path) -> None:
     ros = "{zenoh: {connect: [tcp/r:7447], config: z.json5}, rclpy: {ros_args: [--enclave, /a]}}"
     found = side(ros, "-p x:=1 -r a:=b")
     assert found.options("zenoh") == {"connect": ("tcp/r:7447",), "config": str(Path("z.json5").absolute())}
-    assert found.options("rclpy") == {"ros_args": ("--enclave", "/a", "-p", "x:=1"), "parameters": {}}
+    rclpy = found.options("rclpy")
+    assert rclpy["ros_args"] == ("--enclave", "/a", "-p", "x:=1")
+    assert rclpy["parameters"] == {"bridge": "cell-1", "config": str(Path("c.yaml").absolute()), "topics": []}
     assert found.options("dds") == {}
 
 

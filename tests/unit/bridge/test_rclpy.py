@@ -1,0 +1,63 @@
+"""A whole bridge over rclpy's double: configuration, ROS arguments, both directions, parameters."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+import rosplc
+from rosplc.bridge import Bridge, read_config
+from rosplc.model import TypeStore
+from rosplc.ros import Qos, RosArguments, open_backend
+from rosplc.shm import Namespace
+from tests.doubles.ros2 import double
+from tests.interop.graphs import wait_for
+
+INT32 = "std_msgs/msg/Int32"
+DOMAIN = 9  # the double's graph lives in this process alone
+
+pytestmark = [
+    pytest.mark.timeout(60),
+    pytest.mark.skipif(importlib.util.find_spec("rclpy") is not None, reason="the real rclpy is here"),
+]
+
+
+@pytest.mark.parametrize("distro", ["jazzy", "humble"])
+def test_bridge_carries_both_ways_and_shows_itself(
+    distro: str, tmp_path: Path, shm_namespace: Namespace
+) -> None:
+    """Messages pass under the names that ROS arguments give, and the node's parameters say what it is."""
+    path = tmp_path / "rosplc.yaml"
+    path.write_text(
+        f"bridge: cell1\nprefix: {shm_namespace.prefix}\n"
+        f"ros: {{backend: rclpy, distro: jazzy, domain: {DOMAIN}, rclpy: {{parameters: {{line: north}}}}}}\n"
+        f"topics:\n  /down: {{type: {INT32}, to: plc}}\n  /up: {{type: {INT32}, to: ros}}\n"
+    )
+    arguments = RosArguments.parse(
+        ["-r", "__ns:=/robot1", "-r", "/up:=/robot1/up", "-p", "a:=1"]
+    )
+    with double(distro), Bridge(read_config(path), arguments=arguments) as bridge:
+        other = open_backend("rclpy", TypeStore.bundled("jazzy"), "other", domain=DOMAIN)
+        source = other.advertise("/down", INT32, Qos())
+        got: list[bytes] = []
+        sink = other.subscribe("/robot1/up", INT32, Qos(), lambda payload, _: got.append(payload))
+        wait_for(lambda: source.matched and sink.matched)
+        with (
+            rosplc.attach("/down", prefix=shm_namespace.prefix) as down,
+            rosplc.attach("/up", prefix=shm_namespace.prefix, write=True) as up,
+        ):
+            source.write(b"\0\1\0\0\7\0\0\0")
+            message = down.wait(timeout=10)
+            assert message is not None
+            assert message.data == 7
+            up.write({"data": 8})
+            wait_for(lambda: got)
+        assert got == [b"\0\1\0\0\x08\0\0\0"]
+        native = bridge.backend._node  # type: ignore[union-attr]
+        assert native.get_fully_qualified_name() == "/robot1/rosplc_cell1"
+        shown = {name: native.get_parameter(name).value for name in ("bridge", "topics", "config", "line")}
+        assert shown == {"bridge": "cell1", "topics": ["/down", "/up"], "config": str(path), "line": "north"}
+        assert [topic.matched for topic in bridge.status().topics] == [1, 1]
+        other.close()
