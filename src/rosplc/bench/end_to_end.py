@@ -7,12 +7,12 @@ computed from what came back: :mod:`rosplc.bench.end_to_end_messages` makes mess
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import secrets
 import time
 from collections.abc import Mapping
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,8 @@ from rosplc.bench.end_to_end_page import render
 from rosplc.bench.end_to_end_registers import size
 from rosplc.bench.end_to_end_ros import DISTRO, LIMITS, topics
 from rosplc.bench.free_port import free_port
+from rosplc.bench.missing import Missing
+from rosplc.bench.optional import need
 from rosplc.bench.process import Side
 from rosplc.bench.section import Section
 from rosplc.demo.domain import FreeDomain
@@ -30,21 +32,42 @@ from rosplc.errors import SetupError
 
 __all__ = ["SECTION", "run"]
 
-CYCLE_S = 0.001
 RATE_HZ = 100.0
 _FIND_S = 60.0
-_COUNTS = {"quick": (1, 10, 0.1), "default": (2, 25, 0.2), "full": (9, 200, 2.0)}
-"""Effort → rounds, messages of a stream, seconds of a ping-pong."""
+
+
+@dataclass(frozen=True)
+class Amount:
+    """How much is measured.
+
+    Attributes:
+        cycles_ms: Periods of the PLC's task.
+        rounds: How often all take turns, for each period.
+        messages: Messages of a stream.
+        seconds: How long messages go one at a time.
+    """
+
+    cycles_ms: tuple[float, ...]
+    rounds: int
+    messages: int
+    seconds: float
+
+
+_AMOUNTS = {
+    "quick": Amount((1.0,), 1, 10, 0.1),
+    "default": Amount((1.0,), 2, 25, 0.2),
+    "full": Amount((1.0, 10.0), 5, 200, 1.5),
+}
+"""By effort."""
 
 
 def run(context: Context) -> dict[str, Any]:
     """Measure; see :class:`rosplc.bench.section.Section`."""
-    rounds, count, seconds = _COUNTS[context.effort.name]
+    amount = _AMOUNTS[context.effort.name]
     methods = _methods(context)
     if not methods:
         return {}
     data: dict[str, Any] = {
-        "cycle_ms": CYCLE_S * 1000,
         "rate_hz": RATE_HZ,
         "rounds": [],
         "kinds": {
@@ -52,17 +75,22 @@ def run(context: Context) -> dict[str, Any]:
             for name, kind in KINDS.items()
         },
     }
-    with ExitStack() as stack:
-        cell = Cell(context, methods, stack)
-        total = rounds * len(methods) * len(KINDS)
-        for number in range(rounds):
-            for kind in KINDS:
-                for method in methods:
-                    done = len(data["rounds"])
-                    context.notify(done, total, f"{kind} over {method}, round {number + 1}")
-                    data["rounds"].append(cell.measure(method, kind, count, seconds))
+    total = len(amount.cycles_ms) * amount.rounds * len(methods) * len(KINDS)
+    for cycle_ms in amount.cycles_ms:
+        with ExitStack() as stack:
+            cell = Cell(context, methods, cycle_ms, stack)
+            for number in range(amount.rounds):
+                for kind in KINDS:
+                    for method in tuple(cell.methods):
+                        what = f"{kind} over {method}, round {number + 1}"
+                        context.notify(len(data["rounds"]), total, what)
+                        try:
+                            data["rounds"].append(cell.measure(method, kind, amount))
+                        except SetupError as error:  # the others go on
+                            context.fail(f"{kind} over {method}", error.what)
+                            cell.methods.remove(method)
     _check(context, data["rounds"])
-    return data
+    return data if data["rounds"] else {}
 
 
 def _check(context: Context, rounds: list[dict[str, Any]]) -> None:
@@ -70,14 +98,15 @@ def _check(context: Context, rounds: list[dict[str, Any]]) -> None:
     for one in rounds:
         if one["method"] != "rosplc":
             continue
-        for part in (one["stream"], one["ping"]):
-            what = f"{one['kind']} over rosplc"
-            if part["torn"] or one["ping"]["plc"]["torn"]:
-                context.fail(what, f"{part['torn']} torn messages came back")
+        what = f"{one['kind']} over rosplc"
+        parts = (one["stream"], one["ping"])
+        if torn := one["ping"]["plc"]["torn"] + sum(part["torn"] for part in parts):
+            context.fail(what, f"{torn} torn messages")
+        if not any(part["latencies_us"] for part in parts):
+            context.fail(what, f"none of {sum(part['sent'] for part in parts)} messages came back")
+        for part in parts:
             if part["latencies_us"] and (part["error"] or part["strings"] < KINDS[one["kind"]].strings()):
                 context.fail(what, "what came back is not what was sent")
-            if not part["latencies_us"]:
-                context.fail(what, f"none of {part['sent']} messages came back")
 
 
 def _methods(context: Context) -> list[str]:
@@ -85,23 +114,25 @@ def _methods(context: Context) -> list[str]:
     for method, package in (("rosplc", "cyclonedds"), ("modbus", "pymodbus"), ("opcua", "asyncua")):
         if not context.wants(method):
             continue
-        if importlib.util.find_spec("cyclonedds") is None:
-            context.skip("end to end", "the Python package cyclonedds is missing", "pip install cyclonedds")
-        elif importlib.util.find_spec(package) is None:
-            context.skip(
-                f"end to end over {method}",
-                f"the Python package {package} is missing",
-                "pip install 'rosplc[bench]'",
-            )
-        else:
+        try:
+            need("cyclonedds")
+            need(package)
             found.append(method)
+        except Missing as missing:
+            context.skip(f"end to end over {method}", missing.reason, missing.remedy)
     return found
 
 
 class Cell:
-    """All processes of the comparison; they end with ``stack``."""
+    """All processes of the comparison; they end with ``stack``.
 
-    def __init__(self, context: Context, methods: list[str], stack: ExitStack) -> None:
+    Attributes:
+        methods: Those that run.
+    """
+
+    def __init__(self, context: Context, methods: list[str], cycle_ms: float, stack: ExitStack) -> None:
+        self.methods = list(methods)
+        self._cycle_ms = cycle_ms
         domain = FreeDomain()
         stack.callback(domain.close)
         prefix = f"e2e-{secrets.token_hex(4)}"
@@ -123,7 +154,7 @@ class Cell:
             self._bridges["rosplc"] = start("bridge", "end_to_end_bridge", "rosplc", json.dumps(common))
         for method in methods:
             places[method] = [prefix, str(context.scratch)] if method == "rosplc" else free_port()
-            order = {"cycle": CYCLE_S, "where": places[method]}
+            order = {"cycle": cycle_ms / 1000, "where": places[method]}
             self._plcs[method] = start(f"{method} PLC", "end_to_end_plc", method, json.dumps(order))
         for plc in self._plcs.values():
             plc.hear_json(WATCHDOG_S)
@@ -152,18 +183,24 @@ class Cell:
         ask(self._plcs[method], kind=kind)
         ask(self._bridges[method], kind=kind)
 
-    def measure(self, method: str, kind: str, count: int, seconds: float) -> dict[str, Any]:
+    def measure(self, method: str, kind: str, amount: Amount) -> dict[str, Any]:
         """Measure one turn: a stream, then a ping-pong."""
         self._begin(method, kind)
         bridge, plc = self._bridges[method], self._plcs[method]
         before = [side.cpu_seconds() for side in (bridge, plc)]
-        stream = ask(self._ros, do="stream", method=method, kind=kind, count=count, rate=RATE_HZ)
+        stream = ask(self._ros, do="stream", method=method, kind=kind, count=amount.messages, rate=RATE_HZ)
         after = [side.cpu_seconds() for side in (bridge, plc)]
         stream["cpu"] = [(b - a) / stream["seconds"] for a, b in zip(before, after, strict=True)]
         stream["plc"] = ask(plc, report=True)
-        ping = ask(self._ros, do="ping", method=method, kind=kind, seconds=seconds)
+        ping = ask(self._ros, do="ping", method=method, kind=kind, seconds=amount.seconds)
         ping["plc"] = ask(plc, report=True)
-        return {"method": method, "kind": kind, "stream": stream, "ping": ping}
+        return {
+            "cycle_ms": self._cycle_ms,
+            "method": method,
+            "kind": kind,
+            "stream": stream,
+            "ping": ping,
+        }
 
 
 def _local(domain: int, module: str, *arguments: str) -> list[str]:

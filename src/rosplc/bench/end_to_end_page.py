@@ -16,29 +16,43 @@ _NAMES = {"rosplc": "rosplc", "modbus": "Modbus TCP (pymodbus)", "opcua": "OPC U
 
 def render(data: Mapping[str, Any]) -> Page:
     """Return the page; see :class:`rosplc.bench.section.Section`."""
-    methods = [name for name in _NAMES if any(one["method"] == name for one in data["rounds"])]
-    rows = [_Row(data, kind, method) for kind in data["kinds"] for method in methods]
-    rows = [row for row in rows if row.turns]
-    waiting = (
-        f"the PLC's task runs every {data['cycle_ms']:g} ms; a hand-written bridge sleeps until a message "
-        "arrives, and reads the PLC's side every 1 ms or as fast as the answers come; rosplc's sleeps on DDS "
-        "towards the PLC and looks every 1 ms towards ROS; the ROS process sleeps until a message arrives"
-    )
+    cycles = sorted({one["cycle_ms"] for one in data["rounds"]})
+    tables: list[Table] = []
+    for cycle in cycles:
+        rows = _rows(data, cycle)
+        tables += [_times(data, rows, cycle), _losses(rows, cycle)]
+    rows = _rows(data, cycles[0])
     return Page(
         lead=_lead(data),
-        tables=(_times(data, rows, waiting), _losses(rows, waiting)),
-        figures=_figures(data, rows),
+        tables=tuple(tables),
+        figures=_figures(rows, cycles[0]),
         after=_AFTER,
         summary=tuple(_summary(rows)),
+    )
+
+
+def _rows(data: Mapping[str, Any], cycle: float) -> list[_Row]:
+    rows = [_Row(data, cycle, kind, method) for kind in data["kinds"] for method in _NAMES]
+    return [row for row in rows if row.turns]
+
+
+def _waiting(cycle: float) -> str:
+    return (
+        f"the PLC's task runs every {cycle:g} ms; a hand-written bridge sleeps until a message arrives, "
+        f"and "
+        "reads the PLC's side every 1 ms or as fast as the answers come; rosplc's sleeps on DDS towards "
+        "the "
+        "PLC and looks every 1 ms towards ROS; the ROS process sleeps until a message arrives"
     )
 
 
 class _Row:
     """One type over one method, all rounds together."""
 
-    def __init__(self, data: Mapping[str, Any], kind: str, method: str) -> None:
+    def __init__(self, data: Mapping[str, Any], cycle: float, kind: str, method: str) -> None:
         self.kind, self.method, self.facts = kind, method, data["kinds"][kind]
-        self.turns = [one for one in data["rounds"] if one["kind"] == kind and one["method"] == method]
+        key = (cycle, kind, method)
+        self.turns = [one for one in data["rounds"] if (one["cycle_ms"], one["kind"], one["method"]) == key]
         self.latencies = [value for one in self.turns for value in one["stream"]["latencies_us"]]
         parts = [one[part] for one in self.turns for part in ("stream", "ping")]
         self.sent = sum(part["sent"] for part in parts)
@@ -87,19 +101,23 @@ class _Row:
 def _lead(data: Mapping[str, Any]) -> tuple[str, ...]:
     return (
         "An ordinary DDS participant sends messages as ROS 2 does; a bridge puts them into the PLC; the "
-        "PLC's program copies what it sees back; the participant judges what comes. Everything in a message "
+        "PLC's program copies what it sees back; the participant judges what comes. Everything in a "
+        "message "
         "follows from its number, so pieces of two messages in one (torn), a missing string and a rounded "
         "number are found by looking, at the PLC and at the end.",
-        "Modbus: two registers per number, 123 or 125 per request, a server beside the PLC's task, a client "
-        "in the bridge. OPC UA: one node per field, an array being one node, as a PLC's symbol configuration "
+        "Modbus: two registers per number, 123 or 125 per request, a server beside the PLC's task, a "
+        "client "
+        "in the bridge. OPC UA: one node per field, an array being one node, as a PLC's symbol "
+        "configuration "
         "has it; the client writes and reads all nodes of a message in one request. All PLC programs are "
         "Python; the task may interrupt the server anywhere, as a task of higher priority does.",
-        f"Each way carries messages at {data['rate_hz']:g} per second first, with random gaps, then as many "
+        f"Each way carries messages at {data['rate_hz']:g} per second first, with random gaps, then as "
+        f"many "
         "as come back, one under way at a time.",
     )
 
 
-def _times(data: Mapping[str, Any], rows: list[_Row], waiting: str) -> Table:
+def _times(data: Mapping[str, Any], rows: list[_Row], cycle: float) -> Table:
     reference = {row.kind: row.medians() for row in rows if row.method == "rosplc"}
     lines: list[tuple[Cell, ...]] = []
     for row in rows:
@@ -132,14 +150,16 @@ def _times(data: Mapping[str, Any], rows: list[_Row], waiting: str) -> Table:
         "PLC CPU %",
     )
     note = (
-        f"Times and CPU (of a core) at {data['rate_hz']:g} messages per second; round trips per second with "
+        f"Times and CPU (of a core) at {data['rate_hz']:g} messages per second; round trips per second "
+        f"with "
         "one message under way. A bridge's CPU includes looking while nothing happens. Ratios are medians "
         "of the rounds' ratios."
     )
-    return Table("There and back", header, tuple(lines), waiting, note)
+    title = f"There and back, with a PLC task of {cycle:g} ms"
+    return Table(title, header, tuple(lines), _waiting(cycle), note)
 
 
-def _losses(rows: list[_Row], waiting: str) -> Table:
+def _losses(rows: list[_Row], cycle: float) -> Table:
     lines: list[tuple[Cell, ...]] = []
     for row in rows:
         strings = row.facts["strings"]
@@ -168,15 +188,16 @@ def _losses(rows: list[_Row], waiting: str) -> Table:
     note = (
         "Numbers: the largest deviation, relative to the value. Not back: replaced by a newer one on the way."
     )
-    return Table("What is lost on the way", header, tuple(lines), waiting, note)
+    title = f"What is lost on the way, with a PLC task of {cycle:g} ms"
+    return Table(title, header, tuple(lines), _waiting(cycle), note)
 
 
-def _figures(data: Mapping[str, Any], rows: list[_Row]) -> tuple[Figure, ...]:
+def _figures(rows: list[_Row], cycle: float) -> tuple[Figure, ...]:
     times = tuple(
         Series(row.name, (), (statistics.median(row.latencies) / 1000,)) for row in rows if row.latencies
     )
     torn = tuple(Series(row.name, (), (100 * row.torn_plc / row.seen,)) for row in rows if row.seen)
-    task = f"PLC task every {data['cycle_ms']:g} ms"
+    task = f"PLC task every {cycle:g} ms"
     return (
         Figure("end-to-end", f"ROS 2 to the PLC and back, median ({task})", "", "ms", times, kind="bars"),
         Figure(
@@ -205,14 +226,22 @@ def _summary(rows: list[_Row]) -> list[str]:
 
 
 _AFTER = (
-    "**What this means.** With a task of 1 ms most of a round trip is waiting for the next scan and for the "
-    "next look of the bridge, whatever carries the message: so medians lie close together, and with a task "
-    "of 10 ms they would lie closer still. What differs is what arrives. Registers have no strings, no names "
-    "and no 64-bit numbers, and a message of more than 123 registers is written in several requests: a scan "
+    "**What this means.** With a task of 1 ms most of a round trip is waiting for the next scan and for "
+    "the "
+    "next look of the bridge, whatever carries the message: so medians lie close together, and closer "
+    "still "
+    "with a slower task, because the cycle decides, not the transport. At 10 ms a message may be "
+    "replaced by "
+    "a newer one before a scan has seen it, with every way that keeps only the newest. What differs is "
+    "what arrives. Registers have no strings, no names "
+    "and no 64-bit numbers, and a message of more than 123 registers is written in several requests: a "
+    "scan "
     "between two of them sees half of each. OPC UA keeps numbers and strings, but a Write of several nodes "
     "is not one step for a task that runs beside the server.",
-    "**What it does not.** The servers are pymodbus and asyncua in Python, not a PLC's own; how often a torn "
-    "message is seen depends on how long a server takes between two pieces and on the task's period. That it "
+    "**What it does not.** The servers are pymodbus and asyncua in Python, not a PLC's own; how often a "
+    "torn "
+    "message is seen depends on how long a server takes between two pieces and on the task's period. "
+    "That it "
     "can be seen does not: neither protocol promises more. A Modbus message that fits into one request "
     "arrives whole here because this server stores a request in one step; the protocol does not say so. A "
     "user can add a counter at both ends and throw torn messages away; then they are lost instead of torn, "

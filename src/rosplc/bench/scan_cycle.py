@@ -20,6 +20,7 @@ from rosplc.bench.process import Side
 from rosplc.bench.scan_cycle_methods import NAMES, Method, Programs, start
 from rosplc.bench.scan_cycle_page import render
 from rosplc.bench.section import Section
+from rosplc.errors import SetupError
 
 __all__ = ["SECTION", "Condition", "run", "summary"]
 
@@ -76,15 +77,19 @@ def run(context: Context) -> dict[str, Any]:
                 with ExitStack() as beside:
                     if condition.hog and not _hogs(context, programs, beside):
                         continue
-                    for method in methods:
+                    for method in tuple(methods):
                         what = f"{condition.cycle_ms} ms, {NAMES[method.name]}"
                         context.notify(len(data["runs"]), total, what)
                         lowest = least if condition.hog or condition.fifo else quiet
                         scans = max(lowest, round(seconds * 1000 / condition.cycle_ms))
-                        data["runs"].append(measure(method, condition, scans))
+                        try:
+                            data["runs"].append(measure(method, condition, scans))
+                        except SetupError as error:  # the others go on
+                            context.fail(f"scan cycle, {NAMES[method.name]}", error.what)
+                            methods.remove(method)
         data["stalls"] = [stall(method) for method in methods if method.stops_inside()]
     _check(context, data["runs"])
-    return data
+    return data if data["runs"] else {}
 
 
 def measure(method: Method, condition: Condition, scans: int) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import secrets
 from collections.abc import Callable
@@ -17,7 +16,9 @@ from rosplc.bench.context import Context
 from rosplc.bench.end_to_end_child import WATCHDOG_S, python
 from rosplc.bench.free_port import free_port
 from rosplc.bench.missing import Missing
+from rosplc.bench.optional import need
 from rosplc.bench.process import Side
+from rosplc.errors import SetupError
 from rosplc.shm import Description, Direction, Namespace, OwnedChannel
 
 __all__ = ["NAMES", "Method", "Programs", "start"]
@@ -142,15 +143,22 @@ def start(context: Context, programs: Programs | None, stack: ExitStack) -> list
             starters["modbus-master"] = lambda: modbus("modbus-master")
     if context.effort.name == "quick":
         context.skip("scan cycle in Python, OPC UA among it", "left out of a quick run", "rosplc bench")
-    elif importlib.util.find_spec("asyncua") is None:
-        starters["rosplc-python"] = rosplc_python
-        context.skip(
-            "scan cycle over OPC UA", "the Python package asyncua is missing", "pip install 'rosplc[bench]'"
-        )
     else:
         starters["rosplc-python"] = rosplc_python
-        starters["opcua-python"] = opcua_python
-    return [Method(name, *starter()) for name, starter in starters.items() if context.wants(name)]
+        try:
+            need("asyncua")
+            starters["opcua-python"] = opcua_python
+        except Missing as missing:
+            context.skip("scan cycle over OPC UA", missing.reason, missing.remedy)
+    found = []
+    for name, starter in starters.items():
+        if not context.wants(name):
+            continue
+        try:
+            found.append(Method(name, *starter()))
+        except SetupError as error:  # the others go on
+            context.fail(f"scan cycle, {NAMES[name]}", error.what)
+    return found
 
 
 def _channel(context: Context, stack: ExitStack, direction: Direction) -> str:

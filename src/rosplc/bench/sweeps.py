@@ -6,7 +6,6 @@ milliseconds.
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Iterable
 from contextlib import ExitStack
 from pathlib import Path
@@ -17,6 +16,7 @@ from rosplc.bench.context import Context
 from rosplc.bench.end_to_end_child import WATCHDOG_S, python
 from rosplc.bench.free_port import free_port
 from rosplc.bench.missing import Missing
+from rosplc.bench.optional import need
 from rosplc.bench.process import Side
 from rosplc.bench.section import Section
 from rosplc.bench.sweeps_contenders import (
@@ -138,12 +138,10 @@ class Around:
     def _server(self, context: Context, method: str, package: str, stack: ExitStack) -> int:
         if not context.wants(package):
             return 0
-        if importlib.util.find_spec(package) is None:
-            context.skip(
-                f"sweeps over {package}",
-                f"the Python package {package} is missing",
-                "pip install 'rosplc[bench]'",
-            )
+        try:
+            need(package)
+        except Missing as missing:
+            context.skip(f"sweeps over {package}", missing.reason, missing.remedy)
             return 0
         port = free_port()
         side = Side(f"{package} server", python("sweeps_server", method, str(port), str(self._most)))

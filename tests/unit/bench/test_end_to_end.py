@@ -162,7 +162,7 @@ def test_the_ros_side_counts_what_comes_back(robot: tuple[Line, Any, Translator]
 
 def test_the_whole_comparison(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """All three ways carry messages; rosplc's come through whole and exact, registers lose what they lose."""
-    monkeypatch.setitem(end_to_end._COUNTS, "quick", (1, 4, 0.05))
+    monkeypatch.setitem(end_to_end._AMOUNTS, "quick", end_to_end.Amount((1.0,), 1, 4, 0.05))
     context = Context(EFFORTS["quick"], tmp_path, tmp_path, (0,))
     data = json.loads(json.dumps(end_to_end.run(context)))
     assert not context.failures
@@ -208,13 +208,15 @@ def test_the_page_says_what_was_counted() -> None:
     kinds = {"Twist": {"strings": 0, "leaves": 6, "registers": 12}}
     none = part([], received=0, torn=0, plc={"seen": 0, "torn": 0})
     data = {
-        "cycle_ms": 1.0,
         "rate_hz": 100.0,
         "kinds": kinds,
         "rounds": [
-            {"method": "rosplc", "kind": "Twist", "stream": part([100.0]), "ping": part([100.0, 100.0])},
-            {"method": "modbus", "kind": "Twist", "stream": part([250.0]), "ping": part([250.0])},
-            {"method": "opcua", "kind": "Twist", "stream": none, "ping": none},
+            {"cycle_ms": 1.0, "kind": "Twist", "method": method, "stream": stream, "ping": ping}
+            for method, stream, ping in (
+                ("rosplc", part([100.0]), part([100.0, 100.0])),
+                ("modbus", part([250.0]), part([250.0])),
+                ("opcua", none, none),
+            )
         ],
     }
     times, losses = end_to_end_page.render(data).tables
