@@ -48,13 +48,22 @@ def unexecuted() -> list[object]:
     ]
 
 
+def objects() -> set[Path]:
+    """Return what pages leave in shared memory: the default prefix, and the classic topics that they name."""
+    return {
+        path
+        for start in ("rosplc.", "migrated_", "sem.migrated_")
+        for path in SHARED_MEMORY.glob(f"{start}*")
+    }
+
+
 @pytest.fixture
 def shell(tmp_path: Path) -> Iterator[Shell]:
     """A shell in an empty folder; shared memory that the page left behind is removed."""
     # Another clone's tests may run on this machine, with the same default prefix.
     turn = os.open(Path(tempfile.gettempdir()) / "rosplc-docs.lock", os.O_CREAT | os.O_RDWR, 0o666)
     fcntl.flock(turn, fcntl.LOCK_EX)
-    before = set(SHARED_MEMORY.glob("rosplc.*"))
+    before = objects()
     env = {
         "PATH": f"{Path(sys.executable).parent}:/usr/local/bin:/usr/bin:/bin",
         "HOME": str(tmp_path),
@@ -67,7 +76,7 @@ def shell(tmp_path: Path) -> Iterator[Shell]:
     shell = Shell(tmp_path, env)
     yield shell
     shell.close()
-    for path in set(SHARED_MEMORY.glob("rosplc.*")) - before:
+    for path in objects() - before:
         path.unlink(missing_ok=True)
     os.close(turn)
 
