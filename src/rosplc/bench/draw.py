@@ -5,12 +5,20 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from rosplc.bench.markdown import cell_text
 from rosplc.bench.results import Figure
 from rosplc.errors import SetupError
 
 __all__ = ["available", "draw"]
 
 _MARKERS = "osD^vP*Xhp<>d"
+_MOST_TICKS = 10
+_GROUPS = {"source": "#777777", "rosplc": "#cc3311"}
+_PLAIN = "#4477aa"
+_COLOURS = (
+    "#0077bb", "#33bbee", "#009988", "#ee7733", "#ee3377", "#332288", "#88ccee", "#117733", "#999933",
+    "#ddcc77", "#aa4499", "#882255", "#661100",
+)  # fmt: skip
 _WIDTH, _HEIGHT, _DPI = 9.0, 5.2, 130
 
 
@@ -55,35 +63,57 @@ def draw(figure: Figure, folder: Path) -> list[Path]:
 
 
 def _lines(axes: Any, figure: Figure) -> None:
-    for number, series in enumerate(figure.series):
+    colours, markers = iter(_COLOURS), iter(_MARKERS * 2)
+    for series in figure.series:
+        own = _GROUPS.get(series.group)
         axes.plot(
             series.x,
             series.y,
-            marker=_MARKERS[number % len(_MARKERS)],
+            marker=next(markers),
             markersize=5,
-            linewidth=1.5,
-            linestyle="-" if number < 10 else "--",
+            linewidth=2.4 if series.group == "rosplc" else 1.4,
+            linestyle="--" if series.group == "source" else "-",
+            color=own or next(colours, "#000000"),
             label=series.name,
         )
     if figure.x_log:
         axes.set_xscale("log")
+        ticks = sorted({x for series in figure.series for x in series.x})
+        if len(ticks) <= _MOST_TICKS:
+            axes.set_xticks(ticks, [f"{tick:,.0f}" for tick in ticks], minor=False)
+            axes.minorticks_off()
     if figure.y_log:
         axes.set_yscale("log")
     axes.set_xlabel(figure.x_label)
     axes.set_ylabel(figure.y_label)
-    # Beside the lines and in their order: a dozen names inside would cover what they name.
-    axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), fontsize=8, frameon=False)
+    # Beside the lines and in the order of their ends: a dozen names inside would cover what they name.
+    handles, names = axes.get_legend_handles_labels()
+    ends = {series.name: series.y[-1] if series.y else 0.0 for series in figure.series}
+    order = sorted(range(len(names)), key=lambda number: -ends[names[number]])
+    axes.legend(
+        [handles[number] for number in order],
+        [names[number] for number in order],
+        loc="center left",
+        bbox_to_anchor=(1.01, 0.5),
+        fontsize=8,
+        frameon=False,
+    )
 
 
 def _bars(axes: Any, figure: Figure) -> None:
     names = [series.name for series in figure.series]
     values = [series.y[0] for series in figure.series]
-    bars = axes.barh(range(len(names)), values, color="#4477aa", height=0.7)
+    colours = [_GROUPS.get(series.group, _PLAIN) for series in figure.series]
+    bars = axes.barh(range(len(names)), values, color=colours, height=0.7)
+    axes.set_axisbelow(True)
     axes.set_yticks(range(len(names)), names, fontsize=9)
     axes.invert_yaxis()
     axes.grid(visible=False, axis="y")
-    if figure.y_log:
+    if figure.y_log and min(values) > 0:
         axes.set_xscale("log")
-    axes.bar_label(bars, labels=[f"{value:,.3g}" for value in values], padding=3, fontsize=8)
-    axes.margins(x=0.15)
+        low, high = axes.get_xlim()
+        axes.set_xlim(low, high * (high / low) ** 0.12)
+    else:
+        axes.margins(x=0.15)
+    axes.bar_label(bars, labels=[cell_text(float(value)) for value in values], padding=3, fontsize=8)
     axes.set_xlabel(figure.y_label)

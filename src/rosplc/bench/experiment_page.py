@@ -9,7 +9,7 @@ from typing import Any
 from rosplc.bench import source
 from rosplc.bench.experiment_goals import goals
 from rosplc.bench.experiment_summary import summary
-from rosplc.bench.found import Found, durations
+from rosplc.bench.found import Found, durations, group_of
 from rosplc.bench.results import Cell, Figure, Page, Series, Table
 
 __all__ = ["page"]
@@ -150,7 +150,10 @@ def _duration_figure(arrangement: Mapping[str, Any]) -> Figure:
         f"Duration by number of cycles. {arrangement['title']}",
         "cycles",
         "s",
-        tuple(Series(name, tuple(map(float, found)), tuple(found.values())) for name, found in lines),
+        tuple(
+            Series(name, tuple(map(float, found)), tuple(found.values()), group=group_of(name))
+            for name, found in lines
+        ),
         x_log=True,
         y_log=True,
     )
@@ -169,7 +172,7 @@ def _rate_figure(arrangement: Mapping[str, Any]) -> Figure:
         f"Transmission rate of the longest run, 3,200 bits a cycle. {arrangement['title']}",
         "",
         "kbit/s",
-        tuple(Series(name, (), (value,)) for name, value in bars),
+        tuple(Series(name, (), (value,), group=group_of(name)) for name, value in bars),
         kind="bars",
         y_log=True,
     )

@@ -8,7 +8,7 @@ from typing import Any
 
 from rosplc.bench.stats import median_ratio
 
-__all__ = ["Found", "durations"]
+__all__ = ["Found", "durations", "group_of"]
 
 
 class Found:
@@ -44,6 +44,11 @@ class Found:
         """Return the median of the rounds; None if it was not measured."""
         values = self.values(arrangement, contender, key)
         return statistics.median(values) if values else None
+
+
+def group_of(title: str) -> str:
+    """Return the group of a series: whose figure it is."""
+    return next((group for group in ("source:", "rosplc") if title.startswith(group)), "").rstrip(":")
 
 
 def durations(entry: Mapping[str, Any]) -> dict[int, float]:

@@ -88,8 +88,8 @@ def cell_text(cell: Cell) -> str:
             return str(cell)
         if abs(cell) >= 999.5:
             return f"{round(cell, -max(0, len(str(int(abs(cell)))) - 3)):,.0f}"
-        digits = 2 if abs(cell) < 10 else 1 if abs(cell) < 100 else 0
-        return f"{cell:.3g}" if 0 < abs(cell) < 1 else f"{cell:.{digits}f}"
+
+        return f"{cell:#.3g}".rstrip(".") if cell else "0"
     if isinstance(cell, int):
         return f"{cell:,}"
     return cell

@@ -55,11 +55,19 @@ class Table:
 
 @dataclass(frozen=True)
 class Series:
-    """One line of a figure, or one group of bars: a y for each x."""
+    """One line of a figure, or one bar: a y for each x.
+
+    Attributes:
+        name: In the legend.
+        x: For a bar unused.
+        y: For a bar one value.
+        group: "source" is drawn in grey, "rosplc" stands out, everything else is neither.
+    """
 
     name: str
     x: tuple[float, ...]
     y: tuple[float, ...]
+    group: str = field(default="", kw_only=True)
 
 
 @dataclass(frozen=True)
@@ -72,7 +80,7 @@ class Figure:
         x_label: With the unit; for bars unused.
         y_label: With the unit.
         series: What is drawn; for ``kind`` "bars" each has one value in ``y``.
-        kind: "lines" or "bars" (horizontal, longest name first line to last).
+        kind: "lines" or "bars" (horizontal, in the order given).
         x_log: Whether the x axis is logarithmic.
         y_log: Whether the y axis is (for bars: the axis of values).
     """

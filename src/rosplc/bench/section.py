@@ -45,5 +45,10 @@ def render(report: Report, sections: Mapping[str, Section]) -> dict[str, Page]:
     for each in report.sections:
         if each.section not in sections:
             raise SetupError("SYS007", f"this release knows no section {each.section!r}")
-        pages[each.section] = sections[each.section].render(each.data) if each.data else Page()
+        try:
+            pages[each.section] = sections[each.section].render(each.data) if each.data else Page()
+        except (LookupError, TypeError, ValueError) as error:
+            # Only a report that somebody else wrote, or another release, lacks what this one measures.
+            what = f"its section {each.section!r} lacks something: {type(error).__name__}: {error}"
+            raise SetupError("SYS007", what) from error
     return pages

@@ -70,14 +70,11 @@ class _Stable:
     def __init__(self, context: Context) -> None:
         self._context = context
         self._pairs: dict[str, Pair] = {}
-        self._started = 0
 
     def get(self, contender: Contender) -> Pair:
         """Return a contender's pair, started if it is not running."""
         if contender.name not in self._pairs:
-            self._started += 1
-            label = f"{contender.name}-{self._started}"
-            place = Place.under(self._context.scratch, label, self._context.cache)
+            place = Place.under(self._context.scratch, contender.name, self._context.cache)
             self._pairs[contender.name] = contender.start(place)
         return self._pairs[contender.name]
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from rosplc.bench import source
 from rosplc.bench.arrangements import ONE_CORE, ONE_CORE_BUSY, TWO_CORES
-from rosplc.bench.found import Found
+from rosplc.bench.found import Found, group_of
 from rosplc.bench.markdown import cell_text
 from rosplc.bench.results import Cell, Figure, Page, Series, Table
 
@@ -21,7 +21,7 @@ def page(data: Mapping[str, Any]) -> Page:
     found = Found(data["arrangements"])
     rows: list[tuple[Cell, ...]] = []
     bars = [
-        Series(f"source: {name}", (), (values[1000] * 1000,))
+        Series(f"source: {name}", (), (values[1000] * 1000,), group="source")
         for name, values in (("Modbus TCP", source.MODBUS_S), ("shared memory", source.SHARED_MEMORY_S))
     ]
     for arrangement in found:
@@ -42,7 +42,8 @@ def page(data: Mapping[str, Any]) -> Page:
                     None if share is None else share * 100,
                 )
             )
-            bars.append(Series(f"{entry['title']}; {arrangement['title'].lower()}", (), (middle or 0.0,)))
+            label = f"{entry['title']}; {arrangement['title'].lower()}"
+            bars.append(Series(label, (), (middle or 0.0,), group=group_of(label)))
     if not rows:
         return Page()
     table = Table(
@@ -93,9 +94,10 @@ def _meaning(found: Found) -> tuple[str, ...]:
         ratio = source.MODBUS_S[1000] / source.SHARED_MEMORY_S[1000]
         text.append(
             "With equal waiting, both asleep on one core until they are woken, libmodbus takes "
-            f"{cell_text(modbus)} times as long as rosplc's channel; the source found {cell_text(ratio)}. How "
-            "its programs waited it does not say. Its CODESYS side ran in the cycle of a task, and a cycle of "
-            "a few milliseconds on one or both sides explains both of its figures as well: that is an inference."
+            f"{cell_text(modbus)} times as long as rosplc's channel; the source found {cell_text(ratio)}. "
+            "How its programs waited it does not say. Its CODESYS side ran in the cycle of a task, and a "
+            "cycle of a few milliseconds on one or both sides explains both of its figures as well: that is "
+            "an inference."
         )
     return tuple(text)
 

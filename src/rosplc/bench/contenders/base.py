@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
+import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,9 +41,9 @@ class Place:
     @classmethod
     def under(cls, scratch: Path, label: str, cache: Path) -> Place:
         """Make a place in a run's folder, whose own name is unique on this machine."""
-        folder = scratch / label
-        folder.mkdir()
-        return cls(folder, (f"/{scratch.name}.{label}.a", f"/{scratch.name}.{label}.b"), cache)
+        folder = Path(tempfile.mkdtemp(prefix=f"{label}-", dir=scratch))
+        name = f"/{scratch.name}.{folder.name}"
+        return cls(folder, (f"{name}.a", f"{name}.b"), cache)
 
     def remove_semaphores(self) -> None:
         """Take the semaphores' names away; who has them open keeps them."""

@@ -6,7 +6,6 @@ has no bell: who sleeps does so on a POSIX semaphore beside it, one for each dir
 
 from __future__ import annotations
 
-import functools
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -52,8 +51,8 @@ class Channels(Transport):
     def operations(self) -> Operations:
         """Return publication and taking themselves, and the semaphores' own methods."""
         return Operations(
-            functools.partial(self.writer.publish, self.record),
-            functools.partial(self.reader.latest, self.record),  # None, or what the slot says
+            self.writer.publish,
+            self.reader.latest,  # None, or what the slot says
             self._bells[0].release,
             self._bells[1].acquire,
         )

@@ -64,14 +64,14 @@ class Operations:
     """What the loops call; the fewer Python frames lie behind these, the less else is measured.
 
     Attributes:
-        send: Hands the record to the other side.
-        attempt: Fills the record if something new is there; what it returns is then true.
+        send: Hands a record to the other side.
+        attempt: Fills a record if something new is there; what it returns is then true.
         ring: Wakes the other side; called after sending, when it blocks.
         sleep: Waits until the other side has rung.
     """
 
-    send: Callable[[], object]
-    attempt: Callable[[], object]
+    send: Callable[[bytearray], object]
+    attempt: Callable[[bytearray], object]
     ring: Callable[[], object]
     sleep: Callable[[], object]
 
@@ -95,11 +95,11 @@ class Transport:
     def begin(self) -> None:
         """Make ready; called before each order is carried out, when both sides exist."""
 
-    def send(self) -> None:
+    def send(self, record: bytearray) -> None:
         """Hand the record to the other side."""
         raise NotImplementedError
 
-    def attempt(self) -> bool:
+    def attempt(self, record: bytearray) -> bool:
         """Fill the record if something new is there, and say so."""
         raise NotImplementedError
 
@@ -160,33 +160,35 @@ def _ones() -> Numbers:
 
 
 def _exchange_spinning(transport: Transport, period_ns: int, phase_ns: int) -> Exchange:
-    operations, values, add, ones = transport.operations(), transport.values, np.add, _ones()
+    operations, record, values = transport.operations(), transport.record, transport.values
     send, attempt, now = operations.send, operations.attempt, time.perf_counter_ns
+    add, ones = np.add, _ones()
 
     def exchange(count: int, first: bool) -> list[int]:
         clock = [now()]
         note = clock.append
         if first:
             for _ in range(count):
-                send()
-                while not attempt():
+                send(record)
+                while not attempt(record):
                     pass
                 add(values, ones, values)
                 note(now())
         else:
             for _ in range(count):
-                while not attempt():
+                while not attempt(record):
                     pass
                 add(values, ones, values)
-                send()
+                send(record)
         return clock
 
     return exchange
 
 
 def _exchange_blocking(transport: Transport, period_ns: int, phase_ns: int) -> Exchange:
-    operations, values, add, ones = transport.operations(), transport.values, np.add, _ones()
+    operations, record, values = transport.operations(), transport.record, transport.values
     send, attempt, now = operations.send, operations.attempt, time.perf_counter_ns
+    add, ones = np.add, _ones()
     ring, sleep = operations.ring, operations.sleep
 
     def exchange(count: int, first: bool) -> list[int]:
@@ -194,20 +196,20 @@ def _exchange_blocking(transport: Transport, period_ns: int, phase_ns: int) -> E
         note = clock.append
         if first:
             for _ in range(count):
-                send()
+                send(record)
                 ring()
                 sleep()
-                while not attempt():
+                while not attempt(record):
                     sleep()
                 add(values, ones, values)
                 note(now())
         else:
             for _ in range(count):
                 sleep()
-                while not attempt():
+                while not attempt(record):
                     sleep()
                 add(values, ones, values)
-                send()
+                send(record)
                 ring()
         return clock
 
@@ -227,13 +229,14 @@ def _exchange_yielding(transport: Transport, period_ns: int, phase_ns: int) -> E
 
 
 def _exchange_pausing(transport: Transport, pause: Callable[[], object], *, before: bool) -> Exchange:
-    operations, values, add, ones = transport.operations(), transport.values, np.add, _ones()
+    operations, record, values = transport.operations(), transport.record, transport.values
     send, attempt, now = operations.send, operations.attempt, time.perf_counter_ns
+    add, ones = np.add, _ones()
 
     def receive() -> None:
         if before:
             pause()
-        while not attempt():
+        while not attempt(record):
             pause()
         add(values, ones, values)
 
@@ -241,12 +244,12 @@ def _exchange_pausing(transport: Transport, pause: Callable[[], object], *, befo
         clock = [now()]
         for _ in range(count):
             if first:
-                send()
+                send(record)
                 receive()
                 clock.append(now())
             else:
                 receive()
-                send()
+                send(record)
         return clock
 
     return exchange

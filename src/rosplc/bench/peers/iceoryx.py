@@ -69,13 +69,13 @@ class PublishSubscribe(_Iceoryx):
         self._publisher = services[self._out].publisher_builder().initial_max_slice_len(_SIZE).create()
         self._subscriber = services[self._in].subscriber_builder().create()
 
-    def send(self) -> None:
+    def send(self, record: bytearray) -> None:
         """Loan a sample, copy into it, send it."""
         sample = self._publisher.loan_slice_uninit(_SIZE)
         ctypes.memmove(sample.payload_ptr, self._address, _SIZE)
         sample.assume_init().send()
 
-    def attempt(self) -> bool:
+    def attempt(self, record: bytearray) -> bool:
         """Copy out of the next sample if there is one."""
         sample = self._subscriber.receive()
         if sample is None:
@@ -109,16 +109,16 @@ class Blackboard(_Iceoryx):
         self._entry_in = self._reader.entry(key, _Record)
         self._seen = self._entry_in.get()
 
-    def send(self) -> None:
+    def send(self, record: bytearray) -> None:
         """Update the entry."""
         self._entry_out.update_with_copy(self._value)
 
-    def attempt(self) -> bool:
+    def attempt(self, record: bytearray) -> bool:
         """Copy the entry if it has changed."""
         if self._entry_in.is_up_to_date(self._seen):
             return False
         self._seen = self._entry_in.get()
-        self.record[:] = self._seen.data
+        record[:] = self._seen.data
         return True
 
 

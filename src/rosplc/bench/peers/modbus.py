@@ -34,13 +34,13 @@ class Registers(Transport):
             raise SystemExit(f"no Modbus server at port {port}")
         self._seen = [-1] * COUNT
 
-    def send(self) -> None:
+    def send(self, record: bytearray) -> None:
         """Write 100 registers."""
         answer = self._client.write_registers(0, self.values.tolist())
         if answer.isError():
             raise SystemExit(f"Modbus: {answer}")
 
-    def attempt(self) -> bool:
+    def attempt(self, record: bytearray) -> bool:
         """Read 100 registers; they are new if they differ."""
         answer = self._client.read_holding_registers(COUNT, count=COUNT)
         if answer.isError():

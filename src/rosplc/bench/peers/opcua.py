@@ -42,11 +42,11 @@ class Nodes(Transport):
     def _run(self, work: Coroutine[Any, Any, Any]) -> Any:
         return self._loop.run_until_complete(work)
 
-    def send(self) -> None:
+    def send(self, record: bytearray) -> None:
         """Write the question's value."""
         self._run(self._question.write_attribute(ua.AttributeIds.Value, _array(self.values.tolist())))
 
-    def attempt(self) -> bool:
+    def attempt(self, record: bytearray) -> bool:
         """Read the answer's value; it is new if it differs."""
         found = self._run(self._answer.read_value())
         if found == self._seen:

@@ -40,13 +40,13 @@ class LockedMemory(Transport):
         self._out_lock, self._in_lock = locks[me], locks[not me]
         self._seen = b"\xff" * _SIZE
 
-    def send(self) -> None:
+    def send(self, record: bytearray) -> None:
         """Copy the record in, under the lock."""
         self._out_lock.acquire()
-        self._out[:] = self.record
+        self._out[:] = record
         self._out_lock.release()
 
-    def attempt(self) -> bool:
+    def attempt(self, record: bytearray) -> bool:
         """Copy it out, under the lock; it is new if it differs."""
         self._in_lock.acquire()
         found = self._in.tobytes()
@@ -54,7 +54,7 @@ class LockedMemory(Transport):
         if found == self._seen:
             return False
         self._seen = found
-        self.record[:] = found
+        record[:] = found
         return True
 
 

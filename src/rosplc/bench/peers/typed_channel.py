@@ -26,11 +26,11 @@ class TypedChannels(Transport):
         self._in = rosplc.attach(QUESTION, directory=str(folder), timeout=_WAIT)
         self._out = rosplc.attach(ANSWER, directory=str(folder), write=True, timeout=_WAIT)
 
-    def send(self) -> None:
+    def send(self, record: bytearray) -> None:
         """Write a message."""
         self._out.write({"values": self.values.tolist()})
 
-    def attempt(self) -> bool:
+    def attempt(self, record: bytearray) -> bool:
         """Read the newest message if it is new."""
         message = self._in.read()
         if message is None:
