@@ -21,7 +21,7 @@ from tests.verification.plc_cell import READ, TARGETS, WRITE, layout_of, need_ar
 from verification.st.build import ARMHF, Build, Toolchain, build
 from verification.st.machine import LibraryMachine, Machine, ProcessMachine
 
-__all__ = ["TWIST", "ClassicCell", "Peer", "classic_build", "classic_target", "record"]
+__all__ = ["TOPICS", "TWIST", "ClassicCell", "Peer", "classic_build", "classic_target", "record"]
 
 SHM = Path("/dev/shm")
 TWIST = "geometry_msgs/msg/Twist"
@@ -194,7 +194,7 @@ class ClassicCell:
         for machine in self.machines:
             if isinstance(machine, ProcessMachine):
                 machine.kill()
-        for pattern in (f"{self.prefix}*", f"sem.{self.prefix}*"):
+        for pattern in (f"{self.prefix}*", f"sem.{self.prefix}*", f"rosplc.classic.{self.prefix}*"):
             for path in SHM.glob(pattern):
                 path.unlink()
 
