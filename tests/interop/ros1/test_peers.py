@@ -82,7 +82,8 @@ class Inbox(list):  # type: ignore[type-arg]
 
 
 def string(text: str) -> bytes:
-    return len(text).to_bytes(4, "little") + text.encode()
+    data = text.encode()
+    return len(data).to_bytes(4, "little") + data
 
 
 def values(kind: str, count: int) -> list[bytes]:

@@ -32,6 +32,9 @@ __all__ = ["Incoming", "Link", "RospySubscription", "WireType", "handshake", "ra
 _logger = logging.getLogger("rosplc.ros.rospy")
 
 _TIMEOUT_S = 5.0
+_RETRY_NS = 1_000_000_000  # after a lost connection; doubled with each attempt that fails
+_SLOWEST_NS = 8_000_000_000
+_REFUSED_NS = 60_000_000_000  # a publisher with another type logs each attempt
 _LARGEST = 1 << 30  # a length beyond this is no message but a stream out of step
 _READ = 65536
 
@@ -148,6 +151,7 @@ class Link:
         self.problem: tuple[str, str] | None = None
         self.ended = False
         self.retry_ns = 0
+        self.pause_ns = _RETRY_NS
         self._incoming = incoming
         self._transport: Any = None
         self._closing = False
@@ -186,6 +190,7 @@ class Link:
             if self.connected:
                 self._receive()
         except RefusedError as error:
+            self.problem = None
             # It has withdrawn the topic, and the master's list has not followed yet.
             _logger.debug("%s: %s: %s", incoming.topic, self.uri, error)
         except (OSError, UnreachableError, HandshakeError) as error:
@@ -200,8 +205,11 @@ class Link:
             if self._transport is not None:
                 self._transport.close()
             self.ended = True
-            self.retry_ns = time.monotonic_ns() + 1_000_000_000
+            self.retry_ns = time.monotonic_ns() + self._pause()
             incoming.changed()
+
+    def _pause(self) -> int:
+        return _REFUSED_NS if self.problem is not None and self.problem[0] else self.pause_ns
 
     def _adopt(self, sock: socket.socket, header: dict[str, str], place: tuple[str, int]) -> None:
         incoming = self._incoming
@@ -222,6 +230,8 @@ class Link:
         transport.callerid_pub = self.node
         self.latching = header.get("latching") == "1"
         self._transport = transport
+        self.problem = None
+        self.pause_ns = _RETRY_NS
         self.connected = not self._closing
         incoming.changed()
 
@@ -315,6 +325,7 @@ class Incoming:
                     new.append(Link(self, uri))
                     if former is not None:
                         new[-1].problem = former.problem  # until it is known anew
+                        new[-1].pause_ns = min(2 * former.pause_ns, _SLOWEST_NS)
                     self._links[uri] = new[-1]
         for link in gone:
             link.close()
