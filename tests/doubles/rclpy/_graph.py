@@ -13,6 +13,8 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import Any
 
+from rclpy._distro import HUMBLE
+
 changed = threading.Condition(threading.RLock())
 """Guards the whole graph; notified when something may be ready."""
 
@@ -46,7 +48,8 @@ class Endpoint:
         return [e for e in endpoints.get((self.domain, self.topic), ()) if e.publishes != self.publishes]
 
     def problem(self, other: Endpoint) -> str:
-        if self.type_name != other.type_name or self.type_hash != other.type_hash:
+        # Since Iron type hashes are announced; here they keep endpoints apart, as over Zenoh.
+        if self.type_name != other.type_name or (not HUMBLE and self.type_hash != other.type_hash):
             return "type"
         from rclpy.qos import _excluding
 

@@ -181,10 +181,12 @@ class RclpyBackend:
         now = time.monotonic_ns()
         with self._lock:
             since = self._short.setdefault(endpoint, now)
-        text = "; ".join(map(str, peers))
         if now - since < _SETTLE_NS:
-            return "", f"{text}, not matched yet"
-        return "ROS003", f"{text}; {short} of {len(peers)} not matched: another definition, or access rules"
+            return "", f"{'; '.join(map(str, peers))}, not matched yet"
+        why = "with another definition, or kept out by access rules"
+        if short == len(peers):
+            return "ROS003", "; ".join(f"{peer} {why}" for peer in peers)
+        return "ROS003", f"{short} of {len(peers)} peers {why}: {'; '.join(map(str, peers))}"
 
     def _look(self, endpoint: RclpyEndpoint) -> None:
         """Say once in the log what the middleware's event is about; on the executor's thread."""
