@@ -73,6 +73,8 @@ with the names of memory and semaphore, without a slash; `''` as the second: not
   waits for ten times as long.
 * A semaphore that this block made, and that for 200 ms and 5 attempts has let nobody in, was made locked:
   it is freed once. A semaphore that was found is never freed by the block.
+* A memory that the other side has made anew is found by what it holds, within a minute; a semaphore by the
+  first message after a silence, or at a rising edge of `xReopen`.
 * `FB_Exit` closes the memory when the program ends, not at an online change, and deletes nothing.
 """
 
