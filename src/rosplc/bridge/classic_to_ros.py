@@ -56,6 +56,8 @@ class ClassicToRos(ToRos):
 
     def _turn(self, now_ns: int) -> int:
         side = self._side
+        if self.due_ns is not None:
+            self.flush(now_ns)
         replaced, freed = side.tend(now_ns)
         if replaced:
             self._attached()
@@ -65,7 +67,8 @@ class ClassicToRos(ToRos):
             return side.next_ns(now_ns)
         if now_ns >= self._poll_at_ns:
             self._poll_at_ns = self._poll(now_ns)
-        return min(self._poll_at_ns, side.next_ns(now_ns))
+        due = min(self._poll_at_ns, side.next_ns(now_ns))
+        return due if self.due_ns is None else min(due, self.due_ns)
 
     def _poll(self, now_ns: int) -> int:
         side, classic = self._side, self._side.object

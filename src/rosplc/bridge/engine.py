@@ -132,7 +132,10 @@ class Bridge:
         self._pump.start()
         classic_to_plc.start(tuple(t for t in self._topics if isinstance(t, ClassicToPlc)))
         stack.callback(classic_to_plc.stop)
-        self._classic_to_ros.start(tuple(t for t in self._topics if isinstance(t, ClassicToRos)))
+        classic_to_ros = tuple(t for t in self._topics if isinstance(t, ClassicToRos))
+        for topic in classic_to_ros:
+            topic.await_subscriber(time.monotonic_ns())
+        self._classic_to_ros.start(classic_to_ros)
         stack.callback(self._stop_classic)
         keeper.start()
         stack.callback(keeper.stop)
@@ -152,6 +155,10 @@ class Bridge:
     def _stop_classic(self) -> None:
         if not self._classic_to_ros.stop():
             log.error("the ROS side does not return from publishing; the bridge leaves it behind")
+            return
+        for topic in self._topics:
+            if isinstance(topic, ClassicToRos):
+                topic.finish(time.monotonic_ns())
 
     def stop(self) -> None:
         """Stop carrying; objects stay, with their last state, for the PLC and the next bridge."""

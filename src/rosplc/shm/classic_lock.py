@@ -15,12 +15,11 @@ import struct
 from contextlib import suppress
 from pathlib import Path
 
-import posix_ipc
-
 from rosplc.errors import ChannelError
 from rosplc.shm.classic_memory import describe_owner, give_away
 from rosplc.shm.files import same_file
 from rosplc.shm.header import channel_error
+from rosplc.shm.semaphore import Semaphore
 
 __all__ = ["ClassicLock", "Entry"]
 
@@ -29,6 +28,7 @@ SEMAPHORE_SIZE = 32 if struct.calcsize("P") == 8 else 16
 
 _SHARED = 128
 """What sem_open of glibc leaves in ``private``: waiters may be in other processes."""
+_LARGEST = 2**31 - 1
 _LEAST_LOOKS = 20
 _MOST_EXTRA = 64
 _LONGEST_GAP = 4
@@ -91,7 +91,7 @@ class ClassicLock:
     @property
     def value(self) -> int:
         """How many could enter now: 1 if it is free, 0 if it is taken."""
-        return int(self._semaphore.value)
+        return self._semaphore.value
 
     def enter(self, now_ns: int, *, alive: bool = False) -> Entry:
         """Try to take the lock.
@@ -100,18 +100,12 @@ class ClassicLock:
             now_ns: The time, of a monotonic clock.
             alive: Whether something showed since the last attempt that the holder lives.
         """
-        try:
-            self._semaphore.acquire(0)
-        except posix_ipc.BusyError:
+        if not self._semaphore.enter():
             return self._taken(now_ns, alive)
         self.held_since_ns = None
         extra = 0
         # Nobody but this process should be able to enter now.
-        while extra < _MOST_EXTRA and self._semaphore.value > 0:
-            try:
-                self._semaphore.acquire(0)
-            except posix_ipc.BusyError:
-                break
+        while extra < _MOST_EXTRA and self._semaphore.value > 0 and self._semaphore.enter():
             extra += 1
         if extra:
             # Whoever else got in is perhaps still there; this attempt has no lock to speak of.
@@ -124,8 +118,8 @@ class ClassicLock:
     def leave(self) -> None:
         """Give the lock back. Raises SHM128 if the semaphore does not take it."""
         try:
-            self._semaphore.release()
-        except (posix_ipc.Error, OSError, ValueError) as error:
+            self._semaphore.leave()
+        except (OSError, ValueError) as error:
             raise channel_error(128, f"cannot be left: {error}", str(self.path)) from error
 
     def look(self, now_ns: int, *, alive: bool = False) -> Entry:
@@ -144,8 +138,7 @@ class ClassicLock:
 
     def close(self) -> None:
         """Let go of it; the semaphore stays. A second call does nothing."""
-        with suppress(posix_ipc.Error, ValueError):
-            self._semaphore.close()
+        self._semaphore.close()
 
     def _taken(self, now_ns: int, alive: bool) -> Entry:
         gap = now_ns - self._looked_ns
@@ -165,9 +158,7 @@ class ClassicLock:
         self.doubtful = True
         return Entry.RECOVERED
 
-    def _open(
-        self, mode: int, uid: int | None, gid: int | None
-    ) -> tuple[posix_ipc.Semaphore, tuple[int, int]]:
+    def _open(self, mode: int, uid: int | None, gid: int | None) -> tuple[Semaphore, tuple[int, int]]:
         while True:
             try:
                 found = self.path.lstat()
@@ -180,17 +171,17 @@ class ClassicLock:
                 raise _other_kind(self.path, found.st_size)
             self._refuse_nonsense()
             try:
-                semaphore = posix_ipc.Semaphore(f"/{self.name}")
-            except posix_ipc.ExistentialError:
+                semaphore = Semaphore(self.name)
+            except FileNotFoundError:
                 continue
-            except posix_ipc.PermissionsError as error:
+            except PermissionError as error:
                 if found.st_uid == os.geteuid() and found.st_mode & 0o600 != 0o600:
                     # Made by this very user, who passed O_RDWR for the mode and so gave it no rights at all.
                     self.path.chmod(mode)
                     continue
                 raise _denied(self.path) from error
-            except (posix_ipc.Error, OSError, ValueError) as error:
-                raise channel_error(128, f"cannot be opened: {error}", str(self.path)) from error
+            except OSError as error:
+                raise channel_error(128, f"cannot be opened: {error.strerror}", str(self.path)) from error
             # The library does not tell which file it opened; a name that stood still tells it.
             if same_file(self.path, found.st_dev, found.st_ino):
                 return semaphore, (found.st_dev, found.st_ino)
@@ -205,16 +196,16 @@ class ClassicLock:
         if len(content) != SEMAPHORE_SIZE:
             raise _other_kind(self.path, len(content))
         value, shared = struct.unpack_from("=IxxxxI" if SEMAPHORE_SIZE == 32 else "=II", content)
-        if shared != _SHARED or value > posix_ipc.SEMAPHORE_VALUE_MAX:
+        if shared != _SHARED or value > _LARGEST:
             raise channel_error(128, "its content is none of a semaphore", str(self.path))
 
     def _create(self, mode: int, uid: int | None, gid: int | None) -> None:
         try:
-            made = posix_ipc.Semaphore(f"/{self.name}", posix_ipc.O_CREX, mode=mode, initial_value=1)
-        except posix_ipc.ExistentialError:
+            made = Semaphore(self.name, create=True, mode=mode)
+        except FileExistsError:
             return
-        except (posix_ipc.Error, OSError, ValueError) as error:
-            raise channel_error(128, f"cannot be created: {error}", str(self.path)) from error
+        except OSError as error:
+            raise channel_error(128, f"cannot be created: {error.strerror}", str(self.path)) from error
         made.close()
         self.created = True
         with suppress(FileNotFoundError):  # replaced at this moment: the other side's is as good

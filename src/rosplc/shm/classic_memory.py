@@ -7,6 +7,7 @@ checked before. A copy by system call comes back short instead.
 
 from __future__ import annotations
 
+import ctypes
 import grp
 import mmap
 import os
@@ -19,6 +20,7 @@ from types import TracebackType
 from rosplc.errors import ChannelError
 from rosplc.shm.files import open_plain_file, same_file
 from rosplc.shm.header import channel_error
+from rosplc.shm.semaphore import read_at, write_at
 
 __all__ = ["ClassicMemory", "describe_owner", "give_away"]
 
@@ -58,6 +60,7 @@ class ClassicMemory:
         self.path = path
         self.record_size = record_size
         self.created = False
+        self._buffer = ctypes.create_string_buffer(record_size)
         self._fd = -1
         flags = os.O_RDWR if write else os.O_RDONLY
         while self._fd < 0:
@@ -85,16 +88,16 @@ class ClassicMemory:
 
     def read(self) -> bytes:
         """Return the record. Raises SHM129 if the object has become too small."""
-        image = os.pread(self._fd, self.record_size, 0)
-        if len(image) < self.record_size:
-            self._large_enough(len(image))
-        return image
+        done = read_at(self._fd, self._buffer)
+        if done < self.record_size:
+            self._large_enough(done)
+        return self._buffer.raw
 
     def write(self, record: bytes) -> None:
         """Write the record. Raises SHM129 if the object has become too small, SHM117 without room."""
         # A write beyond the end would make it grow again under the hands of whoever cut it.
-        self._large_enough(os.fstat(self._fd).st_size)
-        if os.pwrite(self._fd, record, 0) != len(record):
+        self._large_enough(os.lseek(self._fd, 0, os.SEEK_END))
+        if write_at(self._fd, record) != len(record):
             raise channel_error(117, "a record was written in part", str(self.path))
 
     def in_place(self) -> bool:
