@@ -20,7 +20,7 @@ from types import TracebackType
 from rosplc.errors import ChannelError
 from rosplc.shm.files import open_plain_file, same_file
 from rosplc.shm.header import channel_error
-from rosplc.shm.semaphore import read_at, write_at
+from rosplc.shm.semaphore import read_at, size_of, write_at
 
 __all__ = ["ClassicMemory", "describe_owner", "give_away"]
 
@@ -96,7 +96,7 @@ class ClassicMemory:
     def write(self, record: bytes) -> None:
         """Write the record. Raises SHM129 if the object has become too small, SHM117 without room."""
         # A write beyond the end would make it grow again under the hands of whoever cut it.
-        self._large_enough(os.lseek(self._fd, 0, os.SEEK_END))
+        self._large_enough(size_of(self._fd))
         if write_at(self._fd, record) != len(record):
             raise channel_error(117, "a record was written in part", str(self.path))
 

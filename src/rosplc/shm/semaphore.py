@@ -11,7 +11,7 @@ import ctypes
 import errno
 import os
 
-__all__ = ["Semaphore", "read_at", "write_at"]
+__all__ = ["Semaphore", "read_at", "size_of", "write_at"]
 
 _C = ctypes.PyDLL(None, use_errno=True)
 _sem_open = _C.sem_open
@@ -26,6 +26,10 @@ _pread, _pwrite = _C.pread64, _C.pwrite64
 for _function in (_pread, _pwrite):
     _function.restype = ctypes.c_ssize_t
     _function.argtypes = [ctypes.c_int, ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int64]
+
+_lseek = _C.lseek64
+_lseek.restype = ctypes.c_int64
+_lseek.argtypes = [ctypes.c_int, ctypes.c_int64, ctypes.c_int]
 
 
 class Semaphore:
@@ -89,6 +93,14 @@ def read_at(fd: int, buffer: ctypes.Array[ctypes.c_char]) -> int:
     if done < 0:
         raise _error("")
     return done
+
+
+def size_of(fd: int) -> int:
+    """Return a file's size."""
+    size: int = _lseek(fd, 0, os.SEEK_END)
+    if size < 0:
+        raise _error("")
+    return size
 
 
 def write_at(fd: int, content: bytes) -> int:
