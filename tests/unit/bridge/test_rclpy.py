@@ -35,9 +35,7 @@ def test_bridge_carries_both_ways_and_shows_itself(
         f"ros: {{backend: rclpy, distro: jazzy, domain: {DOMAIN}, rclpy: {{parameters: {{line: north}}}}}}\n"
         f"topics:\n  /down: {{type: {INT32}, to: plc}}\n  /up: {{type: {INT32}, to: ros}}\n"
     )
-    arguments = RosArguments.parse(
-        ["-r", "__ns:=/robot1", "-r", "/up:=/robot1/up", "-p", "a:=1"]
-    )
+    arguments = RosArguments.parse(["-r", "__ns:=/robot1", "-r", "/up:=/robot1/up", "-p", "a:=1"])
     with double(distro), Bridge(read_config(path), arguments=arguments) as bridge:
         other = open_backend("rclpy", TypeStore.bundled("jazzy"), "other", domain=DOMAIN)
         source = other.advertise("/down", INT32, Qos())

@@ -96,9 +96,48 @@ def test_handles_of_the_double(distro: str) -> None:
     assert list(inspect.signature(handle.take_message).parameters) == ["self", "pymsg_type", "raw"]
 
 
+# Made by rclpy itself and read only; later releases moved or reshaped them.
+NOT_CALLED = ("rclpy.topic_endpoint_info:", "rclpy.type_hash:")
+
+
+def fits(recorded: str, installed: object) -> bool:
+    """Return whether every call that the recorded signature allows by name is still possible."""
+    if recorded == "property":
+        return written(installed) == "property"
+    parameters = inspect.signature(installed).parameters  # type: ignore[arg-type]
+    if any(one.kind is one.VAR_KEYWORD for one in parameters.values()):
+        return True
+    known = {word.partition("=")[0] for word in recorded[1:-1].split(", ") if not word.startswith("*")}
+    new = [one for name, one in parameters.items() if name not in known]
+    return known <= set(parameters) and all(
+        one.default is not one.empty or one.kind is one.VAR_POSITIONAL for one in new
+    )
+
+
+@pytest.mark.parametrize(
+    ("recorded", "expected_to_fit"),
+    [
+        ("(self, a, *, b=None)", True),
+        ("(self, a, *, b=None, c=None)", True),
+        ("(self, a, b=None)", True),
+        ("(self)", False),  # a new parameter without a default
+        ("(self, a, *, gone=None)", False),
+        ("property", False),
+    ],
+)
+def test_comparison_with_an_installed_rclpy_can_fail(recorded: str, expected_to_fit: bool) -> None:
+    """A later release may add what has a default; what is taken away or demanded is noticed."""
+
+    def installed(self, a, *, b=None, c=None):  # type: ignore[no-untyped-def]
+        raise NotImplementedError
+
+    assert fits(recorded, installed) is expected_to_fit
+
+
 @pytest.mark.skipif(not REAL, reason="rclpy is not installed; the double stands in")
-def test_installed_rclpy_has_the_recorded_signatures() -> None:
+def test_installed_rclpy_takes_the_recorded_calls() -> None:
     """An installed rclpy has what the backend relies on."""
     distro = os.environ.get("ROS_DISTRO", "")
     table = expected(distro if distro in ("humble", "jazzy") else "rolling")
-    assert {name: written(found(name)) for name in table} == table
+    called = {name: text for name, text in table.items() if not name.startswith(NOT_CALLED)}
+    assert [name for name, text in called.items() if not fits(text, found(name))] == []
