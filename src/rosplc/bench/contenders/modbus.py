@@ -5,7 +5,7 @@ from __future__ import annotations
 from rosplc.bench.arrangements import CYCLIC, ONE_CORE, ONE_CORE_CYCLE, TWO_CORES
 from rosplc.bench.compiling import compile_program, find_library
 from rosplc.bench.contenders.base import BLOCKS, CYCLE, Contender, Place, python_side, start_pair
-from rosplc.bench.contenders.packages import need
+from rosplc.bench.optional import need
 from rosplc.bench.pair import Pair
 
 __all__ = ["LIBMODBUS", "LIBMODBUS_FC23", "PYMODBUS"]

@@ -16,7 +16,7 @@ from rosplc.bench.contenders.base import (
     python_side,
     start_pair,
 )
-from rosplc.bench.contenders.packages import need
+from rosplc.bench.optional import need
 from rosplc.bench.pair import Pair
 
 __all__ = ["ASYNCUA", "ICEORYX", "ICEORYX_BLACKBOARD", "ROSPLC_PYTHON", "ROSPLC_TYPED", "SEMAPHORE_PYTHON"]

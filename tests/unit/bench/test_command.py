@@ -1,0 +1,130 @@
+"""`rosplc bench` as people call it: options, files, an old report again, and being interrupted."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from rosplc.bench.results import SCHEMA
+from rosplc.bench.sections import SECTIONS
+
+QUICK = ("--quick", "--section", "experiment", "--only", "rosplc-python")
+
+
+def bench(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "rosplc", "bench", *arguments], capture_output=True, text=True, check=False
+    )
+
+
+def test_a_quick_run_from_the_measurement_to_the_page(tmp_path: Path) -> None:
+    """One contender is measured, its values checked; files are written and can be shown again."""
+    folder = tmp_path / "out"
+    done = bench(*QUICK, "--out", str(folder), "--json")
+    assert done.returncode == 0, done.stderr
+    report = json.loads(done.stdout)
+    assert report == json.loads((folder / "report.json").read_text())
+    assert report["schema"] == SCHEMA and report["machine"]["load_before"]
+    (section,) = report["sections"]
+    measured = [each for one in section["data"]["arrangements"] for each in one["contenders"]]
+    assert measured and {each["name"] for each in measured} == {"rosplc-python"}
+    assert all(each["wrong"] == 0 < each["runs"] for each in measured)
+    text = (folder / "report.md").read_text()
+    assert text.count("*Waiting: ") == text.count("\n| --- |") - text.count("| goal |") > 0
+    for name in re.findall(r"\]\((\S+\.svg)\)", text):
+        assert (folder / name).is_file() and (folder / name).with_suffix(".png").is_file()
+
+    again = bench("--from", str(folder / "report.json"), "--out", str(tmp_path / "again"))
+    assert again.returncode == 0, again.stderr
+    assert again.stdout.startswith("On this machine (")
+    assert "not measured" in again.stdout and "rosplc takes" in again.stdout
+    assert (tmp_path / "again" / "report.md").read_text() == text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--section", "nothing"), "experiment"),
+        (("--only", "nobody"), "rosplc-python"),
+        (("--quick", "--full"), "choose one"),
+    ],
+)
+def test_wrong_names_are_refused_with_the_right_ones(arguments: tuple[str, ...], words: str) -> None:
+    """A section or contender that does not exist ends with status 2 and says which there are."""
+    done = bench(*arguments)
+    assert done.returncode == 2 and words in done.stderr
+
+
+def test_a_report_that_is_none(tmp_path: Path) -> None:
+    """A file that is missing or no report is SYS007."""
+    (tmp_path / "x.json").write_text("[]")
+    for path in ("x.json", "missing.json"):
+        done = bench("--from", str(tmp_path / path))
+        assert done.returncode == 1 and "SYS007" in done.stderr
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["Ctrl-C", "SIGTERM"])
+def test_an_interrupted_run_leaves_nothing(number: int) -> None:
+    """Ended in the middle, the command ends its processes and removes what they shared."""
+    process = subprocess.Popen(
+        [
+            sys.executable,
+            "-m",
+            "rosplc",
+            "bench",
+            "--full",
+            "--section",
+            "experiment",
+            "--only",
+            "rosplc-python",
+        ],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+    )
+    try:
+        children = _children(process.pid, 2)
+        words = " ".join(Path(f"/proc/{pid}/cmdline").read_text().replace("\0", " ") for pid in children)
+        names = re.findall(r"rosplc-bench-\w+", words)
+        assert names
+        process.send_signal(number)
+        assert process.wait(60) == 130
+    finally:
+        process.kill()
+        _, errors = process.communicate()
+    assert b"Traceback" not in errors
+    assert not [pid for pid in children if Path(f"/proc/{pid}").exists()]
+    assert not [path for path in Path("/dev/shm").iterdir() if names[0] in path.name]
+
+
+def _children(pid: int, count: int) -> list[int]:
+    """Wait until a process has so many children that run Python, and return them."""
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline:
+        found = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+        ready = [int(each) for each in found if "rosplc.bench.peers" in _command(int(each))]
+        if len(ready) >= count:
+            return ready
+        time.sleep(0.02)
+    raise AssertionError("the processes did not start")
+
+
+def _command(pid: int) -> str:
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_text()
+    except OSError:
+        return ""
+
+
+def test_sections_have_names_of_their_own() -> None:
+    """Each section can be asked for by its name, and says what it answers."""
+    names = [section.name for section in SECTIONS]
+    assert len(names) == len(set(names))
+    assert all(section.title and section.question for section in SECTIONS)

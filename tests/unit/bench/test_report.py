@@ -1,0 +1,182 @@
+"""A report is plain data: it survives JSON, is rendered from it alone, and says what was met and what not."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from rosplc.bench import markdown
+from rosplc.bench.draw import draw
+from rosplc.bench.results import SCHEMA, Failure, Figure, Goal, Measured, Page, Report, Series, Skip, Table
+from rosplc.bench.section import Section, render
+from rosplc.bench.verdict import verdict
+from rosplc.bench.write import write
+from rosplc.errors import SetupError
+
+MACHINE = {
+    "when": "2026-01-01T00:00:00+00:00",
+    "processor": "a board",
+    "architecture": "armv7l",
+    "cores": 1,
+    "virtual": False,
+    "governor": "performance",
+    "kernel": "Linux 6",
+    "memory_mib": 512,
+    "python": "3.11",
+    "compiler": "gcc 12",
+    "libmodbus": "3.1.6",
+    "versions": {"rosplc": "0", "pymodbus": "none"},
+    "load_before": [0.1, 0.2, 0.3],
+    "load_after": [1.0, 1.0, 1.0],
+}
+
+
+def page(data: dict[str, float]) -> Page:
+    """Show one number as everything that a page has."""
+    value = data["value"]
+    return Page(
+        lead=("Before.",),
+        tables=(
+            Table("Times (µs)", ("", "p50"), (("we", value), ("they|them", None)), "both spin", "A note."),
+        ),
+        figures=(Figure("times", "Times", "n", "µs", (Series("we", (1, 10), (value, value)),), y_log=True),),
+        goals=(Goal("we ÷ they", 2.0, value, reason="they were quick"),),
+        after=("After.",),
+        summary=(f"We take {value} µs.",),
+    )
+
+
+SECTIONS = {"one": Section("one", "Section one", "Is it so?", lambda _: {}, page)}
+
+
+def report(value: float = 3.0) -> Report:
+    measured = Measured("one", 1.5, {"value": value}, (Skip("they", "no gcc", "install it"),))
+    options = {"effort": {"name": "quick", "rounds": 1}, "only": []}
+    return Report(MACHINE, options, (measured,))
+
+
+def test_a_report_survives_json() -> None:
+    """What was written is read back equal, and names its schema."""
+    text = json.dumps(report().to_dict())
+    assert json.loads(text)["schema"] == SCHEMA
+    assert Report.from_json(text) == report()
+
+
+@pytest.mark.parametrize(
+    "text", ["", "{}", "[]", '{"schema": "rosplc-bench 0"}', '{"schema": "rosplc-bench 1"}']
+)
+def test_what_is_no_report_is_refused(text: str) -> None:
+    """Anything else than a report of this schema is SYS007."""
+    with pytest.raises(SetupError) as caught:
+        Report.from_json(text, "x.json")
+    assert caught.value.code == "SYS007"
+
+
+def test_a_report_of_another_release_is_refused() -> None:
+    """A section that is unknown, or that lacks a figure, is SYS007 and no traceback."""
+    with pytest.raises(SetupError, match="knows no section"):
+        render(report(), {})
+    broken = Report(MACHINE, report().options, (Measured("one", 1.0, {"other": 1.0}),))
+    with pytest.raises(SetupError, match="lacks something"):
+        render(broken, SECTIONS)
+
+
+@pytest.mark.parametrize(
+    ("measured", "at_least", "met"),
+    [(2.0, True, True), (1.9, True, False), (2.0, False, True), (2.1, False, False), (None, True, None)],
+)
+def test_a_goal_is_met_by_its_measured_ratio(
+    measured: float | None, at_least: bool, met: bool | None
+) -> None:
+    """At least and at most are compared with what was measured; what was not measured is neither."""
+    assert Goal("x", 2.0, measured, at_least).met is met
+
+
+def test_goals_follow_the_data() -> None:
+    """The same section with another value shows another ratio and another verdict."""
+    good, bad = ("\n".join(verdict(report(value), SECTIONS)) for value in (3.0, 1.0))
+    assert "[met   ] we ÷ they: 3.00 x" in good and "they were quick" not in good
+    assert "[missed] we ÷ they: 1.00 x" in bad and "they were quick" in bad
+    assert "skipped: they: no gcc; install it" in good
+
+
+def test_the_page_holds_everything_with_its_waiting() -> None:
+    """Machine, goals, figures and tables stand in the Markdown, and how one waited below each table."""
+    text = markdown.text(report(), SECTIONS, "images/")
+    for part in (
+        "a board",
+        "![Times](images/times.svg)",
+        "| we | 3.00 |",
+        "| they\\|them |  |",
+        "Before.",
+        "After.",
+    ):
+        assert part in text
+    assert "*Waiting: both spin.* A note." in text
+    assert "| we ÷ they | ≥ 2 × | 3.00 × | met |" in text
+    assert "Not measured: they: no gcc (install it)" in text
+
+
+def test_failures_stand_in_page_and_verdict() -> None:
+    """A report with a failure is not good, and says so in both."""
+    failed = Report(MACHINE, report().options, (Measured("one", 1.0, {}, (), (Failure("we", "torn"),)),))
+    assert report().good and not failed.good
+    assert "Failed: we" in markdown.text(failed, SECTIONS)
+    assert "FAILED: we: torn" in "\n".join(verdict(failed, SECTIONS))
+
+
+@pytest.mark.parametrize(
+    ("cell", "text"),
+    [
+        (None, ""),
+        (0.0, "0"),
+        (0.00192, "0.00192"),
+        (9.996, "10.0"),
+        (999.6, "1,000"),
+        (16_700_000.0, "16,700,000"),
+        (12345, "12,345"),
+        ("text", "text"),
+        (float("inf"), "inf"),
+    ],
+)
+def test_numbers_have_three_digits(cell: float | str | None, text: str) -> None:
+    """Measured numbers are shown with three significant digits, counts whole."""
+    assert markdown.cell_text(cell) == text
+
+
+def test_files_of_a_report(tmp_path: Path) -> None:
+    """A folder gets report.json, report.md and each figure twice; the JSON is the report."""
+    pytest.importorskip("matplotlib")
+    files = write(report(), SECTIONS, tmp_path / "new" / "folder")
+    assert [path.name for path in files] == ["report.json", "report.md", "times.png", "times.svg"]
+    assert Report.from_json(files[0].read_text()) == report()
+    assert files[2].read_bytes().startswith(b"\x89PNG")
+    assert "<svg" in files[3].read_text()
+
+
+def test_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
+    """A file in the folder's place is SYS005."""
+    (tmp_path / "file").write_text("")
+    with pytest.raises(SetupError) as caught:
+        write(report(), SECTIONS, tmp_path / "file")
+    assert caught.value.code == "SYS005"
+
+
+def test_a_figure_is_the_same_for_the_same_data(tmp_path: Path) -> None:
+    """Drawing twice gives the same bytes, so that a page's images change only with its figures."""
+    pytest.importorskip("matplotlib")
+    bars = Figure(
+        "b",
+        "Bars",
+        "",
+        "µs",
+        (Series("a", (), (1.0,), group="rosplc"), Series("b", (), (900.0,))),
+        "bars",
+        y_log=True,
+    )
+    lines = page({"value": 2.0}).figures[0]
+    for figure in (bars, lines):
+        first = [path.read_bytes() for path in draw(figure, tmp_path)]
+        assert first == [path.read_bytes() for path in draw(figure, tmp_path)]
