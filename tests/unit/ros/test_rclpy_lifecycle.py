@@ -62,6 +62,10 @@ class Cell:
         done.wait()
         return str(self.node.state)
 
+    def lost(self, topic: str) -> int:
+        status = self.node._bridge.status()
+        return next(one.lost for one in status.topics if one.topic == topic)
+
     def log(self) -> str:
         lines = importlib.import_module("rclpy.logging").LINES
         return "\n".join(text for _, name, text in lines if name == "cell")
@@ -118,6 +122,9 @@ def test_states_open_and_close_what_they_say(cell: Cell) -> None:
             assert cell.trigger("deactivate") == "inactive"
             wait_for(lambda: source.matched == sink.matched == 0)
             source.write(int32(99))
+            up.write({"data": 99})
+            wait_for(lambda n=life: cell.lost("/up") == n)
+            assert len(got) == life
     assert cell.trigger("cleanup") == "unconfigured"
     assert cell.trigger("configure") == "inactive"
     assert cell.trigger("shutdown") == "finalized"
