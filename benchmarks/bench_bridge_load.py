@@ -22,16 +22,24 @@ if __name__ == "__main__":
 
 from benchmarks import measure
 from benchmarks.load_peers import STRING, TYPE, names
-from benchmarks.processes import Peer, bridge, cpu_seconds, ros_domain
+from benchmarks.processes import Peer, RosGraph, bridge, cpu_seconds, ros_domain
 
 QUIET = 200
 ROUND_S = 5.0
 
 
-def config(prefix: str, topics: int, *, depth: int, cycle: str = "1ms", qos_depth: int = 5000) -> str:
+def config(
+    prefix: str,
+    topics: int,
+    *,
+    depth: int,
+    cycle: str = "1ms",
+    qos_depth: int = 5000,
+    ros: str = "{backend: dds, distro: jazzy}",
+) -> str:
     """Return a configuration with as many topics in each direction."""
     common = f"type: {TYPE}, limits: {{string: {STRING}}}, depth: {depth}, every: true"
-    lines = [f"bridge: {prefix}", f"prefix: {prefix}", "ros: {backend: dds, distro: jazzy}"]
+    lines = [f"bridge: {prefix}", f"prefix: {prefix}", f"ros: {ros}"]
     lines += [f"tasks: {{RosTask: {{interval: {cycle}}}}}", "topics:"]
     lines += [
         f"  {topic}: {{to: plc, {common}, qos: {{depth: {qos_depth}}}}}" for topic in names("in", topics)
@@ -59,11 +67,13 @@ def share(pids: dict[str, int], seconds: float, rounds: int) -> dict[str, list[f
     return found
 
 
-def loaded(topics: int, rate: int, rounds: int, seconds: float = ROUND_S) -> dict[str, Any]:
-    """Measure with every topic busy."""
+def loaded(
+    topics: int, rate: int, rounds: int, seconds: float = ROUND_S, graph: RosGraph | None = None
+) -> dict[str, Any]:
+    """Measure with every topic busy, on a graph or else on one of DDS."""
     prefix = f"bench-{secrets.token_hex(4)}"
     count = round(rate * (seconds * (rounds + 1) + 1))
-    order = {
+    order: dict[str, Any] = {
         "topics": topics,
         "count": count,
         "rate": rate,
@@ -73,10 +83,12 @@ def loaded(topics: int, rate: int, rounds: int, seconds: float = ROUND_S) -> dic
     }
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        order["domain"] = domain = stack.enter_context(ros_domain())
-        process = stack.enter_context(bridge(folder, config(prefix, topics, depth=4096), domain))
-        plc = stack.enter_context(Peer("load_peers", "plc", order, domain))
-        ros = stack.enter_context(Peer("load_peers", "ros", order, domain))
+        graph = graph or RosGraph(stack.enter_context(ros_domain()))
+        order |= graph.order()
+        text = config(prefix, topics, depth=4096, ros=graph.settings())
+        process = stack.enter_context(bridge(folder, text, graph.domain, graph.variables))
+        plc = stack.enter_context(Peer("load_peers", "plc", order, graph.domain, graph.variables))
+        ros = stack.enter_context(Peer("load_peers", "ros", order, graph.domain, graph.variables))
         for peer in (plc, ros):
             peer.hear()
         for peer in (plc, ros):
@@ -103,7 +115,9 @@ def loaded(topics: int, rate: int, rounds: int, seconds: float = ROUND_S) -> dic
     lost = sum(sum(result["lost"].values()) for result in results)
     facts = {"sent": expected, "arrived": arrived, "wrong": wrong, "counted lost": lost}
     facts["Hz reached"] = round(arrived / took / topics / 2)
-    waiting = "the bridge sleeps: on DDS towards the PLC, 1 ms ticks towards ROS; the PLC scans every 1 ms"
+    waiting = (
+        "the bridge sleeps: on the backend towards the PLC, 1 ms ticks towards ROS; the PLC scans every 1 ms"
+    )
     return measure.table(f"{topics} topics x {rate} Hz each way", "% of a core", waiting, rows, facts)
 
 

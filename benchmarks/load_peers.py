@@ -24,7 +24,7 @@ from typing import Any
 from rosplc.codec import Codec, Wire
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
-from rosplc.ros import Qos, open_backend
+from rosplc.ros import ROS1, Backend, Qos, open_backend
 from rosplc.shm import Direction, Namespace, attach
 
 TYPE = "geometry_msgs/msg/PoseStamped"
@@ -58,12 +58,27 @@ class Pattern:
         return int(_NUMBER.unpack_from(message, self._number_at)[0])
 
 
-def patterns() -> tuple[Callable[[int], Pattern], Callable[[int], Pattern]]:
+def stamp_places(distro: str) -> tuple[int, int]:
+    """Return where the stamp stands on the wire (after CDR's header or ROS 1's seq) and in the record."""
+    return 4, 4 if distro == ROS1 else 0
+
+
+def patterns(distro: str = "jazzy") -> tuple[Callable[[int], Pattern], Callable[[int], Pattern]]:
     """Return how messages of a topic look on the wire, and how as records."""
-    codec = Codec(compute_layout(TypeStore.bundled("jazzy"), TYPE, Limits(string=STRING)), Wire.CDR)
+    layout = compute_layout(TypeStore.bundled(distro), TYPE, Limits(string=STRING))
+    codec = Codec(layout, Wire.ROS1 if distro == ROS1 else Wire.CDR)
     record = bytes(codec.layout.pack({"header": {"frame_id": _FRAME}}))
     wire = codec.encode(record)
-    return (lambda topic: Pattern(wire, 4, topic)), (lambda topic: Pattern(record, 0, topic))
+    on_wire, in_record = stamp_places(distro)
+    return (lambda topic: Pattern(wire, on_wire, topic)), (lambda topic: Pattern(record, in_record, topic))
+
+
+def join(order: dict[str, Any], name: str) -> Backend:
+    """Join the graph that the order names: by default ROS 2 over DDS."""
+    store = TypeStore.bundled(order.get("distro", "jazzy"))
+    return open_backend(
+        order.get("backend", "dds"), store, name, domain=order.get("domain"), options=order.get("options")
+    )
 
 
 @dataclass
@@ -136,10 +151,10 @@ def paced(period: float, orders: Orders, body: Callable[[], None]) -> None:
 
 def ros(order: dict[str, Any]) -> None:
     """Be the ROS side."""
-    wire, _ = patterns()
+    wire, _ = patterns(order.get("distro", "jazzy"))
     orders = Orders()
     qos = Qos(reliability="reliable", durability="volatile", depth=order["qos_depth"])
-    backend = open_backend("dds", TypeStore.bundled("jazzy"), "load", domain=order["domain"])
+    backend = join(order, "load")
     tallies = {topic: Tally() for topic in names("out", order["topics"])}
     for index, topic in enumerate(tallies):
         tally, pattern = tallies[topic], wire(index)
@@ -173,7 +188,7 @@ def ros(order: dict[str, Any]) -> None:
 
 def plc(order: dict[str, Any]) -> None:
     """Be the PLC: each scan takes all that is new and sends ``per_scan`` messages on each topic."""
-    _, records = patterns()
+    _, records = patterns(order.get("distro", "jazzy"))
     orders = Orders()
     namespace = Namespace(order["prefix"])
     tallies = {topic: Tally() for topic in names("in", order["topics"])}

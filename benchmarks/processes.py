@@ -7,14 +7,15 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from rosplc.demo.domain import FreeDomain
 
-__all__ = ["Peer", "bridge", "cpu_seconds", "environment", "ros_domain"]
+__all__ = ["Peer", "RosGraph", "bridge", "cpu_seconds", "environment", "ros_domain"]
 
 ROOT = Path(__file__).resolve().parent.parent
 _TICKS = os.sysconf("SC_CLK_TCK")
@@ -30,27 +31,64 @@ def ros_domain() -> Iterator[int]:
         domain.close()
 
 
-def environment(domain: int) -> dict[str, str]:
+def environment(domain: int, variables: Mapping[str, str] | None = None) -> dict[str, str]:
     """Return an environment whose ROS nodes meet on this machine alone."""
     return {
         **os.environ,
         "ROS_DOMAIN_ID": str(domain),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         "PYTHONUNBUFFERED": "1",
+        **(variables or {}),
     }
+
+
+@dataclass(frozen=True)
+class RosGraph:
+    """A ROS graph to measure on.
+
+    Attributes:
+        domain: The ROS domain.
+        backend: How to reach it.
+        distro: The ROS distribution.
+        options: The backend's own settings.
+        variables: What belongs into the environment.
+    """
+
+    domain: int
+    backend: str = "dds"
+    distro: str = "jazzy"
+    options: Mapping[str, Any] = field(default_factory=dict)
+    variables: Mapping[str, str] = field(default_factory=dict)
+
+    def settings(self) -> str:
+        """Return the configuration's section ``ros``."""
+        own = {self.backend: dict(self.options)} if self.options else {}
+        return json.dumps({"backend": self.backend, "distro": self.distro, "domain": self.domain, **own})
+
+    def order(self) -> dict[str, Any]:
+        """Return what a peer has to know."""
+        keys = ("domain", "backend", "distro")
+        return {**{key: getattr(self, key) for key in keys}, "options": dict(self.options)}
 
 
 class Peer:
     """A process that takes words on standard input and answers with lines of JSON."""
 
-    def __init__(self, script: str, role: str, order: dict[str, Any], domain: int) -> None:
+    def __init__(
+        self,
+        script: str,
+        role: str,
+        order: dict[str, Any],
+        domain: int,
+        variables: Mapping[str, str] | None = None,
+    ) -> None:
         self._process = subprocess.Popen(
             [sys.executable, "-m", f"benchmarks.{script}", role, json.dumps(order)],
             cwd=ROOT,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
-            env=environment(domain),
+            env=environment(domain, variables),
         )
         self.pid = self._process.pid
 
@@ -78,14 +116,16 @@ class Peer:
 
 
 @contextmanager
-def bridge(folder: Path, config: str, domain: int) -> Iterator[subprocess.Popen[bytes]]:
+def bridge(
+    folder: Path, config: str, domain: int, variables: Mapping[str, str] | None = None
+) -> Iterator[subprocess.Popen[bytes]]:
     """Run a bridge; it is up when the block begins, and its objects are gone when it has ended."""
     path, log = folder / "rosplc.yaml", folder / "bridge.log"
     path.write_text(config)
     with log.open("wb") as errors:
         process = subprocess.Popen(
             [sys.executable, "-m", "rosplc", "run", str(path)],
-            env=environment(domain),
+            env=environment(domain, variables),
             stdout=errors,
             stderr=errors,
         )
