@@ -194,9 +194,13 @@ def _losses(rows: list[_Row], cycle: float) -> Table:
 
 def _figures(rows: list[_Row], cycle: float) -> tuple[Figure, ...]:
     times = tuple(
-        Series(row.name, (), (statistics.median(row.latencies) / 1000,)) for row in rows if row.latencies
+        Series(row.name, (), (statistics.median(row.latencies) / 1000,), group=row.method)
+        for row in rows
+        if row.latencies
     )
-    torn = tuple(Series(row.name, (), (100 * row.torn_plc / row.seen,)) for row in rows if row.seen)
+    torn = tuple(
+        Series(row.name, (), (100 * row.torn_plc / row.seen,), group=row.method) for row in rows if row.seen
+    )
     task = f"PLC task every {cycle:g} ms"
     return (
         Figure("end-to-end", f"ROS 2 to the PLC and back, median ({task})", "", "ms", times, kind="bars"),

@@ -151,7 +151,9 @@ def _figures(runs: list[Mapping[str, Any]], methods: list[str], cycles: list[int
                 if (found := _middle(_values(runs, method, cycle, (False, False), what, "p50")))
             ]
             if points and not (what == "calls_ns" and method == "none"):
-                series.append(Series(NAMES[method], *(tuple(axis) for axis in zip(*points, strict=True))))
+                x, y = zip(*points, strict=True)
+                group = "rosplc" if method == "rosplc" else ""
+                series.append(Series(NAMES[method], x, y, group=group))
     return (
         Figure(
             "scan-cycle-age",

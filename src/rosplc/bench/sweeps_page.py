@@ -82,7 +82,12 @@ def _medians(entries: list[Mapping[str, Any]], key: str) -> dict[str, dict[int, 
 
 def _series(names: Mapping[str, str], found: Mapping[str, Mapping[int, float]], y: Any) -> tuple[Series, ...]:
     return tuple(
-        Series(name, tuple(map(float, found[key])), tuple(y(x, ns) for x, ns in found[key].items()))
+        Series(
+            name,
+            tuple(map(float, found[key])),
+            tuple(y(x, ns) for x, ns in found[key].items()),
+            group="rosplc" if key == "rosplc" else "",
+        )
         for key, name in names.items()
         if key in found
     )
