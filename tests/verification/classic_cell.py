@@ -196,7 +196,10 @@ class ClassicCell:
                 machine.kill()
         for pattern in (f"{self.prefix}*", f"sem.{self.prefix}*", f"rosplc.classic.{self.prefix}*"):
             for path in SHM.glob(pattern):
-                path.unlink()
+                if path.is_dir():
+                    path.rmdir()
+                else:
+                    path.unlink()
 
     def peer(self, topic: str, way: str = "find", size: int = 48) -> Peer:
         """Start the other side of a topic."""

@@ -92,6 +92,24 @@ def test_runtimes_that_differ(options: dict[str, int]) -> None:
         assert (cell.msg("/in"), cell.get("/in", "udiError")) == (record(2), 0)
 
 
+@pytest.mark.parametrize("option", ["sem_cache", "cache_names", "no_duplicate"])
+def test_handles_do_not_pile_up(option: str) -> None:
+    """Whatever a runtime makes of a name that it knows, an hour of silence costs next to no handles."""
+    with ClassicCell(**{option: 1}) as cell:
+        peer = cell.peer("/in")
+        peer.write(record(1))
+        cell.scan(50)
+        before = cell.machine.counters()
+        cell.scan(3600, step=1000)
+        after = cell.machine.counters()
+        assert after.sem_creates == before.sem_creates
+        assert after.open_handles <= before.open_handles + len(TOPICS)
+        assert peer.ask("count") == "1"
+        peer.write(record(2))
+        cell.scan()
+        assert cell.msg("/in") == record(2)
+
+
 def test_a_memory_made_anew_is_found(cell: ClassicCell) -> None:
     """A peer that ended in order, and took both names away, is found again by what the new memory holds."""
     reader, writer = cell.peer("/in", "make"), cell.peer("/out", "make")

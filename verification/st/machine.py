@@ -28,7 +28,7 @@ __all__ = ["Counters", "LibraryMachine", "Machine", "ProcessMachine"]
 
 _OPTIONS = (
     "round_pages", "check_size", "return_size", "cache_names", "real_clock",
-    "sem_born_locked", "sem_failed", "sem_recursive", "sem_cache", "stop_inside",
+    "sem_born_locked", "sem_failed", "sem_recursive", "sem_cache", "no_duplicate", "stop_inside",
 )  # fmt: skip
 _COUNTERS = (
     "opens", "opened", "closes", "creates", "deletes", "faults", "open_handles", "bad_handles", "barriers",

@@ -11,7 +11,7 @@ from lxml import etree
 
 from rosplc.errors import GenerationError
 from rosplc.plc.build import PlcTask, build_type_library
-from rosplc.plc.classic import CLASSIC_NAMES, Classic, classic_wait
+from rosplc.plc.classic import CLASSIC_NAMES, Classic, classic_objects, classic_wait
 from rosplc.plc.delivery import project_files
 from rosplc.plc.names import is_reserved
 from rosplc.plc.plcopen import plcopen_xml
@@ -188,7 +188,9 @@ def test_names_of_the_base_are_taken():
     assert [dut.name for dut in made.duts if dut.comment.startswith("rosplc/msg/Classic")] == [
         "rosplc_Classic_2"
     ]
-    assert not any(is_reserved(name) for name in CLASSIC_NAMES)
+    objects = [item for item in classic_objects("ROS/Base") if isinstance(item, Pou)]
+    methods = [method.name for item in objects for method in item.methods]
+    assert not any(is_reserved(name) for name in (*CLASSIC_NAMES, *methods))
 
 
 def test_every_input_and_output_is_explained():

@@ -8,7 +8,7 @@
 #include <unistd.h>
 
 static const char *const option_names[] = { "round_pages", "check_size", "return_size", "cache_names", "real_clock",
-    "sem_born_locked", "sem_failed", "sem_recursive", "sem_cache", "stop_inside" };
+    "sem_born_locked", "sem_failed", "sem_recursive", "sem_cache", "no_duplicate", "stop_inside" };
 
 static void tables(void)
 {

@@ -119,7 +119,7 @@ static st_uxint open_object(const char *name, uint8_t *psize, uint8_t *result, i
     if (flags & O_CREAT) {
         fd = open(path, O_RDWR | O_CREAT | O_EXCL | O_NOFOLLOW | O_CLOEXEC, 0640);
         made = fd >= 0;
-        answer = made ? ERR_OK : ERR_DUPLICATE;
+        answer = made || st_options.no_duplicate ? ERR_OK : ERR_DUPLICATE;
     }
     if (fd < 0)
         fd = open(path, O_RDWR | O_NOFOLLOW | O_CLOEXEC | O_NONBLOCK);

@@ -34,6 +34,7 @@ struct st_options {
     uint32_t sem_failed;      /* Enter in vain gives FAILED instead of TIMEOUT */
     uint32_t sem_recursive;   /* Enter lets its own process in again */
     uint32_t sem_cache;       /* Create of a name that this process knows gives the handle made first */
+    uint32_t no_duplicate;    /* Create of an existing memory or semaphore gives OK */
     uint32_t stop_inside;     /* the next Enter that succeeds stops the process there (SIGSTOP) */
 };
 extern struct st_options st_options;

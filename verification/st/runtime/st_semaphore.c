@@ -50,7 +50,7 @@ st_uxint SysSemProcessCreate(const char *name, uint8_t *result)
     if (semaphore != SEM_FAILED) {
         st_counters.sem_made++;
     } else {
-        answer = ERR_DUPLICATE;
+        answer = st_options.no_duplicate ? ERR_OK : ERR_DUPLICATE;
         semaphore = errno == EEXIST ? sem_open(path, 0) : SEM_FAILED;
     }
     if (semaphore == SEM_FAILED)
