@@ -10,6 +10,7 @@ The conventions, all of them a line of HTML comment directly above a fenced bloc
   the reader's eyes); each must print its expected lines before the page goes on.
 * ``<!-- file: NAME -->``: a block of any language whose text is written to NAME first.
 * ````` ```python ````` : run as a program of its own, in the page's folder.
+* ``<!-- needs: PACKAGE -->``: the page is skipped where this Debian package is missing.
 * ``<!-- not executed: reason -->``: shown to the reader only, and listed by the test run.
 """
 
@@ -21,7 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 FENCE = re.compile(r"^(?P<indent> *)(?P<ticks>`{3,})(?P<language>[a-z0-9+-]*)\s*$")
-COMMENT = re.compile(r"^ *<!-- (?P<key>not executed|exit|background|file)(?:: *(?P<value>.*?))? *-->$")
+COMMENT = re.compile(r"^ *<!-- (?P<key>not executed|exit|background|file|needs)(?:: *(?P<value>.*?))? *-->$")
 LANGUAGES_THAT_RUN = ("console", "python")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import os
 import random
+import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -46,6 +47,15 @@ def unexecuted() -> list[object]:
         for block in blocks(page)
         if "not executed" in block.directives
     ]
+
+
+def installed(package: str) -> bool:
+    """Return whether a Debian package is installed."""
+    try:
+        done = subprocess.run(["dpkg-query", "-W", "-f=${Status}", package], capture_output=True, check=False)
+    except FileNotFoundError:
+        return False
+    return done.stdout == b"install ok installed"
 
 
 def objects() -> set[Path]:
@@ -118,6 +128,9 @@ def run_block(shell: Shell, block: Block, at: str) -> None:
 @pytest.mark.parametrize("page", page_parameters())
 def test_page_does_what_it_shows(page: Path, shell: Shell) -> None:
     """Run in order in an empty folder, a page's commands print what the page shows."""
+    for block in blocks(page):
+        if (package := block.directives.get("needs")) and not installed(package):
+            pytest.skip(f"Debian package {package} is missing")
     for block in blocks(page):
         run_block(shell, block, f"{place(page)}:{block.line}")
 

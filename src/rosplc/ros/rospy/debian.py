@@ -12,6 +12,7 @@ none of these habits, so node and registration are put together from them here.
 from __future__ import annotations
 
 import importlib
+import logging
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -80,6 +81,10 @@ def _unusable(error: Exception) -> str:
     )
 
 
+# Merely imported, it tells every log of its coming and going. A program that configures the logger
+# itself, as rospy.init_node does, keeps its settings.
+if logging.getLogger("rospy").level == logging.NOTSET:
+    logging.getLogger("rospy").setLevel(logging.WARNING)
 _found = find()
 AnyMsg = _found["rospy.msg"].AnyMsg
 ROSHandler = _found["rospy.impl.masterslave"].ROSHandler
