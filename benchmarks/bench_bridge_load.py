@@ -63,7 +63,7 @@ def share(pids: dict[str, int], seconds: float, rounds: int) -> dict[str, list[f
             took = time.monotonic() - then
             found.setdefault(f"{name}, user", []).append(100 * (user - old_user) / took)
             found.setdefault(f"{name}, system", []).append(100 * (system - old_system) / took)
-            found.setdefault(name, []).append(100 * (user + system - old_user - old_system) / took)
+            found.setdefault(name, []).append(100 * max(0.0, user + system - old_user - old_system) / took)
     return found
 
 

@@ -8,8 +8,16 @@ import sys
 
 import pytest
 
-from benchmarks import bench_bridge_latency, bench_bridge_load, bench_channel, bench_classic, measure
+from benchmarks import (
+    bench_backends,
+    bench_bridge_latency,
+    bench_bridge_load,
+    bench_channel,
+    bench_classic,
+    measure,
+)
 from rosplc.layout import Limits
+from tests.conformance.backends.registry import HARNESSES
 
 
 def rows(report: dict[str, object]) -> dict[str, dict[str, dict[str, float]]]:
@@ -105,3 +113,38 @@ def test_the_classic_benchmark() -> None:
     for title, table in found.items():
         names = {"classic", "channel"}
         assert set(table) == (names if title.startswith("CPU") else {*names, *(f"{n}, held" for n in names)})
+
+
+def check_backends(titles: tuple[str, ...] | None) -> dict[str, object]:
+    """Measure for moments only; return the report."""
+    report = bench_backends.run(1, titles, {100: 10}, (500,), 0.2, (1, 100, 0.5))
+    found = rows(report)
+    there = {name.partition(",")[0] for name in found["Without loss, ROS to PLC"]}
+    expected = {f"{title}, {name}" for title in there for name in ("bare", "bridge")}
+    for way in ("ROS to PLC", "PLC to ROS (with the bridge's tick)"):
+        table = found[f"{way}, PoseStamped of 200 B, 100 Hz"]
+        assert set(table) == expected
+        assert all(row["count"] == 10 for row in table.values())
+    assert all("bridge" in found[f"{title}: 1 topics x 100 Hz each way"] for title in there)
+    return report
+
+
+@pytest.mark.serial
+def test_the_benchmark_of_the_backends() -> None:
+    """Bare and bridged messages are measured in both directions, with rates and CPU."""
+    pytest.importorskip("cyclonedds", reason="no wheel of cyclonedds for this machine")
+    check_backends(("dds",))
+
+
+@pytest.mark.serial
+@pytest.mark.verify(minutes=2)
+def test_the_benchmark_of_all_backends() -> None:
+    """Every backend that is installed takes its turn; the others are named with the reason."""
+    report = check_backends(None)
+    facts = next(t["facts"] for t in report["tables"] if t["title"].startswith("Without"))  # type: ignore[attr-defined]
+    titles = {harness.backend for harness in HARNESSES} - {"memory"}
+    named = {str(name).partition("-")[0] for name in facts}
+    measured = {
+        row["name"].partition(",")[0].partition("-")[0] for t in report["tables"] for row in t["rows"]
+    }  # type: ignore[attr-defined]
+    assert titles <= named | measured
