@@ -156,25 +156,35 @@ class Cell:
             places[method] = [prefix, str(context.scratch)] if method == "rosplc" else free_port()
             order = {"cycle": cycle_ms / 1000, "where": places[method]}
             self._plcs[method] = start(f"{method} PLC", "end_to_end_plc", method, json.dumps(order))
-        for plc in self._plcs.values():
-            plc.hear_json(WATCHDOG_S)
-        for method in methods:
+        self._ready(context, self._plcs)
+        for method in self.methods:
             if method != "rosplc":
                 order = {**common, "where": places[method]}
                 self._bridges[method] = start(
                     f"{method} bridge", "end_to_end_bridge", method, json.dumps(order)
                 )
-        for bridge in (*self._bridges.values(), self._ros):
-            bridge.hear_json(WATCHDOG_S)
+        self._ros.hear_json(WATCHDOG_S)
+        self._ready(context, self._bridges)
         self._find_each_other()
         for kind in KINDS:  # everything has run once before anything counts
-            for method in methods:
+            for method in self.methods:
                 self._begin(method, kind)
                 ask(self._ros, do="ping", method=method, kind=kind, seconds=0.05)
 
+    def _ready(self, context: Context, sides: Mapping[str, Side]) -> None:
+        """Wait until they are up; whoever does not come up is left out, and the others go on."""
+        for method in tuple(self.methods):
+            try:
+                sides[method].hear_json(WATCHDOG_S)
+            except SetupError as error:
+                context.fail(f"end to end over {method}", error.what)
+                self.methods.remove(method)
+
     def _find_each_other(self) -> None:
         end = time.monotonic() + _FIND_S
-        while missing := ask(self._ros, do="ready")["missing"]:
+        while missing := [
+            line for line in ask(self._ros, do="ready")["missing"] if line.split()[0] in self.methods
+        ]:
             if time.monotonic() > end:
                 raise SetupError("SYS004", f"the ROS process finds no bridge for {', '.join(missing)}")
             time.sleep(0.05)

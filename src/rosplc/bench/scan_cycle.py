@@ -95,12 +95,18 @@ def run(context: Context) -> dict[str, Any]:
 def measure(method: Method, condition: Condition, scans: int) -> dict[str, Any]:
     """Let a task run for some scans; return what it found, shortened."""
     cycle_ns = condition.cycle_ms * 1_000_000
+    before, began = _cpu(method), time.monotonic()
     _ask(method.peer, f"go {cycle_ns}")
     found = _ask(method.task, f"run {cycle_ns} {scans} {FIFO if condition.fifo else 0}")
     _ask(method.peer, "halt")
+    found["cpu"] = (_cpu(method) - before) / (time.monotonic() - began)
     for name in ("late_ns", "calls_ns", "ages_ns"):
         found[name] = summary(found[name])
     return {"method": method.name, **asdict(condition), "scans": scans, **found}
+
+
+def _cpu(method: Method) -> float:
+    return method.task.cpu_seconds() + method.peer.cpu_seconds()
 
 
 def stall(method: Method, cycle_ns: int = 1_000_000, scans: int = 100) -> dict[str, Any]:

@@ -115,6 +115,7 @@ def _whole(data: Mapping[str, Any], runs: list[Mapping[str, Any]], methods: list
                 sum(one["torn"] for one in mine) if method != "none" else None,
                 sum(one["scans"] for one in mine),
                 sum(one["missed"] for one in mine),
+                _cpu(mine),
                 stalled["longest_ns"] / 1e6 if stalled else None,
                 stalled["missed"] if stalled else None,
                 stalled["torn"] if stalled else None,
@@ -126,18 +127,25 @@ def _whole(data: Mapping[str, Any], runs: list[Mapping[str, Any]], methods: list
         "torn",
         "scans",
         "scans missed",
+        "CPU of both sides, %",
         "other side stands still: longest call, ms",
         "scans missed then",
         "messages torn then",
     )
     note = (
-        "Scans are also missed because of the machine, as the first row shows. In the last three columns "
-        "the "
-        f"other side stops for {data['stall_ms']:g} ms in the middle of a message, as a program does that "
-        f"is "
-        "interrupted there; the task runs every 1 ms."
+        "CPU: of a core, with nothing beside and the shortest cycle. Scans are also missed because of the "
+        "machine, as the first row shows. In the last three columns the other side stops for "
+        f"{data['stall_ms']:g} ms in the middle of a message, as a program does that is interrupted there; "
+        "the task runs every 1 ms."
     )
     return Table("What happens to messages and scans", header, tuple(rows), _WAITING, note)
+
+
+def _cpu(runs: list[Mapping[str, Any]]) -> float | None:
+    quiet = [one for one in runs if not one["hog"] and not one["fifo"]]
+    shortest = min((one["cycle_ms"] for one in quiet), default=0)
+    found = [100 * one["cpu"] for one in quiet if one["cycle_ms"] == shortest]
+    return statistics.median(found) if found else None
 
 
 def _figures(runs: list[Mapping[str, Any]], methods: list[str], cycles: list[int]) -> tuple[Figure, ...]:

@@ -225,3 +225,17 @@ def test_the_page_says_what_was_counted() -> None:
     assert [row[5] for row in losses.rows] == [1, 2, 4]
     assert losses.rows[1][3] == "off by up to 6e-08"
     assert losses.rows[2][3] == "?"
+
+
+def test_a_way_that_does_not_come_up_takes_no_other_along(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A PLC that ends at its start is a failure with its name, and the other way is measured."""
+    amount = end_to_end.Amount((1.0,), 1, 2, 0.02)
+    monkeypatch.setitem(end_to_end._AMOUNTS, "quick", amount)
+    monkeypatch.setattr(end_to_end, "free_port", lambda: -1)
+    monkeypatch.setattr(end_to_end, "KINDS", {"Twist": KINDS["Twist"]})
+    context = Context(EFFORTS["quick"], tmp_path, tmp_path, (0,), ("rosplc", "modbus"))
+    data = end_to_end.run(context)
+    assert {one["method"] for one in data["rounds"]} == {"rosplc"}
+    assert [failure.what for failure in context.failures] == ["end to end over modbus"]
