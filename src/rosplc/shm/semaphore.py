@@ -22,6 +22,7 @@ for _function in (_sem_close, _sem_trywait, _sem_post):
     _function.argtypes = [ctypes.c_void_p]
 _sem_getvalue = _C.sem_getvalue
 _sem_getvalue.argtypes = [ctypes.c_void_p, ctypes.POINTER(ctypes.c_int)]
+# Of 32-bit C libraries the plain names take 32-bit offsets.
 _pread, _pwrite = _C.pread64, _C.pwrite64
 for _function in (_pread, _pwrite):
     _function.restype = ctypes.c_ssize_t
