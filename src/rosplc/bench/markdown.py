@@ -8,7 +8,7 @@ from typing import Any
 from rosplc.bench.results import Cell, Figure, Goal, Measured, Page, Report, Table
 from rosplc.bench.section import Section, render
 
-__all__ = ["cell_text", "goal_lines", "section_text", "table_lines", "text"]
+__all__ = ["body", "cell_text", "goal_lines", "section_text", "table_lines", "text"]
 
 
 def text(report: Report, sections: Mapping[str, Section], images: str = "") -> str:
@@ -19,14 +19,19 @@ def text(report: Report, sections: Mapping[str, Section], images: str = "") -> s
         sections: Every section by name.
         images: The folder of the figures, as the page sees it, with a slash at the end.
     """
-    lines = ["# The comparison", "", *_machine(report), ""]
+    return "\n".join(["# The comparison", "", *body(report, sections, images)]).rstrip() + "\n"
+
+
+def body(report: Report, sections: Mapping[str, Section], images: str = "") -> list[str]:
+    """Return the same without its title, as lines: for a page that says more."""
+    lines = [*_machine(report), ""]
     pages = render(report, sections)
     goals = [goal for page in pages.values() for goal in page.goals]
     if goals:
         lines += ["## Goals", "", *goal_lines(goals), ""]
     for measured in report.sections:
         lines += section_text(measured, sections[measured.section], pages[measured.section], images)
-    return "\n".join(lines).rstrip() + "\n"
+    return lines
 
 
 def section_text(measured: Measured, section: Section, page: Page, images: str) -> list[str]:

@@ -1,0 +1,63 @@
+"""Write the results in docs/explanation/comparison.md from a report of ``rosplc bench --full --out DIR``.
+
+usage: python tools/generate_comparison.py [DIR/report.json] [--verify]
+
+The report itself is kept beside the figures in docs/images/bench, so that ``--verify`` can tell whether
+every figure on the page is a measured one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+from rosplc.bench import markdown
+from rosplc.bench.draw import draw
+from rosplc.bench.results import Report
+from rosplc.bench.section import render
+from rosplc.bench.sections import SECTIONS
+
+DOCS = Path(__file__).resolve().parent.parent / "docs"
+PAGE = DOCS / "explanation" / "comparison.md"
+IMAGES = DOCS / "images" / "bench"
+REPORT = IMAGES / "report.json"
+BEGIN, END = "<!-- results: begin; written by tools/generate_comparison.py -->", "<!-- results: end -->"
+BY_NAME = {section.name: section for section in SECTIONS}
+
+
+def page(report: Report) -> str:
+    """Return the whole page with the report's results in their place."""
+    before, _, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
+    _, _, after = rest.partition(END)
+    body = "\n".join(markdown.body(report, BY_NAME, "../images/bench/")).rstrip()
+    return f"{before}{BEGIN}\n\n{body}\n\n{END}{after}"
+
+
+def main() -> int:
+    """Write or compare the page."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("report", type=Path, nargs="?", default=REPORT)
+    parser.add_argument("--verify", action="store_true", help="only say whether the page is up to date")
+    arguments = parser.parse_args()
+    report = Report.from_json(arguments.report.read_text(encoding="utf-8"), str(arguments.report))
+    if arguments.verify:
+        if PAGE.read_text(encoding="utf-8") == page(report):
+            return 0
+        print(f"{PAGE} is not what {arguments.report} gives: run tools/generate_comparison.py")
+        return 1
+    IMAGES.mkdir(parents=True, exist_ok=True)
+    for old in (*IMAGES.glob("*.svg"), *IMAGES.glob("*.png")):
+        old.unlink()
+    REPORT.write_text(json.dumps(report.to_dict()) + "\n", encoding="utf-8")
+    for shown in render(report, BY_NAME).values():
+        for figure in shown.figures:
+            for path in draw(figure, IMAGES):
+                if path.suffix == ".png":
+                    path.unlink()  # the page shows the SVG
+    PAGE.write_text(page(report), encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
