@@ -298,8 +298,8 @@ class TopicSettings(_Section):
         "`to: ros`: subscribers that come later get what was sent before; default true. "
         "`to: plc`: ask publishers for what they sent before, and let the PLC take a retained message "
         "as new; default false. "
-        "With `classic`, a written `true`: what stands in the memory at the start is a message towards ROS; the "
-        "last message is written again into a memory that was made anew towards the PLC.",
+        "With `classic`, a written `true`: what stands in the memory at the start is a message towards ROS; "
+        "the last message is written again into a memory that was made anew towards the PLC.",
     )
     every: bool | None = _f(
         None,
@@ -325,8 +325,8 @@ class TopicSettings(_Section):
     on_change: bool = _f(
         False,
         "Pass a message on only if it differs from the one before. `classic` towards ROS: true unless "
-        "written, since nothing else tells of a new message; `false` publishes at every look, with the period "
-        "of `rate_limit`, else `rate`, else the task's.",
+        "written, since nothing else tells of a new message; `false` publishes at every look, with the "
+        "period of `rate_limit`, else `rate`, else the task's.",
     )
     on_overflow: Literal["refuse", "truncate"] = _f(
         "refuse", "What happens to a message that exceeds a limit: refused and counted, or cut and counted."
