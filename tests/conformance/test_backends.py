@@ -224,6 +224,8 @@ def test_settings_match_or_say_why_not(graph: Harness, offered: Qos) -> None:
             assert (inbox.status().matched, inbox.status().code) == (0, "ROS004")
     if matching:
         wait_for(lambda: outbox.matched() == expected.count(None))
+    else:
+        wait_for(outbox.matched)
     for why in filter(None, expected):
         words = f"node /listener subscribes to /chatter as {STRING}, but {why}"
         wait_for(lambda w=words: w in outbox.status().reason)

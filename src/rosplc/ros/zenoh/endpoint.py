@@ -1,0 +1,316 @@
+"""The bridge's own endpoints on Zenoh: bytes in, bytes out, and how they fare.
+
+The hot paths are :meth:`ZenohSubscription.arrived`, :meth:`ZenohSubscription.deliver` and
+:meth:`ZenohPublisher.write`.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import OrderedDict, deque
+from collections.abc import Callable
+from typing import Any, Literal
+
+import zenoh
+import zenoh.ext
+
+from rosplc.errors import BackendError
+from rosplc.ros.backend import EndpointStatus, OnMessage, Qos
+from rosplc.ros.zenoh import attachment
+from rosplc.ros.zenoh.keys import topic_key
+from rosplc.ros.zenoh.tokens import Entity, gid_of
+
+__all__ = ["ZenohPublisher", "ZenohSubscription"]
+
+_logger = logging.getLogger("rosplc.ros.zenoh")
+
+_PADDING = (b"", b"\0", b"\0\0", b"\0\0\0")
+_HEARTBEAT_S = 0.5  # as rmw_zenoh's reliable and transient_local publishers
+_SENDERS = 1024  # publishers whose sequence numbers a subscription remembers
+_MOST_LOST = 1 << 20  # a larger step in the sequence is no loss but nonsense
+
+Diagnose = Callable[[Entity], tuple[int, str, str]]
+"""Returns how many peers match an endpoint, and code and words for what keeps others from it."""
+
+
+class _Endpoint:
+    """What both directions have in common.
+
+    Args:
+        entity: What the endpoint's token says; the session's id is filled in by :meth:`declare`.
+        diagnose: Asked by :meth:`status`.
+        on_close: Called once, before the declarations are withdrawn.
+    """
+
+    direction: Literal["in", "out"]
+
+    def __init__(
+        self,
+        entity: Entity,
+        diagnose: Diagnose,
+        on_close: Callable[[ZenohSubscription | ZenohPublisher], None],
+    ) -> None:
+        assert entity.qos is not None
+        self.entity = entity
+        self.topic = entity.topic
+        self.type_name = entity.type_name
+        self.qos: Qos = entity.qos
+        self._key = topic_key(entity.domain, entity.topic, entity.type_name, entity.type_hash)
+        self._diagnose = diagnose
+        self._on_close = on_close
+        self._lock = threading.RLock()
+        self._closed = False
+        self._declared: list[Any] = []  # in the order in which they are withdrawn
+        self._messages = 0
+        self._dropped = 0
+        self._rejected = 0
+        self._failed = 0
+        self._last_ns = 0
+
+    @property
+    def matched(self) -> int:
+        """Peers that exchange messages with this endpoint."""
+        return 0 if self._closed or not self._connected() else self._diagnose(self.entity)[0]
+
+    def _connected(self) -> bool:
+        """Return whether messages take their way, and not the tokens alone."""
+        return True
+
+    def declare(self, session: Any, entity: Entity) -> None:
+        """Make the endpoint known, first to Zenoh and then to ROS: who sees its token can reach it."""
+        with self._lock:
+            if self._closed:
+                return
+            self.entity = entity
+            middle = self._declare(session)
+            self._declared = [session.liveliness().declare_token(entity.token), *middle]
+
+    def _declare(self, session: Any) -> list[Any]:
+        raise NotImplementedError
+
+    def _leave(self) -> bool:
+        with self._lock:
+            if self._closed:
+                return False
+            self._closed = True
+            declared, self._declared = self._declared, []
+        self._on_close(self)  # type: ignore[arg-type]
+        for one in declared:
+            try:
+                one.undeclare()
+            except zenoh.ZError as error:  # the session is gone already
+                _logger.debug("%s: %s", self.topic, error)
+        return True
+
+    def status(self) -> EndpointStatus:
+        """Return the present state."""
+        matched, code, reason = (0, "ROS009", "closed") if self._closed else self._diagnose(self.entity)
+        if matched and not self._connected():
+            matched, reason = 0, reason or "Zenoh is about to connect"
+        if not reason and self._rejected and self.direction == "in":
+            reason = f"{self._rejected} messages on {self.topic} were none that a ROS 2 node sends"
+        return EndpointStatus(
+            self.topic,
+            self.type_name,
+            self.direction,
+            matched,
+            self._messages,
+            self._dropped,
+            self._rejected,
+            self._failed,
+            self._last_ns,
+            reason,
+            code,
+        )
+
+
+def _read(sample: Any) -> tuple[bytes, attachment.Attachment]:
+    """Return payload and attachment; ValueError if no ROS 2 node would send such a sample."""
+    if sample.kind != zenoh.SampleKind.PUT or sample.attachment is None:
+        raise ValueError("it has no attachment, as every ROS message has")
+    payload = sample.payload.to_bytes()
+    if len(payload) < 4 or payload[0] != 0 or payload[1] > 1:
+        raise ValueError("it has no header of plain CDR")
+    return payload, attachment.unpack(sample.attachment.to_bytes())
+
+
+class ZenohSubscription(_Endpoint):
+    """A topic being received; see :class:`rosplc.ros.backend.Subscription`.
+
+    Threads of the library put messages into a queue of ``depth``, where the oldest give way; the
+    backend's receive thread hands them over.
+    """
+
+    direction: Literal["in"] = "in"
+
+    def __init__(
+        self, on_message: OnMessage, wake: Callable[[ZenohSubscription], None], *arguments: Any
+    ) -> None:
+        super().__init__(*arguments)
+        self._on_message = on_message
+        self._wake = wake
+        self._waiting: deque[tuple[bytes, int]] = deque()
+        self._delivering = threading.RLock()  # re-entrant: on_message may close its own subscription
+        self._sequences: OrderedDict[bytes, int] = OrderedDict()
+
+    def _declare(self, session: Any) -> list[Any]:
+        # "Direct": otherwise the library starts a thread for every subscriber.
+        receive = zenoh.handlers.Callback(self.arrived, indirect=False)
+        if self.qos.durability == "volatile":
+            return [session.declare_subscriber(self._key, receive)]
+        reliable = self.qos.reliability == "reliable"
+        recovery = zenoh.ext.RecoveryConfig(periodic_queries=None, heartbeat=True) if reliable else None
+        history = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=self.qos.depth)
+        return [
+            zenoh.ext.declare_advanced_subscriber(
+                session, self._key, receive, history=history, recovery=recovery, subscriber_detection=True
+            )
+        ]
+
+    def arrived(self, sample: Any) -> None:
+        """Queue a message; called by threads of the library, so nothing may escape."""
+        try:
+            payload, (sequence, stamp_ns, gid) = _read(sample)
+        except Exception as error:
+            self._refuse(error)
+            return
+        with self._lock:
+            if self._closed:
+                return
+            self._count_missing(gid, sequence)
+            self._waiting.append((payload, stamp_ns))
+            if len(self._waiting) > self.qos.depth:
+                self._waiting.popleft()
+                self._dropped += 1
+                return  # the receive thread knows of as many messages as wait
+        self._wake(self)
+
+    def _refuse(self, error: Exception) -> None:
+        with self._lock:
+            self._rejected += 1
+            first = self._rejected == 1
+        level = logging.WARNING if first else logging.DEBUG
+        _logger.log(level, "%s: a message was refused: %s", self.topic, error)
+
+    def _count_missing(self, gid: bytes, sequence: int) -> None:
+        """Count what a publisher sent and did not arrive; the sender drops it where a link is full."""
+        last = self._sequences.pop(gid, sequence)
+        if 1 < sequence - last <= _MOST_LOST:
+            self._dropped += sequence - last - 1
+        self._sequences[gid] = max(sequence, last) if sequence - last <= _MOST_LOST else sequence
+        if len(self._sequences) > _SENDERS:
+            self._sequences.popitem(last=False)
+
+    def deliver(self) -> None:
+        """Hand over one message; called by the receive thread alone."""
+        with self._delivering:
+            with self._lock:
+                if self._closed or not self._waiting:
+                    return
+                payload, stamp_ns = self._waiting.popleft()
+            self._messages += 1
+            self._last_ns = time.time_ns()
+            try:
+                self._on_message(payload, stamp_ns)
+            except Exception:
+                self._failed += 1
+                if self._failed == 1:
+                    _logger.exception("%s: the receiver of its messages failed", self.topic)
+
+    def close(self) -> None:
+        """Stop receiving; after the return no callback runs or starts (unless called from it)."""
+        self._leave()
+        with self._delivering:
+            self._waiting.clear()
+
+
+class ZenohPublisher(_Endpoint):
+    """A topic being sent; see :class:`rosplc.ros.backend.Publisher`.
+
+    Zenoh drops a message for a peer whose link is full and tells nobody: what ``dropped`` counts
+    here is only what the library refused. The receiving side sees the gap in the numbers.
+    """
+
+    direction: Literal["out"] = "out"
+
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self._zenoh: Any = None
+        self._route: Any = None  # knows whether there is a subscriber; an "advanced" publisher does not
+        self._gid = b""
+        self._sequence = 0
+        latched = self.qos.depth if self.qos.durability == "transient_local" else 0
+        self._early: deque[tuple[bytes, int]] = deque(maxlen=latched)  # written before there is a session
+
+    def _declare(self, session: Any) -> list[Any]:
+        reliable = self.qos.reliability == "reliable"
+        # Never BLOCK, which rmw_zenoh uses for keep_all alone: one peer would stop every topic.
+        congestion = zenoh.CongestionControl.DROP
+        reliability = zenoh.Reliability.RELIABLE if reliable else zenoh.Reliability.BEST_EFFORT
+        publisher: Any
+        if self.qos.durability == "volatile":
+            publisher = self._route = session.declare_publisher(
+                self._key, congestion_control=congestion, reliability=reliability
+            )
+        else:
+            self._route = session.declare_publisher(self._key)
+            detection = zenoh.ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=_HEARTBEAT_S)
+            publisher = zenoh.ext.declare_advanced_publisher(
+                session,
+                self._key,
+                congestion_control=congestion,
+                reliability=reliability,
+                cache=zenoh.ext.CacheConfig(self.qos.depth),
+                publisher_detection=True,
+                sample_miss_detection=detection if reliable else None,
+            )
+        self._zenoh, self._gid = publisher, gid_of(self.entity.token)
+        while self._early:
+            self._put(*self._early.popleft())
+        return [publisher] if publisher is self._route else [publisher, self._route]
+
+    def _connected(self) -> bool:
+        route = self._route
+        try:
+            # Tokens overtake the declarations that open the way; before, the library sends nothing.
+            return route is not None and bool(route.matching_status)
+        except zenoh.ZError:
+            return False  # it is being closed
+
+    def write(self, payload: bytes, stamp_ns: int | None = None) -> bool:
+        """Send one message; see :meth:`rosplc.ros.backend.Publisher.write`."""
+        size = len(payload)
+        if size < 4 or payload[0] != 0 or payload[1] > 1:
+            with self._lock:
+                self._rejected += 1
+            raise BackendError(
+                "ROS008", f"a message was not sent on {self.topic}: it has no header of plain CDR"
+            )
+        if size & 3:
+            payload = bytes(payload) + _PADDING[-size & 3]
+        now = time.time_ns()
+        stamp_ns = now if stamp_ns is None else stamp_ns
+        with self._lock:
+            if self._closed:
+                raise BackendError("ROS009", f"the publisher of {self.topic} is closed")
+            if self._zenoh is None:
+                self._early.append((payload, stamp_ns))
+            else:
+                try:
+                    self._put(payload, stamp_ns)
+                except zenoh.ZError:
+                    self._dropped += 1
+                    return False
+            self._messages += 1
+            self._last_ns = now
+            return True
+
+    def _put(self, payload: bytes, stamp_ns: int) -> None:
+        self._sequence += 1
+        self._zenoh.put(payload, attachment=attachment.pack(self._sequence, stamp_ns, self._gid))
+
+    def close(self) -> None:
+        """Stop sending; closing twice is harmless."""
+        self._leave()

@@ -1,0 +1,81 @@
+"""Zenoh through the eclipse-zenoh wheel: peers that find each other by a router, and its clients."""
+
+from __future__ import annotations
+
+import importlib.util
+import time
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+from tests.conformance.backends.base import Abilities, Harness
+from tests.interop.graphs import wait_for
+from tests.interop.zenoh.processes import Router, free_port
+
+
+class ZenohHarness(Harness):
+    """Peers around a router, as ROS 2 nodes on rmw_zenoh are by default."""
+
+    backend = "zenoh"
+    title = "zenoh"
+    mode: ClassVar[str] = "peer"
+    abilities: ClassVar[Abilities] = Abilities(
+        source_stamps=True,
+        matches_qos=False,
+        latched_depth=True,
+        latched_by_publisher=False,
+        tells_definitions=True,
+        checks_outgoing=False,
+        checks_incoming=False,
+        counts_losses=False,
+        shows_qos=True,
+        shows_hashes=True,
+        many_nodes=True,
+        has_hub=True,
+    )
+
+    @classmethod
+    def missing(cls) -> str | None:
+        """Return what is not installed."""
+        return None if importlib.util.find_spec("zenoh") else "no wheel of eclipse-zenoh for this machine"
+
+    def start(self) -> None:
+        """Start a router of the test's own; that makes the domain one's own, too."""
+        self.domain = 7
+        self.router = self.stack.enter_context(Router(self.stack.enter_context(free_port())))
+        self.options = {"mode": self.mode, "connect": [self.router.endpoint]}
+
+    def restart_hub(self, silent_s: float = 0.0) -> None:
+        """Kill the router, wait, start another one at its port."""
+        self.router.kill()
+        time.sleep(silent_s)
+        self.router.start()
+
+    def rogue(self, topic: str, type_name: str) -> Callable[[bytes], object]:
+        """Put bytes on the topic's key with a proper attachment."""
+        import zenoh
+
+        from rosplc.model import TypeStore
+        from rosplc.ros.zenoh.attachment import pack
+        from rosplc.ros.zenoh.config import session_config
+        from rosplc.ros.zenoh.keys import topic_key
+
+        assert self.domain is not None
+        store = TypeStore.bundled(self.distros[0])
+        key = topic_key(self.domain, topic, type_name, store.type_hash(type_name))
+        session: Any = zenoh.open(session_config(self.options, {}).config)
+        self.stack.callback(session.close)
+        publisher = session.declare_publisher(key)
+        wait_for(lambda: publisher.matching_status)  # until then everything would be lost
+        numbers = iter(range(1, 1 << 30))
+
+        def send(data: bytes) -> None:
+            publisher.put(data, attachment=pack(next(numbers), time.time_ns(), bytes(16)))
+
+        return send
+
+
+class ZenohClientHarness(ZenohHarness):
+    """Clients of a router, through which every message goes."""
+
+    title = "zenoh-client"
+    mode = "client"
