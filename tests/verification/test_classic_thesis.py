@@ -63,8 +63,8 @@ def test_the_node_and_the_blocks_exchange_messages(program: Path, graph: Graph) 
         outbox = peer.advertise(f"/{cell.name('/in')}", TWIST)
         inbox = peer.subscribe(f"/{cell.name('/out')}", TWIST)
 
-        def both(number: float, **environment: object) -> None:
-            with joint.node("write", "/in", **environment), joint.node("read", "/out", **environment):
+        def both(number: float, *, orderly: bool) -> None:
+            with joint.node("write", "/in") as writer, joint.node("read", "/out") as reader:
                 cell.put("/out", record(-number))
 
                 def arrived() -> bool:
@@ -76,9 +76,13 @@ def test_the_node_and_the_blocks_exchange_messages(program: Path, graph: Graph) 
                 joint.scan_until(lambda: sent in inbox.payloads(), f"{-number} in ROS")
                 cell.scan(3)
                 assert cell.get("/in", "xValid", "udiError") == (True, 0)
+                if orderly:  # the class' destructor removes memory and semaphore
+                    writer.end()
+                    reader.end()
 
-        both(1)  # left with: killed
-        both(2)
+        both(1, orderly=True)
+        both(2, orderly=True)
+        both(3, orderly=False)
         for topic, way, nth in (("/in", "write", 1), ("/out", "read", 3)):
             with joint.node(way, topic, HOLD=nth) as node:
 
@@ -90,5 +94,5 @@ def test_the_node_and_the_blocks_exchange_messages(program: Path, graph: Graph) 
                 before = cell.get(topic, "udiTimeouts")
                 cell.scan(50)
                 assert cell.get(topic, "udiTimeouts") - before <= 51
-        both(3)
+        both(4, orderly=True)
         assert cell.machine.counters().sem_endless == 0
