@@ -18,7 +18,7 @@ import pytest
 
 from rosplc.layout import plain
 from rosplc.virtual_plc import ReadBlock, WriteBlock
-from tests.interop.ros1.graph import Graph, wait_until
+from tests.interop.ros1.graph import Graph, lend, wait_until
 from tests.interop.ros1.test_peers import PART, part_defines, string
 
 pytestmark = pytest.mark.timeout(60)
@@ -102,7 +102,7 @@ class Plc:
 
 @pytest.fixture
 def ros1() -> Iterator[Graph]:
-    with Graph() as graph:
+    with lend() as graph:
         yield graph
 
 

@@ -2,29 +2,13 @@
 
 from __future__ import annotations
 
-import atexit
 import time
 from collections.abc import Callable
 from typing import ClassVar
 
 from tests.conformance.backends.base import Abilities, Harness, Peer
 from tests.interop.graphs import wait_for
-from tests.interop.ros1.graph import Graph, missing
-
-_idle: list[Graph] = []  # masters that run and know nobody: starting one takes a second
-
-
-def _give_back(graph: Graph) -> None:
-    if graph.is_empty():
-        _idle.append(graph)
-    else:
-        graph.__exit__()
-
-
-@atexit.register
-def _end() -> None:
-    for graph in _idle:
-        graph.__exit__()
+from tests.interop.ros1.graph import lend, missing
 
 
 class RospyHarness(Harness):
@@ -56,8 +40,7 @@ class RospyHarness(Harness):
 
     def start(self) -> None:
         """Take a master that nobody uses."""
-        self._graph = _idle.pop() if _idle else Graph()
-        self.stack.callback(_give_back, self._graph)
+        self._graph = self.stack.enter_context(lend())
         self.environment = dict(self._graph.environment)
 
     def restart_hub(self, silent_s: float = 0.0) -> None:

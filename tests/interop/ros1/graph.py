@@ -6,6 +6,8 @@ package to install.
 
 from __future__ import annotations
 
+import atexit
+import contextlib
 import fcntl
 import hashlib
 import os
@@ -18,7 +20,7 @@ import tempfile
 import threading
 import time
 import xmlrpc.client
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -74,14 +76,14 @@ def free_port() -> int:
 
 
 class Graph:
-    """A master, and the environment to reach it; a context manager.
+    """A master, and the environment to reach it; :func:`lend` gives one.
 
     Attributes:
         port: The master's port.
         environment: ``ROS_MASTER_URI`` and ``ROS_IP``.
     """
 
-    def __init__(self, *, started: bool = True) -> None:
+    def __init__(self) -> None:
         need("rosmaster", "/usr/lib/python3/dist-packages/rospy/__init__.py")
         self.port = free_port()
         self._home = tempfile.TemporaryDirectory(prefix="rosplc-ros1-")
@@ -94,8 +96,7 @@ class Graph:
         self._master: subprocess.Popen[bytes] | None = None
         self._peers: list[Peer] = []
         self._programs: list[subprocess.Popen[str]] = []
-        if started:
-            self.start_master()
+        self.start_master()
 
     @property
     def variables(self) -> dict[str, str]:
@@ -132,15 +133,22 @@ class Graph:
         self._master.send_signal(signal.SIGSTOP if frozen else signal.SIGCONT)
 
     def is_empty(self) -> bool:
-        """End the peers; return whether the master runs and knows no node any more."""
-        for peer in self._peers:
-            peer.kill()
-        self._peers.clear()
+        """End the programs; return whether the master runs and knows no node any more."""
+        self._end_programs()
         try:
             master = xmlrpc.client.ServerProxy(self.environment["ROS_MASTER_URI"])
             return master.getSystemState("/test")[2] == [[], [], []]  # type: ignore[index]
         except OSError:
             return False
+
+    def _end_programs(self) -> None:
+        for peer in self._peers:
+            peer.close()  # says goodbye to the master, unless it was killed
+        for program in self._programs:
+            program.send_signal(signal.SIGINT)
+            program.communicate()
+        self._peers.clear()
+        self._programs.clear()
 
     def peer(self, kind: str, name: str, *defines: str) -> Peer:
         """Start a ``rospy`` or ``roscpp`` peer."""
@@ -172,17 +180,33 @@ class Graph:
         self._programs.append(program)
         return program
 
-    def __enter__(self) -> Graph:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for peer in self._peers:
-            peer.kill()
-        for program in self._programs:
-            program.kill()
-            program.communicate()
+    def close(self) -> None:
+        """End everything."""
+        self._end_programs()
         self.kill_master()
         self._home.cleanup()
+
+
+_idle: list[Graph] = []
+
+
+@contextlib.contextmanager
+def lend() -> Iterator[Graph]:
+    """Give a graph whose master knows nobody; masters are used again, as starting one takes a second."""
+    graph = _idle.pop() if _idle else Graph()
+    try:
+        yield graph
+    finally:
+        if graph.is_empty():
+            _idle.append(graph)
+        else:
+            graph.close()
+
+
+@atexit.register
+def _end() -> None:
+    for graph in _idle:
+        graph.close()
 
 
 class Peer:
@@ -266,8 +290,10 @@ class Peer:
             self._process.stdout.close()
 
     def close(self) -> None:
-        """Let it end by itself."""
+        """Let it end by itself; harmless if it has ended."""
         assert self._process.stdin is not None
+        if self._process.stdin.closed:
+            return
         self._process.stdin.close()
         self._process.wait()
         self._reader.join()

@@ -16,7 +16,7 @@ from rosbags.typesys import Stores, get_typestore
 from rosplc.errors import RosplcError
 from rosplc.model import TypeStore
 from rosplc.ros import LATCHED, Backend, Qos, open_backend
-from tests.interop.ros1.graph import Graph, wait_until
+from tests.interop.ros1.graph import Graph, lend, wait_until
 
 pytestmark = pytest.mark.timeout(120)
 
@@ -52,7 +52,7 @@ def part_defines() -> tuple[str, str]:
 @pytest.fixture
 def ros1() -> Iterator[Graph]:
     """A master of the test's own."""
-    with Graph() as graph:
+    with lend() as graph:
         yield graph
 
 

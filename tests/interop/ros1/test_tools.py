@@ -13,7 +13,7 @@ import pytest
 
 from rosplc.model import TypeStore
 from rosplc.ros import LATCHED, Backend, Qos, open_backend
-from tests.interop.ros1.graph import Graph, need, wait_until
+from tests.interop.ros1.graph import Graph, lend, need, wait_until
 from tests.interop.ros1.test_peers import Inbox, string, values
 
 pytestmark = pytest.mark.timeout(120)
@@ -24,7 +24,7 @@ STRING = "std_msgs/msg/String"
 
 @pytest.fixture
 def ros1() -> Iterator[Graph]:
-    with Graph() as graph:
+    with lend() as graph:
         yield graph
 
 

@@ -16,7 +16,7 @@ import pytest
 from rosplc.errors import RosplcError
 from rosplc.model import TypeStore
 from rosplc.ros import LATCHED, Qos, open_backend
-from tests.interop.ros1.graph import Graph, missing, wait_until
+from tests.interop.ros1.graph import Graph, lend, missing, wait_until
 from tests.interop.ros1.test_peers import PART, PART_FILE, PART_STORE, Inbox, part_defines, string
 
 pytestmark = pytest.mark.timeout(120)
@@ -26,7 +26,7 @@ STORE = TypeStore.bundled("noetic")
 
 @pytest.fixture
 def ros1() -> Iterator[Graph]:
-    with Graph() as graph:
+    with lend() as graph:
         yield graph
 
 

@@ -62,12 +62,13 @@ def find(places: tuple[str, ...] = PLACES) -> dict[str, ModuleType]:
     except ModuleNotFoundError as error:
         if error.name == "rospy":
             looked = " and ".join(places)
-            raise ImportError(
-                f"rospy is neither in the search path nor in {looked}: sudo apt-get install python3-rospy"
+            raise ModuleNotFoundError(
+                f"rospy is neither in the search path nor in {looked}: sudo apt-get install python3-rospy",
+                name="rospy",
             ) from error
-        raise ImportError(_unusable(error)) from error
+        raise ImportError(_unusable(error), name="rospy") from error
     except Exception as error:  # old code in a new interpreter fails in many ways
-        raise ImportError(_unusable(error)) from error
+        raise ImportError(_unusable(error), name="rospy") from error
     finally:
         for place in added:
             sys.path.remove(place)
