@@ -4,7 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["ClassicPlan", "classic_name"]
+from rosplc.bridge.config import Config
+from rosplc.bridge.settings import TopicSettings
+from rosplc.errors import ConfigError
+from rosplc.shm.names import MAX_NAME
+
+__all__ = ["ClassicPlan", "classic_name", "classic_plan", "passes_changes_only"]
 
 
 @dataclass(frozen=True)
@@ -38,3 +43,48 @@ def classic_name(topic: str) -> str:
     memory has no slash, and a topic no dot, so no two topics get one name.
     """
     return topic[1:].replace("/", ".")
+
+
+def passes_changes_only(entry: TopicSettings) -> bool:
+    """Return whether a topic passes on changes alone; nothing else tells of news in classic memory."""
+    by_default = entry.classic is not None and entry.to == "ros" and "on_change" not in entry.model_fields_set
+    return entry.on_change or by_default
+
+
+def classic_plan(config: Config, topic: str, entry: TopicSettings, task: str) -> ClassicPlan | None:
+    """Return what a topic's entry says about classic mode; None if it is carried over a channel.
+
+    Raises:
+        ConfigError: CFG004 for a name that cannot be had, or another directory than /dev/shm.
+    """
+    asked, settings = entry.classic, config.settings
+    if asked is None:
+        return None
+    name = asked.name or classic_name(topic)
+    where = config.source.place(("topics", topic, "classic"))
+    if len(name) > MAX_NAME:
+        what = f"the name {name!r} has {len(name)} characters; a PLC's STRING holds {MAX_NAME}"
+        raise ConfigError("CFG004", what, where=where, remedy="Give a shorter one with classic: {name: …}.")
+    if name.startswith(settings.prefix + "."):
+        what = f"the name {name!r} begins with {settings.prefix}., as this bridge's own objects do"
+        raise ConfigError("CFG004", what, where=where, remedy="Give another with classic: {name: …}.")
+    if settings.shm.directory != "/dev/shm":
+        what = (
+            f"classic topics lie in /dev/shm, where semaphores are; shm.directory is {settings.shm.directory}"
+        )
+        raise ConfigError("CFG004", what, where=where)
+    poll = settings.tick_ns
+    if not passes_changes_only(entry) and entry.to == "ros":
+        # Every look is a message here; a PLC has something new to say once per cycle at most.
+        poll = entry.rate_limit_ns or entry.rate_ns or settings.tasks[task].interval_ns
+    return ClassicPlan(
+        name=name,
+        semaphore="" if asked.semaphore == "none" else asked.semaphore or name,
+        wait_ns=asked.wait_ns,
+        recover_after_ns=asked.recover_after_ns,
+        poll_ns=poll,
+        # Only where it is asked for: towards ROS every topic is latched by default.
+        retained=bool(entry.latched)
+        or entry.qos.durability == "transient_local"
+        or entry.qos.preset == "latched",
+    )

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from rosplc.bridge.classic_plan import ClassicPlan, classic_name
+from rosplc.bridge.classic_plan import ClassicPlan, classic_name, classic_plan, passes_changes_only
 from rosplc.bridge.config import Config, read_config
 from rosplc.bridge.depth import Demand, least_slots, usual_slots
 from rosplc.bridge.problems import Problems, relocated
@@ -22,7 +22,6 @@ from rosplc.model import TypeStore
 from rosplc.ros import PRESETS, Qos
 from rosplc.shm import Direction, Namespace
 from rosplc.shm.constants import HEADER_SIZE, LINE_SIZE, MAX_DESCRIPTION_SIZE, MAX_OBJECT_SIZE
-from rosplc.shm.names import MAX_NAME
 
 __all__ = ["Project", "TopicPlan", "load_config", "load_project", "resolve"]
 
@@ -202,7 +201,7 @@ def _layout(
 def _plan(config: Config, topic: str, entry: TopicSettings, task: str, layout: Layout) -> TopicPlan:
     to_plc = entry.to == "plc"
     qos = _qos(entry)
-    classic = _classic(config, topic, entry, task)
+    classic = classic_plan(config, topic, entry, task)
     every = entry.every if entry.every is not None else not to_plc and classic is None
     stale = entry.stale_after_ns if entry.stale_after_ns is not None else _STALE_NS[entry.to]
     slots = 1 if classic else _slots(config, topic, entry, task, layout.size, every)
@@ -225,50 +224,10 @@ def _plan(config: Config, topic: str, entry: TopicSettings, task: str, layout: L
         task=task,
         min_interval_ns=entry.rate_limit_ns or 0,
         stale_after_ns=stale,
-        on_change=_on_change(entry),
+        on_change=passes_changes_only(entry),
         truncate=entry.on_overflow == "truncate",
         print=entry.print,
         classic=classic,
-    )
-
-
-def _on_change(entry: TopicSettings) -> bool:
-    # Nothing but a change tells of a new message in classic memory, unless every look is to be one.
-    by_default = entry.classic is not None and entry.to == "ros" and "on_change" not in entry.model_fields_set
-    return entry.on_change or by_default
-
-
-def _classic(config: Config, topic: str, entry: TopicSettings, task: str) -> ClassicPlan | None:
-    asked, settings = entry.classic, config.settings
-    if asked is None:
-        return None
-    name = asked.name or classic_name(topic)
-    where = config.source.place(("topics", topic, "classic"))
-    if len(name) > MAX_NAME:
-        what = f"the name {name!r} has {len(name)} characters; a PLC's STRING holds {MAX_NAME}"
-        raise ConfigError("CFG004", what, where=where, remedy="Give a shorter one with classic: {name: …}.")
-    if name.startswith(settings.prefix + "."):
-        what = f"the name {name!r} begins with {settings.prefix}., as this bridge's own objects do"
-        raise ConfigError("CFG004", what, where=where, remedy="Give another with classic: {name: …}.")
-    if settings.shm.directory != "/dev/shm":
-        what = (
-            f"classic topics lie in /dev/shm, where semaphores are; shm.directory is {settings.shm.directory}"
-        )
-        raise ConfigError("CFG004", what, where=where)
-    poll = settings.tick_ns
-    if not _on_change(entry) and entry.to == "ros":
-        # Every look is a message here; a PLC has something new to say once per cycle at most.
-        poll = entry.rate_limit_ns or entry.rate_ns or settings.tasks[task].interval_ns
-    return ClassicPlan(
-        name=name,
-        semaphore="" if asked.semaphore == "none" else asked.semaphore or name,
-        wait_ns=asked.wait_ns,
-        recover_after_ns=asked.recover_after_ns,
-        poll_ns=poll,
-        # Only where it is asked for: towards ROS every topic is latched by default.
-        retained=bool(entry.latched)
-        or entry.qos.durability == "transient_local"
-        or entry.qos.preset == "latched",
     )
 
 
