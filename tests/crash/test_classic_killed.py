@@ -84,6 +84,31 @@ def test_a_bridge_killed_inside_the_lock_is_followed_by_one_that_frees_it(tmp_pa
         assert cell.classic.recovered == 1
 
 
+def test_bridges_killed_beside_a_plc_that_goes_on(tmp_path: Path) -> None:
+    """A PLC's writing outlives every bridge, and the next bridge carries on from what comes then."""
+    with ClassicCell(tmp_path, "ros", RECOVER) as cell:
+        config = tmp_path / "rosplc.yaml"
+        config.write_text(
+            f"prefix: {cell.name}\ntypes: {{paths: [.]}}\nros: {{backend: memory}}\ntopics:\n"
+            f"  /t: {{type: cell_msgs/msg/Words, to: ros, classic: {{name: {cell.name}, {RECOVER}}}}}\n"
+        )
+        cell.bridge.stop()
+        with cell.plc("write") as plc:
+            for _ in range(2):
+                command = [sys.executable, "-m", "rosplc", "run", str(config)]
+                with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as bridge:
+                    assert bridge.stderr is not None
+                    assert any("carries 1 topic" in line for line in bridge.stderr)
+                    time.sleep(0.2)
+                    bridge.kill()
+                image = cell.image
+                wait_for(lambda image=image: cell.image != image, "the PLC to write on")
+            cell.bridge.start()
+            wait_for(lambda: len(cell.got) > 5, "messages after the kills")
+            assert None not in cell.got
+            assert plc.end().startswith("end")
+
+
 def test_a_holder_that_only_stood_still_comes_back(tmp_path: Path) -> None:
     """One that was stopped longer than recover_after leaves the freed lock again; that is mended."""
     with ClassicCell(tmp_path, "plc", RECOVER) as cell, cell.plc("read", SPREAD_US=3000) as plc:
