@@ -67,15 +67,11 @@ def _rows(
             if count not in seconds
             else source.kbit_per_second(count, seconds[count])
             if rates
-            else _milliseconds(seconds[count])
+            else seconds[count] * 1000
             for count in cycles
         ]
         rows.append((name, waits, *cells))
     return tuple(rows)
-
-
-def _milliseconds(seconds: float) -> float:
-    return seconds * 1000
 
 
 def _durations(arrangement: Mapping[str, Any], cycles: Sequence[int]) -> Table:
