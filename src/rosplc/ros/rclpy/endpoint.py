@@ -112,13 +112,21 @@ class RclpySubscription(_Endpoint):
         return int(count()) if count is not None else self._fitting(self)
 
     def receive(self, payload: bytes, info: dict[str, Any]) -> None:
-        """Deliver a message and those that wait behind it; the callback where rclpy gives both.
+        """Deliver a message; the callback where rclpy gives its information too."""
+        self._receive(payload, info["source_timestamp"], stamped=True)
+
+    def receive_plain(self, payload: bytes) -> None:
+        """Deliver a message; the callback for rclpy versions that give no stamp with it."""
+        self._receive(payload, 0, stamped=False)
+
+    def _receive(self, payload: bytes, stamp_ns: int, *, stamped: bool) -> None:
+        """Deliver a message and those that wait behind it.
 
         The executor builds a wait set over all entities of the node for each message it takes. What
         else has arrived is taken here at once, as the executor's own ``_take_subscription`` does.
         """
         with self._lock:
-            self._deliver(payload, info["source_timestamp"])
+            self._deliver(payload, stamp_ns)
             for _ in range(_BATCH):
                 entity = self.entity
                 if self.closed or entity is None:
@@ -130,12 +138,8 @@ class RclpySubscription(_Endpoint):
                     return
                 if taken is None:
                     return
-                self._deliver(taken[0], taken[1]["source_timestamp"])
-
-    def receive_plain(self, payload: bytes) -> None:
-        """Deliver a message; the callback for rclpy versions that give no stamp with it."""
-        with self._lock:
-            self._deliver(payload, 0)
+                # All stamps of a topic are of one kind, though these messages would have theirs.
+                self._deliver(taken[0], taken[1]["source_timestamp"] if stamped else 0)
 
     def _deliver(self, payload: bytes, stamp_ns: int) -> None:
         if self.closed:
