@@ -34,7 +34,7 @@ EFFORTS = {
     effort.name: effort
     for effort in (
         Effort("quick", 1, 0.5, 1, 0.15),
-        Effort("default", 3, 5.0, 2, 0.7),
+        Effort("default", 3, 5.0, 1, 0.7),
         Effort("full", 9, 10.0, 2, 26.0),
     )
 }

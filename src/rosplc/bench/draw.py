@@ -80,7 +80,7 @@ def _lines(axes: Any, figure: Figure) -> None:
         axes.set_xscale("log")
         ticks = sorted({x for series in figure.series for x in series.x})
         if len(ticks) <= _MOST_TICKS:
-            axes.set_xticks(ticks, [f"{tick:,.0f}" for tick in ticks], minor=False)
+            axes.set_xticks(ticks, [f"{tick:,.0f}" for tick in ticks], minor=False, fontsize=8)
             axes.minorticks_off()
     if figure.y_log:
         axes.set_yscale("log")

@@ -178,8 +178,8 @@ class _Run:
         turn = self._turn(arrangement, contender, Plan(2, 1, (_CALIBRATION,)))
         if turn is None:
             return None
-        # The median: the first cycle may have waited for the other side to come up.
-        cycle_ns = float(statistics.median(turn.spent_ns))
+        # The lower quartile: some cycles may have waited for the other side to come up, or for a core.
+        cycle_ns = float(sorted(turn.spent_ns)[len(turn.spent_ns) // 4])
         effort = self._context.effort
         seconds = effort.slow_turn_seconds if arrangement.slow else effort.turn_seconds
         return plan_turn(max(cycle_ns, 1.0), seconds, repeat=not arrangement.slow)

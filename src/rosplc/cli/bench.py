@@ -118,6 +118,9 @@ def _measure(sections: Sequence[Section], effort: str, only: Sequence[str], *, q
         return run(sections, EFFORTS[effort], only=only, notify=notify)
 
 
+_SHOWN = 46  # characters beside the bar, on a terminal of 80
+
+
 @contextlib.contextmanager
 def _progress(*, quiet: bool) -> Iterator[Callable[[Section, int, int, str], None] | None]:
     """Give what shows the progress: a bar with an estimate on a terminal, else a line per section."""
@@ -146,7 +149,7 @@ def _progress(*, quiet: bool) -> Iterator[Callable[[Section, int, int, str], Non
         def notify(section: Section, done: int, total: int, what: str) -> None:
             if section.name not in tasks:
                 tasks[section.name] = progress.add_task(section.name, total=total)
-            shown = f"{section.name}: {what}"[:60]
+            shown = f"{section.name}: {what}"[:_SHOWN]
             progress.update(tasks[section.name], completed=done, total=total, description=shown)
             progress.refresh()
 
