@@ -39,10 +39,9 @@ def _rows(data: Mapping[str, Any], cycle: float) -> list[_Row]:
 def _waiting(cycle: float) -> str:
     return (
         f"the PLC's task runs every {cycle:g} ms; a hand-written bridge sleeps until a message arrives, "
-        f"and "
-        "reads the PLC's side every 1 ms or as fast as the answers come; rosplc's sleeps on DDS towards "
-        "the "
-        "PLC and looks every 1 ms towards ROS; the ROS process sleeps until a message arrives"
+        "and reads the PLC's side every 1 ms or as fast as the answers come; rosplc's sleeps on DDS "
+        "towards the PLC and looks every 1 ms towards ROS; the ROS process sleeps until a message "
+        "arrives"
     )
 
 
@@ -100,20 +99,17 @@ class _Row:
 
 def _lead(data: Mapping[str, Any]) -> tuple[str, ...]:
     return (
-        "An ordinary DDS participant sends messages as ROS 2 does; a bridge puts them into the PLC; the "
-        "PLC's program copies what it sees back; the participant judges what comes. Everything in a "
-        "message "
-        "follows from its number, so pieces of two messages in one (torn), a missing string and a rounded "
-        "number are found by looking, at the PLC and at the end.",
+        "An ordinary DDS participant sends messages as ROS 2 does; a bridge puts them into the PLC; "
+        "the PLC's program copies what it sees back; the participant judges what comes. Everything in "
+        "a message follows from its number, so pieces of two messages in one (torn), a missing string "
+        "and a rounded number are found by looking, at the PLC and at the end.",
         "Modbus: two registers per number, 123 or 125 per request, a server beside the PLC's task, a "
-        "client "
-        "in the bridge. OPC UA: one node per field, an array being one node, as a PLC's symbol "
-        "configuration "
-        "has it; the client writes and reads all nodes of a message in one request. All PLC programs are "
-        "Python; the task may interrupt the server anywhere, as a task of higher priority does.",
+        "client in the bridge. OPC UA: one node per field, an array being one node, as a PLC's symbol "
+        "configuration has it; the client writes and reads all nodes of a message in one request. All "
+        "PLC programs are Python; the task may interrupt the server anywhere, as a task of higher "
+        "priority does.",
         f"Each way carries messages at {data['rate_hz']:g} per second first, with random gaps, then as "
-        f"many "
-        "as come back, one under way at a time.",
+        "many as come back, one under way at a time.",
     )
 
 
@@ -151,9 +147,8 @@ def _times(data: Mapping[str, Any], rows: list[_Row], cycle: float) -> Table:
     )
     note = (
         f"Times and CPU (of a core) at {data['rate_hz']:g} messages per second; round trips per second "
-        f"with "
-        "one message under way. A bridge's CPU includes looking while nothing happens. Ratios are medians "
-        "of the rounds' ratios."
+        "with one message under way. A bridge's CPU includes looking while nothing happens. Of fewer "
+        "than 100 messages p99 is the largest. Ratios are medians of the rounds' ratios."
     )
     title = f"There and back, with a PLC task of {cycle:g} ms"
     return Table(title, header, tuple(lines), _waiting(cycle), note)
@@ -230,24 +225,19 @@ def _summary(rows: list[_Row]) -> list[str]:
 
 
 _AFTER = (
-    "**What this means.** With a task of 1 ms most of a round trip is waiting for the next scan and for "
-    "the "
-    "next look of the bridge, whatever carries the message: so medians lie close together, and closer "
-    "still "
-    "with a slower task, because the cycle decides, not the transport. At 10 ms a message may be "
-    "replaced by "
-    "a newer one before a scan has seen it, with every way that keeps only the newest. What differs is "
-    "what arrives. Registers have no strings, no names "
-    "and no 64-bit numbers, and a message of more than 123 registers is written in several requests: a "
-    "scan "
-    "between two of them sees half of each. OPC UA keeps numbers and strings, but a Write of several nodes "
-    "is not one step for a task that runs beside the server.",
-    "**What it does not.** The servers are pymodbus and asyncua in Python, not a PLC's own; how often a "
-    "torn "
-    "message is seen depends on how long a server takes between two pieces and on the task's period. "
-    "That it "
-    "can be seen does not: neither protocol promises more. A Modbus message that fits into one request "
-    "arrives whole here because this server stores a request in one step; the protocol does not say so. A "
-    "user can add a counter at both ends and throw torn messages away; then they are lost instead of torn, "
-    "and somebody has to write and test that for each type.",
+    "**What this means.** A large part of every round trip is waiting for the next scan and for the "
+    "next look of the bridge, whatever carries the message; with a slower task the cycle decides, not "
+    "the transport. The rest is the work and the wake-ups of all processes on the way: a busy machine "
+    "stretches that, the more the more requests a message needs. At 10 ms a message may be replaced by "
+    "a newer one before a scan has seen it, with every way that keeps only the newest. What differs "
+    "most is what arrives. Registers have no strings, no names and no 64-bit numbers, and a message of "
+    "more than 123 registers is written in several requests: a scan between two of them sees half of "
+    "each. OPC UA keeps numbers and strings, but a Write of several nodes is not one step for a task "
+    "that runs beside the server.",
+    "**What it does not.** The servers are pymodbus and asyncua in Python, not a PLC's own; how often "
+    "a torn message is seen depends on how long a server takes between two pieces and on the task's "
+    "period. That it can be seen does not: neither protocol promises more. A Modbus message that fits "
+    "into one request arrives whole here because this server stores a request in one step; the "
+    "protocol does not say so. A user can add a counter at both ends and throw torn messages away; "
+    "then they are lost instead of torn, and somebody has to write and test that for each type.",
 )

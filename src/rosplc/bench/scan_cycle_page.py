@@ -12,9 +12,9 @@ from rosplc.bench.scan_cycle_methods import NAMES
 __all__ = ["render"]
 
 _WAITING = (
-    "the task sleeps until its next cycle, on an absolute grid; the other side sleeps between messages, "
-    "which it sends at random moments, one to two cycles apart; a Modbus or OPC UA server sleeps until a "
-    "request comes"
+    "the task sleeps until its next cycle, on an absolute grid; the other side sleeps between "
+    "messages, which it sends at random moments, one to two cycles apart; a Modbus or OPC UA server "
+    "sleeps until a request comes"
 )
 _BESIDE = {
     (False, False): "nothing beside it",
@@ -98,7 +98,10 @@ def _costs(
                 rows.append((words, NAMES[method], *cells))
     parts = ("median", "p99", "max")
     header = ("beside the task", "method", *(f"{cycle} ms: {part}" for cycle in shown for part in parts))
-    note = "Medians and p99: the median of the rounds'; max: of all rounds."
+    note = (
+        "Medians and p99: the median of the rounds'; max: of all rounds. Of fewer than 100 scans p99 "
+        "is the largest."
+    )
     return Table(title, header, tuple(rows), _WAITING, note)
 
 
@@ -133,10 +136,10 @@ def _whole(data: Mapping[str, Any], runs: list[Mapping[str, Any]], methods: list
         "messages torn then",
     )
     note = (
-        "CPU: of a core, with nothing beside and the shortest cycle. Scans are also missed because of the "
-        "machine, as the first row shows. In the last three columns the other side stops for "
-        f"{data['stall_ms']:g} ms in the middle of a message, as a program does that is interrupted there; "
-        "the task runs every 1 ms."
+        "CPU: of a core, with nothing beside and the shortest cycle. Scans are also missed because of "
+        "the machine, as the first row shows. In the last three columns the other side stops for "
+        f"{data['stall_ms']:g} ms in the middle of a message, as a program does that is interrupted "
+        "there; the task runs every 1 ms."
     )
     return Table("What happens to messages and scans", header, tuple(rows), _WAITING, note)
 
@@ -196,40 +199,34 @@ def _summary(runs: list[Mapping[str, Any]], data: Mapping[str, Any]) -> tuple[st
         if one["method"] in ("rosplc", "semaphore", "plain"):
             lines.append(
                 f"The other side stops for {data['stall_ms']:g} ms inside a message, "
-                f"{NAMES[one['method']]}: the "
-                f"task's longest call takes {one['longest_ns'] / 1e6:.3g} ms, and {one['torn']} torn "
-                f"messages "
-                "are seen."
+                f"{NAMES[one['method']]}: longest call of the task {one['longest_ns'] / 1e6:.3g} ms, "
+                f"torn messages {one['torn']}."
             )
     return tuple(lines)
 
 
 _LEAD = (
-    "A task reads one message of 200 bytes and writes another in each scan. In C the task is a loop that "
-    "sleeps with clock_nanosleep, as soft-PLC runtimes on Linux do. With Modbus the PLC is either the "
-    "server, whose thread fills registers that the program copies, or it asks in its task and "
+    "A task reads one message of 200 bytes and writes another in each scan. In C the task is a loop "
+    "that sleeps with clock_nanosleep, as soft-PLC runtimes on Linux do. With Modbus the PLC is either "
+    "the server, whose thread fills registers that the program copies, or it asks in its task and "
     "waits for the answers. There is no OPC UA server in C here: that row is Python, and so is one of "
-    "rosplc's, to compare it with. "
-    "A hog is a program that computes without end; one runs on each core.",
+    "rosplc's, to compare it with. A hog is a program that computes without end; one runs on each core.",
 )
 
 _AFTER = (
-    "**What this means.** The age is about half a cycle with every method that keeps up: a message waits "
-    "for "
-    "the next scan, and the cycle, not the transport, decides how old it is. At 10 ms nobody gains "
-    "anything "
-    "there from a faster transport. What is left to win is in the other tables: the time that calls take "
-    "from the cycle, and above all their longest time, because that is what a watchdog and a drive "
-    "notice; whether a scan is missed because the other side stood still; whether a message is torn; and "
-    "the CPU that stays "
-    "for the rest.",
+    "**What this means.** The age is about half a cycle with every method that keeps up: a message "
+    "waits for the next scan, and the cycle, not the transport, decides how old it is. At 10 ms nobody "
+    "gains anything there from a faster transport. What is left to win is in the other tables: the "
+    "time that calls take from the cycle, and above all their longest time, because that is what a "
+    "watchdog and a drive notice; whether a scan is missed because the other side stood still; whether "
+    "a message is torn; and the CPU that stays for the rest.",
     "A call that waits for somebody else, for a lock or for an answer, takes as long as the other one "
-    "takes. "
-    "Most of the time that is little, which is why medians look harmless. rosplc's calls wait for nobody.",
-    "**What it does not.** A general-purpose kernel on a shared or virtual machine has pauses of its own, "
-    "which the row without any exchange shows; what lies below them cannot be seen here. A few seconds "
-    "find "
-    "no worst case. A PLC's own runtime, with its Modbus and OPC UA servers and their priorities, is not "
-    "measured. Modbus with the PLC as the server copies registers while the server's thread may be filling "
-    "them; that no torn message was seen, where none was, is luck and not a promise.",
+    "takes. Most of the time that is little, which is why medians look harmless. rosplc's calls wait "
+    "for nobody.",
+    "**What it does not.** A general-purpose kernel on a shared or virtual machine has pauses of its "
+    "own, which the row without any exchange shows; what lies below them cannot be seen here. A few "
+    "seconds find no worst case. A PLC's own runtime, with its Modbus and OPC UA servers and their "
+    "priorities, is not measured. Modbus with the PLC as the server copies registers while the "
+    "server's thread may be filling them; that no torn message was seen, where none was, is luck and "
+    "not a promise.",
 )

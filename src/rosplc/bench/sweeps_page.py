@@ -34,10 +34,8 @@ TOPIC_NAMES = {
 
 _WAITING = (
     "rosplc, memcpy and semaphore: nobody waits, one process writes and takes; Modbus and OPC UA: the "
-    "client "
-    "sleeps until the answer to each request comes, the server until a request comes, wherever the "
-    "kernel puts "
-    "the two"
+    "client sleeps until the answer to each request comes, the server until a request comes, wherever "
+    "the kernel puts the two"
 )
 
 
@@ -121,8 +119,7 @@ def _payload_table(found: Mapping[str, Mapping[int, float]]) -> Table:
         found,
         lambda _size, ns: ns / 1000,
         "Medians of the rounds. Shared memory: written and taken; Modbus and OPC UA: written and "
-        "acknowledged. "
-        "Modbus takes 246 bytes per request and has addresses for 128 KiB in all.",
+        "acknowledged. Modbus takes 246 bytes per request and has addresses for 128 KiB in all.",
     )
 
 
@@ -133,9 +130,8 @@ def _topic_table(found: Mapping[str, Mapping[int, float]]) -> Table:
         TOPIC_NAMES,
         found,
         lambda count, ns: count / ns * 1e9,
-        "Medians of the rounds. In a round every topic is written once and read once. rosplc from Python "
-        "also "
-        "encodes each message for ROS, as the bridge does; Modbus carries 32-bit numbers.",
+        "Medians of the rounds. In a round every topic is written once and read once. rosplc from "
+        "Python also encodes each message for ROS, as the bridge does; Modbus carries 32-bit numbers.",
     )
 
 
@@ -158,34 +154,29 @@ def _summary(
     if batched and single:
         most = max(batched)
         lines.append(
-            f"{most} topics from Python: {most / batched[most] * 1e3:.2f} million messages per second in "
-            f"one "
-            f"call for all, {most / single[most] * 1e3:.2f} one by one."
+            f"{most} topics from Python: {most / batched[most] * 1e3:.2f} million messages per second "
+            f"in one call for all, {most / single[most] * 1e3:.2f} one by one."
         )
     return tuple(lines)
 
 
 _LEAD = (
-    "By size: one message is written and taken (shared memory), or written and acknowledged (Modbus, OPC "
-    "UA). "
-    "By topics: each of so many topics gets a new message, and all are read. What arrived is compared with "
-    "what was sent.",
+    "By size: one message is written and taken (shared memory), or written and acknowledged (Modbus, "
+    "OPC UA). By topics: each of so many topics gets a new message, and all are read. What arrived is "
+    "compared with what was sent.",
 )
 
 
 def _after(data: Mapping[str, Any]) -> tuple[str, ...]:
     return (
         "**What this means.** Up to some kilobytes a message costs what the call costs, not what its "
-        "bytes cost: "
-        "nanoseconds in C, a fraction of a microsecond from Python. From there on all shared memory "
-        "costs what "
-        "memcpy costs, and the semaphore's lock is held as long as the copy takes. A request costs a "
-        "journey "
-        "through the kernel to another process and back, many times if the message does not fit into one.",
-        "**What it does not.** Nobody waits for a message here, so this is no latency: the experiment's "
-        "tables "
-        "show that. Everything lies in the caches of one core where it fits, which is kind to shared "
-        "memory; on "
-        "two cores each line travels once more. The servers of pymodbus and asyncua were asked for at most "
-        f"{data['server_most']} topics.",
+        "bytes cost: nanoseconds in C, a fraction of a microsecond from Python. From there on all "
+        "shared memory costs what memcpy costs (from Python a taking copies once more, into a private "
+        "buffer first, so that a rejected copy never shows), and the semaphore's lock is held as long "
+        "as the copy takes. A request costs a journey through the kernel to another process and back, "
+        "many times if the message does not fit into one.",
+        "**What it does not.** Nobody waits for a message here, so this is no latency: the "
+        "experiment's tables show that. Everything lies in the caches of one core where it fits, which "
+        "is kind to shared memory; on two cores each line travels once more. The servers of pymodbus "
+        f"and asyncua were asked for at most {data['server_most']} topics.",
     )

@@ -21,6 +21,8 @@ def context(tmp_path: Path) -> Context:
     """Give the surroundings of a run."""
     if shutil.which("gcc") is None:
         pytest.skip("Debian package gcc is missing")
+    if shutil.which("pkg-config") is None:
+        pytest.skip("Debian package pkg-config is missing")
     if subprocess.run(["pkg-config", "--exists", "libmodbus"], check=False).returncode:
         pytest.skip("Debian package libmodbus-dev is missing")
     return Context(EFFORTS["default"], tmp_path, tmp_path, (0,))

@@ -29,6 +29,8 @@ def test_every_contender(context: Context, monkeypatch: pytest.MonkeyPatch) -> N
     """Each contender takes part as far as it can, and the tables leave out what it cannot."""
     if shutil.which("gcc") is None:
         pytest.skip("Debian package gcc is missing")
+    if shutil.which("pkg-config") is None:
+        pytest.skip("Debian package pkg-config is missing")
     if subprocess.run(["pkg-config", "--exists", "libmodbus"], check=False).returncode:
         pytest.skip("Debian package libmodbus-dev is missing")
     monkeypatch.setitem(sweeps._EFFORTS, "quick", EFFORT)
