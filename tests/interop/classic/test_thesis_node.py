@@ -81,7 +81,7 @@ class Cell:
         self.bridge.stop()
         self.ros.close()
         self.side.close()
-        self.graph.__exit__(None, None, None)
+        self.graph.close()
         remove(self.name)
 
 
