@@ -16,6 +16,7 @@ __all__ = [
     "ONE_CORE_CYCLE",
     "ONE_CORE_YIELD",
     "TWO_CORES",
+    "TWO_CORES_BLOCKING",
     "WAITING",
     "Arrangement",
     "Way",
@@ -77,6 +78,13 @@ ONE_CORE_YIELD = Arrangement("one-core-yield", "One core, giving it away between
 ONE_CORE_CYCLE = Arrangement(
     "one-core-cycle", "One core, looking every millisecond", 1, 1_000_000, _SHARED, True
 )
+TWO_CORES_BLOCKING = Arrangement(
+    "two-cores-blocking",
+    "Two cores, blocking",
+    2,
+    0,
+    "each process has a core of its own and sleeps until it is woken",
+)
 _CYCLE = (
     "both programs are cyclic and look once per period, B half a period after A; each has a core of its own "
     "where there are two"
@@ -88,5 +96,5 @@ CYCLIC = (
 ARRANGEMENTS = (TWO_CORES, ONE_CORE, *CYCLIC)
 """Those of the experiment, in the order of the report."""
 
-WAITING = (ONE_CORE_BUSY, ONE_CORE_YIELD, ONE_CORE_CYCLE, ONE_CORE)
+WAITING = (ONE_CORE_BUSY, ONE_CORE_YIELD, ONE_CORE_CYCLE, ONE_CORE, TWO_CORES_BLOCKING)
 """Those that show what waiting alone does."""

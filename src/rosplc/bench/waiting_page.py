@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from rosplc.bench import source
-from rosplc.bench.arrangements import ONE_CORE, ONE_CORE_BUSY, TWO_CORES
+from rosplc.bench.arrangements import ONE_CORE, ONE_CORE_BUSY, TWO_CORES, TWO_CORES_BLOCKING
 from rosplc.bench.found import Found, group_of
 from rosplc.bench.markdown import cell_text
 from rosplc.bench.results import Cell, Figure, Page, Series, Table
@@ -88,6 +88,14 @@ def _meaning(found: Found) -> tuple[str, ...]:
             "The same memory and semaphores, with the semaphore as a signal instead of a lock, take "
             f"{cell_text(slept)} µs: {cell_text(busy / slept)} times less, and nothing but the waiting was "
             "changed."
+        )
+    across = found.median(TWO_CORES_BLOCKING.name, "rosplc-c")
+    asleep = found.median(ONE_CORE.name, "rosplc-c")
+    if across is not None and asleep is not None:
+        text.append(
+            f"Asleep on a core each, a cycle over rosplc's channel takes {cell_text(across)} µs; where both "
+            f"share one core, {cell_text(asleep)} µs. A core that has gone idle must itself be woken "
+            "first, in a virtual machine by the host: that is the guest's price, not the transport's."
         )
     modbus = found.ratio(ONE_CORE.name, "libmodbus", "rosplc-c")
     if modbus is not None:

@@ -9,6 +9,7 @@ from rosplc.bench.arrangements import (
     ONE_CORE_CYCLE,
     ONE_CORE_YIELD,
     TWO_CORES,
+    TWO_CORES_BLOCKING,
     Way,
 )
 from rosplc.bench.compiling import compile_program
@@ -71,6 +72,7 @@ ROSPLC_C = Contender(
     {
         TWO_CORES.name: SPINS,
         ONE_CORE.name: RINGS,
+        TWO_CORES_BLOCKING.name: RINGS,
         **_BUSY,
         **_CYCLES,
     },
@@ -92,6 +94,6 @@ SIGNAL_C = Contender(
     "signal-c",
     "semaphores as signals, C",
     "the source's parts put together otherwise: the writer posts the semaphore, the reader waits for it",
-    {ONE_CORE.name: Way("block", "sleeps on the semaphore")},
+    dict.fromkeys((ONE_CORE.name, TWO_CORES_BLOCKING.name), Way("block", "sleeps on the semaphore")),
     lambda place: _start_semaphore(place, "signal"),
 )
