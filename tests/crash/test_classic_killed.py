@@ -193,7 +193,7 @@ def test_rounds_of_kills(tmp_path: Path, way: str) -> None:
     """Whenever a PLC is killed, the next one finds a lock that works, and no message is torn."""
     build_plc()
     with ClassicCell(tmp_path, "plc" if way == "read" else "ros", RECOVER) as cell:
-        assert _rounds(cell, way, 4.0, seed=1) > 3
+        assert _rounds(cell, way, 2.5, seed=1) > 1
         assert None not in cell.got
 
 

@@ -17,11 +17,13 @@
 #include <fcntl.h>
 #include <poll.h>
 #include <semaphore.h>
+#include <signal.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/mman.h>
+#include <sys/prctl.h>
 #include <sys/stat.h>
 #include <time.h>
 #include <unistd.h>
@@ -131,6 +133,7 @@ static int sample(const char *prefix)
 
 int main(int argc, char **argv)
 {
+    prctl(PR_SET_PDEATHSIG, SIGKILL); /* a test run that is killed leaves nobody inside */
     hold_at = number("HOLD", 0);
     spread_us = number("SPREAD_US", 0);
     if (argc == 3 && strcmp(argv[1], "sample") == 0)

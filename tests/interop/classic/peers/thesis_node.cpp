@@ -11,7 +11,9 @@
 #include <fcntl.h>
 #include <poll.h>
 #include <semaphore.h>
+#include <signal.h>
 #include <sys/mman.h>
+#include <sys/prctl.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
@@ -135,6 +137,7 @@ static bool input_ended() {
 
 int main(int argc, char** argv) {
   if (argc < 3) return 2;
+  prctl(PR_SET_PDEATHSIG, SIGKILL);  // a test run that is killed leaves nobody inside
   const bool reads = std::string(argv[1]) == "read";
   ros::init(argc, argv, std::string("thesis_") + argv[2], ros::init_options::NoSigintHandler);
   TwistTopic topic(argv[2], reads ? TwistTopic::READ : TwistTopic::WRITE);
