@@ -20,7 +20,7 @@ def table() -> str:
 
 
 def cell(backend: str, flag: str) -> str:
-    """Return what a backend's harnesses say; several stand for one backend where it can be set up differently."""
+    """Return what a backend's harnesses say; there are several where it can be set up differently."""
     said = {getattr(harness.abilities, flag) for harness in HARNESSES if harness.backend == backend}
     return {frozenset({True}): "yes", frozenset({False}): "no"}.get(frozenset(said), "as it is set up")
 

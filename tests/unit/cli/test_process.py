@@ -168,3 +168,29 @@ def test_a_second_bridge_is_refused(tmp_path, shm_namespace):
         assert "SHM116" in err
         assert first.poll() is None
         started(shm_namespace.prefix)
+
+
+def test_run_takes_ros_arguments(tmp_path, shm_namespace):
+    """ROS arguments stand among the command's own; a bad one ends it with status 2 and is named."""
+    path = run_config(tmp_path, shm_namespace.prefix)
+    arguments = (
+        "__name:=cell",
+        "--ros-args",
+        "-r",
+        "__ns:=/r1",
+        "--log-level",
+        "warn",
+        "--",
+        "--status",
+        "0",
+    )
+    with process("run", path, *arguments) as child:
+        started(shm_namespace.prefix)
+        child.send_signal(signal.SIGINT)
+        _, err = child.communicate(timeout=60)
+    assert (child.returncode, err) == (0, "")
+    with process("run", path, "--ros-args", "-r", "/cmd_vel=/base") as child:
+        _, err = child.communicate(timeout=60)
+    assert child.returncode == 2
+    assert "CFG011" in err
+    assert "/cmd_vel=/base" in err
