@@ -162,6 +162,7 @@ def test_the_ros_side_counts_what_comes_back(robot: tuple[Line, Any, Translator]
 
 def test_the_whole_comparison(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """All three ways carry messages; rosplc's come through whole and exact, registers lose what they lose."""
+    pytest.importorskip("cyclonedds")
     monkeypatch.setitem(end_to_end._AMOUNTS, "quick", end_to_end.Amount((1.0,), 1, 4, 0.05))
     context = Context(EFFORTS["quick"], tmp_path, tmp_path, (0,))
     data = json.loads(json.dumps(end_to_end.run(context)))
@@ -231,6 +232,7 @@ def test_a_way_that_does_not_come_up_takes_no_other_along(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A PLC that ends at its start is a failure with its name, and the other way is measured."""
+    pytest.importorskip("cyclonedds")
     amount = end_to_end.Amount((1.0,), 1, 2, 0.02)
     monkeypatch.setitem(end_to_end._AMOUNTS, "quick", amount)
     monkeypatch.setattr(end_to_end, "free_port", lambda: -1)
