@@ -80,12 +80,15 @@ class _Endpoint:
 
     def declare(self, session: Any, entity: Entity) -> None:
         """Make the endpoint known, first to Zenoh and then to ROS: who sees its token can reach it."""
+        # Not under the lock: the library calls back from other threads while it declares, and waits.
+        self.entity = entity
+        declared = self._declare(session)
+        declared.insert(0, session.liveliness().declare_token(entity.token))
         with self._lock:
-            if self._closed:
+            if not self._closed:
+                self._declared = declared
                 return
-            self.entity = entity
-            middle = self._declare(session)
-            self._declared = [session.liveliness().declare_token(entity.token), *middle]
+        self._withdraw(declared)
 
     def _declare(self, session: Any) -> list[Any]:
         raise NotImplementedError
@@ -97,12 +100,15 @@ class _Endpoint:
             self._closed = True
             declared, self._declared = self._declared, []
         self._on_close(self)  # type: ignore[arg-type]
+        self._withdraw(declared)
+        return True
+
+    def _withdraw(self, declared: list[Any]) -> None:
         for one in declared:
             try:
                 one.undeclare()
             except zenoh.ZError as error:  # the session is gone already
                 _logger.debug("%s: %s", self.topic, error)
-        return True
 
     def status(self) -> EndpointStatus:
         """Return the present state."""
@@ -266,9 +272,10 @@ class ZenohPublisher(_Endpoint):
                 publisher_detection=True,
                 sample_miss_detection=detection if reliable else None,
             )
-        self._zenoh, self._gid = publisher, gid_of(self.entity.token)
-        while self._early:
-            self._put(*self._early.popleft())
+        with self._lock:
+            self._zenoh, self._gid = publisher, gid_of(self.entity.token)
+            while self._early:
+                self._put(*self._early.popleft())
         return [publisher] if publisher is self._route else [publisher, self._route]
 
     def _connected(self) -> bool:
