@@ -8,6 +8,7 @@ from rosplc.bench.arrangements import ARRANGEMENTS
 from rosplc.bench.contenders import CONTENDERS
 from rosplc.bench.context import Context
 from rosplc.bench.experiment_page import page
+from rosplc.bench.machine import load_average
 from rosplc.bench.section import Section
 from rosplc.bench.turns import CYCLES, take_turns
 
@@ -15,7 +16,10 @@ __all__ = ["EXPERIMENT"]
 
 
 def _run(context: Context) -> dict[str, Any]:
-    return {"cycles": list(CYCLES), "arrangements": take_turns(context, CONTENDERS, ARRANGEMENTS)}
+    before = load_average()[0]
+    arrangements = take_turns(context, CONTENDERS, ARRANGEMENTS)
+    load = [before, load_average()[0]]
+    return {"cycles": list(CYCLES), "load": load, "arrangements": arrangements}
 
 
 EXPERIMENT = Section(

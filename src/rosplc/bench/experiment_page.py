@@ -36,7 +36,7 @@ def page(data: Mapping[str, Any]) -> Page:
         lead=_who(found),
         tables=tuple(tables),
         figures=tuple(figures),
-        goals=goals(found),
+        goals=goals(found, max(data.get("load", [0.0]))),
         after=_after(found),
         summary=summary(found),
     )

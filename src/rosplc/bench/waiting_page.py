@@ -79,8 +79,8 @@ def _meaning(found: Found) -> tuple[str, ...]:
         text.append(
             f"On one core of this machine the source's design takes {cell_text(busy)} µs a cycle when it "
             f"looks again at once, and {cell_text(alone)} µs on two cores, where nobody waits for a core: "
-            f"**{100 * (1 - alone / busy):.2f} % of that cycle is waiting**, for the scheduler to take the "
-            "core from the one that looks in vain."
+            f"**all but {cell_text(alone)} µs of that cycle is waiting**, for the scheduler to take the core "
+            "from the one that looks in vain."
         )
     slept = found.median(ONE_CORE.name, "signal-c")
     if busy is not None and slept is not None:
@@ -116,7 +116,7 @@ def _summary(found: Found) -> tuple[str, ...]:
     if busy is None or alone is None:
         return ()
     return (
-        f"The source's design on one core, looking again at once: {cell_text(busy / 1000)} ms a cycle, of "
-        f"which {100 * (1 - alone / busy):.2f} % is waiting (the source's figure: "
+        f"The source's design on one core, looking again at once: {cell_text(busy / 1000)} ms a cycle, all "
+        f"but {cell_text(alone)} µs of it waiting (the source's figure: "
         f"{source.SHARED_MEMORY_S[1000]:.2f} ms).",
     )

@@ -1,0 +1,29 @@
+"""The documentation's page of results is what the report beside it gives."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[3]
+PAGE = ROOT / "docs" / "explanation" / "comparison.md"
+IMAGES = ROOT / "docs" / "images" / "bench"
+
+
+def test_the_page_is_what_its_report_gives() -> None:
+    """No figure on the page was typed by hand: rendering the report again gives the same text."""
+    command = [sys.executable, str(ROOT / "tools" / "generate_comparison.py"), "--verify"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_the_page_shows_every_section_with_figures_that_exist() -> None:
+    """The report has every section and no failure, and each image of the page is there."""
+    report = json.loads((IMAGES / "report.json").read_text())
+    assert len(report["sections"]) == 5
+    assert not any(section["failures"] for section in report["sections"])
+    shown = set(re.findall(r"\]\(\.\./images/bench/(\S+\.svg)\)", PAGE.read_text()))
+    assert shown == {path.name for path in IMAGES.glob("*.svg")} != set()
