@@ -244,7 +244,7 @@ class RospyBackend:
         ]
 
     def _strange_subscribers(self, outgoing: Outgoing, keeper: Keeper) -> list[tuple[str, str]]:
-        found = list(outgoing.strangers.values())
+        found = [wrong for _, wrong in list(outgoing.strangers.values())]
         named = keeper.state.subscribers.get(outgoing.topic, frozenset())
         absent = named - outgoing.subscribers() - set(outgoing.strangers)
         now = time.monotonic_ns()

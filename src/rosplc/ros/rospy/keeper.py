@@ -139,10 +139,15 @@ class Keeper:
                 self._node,
             )
         for key, endpoint in wanted.items():
+            known = self.state.publishers.get(key[1], frozenset())
+            if isinstance(endpoint, Incoming) and len(known) != len(endpoint.publishers):
+                self._registered.pop(key, None)  # a notice was missed: registering again tells who there is
             if isinstance(endpoint, Outgoing):
                 named = self.state.subscribers.get(key[1], frozenset())
-                for stranger in [node for node in endpoint.strangers if node not in named]:
-                    endpoint.strangers.pop(stranger, None)
+                for stranger, (since, _) in list(endpoint.strangers.items()):
+                    # One that came after the master was asked is missing in the answer by right.
+                    if stranger not in named and since < start:
+                        endpoint.strangers.pop(stranger, None)
         self._due = max(self._due, start + _SHARE * (time.thread_time() - busy))
 
     def _elsewhere(self) -> str:

@@ -30,12 +30,22 @@ class _Queue(QueuedConnection):  # type: ignore[misc]
     """
 
     _busy = False
+    _rest: bytes | memoryview = b""
 
     def write_data(self, data: bytes) -> bool:
-        """Queue a message; return False if the oldest had to give way. Never blocks."""
+        """Send or queue a message; return False if the oldest had to give way. Never blocks.
+
+        While nothing waits, the message goes out from here: waking the thread would cost more than
+        all the rest of its way.
+        """
         with self._lock:
             if self._error is not None:
                 raise self._error
+            if not (self._queue or self._rest or self._busy) and (sent := self._send(data)):
+                if sent < len(data):
+                    self._rest = memoryview(data)[sent:]  # what has begun cannot give way any more
+                    self._cond_data_available.notify_all()
+                return True
             full = len(self._queue) >= self._queue_size
             if full:
                 del self._queue[0]
@@ -43,18 +53,34 @@ class _Queue(QueuedConnection):  # type: ignore[misc]
             self._cond_data_available.notify_all()
         return not full
 
+    def _send(self, data: bytes) -> int:
+        connection = self._connection
+        if connection.done or (sock := connection.socket) is None:
+            raise BrokenPipeError
+        try:
+            sent: int = sock.send(data, socket.MSG_DONTWAIT)
+        except BlockingIOError:
+            return 0
+        if sent == len(data):
+            connection.stat_bytes += sent
+            connection.stat_num_msg += 1
+        return sent
+
     def _run(self) -> None:
         connection, news = self._connection, self._cond_data_available
         while True:
             with self._lock:
                 self._busy = False
-                if not self._queue:
+                if not self._queue and not self._rest:
                     news.notify_all()
-                while not self._queue and not connection.done:
+                while not self._queue and not self._rest and not connection.done:
                     news.wait()
                 if connection.done:
                     return
-                data = self._queue.pop(0)
+                if self._rest:
+                    data, self._rest = self._rest, b""
+                else:
+                    data = self._queue.pop(0)
                 self._busy = True
             try:
                 connection.write_data(data)
@@ -68,7 +94,11 @@ class _Queue(QueuedConnection):  # type: ignore[misc]
     def flush(self, deadline: float) -> None:
         """Wait until everything has gone out, at most to a point in time (monotonic seconds)."""
         with self._lock:
-            while (self._queue or self._busy) and self._error is None and not self._connection.done:
+            while (
+                (self._queue or self._rest or self._busy)
+                and self._error is None
+                and not self._connection.done
+            ):
                 if not self._cond_data_available.wait(max(0.0, deadline - time.monotonic())):
                     return
 
@@ -92,6 +122,9 @@ class Outgoing:
         md5: The type's MD5 sum.
         text: The type's definition.
         changed: Called when a connection comes or goes.
+
+    Attributes:
+        strangers: Nodes that were refused: when (monotonic seconds), code and words.
     """
 
     direction = "out"
@@ -103,7 +136,7 @@ class Outgoing:
         self.type_name = type_name
         self.identity = (type_name, md5)
         self.kind = raw_class(type_name, md5, text)
-        self.strangers: dict[str, tuple[str, str]] = {}
+        self.strangers: dict[str, tuple[float, tuple[str, str]]] = {}
         self._caller = caller
         self._changed = changed
         self._lock = threading.Lock()
@@ -130,7 +163,7 @@ class Outgoing:
         node = header.get("callerid", "?")[:256]
         wrong = mismatch(node, "subscribes to", self.topic, peer_type(header), self.identity)
         if wrong is not None:
-            self.strangers[node] = wrong
+            self.strangers[node] = (time.monotonic(), wrong)
             self._changed()
             name, md5 = self.identity
             return f"topic {self.topic} is {name} with md5sum {md5} here: {wrong[1]}"
@@ -150,7 +183,8 @@ class Outgoing:
             if self._latched is not None and self.latching:
                 queue.write_data(self._latched)
             self._queues = (*(q for q in self._queues if q not in former), queue)
-            self.strangers.pop(node, None)
+            if peer_type(header)[1] != ANY:  # one that was refused asks once more, for any type, to learn why
+                self.strangers.pop(node, None)
         for one in former:  # as rospy does: one connection for each node
             one.close()
         self._changed()
@@ -174,7 +208,7 @@ class Outgoing:
         for queue in failed:
             queue.close()
         if self._queues:
-            time.sleep(0)  # as rospy does: lets the queues' threads run now
+            time.sleep(0)  # as rospy does: lets the threads of queues and receivers run now
         return lost
 
     def check(self) -> None:
