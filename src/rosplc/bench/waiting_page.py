@@ -67,11 +67,11 @@ def page(data: Mapping[str, Any]) -> Page:
 
 
 def _meaning(found: Found) -> tuple[str, ...]:
-    steps = source.SHARED_MEMORY_S
-    slope = (steps[1000] - steps[500]) / 500 * 1e6
+    each = [seconds / count * 1000 for count, seconds in source.SHARED_MEMORY_S.items()]
     text = [
-        f"The source's cycle over shared memory takes the same {slope:,.0f} µs whether ten or a thousand "
-        "follow each other: a constant, as of a wait, and thousands of times what copying 200 bytes takes."
+        f"The source's cycle over shared memory takes {min(each):.2f} to {max(each):.2f} ms, whether ten or a "
+        "thousand follow each other: a constant, as of a wait, and thousands of times what copying 200 bytes "
+        "takes."
     ]
     busy = found.median(ONE_CORE_BUSY.name, _DESIGN)
     alone = found.median(TWO_CORES.name, _DESIGN)
@@ -86,7 +86,7 @@ def _meaning(found: Found) -> tuple[str, ...]:
     if busy is not None and slept is not None:
         text.append(
             "The same memory and semaphores, with the semaphore as a signal instead of a lock, take "
-            f"{cell_text(slept)} µs: {cell_text(busy / slept)} times less, and nothing but the waiting was "
+            f"{cell_text(slept)} µs: {cell_text(busy / slept)} times less, and only the way to wait was "
             "changed."
         )
     across = found.median(TWO_CORES_BLOCKING.name, "rosplc-c")
