@@ -69,9 +69,9 @@ def page(data: Mapping[str, Any]) -> Page:
 def _meaning(found: Found) -> tuple[str, ...]:
     each = [seconds / count * 1000 for count, seconds in source.SHARED_MEMORY_S.items()]
     text = [
-        f"The source's cycle over shared memory takes {min(each):.2f} to {max(each):.2f} ms, whether ten or a "
-        "thousand follow each other: a constant, as of a wait, and thousands of times what copying 200 bytes "
-        "takes."
+        f"The source's cycle over shared memory takes {min(each):.2f} to {max(each):.2f} ms, whether ten "
+        "or a thousand follow each other: a constant, as of a wait, and thousands of times what copying 200 "
+        "bytes takes."
     ]
     busy = found.median(ONE_CORE_BUSY.name, _DESIGN)
     alone = found.median(TWO_CORES.name, _DESIGN)
