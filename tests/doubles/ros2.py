@@ -13,7 +13,7 @@ from typing import Any
 from rosplc.model import TypeStore
 
 FOLDER = str(Path(__file__).parent)
-_OURS = ("rclpy", "rosplc.ros.rclpy", "launch", "launch_ros", "lifecycle_msgs", "rosplc_bridge")
+_OURS = ("rclpy", "rosplc.ros.rclpy", "launch", "launch_ros", "rosplc_bridge")
 
 
 @contextlib.contextmanager
@@ -25,6 +25,8 @@ def double(distro: str = "jazzy", paths: Iterable[str] = ()) -> Iterator[Any]:
         paths: Further folders to import from.
     """
     before = os.environ.get("ROS_DISTRO")
+    packages = {name.split("/")[0] for name in TypeStore.bundled("jazzy").names()}
+    others = {name: sys.modules.pop(name) for name in list(sys.modules) if name.split(".")[0] in packages}
     os.environ["ROS_DISTRO"] = distro
     sys.path[:0] = [FOLDER, *paths]
     try:
@@ -37,6 +39,7 @@ def double(distro: str = "jazzy", paths: Iterable[str] = ()) -> Iterator[Any]:
             sys.path.remove(folder)
         for name in [n for n in sys.modules if n in _OURS or n.startswith(tuple(f"{o}." for o in _OURS))]:
             del sys.modules[name]
+        sys.modules.update(others)  # of ROS 1, if this machine has it
         if before is None:
             del os.environ["ROS_DISTRO"]
         else:

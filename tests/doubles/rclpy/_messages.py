@@ -28,6 +28,8 @@ class _Installation(importlib.abc.MetaPathFinder, importlib.abc.Loader):
 
     def find_spec(self, fullname: str, path: Any, target: Any = None) -> Any:
         package, _, rest = fullname.partition(".")
+        if package in self.without:
+            raise ModuleNotFoundError(f"No module named {package!r}", name=package)
         if package not in self.packages() or rest not in ("", "msg"):
             return None
         return importlib.machinery.ModuleSpec(fullname, self, is_package=not rest)
@@ -50,7 +52,7 @@ _installation = _Installation()
 def install() -> None:
     """Make the packages importable."""
     if _installation not in sys.meta_path:
-        sys.meta_path.append(_installation)
+        sys.meta_path.insert(0, _installation)  # before ROS 1's packages, if this machine has them
 
 
 def uninstall() -> None:
@@ -84,7 +86,7 @@ def _make(store: TypeStore, message: MessageType) -> type:
         for name, default in defaults.items():
             setattr(self, name, kwargs.get(name, default))
 
-    body = {
+    body = {constant.name: constant.value for constant in message.constants} | {
         "__init__": __init__,
         "get_fields_and_field_types": classmethod(lambda _: dict(fields)),
         "_double_name": message.name,

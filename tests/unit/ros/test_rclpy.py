@@ -12,6 +12,7 @@ import os
 import sys
 import threading
 import time
+import types
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -147,6 +148,18 @@ def test_missing_message_in_a_package_is_named(machine: Machine) -> None:
     store = STORE.with_definition("std_msgs/msg/Newest", "int32 a\n")
     error = refused(lambda: machine.node("node", store).advertise("/n", "std_msgs/msg/Newest", Qos()))
     assert (error.code, "has no message Newest" in error.what) == ("ROS011", True)
+
+
+def test_message_class_of_ros_1_is_told_apart(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where ROS 1's package of the same name comes first, the error says so, and where it lies."""
+    module = types.ModuleType("std_msgs.msg")
+    module.__file__ = "/usr/lib/python3/dist-packages/std_msgs/msg/__init__.py"
+    module.String = type("String", (), {"_type": "std_msgs/String"})  # type: ignore[attr-defined]
+    node = machine.node("node")
+    monkeypatch.setitem(sys.modules, "std_msgs.msg", module)
+    error = refused(lambda: node.advertise("/chatter", STRING, Qos()))
+    assert error.code == "ROS011"
+    assert f"not one of ROS 2 ({module.__file__})" in error.what
 
 
 @pytest.mark.parametrize(

@@ -43,12 +43,18 @@ def message_class(type_name: str) -> Any:
             remedy=f"Install ros-DISTRO-{package.replace('_', '-')}, or build it with colcon, and source its "
             "setup.bash before the bridge starts.",
         ) from error
-    try:
-        return getattr(module, name)
-    except AttributeError:
+    found = getattr(module, name, None)
+    if found is None:
         raise BackendError(
             "ROS011", f"the installed package {package} has no message {name} ({module.__file__})"
-        ) from None
+        )
+    if not hasattr(found, "get_fields_and_field_types"):
+        raise BackendError(
+            "ROS011",
+            f"the package {package} that Python finds is not one of ROS 2 ({module.__file__})",
+            remedy="Keep ROS 1's packages out of PYTHONPATH, and source the setup.bash of ROS 2 last.",
+        )
+    return found
 
 
 def field_text(kind: FieldType) -> str:
