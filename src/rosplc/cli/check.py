@@ -197,7 +197,10 @@ def _explain(project: Project) -> None:
     if settings.ros.backend == "auto" and not isinstance(chosen := chosen_backend(project), RosplcError):
         say(f"ROS backend auto is {chosen}.")
     domain = settings.ros.domain
-    say(f"ROS domain {domain}." if domain is not None else "ROS domain: ROS_DOMAIN_ID's, else 0.")
+    if settings.ros.distro == "noetic":
+        say("ROS master: ROS_MASTER_URI's, else http://localhost:11311.")
+    else:
+        say(f"ROS domain {domain}." if domain is not None else "ROS domain: ROS_DOMAIN_ID's, else 0.")
     given = settings.topics
     for plan in topics:
         arrow = "ROS → PLC" if plan.direction == 1 else "PLC → ROS"
