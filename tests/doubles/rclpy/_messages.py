@@ -51,6 +51,8 @@ _installation = _Installation()
 
 def install() -> None:
     """Make the packages importable."""
+    for name in [name for name in sys.modules if name.split(".")[0] in _installation.packages()]:
+        del sys.modules[name]  # ROS 1's, imported before by a process that this one was forked from
     if _installation not in sys.meta_path:
         sys.meta_path.insert(0, _installation)  # before ROS 1's packages, if this machine has them
 
