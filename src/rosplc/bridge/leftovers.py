@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from rosplc.bridge.owner import group_id, user_id
 from rosplc.bridge.resolve import Project
 from rosplc.bridge.topic import log
 from rosplc.errors import ChannelError
@@ -20,11 +21,11 @@ def retire_leftovers(project: Project) -> None:
     Raises:
         ChannelError: SHM116, or what else keeps a lock from being taken.
     """
-    namespace, mode = project.namespace, project.config.settings.shm.mode
+    namespace, mode, uid = project.namespace, project.config.settings.shm.mode, user_id(project.config)
     channels = [plan for plan in project.topics if plan.classic is None]
     for plan in channels:
         try:
-            NameLock(namespace.lock_path(plan.topic), mode=mode).release()
+            NameLock(namespace.lock_path(plan.topic), mode=mode, uid=uid).release()
         except ChannelError as error:
             if error.code != "SHM116":
                 raise
@@ -64,6 +65,8 @@ def _retire(project: Project, topic: str) -> None:
         record_size=identity.record_size,
         slots=identity.slot_count,
         mode=project.config.settings.shm.mode,
+        uid=user_id(project.config),
+        gid=group_id(project.config),
     )
     channel.retire()
     log.info("%s has left the configuration; its object is retired", topic)

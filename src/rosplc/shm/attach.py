@@ -16,7 +16,7 @@ from rosplc._core._native import Reader, Region, Writer
 from rosplc.shm.claims import ReaderClaim, WriterClaim, start_of
 from rosplc.shm.constants import READER_LINES, Direction
 from rosplc.shm.description import Description
-from rosplc.shm.files import open_plain_file, read_header, same_file
+from rosplc.shm.files import open_plain_file, read_header, refuse_second_name, same_file
 from rosplc.shm.header import Identity, channel_error
 from rosplc.shm.names import Namespace
 from rosplc.shm.snapshot import Snapshot
@@ -52,6 +52,8 @@ def attach(
     path = namespace.path(topic)
     fd = open_plain_file(path, os.O_RDWR if write else os.O_RDONLY)
     try:
+        if write:
+            refuse_second_name(fd, path)
         return Attached(fd, str(path), layout_id, record_size, direction, write)
     finally:
         os.close(fd)

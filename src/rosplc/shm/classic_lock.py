@@ -16,10 +16,11 @@ from contextlib import suppress
 from pathlib import Path
 
 from rosplc.errors import ChannelError
-from rosplc.shm.classic_memory import describe_owner, give_away
+from rosplc.shm.classic_memory import give_away
 from rosplc.shm.files import same_file
 from rosplc.shm.header import channel_error
 from rosplc.shm.semaphore import Semaphore
+from rosplc.shm.who import describe_owner
 
 __all__ = ["ClassicLock", "Entry"]
 

@@ -8,10 +8,8 @@ checked before. A copy by system call comes back short instead.
 from __future__ import annotations
 
 import ctypes
-import grp
 import mmap
 import os
-import pwd
 import secrets
 from contextlib import suppress
 from pathlib import Path
@@ -21,8 +19,9 @@ from rosplc.errors import ChannelError
 from rosplc.shm.files import open_plain_file, same_file
 from rosplc.shm.header import channel_error
 from rosplc.shm.semaphore import read_at, size_of, write_at
+from rosplc.shm.who import describe_owner
 
-__all__ = ["ClassicMemory", "describe_owner", "give_away"]
+__all__ = ["ClassicMemory", "give_away"]
 
 
 class ClassicMemory:
@@ -158,20 +157,6 @@ def give_away(fd: int, path: Path, mode: int, uid: int | None, gid: int | None) 
         os.fchmod(fd, mode)
     except PermissionError as error:
         raise channel_error(102, f"cannot give it to user {uid}, group {gid}", str(path)) from error
-
-
-def describe_owner(path: Path) -> str:
-    """Return a file's owner, group and mode as a person reads them, ``root:root 0750``."""
-    try:
-        found = path.stat()
-    except OSError:
-        return "somebody else"
-    user, group = str(found.st_uid), str(found.st_gid)
-    with suppress(KeyError):
-        user = pwd.getpwuid(found.st_uid).pw_name
-    with suppress(KeyError):
-        group = grp.getgrgid(found.st_gid).gr_name
-    return f"{user}:{group} {found.st_mode & 0o7777:04o}"
 
 
 def _denied(path: Path) -> ChannelError:

@@ -8,10 +8,11 @@ import secrets
 import stat
 from pathlib import Path
 
+from rosplc.errors import ChannelError
 from rosplc.shm.constants import HEADER_SIZE
 from rosplc.shm.header import channel_error
 
-__all__ = ["create_complete", "open_plain_file", "read_header", "same_file"]
+__all__ = ["create_complete", "open_plain_file", "read_header", "refuse_second_name", "same_file"]
 
 _NO_PLAIN_FILE = {
     # What the kernel says of these ("too many levels of symbolic links") is about something else.
@@ -20,6 +21,7 @@ _NO_PLAIN_FILE = {
     errno.ENXIO: "a socket or pipe stands at this name",
 }
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.ENOMEM)
+_ATTEMPTS = 16
 
 
 def open_plain_file(path: Path, flags: int, *, denied: int = 102, mode: int = 0o600) -> int:
@@ -46,6 +48,25 @@ def open_plain_file(path: Path, flags: int, *, denied: int = 102, mode: int = 0o
     return fd
 
 
+def refuse_second_name(fd: int, path: Path) -> None:
+    """Refuse a file that has other names too, before anything of it is changed.
+
+    Whoever may create names in the directory can give another file, which they may not write, the name
+    of an object (where fs.protected_hardlinks is off). Objects and lock files have one name each.
+
+    Raises:
+        ChannelError: SHM121.
+    """
+    count = os.fstat(fd).st_nlink
+    if count > 1:
+        raise ChannelError(
+            "SHM121",
+            f"the file at this name has {count} names: it is a hard link",
+            where=str(path),
+            remedy=f"`find {path.parent} -samefile {path}` shows the others; remove the name that is wrong.",
+        )
+
+
 def _opening_error(error: OSError, path: Path, flags: int, denied: int) -> Exception:
     number = {
         errno.ENOENT: 101,
@@ -57,9 +78,10 @@ def _opening_error(error: OSError, path: Path, flags: int, denied: int) -> Excep
     }.get(error.errno or 0, 123)
     if error.errno in _NO_ROOM:
         number = 117
-    elif error.errno in (errno.ENOENT, errno.EACCES) and (flags & os.O_CREAT or not path.parent.is_dir()):
-        # With O_CREAT only the directory can be missing; and it, or an old file, may be closed to us.
-        number = denied if error.errno == errno.EACCES and os.path.lexists(path) else 123
+    elif error.errno == errno.EACCES and not os.path.lexists(path):
+        number = 123  # the directory is closed to us
+    elif error.errno == errno.ENOENT and (flags & os.O_CREAT or not path.parent.is_dir()):
+        number = 123  # with O_CREAT only the directory can be missing
     what = _NO_PLAIN_FILE.get(error.errno or 0) if number == 121 else None
     return channel_error(number, what or error.strerror or str(error), str(path))
 
@@ -98,8 +120,7 @@ def create_complete(
         ChannelError: SHM117 if there is no room, SHM102 if owner or group cannot be set, SHM119 if
             another user's file stands at the name, SHM123 if the directory cannot be used.
     """
-    temporary = path.parent / f"{temporary_prefix}{secrets.token_hex(4)}"
-    fd = open_plain_file(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL, denied=123)
+    temporary, fd = _new_file(path.parent, temporary_prefix)
     try:
         _fill(fd, temporary, head, size, mode=mode, uid=uid, gid=gid)
         try:
@@ -115,6 +136,18 @@ def create_complete(
         temporary.unlink(missing_ok=True)
         raise
     return fd
+
+
+def _new_file(directory: Path, prefix: str) -> tuple[Path, int]:
+    """Create a file that was not there; O_EXCL follows no link that somebody put at a guessed name."""
+    for attempt in range(_ATTEMPTS):
+        temporary = directory / f"{prefix}{secrets.token_hex(4)}"
+        try:
+            return temporary, open_plain_file(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL, denied=123)
+        except ChannelError as error:
+            if not isinstance(error.__cause__, FileExistsError) or attempt == _ATTEMPTS - 1:
+                raise
+    raise AssertionError  # the loop returns or raises
 
 
 def _fill(

@@ -6,8 +6,10 @@ import fcntl
 import os
 from pathlib import Path
 
-from rosplc.shm.files import open_plain_file, same_file
+from rosplc.errors import ChannelError
+from rosplc.shm.files import open_plain_file, refuse_second_name, same_file
 from rosplc.shm.header import channel_error
+from rosplc.shm.who import user_name
 
 __all__ = ["NameLock"]
 
@@ -16,19 +18,26 @@ class NameLock:
     """An exclusive flock on a name's lock file, held until :meth:`release`.
 
     The kernel drops it when the process dies, however that happens. The file itself stays: a
-    removed lock file would let two bridges hold "the" lock.
+    removed lock file would let two bridges hold "the" lock. Its size is one bit of memory: 1 once an
+    object of a bridge has stood at the name, 0 before and after that was retired.
+
+    Args:
+        path: The lock file.
+        mode: Permission bits of the object; the lock file gets them too.
+        uid: Who may own an older lock file besides this process's user and root.
+        gid: Group of the object; the lock file is given to it.
 
     Raises:
         ChannelError: SHM116 if another bridge holds it, SHM119 if the file is another user's,
-            SHM102 if it cannot be given to the group, SHM121 if it is no plain file, SHM123 if the
-            directory cannot be used.
+            SHM102 if it cannot be given to the group, SHM121 if it is no plain file or a hard link,
+            SHM123 if the directory cannot be used.
     """
 
-    def __init__(self, path: Path, *, mode: int, gid: int | None = None) -> None:
+    def __init__(self, path: Path, *, mode: int, uid: int | None = None, gid: int | None = None) -> None:
         self.path = path
         self._fd = -1
         while True:
-            fd = open_plain_file(path, os.O_RDWR | os.O_CREAT, denied=119)
+            fd = _open_or_create(path)
             try:
                 fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError as error:
@@ -43,11 +52,32 @@ class NameLock:
                 break
             self.release()
         try:
+            self._refuse_foreign(uid)
             self._share(mode & 0o666, gid)
         except OSError as error:
             self.release()
             what = f"cannot give the lock file to group {gid}: {error.strerror}"
             raise channel_error(102, what, str(path)) from error
+        except BaseException:
+            self.release()
+            raise
+
+    @property
+    def held_an_object(self) -> bool:
+        """Whether a bridge has put an object at the name before, and not retired it."""
+        return os.fstat(self._fd).st_size > 0
+
+    def remember_object(self, there: bool) -> None:
+        """Note that an object of this bridge stands at the name, or that it was retired."""
+        # A size without content takes no page of a directory that may be full.
+        os.ftruncate(self._fd, 1 if there else 0)
+
+    def _refuse_foreign(self, uid: int | None) -> None:
+        refuse_second_name(self._fd, self.path)
+        owner = os.fstat(self._fd).st_uid
+        # An owner may remove the file, and with it the lock, at any time.
+        if owner not in (0, os.geteuid(), uid):
+            raise channel_error(119, f"the lock file is user {user_name(owner)}'s", str(self.path))
 
     def _share(self, mode: int, gid: int | None) -> None:
         status = os.fstat(self._fd)
@@ -72,3 +102,15 @@ class NameLock:
     def __del__(self) -> None:
         # A descriptor is a plain number: one that nobody closes keeps the name until the process ends.
         self.release()
+
+
+def _open_or_create(path: Path) -> int:
+    # Never O_CREAT on what exists: with fs.protected_regular the kernel refuses that for another user's
+    # file in a directory like /dev/shm, to root too, and says no more than "permission denied".
+    while True:
+        for flags in (0, os.O_CREAT | os.O_EXCL):
+            try:
+                return open_plain_file(path, os.O_RDWR | flags, denied=119)
+            except ChannelError as error:
+                if error.code != "SHM101" and not isinstance(error.__cause__, FileExistsError):
+                    raise

@@ -34,11 +34,12 @@ from rosplc.shm.constants import (
     reader_line,
 )
 from rosplc.shm.description import Description
-from rosplc.shm.files import create_complete, open_plain_file, read_header, same_file
+from rosplc.shm.files import create_complete, open_plain_file, read_header, refuse_second_name, same_file
 from rosplc.shm.header import Identity, channel_error
 from rosplc.shm.lock import NameLock
 from rosplc.shm.names import Namespace
 from rosplc.shm.snapshot import Snapshot
+from rosplc.shm.who import describe_status, user_name
 
 __all__ = ["OwnedChannel"]
 
@@ -110,8 +111,9 @@ class OwnedChannel:
 
         Raises:
             ChannelError: SHM116 another bridge holds the name; SHM117 no room; SHM118 name not valid;
-                SHM119 another user's object; SHM121 no plain file; SHM123 directory cannot be used;
-                SHM102 owner or group cannot be set.
+                SHM119 another user's object; SHM121 no plain file, or a hard link; SHM104 or SHM103 a
+                file that no bridge has made; SHM123 directory cannot be used; SHM102 owner or group
+                cannot be set.
             ValueError: If slots or record_size are outside the format's limits.
         """
         path = namespace.path(description.topic)
@@ -128,11 +130,13 @@ class OwnedChannel:
             created_ns=time.time_ns(),
         )
         owner = (os.geteuid() if uid is None else uid, gid, stat.S_IMODE(mode))
-        lock = NameLock(namespace.lock_path(description.topic), mode=mode, gid=gid)
+        lock = NameLock(namespace.lock_path(description.topic), mode=mode, uid=uid, gid=gid)
         fd = -1
+        ours = lock.held_an_object
         try:
             _sweep(path.parent, namespace.temporary_prefix(description.topic))
-            fd, reason = _adopt(str(path), namespace, description, identity, owner)
+            fd, reason = _adopt(path, description, identity, owner, ours)
+            lock.remember_object(True)
             if fd < 0:
                 fd = create_complete(
                     path,
@@ -145,6 +149,8 @@ class OwnedChannel:
                 )
             return cls(lock, fd, namespace, description, reason)
         except BaseException:
+            with contextlib.suppress(OSError):
+                lock.remember_object(ours)
             lock.release()
             raise
         finally:
@@ -195,14 +201,23 @@ class OwnedChannel:
         return (
             same_file(self.path, *self._file)
             and self._lock.still_there()
+            # First the size: whoever cut the object to nothing made looking at it deadly.
+            and self._whole()
             and self.region.read(0, IDENTITY_SIZE) == self._first
         )
+
+    def _whole(self) -> bool:
+        try:
+            return self.path.lstat().st_size >= self.identity.object_size
+        except OSError:
+            return False
 
     def retire(self) -> None:
         """Tell whoever has the object mapped to leave it, remove its name, and close."""
         self.region.store(IDENTITY["state"], STATE_RETIRED)
         if same_file(self.path, *self._file):
             self.path.unlink(missing_ok=True)
+            self._lock.remember_object(False)
         self.close()
 
     def close(self) -> None:
@@ -262,14 +277,13 @@ def _sweep(directory: Path, temporary_prefix: str) -> None:
 
 
 def _adopt(
-    where: str,
-    namespace: Namespace,
-    description: Description,
-    wanted: Identity,
-    owner: tuple[int, int | None, int],
+    path: Path, description: Description, wanted: Identity, owner: tuple[int, int | None, int], ours: bool
 ) -> tuple[int, str | None]:
-    """Return the descriptor of the object to adopt and None, or -1 and why not, the object being retired."""
-    path = namespace.path(description.topic)
+    """Return the descriptor of the object to adopt and None, or -1 and why not, the object being retired.
+
+    ``ours``: whether a bridge has put an object at this name; then one that is damaged beyond
+    recognition may be replaced. Everything else that does not look like an object is somebody's file.
+    """
     try:
         fd = open_plain_file(path, os.O_RDWR, denied=119)
     except ChannelError as error:
@@ -277,7 +291,8 @@ def _adopt(
             raise
         return -1, ""
     try:
-        reason = _difference(fd, description, wanted, owner, where)
+        _refuse_foreign(fd, path, owner[0], ours)
+        reason = _difference(fd, description, wanted, owner, str(path))
         if not reason:
             return fd, None
         _retire_file(fd)
@@ -288,6 +303,24 @@ def _adopt(
     return -1, reason
 
 
+def _refuse_foreign(fd: int, path: Path, uid: int, ours: bool) -> None:
+    """Raise SHM119, SHM121, SHM103 or SHM104 for what no bridge of this user has made."""
+    status = os.fstat(fd)
+    if status.st_uid not in (os.geteuid(), uid):
+        raise channel_error(119, f"user {user_name(status.st_uid)} owns it", str(path))
+    refuse_second_name(fd, path)
+    first, size = read_header(fd)
+    if ours or first[:4] == MAGIC.to_bytes(4, "little"):
+        return
+    what = f"a file of {size} bytes that no bridge has made stands at this name"
+    raise ChannelError(
+        "SHM103" if size < HEADER_SIZE else "SHM104",
+        what,
+        where=str(path),
+        remedy="If nothing uses it, remove it; otherwise choose another prefix.",
+    )
+
+
 def _difference(
     fd: int,
     description: Description,
@@ -295,18 +328,17 @@ def _difference(
     owner: tuple[int, int | None, int],
     where: str,
 ) -> str:
-    """Say why an object cannot be adopted (section 8.3); empty if it can. Raises SHM119."""
+    """Say why an object cannot be adopted (section 8.3); empty if it can."""
     status = os.fstat(fd)
     uid, gid, mode = owner
-    if status.st_uid not in (os.geteuid(), uid):
-        raise channel_error(119, f"user {status.st_uid} owns it", where)
     first, size = read_header(fd)
     try:
         found = Identity.parse(first, size, direction=wanted.direction, where=where)
     except ChannelError as error:
         return f"{error.what} [{error.code}]"
     if (status.st_uid, stat.S_IMODE(status.st_mode)) != (uid, mode) or gid not in (None, status.st_gid):
-        return "owner, group or mode differ"
+        # Named, as it may have been open to everybody until now.
+        return f"owner, group or mode differ: it was {describe_status(status)}"
     for name in ("layout_id", "record_size", "slot_count", "slot_stride"):
         if getattr(found, name) != getattr(wanted, name):
             return f"{name} was {getattr(found, name)}, now {getattr(wanted, name)}"

@@ -121,15 +121,67 @@ def test_head_without_its_slot_is_not_adopted(shm_namespace: Namespace) -> None:
 
 
 @pytest.mark.parametrize(
+    ("content", "code"),
+    [(b"", "SHM103"), (b"x", "SHM103"), (bytes(4096), "SHM104"), (b"\xff" * 100_000, "SHM104")],
+)
+def test_foreign_file_is_refused(shm_namespace: Namespace, content: bytes, code: str) -> None:
+    """A file of this user's that no bridge has made is refused, at each attempt, and left alone."""
+    path = shm_namespace.path(_TOPIC)
+    path.write_bytes(content)
+    for _ in range(2):
+        with pytest.raises(ChannelError) as caught:
+            open_channel(shm_namespace)
+        assert _code(caught) == code
+        assert path.read_bytes() == content
+    path.unlink()
+    open_channel(shm_namespace).close()
+
+
+@pytest.mark.parametrize(
     "content", [b"", b"x", b"RPLC", bytes(4096), b"RPLC" + bytes(508), b"\xff" * 100_000]
 )
-def test_foreign_file_is_replaced(shm_namespace: Namespace, content: bytes) -> None:
-    """A file of this user's that is no object makes way for one."""
+def test_damaged_object_is_replaced(shm_namespace: Namespace, content: bytes) -> None:
+    """An object of a bridge that is damaged beyond recognition makes way for a new one."""
+    open_channel(shm_namespace).close()
     shm_namespace.path(_TOPIC).write_bytes(content)
     with open_channel(shm_namespace) as channel:
         assert not channel.adopted
         assert "SHM10" in channel.replaced_reason
         attach(shm_namespace, _TOPIC).close()
+
+
+@pytest.mark.parametrize("content", [b"RPLC", b"RPLC" + bytes(508)])
+def test_what_carries_the_magic_is_replaced(shm_namespace: Namespace, content: bytes) -> None:
+    """A damaged object whose lock file was removed is known by its magic."""
+    shm_namespace.path(_TOPIC).write_bytes(content)
+    with open_channel(shm_namespace) as channel:
+        assert "SHM10" in channel.replaced_reason
+
+
+def test_retired_name_is_nobodys(shm_namespace: Namespace) -> None:
+    """After an object was retired, a file at its name is somebody's again."""
+    open_channel(shm_namespace).retire()
+    shm_namespace.path(_TOPIC).write_bytes(b"mine")
+    with pytest.raises(ChannelError) as caught:
+        open_channel(shm_namespace)
+    assert _code(caught) == "SHM103"
+
+
+def test_failed_creation_claims_no_file(shm_namespace: Namespace, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A name at which no object could be made is not taken for a bridge's."""
+
+    def full(*_: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "posix_fallocate", full)
+        with pytest.raises(ChannelError) as caught:
+            open_channel(shm_namespace)
+    assert _code(caught) == "SHM117"
+    shm_namespace.path(_TOPIC).write_bytes(b"mine")
+    with pytest.raises(ChannelError) as caught:
+        open_channel(shm_namespace)
+    assert _code(caught) == "SHM103"
 
 
 @pytest.mark.parametrize("busy", [3, 10_000])
