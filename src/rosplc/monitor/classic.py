@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rosplc.errors import ChannelError
-from rosplc.shm.classic_memory import ClassicMemory, describe_owner
+from rosplc.shm.classic_memory import ClassicMemory
+from rosplc.shm.who import describe_owner
 
 __all__ = ["ClassicState", "look_at"]
 

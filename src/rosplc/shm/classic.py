@@ -92,7 +92,7 @@ class ClassicObject:
             ChannelError: SHM116 if one has it, and the others of :class:`~rosplc.shm.lock.NameLock`.
         """
         path = self._directory / f"rosplc.classic.{self.name}"
-        self._claim = NameLock(path, mode=self._rights.mode, gid=self._rights.gid)
+        self._claim = NameLock(path, mode=self._rights.mode, uid=self._rights.uid, gid=self._rights.gid)
 
     def attach(self) -> None:
         """Open memory and semaphore, and make what is missing.

@@ -11,13 +11,14 @@ from __future__ import annotations
 
 import enum
 import os
+import stat
 import struct
 from contextlib import suppress
 from pathlib import Path
 
 from rosplc.errors import ChannelError
 from rosplc.shm.classic_memory import give_away
-from rosplc.shm.files import same_file
+from rosplc.shm.files import open_plain_file, same_file
 from rosplc.shm.header import channel_error
 from rosplc.shm.semaphore import Semaphore
 from rosplc.shm.who import describe_owner
@@ -65,7 +66,7 @@ class ClassicLock:
 
     Raises:
         ChannelError: SHM128 if it cannot be opened, SHM133 if programs of another word size made it,
-            SHM102 if a new one cannot be given to its group.
+            SHM102 if a new one cannot be given to its group, SHM121 if the name leads to no plain file.
     """
 
     def __init__(
@@ -168,6 +169,9 @@ class ClassicLock:
                 continue
             except OSError as error:
                 raise channel_error(123, error.strerror or "", str(self.path)) from error
+            if not stat.S_ISREG(found.st_mode):
+                # A pipe would stop whoever looks into it; the C library refuses links alone.
+                raise channel_error(121, where=str(self.path))
             if found.st_size != SEMAPHORE_SIZE:
                 raise _other_kind(self.path, found.st_size)
             self._refuse_nonsense()
@@ -178,7 +182,7 @@ class ClassicLock:
             except PermissionError as error:
                 if found.st_uid == os.geteuid() and found.st_mode & 0o600 != 0o600:
                     # Made by this very user, who passed O_RDWR for the mode and so gave it no rights at all.
-                    self.path.chmod(mode)
+                    _open_up(self.path, found, mode)
                     continue
                 raise _denied(self.path) from error
             except OSError as error:
@@ -191,9 +195,13 @@ class ClassicLock:
     def _refuse_nonsense(self) -> None:
         """Refuse a file that no C library made: glibc ends the process over a semaphore full of nonsense."""
         try:
-            content = self.path.read_bytes()
-        except OSError:
+            fd = open_plain_file(self.path, os.O_RDONLY)
+        except ChannelError:
             return  # gone, or not readable: opening it says so
+        try:
+            content = os.pread(fd, SEMAPHORE_SIZE + 1, 0)
+        finally:
+            os.close(fd)
         if len(content) != SEMAPHORE_SIZE:
             raise _other_kind(self.path, len(content))
         value, shared = struct.unpack_from("=IxxxxI" if SEMAPHORE_SIZE == 32 else "=II", content)
@@ -209,12 +217,26 @@ class ClassicLock:
             raise channel_error(128, f"cannot be created: {error.strerror}", str(self.path)) from error
         made.close()
         self.created = True
-        with suppress(FileNotFoundError):  # replaced at this moment: the other side's is as good
-            fd = os.open(self.path, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
-            try:
+        try:
+            fd = open_plain_file(self.path, os.O_RDWR)
+        except ChannelError:
+            return  # replaced at this moment: the other side's is as good, or opening it says why not
+        try:
+            if os.fstat(fd).st_uid == os.geteuid():
                 give_away(fd, self.path, mode, uid, gid)
-            finally:
-                os.close(fd)
+        finally:
+            os.close(fd)
+
+
+def _open_up(path: Path, found: os.stat_result, mode: int) -> None:
+    """Set the mode of a file that may not be opened, and of no other that takes its name meanwhile."""
+    with suppress(FileNotFoundError):
+        fd = os.open(path, os.O_PATH | os.O_NOFOLLOW | os.O_CLOEXEC)
+        try:
+            if os.path.samestat(os.fstat(fd), found):
+                Path(f"/proc/self/fd/{fd}").chmod(mode)
+        finally:
+            os.close(fd)
 
 
 def _other_kind(path: Path, size: int) -> ChannelError:

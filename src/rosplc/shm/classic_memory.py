@@ -10,18 +10,21 @@ from __future__ import annotations
 import ctypes
 import mmap
 import os
+import re
 import secrets
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 
 from rosplc.errors import ChannelError
-from rosplc.shm.files import open_plain_file, same_file
+from rosplc.shm.files import open_plain_file, refuse_second_name, same_file
 from rosplc.shm.header import channel_error
 from rosplc.shm.semaphore import read_at, size_of, write_at
 from rosplc.shm.who import describe_owner
 
 __all__ = ["ClassicMemory", "give_away"]
+
+_TEMPORARY = re.compile(r"rosplc\.new\.[0-9a-f]{16}")
 
 
 class ClassicMemory:
@@ -43,7 +46,8 @@ class ClassicMemory:
 
     Raises:
         ChannelError: SHM129 if it is smaller than the record, SHM102 without the rights, SHM117 without
-            room for a new one, SHM121 if the name leads to no plain file, SHM123 without a directory.
+            room for a new one, SHM121 if the name leads to no plain file or to a hard link, SHM123 without
+            a directory.
     """
 
     def __init__(
@@ -75,6 +79,9 @@ class ClassicMemory:
             found = os.fstat(self._fd)
             self.identity = found.st_dev, found.st_ino
             self.size = found.st_size
+            if found.st_nlink > 1:
+                _remove_own_leftover(path.parent, self.identity)
+            refuse_second_name(self._fd, path)
             self._large_enough(found.st_size)
         except BaseException:
             self.close()
@@ -147,6 +154,14 @@ def _create(path: Path, size: int, mode: int, uid: int | None, gid: int | None) 
         with suppress(OSError):
             temporary.unlink()
     return True
+
+
+def _remove_own_leftover(directory: Path, identity: tuple[int, int]) -> None:
+    """Remove the temporary name of an object whose creator was killed between giving it its name and this."""
+    for name in directory.glob("rosplc.new.*"):
+        if _TEMPORARY.fullmatch(name.name) and same_file(name, *identity):
+            with suppress(OSError):
+                name.unlink()
 
 
 def give_away(fd: int, path: Path, mode: int, uid: int | None, gid: int | None) -> None:
