@@ -228,7 +228,7 @@ _register("ROS011", "message package is not installed in ROS", "Install the pack
 _register("ROS012", "installed message type differs from the bridge's", "Set ros.distro to the installed distribution, or name the installed package's .msg folder in types.paths.")
 _register("ROS013", "option of a backend is not valid", "See the message for the keys and values that the backend takes.")
 _register("ROS014", "ROS master is not reachable", "Start roscore, or set ROS_MASTER_URI to where it runs; the bridge connects as soon as it answers.")
-_register("ROS015", "node was told to leave the ROS graph", "Give each bridge a name of its own in ros.node_name, and start this one again.")
+_register("ROS015", "node was told to leave the ROS graph", "Start it again. If another node has taken its name, give each a name of its own in ros.node_name.")
 _register("ROS016", "Zenoh router is not reachable", "Start one where ros.zenoh.connect says (`ros2 run rmw_zenoh_cpp rmw_zenohd`, or `zenohd`); the bridge connects as soon as it answers.")
 _register("ROS017", "definition cannot be taken from the wire", "Start a publisher of the topic; `rostopic info TOPIC` shows who there is.")
 

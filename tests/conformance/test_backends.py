@@ -565,7 +565,7 @@ def test_peer_that_leaves_is_missed(graph: Harness) -> None:
 def test_peer_that_was_killed_comes_back(graph: Harness) -> None:
     """A peer that dies without goodbye and starts again is heard and hears again, and nothing else does."""
     if not graph.reaches_out:
-        pytest.skip("the memory backend never leaves its process")
+        pytest.skip(f"{graph.title} never leaves its process")
     node = graph.node("node")
     outbox, inbox = node.advertise("/down", STRING, RELIABLE), node.subscribe("/up", STRING, RELIABLE)
     for life in range(3):
@@ -596,7 +596,7 @@ def test_peer_that_was_killed_comes_back(graph: Harness) -> None:
 def test_peer_that_stands_still_goes_on(graph: Harness) -> None:
     """A subscriber's process that is stopped for a while blocks no write, and hears again afterwards."""
     if not graph.reaches_out:
-        pytest.skip("the memory backend never leaves its process")
+        pytest.skip(f"{graph.title} never leaves its process")
     outbox = graph.node("node").advertise("/chatter", STRING, Qos(depth=10))
     peer = graph.process("peer")
     inbox = peer.subscribe("/chatter", STRING, Qos(depth=10))
