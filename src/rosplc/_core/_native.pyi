@@ -168,6 +168,8 @@ class Reader:
         """Claim line ``index`` from ``expected`` (0: free). Raises SHM114 or SHM122."""
     def latest(self, out: WriteableBuffer, /) -> SlotInfo | None:
         """Copy the newest message to ``out`` if it is new; otherwise leave ``out`` as it is."""
+    def update(self, out: WriteableBuffer, /) -> bool:
+        """As latest(), and return only whether ``out`` was filled: cheaper where nobody asks for more."""
     def next(self, out: WriteableBuffer, /) -> SlotInfo | None:
         """Copy the message after the last one taken; otherwise leave ``out`` as it is."""
     def peek(self, out: WriteableBuffer, /) -> SlotInfo | None:

@@ -89,42 +89,60 @@ static void reader_lock(ReaderObject *self, PyThreadState *state)
         ch_gate_leave(&self->gate, self->owner, state);
 }
 
-static PyObject *reader_take(ReaderObject *self, PyObject *out, int mode)
+/* 1 when `out` was filled, 0 when there was nothing to take, -1 with an exception. */
+static int reader_fill(ReaderObject *self, PyObject *out, ch_take *take)
 {
     size_t size = self->owner->region.geometry.record_size;
-    ch_take take = ch_take_start(mode);
     PyThreadState *state;
     Py_buffer view;
     int accepted = 0;
     if (PyObject_GetBuffer(out, &view, PyBUF_WRITABLE))
-        return NULL;
+        return -1;
     /* Only now: getting a buffer may run Python code, which may close the region. */
     if (reader_usable(self)) {
         PyBuffer_Release(&view);
-        return NULL;
+        return -1;
     }
     if (view.len < (Py_ssize_t)size) {
         PyErr_Format(PyExc_ValueError, "a record of %U has %zu bytes; the buffer has %zd", self->owner->path, size,
                      view.len);
         PyBuffer_Release(&view);
-        return NULL;
+        return -1;
     }
     if (!self->shadow && !(self->shadow = PyMem_Malloc(size))) {
         PyBuffer_Release(&view);
-        return PyErr_NoMemory();
+        PyErr_NoMemory();
+        return -1;
     }
     state = reader_unlock(self, size);
-    while (ch_take_begin(&self->reader, &take)) {
-        memcpy(self->shadow, ch_record(take.slot), size);
-        if (ch_take_check(&self->reader, &take)) {
+    while (ch_take_begin(&self->reader, take)) {
+        memcpy(self->shadow, ch_record(take->slot), size);
+        if (ch_take_check(&self->reader, take)) {
             memcpy(view.buf, self->shadow, size);
-            ch_take_accept(&self->reader, &take);
+            ch_take_accept(&self->reader, take);
             accepted = 1;
         }
     }
     reader_lock(self, state);
     PyBuffer_Release(&view);
-    return accepted ? ch_slot_info(&take) : Py_NewRef(Py_None);
+    return accepted;
+}
+
+static PyObject *reader_take(ReaderObject *self, PyObject *out, int mode)
+{
+    ch_take take = ch_take_start(mode);
+    int filled = reader_fill(self, out, &take);
+    if (filled < 0)
+        return NULL;
+    return filled ? ch_slot_info(&take) : Py_NewRef(Py_None);
+}
+
+/* Whoever looks in a loop mostly wants the bytes alone: making a SlotInfo costs more than taking a small record. */
+static PyObject *reader_update(ReaderObject *self, PyObject *out)
+{
+    ch_take take = ch_take_start(CH_TAKE_NEWEST);
+    int filled = reader_fill(self, out, &take);
+    return filled < 0 ? NULL : PyBool_FromLong(filled);
 }
 
 static PyObject *reader_latest(ReaderObject *self, PyObject *out)
@@ -270,6 +288,7 @@ static PyMethodDef methods[] = {
     {"claim", (PyCFunction)(void (*)(void))reader_claim, METH_VARARGS | METH_KEYWORDS,
      "claim(index, expected, beat_ms, task): claim a reader line from `expected` (0: free), or raise SHM114."},
     {"latest", (PyCFunction)reader_latest, METH_O, "latest(out) -> SlotInfo of the newest message, None if not new."},
+    {"update", (PyCFunction)reader_update, METH_O, "update(out) -> whether a new message is in out now."},
     {"next", (PyCFunction)reader_next, METH_O, "next(out) -> SlotInfo of the message after the last, or None."},
     {"peek", (PyCFunction)reader_peek, METH_O, "peek(out) -> SlotInfo of the current message, new or not, or None."},
     {"latest_wire", (PyCFunction)reader_latest_wire, METH_O, "latest_wire(plan) -> (wire bytes, SlotInfo) or None."},

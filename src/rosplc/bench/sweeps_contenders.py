@@ -82,12 +82,12 @@ def rosplc_python(channel: OwnedChannel, size: int) -> Contender:
     record, out = bytearray(size), bytearray(size)
 
     def measure(count: int) -> Mapping[str, float]:
-        publish, latest = writer.publish, reader.latest
+        publish, update = writer.publish, reader.update
         record[-1] ^= 1
         began = time.perf_counter_ns()
         for _ in range(count):
             publish(record)
-            latest(out)
+            update(out)
         spent = time.perf_counter_ns() - began
         _check(out == record)
         return {"rosplc-python": spent / count}

@@ -86,6 +86,7 @@ def test_closed_region(shm_namespace: Namespace) -> None:
         writer.beat,
         writer.check,
         lambda: reader.next(bytearray(64)),
+        lambda: reader.update(bytearray(64)),
         reader.beat,
         channel.snapshot,
         lambda: channel.region.read(0, 4),
@@ -123,6 +124,9 @@ def test_arguments(shm_namespace: Namespace) -> None:
             (ValueError, lambda: reader.latest(bytearray(63))),
             (TypeError, lambda: reader.latest(5)),  # type: ignore[arg-type]
             (BufferError, lambda: reader.latest(bytes(64))),
+            (ValueError, lambda: reader.update(bytearray(63))),
+            (TypeError, lambda: reader.update(5)),  # type: ignore[arg-type]
+            (BufferError, lambda: reader.update(bytes(64))),
         ]
         for error, call in bad:
             with pytest.raises(error):
@@ -215,6 +219,27 @@ def test_rejected_copy_leaves_the_buffer_alone(shm_namespace: Namespace) -> None
         assert out == pattern(1, 64)
         assert (reader.last, reader.lost, reader.discontinuities) == (1, 0, 0)
         assert reader.retries == 9
+
+
+def test_update_takes_as_latest_does(shm_namespace: Namespace) -> None:
+    """update() says whether there was news, takes the newest message, and counts what was missed."""
+    with open_channel(shm_namespace) as channel, attach(shm_namespace, _TOPIC) as attached:
+        writer, reader = channel.writer(), attached.reader()
+        out = bytearray(64)
+        assert reader.update(out) is False
+        for number in (1, 2, 3):
+            writer.publish(pattern(number, 64))
+            assert reader.update(out) is True
+            assert reader.update(out) is False
+            assert out == pattern(number, 64)
+        for number in (4, 5):
+            writer.publish(pattern(number, 64))
+        assert reader.update(out) is True
+        assert out == pattern(5, 64)
+        assert (reader.last, reader.lost) == (5, 1)
+        channel.region.store(WRITER_LINE["head"], 6)
+        assert reader.update(out) is False
+        assert out == pattern(5, 64)
 
 
 def test_layout_that_changes_under_a_reader(shm_namespace: Namespace) -> None:

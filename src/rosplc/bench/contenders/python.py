@@ -71,8 +71,8 @@ def _remove_files(prefix: str) -> None:
 ROSPLC_PYTHON = Contender(
     "rosplc-python",
     "rosplc channel, Python",
-    "rosplc.shm: publish and take of records of bytes through the C extension; the bell of the blocking "
-    "arrangement is a POSIX semaphore (posix_ipc) beside the channel",
+    "rosplc.shm: Writer.publish and Reader.update with records of bytes, in the C extension; the bell of "
+    "the blocking arrangement is a POSIX semaphore (posix_ipc) beside the channel",
     {TWO_CORES.name: SPINS, ONE_CORE.name: RINGS, **_CYCLES},
     lambda place: _start_rosplc(place, "channel"),
 )

@@ -52,7 +52,7 @@ class Channels(Transport):
         """Return publication and taking themselves, and the semaphores' own methods."""
         return Operations(
             self.writer.publish,
-            self.reader.latest,  # None, or what the slot says
+            self.reader.update,
             self._bells[0].release,
             self._bells[1].acquire,
         )
