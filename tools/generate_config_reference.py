@@ -47,6 +47,7 @@ refused. For completion in an editor, `rosplc check --schema` prints the JSON Sc
 | ROS queue (`qos.depth`) | 1000 | 1000 |
 | which messages | the newest | every one, in order |
 | stale after | 1 s | never |
+| while the source is silent | the PLC keeps the last message | nothing is published |
 | a message that exceeds a limit | is refused and counted | (cannot happen) |
 
 Latching and the queue of 1000 are what users of ROS-to-CODESYS shared-memory nodes are used to; everything
@@ -62,8 +63,9 @@ after a restart; `latched: true` makes it new.
 def _type(schema: dict[str, Any], definitions: dict[str, Any]) -> str:
     if "$ref" in schema:
         return "keys below"
-    if "anyOf" in schema:
-        kinds = [_type(part, definitions) for part in schema["anyOf"] if part.get("type") != "null"]
+    if "anyOf" in schema or "oneOf" in schema:
+        parts = schema.get("anyOf") or schema["oneOf"]
+        kinds = [_type(part, definitions) for part in parts if part.get("type") != "null"]
         return " or ".join(dict.fromkeys(kinds))
     if "const" in schema:
         return f"`{schema['const']}`"
@@ -75,6 +77,8 @@ def _type(schema: dict[str, Any], definitions: dict[str, Any]) -> str:
     if kind == "object":
         if "$ref" in str(schema):
             return "keys below"
+        if schema.get("additionalProperties") is True:
+            return "field: value"
         return "field path: number" if "integer" in str(schema.get("additionalProperties")) else "name: text"
     if kind == "integer":
         low, high = schema.get("minimum"), schema.get("maximum")
@@ -126,6 +130,8 @@ def page() -> str:
             qos = definitions["QosSettings"]
             lines += ["\n### `qos`\n", f"{qos['description']}\n", *_rows(qos, definitions)]
             classic = definitions["ClassicSettings"]
+            stale = definitions["OnStaleSettings"]
+            lines += ["\n### `on_stale`\n", f"{stale['description']}\n", *_rows(stale, definitions)]
             lines += ["\n### `classic`\n", f"{classic['description']}\n", *_rows(classic, definitions)]
     return "\n".join(lines) + "\n"
 

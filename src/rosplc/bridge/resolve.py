@@ -6,7 +6,7 @@ configuration disturbs no running system.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from rosplc.bridge.classic_plan import ClassicPlan, classic_name, classic_plan, passes_changes_only
@@ -16,6 +16,7 @@ from rosplc.bridge.problems import Problems, relocated
 from rosplc.bridge.quantities import format_duration
 from rosplc.bridge.ros_side import check_ros
 from rosplc.bridge.settings import TaskSettings, TopicSettings
+from rosplc.bridge.stale_plan import StalePlan, stale_plan
 from rosplc.errors import ConfigError, LayoutError, RosplcError
 from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
@@ -46,6 +47,7 @@ class TopicPlan:
         task: Name of the PLC task.
         min_interval_ns: Shortest time between two messages passed on; 0 for no limit.
         stale_after_ns: Age at which the last message counts as stale; 0 for never.
+        on_stale: What is there while the source is silent.
         on_change: Only messages that differ from the one before are passed on.
         truncate: What does not fit is cut, not refused.
         print: Each message is logged.
@@ -63,6 +65,7 @@ class TopicPlan:
     task: str = ""
     min_interval_ns: int = 0
     stale_after_ns: int = 0
+    on_stale: StalePlan = field(default_factory=StalePlan)
     on_change: bool = False
     truncate: bool = False
     print: bool = False
@@ -224,6 +227,7 @@ def _plan(config: Config, topic: str, entry: TopicSettings, task: str, layout: L
         task=task,
         min_interval_ns=entry.rate_limit_ns or 0,
         stale_after_ns=stale,
+        on_stale=stale_plan(config, topic, entry, layout, stale),
         on_change=passes_changes_only(entry),
         truncate=entry.on_overflow == "truncate",
         print=entry.print,

@@ -14,8 +14,10 @@ from pydantic import (
     BaseModel,
     BeforeValidator,
     ConfigDict,
+    Discriminator,
     Field,
     StrictInt,
+    Tag,
     WithJsonSchema,
     model_validator,
 )
@@ -29,6 +31,7 @@ __all__ = [
     "ClassicSettings",
     "DiagnosticsSettings",
     "LimitSettings",
+    "OnStaleSettings",
     "QosSettings",
     "RclpySettings",
     "RosSettings",
@@ -277,6 +280,33 @@ def _classic(value: Any) -> Any:
     return {} if value is True else None if value is False else value
 
 
+class OnStaleSettings(_Section):
+    """A message of your own in a silent source's place."""
+
+    value: dict[str, Any] = Field(
+        description="The message's fields, as in `{linear: {x: 0.1}}`; what is left out has the type's "
+        "initial value, which is zero nearly everywhere."
+    )
+    period_ns: Interval | None = _f(
+        None,
+        "`to: ros`, and needed there: how often the message is published while the PLC is silent, `10Hz` or "
+        "`100ms`.",
+        alias="period",
+    )
+
+
+def _on_stale_form(value: Any) -> str:
+    return "none" if value is None else "group" if isinstance(value, (dict, OnStaleSettings)) else "word"
+
+
+OnStale = Annotated[
+    Annotated[OnStaleSettings, Tag("group")]
+    | Annotated[Literal["hold", "zero", "stop"], Tag("word")]
+    | Annotated[None, Tag("none")],
+    Discriminator(_on_stale_form),
+]
+
+
 class TopicSettings(_Section):
     """One topic, carried in one direction."""
 
@@ -336,6 +366,13 @@ class TopicSettings(_Section):
         "Age at which the last message counts as stale, or `never`. "
         "Default: `1s` towards the PLC, `never` towards ROS.",
         alias="stale_after",
+    )
+    on_stale: OnStale = _f(
+        None,
+        "What is there while the source is silent for longer than `stale_after`. `to: plc`: `hold` (default) "
+        "keeps the last message, `zero` makes every byte zero, `{value: …}` gives the PLC's program that "
+        "message. `to: ros`: `stop` (default) publishes nothing, `{value: …, period: …}` publishes that "
+        "message, counted as substituted.",
     )
     print: bool = _f(False, "Log each message; for debugging.")
     classic: Annotated[ClassicSettings | None, BeforeValidator(_classic)] = _f(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -11,7 +11,7 @@ from rosplc.cli.guard import guarded, print_json
 from rosplc.cli.text import say
 
 if TYPE_CHECKING:
-    from rosplc.bridge.resolve import Project
+    from rosplc.bridge.resolve import Project, TopicPlan
     from rosplc.layout import Layout
     from rosplc.plc.build import PlcTask, PlcTopic, ProjectOptions
     from rosplc.plc.project import PlcProject
@@ -137,6 +137,8 @@ def _topics(project: Project) -> list[PlcTopic]:
             task=plan.task,
             object_size=object_size(project, plan) if plan.classic is None else 0,
             stale_after_ns=plan.stale_after_ns,
+            on_stale=_on_stale(plan),
+            safe=plan.on_stale.value if plan.on_stale.action == "value" else None,
             in_order=plan.every,
             latched=plan.latched if plan.classic is None else plan.classic.retained,
             classic=None
@@ -145,6 +147,11 @@ def _topics(project: Project) -> list[PlcTopic]:
         )
         for plan in project.topics
     ]
+
+
+def _on_stale(plan: TopicPlan) -> Literal["hold", "zero", "value"]:
+    action = plan.on_stale.action
+    return "hold" if action == "stop" or action == "substitute" else action
 
 
 def _tasks(project: Project) -> list[PlcTask]:

@@ -26,13 +26,14 @@ from rosplc.plc.classic import (
 )
 from rosplc.plc.helpers import HELPER_NAMES, helper_objects
 from rosplc.plc.instances import instance_names, plain_name
-from rosplc.plc.literals import string_literal
+from rosplc.plc.literals import string_literal, time_literal
 from rosplc.plc.names import Scope
 from rosplc.plc.plan import PlcTask, PlcTopic, ProjectOptions
-from rosplc.plc.programs import READ_GVL, WRITE_GVL, call
+from rosplc.plc.programs import READ_GVL, SAFE_GVL, WRITE_GVL, call
 from rosplc.plc.programs import programs as programs_of
 from rosplc.plc.project import Dut, Gvl, PlcProject, Pou, VarBlock, Variable
 from rosplc.plc.types import DutBuilder, Renaming
+from rosplc.plc.values import initial_value
 
 __all__ = ["PlcTask", "PlcTopic", "ProjectOptions", "build_project", "build_type_library"]
 
@@ -41,7 +42,8 @@ _MOST_TASKS = 16  # as many as RosPlc_State.axMayOpen has elements
 _LONGEST_TOPIC = 255  # bytes: FB_Init of RosPlc_Channel takes a STRING(255)
 _LIBRARIES: tuple[str, ...] = ("SysShm", "SysMem", "SysTypes2 Interfaces")
 _SETTINGS_GVL = "RosPlc_Settings"
-
+_SAFE_COMMENT = """What a message becomes while its source is silent, whether or not the bridge lives.
+After a change download the program: an online change may keep the values that were there before."""
 
 _MAKERS = {
     ("read", False): read_block,
@@ -136,6 +138,8 @@ def build_project(
             if direction == "write":
                 comment = "One function block per topic; programs of the project set msg."
             gvls.append(Gvl(name, (block_,), (("qualified_only", ""),), comment, options.folder))
+    if safe := _safe(topics, names["read"], builder):
+        gvls.append(Gvl(SAFE_GVL, (safe,), (("qualified_only", ""),), _SAFE_COMMENT, options.folder))
     helpers = helper_objects(store, builder, f"{options.folder}/Helpers")
     return PlcProject(
         options.folder,
@@ -197,6 +201,7 @@ def _builder(store: TypeStore, options: ProjectOptions, base: Sequence[Dut | Gvl
         *HELPER_NAMES,
         READ_GVL,
         WRITE_GVL,
+        SAFE_GVL,
         _SETTINGS_GVL,
     ]
     return DutBuilder(store, f"{options.folder}/Types", scope=Scope(taken))
@@ -213,6 +218,21 @@ def _settings(options: ProjectOptions) -> Gvl:
     block = VarBlock("VAR_GLOBAL", variables, constant=True)
     comment = "What the generation fixed for the whole project."
     return Gvl(_SETTINGS_GVL, (block,), (("qualified_only", ""),), comment, f"{options.folder}/Base")
+
+
+def _safe(topics: Sequence[PlcTopic], names: dict[str, str], builder: DutBuilder) -> VarBlock | None:
+    """Return the constants that topics fall back to; None if there are none."""
+    found = [
+        Variable(
+            names[topic.topic],
+            builder.add(topic.layout),
+            initial_value(topic.layout, topic.safe, builder),
+            f"{topic.topic}, silent for {time_literal(topic.stale_after_ns)}",
+        )
+        for topic in topics
+        if topic.direction == "read" and topic.on_stale == "value" and topic.safe is not None
+    ]
+    return VarBlock("VAR_GLOBAL", tuple(found), constant=True) if found else None
 
 
 def _what(topic: PlcTopic) -> str:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from rosplc.layout import Layout
 from rosplc.plc.classic import Classic
@@ -23,6 +24,8 @@ class PlcTopic:
         object_size: Bytes of the shared-memory object; 0: the block asks the object.
         stale_after_ns: Age from which a message is stale; 0: never.
         on_stale: What the message becomes then.
+        safe: With ``on_stale="value"``: the fields of that message, as a constant of the project; None: what
+            a program puts into ``stSafe``.
         in_order: Take every message, not only the newest.
         latched: Take the state found at the start as a new message.
         classic: Set for a topic in classic mode; ``object_size`` and ``in_order`` then have no meaning.
@@ -35,6 +38,7 @@ class PlcTopic:
     object_size: int = 0
     stale_after_ns: int = 0
     on_stale: Literal["hold", "zero", "value"] = "hold"
+    safe: Mapping[str, Any] | None = None
     in_order: bool = False
     latched: bool = False
     classic: Classic | None = None

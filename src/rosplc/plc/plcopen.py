@@ -133,20 +133,34 @@ def _variable(parent: ET.Element, variable: Variable) -> None:
 
 
 def _initial(parent: ET.Element, text: str) -> None:
+    """Append the element of an initial value that is written as Structured Text."""
     if text.startswith("["):
         array = ET.SubElement(parent, "arrayValue")
-        for repetition, value in _array_items(text[1:-1]):
-            attributes = {"repetitionValue": repetition} if repetition else {}
-            ET.SubElement(ET.SubElement(array, "value", attributes), "simpleValue", value=value)
+        for item in _items(text[1:-1]):
+            match = re.fullmatch(r"(\d+)\((.*)\)", item)
+            attributes = {"repetitionValue": match[1]} if match else {}
+            _initial(ET.SubElement(array, "value", attributes), match[2] if match else item)
+    elif text.startswith("("):
+        struct = ET.SubElement(parent, "structValue")
+        for item in _items(text[1:-1]):
+            member, _, value = item.partition(" := ")
+            _initial(ET.SubElement(struct, "value", member=member), value)
     else:
         ET.SubElement(parent, "simpleValue", value=text)
 
 
-def _array_items(text: str) -> Iterator[tuple[str, str]]:
-    """Yield (repetition, value) of an array initialiser; strings may hold commas."""
-    for item in re.findall(r"(?:'(?:[^'$]|\$.)*'|[^,'])+", text):
-        match = re.fullmatch(r"\s*(\d+)\((.*)\)\s*", item)
-        yield (match[1], match[2]) if match else ("", item.strip())
+def _items(text: str) -> Iterator[str]:
+    """Yield what commas part; strings, arrays and structures may hold commas of their own."""
+    start = depth = 0
+    for match in re.finditer(r"'(?:[^'$]|\$.)*'|[][(),]", text):
+        if match[0] in ("(", "["):
+            depth += 1
+        elif match[0] in (")", "]"):
+            depth -= 1
+        elif match[0] == "," and not depth:
+            yield text[start : match.start()].strip()
+            start = match.end()
+    yield text[start:].strip()
 
 
 def _attributes(extra: ET.Element, attributes: Iterable[tuple[str, str]]) -> None:

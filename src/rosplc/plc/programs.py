@@ -10,10 +10,12 @@ from rosplc.plc.names import Scope
 from rosplc.plc.plan import PlcTask, PlcTopic, ProjectOptions
 from rosplc.plc.project import Pou, Task
 
-__all__ = ["READ_GVL", "WRITE_GVL", "call", "programs"]
+__all__ = ["READ_GVL", "SAFE_GVL", "WRITE_GVL", "call", "programs"]
 
 READ_GVL, WRITE_GVL = "ROS_Read", "ROS_Write"
 """The lists that hold the instances."""
+SAFE_GVL = "ROS_Safe"
+"""The list that holds what a message becomes when its source is silent."""
 _ON_STALE = {"hold": 0, "zero": 1, "value": 2}
 
 
@@ -35,6 +37,8 @@ def call(name: str, topic: PlcTopic, task: int, cycle_ns: int) -> str:
             arguments.append(f"tStaleAfter := {time_literal(topic.stale_after_ns)}")
         if topic.on_stale != "hold":
             arguments.append(f"uiOnStale := {_ON_STALE[topic.on_stale]}")
+        if topic.on_stale == "value" and topic.safe is not None:
+            arguments.append(f"stSafe := {SAFE_GVL}.{name}")
         if topic.in_order and topic.classic is None:
             arguments.append("xInOrder := TRUE")
         if topic.latched:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from importlib.resources import files
 
+from rosplc.plc.programs import SAFE_GVL
 from rosplc.plc.project import Dut, Gvl, PlcProject, Pou
 from rosplc.plc.st_text import declaration, method_declaration
 
@@ -43,7 +44,10 @@ def import_script(project: PlcProject) -> str:
 
 
 def _object(item: Dut | Gvl | Pou) -> list[str]:
-    instances = isinstance(item, Gvl) and any(v.arguments for block in item.blocks for v in block.variables)
+    # Variables whose start values the compiler would keep: arguments of FB_Init, and the safe messages.
+    instances = isinstance(item, Gvl) and (
+        item.name == SAFE_GVL or any(v.arguments for block in item.blocks for v in block.variables)
+    )
     kind = "DUT" if isinstance(item, Dut) else "GVL" if isinstance(item, Gvl) else item.kind
     lines = [
         "    {",

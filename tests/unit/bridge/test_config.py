@@ -57,6 +57,7 @@ topics:
     on_change: true
     on_overflow: truncate
     stale_after: never
+    on_stale: stop
     print: true
   /scan: {type: sensor_msgs/msg/LaserScan, to: plc, qos: sensor_data, rate_limit: 10Hz, latched: false}
   /old: {type: std_msgs/msg/Bool, to: ros, classic: {name: io, semaphore: lock, wait: 2ms, recover_after: 3s}}
@@ -100,7 +101,7 @@ def test_every_key_is_read() -> None:
         "type": "sensor_msgs/JointState", "to": "ros", "task": None, "latched": None, "every": False,
         "limits": {"name": 6, "name[]": 20, "string": 16}, "depth": 9, "rate_ns": 10**7,
         "rate_limit_ns": 2 * 10**7, "on_change": True, "on_overflow": "truncate", "stale_after_ns": 0,
-        "print": True, "classic": None,
+        "on_stale": "stop", "print": True, "classic": None,
     }  # fmt: skip
     assert joints.qos.model_dump() == {
         "preset": "sensor_data", "reliability": "reliable", "durability": None, "depth": 3,
