@@ -10,7 +10,7 @@ from typing import Any
 from rosplc.bridge.config import json_schema, parse_config
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "reference" / "configuration.md"
-SECTIONS = ("ros", "types", "limits", "shm", "diagnostics", "tasks", "topics")
+SECTIONS = ("ros", "types", "limits", "shm", "diagnostics", "realtime", "tasks", "topics")
 EXAMPLE = """\
 bridge: cell1
 ros: {backend: auto, distro: jazzy}

@@ -213,6 +213,7 @@ _register("CFG008", "depth is too small for the topic's rate", "Raise depth:, so
 _register("CFG009", "aliases and custom tags are not accepted", "Write the value out; configurations are plain YAML.")
 _register("CFG010", "key is written twice", "Keep one of the two; YAML readers drop the other silently.")
 _register("CFG011", "ROS argument is not valid", "Correct the named argument: --ros-args -r from:=to, or __name:=node __ns:=/namespace from:=to in ROS 1.")
+_register("CFG012", "key cannot change while the bridge runs", "Set it back, or restart the bridge; nothing of the new file is applied until then.")
 
 _register("ROS001", "backend is not available", "Install the backend's package, or choose another in ros.backend.")
 _register("ROS002", "middleware refused", "See the message; domain, network interface and QoS are the usual causes.")
@@ -231,6 +232,7 @@ _register("ROS014", "ROS master is not reachable", "Start roscore, or set ROS_MA
 _register("ROS015", "node was told to leave the ROS graph", "Start it again. If another node has taken its name, give each a name of its own in ros.node_name.")
 _register("ROS016", "Zenoh router is not reachable", "Start one where ros.zenoh.connect says (`ros2 run rmw_zenoh_cpp rmw_zenohd`, or `zenohd`); the bridge connects as soon as it answers.")
 _register("ROS017", "definition cannot be taken from the wire", "Start a publisher of the topic; `rostopic info TOPIC` shows who there is.")
+_register("ROS018", "ROS side does not answer", "See the log for what it hangs in; restart the bridge if it does not come back.")
 
 _register("PLC001", "a generated file was edited", "Move your changes elsewhere and remove the file, or run again with --force.")
 _register("PLC002", "output folder cannot be written", "Check the path and the permissions.")
@@ -249,3 +251,5 @@ _register("SYS006", "too many files are open", "A bridge holds one per topic: ra
 _register("SYS007", "benchmark report cannot be read", "Name a report.json that `rosplc bench --out DIR` of this release wrote.")
 _register("SYS008", "shared memory cannot be used", "Check that /dev/shm is mounted, writable for this user and not full.")
 _register("SYS009", "a program of the comparison does not compile", "See the compiler's message; a missing header belongs to a -dev package.")
+_register("SYS010", "real-time setting is not permitted", "Run the bridge as a service (rosplc service install), or raise the limits rtprio and memlock; without `realtime:` none is needed.")
+_register("SYS011", "service cannot be installed", "Run it as root (sudo), or look with --dry-run; --root writes into another folder.")

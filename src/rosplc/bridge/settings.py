@@ -34,6 +34,7 @@ __all__ = [
     "OnStaleSettings",
     "QosSettings",
     "RclpySettings",
+    "RealtimeSettings",
     "RosSettings",
     "Settings",
     "ShmSettings",
@@ -212,6 +213,38 @@ class DiagnosticsSettings(_Section):
     period_ns: Annotated[Duration, between("100ms", "1h")] = _f(
         "1s", "Time between two of them, 100ms to 1h.", alias="period"
     )
+
+
+class RealtimeSettings(_Section):
+    """Real-time scheduling of the bridge's threads; without it the bridge is an ordinary process.
+
+    It holds for the threads that carry messages and beat: the pump, the keeper and the ROS side's own; not
+    for the observer, which asks and reports.
+    """
+
+    policy: Literal["fifo"] | None = _f(
+        None, "`fifo`: SCHED_FIFO, ahead of every ordinary process. It takes the right to it (SYS010)."
+    )
+    priority: StrictInt = _f(
+        20, "SCHED_FIFO priority, 1 to 99. CODESYS' tasks have 52 to 67; stay below them.", ge=1, le=99
+    )
+    affinity: tuple[Annotated[StrictInt, Field(ge=0, le=4095)], ...] = _f(
+        (), "Processors that these threads may run on, such as `[1]`. Without it all."
+    )
+    lock_memory: bool = _f(
+        False, "Keep every page that is in use in memory, so that none has to be fetched back."
+    )
+    gc: Literal["auto", "off", "freeze"] = _f(
+        "auto",
+        "Python's garbage collector. `freeze`: what is there after the start is looked at no more. `off`: "
+        "also no collection when it likes, but a short one each second and a full one each minute.",
+    )
+
+    @model_validator(mode="after")
+    def _priority_has_a_policy(self) -> RealtimeSettings:
+        if self.policy is None and "priority" in self.model_fields_set:
+            raise ValueError("priority does nothing without policy: fifo")
+        return self
 
 
 class TaskSettings(_Section):
@@ -423,6 +456,7 @@ class Settings(_Section):
         alias="beat",
     )
     diagnostics: DiagnosticsSettings = _f({}, "Diagnostics.")
+    realtime: RealtimeSettings = _f({}, "Real-time scheduling.")
     tasks: dict[TaskName, TaskSettings] = _f(
         {"RosTask": {}}, "Tasks of the PLC by name; the first serves topics that name none.", min_length=1
     )

@@ -148,9 +148,13 @@ def _memory(plan: TopicPlan) -> int:
 
 def warnings(project: Project) -> list[str]:
     """Return what is allowed but probably not meant."""
+    from rosplc.bridge.access import open_doors
+    from rosplc.bridge.realtime import contention
+
     found = []
     if isinstance(chosen := chosen_backend(project), RosplcError):
         found.append(f"on this machine the bridge would not start: {chosen.what}. {chosen.remedy}")
+    found += [*open_doors(project.config), *contention(project.config)]
     if not project.topics:
         found.append("the file names no topics: a bridge would carry nothing")
     for plan in project.topics:

@@ -1,0 +1,201 @@
+"""Real-time settings of a bridge: priority and processors of its threads, locked memory, garbage collection.
+
+A thread inherits policy and processors from the one that starts it. So the thread that starts a bridge
+takes them itself, starts the backend, the pump and the keeper, and puts them down again before it starts
+the observer: whatever threads a middleware makes for itself are reached without knowing them.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import gc
+import os
+import resource
+import threading
+from types import TracebackType
+
+from rosplc.bridge.config import Config
+from rosplc.errors import SetupError
+
+__all__ = ["HIGHEST_TASK_PRIORITY", "LOWEST_TASK_PRIORITY", "Realtime", "contention"]
+
+LOWEST_TASK_PRIORITY, HIGHEST_TASK_PRIORITY = 52, 67
+"""SCHED_FIFO priorities of CODESYS' IEC tasks on Linux: 15, the lowest, to 0, the highest."""
+
+_MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
+_CAP_IPC_LOCK = 14
+_FULL_COLLECTION_S = 60
+
+
+def contention(config: Config) -> list[str]:
+    """Return a sentence if the bridge's priority reaches into the PLC's, or beyond."""
+    wanted = config.settings.realtime
+    if wanted.policy != "fifo" or wanted.priority < LOWEST_TASK_PRIORITY:
+        return []
+    reach = "above all" if wanted.priority > HIGHEST_TASK_PRIORITY else "among those"
+    return [
+        f"realtime.priority {wanted.priority} is {reach} of CODESYS' tasks (SCHED_FIFO {HIGHEST_TASK_PRIORITY} "
+        f"for IEC priority 0 to {LOWEST_TASK_PRIORITY} for 15): the bridge may delay the PLC's cycle; "
+        f"take less than {LOWEST_TASK_PRIORITY}"
+    ]
+
+
+class Realtime:
+    """The settings of one configuration, in force while it is entered.
+
+    The thread that enters has priority and processors until :meth:`rest`. Memory and garbage collection
+    are the process's; they are put back at the end.
+    """
+
+    def __init__(self, config: Config) -> None:
+        self._config = config
+        self._wanted = config.settings.realtime
+        self._before: tuple[int, os.sched_param, set[int]] | None = None
+        self._locked = self._tidies = False
+        self._since_full_s = 0
+
+    def __enter__(self) -> Realtime:
+        """Take effect.
+
+        Raises:
+            SetupError: SYS010 if the kernel does not allow it, with what would.
+        """
+        try:
+            if self._wanted.lock_memory:
+                self._lock_memory()
+            self._raise()
+        except BaseException:
+            self._undo()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._undo()
+
+    def rest(self) -> None:
+        """Give the calling thread back what it had: threads from now on are ordinary ones."""
+        before, self._before = self._before, None
+        if before is not None:
+            policy, parameters, processors = before
+            os.sched_setscheduler(0, policy, parameters)
+            os.sched_setaffinity(0, processors)
+
+    def settled(self) -> None:
+        """Set the garbage collector, once everything that stays has been made."""
+        if self._wanted.gc == "auto":
+            return
+        gc.collect()
+        gc.freeze()
+        if self._wanted.gc == "off":
+            gc.disable()
+        self._tidies = self._wanted.gc == "off"
+
+    def tidy(self) -> None:
+        """Collect young garbage in place of the collector that is off; to be called once a second.
+
+        What was there at the start is frozen, so the full collection once a minute is short too.
+        """
+        if not self._tidies:
+            return
+        self._since_full_s += 1
+        if self._since_full_s >= _FULL_COLLECTION_S:
+            self._since_full_s = 0
+            gc.collect()
+        else:
+            gc.collect(0)
+
+    def _undo(self) -> None:
+        self.rest()
+        if self._locked:
+            self._locked = False
+            ctypes.CDLL(None).munlockall()
+        if self._wanted.gc != "auto":
+            self._tidies = False
+            gc.unfreeze()
+            gc.enable()
+
+    def _raise(self) -> None:
+        wanted = self._wanted
+        if wanted.policy is None and not wanted.affinity:
+            return
+        before = os.sched_getscheduler(0), os.sched_getparam(0), os.sched_getaffinity(0)
+        self._before = before
+        if wanted.affinity:
+            self._pin(set(wanted.affinity), before[2])
+        if wanted.policy is None:
+            return
+        try:
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(wanted.priority))
+        except PermissionError:
+            limit, _ = resource.getrlimit(resource.RLIMIT_RTPRIO)
+            raise SetupError(
+                "SYS010",
+                f"SCHED_FIFO priority {wanted.priority} is not permitted (the limit is {limit})",
+                where=self._place("priority"),
+                remedy=f"LimitRTPRIO={wanted.priority} in the unit (rosplc service install writes it), "
+                f"`@plc - rtprio {wanted.priority}` in /etc/security/limits.d, or the capability "
+                "CAP_SYS_NICE; in a container --ulimit rtprio=… or --cap-add SYS_NICE.",
+            ) from None
+
+    def _pin(self, processors: set[int], here: set[int]) -> None:
+        try:
+            os.sched_setaffinity(0, processors)
+        except (OSError, ValueError, OverflowError) as error:
+            missing, listed = sorted(processors - here), ", ".join(map(str, sorted(here)))
+            raise SetupError(
+                "SYS010",
+                f"processors {missing or sorted(processors)} cannot be used: {error}",
+                where=self._place("affinity"),
+                remedy=f"This process may use: {listed}.",
+            ) from None
+        if os.sched_getaffinity(0) != processors:
+            missing, listed = sorted(processors - here), ", ".join(map(str, sorted(here)))
+            raise SetupError(
+                "SYS010",
+                f"there is no processor {', '.join(map(str, missing))} for this process",
+                where=self._place("affinity"),
+                remedy=f"This process may use: {listed}.",
+            )
+
+    def _lock_memory(self) -> None:
+        limit, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
+        number = 0
+        # Under a limit it would succeed now, and the first thread or buffer beyond it would fail later.
+        if limit == resource.RLIM_INFINITY or _has_capability(_CAP_IPC_LOCK):
+            # On fault: each thread's stack is megabytes of which it touches a few pages.
+            library = ctypes.CDLL(None, use_errno=True)
+            if library.mlockall(_MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT):
+                number = ctypes.get_errno()
+        else:
+            number = errno.EPERM
+        if number:
+            raise SetupError(
+                "SYS010",
+                f"memory cannot be locked: {os.strerror(number)} (the limit is {_in_words(limit)})",
+                where=self._place("lock_memory"),
+                remedy="LimitMEMLOCK=infinity in the systemd unit (rosplc service install writes it), "
+                "`@plc - memlock unlimited` in /etc/security/limits.d, or the capability CAP_IPC_LOCK; in a "
+                "container --ulimit memlock=-1.",
+            )
+        self._locked = True
+
+    def _place(self, key: str) -> str:
+        return self._config.source.place(("realtime", key))
+
+
+def _in_words(limit: int) -> str:
+    return "none" if limit == resource.RLIM_INFINITY else f"{limit // 1024} KiB"
+
+
+def _has_capability(number: int) -> bool:
+    try:
+        with open(f"/proc/self/task/{threading.get_native_id()}/status", encoding="ascii") as lines:  # noqa: PTH123
+            for line in lines:
+                if line.startswith("CapEff:"):
+                    return bool(int(line.split()[1], 16) >> number & 1)
+    except OSError:
+        pass
+    return False
