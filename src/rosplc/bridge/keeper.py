@@ -56,6 +56,9 @@ class Keeper(_Thread):
         beat: Beats on all lines.
         check: Looks after the objects; gets the time.
         flush: Sends what is due; gets the time and returns when it is wanted next.
+
+    Attributes:
+        turned_ns: When it last began a round, at least one a second.
     """
 
     def __init__(
@@ -69,6 +72,7 @@ class Keeper(_Thread):
         self._beat_ns = beat_ns
         self._beat, self._check, self._flush = beat, check, flush
         self._due_ns: int | None = None
+        self.turned_ns = time.monotonic_ns()
 
     def due(self, _when_ns: int) -> None:
         """A message waits for its time: look again; from any thread."""
@@ -77,7 +81,7 @@ class Keeper(_Thread):
     def _run(self) -> None:
         beat_at = check_at = time.monotonic_ns()
         while not self._stopping:
-            now = time.monotonic_ns()
+            self.turned_ns = now = time.monotonic_ns()
             if now >= beat_at:
                 self._guard("beating", self._beat)
                 # A machine that was suspended owes no beats.

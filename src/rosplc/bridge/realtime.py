@@ -35,9 +35,9 @@ def contention(config: Config) -> list[str]:
         return []
     reach = "above all" if wanted.priority > HIGHEST_TASK_PRIORITY else "among those"
     return [
-        f"realtime.priority {wanted.priority} is {reach} of CODESYS' tasks (SCHED_FIFO {HIGHEST_TASK_PRIORITY} "
-        f"for IEC priority 0 to {LOWEST_TASK_PRIORITY} for 15): the bridge may delay the PLC's cycle; "
-        f"take less than {LOWEST_TASK_PRIORITY}"
+        f"realtime.priority {wanted.priority} is {reach} of CODESYS' tasks (SCHED_FIFO "
+        f"{HIGHEST_TASK_PRIORITY} for IEC priority 0 to {LOWEST_TASK_PRIORITY} for 15): the bridge may "
+        f"delay the PLC's cycle; take less than {LOWEST_TASK_PRIORITY}"
     ]
 
 
