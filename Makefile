@@ -63,6 +63,7 @@ reference: $(VENV)/.core ## write the generated pages of docs/reference again
 	@$(VENV)/bin/python tools/generate_config_reference.py
 	@$(VENV)/bin/python tools/generate_cli_reference.py
 	@$(VENV)/bin/python tools/generate_plc_reference.py
+	@$(VENV)/bin/python tools/generate_doctor_reference.py
 	@$(VENV)/bin/python tools/generate_comparison.py
 
 .PHONY: bench

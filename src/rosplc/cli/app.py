@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from rosplc._version import __version__
-from rosplc.cli import bench, check, demo, generate, run, show, types
+from rosplc.cli import bench, check, demo, doctor, generate, run, show, types
 from rosplc.cli.ros_arguments import RosCommand
 
 __all__ = ["app"]
@@ -25,6 +25,8 @@ rosplc generate rosplc.yaml  —  the PLC half, for CODESYS
 rosplc run rosplc.yaml  —  carry the topics of a configuration
 
 rosplc show /cmd_vel  —  what stands in a topic's shared memory now
+
+rosplc doctor rosplc.yaml  —  what is wrong on this machine, and what to do about it
 
 rosplc bench  —  Modbus, OPC UA and shared memory compared on this machine
 """
@@ -46,6 +48,7 @@ for _name, _verb in (
     ("generate", generate),
     ("demo", demo),
     ("bench", bench),
+    ("doctor", doctor),
 ):
     app.command(_name, epilog=_verb.EPILOG, cls=RosCommand if _verb is run else None)(_verb.command)
 

@@ -6,20 +6,21 @@ from collections.abc import Iterable, Sequence
 
 import typer
 
-__all__ = ["columns", "in_bytes", "say", "warn"]
+__all__ = ["columns", "harmless", "in_bytes", "say", "warn"]
 
 
 def say(text: str = "") -> None:
     """Print text on stdout, made harmless."""
-    typer.echo(_harmless(text))
+    typer.echo(harmless(text))
 
 
 def warn(text: str) -> None:
     """Print text on stderr, made harmless."""
-    typer.echo(_harmless(text), err=True)
+    typer.echo(harmless(text), err=True)
 
 
-def _harmless(text: str) -> str:
+def harmless(text: str) -> str:
+    """Return text with every character that a terminal would act upon written out."""
     # Names in an object come from whoever made it: no escape sequence may reach the terminal.
     return "".join(
         char if char.isprintable() or char == "\n" else char.encode("unicode_escape").decode()

@@ -1,0 +1,15 @@
+"""``rosplc doctor``: looks at the machine, a configuration and what runs, and says what to do.
+
+It only looks: nothing is claimed, locked, published or written. Each examination is a function of
+what it is given (a folder in place of ``/proc``, a mapping in place of the environment);
+:mod:`rosplc.doctor.examine` gives them the real ones.
+"""
+
+from __future__ import annotations
+
+from rosplc.doctor.examine import Question, examine
+from rosplc.doctor.finding import Area, Finding, Kind, Level
+from rosplc.doctor.kinds import KINDS
+from rosplc.doctor.report import SCHEMA, Report
+
+__all__ = ["KINDS", "SCHEMA", "Area", "Finding", "Kind", "Level", "Question", "Report", "examine"]

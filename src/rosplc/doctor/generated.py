@@ -1,0 +1,113 @@
+"""What a folder of generated PLC code says of itself: topics, blocks, layout ids, prefix.
+
+Read from the Structured Text, not from a list beside it, so that it is what the PLC will do. The
+few lines that are read stand at the end of generation as they do here; a test reads every delivery.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from rosplc.shm.header import layout_id_text
+
+__all__ = ["Block", "Generated", "read_generated"]
+
+_LARGEST = 4 << 20
+_INSTANCE = re.compile(r"^ +\w+ : (\w+)\('((?:[^'$]|\$.)*)'(?:, '(?:[^'$]|\$.)*')?\);", re.MULTILINE)
+_IDS = re.compile(
+    r"Begin(?:Read|Write)\(udiLayoutLo := 16#([0-9A-F]{8}), udiLayoutHi := 16#([0-9A-F]{8}), "
+    r"udiRecordSize := (\d+)\)"
+)
+_CLASSIC = re.compile(r"IF NOT Begin\(udiRecordSize := (\d+)\)")
+_SETTING = re.compile(r"^ +(sPrefix|xFenced) : [^:]+ := ('?)(\w[\w-]*)\2;", re.MULTILINE)
+
+
+@dataclass(frozen=True)
+class Block:
+    """A function block's instance.
+
+    Attributes:
+        topic: The topic; of a classic one the memory's name.
+        name: The block's type.
+        to_plc: Whether it reads.
+        classic: Whether it is a classic block.
+        layout_id: The layout id that it was generated for; empty if it is classic.
+        record_size: Bytes of its record.
+    """
+
+    topic: str
+    name: str
+    to_plc: bool
+    classic: bool
+    layout_id: str
+    record_size: int
+
+
+@dataclass(frozen=True)
+class Generated:
+    """A folder's code.
+
+    Attributes:
+        blocks: Every instance.
+        prefix: The prefix of the objects that it looks for.
+        fenced: Whether it relies on a memory fence.
+    """
+
+    blocks: tuple[Block, ...]
+    prefix: str
+    fenced: bool
+
+
+def read_generated(folder: Path) -> Generated:
+    """Read what `rosplc generate` wrote.
+
+    Args:
+        folder: Its output folder, or the folder ``st`` in it.
+
+    Raises:
+        ValueError: There is no such code, or it cannot be understood; the text says what.
+    """
+    base = folder / "st" if (folder / "st").is_dir() else folder
+    settings = {name: value for name, _, value in _SETTING.findall(_text(base / "Base/RosPlc_Settings.st"))}
+    if {"sPrefix", "xFenced"} - set(settings):
+        raise ValueError(f"{base / 'Base/RosPlc_Settings.st'} names no prefix")
+    blocks = []
+    for name, to_plc in (("ROS_Read", True), ("ROS_Write", False)):
+        path = base / f"{name}.st"
+        if path.exists():
+            blocks += [_block(base, kind, topic, to_plc) for kind, topic in _INSTANCE.findall(_text(path))]
+    return Generated(tuple(blocks), settings["sPrefix"], settings["xFenced"] == "TRUE")
+
+
+def _block(base: Path, name: str, topic: str, to_plc: bool) -> Block:
+    path = _block_file(base / "Blocks", name)
+    text = _text(path)
+    if found := _IDS.search(text):
+        low, high = int(found[1], 16), int(found[2], 16)
+        return Block(topic, name, to_plc, False, layout_id_text(low, high), int(found[3]))
+    if found := _CLASSIC.search(text):
+        return Block(topic, name, to_plc, True, "", int(found[1]))
+    raise ValueError(f"{path} names no layout")
+
+
+def _block_file(folder: Path, name: str) -> Path:
+    """Return the file of a block; those of very long names are shortened with a hash."""
+    path = folder / f"{name}.st"
+    if path.is_file():
+        return path
+    head = re.compile(rf"^FUNCTION_BLOCK {re.escape(name)} ", re.MULTILINE)
+    for other in sorted(folder.glob(f"{name[:100]}*.st")):
+        if head.search(_text(other)):
+            return other
+    return path
+
+
+def _text(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            content = file.read(_LARGEST)
+    except OSError as error:
+        raise ValueError(f"{path} cannot be read: {error.strerror}") from error
+    return content.decode("ascii", "replace").replace("\r\n", "\n")

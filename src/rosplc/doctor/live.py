@@ -1,0 +1,138 @@
+"""The configuration against the objects that a running bridge and a running PLC share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from rosplc.bridge.resolve import TopicPlan
+from rosplc.doctor.finding import Finding, Level
+from rosplc.doctor.kinds import kind
+from rosplc.doctor.objects import Seen
+from rosplc.doctor.words import listed, plural
+from rosplc.shm import Direction
+
+__all__ = ["Carried", "beating", "holders", "layouts", "refusals"]
+
+_NO_LAYOUT = "0" * 16
+
+
+@dataclass(frozen=True)
+class Carried:
+    """A topic of the configuration and what stands at its object's name."""
+
+    plan: TopicPlan
+    seen: Seen | None
+
+    @property
+    def live(self) -> bool:
+        """Whether a bridge has the object now."""
+        return self.seen is not None and self.seen.live
+
+
+def holders(topics: Sequence[Carried], config: str) -> Iterator[Finding]:
+    """Tell whether a bridge holds the topics' objects.
+
+    Args:
+        topics: The topics that have a channel.
+        config: The configuration file, for the command.
+    """
+    if not topics:
+        return
+    start = f"rosplc run {config}"
+    held = [each for each in topics if each.live]
+    if not held:
+        yield kind("DOC601").found(f"no bridge holds any of {plural(len(topics), 'topic')}", command=start)
+        return
+    missing = [each.plan.topic for each in topics if not each.live]
+    if missing:
+        yield kind("DOC601").found(
+            f"a bridge runs, and does not hold {listed(missing)}",
+            "Restart the bridge with this configuration.",
+            start,
+            level=Level.WARNING,
+        )
+    else:
+        yield kind("DOC601").fine(f"a bridge holds {plural(len(topics), 'topic')}")
+    silent = [each.plan.topic for each in held if each.seen is not None and not each.seen.bridge_beats]
+    if silent:
+        what = f"a bridge holds {listed(silent)}, and does not beat: it hangs, or was stopped"
+        yield kind("DOC601").found(what, "Look at its log; restart it.", level=Level.ERROR)
+
+
+def layouts(topics: Sequence[Carried]) -> Iterator[Finding]:
+    """Compare live objects with what the configuration gives."""
+    wrong = False
+    for each in topics:
+        seen, plan = each.seen, each.plan
+        if seen is None or seen.identity is None or not each.live:
+            continue
+        if difference := _difference(plan, seen):
+            wrong = True
+            yield kind("DOC602").found(f"{plan.topic}: {difference}")
+    if not wrong and any(each.live for each in topics):
+        yield kind("DOC602").fine("the running bridge's layouts are those of the configuration")
+
+
+def _difference(plan: TopicPlan, seen: Seen) -> str:
+    identity, description = seen.identity, seen.description
+    assert identity is not None
+    if identity.direction is not plan.direction:
+        return f"the object goes {identity.direction.word}, the configuration says {plan.direction.word}"
+    if identity.layout_id == plan.layout.layout_id:
+        return ""
+    what = f"layout {identity.layout_id} there, {plan.layout.layout_id} here"
+    if description is None:
+        return what
+    if description.type != plan.type_name:
+        return f"{what}: {description.type} there, {plan.type_name} here"
+    limits = plan.layout.limits.to_dict()
+    there = {key: value for key, value in description.limits.items() if limits.get(key) != value}
+    here = {key: limits.get(key) for key in there}
+    return f"{what}: limits {there} there, {here} here" if there else f"{what}: the definition differs"
+
+
+def beating(topics: Sequence[Carried]) -> Iterator[Finding]:
+    """Tell which topics no task of a PLC uses, and which layouts running tasks expect."""
+    live = [each for each in topics if each.live and each.seen is not None]
+    idle = [each.plan.topic for each in live if each.seen is not None and not each.seen.plc_beats]
+    if idle:
+        what = f"no PLC task beats in {listed(idle)}"
+        yield kind("DOC603").found(what)
+    elif live:
+        yield kind("DOC603").fine(f"PLC tasks beat in {plural(len(live), 'object')}")
+    refused = False
+    for each in live:
+        if each.plan.direction is not Direction.TO_PLC or each.seen is None or each.seen.identity is None:
+            continue  # a PLC that writes leaves no layout: with another one it does not claim
+        actual = each.seen.identity.layout_id
+        for line in each.seen.plc_lines:
+            if line.layout_id not in (actual, _NO_LAYOUT):
+                refused = True
+                task = line.task or f"process {line.pid}"
+                what = (
+                    f"{each.plan.topic}: task {task} expects layout {line.layout_id}, the object has {actual}"
+                )
+                yield kind("DOC604").found(what)
+            elif line.error:
+                refused = True
+                what = f"{each.plan.topic}: task {line.task or line.pid} reports error SHM{line.error:03d}"
+                yield kind("DOC604").found(
+                    what, f"docs/reference/errors.md says what SHM{line.error:03d} means."
+                )
+    if live and not refused:
+        yield kind("DOC604").fine("no PLC task expects another layout")
+
+
+def refusals(topics: Sequence[Carried]) -> Iterator[Finding]:
+    """Tell where messages were refused or cut."""
+    found = []
+    for each in topics:
+        if each.live and each.seen is not None and each.seen.snapshot is not None:
+            writer = each.seen.snapshot.writer
+            if writer.refused or writer.truncated:
+                found.append(f"{each.plan.topic}: {writer.refused} refused, {writer.truncated} shortened")
+    if found:
+        yield kind("DOC605").found("; ".join(found))
+    elif any(each.live for each in topics):
+        yield kind("DOC605").fine("no message was refused or shortened")

@@ -1,0 +1,145 @@
+"""A process that looks at the ROS graph and tells what it saw; ``python -m rosplc.doctor.look``.
+
+A middleware may hang, crash or print as it likes: here it can do so without the doctor.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from rosplc.bridge import Project, load_project
+from rosplc.bridge.ros_side import RosSide, choose_backend
+from rosplc.doctor.graph import Graph
+from rosplc.errors import BackendError, RosplcError
+from rosplc.ros import ROS1, EndpointInfo, GraphInfo, Qos, open_backend
+from rosplc.ros.names import join, resolve_topic
+
+__all__ = ["NODE", "main", "see_graph"]
+
+NODE = "rosplc_doctor"
+_START_S = 20.0
+"""How long the process may take beyond its look: imports, joining, leaving."""
+_LEAST_S = 1.0
+_STEADY_S = 1.0
+
+
+def see_graph(config: Path, seconds: float) -> Graph:
+    """Look at the ROS graph of a configuration, in a process of its own.
+
+    Args:
+        config: The configuration file.
+        seconds: How long to look at most; less if nothing changes any more.
+
+    Raises:
+        BackendError: What the middleware or the backend says.
+        TimeoutError: The process did not end in time, and was killed.
+    """
+    command = [sys.executable, "-m", "rosplc.doctor.look", str(config), str(seconds)]
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, stdin=subprocess.DEVNULL
+    )
+    try:
+        out, noise = process.communicate(timeout=seconds + _START_S)
+    except subprocess.TimeoutExpired:
+        raise TimeoutError(f"the look at the graph did not end within {seconds + _START_S:g} s") from None
+    finally:
+        if process.poll() is None:
+            process.kill()
+            process.communicate()
+    try:
+        answer = json.loads(out.decode("utf-8", "replace").splitlines()[-1])
+    except (IndexError, ValueError):
+        last = noise.decode("utf-8", "replace").strip().splitlines()[-1:] or ["it said nothing"]
+        what = f"the look at the graph ended with status {process.returncode}: {last[0]}"
+        raise BackendError("ROS002", what) from None
+    if "error" in answer:
+        error = answer["error"]
+        raise BackendError(error["code"], error["what"], where=error["where"], remedy=error["remedy"])
+    return _graph_of(answer)
+
+
+def _graph_of(answer: dict[str, Any]) -> Graph:
+    ends = tuple(EndpointInfo(**{**end, "qos": Qos(**end["qos"])}) for end in answer["endpoints"])
+    topics = {topic: tuple(types) for topic, types in answer["topics"].items()}
+    info = GraphInfo(tuple(answer["nodes"]), ends, topics)
+    return Graph(answer["backend"], info, answer["names"], answer["bridge"], answer["where"])
+
+
+def _look(project: Project, seconds: float) -> Graph:
+    side = RosSide(project.config)
+    settings = project.config.settings.ros
+    environment = side.environment()
+    choice = choose_backend(project.config, environment)
+    own, namespace, remap = side.names()
+    backend = open_backend(
+        choice.name,
+        project.store,
+        NODE,
+        namespace,
+        settings.domain,
+        remap=remap,
+        environment=environment,
+        options=side.options(choice.name),
+    )
+    try:
+        info = _steady(backend.graph, seconds)
+    finally:
+        backend.close()
+    names = {
+        plan.topic: resolve_topic(plan.topic, namespace=namespace, node_name=own, remap=remap)
+        for plan in project.topics
+    }
+    where = f"domain {environment.get('ROS_DOMAIN_ID') or 0 if settings.domain is None else settings.domain}"
+    if settings.distro == ROS1:
+        where = f"the graph of {environment.get('ROS_MASTER_URI') or 'http://localhost:11311'}"
+    return Graph(choice.name, info, names, join(namespace, own), where)
+
+
+def _steady(graph: Any, seconds: float) -> GraphInfo:
+    """Return the graph once it has not changed for a second, or when the time is over."""
+    start = changed = time.monotonic()
+    seen: GraphInfo = graph()
+    while (now := time.monotonic()) - start < seconds:
+        time.sleep(0.1)
+        if (again := graph()) != seen:
+            seen, changed = again, now
+        # A graph in which nobody is may still be about to appear: it is waited for to the end.
+        complete = bool(seen.nodes) and all(end.node for end in seen.endpoints)
+        if complete and now - start > _LEAST_S and now - changed > _STEADY_S:
+            break
+    return seen
+
+
+def main() -> None:
+    """Print what is seen, or the error, as one line of JSON."""
+    # Libraries write to stdout as they like; the answer goes to where stdout was.
+    answer = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)
+    try:
+        graph = _look(load_project(sys.argv[1]), float(sys.argv[2]))
+        document: dict[str, Any] = {
+            "backend": graph.backend,
+            "nodes": graph.info.nodes,
+            "endpoints": [dataclasses.asdict(end) for end in graph.info.endpoints],
+            "topics": dict(graph.info.topics),
+            "names": graph.names,
+            "bridge": graph.bridge,
+            "where": graph.where,
+        }
+    except RosplcError as error:
+        document = {"error": error.to_dict()}
+    answer.write(json.dumps(document) + "\n")
+    answer.flush()
+    # Threads of a middleware may be in the way of an ordinary end.
+    os._exit(0)
+
+
+if __name__ == "__main__":
+    main()

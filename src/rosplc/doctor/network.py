@@ -1,0 +1,105 @@
+"""Interfaces, and whether somebody answers where a bridge would call."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from rosplc.doctor.finding import Finding
+from rosplc.doctor.kinds import kind
+
+__all__ = ["answers", "is_local", "master", "multicast", "resolve", "routers"]
+
+_UP, _LOOPBACK, _MULTICAST = 0x1, 0x8, 0x1000
+_PATIENCE_S = 2.0
+
+
+def resolve(host: str) -> list[str]:
+    """Return a name's IPv4 addresses. Raises OSError if it has none."""
+    return sorted({str(each[4][0]) for each in socket.getaddrinfo(host, None, socket.AF_INET)})
+
+
+def is_local(address: str) -> bool:
+    """Return whether an IPv4 address is this machine's: only such a one can be listened at."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind((address, 0))
+        except OSError:
+            return False
+    return True
+
+
+def answers(host: str, port: int) -> str:
+    """Return why nobody takes a TCP connection there; empty if somebody does."""
+    try:
+        socket.create_connection((host, port), _PATIENCE_S).close()
+    except (OSError, UnicodeError, OverflowError) as error:
+        return getattr(error, "strerror", None) or str(error) or type(error).__name__
+    return ""
+
+
+def multicast(sys: Path) -> Iterator[Finding]:
+    """Judge the network interfaces, from ``/sys/class/net``."""
+    good, local = [], False
+    for folder in sorted((sys / "class/net").iterdir()):
+        try:
+            flags = int((folder / "flags").read_text(encoding="ascii"), 16)
+        except (OSError, ValueError):
+            continue
+        if flags & _LOOPBACK:
+            local = bool(flags & _UP)
+        elif flags & _UP and flags & _MULTICAST:
+            good.append(folder.name)
+    if good:
+        yield kind("DOC407").fine(f"multicast on {', '.join(good)}")
+    elif local:
+        what = "no interface but loopback is up with multicast: only nodes of this machine can be found"
+        yield kind("DOC407").found(what, command="ip link")
+    else:
+        yield kind("DOC407").found("no interface is up, not even loopback", command="sudo ip link set lo up")
+
+
+def master(uri: str, *, call: Callable[[str, int], str] = answers) -> Iterator[Finding]:
+    """Judge whether the ROS master answers.
+
+    Args:
+        uri: ``ROS_MASTER_URI``, or its default.
+        call: Returns why nobody answers at host and port; empty if somebody does.
+    """
+    try:
+        parts = urlsplit(uri)
+        host, port = parts.hostname, parts.port
+    except ValueError:
+        host = port = None
+    if not host or not port or parts.scheme != "http":
+        what = f"ROS_MASTER_URI is {uri!r}; it is something like http://localhost:11311"
+        yield kind("DOC403").found(what, command="export ROS_MASTER_URI=http://localhost:11311")
+    elif reason := call(host, port):
+        yield kind("DOC408").found(f"nobody answers at {uri}: {reason}", command="roscore")
+    else:
+        yield kind("DOC408").fine(f"somebody answers at {uri}")
+
+
+def routers(locators: Sequence[str], *, call: Callable[[str, int], str] = answers) -> Iterator[Finding]:
+    """Judge whether the Zenoh routers answer.
+
+    Args:
+        locators: Where a bridge connects to, such as ``tcp/localhost:7447``.
+        call: As for :func:`master`.
+    """
+    for locator in locators:
+        protocol, _, address = locator.partition("/")
+        host, _, rest = address.rpartition(":")
+        port = rest.partition("?")[0].partition("#")[0]
+        if protocol not in ("tcp", "tls", "ws") or not port.isdigit():
+            yield kind("DOC003").found(
+                f"whether somebody answers at {locator}", "Nothing; the bridge will say."
+            )
+        elif reason := call(host.strip("[]"), int(port)):
+            yield kind("DOC409").found(
+                f"nobody answers at {locator}: {reason}", command="ros2 run rmw_zenoh_cpp rmw_zenohd"
+            )
+        else:
+            yield kind("DOC409").fine(f"somebody answers at {locator}")

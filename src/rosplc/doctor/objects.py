@@ -1,0 +1,276 @@
+"""The objects of this machine, looked at for a while: who holds them, who beats in them.
+
+Nothing is mapped, locked or written: everything is read with ``pread`` and from ``/proc/locks``. A
+lock would have to be taken to be tried, and whoever takes it keeps a starting bridge out.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import stat
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import cast
+
+from rosplc.errors import ChannelError
+from rosplc.shm import Description, Direction, Identity, Namespace, ReaderState, Region, Snapshot
+from rosplc.shm.constants import HEADER_SIZE
+from rosplc.shm.files import open_plain_file
+
+__all__ = ["Held", "Objects", "Seen", "held_files", "look_at_objects"]
+
+_NAME = re.compile(r"([A-Za-z][A-Za-z0-9_-]{0,31})\.([tln])\.(.+)")
+_PAUSE_S = 0.05
+
+Held = frozenset[tuple[int, int, int]]
+"""Files that somebody holds a lock on: device's major and minor number, inode."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """One object as it stood while it was looked at.
+
+    Attributes:
+        path: Its file.
+        prefix: The prefix in its name.
+        topic: The topic, as far as name or self-description tell; else the object's name.
+        status: Owner, mode and size; of what stands there, a link itself included.
+        error: The check of the format that failed; None if it is sound.
+        identity: Lines 0 and 1; None if they cannot be read.
+        description: The self-description; None if it cannot be read.
+        snapshot: The counters at the end.
+        held: Whether a bridge holds its lock; None if that cannot be seen.
+        bridge_beats: Whether the bridge's side moved.
+        plc_beats: Whether a PLC's side moved.
+        plc_lines: Towards the PLC: the reader lines that moved.
+    """
+
+    path: Path
+    prefix: str
+    topic: str
+    status: os.stat_result
+    error: ChannelError | None = None
+    identity: Identity | None = None
+    description: Description | None = None
+    snapshot: Snapshot | None = None
+    held: bool | None = None
+    bridge_beats: bool = False
+    plc_beats: bool = False
+    plc_lines: tuple[ReaderState, ...] = ()
+
+    @property
+    def live(self) -> bool:
+        """Whether a bridge has it now; over containers only the beat can tell."""
+        return bool(self.held) or self.bridge_beats
+
+
+@dataclass(frozen=True)
+class Objects:
+    """What was found under all prefixes.
+
+    Attributes:
+        objects: The objects, by path.
+        locks: The lock files' paths.
+        temporaries: The temporaries' paths.
+        locks_seen: Whether the kernel's list of locks could be read.
+    """
+
+    objects: tuple[Seen, ...] = ()
+    locks: frozenset[Path] = frozenset()
+    temporaries: tuple[Path, ...] = ()
+    locks_seen: bool = True
+
+    def of(self, namespace: Namespace, topic: str) -> Seen | None:
+        """Return a topic's object; None if there is none."""
+        path = namespace.path(topic)
+        return next((seen for seen in self.objects if seen.path == path), None)
+
+
+class _Image:
+    """A copy of a header, read word by word as a mapped region would be."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data = data
+
+    def word(self, offset: int) -> int:
+        return int.from_bytes(self._data[offset : offset + 4], "little")
+
+    def words(self, offset: int, count: int) -> tuple[int, ...]:
+        return tuple(self.word(at) for at in range(offset, offset + 4 * count, 4))
+
+
+def held_files(proc: Path) -> Held | None:
+    """Return the files that processes hold an flock on; None if the kernel does not tell."""
+    try:
+        text = (proc / "locks").read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return None
+    found = set()
+    for line in text.splitlines():
+        words = line.split()
+        if len(words) >= 6 and words[1] == "FLOCK":
+            major, minor, inode = words[5].split(":")
+            found.add((int(major, 16), int(minor, 16), int(inode)))
+    return frozenset(found)
+
+
+def _is_held(path: Path, held: Held | None) -> bool | None:
+    if held is None:
+        return None
+    try:
+        status = path.lstat()
+    except OSError:
+        return False
+    return (os.major(status.st_dev), os.minor(status.st_dev), status.st_ino) in held
+
+
+@dataclass
+class _Watched:
+    fd: int
+    seen: Seen
+    first: Snapshot
+    last: Snapshot
+    moved: set[int] = field(default_factory=set)
+    """Reader lines that moved; -1 is the writer's."""
+
+    def look(self) -> None:
+        self.last = _snapshot(self.fd)
+        before, now = self.first, self.last
+        if now.writer.epoch and (now.writer.beat, now.writer.head) != (
+            before.writer.beat,
+            before.writer.head,
+        ):
+            self.moved.add(-1)
+        for old, new in zip(before.readers, now.readers, strict=True):
+            if new.claim and (new.beat, new.taken) != (old.beat, old.taken):
+                self.moved.add(new.index)
+
+    def quiet(self) -> bool:
+        """Whether somebody has a claim, and has not been seen to move."""
+        claims = {line.index for line in self.last.readers if line.claim}
+        if self.last.writer.epoch:
+            claims.add(-1)
+        return bool(claims - self.moved)
+
+    def patience_s(self) -> float:
+        """Return how long whoever is quiet may be so and live: three of the beats that it promises."""
+        promised = [line.beat_ms for line in self.last.readers if line.claim]
+        if self.last.writer.epoch:
+            promised.append(self.last.writer.beat_ms)
+        return max((3 * (beat or 333) / 1000 for beat in promised), default=0.0)
+
+    def result(self, held: bool | None) -> Seen:
+        to_plc = self.seen.identity is not None and self.seen.identity.direction is Direction.TO_PLC
+        lines = tuple(line for line in self.last.readers if line.index in self.moved)
+        seen = self.seen
+        return Seen(
+            seen.path,
+            seen.prefix,
+            seen.topic,
+            seen.status,
+            None,
+            seen.identity,
+            seen.description,
+            self.last,
+            held,
+            bridge_beats=(-1 if to_plc else 0) in self.moved,
+            plc_beats=bool(lines) if to_plc else -1 in self.moved,
+            plc_lines=lines if to_plc else (),
+        )
+
+
+def _snapshot(fd: int) -> Snapshot:
+    data = os.pread(fd, HEADER_SIZE, 0).ljust(HEADER_SIZE, b"\0")
+    return Snapshot.of(cast(Region, _Image(data)))
+
+
+def look_at_objects(
+    directory: Path,
+    held: Held | None,
+    *,
+    seconds: float = 1.5,
+    sleep: Callable[[float], None] = time.sleep,
+) -> Objects:
+    """Look at every object for as long as it takes to see whoever lives in it.
+
+    Args:
+        directory: Where the objects lie.
+        held: See :func:`held_files`.
+        seconds: The longest time to look; who promises to beat more often is waited for less.
+        sleep: Waits for so many seconds.
+
+    Raises:
+        OSError: If the directory cannot be listed.
+    """
+    locks: set[Path] = set()
+    temporaries: list[Path] = []
+    done: list[Seen] = []
+    watched: list[_Watched] = []
+    try:
+        for path in sorted(directory.iterdir()):
+            found = _NAME.fullmatch(path.name)
+            if found is None:
+                continue
+            if found[2] == "l":
+                locks.add(path)
+            elif found[2] == "n":
+                temporaries.append(path)
+            else:
+                _open(path, found[1], held, done, watched)
+        _watch(watched, seconds, sleep)
+        done += [each.result(_is_held(_lock_of(each.seen.path), held)) for each in watched]
+    finally:
+        for each in watched:
+            os.close(each.fd)
+    objects = tuple(sorted(done, key=lambda seen: seen.path))
+    return Objects(objects, frozenset(locks), tuple(temporaries), held is not None)
+
+
+def _lock_of(path: Path) -> Path:
+    prefix, _, rest = path.name.partition(".t.")
+    return path.parent / f"{prefix}.l.{rest}"
+
+
+def _open(path: Path, prefix: str, held: Held | None, done: list[Seen], watched: list[_Watched]) -> None:
+    try:
+        status = path.lstat()
+    except FileNotFoundError:
+        return  # removed meanwhile
+    topic = Namespace(prefix, path.parent).topic_of(path.name) or path.name
+    seen = Seen(path, prefix, topic, status, held=_is_held(_lock_of(path), held))
+    try:
+        fd = open_plain_file(path, os.O_RDONLY)
+    except ChannelError as error:
+        if error.code != "SHM101":
+            done.append(Seen(path, prefix, topic, status, error, held=seen.held))
+        return
+    try:
+        head, size = os.pread(fd, HEADER_SIZE, 0), os.fstat(fd).st_size
+        identity = Identity.parse(head, size, where=str(path), accept_retired=True)
+        text = os.pread(fd, identity.description_size, identity.description_offset)
+        description = Description.from_json(text, str(path))
+    except ChannelError as error:
+        os.close(fd)
+        if stat.S_ISREG(status.st_mode):
+            done.append(Seen(path, prefix, topic, status, error, held=seen.held))
+        return
+    except BaseException:
+        os.close(fd)
+        raise
+    # A shortened name does not give its topic away, its description does.
+    sound = Seen(path, prefix, description.topic, status, None, identity, description)
+    first = _snapshot(fd)
+    watched.append(_Watched(fd, sound, first, first))
+
+
+def _watch(watched: list[_Watched], seconds: float, sleep: Callable[[float], None]) -> None:
+    slept = 0.0
+    longest = min(seconds, max((each.patience_s() for each in watched), default=0.0))
+    while slept < longest and any(each.quiet() for each in watched):
+        sleep(_PAUSE_S)
+        slept += _PAUSE_S
+        for each in watched:
+            each.look()

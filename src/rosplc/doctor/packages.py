@@ -1,0 +1,119 @@
+"""What is installed: Python, the packages that rosplc stands on, and the ways into ROS."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from importlib.metadata import PackageNotFoundError, requires, version
+
+from rosplc.doctor.finding import Finding, Level
+from rosplc.doctor.kinds import kind
+from rosplc.errors import RosplcError
+from rosplc.ros import BACKENDS, INSTALL
+from rosplc.ros.choice import choose, why_not_installed
+
+__all__ = ["backend", "needed", "packages", "wheels"]
+
+_DDS_MACHINES = ("x86_64",)
+_ZENOH_MACHINES = ("x86_64", "i686", "aarch64", "armv7l", "armv6l")
+
+
+def needed() -> list[str]:
+    """Return the names of the packages that rosplc cannot do without, from its own metadata."""
+    try:
+        lines = requires("rosplc") or []
+    except PackageNotFoundError:
+        return []
+    plain = (line.split(";") for line in lines)
+    names = (parts[0] for parts in plain if len(parts) == 1)
+    return ["".join(_name(line)) for line in names]
+
+
+def _name(requirement: str) -> Iterator[str]:
+    for sign in requirement.strip():
+        if not (sign.isalnum() or sign in "-_."):
+            return
+        yield sign
+
+
+def packages(
+    names: list[str], python: str, release: str, *, version_of: Callable[[str], str] = version
+) -> Iterator[Finding]:
+    """Tell the versions of what is installed, and what is missing.
+
+    Args:
+        names: The packages that have to be there.
+        python: Python's version.
+        release: This rosplc's version.
+        version_of: Returns a package's version, or raises PackageNotFoundError.
+    """
+    found, missing = [], []
+    for name in names:
+        try:
+            found.append(f"{name} {version_of(name)}")
+        except PackageNotFoundError:
+            missing.append(name)
+    if missing:
+        seen = f"not installed: {', '.join(missing)}"
+        yield kind("DOC110").found(seen, command=f"pip install {' '.join(missing)}")
+    yield kind("DOC110").fine(f"rosplc {release}, Python {python}, {', '.join(found) or 'nothing else'}")
+
+
+def wheels(machine: str, python: tuple[int, int]) -> Iterator[Finding]:
+    """Tell which ways into ROS PyPI has no wheel for, here.
+
+    Args:
+        machine: The architecture, as ``uname -m`` prints it.
+        python: Major and minor version of Python.
+    """
+    missing = []
+    if machine not in _DDS_MACHINES:
+        missing.append(f"cyclonedds has none for {machine}")
+    elif python >= (3, 14):
+        missing.append(f"cyclonedds has none for Python {python[0]}.{python[1]}")
+    if machine not in _ZENOH_MACHINES:
+        missing.append(f"eclipse-zenoh has none for {machine}")
+    if missing:
+        remedy = (
+            "Use an installed ROS 2 (backend rclpy), Zenoh, or build the package (docs/howto/use-rclpy.md)."
+        )
+        yield kind("DOC111").found(f"wheels on PyPI: {'; '.join(missing)}", remedy)
+    else:
+        yield kind("DOC111").fine("PyPI has a wheel of cyclonedds and of eclipse-zenoh for this machine")
+
+
+def backend(
+    distro: str,
+    wanted: str,
+    environment: Mapping[str, str],
+    *,
+    zenoh_settings: bool = False,
+    configured: bool = True,
+    missing: Callable[[str], str] = why_not_installed,
+) -> Iterator[Finding]:
+    """Tell which backend a bridge would use here, and why.
+
+    Args:
+        distro: The configuration's ROS distribution.
+        wanted: ``ros.backend``.
+        environment: The environment variables.
+        zenoh_settings: Whether the configuration says how to reach Zenoh.
+        configured: Whether there is a configuration; without one a bad choice is only a warning.
+        missing: Returns why a backend cannot be imported; empty if it can.
+    """
+    level = Level.ERROR if configured else Level.WARNING
+    if wanted != "auto":
+        if reason := missing(wanted):
+            seen = f"ros.backend is {wanted}, which is not installed: {reason}"
+            yield kind("DOC113").found(seen, f"For {wanted}: {INSTALL.get(wanted, 'a complete rosplc')}.")
+        else:
+            yield kind("DOC113").fine(f"backend {wanted} is installed")
+        return
+    try:
+        choice = choose(distro, environment, zenoh_settings=zenoh_settings, missing=missing)
+    except RosplcError as error:
+        yield kind("DOC112").found(error.what, error.remedy, level=level)
+        return
+    usable = [name for name in BACKENDS if name != "memory" and not missing(name)]
+    yield kind("DOC112").fine(
+        f"backend auto is {choice.name}, because {choice.why}; usable: {', '.join(usable)}"
+    )

@@ -1,0 +1,66 @@
+"""Running an examination so that nothing it meets can stop the doctor.
+
+A file system or a network name may not answer at all. Each examination therefore runs in a thread
+of its own that is given up after its time; what it had found until then is kept.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+from rosplc.doctor.finding import Area, Finding
+from rosplc.doctor.kinds import kind
+from rosplc.errors import RosplcError
+
+__all__ = ["Probe", "run_probe"]
+
+
+@dataclass(frozen=True)
+class Probe:
+    """One examination.
+
+    Attributes:
+        what: What it looks at, as a person would say it.
+        area: What its findings are about.
+        look: Returns, or yields, what it finds.
+        seconds: After this time it is given up.
+    """
+
+    what: str
+    area: Area
+    look: Callable[[], Iterable[Finding]]
+    seconds: float = 5.0
+
+
+def run_probe(probe: Probe) -> list[Finding]:
+    """Return what an examination finds; one that fails or hangs is a finding itself, never silence."""
+    found: list[Finding] = []
+    failed: list[BaseException] = []
+
+    def work() -> None:
+        try:
+            for finding in probe.look():
+                found.append(finding)
+        except BaseException as error:
+            failed.append(error)
+
+    thread = threading.Thread(target=work, name=f"doctor: {probe.what}", daemon=True)
+    thread.start()
+    thread.join(probe.seconds)
+    result = list(found)
+    if thread.is_alive():
+        text = f"could not check {probe.what}: no answer within {probe.seconds:g} s"
+        result.append(kind("DOC002").found(text))
+    elif failed:
+        result.append(kind("DOC001").found(f"could not check {probe.what}: {_words(failed[0])}"))
+    return result
+
+
+def _words(error: BaseException) -> str:
+    if isinstance(error, RosplcError):
+        return f"{error.what} [{error.code}]"
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.strerror}: {error.filename}" if error.filename else error.strerror
+    return f"{type(error).__name__}: {error}"
