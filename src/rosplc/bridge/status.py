@@ -123,10 +123,10 @@ class TopicStatus:
             return f"no message yet from {source}"
         if not self.matched:
             return f"no message yet from {source}: nobody publishes"
-        # DDS does not tell this side that a peer refuses it for its definition of the type.
+        # Not every middleware tells this side that a peer refuses it for its definition of the type.
         return (
             f"no message yet from {source}, though one is there: it is silent, or it has another "
-            "definition of the type and DDS keeps the two apart (ROS003)"
+            "definition of the type and the middleware keeps the two apart (ROS003)"
         )
 
     @property

@@ -150,10 +150,17 @@ def warnings(project: Project) -> list[str]:
     """Return what is allowed but probably not meant."""
     from rosplc.bridge.access import open_doors
     from rosplc.bridge.realtime import contention
+    from rosplc.ros import INSTALL
+    from rosplc.ros.choice import why_not_installed
 
     found = []
     if isinstance(chosen := chosen_backend(project), RosplcError):
         found.append(f"on this machine the bridge would not start: {chosen.what}. {chosen.remedy}")
+    elif missing := why_not_installed(chosen.name):
+        found.append(
+            f"on this machine the bridge would not start: the package of backend {chosen.name} is not "
+            f"installed: {missing}. For {chosen.name}: {INSTALL.get(chosen.name, 'a complete rosplc')}."
+        )
     found += [*open_doors(project.config), *contention(project.config)]
     if not project.topics:
         found.append("the file names no topics: a bridge would carry nothing")

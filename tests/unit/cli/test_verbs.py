@@ -15,6 +15,7 @@ from rosplc.cli.demo import parse_duration
 from rosplc.cli.text import columns, in_bytes
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
+from rosplc.ros import BACKENDS, INSTALL
 from rosplc.shm import Description, Direction, OwnedChannel
 
 STORE = TypeStore.bundled("jazzy")
@@ -155,6 +156,18 @@ def test_check_warns_of_what_is_probably_not_meant(config):
     assert "Warning: /image: a record has" in output
     assert "Warning: /text: on_overflow" in output
     assert "Warning: the file names no topics" in rosplc("check", config(topics={})).output
+
+
+def test_check_warns_of_a_backend_that_is_not_installed(config, monkeypatch):
+    """A backend that this machine cannot import is told before a bridge starts, with what installs it."""
+    monkeypatch.setitem(BACKENDS, "rclpy", "rosplc.ros.nothing")
+    path = config(ros={"backend": "rclpy"})
+    output = " ".join(rosplc("check", path).output.split())
+    assert "Warning: on this machine the bridge would not start: the package of backend rclpy" in output
+    assert INSTALL["rclpy"] in output
+    (warning,) = json.loads(rosplc("check", path, "--json").output)["warnings"]
+    assert "rclpy" in warning
+    assert json.loads(rosplc("check", config(ros={"backend": "memory"}), "--json").output)["warnings"] == []
 
 
 def test_check_prints_the_schema():
