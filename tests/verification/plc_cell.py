@@ -74,6 +74,12 @@ TOPICS: dict[str, dict[str, Any]] = {
     "/latched": {"direction": "read", "latched": True},
     "/zero": {"direction": "read", "stale_after_ns": 200_000_000, "on_stale": "zero"},
     "/value": {"direction": "read", "stale_after_ns": 200_000_000, "on_stale": "value"},
+    "/safe": {
+        "direction": "read",
+        "stale_after_ns": 200_000_000,
+        "on_stale": "value",
+        "safe": {"linear": {"x": 0.25}, "angular": {"y": -1e-3, "z": 5}},
+    },
     "/out": {"direction": "write"},
     "/out2": {"direction": "write"},
 }

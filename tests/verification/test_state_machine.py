@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import struct
 from collections.abc import Iterator
 
 import pytest
@@ -180,6 +181,76 @@ def test_stale(cell: Cell, topic: str) -> None:
     cell.scan()
     assert cell.get(topic, "xStale", "xNew", "tAge") == (False, True, 0)
     assert cell.record(topic) == pattern(7)
+
+
+SAFE = struct.pack("<6d", 0.25, 0, 0, 0, -0.001, 5)
+
+
+def test_the_safe_value_of_the_configuration_holds(cell: Cell) -> None:
+    """Without any bridge, beside a retained message, after silence, with the bridge gone: msg is safe."""
+    cell.scan()
+    assert cell.get("/safe", "xAttached", "xStale", "xSubstituted", "xValid") == (False, True, True, False)
+    assert cell.record("/safe") == SAFE
+    channel = cell.channel("/safe")
+    writer = channel.writer()
+    writer.publish(pattern(3))
+    cell.until("/safe", "xValid", True, beats=[writer])
+    assert cell.get("/safe", "xNew", "xStale", "xSubstituted") == (False, True, True)
+    assert cell.record("/safe") == SAFE
+    writer.publish(pattern(4))
+    cell.scan()
+    assert cell.get("/safe", "xNew", "xStale", "xSubstituted") == (True, False, False)
+    assert cell.record("/safe") == pattern(4)
+    cell.scan(30, beats=[writer])
+    assert cell.get("/safe", "xPeerAlive", "xStale", "xSubstituted") == (True, True, True)
+    assert cell.record("/safe") == SAFE
+    writer.publish(pattern(5))
+    cell.scan()
+    assert cell.record("/safe") == pattern(5)
+    channel.retire()
+    cell.channels.remove(channel)
+    cell.scan(30)
+    assert cell.get("/safe", "xAttached", "xStale", "xSubstituted") == (False, True, True)
+    assert cell.record("/safe") == SAFE
+
+
+def test_the_first_message_after_silence_is_marked(cell: Cell) -> None:
+    """XRecovered: the first message at all, the first after xStale, the first of another writer."""
+    channel = cell.channel("/plain")
+    writer = channel.writer()
+    cell.until("/plain", "xPeerAlive", True, beats=[writer])
+    seen = []
+    for pause in (0, 5, 30, 5):
+        cell.scan(pause, beats=[writer])
+        writer.publish(pattern(1))
+        cell.scan()
+        seen.append(cell.get("/plain", "xNew", "xRecovered"))
+        cell.scan()
+        assert cell.get("/plain", "xNew", "xRecovered") == (False, False)
+    assert seen == [(True, True), (True, False), (True, True), (True, False)]
+    cell.drop(channel)
+    writer = cell.channel("/plain").writer()
+    writer.publish(pattern(2))
+    writer.publish(pattern(3))
+    cell.scan()
+    assert cell.get("/plain", "xNew", "xFirst", "xRecovered", "xStale") == (True, False, True, False)
+
+
+def test_publishers_are_known_only_while_the_bridge_lives(cell: Cell) -> None:
+    """A ROS publisher that goes is seen at the next scan; without a living bridge nothing is known."""
+    unknown = 0xFFFFFFFF
+    cell.scan()
+    assert cell.get("/plain", "udiSources", "xSourcePresent") == (unknown, False)
+    writer = cell.channel("/plain").writer(beat_ms=100)
+    writer.set_sources(2)
+    cell.until("/plain", "xPeerAlive", True, beats=[writer])
+    assert cell.get("/plain", "udiSources", "xSourcePresent") == (2, True)
+    writer.set_sources(0)
+    cell.scan(beats=[writer])
+    assert cell.get("/plain", "udiSources", "xSourcePresent", "xPeerAlive") == (0, False, True)
+    writer.set_sources(1)
+    cell.until("/plain", "xPeerAlive", False)
+    assert cell.get("/plain", "udiSources", "xSourcePresent") == (unknown, False)
 
 
 def test_stale_while_the_bridge_is_absent(cell: Cell) -> None:

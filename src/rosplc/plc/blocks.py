@@ -61,6 +61,7 @@ END_IF;
 udiSilent := udiSilent + udiElapsed; // a call that watches no beat must not swallow its time
 IF xInOrder AND xAttached AND (uiTaken < uiMaxPerScan) AND NOT xDelayed THEN
     xNew := FALSE;
+    xRecovered := FALSE;
     IF Receive() THEN
         Next := xNew;
     END_IF;
@@ -151,15 +152,17 @@ def degrade() -> Method:
     return Method(
         "Degrade",
         (),
-        """IF xNowStale AND (uiOnStale = 1) THEN
+        """IF xStale AND (uiOnStale = 1) THEN
     SysMemSet(ADR(msg), 0, SIZEOF(msg));
-ELSIF xNowStale AND (uiOnStale = 2) THEN
+    xSubstituted := TRUE;
+ELSIF xStale AND (uiOnStale = 2) THEN
     msg := stSafe;
+    xSubstituted := TRUE;
 END_IF;
-Degrade := xNowStale;""",
+Degrade := xStale;""",
         "BOOL",
         "PRIVATE",
-        "What msg becomes at the moment when it gets stale.",
+        "What msg is while it is stale: at every scan, so that a state found at the start does not show either.",
     )
 
 

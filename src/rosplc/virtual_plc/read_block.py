@@ -8,6 +8,7 @@ from typing import Any, Literal
 from rosplc.errors import ChannelError
 from rosplc.layout import Layout, RecordView
 from rosplc.shm import Attached, Direction, Namespace, Reader, ReaderClaim, SlotInfo
+from rosplc.shm.constants import WRITER_LINE
 from rosplc.virtual_plc.block import IN_USE, SILENT, UNKNOWN, Owner
 from rosplc.virtual_plc.link import Link
 from rosplc.virtual_plc.peer import Peer
@@ -32,8 +33,8 @@ class ReadBlock:
         prefix: The bridge's ``prefix:``.
         directory: Where the objects stand.
         stale_after: Seconds without a new message after which ``xStale`` is set; None: never.
-        on_stale: What ``msg`` becomes then: ``hold`` the last message, ``zero`` the type's
-            initial values, ``value`` what ``stale_value`` gives.
+        on_stale: What ``msg`` is then: ``hold`` the last message, ``zero`` every byte zero, ``value``
+            what ``stale_value`` gives.
         stale_value: Field values for ``on_stale="value"``; fields left out are initial.
         mode: ``latest`` skips to the newest message and counts the skipped ones as lost;
             ``every`` takes them in order: one per call, :meth:`next` for more.
@@ -48,14 +49,17 @@ class ReadBlock:
         xNew: This call brought a new message.
         xStale: No new message for longer than ``stale_after``, or none yet.
         xPeerAlive: The bridge beats.
-        xFirst: The message is the first after its writer started.
+        xFirst: The message is marked as the first after its writer started, or after its source was silent.
+        xRecovered: With ``xNew``: the first message after a start, after ``xStale``, or of another writer.
         xTruncated: Something was cut off to make the message fit.
-        xSubstituted: The bridge put a configured value in the source's place.
+        xSubstituted: ``msg`` is no message of the source: a configured value stands in its place.
         udiSequence: The sequence number of the message in ``msg``.
         udiLost: Messages missed since the first one that this block took.
         udiError: 0, or a number of spec/shm-format.md, section 9.
         uiTaken: Messages taken in this scan.
-        udiSources: ROS publishers of the topic; None if unknown (16#FFFFFFFF in the PLC).
+        udiSources: ROS publishers of the topic; None if unknown (16#FFFFFFFF in the PLC), as without a
+            bridge that lives.
+        xSourcePresent: The bridge lives and knows a ROS publisher of the topic.
         age: Seconds since the last new message (before the first: since the first call), by
             this block's own clock; ``tAge`` in the PLC.
         msg: The message as a typed view, or None before the type is known.
@@ -86,7 +90,8 @@ class ReadBlock:
             raise ValueError(f'{topic}: on_stale="value" and stale_value go together')
         self.topic = topic
         self.xAttached = self.xValid = self.xNew = self.xPeerAlive = False
-        self.xFirst = self.xTruncated = self.xSubstituted = False
+        self.xFirst = self.xTruncated = self.xSubstituted = self.xRecovered = False
+        self.xSourcePresent = False
         self.xStale = stale_after is not None
         self.udiSequence = self.udiLost = self.udiError = self.uiTaken = 0
         self.udiSources: int | None = None
@@ -113,6 +118,7 @@ class ReadBlock:
         self._shadow = bytearray()
         self._record = bytearray()
         self._ever_new = False
+        self._writer = 0  # claim of the writer whose message was taken last
         self._since_ns: int | None = None
         if layout is not None:
             self._use_layout(layout)
@@ -176,7 +182,8 @@ class ReadBlock:
         self.xAttached = self.xPeerAlive = False
 
     def _run(self, scan: Scan) -> None:
-        self.xNew = False
+        self.xNew = self.xRecovered = self.xSourcePresent = False
+        self.udiSources = None
         self.uiTaken = 0
         if self._since_ns is None:
             self._since_ns = scan.now_ns
@@ -227,7 +234,7 @@ class ReadBlock:
         self.xValid = False
         # Packed once: a wrong stale_value then shows at the first opening, not when data stops.
         value = self._stale_value
-        self._stale_record = bytes(layout.initial() if value is None else layout.pack(value))
+        self._stale_record = bytes(layout.size) if value is None else bytes(layout.pack(value))
 
     def _take(self, reader: Reader, scan: Scan) -> bool:
         if self._every and self.uiTaken >= self._max_per_cycle:
@@ -238,6 +245,12 @@ class ReadBlock:
         self.uiTaken += 1
         self.udiLost += info.lost
         self._show(info)
+        # The mark may be on a skipped message; a change of the claim and the silence are seen all the same.
+        assert self._link.attached is not None
+        epoch = self._link.attached.region.words(WRITER_LINE["writer_epoch"], 1)[0]
+        another = epoch not in (0, self._writer)
+        self.xRecovered = self.xFirst or self.xStale or another or not self._ever_new
+        self._writer = epoch or self._writer
         self.xNew = self._ever_new = True
         self._since_ns = scan.now_ns
         return True
@@ -253,7 +266,9 @@ class ReadBlock:
         peer = self._peer
         peer.observe(state.beat, state.head, state.beat_ms, scan.now_ns)
         self.xPeerAlive = peer.alive
-        self.udiSources = None if state.sources == UNKNOWN else state.sources
+        if peer.alive and state.sources != UNKNOWN:  # what a dead bridge knew last says nothing about now
+            self.udiSources = state.sources
+            self.xSourcePresent = state.sources > 0
         if peer.silent:
             self._link.look_for_another(scan)
 
@@ -262,5 +277,7 @@ class ReadBlock:
         self.age = age_ns / 1e9
         limit = self._stale_after_ns
         self.xStale = limit is not None and (age_ns > limit or not self._ever_new)
-        if self.xStale and self._ever_new and self._on_stale != "hold":
+        if self.xStale and self._on_stale != "hold" and self.msg is not None:
+            # At every scan, so that a state found at the start does not show either.
             self._record[:] = self._stale_record
+            self.xSubstituted = True

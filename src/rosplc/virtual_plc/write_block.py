@@ -45,7 +45,7 @@ class WriteBlock:
         udiSequence: The sequence number of the last published message.
         udiPublished: Messages published since the start.
         udiTaken: The sequence number that the bridge has taken.
-        udiSinks: ROS subscribers behind the bridge; None if unknown.
+        udiSinks: ROS subscribers behind the bridge; None if unknown, as without a bridge that lives.
         udiError: 0, or a number of spec/shm-format.md, section 9.
         reason: ``udiError`` in words.
     """
@@ -131,6 +131,7 @@ class WriteBlock:
             self._watch(self._link.attached, scan)
         else:
             self.xReady = self.xPeerAlive = False
+            self.udiSinks = None
             self._writer = self._claim = None
             self.udiError, self.reason = self._link.error, self._link.reason
         self.xAttached = self._link.attached is not None
@@ -194,7 +195,7 @@ class WriteBlock:
         peer.observe(line.beat, line.taken, line.beat_ms, scan.now_ns)
         self.xPeerAlive = peer.alive
         self.udiTaken = line.taken
-        self.udiSinks = None if line.sinks == UNKNOWN else line.sinks
+        self.udiSinks = line.sinks if peer.alive and line.sinks != UNKNOWN else None
         if peer.silent:
             if self.udiError == 0:
                 self.udiError, self.reason = SILENT, "the bridge does not beat"

@@ -134,13 +134,14 @@ def test_stale_after_none_is_never_stale(side, scans):
 @pytest.mark.parametrize(
     ("settings", "w"),
     [
-        ({"on_stale": "zero"}, (0.0, 1.0)),
+        ({"on_stale": "zero"}, (0.0, 0.0)),
+        ({"on_stale": "value", "stale_value": {}}, (0.0, 1.0)),
         ({"on_stale": "value", "stale_value": {"x": 0.5}}, (0.5, 1.0)),
         ({"on_stale": "hold"}, (0.25, 0.75)),
     ],
 )
 def test_on_stale_decides_what_msg_becomes(side, scans, settings, w):
-    """Once stale, msg holds the last message, the type's initial values, or the given ones."""
+    """Once stale, msg is the last message, all zeros, or the given values on top of the initial ones."""
     bridge = side("/q", "geometry_msgs/msg/Quaternion", TO_PLC)
     block = reading(bridge, stale_after=0.1, **settings)
     scans(block)
@@ -149,6 +150,70 @@ def test_on_stale_decides_what_msg_becomes(side, scans, settings, w):
     assert (block.msg.x, block.msg.w) == (0.25, 0.75)
     scans(block, ms=200)
     assert (block.msg.x, block.msg.w) == w
+
+
+def test_a_state_found_at_the_start_does_not_show_through_a_safe_value(side, scans):
+    """A retained command is stale: with a safe value, msg has that one from the first scan on."""
+    bridge = side("/n", INT, TO_PLC)
+    block = reading(bridge, layout=bridge.layout, on_stale="value", stale_value={"data": -1})
+    bridge.send(data=3)
+    for _ in range(3):
+        scans(block)
+        assert (block.xStale, block.xNew, block.xSubstituted, block.msg.data) == (True, False, True, -1)
+    bridge.send(data=4)
+    scans(block)
+    assert (block.xStale, block.xSubstituted, block.msg.data) == (False, False, 4)
+
+
+def test_the_first_message_after_silence_is_marked(side, scans):
+    """XRecovered comes with the first message at all and the first one after xStale, and with no other."""
+    bridge = side("/n", INT, TO_PLC)
+    block = reading(bridge, stale_after=0.1)
+    seen = []
+    for pause in (1, 50, 200, 50, 500):
+        scans(block, ms=pause)
+        bridge.send(data=pause)
+        scans(block)
+        seen.append(block.xRecovered)
+        scans(block)
+        assert not block.xRecovered
+    assert seen == [True, False, True, False, True]
+
+
+def test_the_first_message_of_another_writer_is_marked(side, scans):
+    """A bridge that was away for a moment only is noticed, even where its marked message was skipped."""
+    bridge = side("/n", INT, TO_PLC)
+    block = reading(bridge, stale_after=None)
+    scans(block)
+    bridge.send(data=1)
+    scans(block)
+    bridge.send(data=2)
+    scans(block)
+    assert (block.xNew, block.xRecovered) == (True, False)
+    bridge.writer = bridge.channel.writer(beat_ms=100)
+    bridge.send(data=3)
+    bridge.send(data=4)
+    scans(block)
+    assert (block.xNew, block.xFirst, block.xRecovered) == (True, False, True)
+
+
+def test_publishers_are_known_only_while_the_bridge_lives(side, scans):
+    """What a dead bridge knew of ROS publishers is not shown as if it held now."""
+    bridge = side("/n", INT, TO_PLC)
+    block = reading(bridge)
+    bridge.writer.set_sources(2)
+    scans(block)
+    assert (block.udiSources, block.xSourcePresent) == (None, False)
+    bridge.writer.beat()
+    scans(block)
+    assert (block.udiSources, block.xSourcePresent) == (2, True)
+    bridge.writer.set_sources(0)
+    bridge.writer.beat()
+    scans(block)
+    assert (block.udiSources, block.xSourcePresent) == (0, False)
+    bridge.writer.set_sources(1)
+    scans(block, ms=60_000)
+    assert (block.xPeerAlive, block.udiSources, block.xSourcePresent) == (False, None, False)
 
 
 def test_a_stale_value_that_does_not_fit_is_found_at_the_start(side):

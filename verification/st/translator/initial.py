@@ -51,16 +51,54 @@ def _initial(
 
 def _fields(e: Expressions, node: Any) -> dict[str, Any]:
     """Return the initial values of a structure's members by name."""
+    node = _inside(node)
     kind = type(node).__name__
     if kind == "StructureInitialization":
         if any(item.name is None for item in node.elements):
             raise e.here.error("initial values of a structure without names")
-        return {str(item.name).upper(): item.value for item in node.elements}
-    if kind == "ParenthesizedExpression" and type(node.expr).__name__ == "BinaryOperation":
-        pair = node.expr
-        if str(pair.op) == ":=" and type(pair.left).__name__ == "SimpleVariable":
-            return {str(pair.left.name).upper(): pair.right}
+        given = {}
+        for item in node.elements:
+            value, swallowed = _first(item.value)
+            given[str(item.name).upper()] = value
+            given.update(_member(e, pair) for pair in swallowed)
+        return given
+    if kind == "ParenthesizedExpression":
+        return dict([_member(e, node.expr)])
     raise e.here.error(f"initial value {kind} of a structure")
+
+
+def _member(e: Expressions, pair: Any) -> tuple[str, Any]:
+    """Return name and value of a member that the parser took for an expression."""
+    named = type(pair).__name__ == "BinaryOperation" and str(pair.op) == ":="
+    if named and type(pair.left).__name__ == "SimpleVariable":
+        return str(pair.left.name).upper(), pair.right
+    raise e.here.error(f"initial value {type(pair).__name__} of a structure's member")
+
+
+def _first(node: Any) -> tuple[Any, list[Any]]:
+    """Return a member's value, and the members after it that the parser took for more of the same list."""
+    if type(node).__name__ != "ArrayInitialization" or node.brackets or len(node.elements) < 2:
+        return node, []
+    first, *rest = _flat(node)
+    return first, rest
+
+
+def _flat(node: Any) -> Iterator[Any]:
+    """Yield the elements of lists without square brackets, one inside the other."""
+    for item in node.elements:
+        if type(item.element).__name__ == "ArrayInitialization" and not item.element.brackets:
+            yield from _flat(item.element)
+        else:
+            yield item.element
+
+
+def _inside(node: Any) -> Any:
+    """Return what stands in round brackets, which the parser takes for a list of one."""
+    while type(node).__name__ == "ArrayInitialization" and not node.brackets:
+        if len(node.elements) != 1 or node.elements[0].count is not None:
+            break
+        node = node.elements[0].element
+    return node
 
 
 def _elements(e: Expressions, node: Any) -> Iterator[Any]:
@@ -83,6 +121,7 @@ def _array(e: Expressions, path: str, type_: Array, node: Any, retains: str, cop
     length = type_.high - type_.low + 1
     given: list[Any] = []
     if node is not None:
+        node = _inside(node)
         if type(node).__name__ != "ArrayInitialization":
             raise e.here.error(f"initial value {type(node).__name__} of an array")
         given = list(_elements(e, node))
