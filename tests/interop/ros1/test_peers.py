@@ -124,7 +124,8 @@ def test_values_cross_both_ways(ros1: Graph, node: OpenNode, kind: str, type_nam
     outbox = cell.advertise("/down", type_name, DEEP)
     up = cell.subscribe("/up", type_name, DEEP, inbox)
     heard, said = peer.subscribe("/down", type_name), peer.advertise("/up", type_name)
-    wait_until(lambda: outbox.matched and up.matched)
+    # Its own count as well: a publisher answers its subscriber before it sends to it.
+    wait_until(lambda: outbox.matched and up.matched and peer.matched("/up"))
     sent = values(type_name, 50)
     for payload in sent:
         assert outbox.write(payload)
@@ -207,7 +208,7 @@ def test_custom_type_crosses_both_ways(ros1: Graph, node: OpenNode, tmp_path: Pa
     cell, inbox = node("cell", store), Inbox()
     outbox, up = cell.advertise("/down", PART, DEEP), cell.subscribe("/up", PART, DEEP, inbox)
     heard, said = peer.subscribe("/down", PART), peer.advertise("/up", PART)
-    wait_until(lambda: outbox.matched and up.matched)
+    wait_until(lambda: outbox.matched and up.matched and peer.matched("/up"))
     payload = bytes(12) + string("base") + string("S-17") + bytes(range(56)) + b"\1\0\0\0\0\0\x80\x3f" + b"\1"
     outbox.write(payload)
     said.write(payload)
@@ -267,7 +268,7 @@ def test_namespace_and_remapping_reach_the_graph(ros1: Graph, node: OpenNode) ->
     sub = cell.subscribe("cmd_vel", STRING, DEEP, inbox)
     pub = cell.advertise("~/state", STRING, DEEP)
     said, heard = peer.advertise("/base/cmd_vel", STRING), peer.subscribe("/robot1/cell/state", STRING)
-    wait_until(lambda: sub.matched and pub.matched)
+    wait_until(lambda: sub.matched and pub.matched and peer.matched("/base/cmd_vel"))
     said.write(string("go"))
     pub.write(string("gone"))
     wait_until(lambda: inbox and heard.payloads())
@@ -300,7 +301,7 @@ def test_master_is_killed_amid_a_stream(ros1: Graph, node: OpenNode, kind: str) 
     cell, inbox = node("cell"), Inbox()
     outbox, up = cell.advertise("/down", STRING, DEEP), cell.subscribe("/up", STRING, DEEP, inbox)
     heard, said = peer.subscribe("/down", STRING), peer.advertise("/up", STRING)
-    wait_until(lambda: outbox.matched and up.matched)
+    wait_until(lambda: outbox.matched and up.matched and peer.matched("/up"))
     numbers = itertools.count()
     sent = []
 
