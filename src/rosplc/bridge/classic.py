@@ -10,9 +10,11 @@ import logging
 import random
 import threading
 import time
+from collections import deque
 from typing import Protocol
 
 from rosplc.bridge.classic_plan import ClassicPlan
+from rosplc.bridge.order import Order
 from rosplc.bridge.quantities import format_duration
 from rosplc.bridge.resolve import TopicPlan
 from rosplc.bridge.status import ClassicStatus
@@ -243,14 +245,30 @@ class ClassicCarrier:
         self.busy_since_ns = 0
         self._topics: tuple[Carried, ...] = ()
         self._wake = threading.Event()
+        self._orders: deque[Order] = deque()
         self._stopping = False
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     def start(self, topics: tuple[Carried, ...]) -> None:
-        """Begin to carry; without topics there is no thread."""
+        """Begin to carry; without topics there is no thread until some come."""
         self._topics = topics
         if topics:
             self._thread.start()
+
+    def replace(self, topics: tuple[Carried, ...]) -> bool:
+        """Carry these topics from now on; from any thread but its own.
+
+        Returns:
+            False if the thread hangs in the ROS side; nothing has changed then. Otherwise it touches
+            the others no more.
+        """
+        if not self._thread.is_alive():
+            self.start(topics)
+            return True
+        order = Order(lambda: setattr(self, "_topics", topics))
+        self._orders.append(order)
+        self.wake()
+        return order.wait()
 
     def wake(self) -> None:
         """Something is to be carried: look again; from any thread."""
@@ -267,6 +285,8 @@ class ClassicCarrier:
     def _run(self) -> None:
         while not self._stopping:
             self._wake.clear()
+            while self._orders:
+                self._orders.popleft()()
             self.busy_since_ns = time.monotonic_ns()
             due = self.busy_since_ns + LOOK_NS
             for topic in self._topics:

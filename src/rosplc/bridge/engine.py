@@ -10,29 +10,32 @@ from __future__ import annotations
 import secrets
 import threading
 import time
+from collections.abc import Callable
 from contextlib import ExitStack
 
-from rosplc.bridge.classic import ClassicCarrier
-from rosplc.bridge.classic_to_plc import ClassicToPlc
-from rosplc.bridge.classic_to_ros import ClassicToRos
-from rosplc.bridge.config import Config
+from rosplc.bridge.access import open_doors
+from rosplc.bridge.carriers import Carriers
+from rosplc.bridge.changes import Changes, compare
+from rosplc.bridge.config import Config, read_config
 from rosplc.bridge.diagnostics import Diagnostics
 from rosplc.bridge.keeper import Keeper, Observer
 from rosplc.bridge.leftovers import retire_leftovers
+from rosplc.bridge.live_types import LiveTypes
 from rosplc.bridge.owner import group_id, user_id
-from rosplc.bridge.resolve import Project, TopicPlan, resolve
+from rosplc.bridge.realtime import Realtime, contention
+from rosplc.bridge.reload import exchange
+from rosplc.bridge.resolve import Project, resolve
 from rosplc.bridge.ros_side import RosSide
 from rosplc.bridge.status import BridgeStatus
 from rosplc.bridge.to_plc import ToPlc
-from rosplc.bridge.to_ros import Pump, ToRos
 from rosplc.bridge.topic import Surroundings, Topic, log
 from rosplc.errors import RosplcError
-from rosplc.ros import Backend, Choice, RosArguments
-from rosplc.shm import Direction
+from rosplc.ros import Backend, Choice, RosArguments, ended_for_good
 
 __all__ = ["Bridge"]
 
 _STUCK_NS = 5_000_000_000
+_APPLY = "SIGHUP or a restart of the bridge applies it"
 
 
 class Bridge:
@@ -42,6 +45,10 @@ class Bridge:
         config: A configuration, or one that is resolved already.
         backend: The ROS side; by default the configuration's is opened, and closed again at the end.
         arguments: ROS arguments of the command line, for a backend that is opened.
+
+    Attributes:
+        on_ended: Called once, with the reason, if the ROS side ends for good; the bridge itself only
+            says so, since it may be part of a larger program.
 
     Raises:
         ConfigErrors: The configuration is wrong.
@@ -61,10 +68,17 @@ class Bridge:
         self._owns_backend = backend is None
         self._ros = RosSide(self.config, arguments or RosArguments())
         self._choice: Choice | None = None
+        self._types = LiveTypes(self.project.store)
         self._topics: tuple[Topic, ...] = ()
-        self._pump: Pump | None = None
-        self._classic_to_ros = ClassicCarrier("rosplc-classic-to-ros")
+        self._carriers: Carriers | None = None
+        self.on_ended: Callable[[str], None] | None = None
+        self._ended = ""
+        self._changing = threading.Lock()  # reload and check exclude each other
+        self._refused = ""
         self._open = ExitStack()
+        self._realtime = Realtime(self.config)
+        self._keeper: Keeper | None = None
+        self._warnings: tuple[str, ...] = ()
         self._started_ns = 0
         self._file_seen = self._file_state()
         self._config_changed = False
@@ -80,8 +94,10 @@ class Bridge:
         if self._started_ns:
             raise RuntimeError("this bridge is started already")
         with ExitStack() as stack:
+            self._realtime = stack.enter_context(Realtime(self.config))
             self._start(stack)
             self._open = stack.pop_all()
+        self._realtime.settled()
         self._started_ns = time.monotonic_ns()
         adopted = sum(topic.channel is not None and topic.channel.adopted for topic in self._topics)
         assert self.backend is not None
@@ -96,6 +112,9 @@ class Bridge:
 
     def _start(self, stack: ExitStack) -> None:
         settings = self.settings
+        self._warnings = (*open_doors(self.config), *contention(self.config))
+        for text in self._warnings:
+            log.warning("%s", text)
         around = Surroundings(
             namespace=self.project.namespace,
             bridge=settings.bridge,
@@ -106,39 +125,32 @@ class Bridge:
             gid=group_id(self.config),
             beat_ns=settings.beat_ns,
         )
-        keeper = Keeper(settings.beat_ns, self.beat, self.check, self.flush)
-        plans = self.project.topics
+        keeper = self._keeper = Keeper(settings.beat_ns, self.beat, self.check, self.flush)
         retire_leftovers(self.project)
-        self._classic_to_ros = ClassicCarrier("rosplc-classic-to-ros")
-        classic_to_plc = ClassicCarrier("rosplc-classic-to-plc")
-        self._topics = tuple(_topic(plan, around, keeper, classic_to_plc) for plan in plans)
+        carriers = self._carriers = Carriers(around, settings.tick_ns, keeper.due)
+        self._topics = tuple(carriers.make(plan) for plan in self.project.topics)
+        stack.callback(self._close_topics)
         for topic in self._topics:
             topic.open()
-            stack.callback(topic.close)
         if self.backend is None:
-            self.backend, self._choice = self._ros.open(self.project.store)
+            self.backend, self._choice = self._ros.open(self._types)
             stack.callback(self._close_backend)
+        self._types.use(self.project.topics)
+        stack.callback(self._leave_topics)
         for topic in self._topics:
             topic.join(self.backend)
-            stack.callback(topic.leave)
         publish = None
         if settings.diagnostics.enabled:
             diagnostics = Diagnostics(self.project.store, self.backend)
             stack.callback(diagnostics.close)
             publish = diagnostics.publish
-        channels = tuple(t for t in self._topics if isinstance(t, ToRos) and not isinstance(t, ClassicToRos))
-        self._pump = Pump(channels, settings.tick_ns)
-        stack.callback(self._stop_pump)
-        self._pump.start()
-        classic_to_plc.start(tuple(t for t in self._topics if isinstance(t, ClassicToPlc)))
-        stack.callback(classic_to_plc.stop)
-        classic_to_ros = tuple(t for t in self._topics if isinstance(t, ClassicToRos))
-        for topic in classic_to_ros:
-            topic.await_subscriber(time.monotonic_ns())
-        self._classic_to_ros.start(classic_to_ros)
-        stack.callback(self._stop_classic)
+        stack.callback(carriers.stop_pump)
+        stack.callback(carriers.stop_classic_to_plc)
+        stack.callback(carriers.stop_classic_to_ros)
+        carriers.start(self._topics)
         keeper.start()
         stack.callback(keeper.stop)
+        self._realtime.rest()
         observer = Observer(settings.diagnostics.period_ns, self.ask, self.status, publish)
         observer.start()
         stack.callback(observer.stop)
@@ -148,26 +160,88 @@ class Bridge:
             self.backend.close()
             self.backend = None
 
-    def _stop_pump(self) -> None:
-        if self._pump is not None and not self._pump.stop():
-            log.error("the ROS side does not return from publishing; the bridge leaves it behind")
+    def _close_topics(self) -> None:
+        for topic in reversed(self._topics):
+            topic.close()
 
-    def _stop_classic(self) -> None:
-        if not self._classic_to_ros.stop():
-            log.error("the ROS side does not return from publishing; the bridge leaves it behind")
-            return
-        for topic in self._topics:
-            if isinstance(topic, ClassicToRos):
-                topic.finish(time.monotonic_ns())
+    def _leave_topics(self) -> None:
+        for topic in reversed(self._topics):
+            topic.leave()
 
     def stop(self) -> None:
         """Stop carrying; objects stay, with their last state, for the PLC and the next bridge."""
         was_running, self._started_ns = bool(self._started_ns), 0
         self._open.close()
         self._open = ExitStack()
-        self._pump = None
+        self._carriers = None
         if was_running:
             log.info("bridge %s stopped", self.settings.bridge)
+
+    def reload(self, config: Config | Project | None = None) -> Changes:
+        """Carry another configuration from now on: all of it, or nothing of it.
+
+        Topics that are the same in both are not disturbed. An object that can stay as it is stays; one
+        with another layout takes the place of the old, which is retired, and so is that of a topic that
+        is no more. A changed topic's counters begin again.
+
+        Args:
+            config: The configuration; None reads the file of the present one again.
+
+        Returns:
+            What has changed.
+
+        Raises:
+            ConfigErrors: The configuration is wrong, or a key differs that cannot change while the
+                bridge runs (CFG012).
+            RosplcError: Something is in the way (SHM116, SHM117, ROS002 …).
+            RuntimeError: The bridge is not started, or there is no file to read.
+        """
+        if not self._started_ns or self.backend is None or self._carriers is None:
+            raise RuntimeError("this bridge is not started")
+        path = self.config.path
+        if config is None and path is None:
+            raise RuntimeError("this configuration comes from no file")
+        with self._changing:
+            if config is None:
+                self._file_seen, self._config_changed = self._file_state(), False
+            try:
+                if config is None:
+                    assert path is not None
+                    config = read_config(path)
+                project = config if isinstance(config, Project) else resolve(config)
+                changes = compare(self.project, project, self._types.used)
+                self._exchange(project, changes)
+            except Exception as error:
+                self._refused = _first_line(error)
+                log.error("the new configuration is refused, the one before goes on:\n%s", error)
+                raise
+            self._refused = ""
+        log.info("bridge %s has reloaded its configuration: %s", self.settings.bridge, changes)
+        return changes
+
+    def _exchange(self, project: Project, changes: Changes) -> None:
+        assert self.backend is not None
+        assert self._carriers is not None
+        before, self._types.store = self._types.store, project.store
+        try:
+            topics = exchange(
+                changes,
+                self._topics,
+                carriers=self._carriers,
+                backend=self.backend,
+                namespace=project.namespace,
+                show=self._show,
+            )
+        except BaseException:
+            self._types.store = before
+            raise
+        order = [plan.topic for plan in project.topics]
+        self._topics = tuple(sorted(topics, key=lambda topic: order.index(topic.plan.topic)))
+        self._types.use(project.topics)
+        self.project, self.config, self.settings = project, project.config, project.config.settings
+
+    def _show(self, topics: tuple[Topic, ...]) -> None:
+        self._topics = topics
 
     def run(self, stop: threading.Event) -> None:
         """Start, carry until ``stop`` is set, and stop.
@@ -191,11 +265,15 @@ class Bridge:
     def status(self) -> BridgeStatus:
         """Return how bridge and topics stand."""
         now = time.monotonic_ns()
-        notes = []
+        notes = list(self._warnings)
         if self._config_changed:
-            notes.append("configuration changed on disk; restart the bridge to apply it")
-        pump_busy = self._pump.busy_since_ns if self._pump is not None else 0
-        busy = min((t for t in (pump_busy, self._classic_to_ros.busy_since_ns) if t), default=now)
+            notes.append(f"configuration changed on disk; {_APPLY}")
+        if self._ended:
+            notes.append(self._ended)
+        if self._refused:
+            notes.append(f"the new configuration was refused, the one before goes on: {self._refused}")
+        carriers = self._carriers
+        busy = (carriers.busy_since_ns if carriers is not None else 0) or now
         if now - busy > _STUCK_NS:
             notes.append(f"the ROS side has not returned from publishing for {(now - busy) / 1e9:.0f} s")
         return BridgeStatus(
@@ -209,6 +287,22 @@ class Bridge:
             notes=tuple(notes),
         )
 
+    def stuck(self, longest_ns: int) -> str:
+        """Return what stands still although the bridge runs; empty if all that carries and beats goes round.
+
+        Args:
+            longest_ns: How long a round may take; several seconds.
+        """
+        carriers, keeper, now = self._carriers, self._keeper, time.monotonic_ns()
+        if not self._started_ns or carriers is None or keeper is None:
+            return "it is not started"
+        if now - keeper.turned_ns > longest_ns:
+            return f"the thread that beats stands still for {(now - keeper.turned_ns) / 1e9:.0f} s"
+        since = min(carriers.turned_ns, carriers.busy_since_ns or now)
+        if now - since > longest_ns:
+            return f"the thread that carries towards ROS stands still for {(now - since) / 1e9:.0f} s"
+        return ""
+
     # -- the work of keeper and observer, on their threads
 
     def beat(self) -> None:
@@ -218,19 +312,26 @@ class Bridge:
 
     def check(self, now_ns: int) -> None:
         """Look after objects, peers and the configuration's file."""
+        self._realtime.tidy()
+        if self._changing.acquire(blocking=False):  # a reload may wait for ROS, and beats must not
+            try:
+                self._check(now_ns)
+            finally:
+                self._changing.release()
+
+    def _check(self, now_ns: int) -> None:
+        carriers = self._carriers
+        if carriers is None:
+            return
         for topic in self._topics:
             try:
                 if topic.check(now_ns):
-                    if isinstance(topic, ToRos):
-                        assert self._pump is not None
-                        self._pump.reopen(topic)
-                    else:
-                        topic.reopen(now_ns)
+                    carriers.reopen(topic, now_ns)
             except Exception as error:  # one topic's trouble is no other's
                 log.exception("%s: the check failed", topic.plan.topic)
                 topic.fail(now_ns, error)
         if not self._config_changed and self._file_state() != self._file_seen:
-            log.warning("%s: configuration changed on disk; restart the bridge to apply it", self.config.path)
+            log.warning("%s: configuration changed on disk; %s", self.config.path, _APPLY)
             self._config_changed = True
 
     def ask(self, now_ns: int) -> None:
@@ -240,6 +341,12 @@ class Bridge:
                 topic.ask(now_ns)
             except (RosplcError, ValueError) as error:  # an object or endpoint just closed
                 log.debug("%s: %s", topic.plan.topic, error)
+        ended = ended_for_good(self.backend)
+        if ended and not self._ended:
+            self._ended = ended
+            log.error("%s; nothing is carried any more [ROS015]", ended)
+            if self.on_ended is not None:
+                self.on_ended(ended)
 
     def flush(self, now_ns: int) -> int | None:
         """Send what waited for its time; return when the next is due."""
@@ -263,8 +370,6 @@ class Bridge:
         return found.st_ino, found.st_size, found.st_mtime_ns
 
 
-def _topic(plan: TopicPlan, around: Surroundings, keeper: Keeper, classic_to_plc: ClassicCarrier) -> Topic:
-    to_plc = plan.direction is Direction.TO_PLC
-    if plan.classic is not None:
-        return ClassicToPlc(plan, around, classic_to_plc.wake) if to_plc else ClassicToRos(plan, around)
-    return ToPlc(plan, around, keeper.due) if to_plc else ToRos(plan, around)
+def _first_line(error: Exception) -> str:
+    lines = str(error).splitlines() or [type(error).__name__]
+    return lines[0] + (f" (and {len(lines) - 1} more)" if len(lines) > 1 else "")

@@ -6,11 +6,13 @@ import contextlib
 import logging
 import resource
 import sys
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
 from rosplc.bridge.engine import Bridge
 from rosplc.bridge.resolve import load_project
-from rosplc.bridge.run import stop_on_signals
+from rosplc.bridge.run import run_until_signal
 from rosplc.bridge.status import BridgeStatus, Level
 from rosplc.ros import RosArguments
 
@@ -26,27 +28,29 @@ def run_bridge(
     status_seconds: float | None,
     level: int = logging.INFO,
     arguments: RosArguments | None = None,
+    supervised: Callable[[Bridge], AbstractContextManager[object]] = nullcontext,
 ) -> None:
-    """Run a bridge until SIGINT or SIGTERM; a second signal ends the process at once.
+    """Run a bridge until SIGINT or SIGTERM; a second one ends the process at once, SIGHUP reloads the file.
 
     Args:
         config: The configuration file.
         status_seconds: Time between two status lines in the log; None for none.
         level: The lowest level that is logged.
         arguments: ROS arguments of the command line.
+        supervised: What stands around the bridge while it runs, such as a service manager's watchdog.
 
     Raises:
-        RosplcError: The configuration is wrong, or the bridge cannot start.
+        RosplcError: The configuration is wrong, the bridge cannot start, or the ROS side has ended for
+            good (ROS015).
     """
     logging.basicConfig(
         level=level, stream=sys.stderr, format="%(asctime)s %(levelname)-7s %(message)s", datefmt="%H:%M:%S"
     )
     _allow_many_files()
     project = load_project(config)
-    with stop_on_signals() as stop, Bridge(project, arguments=arguments) as bridge:
-        reporter = _Reporter()
-        while not stop.wait(status_seconds):
-            reporter.report(bridge.status())
+    bridge = Bridge(project, arguments=arguments)
+    with supervised(bridge):
+        run_until_signal(bridge, None if status_seconds is None else _Reporter().report, status_seconds)
 
 
 def _allow_many_files() -> None:

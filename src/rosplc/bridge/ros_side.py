@@ -14,8 +14,7 @@ from typing import Any
 from rosplc.bridge.config import Config
 from rosplc.bridge.problems import Problems
 from rosplc.errors import ConfigError
-from rosplc.model import TypeStore
-from rosplc.ros import ROS1, Backend, Choice, RosArguments, choose, open_backend
+from rosplc.ros import ROS1, Backend, Choice, RosArguments, TypeSource, choose, open_backend
 
 __all__ = ["RosSide", "check_ros", "choose_backend"]
 
@@ -113,7 +112,7 @@ class RosSide:
         shown: dict[str, str | list[str]] = {"bridge": settings.bridge, "topics": list(settings.topics)}
         return shown if path is None else shown | {"config": str(path.absolute())}
 
-    def open(self, store: TypeStore) -> tuple[Backend, Choice]:
+    def open(self, store: TypeSource) -> tuple[Backend, Choice]:
         """Join the graph; return the backend, and how it was chosen.
 
         Raises:

@@ -5,12 +5,15 @@ from __future__ import annotations
 import signal
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from queue import Empty, SimpleQueue
 from types import FrameType
 
 from rosplc.bridge.engine import Bridge
+from rosplc.bridge.status import BridgeStatus
 from rosplc.bridge.topic import log
+from rosplc.errors import BackendError, RosplcError
 
 __all__ = ["run_until_signal", "stop_on_signals"]
 
@@ -18,28 +21,37 @@ _SAME_SIGNAL_S = 0.2
 
 
 @contextmanager
-def stop_on_signals() -> Iterator[threading.Event]:
+def stop_on_signals(tell: Callable[[int], None] | None = None) -> Iterator[threading.Event]:
     """Give an event that SIGTERM and SIGINT set; for the main thread.
 
     A second one ends the process at once, unless it follows within a fifth of a second: timeout(1)
-    and launch tools send each signal to the process and to its group. SIGHUP is logged and otherwise
-    ignored. A signal that the parent process ignores (nohup) stays ignored.
+    and launch tools send each signal to the process and to its group. A signal that the parent
+    process ignores (nohup) stays ignored.
+
+    Args:
+        tell: Called, from the signal's handler, with the number of each signal; without it SIGHUP is
+            logged and otherwise ignored.
     """
     event = threading.Event()
 
-    def leave(_number: int, _frame: FrameType | None) -> None:
+    def leave(number: int, _frame: FrameType | None) -> None:
         if event.is_set():
             return
         event.set()
+        if tell is not None:
+            tell(number)
         time.sleep(_SAME_SIGNAL_S)  # the other threads carry on; a repetition comes in here
         for number in (signal.SIGTERM, signal.SIGINT):
             if number in before:
                 signal.signal(number, signal.SIG_DFL)
 
-    def ignore(_number: int, _frame: FrameType | None) -> None:
-        log.warning("SIGHUP is ignored; restart the bridge to apply a changed configuration")
+    def hang_up(number: int, _frame: FrameType | None) -> None:
+        if tell is not None:
+            tell(number)
+        else:
+            log.warning("SIGHUP is ignored; restart the bridge to apply a changed configuration")
 
-    wanted = {signal.SIGTERM: leave, signal.SIGINT: leave, signal.SIGHUP: ignore}
+    wanted = {signal.SIGTERM: leave, signal.SIGINT: leave, signal.SIGHUP: hang_up}
     before = {
         number: signal.signal(number, handler)
         for number, handler in wanted.items()
@@ -52,11 +64,44 @@ def stop_on_signals() -> Iterator[threading.Event]:
             signal.signal(number, handler)
 
 
-def run_until_signal(bridge: Bridge) -> None:
-    """Run a bridge until a signal comes (:func:`stop_on_signals`).
+def run_until_signal(
+    bridge: Bridge, report: Callable[[BridgeStatus], None] | None = None, seconds: float | None = None
+) -> None:
+    """Run a bridge until SIGTERM or SIGINT comes (:func:`stop_on_signals`); SIGHUP reloads its file.
+
+    Args:
+        bridge: The bridge.
+        report: Takes the bridge's status now and then.
+        seconds: How often.
 
     Raises:
         RosplcError: As :meth:`Bridge.start`.
+        BackendError: ROS015, the ROS side has ended for good; whoever started this program may start
+            it again.
     """
-    with stop_on_signals() as stop:
-        bridge.run(stop)
+    news: SimpleQueue[int | str] = SimpleQueue()  # its put() may be called from a signal's handler
+    bridge.on_ended = news.put
+    with stop_on_signals(news.put) as stop, bridge:
+        while not stop.is_set():
+            try:
+                item = news.get(timeout=seconds if report is not None else None)
+            except Empty:
+                if report is not None:
+                    report(bridge.status())
+                continue
+            if isinstance(item, str):
+                raise BackendError("ROS015", item)
+            if item == signal.SIGHUP:
+                _reload(bridge)
+
+
+def _reload(bridge: Bridge) -> None:
+    if bridge.config.path is None:
+        log.warning("SIGHUP is ignored: this configuration comes from no file")
+        return
+    try:
+        bridge.reload()
+    except RosplcError:
+        pass  # it is logged, and stands in the status
+    except Exception:
+        log.exception("the configuration could not be reloaded")

@@ -5,12 +5,13 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import suppress
 
 from rosplc._core._native import Fault, Group
 from rosplc.bridge.gate import Gate
 from rosplc.bridge.grace import GRACE_NS, Grace
+from rosplc.bridge.order import Order
 from rosplc.bridge.resolve import TopicPlan
 from rosplc.bridge.topic import Surroundings, Topic, log
 from rosplc.codec import TRUNCATED
@@ -205,6 +206,7 @@ class Pump:
 
     Attributes:
         busy_since_ns: When it began to publish what it holds; 0 while it waits for news.
+        turned_ns: When it last began a round, of which there are several a second.
     """
 
     def __init__(self, topics: tuple[ToRos, ...], tick_ns: int) -> None:
@@ -216,6 +218,7 @@ class Pump:
         self._index: dict[ToRos, int] = {}
         self._jobs: deque[Callable[[], None]] = deque()
         self._stopping = False
+        self.turned_ns = time.monotonic_ns()
         self._alert_until_ns = 0
         self._thread = threading.Thread(target=self._run, name="rosplc-to-ros", daemon=True)
         for topic in topics:
@@ -245,6 +248,29 @@ class Pump:
         self._jobs.append(lambda: self._reopen(topic))
         self._group.wake()
 
+    def replace(self, leaving: Collection[ToRos], coming: Collection[ToRos]) -> bool:
+        """Carry other topics from now on; from any thread but its own.
+
+        Args:
+            leaving: Topics to let go of; the caller may close them afterwards.
+            coming: Topics to carry as well; their objects are open.
+
+        Returns:
+            False if the thread hangs in the ROS side; nothing has changed then.
+        """
+        order = Order(lambda: self._replace(leaving, coming))
+        self._jobs.append(order)
+        self._group.wake()
+        return order.wait()
+
+    def _replace(self, leaving: Collection[ToRos], coming: Collection[ToRos]) -> None:
+        for topic in leaving:
+            self._drop(topic)
+        self._topics = (*(topic for topic in self._topics if topic not in leaving), *coming)
+        for topic in coming:
+            topic.await_subscriber(time.monotonic_ns())
+            self._add(topic)
+
     def _add(self, topic: ToRos) -> None:
         if topic.reader is not None:
             mode = _IN_ORDER if topic.plan.every else 0
@@ -252,11 +278,16 @@ class Pump:
             self._by_index[index] = topic
             self._index[topic] = index
 
-    def _reopen(self, topic: ToRos) -> None:
+    def _drop(self, topic: ToRos) -> None:
         index = self._index.pop(topic, None)
         if index is not None:
             self._group.remove(index)
             del self._by_index[index]
+
+    def _reopen(self, topic: ToRos) -> None:
+        if topic not in self._topics:
+            return  # it has left meanwhile, and its name with it
+        self._drop(topic)
         if topic.reopen(time.monotonic_ns()):
             self._add(topic)
 
@@ -269,7 +300,7 @@ class Pump:
                 time.sleep(0.1)
 
     def _turn(self) -> None:
-        now = time.monotonic_ns()
+        self.turned_ns = now = time.monotonic_ns()
         self._group.wait(self._tick(now), self._patience(now))
         while self._jobs:
             self._jobs.popleft()()

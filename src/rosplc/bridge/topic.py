@@ -19,6 +19,7 @@ from rosplc.shm import Liveness, Namespace, OwnedChannel, Region
 __all__ = ["Counters", "Surroundings", "Topic", "log"]
 
 log = logging.getLogger("rosplc.bridge")
+_EXPLAINED_NS = 2_000_000_000
 
 
 @dataclass(frozen=True)
@@ -136,6 +137,14 @@ class Topic(ABC):
         if channel is not None:
             channel.close()
 
+    def retire(self) -> None:
+        """Give the object up: whoever has it mapped is told, and its name is free."""
+        channel = self.channel
+        self._unclaim()
+        if channel is not None:
+            channel.retire()
+        self.close()
+
     @abstractmethod
     def join(self, backend: Backend) -> None:
         """Subscribe or advertise."""
@@ -190,7 +199,9 @@ class Topic(ABC):
             self._tell(endpoint.matched)
         lost = self._lost(endpoint)
         if lost > self._lost_before:
-            self.note(now_ns, self._loss(lost - self._lost_before))
+            # Whoever lost a message a moment ago may have said why, and better than this can.
+            if self._reason is None or now_ns - self._reason[2] > _EXPLAINED_NS:
+                self.note(now_ns, self._loss(lost - self._lost_before))
             self._lost_before = lost
 
     @abstractmethod

@@ -14,10 +14,21 @@ import typer
 
 from rosplc.errors import ConfigError, RosplcError, SetupError
 
-__all__ = ["EXIT_CONFIG", "EXIT_FAILURE", "EXIT_INTERRUPTED", "EXIT_PIPE", "finite", "guarded", "print_json"]
+__all__ = [
+    "EXIT_CONFIG",
+    "EXIT_ENDED",
+    "EXIT_FAILURE",
+    "EXIT_INTERRUPTED",
+    "EXIT_PIPE",
+    "finite",
+    "guarded",
+    "print_json",
+]
 
 EXIT_FAILURE = 1
 EXIT_CONFIG = 2
+EXIT_ENDED = 3
+"""The ROS side told the bridge to leave (`rosnode kill`, a name that was taken): start it again if wanted."""
 EXIT_INTERRUPTED = 130
 EXIT_PIPE = 141
 """What a shell reports for a program that ended by SIGPIPE, as `rosplc … | head` does."""
@@ -30,8 +41,9 @@ P = ParamSpec("P")
 def guarded(verb: Callable[P, None]) -> Callable[P, None]:
     """Wrap a verb: errors become messages on stderr (JSON with ``--json``) and statuses.
 
-    Status 2 stands for a configuration or a command line that is wrong, 1 for every other
-    failure, 130 for Ctrl-C, 141 for a reader of our output that went away.
+    Status 2 stands for a configuration or a command line that is wrong, 3 for a node that was told to
+    leave the ROS graph, 1 for every other failure, 130 for Ctrl-C, 141 for a reader of our output that
+    went away.
     """
 
     @functools.wraps(verb)
@@ -104,7 +116,8 @@ def _report(error: RosplcError, *, as_json: bool) -> NoReturn:
         sys.stderr.write(json.dumps(document) + "\n")
     else:
         sys.stderr.write("\n".join(_in_words(each) for each in errors) + "\n")
-    raise typer.Exit(EXIT_CONFIG if isinstance(error, ConfigError) else EXIT_FAILURE) from None
+    status = EXIT_CONFIG if isinstance(error, ConfigError) else EXIT_FAILURE
+    raise typer.Exit(EXIT_ENDED if error.code == "ROS015" else status) from None
 
 
 def _in_words(error: RosplcError) -> str:

@@ -20,6 +20,7 @@ from rosplc.ros.backend import (
     Qos,
     Subscription,
     TypeSource,
+    ended_for_good,
     incompatibility,
 )
 from rosplc.ros.choice import BACKENDS, INSTALL, ROS1, Choice, choose, load
@@ -45,6 +46,7 @@ __all__ = [
     "Subscription",
     "TypeSource",
     "choose",
+    "ended_for_good",
     "incompatibility",
     "open_backend",
     "split_arguments",

@@ -32,6 +32,7 @@ __all__ = [
     "Qos",
     "Subscription",
     "TypeSource",
+    "ended_for_good",
     "incompatibility",
 ]
 
@@ -187,7 +188,11 @@ class Publisher(Protocol):
 
 
 class Backend(Protocol):
-    """One ROS node on one middleware."""
+    """One ROS node on one middleware.
+
+    A backend whose node can be ended from outside has an attribute ``ended`` as well: why, in words;
+    empty while it lives (:func:`ended_for_good`).
+    """
 
     name: str
     """The backend's name, as ``ros.backend`` in the configuration has it."""
@@ -214,3 +219,8 @@ class Backend(Protocol):
 
     def close(self) -> None:
         """Leave the graph: close all endpoints, end the receive thread; harmless twice."""
+
+
+def ended_for_good(backend: Backend | None) -> str:
+    """Return why a backend's node has left the graph for good; empty if it has not, or never does."""
+    return str(getattr(backend, "ended", ""))

@@ -21,6 +21,7 @@ from rosplc.ros.backend import (
     Publisher,
     Qos,
     Subscription,
+    ended_for_good,
 )
 
 __all__ = ["GatedBackend", "GatedPublisher", "GatedSubscription"]
@@ -211,6 +212,11 @@ class GatedBackend:
         with self._lock:
             endpoints = list(self._endpoints)
         return tuple(endpoint.status() for endpoint in endpoints)
+
+    @property
+    def ended(self) -> str:
+        """Why the node has left the graph for good; empty if it has not."""
+        return ended_for_good(self._inner)
 
     def graph(self) -> GraphInfo:
         """Return what is seen of the other nodes."""

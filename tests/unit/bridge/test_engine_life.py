@@ -322,7 +322,7 @@ def test_an_unforeseen_error_costs_no_other_message(cell: Cell, monkeypatch: pyt
 def test_a_quiet_bridge_wakes_seldom_and_becomes_alert(cell: Cell) -> None:
     """Without a living writer the pump ticks slowly; a message or a beat brings the configured tick back."""
     bridge = cell.start(BOTH)
-    pump = bridge._pump
+    pump = bridge._carriers and bridge._carriers._pump
     assert pump is not None
     assert pump._tick(time.monotonic_ns()) == 10_000_000
     messages = cell.listen("/out", INT)
@@ -380,7 +380,7 @@ def test_the_bridge_beats_while_ros_hangs(cell: Cell, monkeypatch: pytest.Monkey
         patch.setattr(MemoryPublisher, "status", hang)
         patch.setattr(MemorySubscription, "status", hang)
         outgoing.write({"data": 1})
-        wait_for(lambda: bridge._pump is not None and bridge._pump.busy_since_ns)
+        wait_for(lambda: bridge._carriers is not None and bridge._carriers.busy_since_ns)
         time.sleep(1.1)  # the observer hangs too
         before = outgoing.attached.snapshot().readers[0].beat
         wait_for(lambda: outgoing.attached.snapshot().readers[0].beat >= before + 3)

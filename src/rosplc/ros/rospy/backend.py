@@ -191,6 +191,11 @@ class RospyBackend:
     def _moved(self, uri: str) -> None:
         self._end(f"the node at {uri} has taken the name {self.node}, and ROS 1 keeps the newer one")
 
+    @property
+    def ended(self) -> str:
+        """Why the node was told to leave the graph; empty if it was not."""
+        return self._ended
+
     def _end(self, why: str) -> None:
         if self._closed or self._ended:
             return
