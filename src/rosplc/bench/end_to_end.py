@@ -56,7 +56,7 @@ class Amount:
 _AMOUNTS = {
     "quick": Amount((1.0,), 1, 10, 0.1),
     "default": Amount((1.0,), 2, 25, 0.2),
-    "full": Amount((1.0, 10.0), 5, 200, 1.5),
+    "full": Amount((1.0, 10.0), 3, 120, 0.8),
 }
 """By effort."""
 

@@ -137,5 +137,13 @@ def _goal(found: Found, aim: _Aim, load: float) -> Goal:
     values = " against ".join(f"{cell_text(value)} µs" for value in here)
     # The measurement itself makes up to two of it.
     busy = f"other programs ran, load average {load:.1f}" if load > _OWN_LOAD else ""
-    reason = "; ".join(filter(None, (values, aim.if_missed, busy)))
+    reason = "; ".join(filter(None, (values, _floor(found, aim), aim.if_missed, busy)))
     return Goal(aim.what, aim.limit, ratios[name], aim.at_least, reason)
+
+
+def _floor(found: Found, aim: _Aim) -> str:
+    """Say what of a sleeping exchange in Python no transport can take away, as far as it was measured."""
+    switches = found.median(_ONE, _C)
+    if aim.arrangement != _ONE or aim.below != _PYTHON or switches is None:
+        return ""
+    return f"the same exchange takes {cell_text(switches)} µs in C, and the rest is the interpreter's"

@@ -11,6 +11,7 @@ from rosplc.bench.experiment_goals import goals
 from rosplc.bench.experiment_summary import summary
 from rosplc.bench.found import Found, durations, group_of
 from rosplc.bench.results import Cell, Figure, Page, Series, Table
+from rosplc.bench.stats import shown
 
 __all__ = ["page"]
 
@@ -80,7 +81,8 @@ def _durations(arrangement: Mapping[str, Any], cycles: Sequence[int]) -> Table:
         ("", "waits", *map(str, cycles)),
         _rows(arrangement, cycles, rates=False),
         arrangement["waiting"],
-        "The source's rows are its tables 5.1 and 5.2.",
+        "The source's rows are its tables 5.1 and 5.2. Medians of the rounds; empty: more cycles than fit "
+        "into a turn of this run.",
     )
 
 
@@ -106,8 +108,8 @@ def _latencies(arrangement: Mapping[str, Any]) -> Table:
                 each["waits"],
                 statistics.median(one["run_us"] for one in each["rounds"]),
                 every["p50_us"],
-                every["p99_us"],
-                every["p999_us"],
+                shown(every, "p99"),
+                shown(every, "p999"),
                 every["max_us"],
                 cpu,
                 every["count"],
@@ -130,8 +132,9 @@ def _latencies(arrangement: Mapping[str, Any]) -> Table:
         ),
         tuple(rows),
         arrangement["waiting"],
-        "The median run is the median of the runs' mean cycles: what ratios and goals are computed from. CPU "
-        "is processor time of both processes per cycle, warm-up and start of a turn included.",
+        "The median run is the median of the runs' mean cycles: what ratios and goals are computed from. Of "
+        "fewer than 100 cycles there is no p99, of fewer than 1,000 no p99.9. CPU is processor time of both "
+        "processes per cycle, warm-up and start of a turn included.",
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
@@ -11,21 +12,27 @@ from rosplc.bench.section import Section, render
 __all__ = ["body", "cell_text", "goal_lines", "section_text", "table_lines", "text"]
 
 
-def text(report: Report, sections: Mapping[str, Section], images: str = "") -> str:
+def text(report: Report, sections: Mapping[str, Section], images: str = "", *, figures: bool = True) -> str:
     """Return the report's Markdown.
 
     Args:
         report: What was measured.
         sections: Every section by name.
         images: The folder of the figures, as the page sees it, with a slash at the end.
+        figures: Whether there are any.
     """
-    return "\n".join(["# The comparison", "", *body(report, sections, images)]).rstrip() + "\n"
+    lines = ["# The comparison", "", *body(report, sections, images, figures=figures)]
+    return "\n".join(lines).rstrip() + "\n"
 
 
-def body(report: Report, sections: Mapping[str, Section], images: str = "") -> list[str]:
+def body(
+    report: Report, sections: Mapping[str, Section], images: str = "", *, figures: bool = True
+) -> list[str]:
     """Return the same without its title, as lines: for a page that says more."""
     lines = [*_machine(report), ""]
     pages = render(report, sections)
+    if not figures:
+        pages = {name: dataclasses.replace(page, figures=()) for name, page in pages.items()}
     goals = [goal for page in pages.values() for goal in page.goals]
     if goals:
         lines += ["## Goals", "", *goal_lines(goals), ""]

@@ -131,7 +131,8 @@ class Page:
         figures: In order.
         goals: With what was reached.
         after: Paragraphs behind the tables: what the figures mean and what they do not.
-        summary: Lines for the terminal's verdict, complete sentences.
+        summary: Lines for the terminal's verdict: complete sentences, and rows of a table, which begin with
+            a space and fit into 80 columns.
     """
 
     lead: tuple[str, ...] = ()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
@@ -13,8 +12,9 @@ from typing import Any
 from rosplc.bench import machine
 from rosplc.bench.context import Context, Effort
 from rosplc.bench.results import Measured, Report
+from rosplc.bench.scratch import scratch_folder
 from rosplc.bench.section import Section
-from rosplc.errors import RosplcError, SetupError
+from rosplc.errors import RosplcError
 
 __all__ = ["cache_folder", "run"]
 
@@ -39,15 +39,11 @@ def run(
     """
     facts = machine.describe()
     measured = []
-    try:
-        scratch = tempfile.TemporaryDirectory(prefix="rosplc-bench-", dir="/dev/shm")
-    except OSError as error:
-        raise SetupError("SYS008", f"{error.strerror}", where="/dev/shm") from error
-    with scratch as folder:
+    with scratch_folder() as folder:
         for section in sections:
             context = Context(
                 effort,
-                Path(folder),
+                folder,
                 cache_folder(),
                 tuple(sorted(os.sched_getaffinity(0))[:2]),
                 tuple(only),

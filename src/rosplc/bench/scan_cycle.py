@@ -57,7 +57,7 @@ def _conditions(effort: str) -> list[Condition]:
     return quiet + (loaded[2:] if effort == "quick" else loaded)
 
 
-_EFFORTS = {"quick": (1, 0.05, 8, 10), "default": (2, 0.08, 10, 24), "full": (3, 0.7, 70, 100)}
+_EFFORTS = {"quick": (1, 0.05, 8, 10), "default": (2, 0.08, 10, 24), "full": (2, 0.5, 50, 60)}
 """Effort → rounds, seconds of a turn, scans at least, and where the age is looked at."""
 
 

@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 import statistics
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-__all__ = ["PERCENTILES", "distribution", "median_ratio"]
+__all__ = ["ENOUGH", "PERCENTILES", "distribution", "median_ratio", "shown"]
 
 PERCENTILES = {"p50": 500, "p99": 990, "p999": 999}
 """Name and thousandths."""
+
+ENOUGH = {"p50": 1, "p99": 100, "p999": 1000}
+"""So many values a percentile needs to be anything but the largest."""
+
+
+def shown(found: Mapping[str, Any], name: str) -> float | None:
+    """Return a percentile of a :func:`distribution`; None if there are too few values for it."""
+    return float(found[f"{name}_us"]) if found["count"] >= ENOUGH[name] else None
 
 
 def distribution(spent_ns: Sequence[int]) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from rosplc.bench.arrangements import ONE_CORE, ONE_CORE_BUSY, TWO_CORES, TWO_CO
 from rosplc.bench.found import Found, group_of
 from rosplc.bench.markdown import cell_text
 from rosplc.bench.results import Cell, Figure, Page, Series, Table
+from rosplc.bench.stats import shown
 
 __all__ = ["page"]
 
@@ -37,7 +38,7 @@ def page(data: Mapping[str, Any]) -> Page:
                     entry["waits"],
                     middle,
                     every["p50_us"],
-                    every["p99_us"],
+                    shown(every, "p99"),
                     cpu,
                     None if share is None else share * 100,
                 )

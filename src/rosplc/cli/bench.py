@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import shutil
 import signal
 import sys
 from collections.abc import Iterator
@@ -28,7 +29,7 @@ rosplc bench  —  about two minutes; the answer for this machine
 
 rosplc bench --quick  —  a first look in half a minute
 
-rosplc bench --full --out results  —  longer, with report.md, report.json and figures in results/
+rosplc bench --full --out results  —  about twelve minutes; report.md, report.json and figures in results/
 
 rosplc bench --section experiment --only libmodbus --only rosplc-c
 
@@ -42,7 +43,9 @@ the reason. The exit status is 0 if every value came through whole; no time is e
 @guarded
 def command(
     quick: Annotated[bool, typer.Option("--quick", help="One round, for a first look.")] = False,
-    full: Annotated[bool, typer.Option("--full", help="More rounds, and every number of cycles.")] = False,
+    full: Annotated[
+        bool, typer.Option("--full", help="More rounds and more of each; about twelve minutes.")
+    ] = False,
     section: Annotated[
         list[str] | None, typer.Option(metavar="NAME", help="Only this section; may be given again.")
     ] = None,
@@ -71,20 +74,27 @@ def command(
     if earlier is not None:
         report = _read(earlier)
     else:
+        if out is not None:
+            from rosplc.bench.write import prepare
+
+            prepare(out)
         effort = "quick" if quick else "full" if full else "default"
         report = _measure(chosen, effort, only or [], quiet=as_json)
     sections = {each.name: each for each in registry.SECTIONS}
     if out is not None:
+        from rosplc.bench import draw
         from rosplc.bench.write import write
 
         files = write(report, sections, out)
         warn(f"{len(files)} files written to {out}")
+        if not draw.available():
+            warn("no figures: the Python package matplotlib is missing; pip install 'rosplc[bench]'")
     if as_json:
         print_json(report.to_dict())
     else:
         from rosplc.bench.verdict import verdict
 
-        for line in verdict(report, sections):
+        for line in verdict(report, sections, max(60, min(100, shutil.get_terminal_size().columns))):
             say(line)
     if not report.good:
         raise typer.Exit(EXIT_FAILURE)
@@ -148,6 +158,9 @@ def _progress(*, quiet: bool) -> Iterator[Callable[[Section, int, int, str], Non
 
         def notify(section: Section, done: int, total: int, what: str) -> None:
             if section.name not in tasks:
+                for earlier in tasks.values():  # finished, whatever it was that it skipped at its end
+                    progress.remove_task(earlier)
+                tasks.clear()
                 tasks[section.name] = progress.add_task(section.name, total=total)
             shown = f"{section.name}: {what}"[:_SHOWN]
             progress.update(tasks[section.name], completed=done, total=total, description=shown)

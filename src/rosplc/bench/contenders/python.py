@@ -18,6 +18,7 @@ from rosplc.bench.contenders.base import (
 )
 from rosplc.bench.optional import need
 from rosplc.bench.pair import Pair
+from rosplc.bench.scratch import NAMES_FILE
 
 __all__ = ["ASYNCUA", "ICEORYX", "ICEORYX_BLACKBOARD", "ROSPLC_PYTHON", "ROSPLC_TYPED", "SEMAPHORE_PYTHON"]
 
@@ -53,6 +54,7 @@ def _start_iceoryx(place: Place, kind: str) -> Pair:
     # Its objects in /dev/shm lie in no folder: they begin with this unique name instead. It is short, for
     # its listeners are sockets in the file system, whose paths have 107 characters at most.
     prefix = f"rb{secrets.token_hex(4)}_"
+    (place.folder / NAMES_FILE).write_text(prefix)
     a, b = (python_side("iceoryx", side, place.folder, prefix, kind) for side in "AB")
     try:
         pair = start_pair("iceoryx2", place, a=a, b=b)
@@ -78,7 +80,7 @@ ROSPLC_PYTHON = Contender(
 )
 ROSPLC_TYPED = Contender(
     "rosplc-python-typed",
-    "rosplc channel, Python, B with typed messages",
+    "rosplc channel, Python, typed messages",
     "the same, but B attaches with rosplc.attach and reads and writes messages with fields, lists of Python "
     "integers, as scripts do",
     {TWO_CORES.name: SPINS, **_CYCLES},
