@@ -1,0 +1,133 @@
+"""``rosplc service``: a bridge that starts with the machine, as a hardened service of systemd."""
+
+from __future__ import annotations
+
+import enum
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rosplc.cli.guard import guarded, print_json
+from rosplc.cli.text import columns, say, warn
+from rosplc.errors import SetupError
+
+if TYPE_CHECKING:
+    from rosplc.service.install import Step
+
+__all__ = ["EPILOG", "command"]
+
+EPILOG = """Examples:
+
+rosplc service install cell1 --dry-run  —  show every file and command for /etc/rosplc/cell1.yaml
+
+sudo rosplc service install cell1  —  write them, and start with the machine from now on
+
+rosplc service status  —  which bridges are services, and how they stand
+
+sudo rosplc service uninstall cell1  —  stop it, and remove its files; user, configuration and objects stay
+
+The service has a user of its own and no capabilities. Only a configuration with `realtime:` is given
+more: the limits that its settings need.
+"""
+
+
+class What(str, enum.Enum):
+    """What to do."""
+
+    install = "install"
+    uninstall = "uninstall"
+    status = "status"
+
+
+@guarded
+def command(
+    what: Annotated[What, typer.Argument(metavar="install|uninstall|status", help="What to do.")],
+    name: Annotated[
+        str | None, typer.Argument(help="The service's name; the configuration file's by default.")
+    ] = None,
+    config: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="The configuration; /etc/rosplc/NAME.yaml by default."),
+    ] = None,
+    user: Annotated[
+        str, typer.Option(metavar="NAME", help="Who runs the bridge; created if missing.")
+    ] = "rosplc",
+    root: Annotated[
+        Path, typer.Option(metavar="DIR", help="Work in this folder instead of /, for images of machines.")
+    ] = Path("/"),
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Show what would be done.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Run a bridge as a service of systemd: install it, remove it, or see how it stands."""
+    from rosplc.service.install import execute, install_steps, uninstall_steps
+    from rosplc.service.planning import plan_service, require_systemd
+    from rosplc.service.state import service_states
+
+    root = root.absolute()
+    if what is What.status:
+        _show(service_states(root, name), as_json=as_json)
+        return
+    if not dry_run and root == Path("/") and os.geteuid() != 0:
+        raise SetupError(
+            "SYS011",
+            f"only root may {what.value} a service",
+            remedy="Run it with sudo; --dry-run shows what would be done, and needs no rights.",
+        )
+    notes: tuple[str, ...] = ()
+    if what is What.install:
+        plan, notes = plan_service(name, config, user, root, Path(sys.argv[0]))
+        steps = install_steps(plan, root)
+    else:
+        if name is None:
+            raise typer.BadParameter("name the service to remove", param_hint="NAME")
+        steps = uninstall_steps(name, root)
+    if not dry_run and root == Path("/"):
+        require_systemd()
+    if as_json:
+        print_json({"done": not dry_run, "steps": [_facts(step) for step in steps], "notes": list(notes)})
+    elif dry_run:
+        _explain(steps)
+    for note in notes:
+        if not as_json:
+            warn(f"Note: {note}")
+    if dry_run:
+        return
+    execute(steps, (lambda _: None) if as_json else say)
+    if what is What.install and not as_json:
+        say(f"\nIt starts with the machine. To start it now: systemctl start {plan.unit}")
+
+
+def _facts(step: Step) -> dict[str, object]:
+    from rosplc.service.install import Run, Write
+
+    if isinstance(step, Run):
+        return {"run": list(step.argv)}
+    return (
+        {"write": str(step.path), "text": step.text}
+        if isinstance(step, Write)
+        else {"remove": str(step.path)}
+    )
+
+
+def _explain(steps: list[Step]) -> None:
+    from rosplc.service.install import Write, in_words
+
+    for step in steps:
+        say(in_words(step))
+        if isinstance(step, Write):
+            say("".join(f"    {line}\n" for line in step.text.splitlines()))
+
+
+def _show(states: list[dict[str, object]], *, as_json: bool) -> None:
+    if as_json:
+        print_json({"services": states})
+        return
+    if not states:
+        say("No bridge is installed as a service.")
+        return
+    rows = [(s["unit"], s["enabled"], s["active"], s["restarts"], s["status"]) for s in states]
+    for line in columns(rows, header=("service", "at start", "now", "restarts", "status")):
+        say(line)

@@ -1,0 +1,117 @@
+"""Between a running bridge and systemd: the watchdog is fed while messages can be carried, and no longer."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Protocol
+
+from rosplc.bridge.status import BridgeStatus
+from rosplc.service.notify import Notifier
+
+__all__ = ["Supervisor", "Watched", "supervised"]
+
+log = logging.getLogger("rosplc.service")
+
+_START_S = 0.1
+_STATUS_S = 5.0
+_LEAST_S = 0.05
+
+
+class Watched(Protocol):
+    """What this needs of :class:`rosplc.bridge.engine.Bridge`."""
+
+    def status(self) -> BridgeStatus:
+        """Return how it stands."""
+
+    def stuck(self, longest_ns: int) -> str:
+        """Return what stands still; empty if nothing does."""
+
+
+class Supervisor:
+    """Tells the service manager how a bridge stands.
+
+    Args:
+        bridge: The bridge.
+        notifier: The way to the manager.
+    """
+
+    def __init__(self, bridge: Watched, notifier: Notifier) -> None:
+        self._bridge = bridge
+        self._notifier = notifier
+        watchdog = notifier.watchdog_s
+        self._period_s = min(_STATUS_S, max(_LEAST_S, watchdog / 4)) if watchdog else _STATUS_S
+        # Half of the watchdog's time, so that a round that is merely slow ends before it does.
+        self._longest_ns = int(watchdog / 2 * 1e9)
+        self._stuck = ""
+        self._running = False
+
+    def look(self) -> float:
+        """Tell what has changed, and feed the watchdog unless the bridge stands still.
+
+        Returns:
+            After how many seconds the next look is due.
+        """
+        status = self._bridge.status()
+        if not status.running:
+            # Before the start, or after the end began; the watchdog is not fed, and each has its own time.
+            if self._running:
+                self._notifier.stopping()
+            self._running = False
+            return _START_S
+        if not self._running:
+            self._running = True
+            self._notifier.ready(_in_words(status))
+        stuck = self._bridge.stuck(self._longest_ns) if self._longest_ns else ""
+        self._notifier.status(stuck or _in_words(status))
+        if not stuck:
+            self._notifier.alive()
+        elif not self._stuck:
+            log.error("%s; systemd restarts the bridge unless it goes on", stuck)
+        self._stuck = stuck
+        return self._period_s
+
+    def run(self, stop: threading.Event) -> None:
+        """Look until ``stop`` is set."""
+        while not stop.wait(self._guarded()):
+            pass
+
+    def _guarded(self) -> float:
+        try:
+            return self.look()
+        except Exception:  # a defect here must show itself, and not end the looking
+            log.exception("telling systemd how the bridge stands failed")
+            return self._period_s
+
+
+@contextmanager
+def supervised(bridge: Watched, environment: Mapping[str, str] | None = None) -> Iterator[None]:
+    """Tell the service manager how a bridge stands, where one has started this process.
+
+    Args:
+        bridge: The bridge; it may be started and stopped inside.
+        environment: Where ``NOTIFY_SOCKET`` and ``WATCHDOG_USEC`` stand; None for the process's own.
+    """
+    notifier = Notifier.of(environment)
+    if not notifier.wanted:
+        yield
+        return
+    stop = threading.Event()
+    supervisor = Supervisor(bridge, notifier)
+    thread = threading.Thread(target=supervisor.run, args=(stop,), name="rosplc-supervisor", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join(_STATUS_S)
+
+
+def _in_words(status: BridgeStatus) -> str:
+    fine = sum(topic.judgement[0] == 0 for topic in status.topics)
+    received = sum(topic.received for topic in status.topics)
+    published = sum(topic.published for topic in status.topics)
+    text = f"{fine} of {len(status.topics)} topics fine over {status.backend}; in {received}, out {published}"
+    return "; ".join((text, *status.notes))
