@@ -2,12 +2,12 @@
 
 It only looks: nothing is claimed, locked, published or written. Each examination is a function of
 what it is given (a folder in place of ``/proc``, a mapping in place of the environment);
-:mod:`rosplc.doctor.examine` gives them the real ones.
+:mod:`rosplc.doctor.examination` gives them the real ones.
 """
 
 from __future__ import annotations
 
-from rosplc.doctor.examine import Question, examine
+from rosplc.doctor.examination import Question, examine
 from rosplc.doctor.finding import Area, Finding, Kind, Level
 from rosplc.doctor.kinds import KINDS
 from rosplc.doctor.report import SCHEMA, Report

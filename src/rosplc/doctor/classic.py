@@ -10,9 +10,9 @@ from pathlib import Path
 from rosplc.bridge.classic_plan import ClassicPlan
 from rosplc.doctor.finding import Finding
 from rosplc.doctor.kinds import kind
-from rosplc.doctor.words import listed, remove
+from rosplc.doctor.words import listed, remove, user_name
 
-__all__ = ["locks", "sizes"]
+__all__ = ["create_or_open", "locks", "sizes"]
 
 _LOOKS = 12
 _PAUSE_S = 0.05
@@ -90,3 +90,36 @@ def sizes(directory: Path, plans: Sequence[tuple[str, ClassicPlan, int]]) -> Ite
             yield kind("DOC217").found(what, command=remove([path]))
     if not small:
         yield kind("DOC217").fine("memories of classic topics are large enough")
+
+
+def create_or_open(
+    root: Path, directory: Path, plans: Sequence[ClassicPlan], uids: Sequence[int]
+) -> Iterator[Finding]:
+    """Judge whether the kernel lets a runtime create-or-open what another user has made.
+
+    Args:
+        root: Where ``proc`` stands.
+        directory: Where memories and semaphores lie.
+        plans: The configuration's classic topics.
+        uids: Users of PLC runtimes.
+    """
+    try:
+        protected = int((root / "proc/sys/fs/protected_regular").read_text(encoding="ascii"))
+    except (OSError, ValueError):
+        protected = 0
+    folder = directory.stat()
+    names = {plan.name for plan in plans} | {f"sem.{plan.semaphore}" for plan in plans if plan.semaphore}
+    if protected and folder.st_mode & 0o1002 == 0o1002:
+        for uid in uids:
+            closed = [
+                name
+                for name in sorted(names)
+                if (directory / name).is_file()
+                and (directory / name).stat().st_uid not in (uid, folder.st_uid)
+            ]
+            if closed:
+                owner = user_name((directory / closed[0]).stat().st_uid)
+                what = f"{owner} owns {listed(closed)}, the runtime runs as {user_name(uid)}"
+                yield kind("DOC218").found(f"fs.protected_regular is {protected}; {what}")
+                return
+    yield kind("DOC218").fine("the kernel lets the runtime create-or-open classic objects")

@@ -35,7 +35,7 @@ _A = Area.MACHINE
 _register("DOC101", _A, _W, "kernel and architecture", "rosplc is tested on x86-64, and with cross-compilers and an emulator on ARM; the format needs a little-endian machine.", "Run it on x86-64 or ARM.")
 _register("DOC102", _A, _N, "word size of kernel and programs", "The kernel has 64 bits and this Python 32, as on many single-board computers. Channels do not mind; a classic topic's semaphore needs both sides to have the same word size.", "Nothing, unless a classic topic is used with a 64-bit PLC runtime.")
 _register("DOC103", _A, _W, "the clock", "The clock is earlier than this release, so stamps of messages will be wrong, and jump when it is set.", "Set the clock.")
-_register("DOC104", _A, _E, "open files", "A bridge holds files and sockets open, several per topic; it would end with SYS006.", "Raise the limit in the shell or the service that starts the bridge.")
+_register("DOC104", _A, _E, "open files", "A bridge holds files and sockets open, several per topic; without enough of them it ends with SYS006.", "Raise the limit in the shell or the service that starts the bridge.")
 _register("DOC105", _A, _N, "rights for real time", "Without them a bridge runs with ordinary priority; beside a busy PLC its messages can come a few milliseconds later.", "Nothing, unless the age of messages matters at that scale.")
 _register("DOC106", _A, _W, "what happens at log-out", "systemd removes what an ordinary user owns in /dev/shm when the last session ends: objects of a running bridge, too.", "Run the bridge as a system user, or tell systemd not to.")
 _register("DOC110", _A, _E, "installed packages", "A package that rosplc needs is missing, or not of the release that it is tested with.", "Install rosplc again, with its packages.")
@@ -55,12 +55,13 @@ _register("DOC208", _A, _N, "retired objects", "A bridge was killed between reti
 _register("DOC209", _A, _E, "objects of another user", "A bridge of this user could not take them over (SHM119).", "Remove them as their owner, or run the bridge as that user.")
 _register("DOC210", _A, _W, "objects that are open to everybody", "Every user of this machine may read or change what the robot and the PLC tell each other.", "Restrict shm.mode, and give the objects to one group.")
 _register("DOC211", _A, _E, "damaged objects", "Another program wrote into them, or uses the name; a PLC refuses them.", "Restart the bridge: it replaces objects that are its own.")
-_register("DOC212", _A, _E, "what is no plain file", "A link, a folder or a device stands at an object's name; rosplc never follows it (SHM121).", "Remove it.")
+_register("DOC212", _A, _E, "plain files at the objects' names", "A link, a folder or a device stands at an object's name; rosplc never follows it (SHM121).", "Remove it.")
 _register("DOC213", _A, _W, "lock files", "A bridge beats in an object whose lock it does not hold: somebody removed the lock file, so a second bridge could start.", "Restart the bridge, and never remove PREFIX.l.* while it runs.")
 _register("DOC214", _A, _W, "locks of classic topics", "A semaphore was taken at every look, so its holder has probably died inside. A bridge frees it after classic: recover_after.", "Start the bridge, or remove the semaphore while nobody runs.")
 _register("DOC215", _A, _E, "word size of semaphores", "Programs of another word size made the semaphore (SHM133).", "Run both sides with the same word size, or carry the topic over the default channel.")
 _register("DOC216", _A, _W, "semaphores that let in more than one", "Somebody made it with more than 1, or left it twice; a bridge corrects it (SHM132).", "Start the bridge, and look which program does it.")
 _register("DOC217", _A, _E, "sizes of classic memories", "A memory is smaller than the record, so the other side has another struct (SHM129).", "Correct type, limits or name of the topic, or remove a memory that nobody uses.")
+_register("DOC218", _A, _W, "who may create-or-open classic objects", "The kernel (fs.protected_regular) lets nobody, not even root, create-or-open another user's file in /dev/shm; programs of the original design do so, and fail.", "Run the bridge as the runtime's user.")
 
 _A = Area.PLC
 _register("DOC301", _A, _N, "a CODESYS runtime", "No process named codesyscontrol runs here, or it runs in a container that this one cannot look into.", "Start the runtime, or name its user with --plc-user.")

@@ -64,14 +64,14 @@ def open_files(limit: int, topics: int) -> Iterator[Finding]:
         limit: The soft limit; ``resource.RLIM_INFINITY`` for none.
         topics: How many topics the configuration has.
     """
-    # A lock file and an object or semaphore per topic, two sockets per ROS 1 peer, and a start.
-    needed = 128 + 4 * topics
-    if limit != resource.RLIM_INFINITY and limit < needed:
-        seen = f"{limit} open files are allowed; {topics} topics may need {needed}"
+    # A lock file per topic at least; a memory, a semaphore and sockets of two ROS 1 peers at most.
+    least, usual = 48 + topics, 128 + 4 * topics
+    if limit != resource.RLIM_INFINITY and limit < usual:
         yield kind("DOC104").found(
-            seen,
-            f"Raise the limit in the shell, or with LimitNOFILE={needed} in a systemd unit.",
-            f"ulimit -n {needed}",
+            f"{limit} open files are allowed; {topics} topics take {least} to {usual}",
+            f"Raise the limit in the shell, or with LimitNOFILE={usual} in a systemd unit.",
+            f"ulimit -n {usual}",
+            level=Level.ERROR if limit < least else Level.WARNING,
         )
     else:
         allowed = "any number of" if limit == resource.RLIM_INFINITY else str(limit)

@@ -191,6 +191,7 @@ def look_at_objects(
     directory: Path,
     held: Held | None,
     *,
+    prefix: str | None = None,
     seconds: float = 1.5,
     sleep: Callable[[float], None] = time.sleep,
 ) -> Objects:
@@ -199,6 +200,7 @@ def look_at_objects(
     Args:
         directory: Where the objects lie.
         held: See :func:`held_files`.
+        prefix: Only objects of this prefix; None for all.
         seconds: The longest time to look; who promises to beat more often is waited for less.
         sleep: Waits for so many seconds.
 
@@ -212,7 +214,7 @@ def look_at_objects(
     try:
         for path in sorted(directory.iterdir()):
             found = _NAME.fullmatch(path.name)
-            if found is None:
+            if found is None or prefix not in (None, found[1]):
                 continue
             if found[2] == "l":
                 locks.add(path)

@@ -53,6 +53,8 @@ def run_probe(probe: Probe) -> list[Finding]:
     if thread.is_alive():
         text = f"could not check {probe.what}: no answer within {probe.seconds:g} s"
         result.append(kind("DOC002").found(text))
+    elif failed and isinstance(failed[0], TimeoutError) and not failed[0].strerror:
+        result.append(kind("DOC002").found(f"could not check {probe.what}: {failed[0]}"))
     elif failed:
         result.append(kind("DOC001").found(f"could not check {probe.what}: {_words(failed[0])}"))
     return result

@@ -264,7 +264,7 @@ class _Examination:
 
     def _look_at_objects(self) -> Iterable[Finding]:
         held = held_files(self._q.root / "proc")
-        self._objects = look_at_objects(self._directory, held, seconds=_LONGEST_LOOK_S)
+        self._objects = look_at_objects(self._directory, held, prefix=self._prefix, seconds=_LONGEST_LOOK_S)
         return ()
 
     def _leftovers(self) -> Iterator[Finding]:
@@ -308,6 +308,10 @@ class _Examination:
             users = {(entry.pw_uid, frozenset(os.getgrouplist(user, entry.pw_gid)))}
         for uid, gids in sorted(users, key=lambda each: each[0]):
             yield from rights.rights(self._files(), uid, gids)
+        plans = [plan.classic for plan in self._classic if plan.classic is not None]
+        if plans and users:
+            uids = sorted(uid for uid, _ in users)
+            yield from classic.create_or_open(self._q.root, self._directory, plans, uids)
 
     def _files(self) -> list[rights.File]:
         """Return the objects as they are; where the configuration's are missing, as they would be."""
