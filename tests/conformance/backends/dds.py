@@ -3,10 +3,29 @@
 from __future__ import annotations
 
 import importlib.util
+from collections.abc import Callable
 from typing import ClassVar
 
+from rosplc.ros import Qos
 from tests.conformance.backends.base import Abilities, Harness
-from tests.interop.graphs import LOCAL, free_domain
+from tests.conformance.backends.node import Node, Outbox
+from tests.conformance.backends.rtps import Impostor
+from tests.interop.graphs import LOCAL, free_domain, wait_for
+
+
+class DdsNode(Node):
+    """A node that tells its writers' ids."""
+
+    def advertise(self, topic: str, type_name: str, qos: Qos | None = None) -> Outbox:
+        """Send a topic."""
+        outbox = super().advertise(topic, type_name, qos)
+        self._last = outbox
+        return outbox
+
+    def guid(self) -> bytes:
+        """Return the id of the last publisher's writer."""
+        guid: bytes = self._last.publisher.guid  # type: ignore[attr-defined]
+        return guid
 
 
 class DdsHarness(Harness):
@@ -14,6 +33,7 @@ class DdsHarness(Harness):
 
     backend = "dds"
     title = "dds"
+    node_class = DdsNode
     abilities: ClassVar[Abilities] = Abilities(
         source_stamps=True,
         matches_qos=True,
@@ -38,3 +58,18 @@ class DdsHarness(Harness):
         """Take a domain."""
         self.domain = self.stack.enter_context(free_domain())
         self.environment = dict(LOCAL)
+
+    def rogue(self, topic: str, type_name: str) -> Callable[[bytes], object]:
+        """Send in the name of another process's writer; what is written through a library fits the type."""
+        assert self.domain is not None
+        before = self._matched(topic)
+        node = self.process("rogue")
+        outbox = node.advertise(topic, type_name)
+        wait_for(outbox.matched)
+        wait_for(lambda: self._matched(topic) > before)
+        return Impostor(self.domain, node.call(0, "guid")).send
+
+    def _matched(self, topic: str) -> int:
+        """Return how many publishers the subscriptions of a topic have matched."""
+        statuses = (status for node in self._nodes for status in node.status())
+        return sum(status.matched for status in statuses if (status.topic, status.direction) == (topic, "in"))

@@ -128,36 +128,36 @@ class Outbox:
     """A publisher."""
 
     def __init__(self, node: Node, topic: str, type_name: str, qos: Qos) -> None:
-        self._publisher = node.backend.advertise(topic, type_name, qos)
+        self.publisher = node.backend.advertise(topic, type_name, qos)
 
     def write(self, payload: bytes, stamp_ns: int | None = None) -> bool:
         """Send one message."""
-        return self._publisher.write(payload, stamp_ns)
+        return self.publisher.write(payload, stamp_ns)
 
     def write_all(self, payloads: list[bytes], pause: float = 0.0) -> int:
         """Send many messages, ``pause`` seconds apart; return how many the backend took."""
         taken = 0
         for payload in payloads:
-            taken += self._publisher.write(payload)
+            taken += self.publisher.write(payload)
             if pause:
                 time.sleep(pause)
         return taken
 
     def topic(self) -> str:
         """Return the topic's full name."""
-        return self._publisher.topic
+        return self.publisher.topic
 
     def matched(self) -> int:
         """Return how many subscribers there are."""
-        return self._publisher.matched
+        return self.publisher.matched
 
     def status(self) -> EndpointStatus:
         """Return the endpoint's status."""
-        return self._publisher.status()
+        return self.publisher.status()
 
     def close(self) -> None:
         """Close the publisher."""
-        self._publisher.close()
+        self.publisher.close()
 
 
 class Node:

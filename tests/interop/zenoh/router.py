@@ -18,6 +18,8 @@ SETTINGS = {
     "scouting/gossip/enabled": True,
     "routing/router/peers_failover_brokering": True,
     "timestamping/enabled": {"router": True, "peer": True, "client": True},
+    # A router that is killed, as tests do, leaves its segment in /dev/shm.
+    "transport/shared_memory/enabled": False,
     "connect/retry": {"period_init_ms": 200, "period_max_ms": 200, "period_increase_factor": 1},
 }
 
