@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import os
 import random
+import re
 import subprocess
 import sys
 import tempfile
@@ -58,13 +59,16 @@ def installed(package: str) -> bool:
     return done.stdout == b"install ok installed"
 
 
+def prefixes() -> set[str]:
+    """Return the prefixes of objects that the pages' configurations name, and the default one."""
+    found = re.findall(r"^ *prefix: *(\w+)", "\n".join(p.read_text(encoding="utf-8") for p in PAGES), re.M)
+    return {"rosplc", *found}
+
+
 def objects() -> set[Path]:
-    """Return what pages leave in shared memory: the default prefix, and the classic topics that they name."""
-    return {
-        path
-        for start in ("rosplc.", "migrated_", "sem.migrated_")
-        for path in SHARED_MEMORY.glob(f"{start}*")
-    }
+    """Return what pages leave in shared memory: under their prefixes, and classic topics that they name."""
+    starts = [*(f"{prefix}." for prefix in prefixes()), "migrated_", "sem.migrated_"]
+    return {path for start in starts for path in SHARED_MEMORY.glob(f"{start}*")}
 
 
 @pytest.fixture
