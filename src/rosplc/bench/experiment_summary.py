@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from rosplc.bench.arrangements import ARRANGEMENTS, CYCLIC, ONE_CORE, TWO_CORES
+from rosplc.bench.arrangements import ARRANGEMENTS, CYCLIC, ONE_CORE, TWO_CORES, Arrangement
 from rosplc.bench.found import Found
 from rosplc.bench.markdown import cell_text
 from rosplc.bench.source import MODBUS_S, SHARED_MEMORY_S
@@ -24,15 +24,12 @@ def summary(found: Found) -> tuple[str, ...]:
     for arrangement in (TWO_CORES, ONE_CORE):
         for ours, language, others in _PAIRS:
             lines += _line(found, arrangement.name, arrangement.title, ours, language, others)
-    for arrangement in CYCLIC:
-        entries = found.entries(arrangement.name)
-        if entries:
-            middle = [each["all"]["p50_us"] for each in entries.values()]
-            lines.append(
-                f"{arrangement.title}: there and back takes {cell_text(min(middle) / 1000)} to "
-                f"{cell_text(max(middle) / 1000)} ms. The programs' period decides, not what carries the "
-                "data: one period, or two where an answer comes too late for it."
-            )
+    cyclic = [part for each in CYCLIC if (part := _times(found, each))]
+    if cyclic:
+        lines.append(
+            f"Polling, there and back takes {' and '.join(cyclic)}. The programs' period decides, not what "
+            "carries the data: one period, or two where an answer comes too late for it."
+        )
     entries_of_all = [entry for arrangement in found for entry in arrangement["contenders"]]
     if entries_of_all:
         wrong, runs = (sum(entry[key] for entry in entries_of_all) for key in ("wrong", "runs"))
@@ -93,3 +90,11 @@ def _line(
     middle = cell_text(found.median(arrangement, ours))
     against = f"; its rate is {', '.join(parts)}" if parts else ""
     return [f"{title}, {language}: rosplc takes {middle} µs there and back{against}."]
+
+
+def _times(found: Found, arrangement: Arrangement) -> str:
+    middle = [each["all"]["p50_us"] / 1000 for each in found.entries(arrangement.name).values()]
+    if not middle:
+        return ""
+    cycle = f"in a cycle of {arrangement.period_ns / 1e6:g} ms"
+    return f"{cell_text(min(middle))} to {cell_text(max(middle))} ms {cycle}"

@@ -142,7 +142,7 @@ def start(context: Context, programs: Programs | None, stack: ExitStack) -> list
             starters["modbus-slave"] = lambda: modbus("modbus-slave")
             starters["modbus-master"] = lambda: modbus("modbus-master")
     if context.effort.name == "quick":
-        context.skip("scan cycle in Python, OPC UA among it", "left out of a quick run", "rosplc bench")
+        context.skip("scan cycle in Python, OPC UA among it", "left out of a quick run", "leave --quick out")
     else:
         starters["rosplc-python"] = rosplc_python
         try:

@@ -15,6 +15,7 @@ from rosplc.bench.arrangements import Arrangement
 from rosplc.bench.contenders.base import Contender, Place
 from rosplc.bench.context import Context
 from rosplc.bench.missing import Missing
+from rosplc.bench.optional import need
 from rosplc.bench.pair import Pair, Turn
 from rosplc.bench.stats import distribution
 from rosplc.errors import SetupError
@@ -156,7 +157,7 @@ class _Run:
 
     def arrangement(self, arrangement: Arrangement, contenders: Sequence[Contender]) -> dict[str, Any]:
         """Measure one arrangement."""
-        here = [each for each in contenders if arrangement.name in each.ways]
+        here = [each for each in contenders if arrangement.name in each.ways and self._can(each, arrangement)]
         plans = {each.name: self._calibrate(arrangement, each) for each in here}
         turns: dict[str, list[Turn]] = {each.name: [] for each in here}
         for number in range(_rounds(self._context, arrangement)):
@@ -173,6 +174,16 @@ class _Run:
             "period_ns": arrangement.period_ns,
             "contenders": [_entry(each, arrangement, turns[each.name]) for each in here if turns[each.name]],
         }
+
+    def _can(self, contender: Contender, arrangement: Arrangement) -> bool:
+        try:
+            if arrangement.name in contender.needs:
+                need(contender.needs[arrangement.name])
+        except Missing as missing:
+            what = f"{contender.title}, {arrangement.title}"
+            self._context.skip(what, missing.reason, missing.remedy)
+            return False
+        return True
 
     def _calibrate(self, arrangement: Arrangement, contender: Contender) -> Plan | None:
         turn = self._turn(arrangement, contender, Plan(2, 1, (_CALIBRATION,)))

@@ -40,6 +40,8 @@ def verdict(report: Report, sections: Mapping[str, Section], width: int = 80) ->
         known = sum(goal.met is not None for goal in goals)
         yield f"Goals: {met} of {known} met, {len(goals) - known} not measured"
         for goal in goals:
+            if goal.measured is None:
+                continue  # the report names it; here it is one of those counted above
             yield from _wrapped(_goal(goal), width, "  ")
     failures = [each for measured in report.sections for each in measured.failures]
     skips = [each for measured in report.sections for each in measured.skips]
@@ -67,8 +69,6 @@ def _wrapped(text: str, width: int, indent: str = "") -> list[str]:
 
 def _goal(goal: Goal) -> str:
     aim = f"{'at least' if goal.at_least else 'at most'} {goal.limit:g} x"
-    if goal.measured is None:
-        return f"[not measured] {goal.what}: {aim}" + (f" ({goal.reason})" if goal.reason else "")
     word = "met   " if goal.met else "missed"
-    found = f"[{word}] {goal.what}: {cell_text(goal.measured)} x, aimed at {aim}"
+    found = f"[{word}] {goal.what}: {cell_text(goal.measured)} x, goal: {aim}"
     return found + (f" ({goal.reason})" if goal.reason and not goal.met else "")

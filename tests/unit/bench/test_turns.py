@@ -91,6 +91,24 @@ def test_what_is_missing_is_skipped_and_what_fails_does_not_stop_the_others(tmp_
     assert [each["name"] for each in found["contenders"]] == ["good"]
 
 
+def test_a_way_to_wait_that_needs_a_missing_package_is_left_out_alone(tmp_path: Path) -> None:
+    """Where one arrangement lacks a package, that one is skipped with the remedy; the others are measured."""
+    way, here = Way("block", "sleeps"), context(tmp_path)
+    who = Contender(
+        "a",
+        "A",
+        "a fake",
+        {ONE_CORE.name: way, TWO_CORES.name: way},
+        lambda _place: FakePair("a", 1000, []),  # type: ignore[arg-type, return-value]
+        {ONE_CORE.name: "no_such_package"},
+    )
+    found = {each["name"]: each["contenders"] for each in take_turns(here, [who], [ONE_CORE, TWO_CORES])}
+    assert not found[ONE_CORE.name] and len(found[TWO_CORES.name]) == 1
+    assert [(each.what, each.remedy) for each in here.skips] == [
+        (f"A, {ONE_CORE.title}", "pip install 'rosplc[bench]'")
+    ]
+
+
 def test_only_the_wanted_are_measured(tmp_path: Path) -> None:
     """With names given, nobody else is started."""
     log: list[str] = []

@@ -6,7 +6,7 @@ import contextlib
 import sys
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from rosplc.bench.arrangements import Way
@@ -62,6 +62,7 @@ class Contender:
         about: What exactly was measured, one sentence.
         ways: How it waits, by arrangement; what is missing cannot be done with it.
         start: Starts both processes. Raises Missing if the machine lacks something, SetupError if it fails.
+        needs: Arrangement → the Python package that waiting in it takes, beyond what ``start`` takes.
     """
 
     name: str
@@ -69,6 +70,7 @@ class Contender:
     about: str
     ways: Mapping[str, Way]
     start: Callable[[Place], Pair]
+    needs: Mapping[str, str] = field(default_factory=dict)
 
 
 def ready(side: Side) -> str:

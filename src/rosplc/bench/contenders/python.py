@@ -33,6 +33,7 @@ def _start_rosplc(place: Place, module: str) -> Pair:
 
 
 def _start_semaphore(place: Place) -> Pair:
+    need("posix_ipc")
     tail = (place.folder / "areas", *place.names)
     return start_pair(
         "posix_ipc",
@@ -77,6 +78,7 @@ ROSPLC_PYTHON = Contender(
     "the blocking arrangement is a POSIX semaphore (posix_ipc) beside the channel",
     {TWO_CORES.name: SPINS, ONE_CORE.name: RINGS, **_CYCLES},
     lambda place: _start_rosplc(place, "channel"),
+    {ONE_CORE.name: "posix_ipc"},
 )
 ROSPLC_TYPED = Contender(
     "rosplc-python-typed",

@@ -81,7 +81,8 @@ def _start(place: Place) -> Pair:
     try:
         translator = find_translator()
     except SetupError as error:
-        raise Missing(error.what, error.remedy) from error
+        remedy = "run `rosplc bench` from a checkout of the sources, after `make setup` there"
+        raise Missing(error.what, remedy) from error
     plc = str(_compile(translator, place.cache))
     peer = str(compile_program("rosplc_peer", place.cache))
     return start_pair(
