@@ -198,7 +198,8 @@ class ClassicSide:
             self._topic.note(now_ns, words, "SHM130")
         made = [kind for kind, thing in (("memory", memory), ("semaphore", lock)) if thing and thing.created]
         level = logging.INFO if self.object.attachments == 1 else logging.DEBUG
-        log.log(level, "%s: attached to %s (made here: %s)", self._topic.plan.topic, self.plan.name, made)
+        how = f"{' and '.join(made)} made here" if made else "made by the other side"
+        log.log(level, "%s: attached to %s (%s)", self._topic.plan.topic, self.plan.name, how)
         return True
 
     def _judge(self, entry: Entry, now_ns: int) -> None:
