@@ -73,7 +73,7 @@ class ClassicToPlc(ToPlc):
     def on_message(self, data: bytes, stamp_ns: int) -> None:
         """Take a message from the backend; the newest alone waits to be written."""
         self.counters.received += 1
-        self.last_ns = time.monotonic_ns()
+        self._hear(time.monotonic_ns())
         with self._pending_lock:
             if self._pending is not None:
                 self._superseded()

@@ -22,7 +22,7 @@ TOPIC = "/diagnostics"
 TYPE = "diagnostic_msgs/msg/DiagnosticArray"
 _STATUS = "diagnostic_msgs/msg/DiagnosticStatus"
 
-_VALUES = 16
+_VALUES = 20
 _TEXT = 240
 _PER_MESSAGE = 32
 """Statuses in one message; aggregators merge by name, and small messages pass every transport."""
@@ -125,6 +125,8 @@ def _values(topic: TopicStatus) -> dict[str, str]:
         "lost": str(topic.lost),
         "refused": str(topic.refused),
         "truncated": str(topic.truncated),
+        "substituted": str(topic.substituted),
+        "recovered": str(topic.recovered),
         "reason": topic.reason,
     }
     if (classic := topic.classic) is not None:

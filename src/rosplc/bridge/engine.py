@@ -124,6 +124,7 @@ class Bridge:
             uid=user_id(self.config),
             gid=group_id(self.config),
             beat_ns=settings.beat_ns,
+            debounce_ns=settings.diagnostics.debounce_ns,
         )
         keeper = self._keeper = Keeper(settings.beat_ns, self.beat, self.check, self.flush)
         retire_leftovers(self.project)

@@ -213,6 +213,12 @@ class DiagnosticsSettings(_Section):
     period_ns: Annotated[Duration, between("100ms", "1h")] = _f(
         "1s", "Time between two of them, 100ms to 1h.", alias="period"
     )
+    debounce_ns: Annotated[Duration, between("1ms", "1h")] = _f(
+        "500ms",
+        "How long a source must be silent beyond `stale_after` before that is reported, and speak again "
+        "before the report ends, 1ms to 1h: one late message changes no level.",
+        alias="debounce",
+    )
 
 
 class RealtimeSettings(_Section):

@@ -84,8 +84,15 @@ class TopicStatus:
         rate_hz: Messages that came in per second, over the last seconds.
         age_ns: Time since the last message came in; None before the first.
         stale: Whether that is longer than the topic allows.
+        silent: The same as it is reported: not yet while it lasts for less than ``diagnostics.debounce``, and
+            still until messages have come again for so long.
+        substituting: Whether substitutes are published now in a silent PLC's place.
+        substituted: Substitutes published in a silent PLC's place; they are in no other number.
+        recovered: How often messages came again after the source was stale.
         peer_alive: Whether the PLC's side beats: a reader for ``to: plc``, the writer for ``to: ros``.
             None where that cannot be known: classic memory has no beat.
+        peer_gone_ns: Time since the PLC's side, having been there, was missed; None if it is there, or
+            never was.
         tasks: Names of the PLC's reading tasks (``to: plc``).
         problem: Why the topic cannot be carried at present; empty if it is.
         reason: In words, what is wrong or was wrong last; empty if all is well.
@@ -107,7 +114,12 @@ class TopicStatus:
     rate_hz: float = 0.0
     age_ns: int | None = None
     stale: bool = False
+    substituting: bool = False
+    silent: bool = False
+    substituted: int = 0
+    recovered: int = 0
     peer_alive: bool | None = False
+    peer_gone_ns: int | None = None
     tasks: tuple[str, ...] = ()
     problem: str = ""
     reason: str = ""
@@ -117,8 +129,13 @@ class TopicStatus:
 
     def _staleness(self, to_plc: bool) -> str:
         source = "ROS publisher" if to_plc else "the PLC"
+        if self.age_ns is not None and not self.stale:
+            return f"messages come again from {source}, after silence"
         if self.age_ns is not None:
-            return f"last message {format_age(self.age_ns)} ago from {source}"
+            words = f"last message {format_age(self.age_ns)} ago from {source}"
+            if to_plc and not self.matched:
+                words += "; nobody publishes any more"
+            return words + "; substitutes are published" if self.substituting else words
         if not to_plc:
             return f"no message yet from {source}"
         if not self.matched:
@@ -139,7 +156,11 @@ class TopicStatus:
             return Level.ERROR, self.reason
         if self.recent and self.reason:
             return Level.WARN, self.reason
-        if self.stale:
+        if self.peer_gone_ns is not None:
+            who = "the PLC task that reads it" if to_plc else "the PLC task that writes it"
+            also = "; substitutes are published" if self.substituting else ""
+            return Level.ERROR, f"{who} stopped {format_age(self.peer_gone_ns)} ago{also}"
+        if self.silent:
             return Level.STALE, self._staleness(to_plc)
         if self.peer_alive is False:
             return Level.WARN, "no PLC task reads it" if to_plc else "no PLC task writes it"

@@ -71,7 +71,8 @@ class ToPlc(Topic):
         """Take a message from the backend."""
         now = time.monotonic_ns()
         self.counters.received += 1
-        self.last_ns = now
+        if self._hear(now):
+            self._first = True
         if self._gate is None:
             self._publish(data, stamp_ns, now)
             return
@@ -161,10 +162,12 @@ class ToPlc(Topic):
             if claim and self._lives(at, beat, beat_ms, taken, now_ns):
                 name = b"".join(word.to_bytes(4, "little") for word in words[at + 12 : at + 16])
                 tasks.append(name.split(b"\0")[0].decode("utf-8", "replace"))
-        self.peer_alive = bool(tasks)
+        self._watch_peer(bool(tasks), now_ns)
         self._tasks = tuple(tasks)
 
     def _tell(self, matched: int) -> None:
+        if not matched:
+            self._first = True  # whoever publishes next is another source, or the same one come back
         if (writer := self.writer) is not None:
             writer.set_sources(matched)
 

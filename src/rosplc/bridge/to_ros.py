@@ -13,6 +13,7 @@ from rosplc.bridge.gate import Gate
 from rosplc.bridge.grace import GRACE_NS, Grace
 from rosplc.bridge.order import Order
 from rosplc.bridge.resolve import TopicPlan
+from rosplc.bridge.substitute import Substitute
 from rosplc.bridge.topic import Surroundings, Topic, log
 from rosplc.codec import TRUNCATED
 from rosplc.errors import ChannelError, RosplcError
@@ -42,6 +43,9 @@ class ToRos(Topic):
         self._gate: Gate[tuple[bytes, int]] | None = (
             Gate(plan.min_interval_ns) if plan.min_interval_ns else None
         )
+        self._substitute = (
+            Substitute(plan, self.codec, self._started_ns) if plan.on_stale.action == "substitute" else None
+        )
         self._grace: Grace[tuple[bytes, int]] | None = None
         self._outwaited = 0  # messages that a newer one replaced before any subscriber was there
         self._last_data: bytes | None = None
@@ -51,11 +55,15 @@ class ToRos(Topic):
         """Advertise."""
         plan = self.plan
         self._publisher = backend.advertise(plan.topic, plan.type_name, plan.qos)
+        if self._substitute is not None:
+            self._substitute.join(backend)
 
     def leave(self) -> None:
         """Withdraw the publisher."""
         if self._publisher is not None:
             self._publisher.close()
+        if self._substitute is not None:
+            self._substitute.leave()
 
     def _claim(self, channel: OwnedChannel) -> None:
         self.reader = channel.reader(self.around.beat_ms)
@@ -76,7 +84,9 @@ class ToRos(Topic):
         now = time.monotonic_ns()
         count = self.counters
         count.received += 1
-        self.last_ns = now
+        self._hear(now)
+        if self._substitute is not None:
+            self._substitute.heard(now)
         if flags & TRUNCATED:
             count.truncated += 1
         if self.plan.on_change:
@@ -96,7 +106,8 @@ class ToRos(Topic):
         """When a message that waits may go."""
         gate = self._gate.due_ns if self._gate is not None else None
         grace = self._grace.due_ns if self._grace is not None else None
-        return gate if grace is None else grace if gate is None else min(gate, grace)
+        substitute = self._substitute.due_ns if self._substitute is not None else None
+        return min((due for due in (gate, grace, substitute) if due is not None), default=None)
 
     def flush(self, now_ns: int) -> None:
         """Publish what waits, if its time has come."""
@@ -104,6 +115,8 @@ class ToRos(Topic):
             self._release(now_ns)
         if self._gate is not None and (item := self._gate.flush(now_ns)) is not None:
             self._write(*item, now_ns)
+        if self._substitute is not None and (payload := self._substitute.take(now_ns)) is not None:
+            self._send_substitute(payload, now_ns)
 
     def await_subscriber(self, now_ns: int) -> None:
         """Let the first messages wait for a subscriber, for a moment; :meth:`flush` sends them."""
@@ -143,25 +156,39 @@ class ToRos(Topic):
             self._release(now_ns, anyway=True)
         self._send(data, stamp_ns, now_ns)
 
+    def _send_substitute(self, payload: bytes, now_ns: int) -> None:
+        """Publish what stands in for the PLC; it is counted apart, and its loss is no message's."""
+        self._last_data = None  # whatever the PLC says next is news to ROS
+        if (failure := self._put(payload, time.time_ns())) is None:
+            self.counters.substituted += 1
+            if self._substitute is not None:
+                self._substitute.count += 1
+        else:
+            self.note(now_ns, f"substitute not sent: {failure[0]}", failure[1])
+
     def _send(self, data: bytes, stamp_ns: int, now_ns: int) -> None:
         if self._publisher is None:
             self.counters.lost += 1
             return
-        try:
-            sent = self._publisher.write(data, stamp_ns)
-        except RosplcError as error:
-            self._not_sent(now_ns, error.what, error.code)
-            return
-        except Exception as error:  # a backend's own mistake must not stop the other topics
-            self._not_sent(now_ns, f"{type(error).__name__}: {error}")
-            return
-        if not sent:
-            self._not_sent(now_ns, "a subscriber does not keep up")
+        if (failure := self._put(data, stamp_ns)) is not None:
+            self._not_sent(now_ns, *failure)
             return
         self.counters.published += 1
         if self.plan.print:
             record = self.codec.decode(data)
             log.info("%s: from the PLC: %s", self.plan.topic, self.plan.layout.to_dict(record))
+
+    def _put(self, data: bytes, stamp_ns: int) -> tuple[str, str] | None:
+        """Publish; return why that failed, in words and with an error's code, else None."""
+        if self._publisher is None:
+            return "there is no publisher", ""
+        try:
+            sent = self._publisher.write(data, stamp_ns)
+        except RosplcError as error:
+            return error.what, error.code
+        except Exception as error:  # a backend's own mistake must not stop the other topics
+            return f"{type(error).__name__}: {error}", ""
+        return None if sent else ("a subscriber does not keep up", "")
 
     def _not_sent(self, now_ns: int, why: str, code: str = "") -> None:
         self.counters.lost += 1
@@ -171,7 +198,7 @@ class ToRos(Topic):
     def _observe(self, region: Region, now_ns: int) -> None:
         head, epoch, beat, beat_ms = region.words(WRITER_LINE["head"], 4)
         alive = self._lives(0, beat, beat_ms, head, now_ns)
-        self.peer_alive = bool(epoch) and alive
+        self._watch_peer(bool(epoch) and alive, now_ns)
 
     def _tell(self, matched: int) -> None:
         if (reader := self.reader) is not None:
@@ -191,6 +218,9 @@ class ToRos(Topic):
     def _skipped(self) -> int:
         skipped = self.counters.unchanged + self._outwaited + (self._gate.replaced if self._gate else 0)
         return skipped + (0 if self.plan.every else self._missed())
+
+    def _substituting(self) -> bool:
+        return self._substitute is not None and self._substitute.active
 
     def _missed(self) -> int:
         reader = self.reader

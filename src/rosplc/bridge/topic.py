@@ -35,6 +35,8 @@ class Surroundings:
         uid: Their owner; None for this process's.
         gid: Their group; None for this process's.
         beat_ns: The beat that is promised.
+        debounce_ns: How long silence must last beyond what a topic allows before it is reported, and how long
+            its end.
         warnings: Where repeated warnings go.
     """
 
@@ -46,6 +48,7 @@ class Surroundings:
     uid: int | None = None
     gid: int | None = None
     beat_ns: int = 100_000_000
+    debounce_ns: int = 500_000_000
     warnings: RepeatedWarnings = field(default_factory=lambda: RepeatedWarnings(log))
 
     @property
@@ -64,6 +67,8 @@ class Counters:
     lost: int = 0
     refused: int = 0
     truncated: int = 0
+    substituted: int = 0
+    recovered: int = 0
 
 
 class Topic(ABC):
@@ -93,6 +98,8 @@ class Topic(ABC):
         self._started_ns = time.monotonic_ns()
         self._alive: dict[int, tuple[int, Liveness]] = {}
         self.peer_alive: bool | None = False
+        self._peer_gone_ns: int | None = None  # when the PLC's side, having been there, was missed first
+        self._settled_ns = 0  # when a silence that was reported counts as over
         self._tasks: tuple[str, ...] = ()
         self._lost_before = 0
         self._rate = 0.0
@@ -234,6 +241,27 @@ class Topic(ABC):
             known = self._alive[key] = (beat_ms, Liveness(beat_ms))
         return known[1].observe(beat, count, now_ns)
 
+    def _hear(self, now_ns: int) -> bool:
+        """Note that a message came in; return whether its source was silent for too long before it."""
+        since = self._started_ns if self.last_ns is None else self.last_ns
+        limit, debounce = self.plan.stale_after_ns, self.around.debounce_ns
+        self.last_ns = now_ns
+        gap = now_ns - since
+        if not limit or gap <= limit:
+            return False
+        if gap > limit + debounce or now_ns < self._settled_ns:
+            self._settled_ns = now_ns + debounce
+        self.counters.recovered += 1
+        return True
+
+    def _watch_peer(self, alive: bool, now_ns: int) -> None:
+        """Keep whether the PLC's side lives, and since when it does not any more."""
+        if alive:
+            self._peer_gone_ns = None
+        elif self.peer_alive:
+            self._peer_gone_ns = now_ns
+        self.peer_alive = alive
+
     # -- words
 
     def note(self, now_ns: int, words: str, code: str = "") -> None:
@@ -267,6 +295,10 @@ class Topic(ABC):
     def _skipped(self) -> int:
         """Return what was held back on purpose."""
 
+    def _substituting(self) -> bool:
+        """Return whether something else is passed on in the source's place."""
+        return False
+
     def classic_status(self, now_ns: int) -> ClassicStatus | None:
         """Return what can be known of a classic topic's memory and lock; None for a channel."""
         return None
@@ -294,7 +326,13 @@ class Topic(ABC):
             rate_hz=self._rate,
             age_ns=None if self.last_ns is None else max(0, now_ns - self.last_ns),
             stale=bool(plan.stale_after_ns) and now_ns - since > plan.stale_after_ns,
+            silent=bool(plan.stale_after_ns)
+            and (now_ns - since > plan.stale_after_ns + self.around.debounce_ns or now_ns < self._settled_ns),
+            substituting=self._substituting(),
+            substituted=count.substituted,
+            recovered=count.recovered,
             peer_alive=self.peer_alive,
+            peer_gone_ns=None if self._peer_gone_ns is None else max(0, now_ns - self._peer_gone_ns),
             tasks=self._tasks,
             problem=self.problem,
             reason=reason,

@@ -41,7 +41,7 @@ def test_one_status_for_the_bridge_and_one_per_topic(cell: Cell) -> None:
     values = {pair.key: pair.value for pair in text.values}
     assert list(values) == [
         "type", "direction", "rate [Hz]", "age", "matched", "PLC alive", "received", "published", "skipped",
-        "lost", "refused", "truncated", "reason",
+        "lost", "refused", "truncated", "substituted", "recovered", "reason",
     ]  # fmt: skip
     assert (values["received"], values["published"], values["refused"]) == ("2", "1", "1")
     assert (values["type"], values["direction"], values["matched"]) == (STRING, "to_plc", "1")

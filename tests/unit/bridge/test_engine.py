@@ -22,7 +22,7 @@ from tests.unit.bridge.conftest import (
 
 def test_a_message_from_ros_stands_in_the_slot(cell: Cell) -> None:
     """A PLC reads what a node published, with its stamp, the first one flagged as such."""
-    bridge = cell.start(f"  /joints: {{type: {JOINTS}, to: plc, limits: {{name: 4}}}}\n")
+    bridge = cell.start(f"  /joints: {{type: {JOINTS}, to: plc, stale_after: never, limits: {{name: 4}}}}\n")
     plc = cell.plc("/joints")
     value = {"header": {"frame_id": "base"}, "name": ["a", "b"], "position": [1.5, -2.0]}
     publisher = cell.publisher("/joints", JOINTS)

@@ -22,7 +22,7 @@ def test_only_news_is_logged(caplog: pytest.LogCaptureFixture) -> None:
     reporter = _Reporter()
     with caplog.at_level(logging.INFO, "rosplc.run"):
         for second in (2, 3, 4):
-            reporter.report(status(stale=True, age_ns=second * 10**9))
+            reporter.report(status(stale=True, silent=True, age_ns=second * 10**9))
         for rate in (10.0, 11.0):
             reporter.report(status(rate_hz=rate, peer_alive=True))
     lines = [record.getMessage() for record in caplog.records if record.getMessage().startswith("/in: ")]

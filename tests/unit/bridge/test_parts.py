@@ -174,18 +174,25 @@ IN = {"topic": "/a", "type_name": "std_msgs/msg/Bool", "direction": Direction.TO
 OUT = {**IN, "direction": Direction.TO_ROS}
 
 
+SILENT = {"stale": True, "silent": True}
+
+
 @pytest.mark.parametrize(
     ("fields", "level", "text"),
     [
-        ({**IN, "problem": "no room [SHM117]", "stale": True}, Level.ERROR, "no room"),
+        ({**IN, "problem": "no room [SHM117]", **SILENT}, Level.ERROR, "no room"),
         ({**IN, "reason": "other", "code": "ROS003", "recent": True}, Level.ERROR, "other"),
         ({**IN, "reason": "other", "code": "ROS003", "recent": True, "matched": 1}, Level.WARN, "other"),
-        ({**IN, "reason": "refused", "code": "COD004", "recent": True, "stale": True}, Level.WARN, "refused"),
-        ({**IN, "stale": True, "matched": 1, "age_ns": 5 * SECOND}, Level.STALE, "5.0 s ago from ROS"),
-        ({**IN, "stale": True}, Level.STALE, "nobody publishes"),
-        ({**OUT, "stale": True, "age_ns": 5 * SECOND}, Level.STALE, "from the PLC"),
+        ({**IN, "reason": "refused", "code": "COD004", "recent": True, **SILENT}, Level.WARN, "refused"),
+        ({**IN, **SILENT, "matched": 1, "age_ns": 5 * SECOND}, Level.STALE, "5.0 s ago from ROS"),
+        ({**IN, **SILENT}, Level.STALE, "nobody publishes"),
+        ({**OUT, **SILENT, "age_ns": 5 * SECOND}, Level.STALE, "from the PLC"),
         ({**IN, "matched": 1, "reason": "long ago"}, Level.WARN, "no PLC task reads"),
         ({**OUT, "matched": 1}, Level.WARN, "no PLC task writes"),
+        ({**OUT, "peer_gone_ns": 5 * SECOND, **SILENT}, Level.ERROR, "writes it stopped 5.0 s ago"),
+        ({**OUT, **SILENT, "age_ns": 1, "substituting": True}, Level.STALE, "substitutes are published"),
+        ({**IN, "silent": True, "age_ns": 1}, Level.STALE, "messages come again from ROS publisher"),
+        ({**IN, "stale": True, "age_ns": 1, "peer_alive": True}, Level.OK, "nobody publishes"),
         ({**IN, "peer_alive": True}, Level.OK, "nobody publishes"),
         ({**OUT, "peer_alive": True}, Level.OK, "nobody subscribes"),
         ({**OUT, "peer_alive": True, "matched": 2, "rate_hz": 49.96}, Level.OK, "50 Hz"),
