@@ -73,6 +73,9 @@ class Abilities:
     checks_outgoing: bool = _flag("bytes that do not fit the type are refused before they are sent")
     checks_incoming: bool = _flag("bytes that do not fit the type are dropped on arrival, and counted")
     counts_losses: bool = _flag("delivered and counted as lost add up to what was sent")
+    drops_on_full_links: bool = _flag(
+        "a message for a peer whose link is full is lost, `reliable` or not, and the sender is not told"
+    )
     shows_qos: bool = _flag("the settings of other nodes' endpoints can be seen")
     shows_hashes: bool = _flag("the type hashes of other nodes' endpoints can be seen")
     many_nodes: bool = _flag("several nodes fit into one process")
@@ -103,6 +106,8 @@ class Harness:
     abilities: ClassVar[Abilities]
     reaches_out: ClassVar[bool] = True
     """Whether nodes in different processes see each other: all middlewares, but not ``memory``."""
+    repeats: ClassVar[bool] = False
+    """Whether most of what it shows another harness shows, too: then only ``make verify`` has it."""
     node_class: ClassVar[type[Node]] = Node
     """For backends whose nodes need more than :class:`Node` does; must be importable by name."""
 

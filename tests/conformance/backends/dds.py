@@ -43,6 +43,7 @@ class DdsHarness(Harness):
         checks_outgoing=True,
         checks_incoming=True,
         counts_losses=False,
+        drops_on_full_links=False,
         shows_qos=True,
         shows_hashes=True,
         many_nodes=True,

@@ -24,6 +24,7 @@ class MemoryHarness(Harness):
         checks_outgoing=False,
         checks_incoming=False,
         counts_losses=True,
+        drops_on_full_links=False,
         shows_qos=True,
         shows_hashes=True,
         many_nodes=True,

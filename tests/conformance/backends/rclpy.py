@@ -58,6 +58,7 @@ class RclpyHarness(Harness):
         checks_outgoing=False,
         checks_incoming=False,
         counts_losses=False,
+        drops_on_full_links=False,
         shows_qos=True,
         shows_hashes=True,
         many_nodes=True,
@@ -97,6 +98,7 @@ class RclpyHumbleHarness(RclpyHarness):
     """The double as it is on ROS 2 Humble: no type hashes, no stamps, no counts of publishers."""
 
     title = "rclpy-double-humble"
+    repeats = True
     distros = ("humble",)
     imitates = "humble"
     abilities = replace(RclpyHarness.abilities, tells_definitions=False, shows_hashes=False)

@@ -26,6 +26,7 @@ class RospyHarness(Harness):
         checks_outgoing=False,
         checks_incoming=False,
         counts_losses=True,
+        drops_on_full_links=False,
         shows_qos=False,
         shows_hashes=False,
         many_nodes=True,

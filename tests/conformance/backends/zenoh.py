@@ -26,7 +26,8 @@ class ZenohHarness(Harness):
         tells_definitions=True,
         checks_outgoing=False,
         checks_incoming=False,
-        counts_losses=False,
+        counts_losses=True,
+        drops_on_full_links=True,
         shows_qos=True,
         shows_hashes=True,
         many_nodes=True,
@@ -67,7 +68,7 @@ class ZenohHarness(Harness):
         session: Any = zenoh.open(session_config({**self.options, "mode": "client"}, {}).config)
         self.stack.callback(session.close)
         publisher = session.declare_publisher(key)
-        wait_for(lambda: publisher.matching_status)  # until then everything would be lost
+        wait_for(lambda: publisher.matching_status.matching)  # until then everything would be lost
         numbers = iter(range(1, 1 << 30))
 
         def send(data: bytes) -> None:
@@ -80,4 +81,5 @@ class ZenohClientHarness(ZenohHarness):
     """Clients of a router, through which every message goes."""
 
     title = "zenoh-client"
+    repeats = True
     mode = "client"
