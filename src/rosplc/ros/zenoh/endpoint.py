@@ -29,7 +29,7 @@ _logger = logging.getLogger("rosplc.ros.zenoh")
 _PADDING = (b"", b"\0", b"\0\0", b"\0\0\0")
 _HEARTBEAT_S = 0.5  # as rmw_zenoh's reliable and transient_local publishers
 _SENDERS = 1024  # publishers whose sequence numbers a subscription remembers
-_MOST_LOST = 1 << 20  # a larger step in the sequence is no loss but nonsense
+_MOST_LOST = 1 << 20  # a larger step in the sequence is no loss but nonsense, and counting begins anew
 
 Diagnose = Callable[[Entity], tuple[int, str, str]]
 """Returns how many peers match an endpoint, and code and words for what keeps others from it."""
@@ -203,9 +203,12 @@ class ZenohSubscription(_Endpoint):
     def _count_missing(self, gid: bytes, sequence: int) -> None:
         """Count what a publisher sent and did not arrive; the sender drops it where a link is full."""
         last = self._sequences.pop(gid, sequence)
-        if 1 < sequence - last <= _MOST_LOST:
-            self._dropped += sequence - last - 1
-        self._sequences[gid] = max(sequence, last) if sequence - last <= _MOST_LOST else sequence
+        step = sequence - last
+        if abs(step) > _MOST_LOST:
+            last = sequence
+        elif step > 1:
+            self._dropped += step - 1
+        self._sequences[gid] = max(sequence, last)
         if len(self._sequences) > _SENDERS:
             self._sequences.popitem(last=False)
 
@@ -282,7 +285,7 @@ class ZenohPublisher(_Endpoint):
         route = self._route
         try:
             # Tokens overtake the declarations that open the way; before, the library sends nothing.
-            return route is not None and bool(route.matching_status)
+            return route is not None and bool(route.matching_status.matching)
         except zenoh.ZError:
             return False  # it is being closed
 
