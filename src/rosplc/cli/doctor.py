@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rosplc.bridge import Project
     from rosplc.doctor import Finding, Report
 
-__all__ = ["EPILOG", "command"]
+__all__ = ["EPILOG", "command", "generated"]
 
 EPILOG = """Examples:
 
@@ -68,7 +68,7 @@ def command(
     from rosplc.doctor import Question, examine
 
     question = Question(
-        config, plc, plc_user or "", ros, seconds, variables=dict(os.environ), generate=_generate
+        config, plc, plc_user or "", ros, seconds, variables=dict(os.environ), generate=generated
     )
     status = Console(stderr=True).status("looking") if sys.stderr.isatty() and not as_json else None
     if status is None:
@@ -89,7 +89,8 @@ def command(
         raise typer.Exit(EXIT_FAILURE)
 
 
-def _generate(project: Project, fenced: bool, pins: bool) -> Mapping[str, bytes]:
+def generated(project: Project, fenced: bool, pins: bool) -> Mapping[str, bytes]:
+    """Return what would be generated for a project: path below the folder → content."""
     from rosplc.cli.generate import plc_project
     from rosplc.plc.build import ProjectOptions
     from rosplc.plc.delivery import project_files

@@ -52,9 +52,8 @@ def against_config(
             more = (differences or {}).get(plan.type_name, "")
             yield kind("DOC702").found(f"{plan.topic}: {what}{f'; {more}' if more else ''}", command=command)
     if not stale:
-        yield kind("DOC702").fine(
-            f"the code's layouts of {plural(len(plans), 'topic')} are the configuration's"
-        )
+        same = plural(len(plans) - len(missing), "topic")
+        yield kind("DOC702").fine(f"the code's layouts of {same} are the configuration's")
     if missing:
         yield kind("DOC704").found(f"not in the code: {listed(missing)}", command=command)
     else:

@@ -9,6 +9,7 @@ import resource
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -34,7 +35,7 @@ from rosplc.doctor.finding import Area, Finding, Level
 from rosplc.doctor.generated import Generated, read_generated
 from rosplc.doctor.kinds import kind
 from rosplc.doctor.look import see_graph
-from rosplc.doctor.objects import Objects, held_files, look_at_objects
+from rosplc.doctor.objects import Objects, held_files, is_held, look_at_objects
 from rosplc.doctor.probe import Probe, run_probe
 from rosplc.doctor.processes import Runtime, find_runtimes, shm_mount
 from rosplc.doctor.report import Report
@@ -44,7 +45,8 @@ from rosplc.ros import ROS1
 
 __all__ = ["Question", "examine"]
 
-_LONGEST_LOOK_S = 3.5
+_LOOK_S, _GLANCE_S = 3.5, 0.5
+"""How long to watch a configuration's objects for beats, and all of a machine's."""
 
 
 @dataclass(frozen=True)
@@ -100,6 +102,7 @@ class _Examination:
         self._code: Generated | None = None
         self._runtimes: list[Runtime] = []
         self._uid = os.geteuid()
+        self._chosen = ""
 
     def probes(self) -> Iterator[Probe]:
         """Yield the examinations; what a later one looks at depends on what earlier ones have found."""
@@ -125,7 +128,7 @@ class _Examination:
             yield Probe("the running bridge", Area.LIVE, self._live)
         if q.code is not None:
             yield Probe("generated PLC code", Area.CODE, self._generated, 20.0)
-        if self._project is not None and q.ros and self._backend_name() != "memory":
+        if self._project is not None and q.ros and self._chosen != "memory":
             yield Probe("the ROS graph", Area.GRAPH, self._graph, q.seconds + 30.0)
 
     # What the configuration says.
@@ -184,19 +187,11 @@ class _Examination:
     def _prefix(self) -> str | None:
         return None if self._project is None else self._project.namespace.prefix
 
-    def _backend_name(self) -> str:
-        if self._project is None:
-            return ""
-        try:
-            return choose_backend(self._project.config, self._q.variables).name
-        except RosplcError:
-            return ""
-
     def _wish(self) -> environment.Wish | None:
         if self._project is None:
             return None
         ros = self._project.config.settings.ros
-        return environment.Wish(ros.distro, ros.distro == ROS1, self._backend_name(), ros.domain)
+        return environment.Wish(ros.distro, ros.distro == ROS1, self._chosen, ros.domain)
 
     # The machine.
 
@@ -207,7 +202,8 @@ class _Examination:
         priority, locked = (
             resource.getrlimit(which)[0] for which in (resource.RLIMIT_RTPRIO, resource.RLIMIT_MEMLOCK)
         )
-        yield from machine.real_time(priority, locked, root=self._uid == 0)
+        held = machine.capabilities(self._q.root / "proc/self/status")
+        yield from machine.real_time(priority, locked, held)
 
     def _logout(self) -> Iterator[Finding]:
         uid = self._owner_id()
@@ -232,6 +228,8 @@ class _Examination:
             distro = self._q.variables.get("ROS_DISTRO") or "jazzy"
             return packages.backend(distro, "auto", self._q.variables, configured=False)
         ros = self._project.config.settings.ros
+        with suppress(RosplcError):  # the same is found below
+            self._chosen = choose_backend(self._project.config, self._q.variables).name
         return packages.backend(
             ros.distro, ros.backend, self._q.variables, zenoh_settings=ros.zenoh is not None
         )
@@ -264,7 +262,12 @@ class _Examination:
 
     def _look_at_objects(self) -> Iterable[Finding]:
         held = held_files(self._q.root / "proc")
-        self._objects = look_at_objects(self._directory, held, prefix=self._prefix, seconds=_LONGEST_LOOK_S)
+        self._objects = look_at_objects(
+            self._directory,
+            held,
+            prefix=self._prefix,
+            seconds=_GLANCE_S if self._project is None else _LOOK_S,
+        )
         return ()
 
     def _leftovers(self) -> Iterator[Finding]:
@@ -389,9 +392,18 @@ class _Examination:
             if plan.classic is None
         ]
 
+    def _classic_held(self) -> dict[str, bool]:
+        """Return classic topic → whether a bridge holds the lock file of its memory."""
+        held = held_files(self._q.root / "proc")
+        return {
+            plan.topic: bool(is_held(self._directory / f"rosplc.classic.{plan.classic.name}", held))
+            for plan in self._classic
+            if plan.classic is not None
+        }
+
     def _live(self) -> Iterator[Finding]:
         carried = self._carried()
-        yield from live.holders(carried, str(self._q.config))
+        yield from live.holders(carried, self._classic_held(), str(self._q.config))
         yield from live.layouts(carried)
         yield from live.beating(carried)
         yield from live.refusals(carried)
@@ -400,7 +412,7 @@ class _Examination:
         project, config = self._project, self._q.config
         assert project is not None and config is not None
         try:
-            seen = see_graph(config, self._q.seconds)
+            seen = see_graph(config, self._q.seconds, self._q.variables)
         except RosplcError as error:
             yield kind("DOC510").found(f"{error.what} [{error.code}]", error.remedy)
             return

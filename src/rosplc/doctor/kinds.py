@@ -38,7 +38,7 @@ _register("DOC103", _A, _W, "the clock", "The clock is earlier than this release
 _register("DOC104", _A, _E, "open files", "A bridge holds files and sockets open, several per topic; without enough of them it ends with SYS006.", "Raise the limit in the shell or the service that starts the bridge.")
 _register("DOC105", _A, _N, "rights for real time", "Without them a bridge runs with ordinary priority; beside a busy PLC its messages can come a few milliseconds later.", "Nothing, unless the age of messages matters at that scale.")
 _register("DOC106", _A, _W, "what happens at log-out", "systemd removes what an ordinary user owns in /dev/shm when the last session ends: objects of a running bridge, too.", "Run the bridge as a system user, or tell systemd not to.")
-_register("DOC110", _A, _E, "installed packages", "A package that rosplc needs is missing, or not of the release that it is tested with.", "Install rosplc again, with its packages.")
+_register("DOC110", _A, _E, "installed packages", "A package that rosplc needs is missing.", "Install rosplc again, with its packages.")
 _register("DOC111", _A, _N, "ways into ROS that this machine has no package for", "PyPI has no wheel for this architecture or this Python.", "Use another backend, or build the package.")
 _register("DOC112", _A, _E, "which way into ROS `auto` takes", "No backend is installed that would reach the graph; the bridge would not start (ROS001).", "Install one of those named.")
 _register("DOC113", _A, _E, "the backend that the configuration names", "Its package is not installed; the bridge would not start (ROS001).", "Install it, or choose another in ros.backend.")
@@ -100,7 +100,7 @@ _register("DOC518", _A, _N, "definitions that nobody announces", "The other side
 _A = Area.LIVE
 _register("DOC601", _A, _N, "a bridge that holds the configuration's topics", "No bridge runs, or it carries only a part of the topics.", "Start the bridge.")
 _register("DOC602", _A, _E, "layouts of the running bridge", "The objects have other layouts, directions or sizes than the configuration gives: the bridge runs on an older one.", "Restart the bridge with this configuration, and generate the PLC's code again.")
-_register("DOC603", _A, _W, "the PLC's task", "The bridge holds the object, and no task of a PLC beats in it.", "Start the PLC's program; its block shows an error number if it cannot attach.")
+_register("DOC603", _A, _W, "the PLC's task", "The bridge holds the object, and no task of a PLC beats in it.", "Start the PLC's program; if it runs, its block shows an error number (112: its code was generated for another layout).")
 _register("DOC604", _A, _E, "layouts that the running PLC expects", "The PLC's program was generated for another layout and refuses the topic (SHM112).", "Generate the PLC's code again, import it and download it.")
 _register("DOC605", _A, _W, "refused and shortened messages", "Messages were larger than the limits of their topic.", "Raise the limits of the topic, and generate the PLC's code again.")
 

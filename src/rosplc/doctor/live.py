@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from rosplc.bridge.resolve import TopicPlan
@@ -30,34 +30,33 @@ class Carried:
         return self.seen is not None and self.seen.live
 
 
-def holders(topics: Sequence[Carried], config: str) -> Iterator[Finding]:
-    """Tell whether a bridge holds the topics' objects.
+def holders(topics: Sequence[Carried], classic: Mapping[str, bool], config: str) -> Iterator[Finding]:
+    """Tell whether a bridge holds the topics.
 
     Args:
         topics: The topics that have a channel.
+        classic: Classic topic → whether a bridge holds the lock file of its memory.
         config: The configuration file, for the command.
     """
-    if not topics:
+    held = {each.plan.topic: each.live for each in topics} | dict(classic)
+    if not held:
         return
     start = f"rosplc run {config}"
-    held = [each for each in topics if each.live]
-    if not held:
-        yield kind("DOC601").found(f"no bridge holds any of {plural(len(topics), 'topic')}", command=start)
+    if not any(held.values()):
+        yield kind("DOC601").found(f"no bridge holds any of {plural(len(held), 'topic')}", command=start)
         return
-    missing = [each.plan.topic for each in topics if not each.live]
-    if missing:
-        yield kind("DOC601").found(
-            f"a bridge runs, and does not hold {listed(missing)}",
-            "Restart the bridge with this configuration.",
-            start,
-            level=Level.WARNING,
-        )
+    if all(held.values()):
+        yield kind("DOC601").fine(f"a bridge holds {plural(len(held), 'topic')}")
     else:
-        yield kind("DOC601").fine(f"a bridge holds {plural(len(topics), 'topic')}")
-    silent = [each.plan.topic for each in held if each.seen is not None and not each.seen.bridge_beats]
+        missing = listed(topic for topic, is_held in held.items() if not is_held)
+        remedy = "Restart the bridge with this configuration."
+        yield kind("DOC601").found(
+            f"a bridge runs, and does not hold {missing}", remedy, start, level=Level.WARNING
+        )
+    silent = [each.plan.topic for each in topics if each.live and each.seen and not each.seen.bridge_beats]
     if silent:
         what = f"a bridge holds {listed(silent)}, and does not beat: it hangs, or was stopped"
-        yield kind("DOC601").found(what, "Look at its log; restart it.", level=Level.ERROR)
+        yield kind("DOC601").found(what, "Look at its log, and restart it.", level=Level.ERROR)
 
 
 def layouts(topics: Sequence[Carried]) -> Iterator[Finding]:

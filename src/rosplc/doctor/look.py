@@ -1,4 +1,4 @@
-"""A process that looks at the ROS graph and tells what it saw; ``python -m rosplc.doctor.look``.
+"""A process that looks at the ROS graph and tells what it saw.
 
 A middleware may hang, crash or print as it likes: here it can do so without the doctor.
 """
@@ -11,6 +11,7 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -24,26 +25,28 @@ from rosplc.ros.names import join, resolve_topic
 __all__ = ["NODE", "main", "see_graph"]
 
 NODE = "rosplc_doctor"
+_PROGRAM = "from rosplc.doctor.look import main; main()"
 _START_S = 20.0
 """How long the process may take beyond its look: imports, joining, leaving."""
 _LEAST_S = 1.0
 _STEADY_S = 1.0
 
 
-def see_graph(config: Path, seconds: float) -> Graph:
+def see_graph(config: Path, seconds: float, variables: Mapping[str, str]) -> Graph:
     """Look at the ROS graph of a configuration, in a process of its own.
 
     Args:
         config: The configuration file.
         seconds: How long to look at most; less if nothing changes any more.
+        variables: The environment variables.
 
     Raises:
         BackendError: What the middleware or the backend says.
         TimeoutError: The process did not end in time, and was killed.
     """
-    command = [sys.executable, "-m", "rosplc.doctor.look", str(config), str(seconds)]
+    command = [sys.executable, "-c", _PROGRAM, str(config), str(seconds)]
     process = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, stdin=subprocess.DEVNULL
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, stdin=subprocess.DEVNULL, env=dict(variables)
     )
     try:
         out, noise = process.communicate(timeout=seconds + _START_S)
@@ -139,7 +142,3 @@ def main() -> None:
     answer.flush()
     # Threads of a middleware may be in the way of an ordinary end.
     os._exit(0)
-
-
-if __name__ == "__main__":
-    main()

@@ -11,12 +11,14 @@ from pathlib import Path
 from rosplc.doctor.finding import Finding, Level
 from rosplc.doctor.kinds import kind
 
-__all__ = ["architecture", "clock", "logout", "open_files", "real_time"]
+__all__ = ["architecture", "capabilities", "clock", "logout", "open_files", "real_time"]
 
 _TESTED = ("x86_64", "aarch64", "armv7l", "armv8l", "armv6l", "i686", "i386")
 _WIDE = ("x86_64", "aarch64")
 # Earlier than this release, whose year it is.
 _RELEASED_S = 1_735_689_600  # 2025-01-01
+_CAP_IPC_LOCK, _CAP_SYS_NICE = 14, 23
+_ENOUGH = 64 << 20
 _FIRST_PERSON = 1000
 """The first user number that logind takes for a person's (SYS_UID_MAX is 999)."""
 
@@ -78,21 +80,31 @@ def open_files(limit: int, topics: int) -> Iterator[Finding]:
         yield kind("DOC104").fine(f"{allowed} open files are allowed")
 
 
-def real_time(priority: int, locked: int, *, root: bool) -> Iterator[Finding]:
+def real_time(priority: int, locked: int, capabilities: int) -> Iterator[Finding]:
     """Tell whether real-time priority and locked memory may be had.
 
     Args:
         priority: Soft limit RLIMIT_RTPRIO; ``resource.RLIM_INFINITY`` for none.
         locked: Soft limit RLIMIT_MEMLOCK in bytes.
-        root: Whether this user is root.
+        capabilities: The process's effective capabilities, as a set of bits.
     """
-    if root or (priority != 0 and (locked == resource.RLIM_INFINITY or locked >= 1 << 26)):
+    may_run = priority != 0 or capabilities >> _CAP_SYS_NICE & 1
+    may_lock = locked == resource.RLIM_INFINITY or locked >= _ENOUGH or capabilities >> _CAP_IPC_LOCK & 1
+    if may_run and may_lock:
         yield kind("DOC105").fine("real-time priority and locked memory may be had")
         return
     amount = "any" if locked == resource.RLIM_INFINITY else f"{locked >> 10} KiB"
     seen = f"highest real-time priority {priority}, {amount} of locked memory"
     remedy = "Nothing, unless it matters; then LimitRTPRIO= and LimitMEMLOCK= of the systemd unit."
     yield kind("DOC105").found(seen, remedy)
+
+
+def capabilities(status: Path) -> int:
+    """Return the effective capabilities in a process's ``status``; 0 if it does not tell."""
+    for line in status.read_text(encoding="utf-8", errors="replace").splitlines():
+        if line.startswith("CapEff:"):
+            return int(line.split()[1], 16)
+    return 0
 
 
 def logout(

@@ -20,10 +20,12 @@ from rosplc.shm import Description, Direction, Identity, Namespace, ReaderState,
 from rosplc.shm.constants import HEADER_SIZE
 from rosplc.shm.files import open_plain_file
 
-__all__ = ["Held", "Objects", "Seen", "held_files", "look_at_objects"]
+__all__ = ["Held", "Objects", "Seen", "held_files", "is_held", "look_at_objects"]
 
 _NAME = re.compile(r"([A-Za-z][A-Za-z0-9_-]{0,31})\.([tln])\.(.+)")
 _PAUSE_S = 0.05
+_LEAST_S, _LEAST_UNHELD_S, _MOST_S = 2.0, 0.5, 3.5
+"""Who promises to beat ten times a second may still not get to it on a machine with other work."""
 
 Held = frozenset[tuple[int, int, int]]
 """Files that somebody holds a lock on: device's major and minor number, inode."""
@@ -117,7 +119,8 @@ def held_files(proc: Path) -> Held | None:
     return frozenset(found)
 
 
-def _is_held(path: Path, held: Held | None) -> bool | None:
+def is_held(path: Path, held: Held | None) -> bool | None:
+    """Return whether somebody holds an flock on a file; None if the kernel does not tell."""
     if held is None:
         return None
     try:
@@ -133,6 +136,7 @@ class _Watched:
     seen: Seen
     first: Snapshot
     last: Snapshot
+    held: bool | None
     moved: set[int] = field(default_factory=set)
     """Reader lines that moved; -1 is the writer's."""
 
@@ -160,9 +164,12 @@ class _Watched:
         promised = [line.beat_ms for line in self.last.readers if line.claim]
         if self.last.writer.epoch:
             promised.append(self.last.writer.beat_ms)
-        return max((3 * (beat or 333) / 1000 for beat in promised), default=0.0)
+        # What nobody has locked is a dead bridge's; only another container's lock would not be seen.
+        least = _LEAST_S if self.held is not False else _LEAST_UNHELD_S
+        most = _MOST_S if self.held is not False else _LEAST_UNHELD_S
+        return max((min(most, max(least, 3 * beat / 1000)) for beat in promised), default=0.0)
 
-    def result(self, held: bool | None) -> Seen:
+    def result(self) -> Seen:
         to_plc = self.seen.identity is not None and self.seen.identity.direction is Direction.TO_PLC
         lines = tuple(line for line in self.last.readers if line.index in self.moved)
         seen = self.seen
@@ -175,7 +182,7 @@ class _Watched:
             seen.identity,
             seen.description,
             self.last,
-            held,
+            self.held,
             bridge_beats=(-1 if to_plc else 0) in self.moved,
             plc_beats=bool(lines) if to_plc else -1 in self.moved,
             plc_lines=lines if to_plc else (),
@@ -192,7 +199,7 @@ def look_at_objects(
     held: Held | None,
     *,
     prefix: str | None = None,
-    seconds: float = 1.5,
+    seconds: float = _MOST_S,
     sleep: Callable[[float], None] = time.sleep,
 ) -> Objects:
     """Look at every object for as long as it takes to see whoever lives in it.
@@ -223,7 +230,7 @@ def look_at_objects(
             else:
                 _open(path, found[1], held, done, watched)
         _watch(watched, seconds, sleep)
-        done += [each.result(_is_held(_lock_of(each.seen.path), held)) for each in watched]
+        done += [each.result() for each in watched]
     finally:
         for each in watched:
             os.close(each.fd)
@@ -242,7 +249,7 @@ def _open(path: Path, prefix: str, held: Held | None, done: list[Seen], watched:
     except FileNotFoundError:
         return  # removed meanwhile
     topic = Namespace(prefix, path.parent).topic_of(path.name) or path.name
-    seen = Seen(path, prefix, topic, status, held=_is_held(_lock_of(path), held))
+    seen = Seen(path, prefix, topic, status, held=is_held(_lock_of(path), held))
     try:
         fd = open_plain_file(path, os.O_RDONLY)
     except ChannelError as error:
@@ -265,7 +272,7 @@ def _open(path: Path, prefix: str, held: Held | None, done: list[Seen], watched:
     # A shortened name does not give its topic away, its description does.
     sound = Seen(path, prefix, description.topic, status, None, identity, description)
     first = _snapshot(fd)
-    watched.append(_Watched(fd, sound, first, first))
+    watched.append(_Watched(fd, sound, first, first, seen.held))
 
 
 def _watch(watched: list[_Watched], seconds: float, sleep: Callable[[float], None]) -> None:

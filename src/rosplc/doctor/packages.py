@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, requires, version
 
 from rosplc.doctor.finding import Finding, Level
@@ -13,6 +14,7 @@ from rosplc.ros.choice import choose, why_not_installed
 
 __all__ = ["backend", "needed", "packages", "wheels"]
 
+_OPTIONAL = ("cyclonedds", "eclipse-zenoh")
 _DDS_MACHINES = ("x86_64",)
 _ZENOH_MACHINES = ("x86_64", "i686", "aarch64", "armv7l", "armv6l")
 
@@ -47,6 +49,9 @@ def packages(
         version_of: Returns a package's version, or raises PackageNotFoundError.
     """
     found, missing = [], []
+    for name in _OPTIONAL:
+        with suppress(PackageNotFoundError):
+            found.append(f"{name} {version_of(name)}")
     for name in names:
         try:
             found.append(f"{name} {version_of(name)}")

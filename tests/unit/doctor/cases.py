@@ -11,7 +11,7 @@ import os
 import resource
 import struct
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from importlib.metadata import PackageNotFoundError
 from pathlib import Path
@@ -98,8 +98,8 @@ case(
 )
 case(
     "DOC105",
-    lambda s: machine.real_time(0, 8 << 20, root=False),
-    lambda s: machine.real_time(98, resource.RLIM_INFINITY, root=False),
+    lambda s: machine.real_time(0, 8 << 20, 0),
+    lambda s: machine.real_time(0, 8 << 20, 1 << 14 | 1 << 23),
 )
 
 
@@ -487,7 +487,7 @@ case(
 def _joined(stage: Stage, error: Exception | None) -> Iterable[Finding]:
     path = stage.file("rosplc.yaml", f"prefix: {stage.namespace.prefix}\nros: {{backend: dds}}\n")
 
-    def see(config: Path, seconds: float) -> Graph:
+    def see(config: Path, seconds: float, environment: Mapping[str, str]) -> Graph:
         if error is not None:
             raise error
         return Graph("dds", GraphInfo(), {}, "/rosplc_rosplc", "domain 0")
@@ -561,8 +561,8 @@ def _live(judge: Callable[[list[live.Carried]], Iterable[Finding]], **given: obj
 
 case(
     "DOC601",
-    _live(lambda c: live.holders(c, "rosplc.yaml"), held=False, beats=False),
-    _live(lambda c: live.holders(c, "rosplc.yaml")),
+    _live(lambda c: live.holders(c, {}, "rosplc.yaml"), held=False, beats=False),
+    _live(lambda c: live.holders(c, {}, "rosplc.yaml")),
 )
 case("DOC602", _live(live.layouts, layout_id=LAYOUT), _live(live.layouts))
 case("DOC603", _live(live.beating, plc=None), _live(live.beating))
