@@ -120,7 +120,7 @@ def _candidates(
 ) -> tuple[tuple[str, ...], str, dict[str, str]]:
     """Return what may be taken, in this order, the reason, and why the others are out of the question."""
     rmw = variables.get("RMW_IMPLEMENTATION", "").strip()
-    secured = variables.get("ROS_SECURITY_ENABLE", "").strip().lower() == "true"
+    secured = variables.get("ROS_SECURITY_ENABLE", "") == "true"  # as rcl compares: nothing else enables it
     if distro == ROS1:
         why = f"{distro} is ROS 1"
         return ("rospy",), why, dict.fromkeys(("dds", "rclpy", "zenoh"), "speaks ROS 2")

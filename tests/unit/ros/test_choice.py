@@ -8,6 +8,7 @@ import pytest
 
 from rosplc.errors import BackendError
 from rosplc.ros import BACKENDS, INSTALL, choose
+from rosplc.ros.choice import why_not_installed
 
 SECURE = {"ROS_SECURITY_ENABLE": "true"}
 ZENOH = {"RMW_IMPLEMENTATION": "rmw_zenoh_cpp"}
@@ -27,14 +28,21 @@ EVERYTHING = only(*INSTALL)
     [
         ("jazzy", {}, EVERYTHING, "dds", "ROS 2 speaks DDS"),
         ("humble", {"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"}, EVERYTHING, "dds", "rmw_fastrtps_cpp"),
+        ("jazzy", {"RMW_IMPLEMENTATION": "rmw_fastrtps_dynamic_cpp"}, EVERYTHING, "dds", "dynamic"),
+        ("kilted", {"RMW_IMPLEMENTATION": " rmw_cyclonedds_cpp "}, EVERYTHING, "dds", "rmw_cyclonedds_cpp"),
+        ("jazzy", {"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"}, only("rclpy"), "rclpy", "rmw_cyclonedds_cpp"),
+        ("jazzy", {"RMW_IMPLEMENTATION": ""}, EVERYTHING, "dds", "unless RMW_IMPLEMENTATION is set"),
         ("jazzy", {}, only("rclpy", "zenoh", "rospy"), "rclpy", "ROS 2 speaks DDS"),
+        ("jazzy", {}, only("dds", "rospy"), "dds", "ROS 2 speaks DDS"),
         ("jazzy", SECURE, EVERYTHING, "rclpy", "ROS_SECURITY_ENABLE is true"),
         ("jazzy", SECURE | ZENOH, EVERYTHING, "rclpy", "ROS_SECURITY_ENABLE is true"),
         ("jazzy", {"ROS_SECURITY_ENABLE": "false"}, EVERYTHING, "dds", "ROS 2 speaks DDS"),
+        ("jazzy", {"ROS_SECURITY_ENABLE": "True"}, EVERYTHING, "dds", "ROS 2 speaks DDS"),  # as in rcl
         ("jazzy", ZENOH, EVERYTHING, "zenoh", "RMW_IMPLEMENTATION is rmw_zenoh_cpp"),
         ("jazzy", ZENOH, only("dds", "rclpy"), "rclpy", "RMW_IMPLEMENTATION is rmw_zenoh_cpp"),
         ("jazzy", CONNEXT, EVERYTHING, "rclpy", "RMW_IMPLEMENTATION is rmw_connextdds"),
         ("noetic", {}, EVERYTHING, "rospy", "noetic is ROS 1"),
+        ("noetic", {}, only("rospy"), "rospy", "noetic is ROS 1"),
         ("noetic", ZENOH | SECURE, EVERYTHING, "rospy", "noetic is ROS 1"),
     ],
 )
@@ -61,6 +69,11 @@ def test_settings_for_zenoh_ask_for_it() -> None:
     """A configuration with a section for Zenoh means Zenoh, without the environment."""
     choice = choose("jazzy", {}, zenoh_settings=True, missing=EVERYTHING)
     assert (choice.name, "ros.zenoh" in choice.why) == ("zenoh", True)
+    assert choose("jazzy", CONNEXT, zenoh_settings=True, missing=only("zenoh")).name == "zenoh"
+    assert choose("jazzy", SECURE, zenoh_settings=True, missing=EVERYTHING).name == "rclpy"
+    with pytest.raises(BackendError, match=r"ros\.zenoh") as refused:
+        choose("jazzy", {}, zenoh_settings=True, missing=only("dds", "rclpy"))
+    assert INSTALL["zenoh"] in refused.value.remedy
 
 
 @pytest.mark.parametrize(
@@ -83,6 +96,18 @@ def test_nothing_usable_is_an_error_with_remedies(
     for name in INSTALL:
         assert f"{name} (" in refused.value.what
         assert (INSTALL[name] in refused.value.remedy) is (name in named)
+
+
+def test_this_machine_is_asked() -> None:
+    """With ROS 1 on this machine, ``noetic`` gets it, and ROS 2 does not; without it, that is the error."""
+    if missing := why_not_installed("rospy"):
+        with pytest.raises(BackendError, match="ROS001") as refused:
+            choose("noetic", {})
+        assert missing in refused.value.what
+    else:
+        assert choose("noetic", {}).name == "rospy"
+    if not why_not_installed("dds"):
+        assert choose("jazzy", {}).passed_over["rospy"] == "speaks ROS 1"
 
 
 def test_memory_is_never_chosen() -> None:
