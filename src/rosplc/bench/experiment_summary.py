@@ -28,7 +28,7 @@ def summary(found: Found) -> tuple[str, ...]:
     if cyclic:
         lines.append(
             f"Polling, there and back takes {' and '.join(cyclic)}. The programs' period decides, not what "
-            "carries the data: one period, or two where an answer comes too late for it."
+            "carries the data: one period, or more where an answer comes too late for it."
         )
     entries_of_all = [entry for arrangement in found for entry in arrangement["contenders"]]
     if entries_of_all:

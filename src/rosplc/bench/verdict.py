@@ -68,7 +68,7 @@ def _wrapped(text: str, width: int, indent: str = "") -> list[str]:
 
 
 def _goal(goal: Goal) -> str:
-    aim = f"{'at least' if goal.at_least else 'at most'} {goal.limit:g} x"
+    aim = f"{'at least' if goal.at_least else 'at most'} {goal.limit:g}x"
     word = "met   " if goal.met else "missed"
-    found = f"[{word}] {goal.what}: {cell_text(goal.measured)} x, goal: {aim}"
+    found = f"[{word}] {goal.what}: {cell_text(goal.measured)}x, goal: {aim}"
     return found + (f" ({goal.reason})" if goal.reason and not goal.met else "")

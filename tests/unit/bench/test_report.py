@@ -97,8 +97,8 @@ def test_a_goal_is_met_by_its_measured_ratio(
 def test_goals_follow_the_data() -> None:
     """The same section with another value shows another ratio and another verdict."""
     good, bad = ("\n".join(verdict(report(value), SECTIONS)) for value in (3.0, 1.0))
-    assert "[met   ] we ÷ they: 3.00 x" in good and "they were quick" not in good
-    assert "[missed] we ÷ they: 1.00 x" in bad and "they were quick" in bad
+    assert "[met   ] we ÷ they: 3.00x" in good and "they were quick" not in good
+    assert "[missed] we ÷ they: 1.00x" in bad and "they were quick" in bad
     assert "skipped: they: no gcc; install it" in good
 
 

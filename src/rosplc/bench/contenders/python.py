@@ -98,22 +98,25 @@ SEMAPHORE_PYTHON = Contender(
 ASYNCUA = Contender(
     "asyncua",
     "OPC UA, asyncua",
-    "asyncua's client writes one node and reads another, its server adds one when it is written to; without "
-    "security",
+    "asyncua's client writes one node and reads another, each an array and one request of a session that "
+    "stays; its server adds one in the callback behind a write, which spares a subscription; without "
+    "security and without a log",
     {TWO_CORES.name: BLOCKS, ONE_CORE.name: BLOCKS, **_CYCLES},
     _start_opcua,
 )
 ICEORYX = Contender(
     "iceoryx2",
     "iceoryx2, Python, publish and subscribe",
-    "iceoryx2's Python package: a loaned sample, filled in place; to sleep, its events",
+    "iceoryx2's Python package: a loaned sample, filled in place; to sleep, its events; its own settings but "
+    "for the names of its files",
     {TWO_CORES.name: SPINS, ONE_CORE.name: Way("block", "sleeps on an iceoryx2 event"), **_CYCLES},
     lambda place: _start_iceoryx(place, "bytes"),
 )
 ICEORYX_BLACKBOARD = Contender(
     "iceoryx2-blackboard",
     "iceoryx2, Python, blackboard",
-    "iceoryx2's Python package: an entry of its blackboard for each direction; to sleep, its events",
+    "iceoryx2's Python package: an entry of its blackboard for each direction; to sleep, its events; its own "
+    "settings but for the names of its files",
     {TWO_CORES.name: SPINS, ONE_CORE.name: Way("block", "sleeps on an iceoryx2 event"), **_CYCLES},
     lambda place: _start_iceoryx(place, "blackboard"),
 )
