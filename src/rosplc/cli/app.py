@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from rosplc._version import __version__
-from rosplc.cli import bench, check, demo, doctor, generate, run, show, types
+from rosplc.cli import bench, check, demo, doctor, generate, run, service, show, types
 from rosplc.cli.ros_arguments import RosCommand
 
 __all__ = ["app"]
@@ -26,6 +26,8 @@ rosplc run rosplc.yaml  —  carry the topics of a configuration
 
 rosplc show /cmd_vel  —  what stands in a topic's shared memory now
 
+rosplc service install cell1  —  start /etc/rosplc/cell1.yaml with the machine
+
 rosplc doctor rosplc.yaml  —  what is wrong on this machine, and what to do about it
 
 rosplc bench  —  Modbus, OPC UA and shared memory compared on this machine
@@ -42,6 +44,7 @@ app = typer.Typer(
 
 for _name, _verb in (
     ("run", run),
+    ("service", service),
     ("check", check),
     ("show", show),
     ("types", types),

@@ -52,9 +52,12 @@ def command(
     """Run the bridge in the foreground; logs go to stderr."""
     from rosplc.bridge.foreground import run_bridge
     from rosplc.ros import RosArguments
+    from rosplc.service.supervisor import supervised
 
     arguments = RosArguments.parse(given_to(context))
     level = logging.DEBUG if verbose else logging.WARNING if quiet else logging.INFO
     if arguments.log_level is not None and not (verbose or quiet):
         level = _LEVELS[arguments.log_level]
-    run_bridge(config, status_seconds=status or None, level=level, arguments=arguments)
+    run_bridge(
+        config, status_seconds=status or None, level=level, arguments=arguments, supervised=supervised
+    )

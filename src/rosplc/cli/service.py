@@ -23,14 +23,14 @@ EPILOG = """Examples:
 
 rosplc service install cell1 --dry-run  —  show every file and command for /etc/rosplc/cell1.yaml
 
-sudo rosplc service install cell1  —  write them, and start with the machine from now on
+rosplc service install cell1  —  write them, and start with the machine from now on
 
 rosplc service status  —  which bridges are services, and how they stand
 
-sudo rosplc service uninstall cell1  —  stop it, and remove its files; user, configuration and objects stay
+rosplc service uninstall cell1  —  stop it, and remove its files; user, configuration and objects stay
 
-The service has a user of its own and no capabilities. Only a configuration with `realtime:` is given
-more: the limits that its settings need.
+Installing and removing needs root. The service has a user of its own and no capabilities. Only a
+configuration with `realtime:` is given more: the limits that its settings need.
 """
 
 
@@ -44,7 +44,7 @@ class What(str, enum.Enum):
 
 @guarded
 def command(
-    what: Annotated[What, typer.Argument(metavar="install|uninstall|status", help="What to do.")],
+    what: Annotated[What, typer.Argument(metavar="WHAT", help="`install`, `uninstall` or `status`.")],
     name: Annotated[
         str | None, typer.Argument(help="The service's name; the configuration file's by default.")
     ] = None,

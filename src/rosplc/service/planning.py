@@ -5,6 +5,7 @@ from __future__ import annotations
 import grp
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 from rosplc.bridge.access import open_doors
@@ -87,7 +88,8 @@ def require_systemd() -> None:
 
 def _absolute(program: Path) -> Path:
     if program.name != "rosplc":  # python -m rosplc
-        found = shutil.which("rosplc")
+        beside = Path(sys.executable).with_name("rosplc")
+        found = str(beside) if beside.exists() else shutil.which("rosplc")
         if found is None:
             raise SetupError("SYS011", "the rosplc command is not on the PATH", remedy="Call it by its path.")
         return Path(found).absolute()

@@ -56,10 +56,8 @@ class Supervisor:
         """
         status = self._bridge.status()
         if not status.running:
-            # Before the start, or after the end began; the watchdog is not fed, and each has its own time.
-            if self._running:
-                self._notifier.stopping()
-            self._running = False
+            # Before the start, or after the end began: systemd has other times for these.
+            self.ended()
             return _START_S
         if not self._running:
             self._running = True
@@ -73,10 +71,17 @@ class Supervisor:
         self._stuck = stuck
         return self._period_s
 
+    def ended(self) -> None:
+        """Tell that the bridge stops, if it did run."""
+        if self._running:
+            self._notifier.stopping()
+        self._running = False
+
     def run(self, stop: threading.Event) -> None:
         """Look until ``stop`` is set."""
         while not stop.wait(self._guarded()):
             pass
+        self.ended()
 
     def _guarded(self) -> float:
         try:
