@@ -15,6 +15,8 @@ import zenoh
 SETTINGS = {
     "mode": "router",
     "scouting/multicast/enabled": False,
+    # Nothing is scouted for, and half a second per test is much.
+    "scouting/delay": 0,
     "scouting/gossip/enabled": True,
     "routing/router/peers_failover_brokering": True,
     "timestamping/enabled": {"router": True, "peer": True, "client": True},

@@ -89,6 +89,11 @@ def sdk(port: int, role: str, kind: str, values: object, qos: str = "") -> Itera
                     break
             yield process
         finally:
+            # Killed, it would leave a segment of the library's in /dev/shm.
+            assert process.stdin is not None
+            process.stdin.close()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(10)
             process.kill()
 
 
