@@ -21,6 +21,8 @@ _CAP_IPC_LOCK, _CAP_SYS_NICE = 14, 23
 _ENOUGH = 64 << 20
 _FIRST_PERSON = 1000
 """The first user number that logind takes for a person's (SYS_UID_MAX is 999)."""
+_SERVICES = (*range(61_184, 65_520), 65_534)
+"""Users that systemd makes for a service, and nobody."""
 
 
 def architecture(
@@ -124,7 +126,7 @@ def logout(
     value, where = _remove_ipc(root, listing or _conf_files)
     if not value:
         yield kind("DOC106").fine(f"RemoveIPC=no in {where}")
-    elif uid < _FIRST_PERSON:
+    elif uid < _FIRST_PERSON or uid in _SERVICES:
         yield kind("DOC106").fine(f"{user} is a system user, whose objects systemd leaves alone")
     elif (root / "var/lib/systemd/linger" / user).exists():
         yield kind("DOC106").fine(f"{user} lingers, and is never logged out altogether")

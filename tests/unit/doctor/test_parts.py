@@ -1,0 +1,276 @@
+"""Parts of the doctor that the table of cases does not show: words, details, order, failures."""
+
+from __future__ import annotations
+
+import json
+import threading
+from pathlib import Path
+
+import pytest
+
+from rosplc.cli.generate import plc_project
+from rosplc.doctor import Area, Level, Report, examination
+from rosplc.doctor.generated import read_generated
+from rosplc.doctor.graph import Graph, judge_graph
+from rosplc.doctor.kinds import kind
+from rosplc.doctor.look import see_graph
+from rosplc.doctor.machine import logout
+from rosplc.doctor.packages import backend, needed
+from rosplc.doctor.probe import Probe, run_probe
+from rosplc.doctor.processes import find_runtimes, shm_mount
+from rosplc.doctor.rights import File, may_use, rights, runtimes
+from rosplc.errors import BackendError
+from rosplc.plc.build import ProjectOptions
+from rosplc.plc.delivery import project_files, write_files
+from rosplc.ros import Qos, memory
+from rosplc.shm import Namespace
+from tests.unit.doctor.stage import OTHER_MOUNT, Stage, problems
+
+INT, LONG, STRING = "std_msgs/msg/Int32", "std_msgs/msg/Int64", "std_msgs/msg/String"
+
+
+@pytest.fixture
+def stage(tmp_path: Path, shm_namespace: Namespace) -> Stage:
+    return Stage(tmp_path, shm_namespace)
+
+
+def test_what_was_found_before_a_failure_is_kept() -> None:
+    """An examination that fails half way keeps what it has found, and says why it could not go on."""
+
+    def look():
+        yield kind("DOC101").fine("a kernel")
+        raise PermissionError(13, "Permission denied", "/proc/1/exe")
+
+    first, second = run_probe(Probe("it", Area.MACHINE, look))
+    assert first.level is Level.OK
+    assert (second.code, second.level) == ("DOC001", Level.WARNING)
+    assert second.seen == "could not check it: Permission denied: /proc/1/exe"
+
+
+def test_an_examination_that_hangs_is_given_up() -> None:
+    """What hangs is left behind with what it had found; the next examination is done."""
+    forever = threading.Event()
+
+    def look():
+        yield kind("DOC101").fine("a kernel")
+        forever.wait(30)
+
+    found = run_probe(Probe("it", Area.MACHINE, look, 0.2))
+    forever.set()
+    assert [each.code for each in found] == ["DOC101", "DOC002"]
+    assert "could not check it: no answer within 0.2 s" in found[1].seen
+
+
+def test_a_look_at_the_graph_that_hangs_is_ended(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The process that looks at the graph is killed after its time."""
+    monkeypatch.setattr("rosplc.doctor.look._PROGRAM", "import time; time.sleep(60)")
+    monkeypatch.setattr("rosplc.doctor.look._START_S", 0.2)
+    probe = Probe("the graph", Area.GRAPH, lambda: see_graph(stage.root / "x.yaml", 0.1, {}) and ())  # type: ignore[func-returns-value]
+    (finding,) = run_probe(probe)
+    assert finding.code == "DOC002" and "did not end" in finding.seen
+
+
+def test_a_look_at_the_graph_that_crashes_is_told(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A middleware that takes its process with it costs the look, and its last words are shown."""
+    program = "import os, sys; sys.stderr.write('no interface\\n'); sys.stderr.flush(); os.abort()"
+    monkeypatch.setattr("rosplc.doctor.look._PROGRAM", program)
+    with pytest.raises(BackendError, match="no interface"):
+        see_graph(stage.root / "x.yaml", 0.1, {})
+
+
+def test_problems_come_first() -> None:
+    """The area with the worst finding stands first, and in it the worst finding."""
+    report = Report(
+        (
+            kind("DOC101").fine("fine"),
+            kind("DOC603").found("idle"),
+            kind("DOC601").fine("held"),
+            kind("DOC602").found("differs"),
+            kind("DOC305").found("container"),
+        )
+    )
+    assert [area for area, _ in report.areas()] == [Area.LIVE, Area.PLC, Area.MACHINE]
+    assert [finding.code for finding in report.areas()[0][1]] == ["DOC602", "DOC603", "DOC601"]
+    assert report.worst is Level.ERROR
+    assert report.counts() == {"error": 1, "warning": 1, "note": 1, "ok": 2}
+    assert list(json.loads(json.dumps(report.to_dict()))) == [
+        "schema", "rosplc", "config", "worst", "counts", "findings",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("theirs", "qos"), [(LONG, Qos()), (INT, Qos(reliability="best_effort")), (INT, Qos())]
+)
+def test_the_reasons_are_the_bridges(stage: Stage, theirs: str, qos: Qos) -> None:
+    """What keeps a publisher from the bridge is said in the words that the bridge's status has."""
+    project = stage.project(f"  /in: {{type: {INT}, to: plc}}\n")
+    plan = project.topics[0]
+    domain = 73
+    robot = memory.open_backend(project.store, "robot", "/", domain)
+    bridge = memory.open_backend(project.store, "rosplc_cell", "/", domain)
+    observer = memory.open_backend(project.store, "rosplc_doctor", "/", domain)
+    try:
+        robot.advertise("/in", theirs, qos)
+        subscription = bridge.subscribe("/in", plan.type_name, plan.qos, lambda *_: None)
+        status = subscription.status()
+        graph = Graph("memory", observer.graph(), {"/in": "/in"}, "/rosplc_cell", "domain 73")
+        found = problems(judge_graph(graph, [plan], project.store.type_hash, bridge_runs=True))
+    finally:
+        for each in (robot, bridge, observer):
+            each.close()
+    said = [finding.seen for finding in found.values()]
+    if status.code:
+        assert said and status.reason in said[0] and said[0].endswith(f"[{status.code}]")
+    else:
+        assert not said
+
+
+@pytest.mark.parametrize("fenced", [True, False])
+@pytest.mark.parametrize("pins", [True, False])
+def test_every_delivery_is_read(stage: Stage, fenced: bool, pins: bool) -> None:
+    """Topics, directions, layouts, prefix and rule are read out of whatever is generated."""
+    long = "/" + "/".join(["a_rather_long_name"] * 6)
+    project = stage.project(
+        f"  {long}: {{type: {INT}, to: plc}}\n  /text: {{type: {STRING}, to: ros, limits: {{data: 9}}}}\n"
+        f"  /again: {{type: {STRING}, to: ros, limits: {{data: 12}}}}\n"
+        f"  /old: {{type: {INT}, to: ros, classic: {{name: old.one, semaphore: none}}}}\n"
+    )
+    files = project_files(plc_project(project, ProjectOptions(fenced=fenced, pins=pins)), [], "rosplc")
+    write_files(stage.root / "out", files)
+    for folder in (stage.root / "out", stage.root / "out/st"):
+        found = read_generated(folder)
+        assert (found.prefix, found.fenced) == (stage.namespace.prefix, fenced)
+        read = {
+            (block.topic, block.to_plc, block.classic, block.layout_id, block.record_size)
+            for block in found.blocks
+        }
+        assert read == {
+            (
+                plan.classic.name if plan.classic else plan.topic,
+                plan.direction == 1,
+                plan.classic is not None,
+                "" if plan.classic else plan.layout.layout_id,
+                plan.layout.size,
+            )
+            for plan in project.topics
+        }
+
+
+@pytest.mark.parametrize("path", ["Base/RosPlc_Settings.st", "Blocks/std_msgs_Int32_Read.st"])
+def test_code_that_is_damaged_is_an_error(stage: Stage, path: str) -> None:
+    """A file that is missing or says nothing is named; no layout is made up."""
+    project = stage.project(f"  /in: {{type: {INT}, to: plc}}\n")
+    write_files(stage.root / "out", project_files(plc_project(project, ProjectOptions()), [], "rosplc"))
+    file = stage.root / "out/st" / path
+    file.write_bytes(b"\xff\0nothing")
+    with pytest.raises(ValueError, match=file.name):
+        read_generated(stage.root / "out")
+    file.unlink()
+    with pytest.raises(ValueError, match=f"{file.name} cannot be read"):
+        read_generated(stage.root / "out")
+
+
+@pytest.mark.parametrize(
+    ("file", "uid", "gids", "may"),
+    [
+        (File("x", 0, 0, 0o600), 0, frozenset({0}), True),
+        (File("x", 5, 5, 0o600), 0, frozenset(), True),
+        (File("x", 5, 6, 0o060), 5, frozenset({6}), False),  # the owner's bits count for the owner
+        (File("x", 5, 6, 0o660), 7, frozenset({6}), True),
+        (File("x", 5, 6, 0o640), 7, frozenset({6}), False),
+        (File("x", 5, 6, 0o606), 7, frozenset({6}), False),  # and the group's for its members
+        (File("x", 5, 6, 0o606), 7, frozenset({8}), True),
+    ],
+)
+def test_rights_are_the_kernels(file: File, uid: int, gids: frozenset[int], may: bool) -> None:
+    """Whether a user may read and write follows owner, then group, then others."""
+    assert may_use(file, uid, gids) is may
+
+
+def test_the_remedy_for_rights_names_the_group() -> None:
+    """Where a group would do, the command puts the user into it; otherwise it makes one."""
+    (finding,) = rights([File("/in", 500, 4294967, 0o660)], 1234567, frozenset())
+    assert finding.command == "sudo usermod --append --groups group 4294967 user 1234567"
+    (finding,) = rights([File("/in", 0, 0, 0o660)], 1234567, frozenset())
+    assert finding.command.startswith("sudo groupadd --force plc && ")
+
+
+def test_processes_are_found_by_their_names(stage: Stage) -> None:
+    """A runtime is found by program or name, cut off or not, with word size, user, groups and mount."""
+    stage.process(20, name="codesyscontrol.bin", bits=32, uid=7, groups=(8, 9), mount=OTHER_MOUNT)
+    stage.process(10, name="CODESYSControl_arm_very_long")
+    stage.process(30, name="bash")
+    stage.file("proc/cpuinfo", "")
+    stage.file("proc/40/comm", "codesyscontrol")  # it is ending
+    first, second = find_runtimes(stage.root / "proc")
+    assert (first.pid, second.pid) == (10, 20)
+    assert (second.bits, second.uid, second.gids) == (32, 7, {7, 8, 9})
+    assert second.shm is not None and second.shm.device == "0:99 /"
+
+
+def test_a_narrow_runtime_matters_where_a_lock_is_shared(stage: Stage) -> None:
+    """A 32-bit runtime is worth a note; with a classic topic's semaphore it is an error."""
+    stage.process(bits=32)
+    found = find_runtimes(stage.root / "proc")
+    levels = [problems(runtimes(found, 64, classic=classic))["DOC302"].level for classic in (False, True)]
+    assert levels == [Level.NOTE, Level.ERROR]
+
+
+def test_the_last_mount_covers_the_others(stage: Stage) -> None:
+    """Of several mounts the one that is seen counts; without one at /dev/shm it is the parent's."""
+    path = stage.file(
+        "mountinfo", "1 0 8:1 / / rw - ext4 x rw\n" + OTHER_MOUNT + OTHER_MOUNT.replace("99", "27")
+    )
+    mount = shm_mount(path)
+    assert mount is not None and (mount.device, mount.point) == ("0:27 /", "/dev/shm")
+    path.write_text("1 0 8:1 / / ro - ext4 x rw\nnonsense\n")
+    mount = shm_mount(path)
+    assert mount is not None and (mount.point, mount.read_only) == ("/", True)
+
+
+@pytest.mark.parametrize(
+    ("uid", "linger", "found"),
+    [(1000, False, True), (999, False, False), (1000, True, False), (65534, False, False)],
+)
+def test_log_out_concerns_people(stage: Stage, uid: int, linger: bool, found: bool) -> None:
+    """Only an ordinary user who does not linger loses objects at log-out."""
+    (stage.root / "run/systemd/seats").mkdir(parents=True)
+    if linger:
+        stage.file("var/lib/systemd/linger/erika")
+    assert ("DOC106" in problems(logout(stage.root, uid, "erika"))) is found
+
+
+def test_auto_says_why() -> None:
+    """The finding about `auto` names the backend, the reason, and what could be used."""
+    (finding,) = backend("jazzy", "auto", {"RMW_IMPLEMENTATION": "rmw_zenoh_cpp"}, missing=lambda name: "")
+    assert "backend auto is zenoh, because RMW_IMPLEMENTATION is rmw_zenoh_cpp" in finding.seen
+    (finding,) = backend("noetic", "auto", {}, configured=False, missing=lambda name: "no module")
+    assert finding.level is Level.WARNING and "apt-get install python3-rospy" in finding.remedy
+
+
+def test_needed_packages_are_those_of_the_metadata() -> None:
+    """The packages that have to be there are read from rosplc's own metadata."""
+    assert {"rosbags", "pydantic", "PyYAML", "typer", "rich"} <= set(needed())
+    assert "cyclonedds" not in needed()
+
+
+def test_the_plc_of_another_user(stage: Stage) -> None:
+    """A runtime's user that may not open what the configuration would make is an error before it is made."""
+    stage.process(uid=7654321, groups=(7654321,))
+    path = stage.file(
+        "rosplc.yaml", f"prefix: {stage.namespace.prefix}\ntopics:\n  /in: {{type: {INT}, to: plc}}\n"
+    )
+    for name in ("proc/locks", "proc/self/mountinfo", "proc/self/status"):
+        stage.file(name, Path("/", name).read_text())
+    stage.file("sys/class/net/lo/flags", "0x9\n")
+    question = examination.Question(path, ros=False, root=stage.root)
+    found = problems(examination.examine(question).findings)
+    assert "DOC001" not in found
+    assert "user 7654321 may not open /in" in found["DOC303"].seen
+
+
+def test_an_unknown_plc_user_is_named(stage: Stage) -> None:
+    """A user that this machine does not have is an error of its own."""
+    path = stage.file("rosplc.yaml", f"prefix: {stage.namespace.prefix}\n")
+    question = examination.Question(path, plc_user="no-such-user", ros=False)
+    assert "no user 'no-such-user'" in problems(examination.examine(question).findings)["DOC303"].seen
