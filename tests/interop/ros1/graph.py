@@ -85,7 +85,11 @@ class Graph:
 
     def __init__(self) -> None:
         need("rosmaster", "/usr/lib/python3/dist-packages/rospy/__init__.py")
-        self.port = free_port()
+        # Bound and not listening, it keeps the port from being given away, also while the master is dead.
+        self._holder = socket.socket()
+        self._holder.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        self._holder.bind(("127.0.0.1", 0))
+        self.port: int = self._holder.getsockname()[1]
         self._home = tempfile.TemporaryDirectory(prefix="rosplc-ros1-")
         self.environment = {
             "ROS_MASTER_URI": f"http://127.0.0.1:{self.port}",
@@ -184,6 +188,7 @@ class Graph:
         """End everything."""
         self._end_programs()
         self.kill_master()
+        self._holder.close()
         self._home.cleanup()
 
 
