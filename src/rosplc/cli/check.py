@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -104,10 +105,25 @@ def _topic_facts(project: Project, plan: TopicPlan) -> dict[str, Any]:
             "depth": plan.qos.depth,
         },
         "stale_after_ms": plan.stale_after_ns / 1e6,
+        "on_stale": _stale_facts(plan),
+        "when_silent": _when_silent(project, plan),
         "min_interval_ms": plan.min_interval_ns / 1e6,
         "on_change": plan.on_change,
         "print": plan.print,
         "on_overflow": "truncate" if plan.truncate else "refuse",
+    }
+
+
+def _stale_facts(plan: TopicPlan) -> dict[str, Any]:
+    from rosplc.bridge.stale_plan import flag_topic
+
+    safe = plan.on_stale
+    substituted = safe.action == "substitute"
+    return {
+        "action": safe.action,
+        "value": dict(safe.value) if safe.record else None,
+        "period_ms": safe.period_ns / 1e6 if substituted else None,
+        "flag_topic": flag_topic(plan.topic) if substituted else None,
     }
 
 
@@ -174,6 +190,11 @@ def warnings(project: Project) -> list[str]:
             found.append(
                 f"{plan.topic}: on_overflow is truncate, so the PLC may see shortened data (xTruncated)."
             )
+        if plan.classic is not None and plan.on_stale.action in ("zero", "value"):
+            found.append(
+                f"{plan.topic}: on_stale with classic: the same message sent again and again counts as "
+                "silent, because nothing in a bare record tells of it; let the source change a field."
+            )
         if plan.classic is not None and not plan.classic.semaphore:
             found.append(
                 f"{plan.topic}: nothing guards the classic memory {plan.classic.name}; a record larger than "
@@ -193,6 +214,42 @@ def _sieve(plan: TopicPlan) -> str:
     if plan.min_interval_ns:
         words.append(f"one message per {plan.min_interval_ns / 1e6:g} ms at most")
     return ", ".join(words)
+
+
+def _when_silent(project: Project, plan: TopicPlan) -> str:
+    """Say in plain words what happens while the topic's source says nothing."""
+    from rosplc.bridge.quantities import format_duration
+    from rosplc.bridge.stale_plan import flag_topic
+
+    safe, after = plan.on_stale, format_duration(plan.stale_after_ns)
+    if plan.direction == 1:
+        if not plan.stale_after_ns:
+            return "the PLC keeps the last message, and xStale never comes"
+        value = {
+            "hold": "the PLC keeps the last message",
+            "zero": "every byte of the PLC's msg is zero, with xSubstituted",
+        }.get(safe.action, f"the PLC's msg is {_shown(safe.value)}, with xSubstituted")
+        lives = "" if safe.action == "hold" else ", whether or not the bridge lives"
+        unchanged = "; a record that does not change counts as silent" if plan.classic else ""
+        return f"after {after} {value} and xStale{lives}{unchanged}"
+    diagnostics = project.config.settings.diagnostics
+    report = ""
+    if plan.stale_after_ns and diagnostics.enabled:
+        report = f"; {format_duration(diagnostics.debounce_ns)} later /diagnostics says STALE"
+    if safe.action == "substitute":
+        return (
+            f"after {after} ROS gets {_shown(safe.value)} every {format_duration(safe.period_ns)}, "
+            f"and {flag_topic(plan.topic)} says so{report}"
+        )
+    return f"ROS gets nothing{report}"
+
+
+def _shown(value: Mapping[str, Any]) -> str:
+    """Return a message's fields as a configuration writes them, shortened."""
+    import json
+
+    text = json.dumps(value, ensure_ascii=False)
+    return "the type's initial message" if not value else text if len(text) <= 60 else text[:57] + "…"
 
 
 def _explain(project: Project) -> None:
@@ -232,6 +289,7 @@ def _explain(project: Project) -> None:
             ("takes", f"{how}; PLC task {plan.task}"),
             ("QoS", f"{plan.qos.reliability}, {plan.qos.durability}, depth {plan.qos.depth} ({qos})"),
             ("stale after", stale),
+            ("when silent", _when_silent(project, plan)),
         ]
         if plan.direction == 1:
             rows.append(("too large", "cut and counted" if plan.truncate else "refused and counted"))
