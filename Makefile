@@ -10,6 +10,10 @@ CORE_SOURCES := $(wildcard src/rosplc/_core/*.c src/rosplc/_core/*.h)
 # Minutes that `make verify` may take; empty: as long as it needs.
 VERIFY_MINUTES ?=
 
+# Minutes that `make soak` takes, and what else it is told.
+SOAK_MINUTES ?= 4
+SOAK_OPTIONS ?=
+
 export PYTHON
 
 .PHONY: help
@@ -69,6 +73,10 @@ reference: $(VENV)/.core ## write the generated pages of docs/reference again
 .PHONY: bench
 bench: $(VENV)/.core ## the developers' measurements in benchmarks/
 	@$(RUN) bench
+
+.PHONY: soak
+soak: $(VENV)/.core ## the fault campaign; SOAK_MINUTES=60 SOAK_OPTIONS="--backend zenoh --json FILE"
+	@$(VENV)/bin/python -m soak --minutes $(SOAK_MINUTES) $(SOAK_OPTIONS)
 
 .PHONY: wheel
 wheel: $(VENV)/.core ## build dist/rosplc-*.whl

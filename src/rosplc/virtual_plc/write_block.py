@@ -81,6 +81,7 @@ class WriteBlock:
         self._writer: Writer | None = None
         self._peer = Peer()
         self._record = bytearray(0 if layout is None else layout.size)
+        self._unfilled = False  # msg was made in this call: what the program filled was another
 
     @property
     def udiReentries(self) -> int:
@@ -118,7 +119,7 @@ class WriteBlock:
         self.xReady = False
 
     def _run(self, scan: Scan) -> None:
-        self.xPublished = False
+        self.xPublished = self._unfilled = False
         attached = self._link.follow(scan)
         if attached is not None and self._link.opened != self._opened:
             self._adopt(attached)
@@ -146,6 +147,7 @@ class WriteBlock:
         if self.msg is None or len(self._record) != layout.size:
             self._record = bytearray(layout.size)
             self.msg = Message.initial(layout)
+            self._unfilled = True
 
     def _claim_line(self, attached: Attached, scan: Scan) -> None:
         self.xReady = False
@@ -167,7 +169,7 @@ class WriteBlock:
         layout = self._link.layout
         assert layout is not None
         try:
-            if self.xEnable:
+            if self.xEnable and not self._unfilled:
                 layout.pack_into(self.msg, self._record)
                 self.udiSequence = writer.publish(
                     self._record, stamp_ns=time.monotonic_ns(), stamp_clock=_PLC_CLOCK

@@ -131,6 +131,25 @@ def test_a_retired_object_is_left(side, scans):
     observer.close()
 
 
+def test_what_nobody_filled_is_not_sent(side, scans):
+    """An object with another layout gives msg anew: that call publishes nothing, for nobody has set it."""
+    bridge = side("/n", INT, TO_ROS)
+    block = writing(bridge)
+    scans(block)
+    assert bridge.take() is None, "msg was made in this call"
+    block.msg.data = 1
+    scans(block)
+    assert bridge.take()[1].data == 1
+    bridge.channel.retire()
+    after = side("/n", "std_msgs/msg/String", TO_ROS)
+    block.msg.data = 2
+    scans(block, ms=3000)
+    assert (block.xPublished, after.take()) == (False, None)
+    block.msg.data = "three"
+    scans(block)
+    assert after.take()[1].data == "three"
+
+
 def test_another_layout_is_error_112(side, scans):
     """A compiled-in layout that differs is refused."""
     bridge = side("/n", INT, TO_ROS)

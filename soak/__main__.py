@@ -1,0 +1,96 @@
+"""``python -m soak``: run a fault campaign."""
+
+from __future__ import annotations
+
+import argparse
+import ctypes
+import json
+import os
+import random
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from soak.campaign import Campaign
+from soak.cell import Cell
+from soak.faults import faults_for
+from soak.report import figure, summary, to_json
+
+_CLONE_NEWNS = 0x00020000
+
+
+def own_shared_memory() -> bool:
+    """Give this process a ``/dev/shm`` of its own, small enough to be filled; return whether that worked.
+
+    Nothing of the host changes: the mount is seen by this process and its children alone.
+    """
+    if os.geteuid() != 0 or ctypes.CDLL(None, use_errno=True).unshare(_CLONE_NEWNS) != 0:
+        return False
+    for command in (
+        ["mount", "--make-rprivate", "/"],
+        ["mount", "-t", "tmpfs", "-o", "size=8m,mode=1777", "soak", "/dev/shm"],
+    ):
+        if subprocess.run(command, check=False, capture_output=True).returncode:
+            return False
+    return True
+
+
+def why_not(backend: str) -> str:
+    """Return what is missing for a backend; empty if nothing is."""
+    if backend == "rospy" and shutil.which("rosmaster") is None:
+        return "Debian package python3-rosmaster is missing"
+    return ""
+
+
+def main() -> int:
+    """Run the campaign; 0 if everything held, 1 if not, 2 if it cannot run."""
+    parser = argparse.ArgumentParser(
+        prog="soak", description="Kill, stop, starve and reload a bridge under load."
+    )
+    parser.add_argument("--seed", type=int, help="repeat the order of an earlier campaign")
+    parser.add_argument("--rounds", type=int, default=0, help="most rounds")
+    parser.add_argument("--minutes", type=float, default=0.0, help="most minutes")
+    parser.add_argument("--backend", choices=("dds", "zenoh", "rospy"), default="dds", help="the ROS side")
+    parser.add_argument("--fault", action="append", default=[], help="only faults whose name has this in it")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write everything there")
+    parser.add_argument("--figure", type=Path, metavar="FILE", help="draw memory and descriptors over time")
+    parser.add_argument("--logs", type=Path, metavar="FOLDER", help="keep the logs of rounds that failed")
+    parser.add_argument("--list", action="store_true", help="only list the faults")
+    options = parser.parse_args()
+    if reason := why_not(options.backend):
+        print(reason, file=sys.stderr)
+        return 2
+    seed = random.SystemRandom().randrange(2**31) if options.seed is None else options.seed
+    rounds = options.rounds if options.rounds or options.minutes else 50
+    private = own_shared_memory()
+    with tempfile.TemporaryDirectory(prefix="soak-") as folder:
+        cell = Cell(Path(folder), options.backend, private=private)
+        try:
+            faults = [
+                fault
+                for fault in faults_for(cell)
+                if not options.fault or any(word in fault.name for word in options.fault)
+            ]
+            if options.list:
+                print("\n".join(f"{fault.name:32s} {fault.missing(cell)}".rstrip() for fault in faults))
+                return 0
+            print(f"seed {seed}, backend {options.backend}, {len(faults)} kinds of fault", flush=True)
+            campaign = Campaign(cell, faults, seed, lambda line: print(line, flush=True))
+            try:
+                outcome = campaign.run(rounds, options.minutes * 60, options.logs)
+            except KeyboardInterrupt:
+                outcome = campaign.outcome
+        finally:
+            cell.close()
+    print(summary(outcome))
+    if options.json is not None:
+        options.json.write_text(json.dumps(to_json(outcome), indent=1) + "\n")
+    if options.figure is not None and outcome.samples:
+        figure(outcome, options.figure)
+    return 1 if outcome.violations else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,143 @@
+"""What must hold after each round.
+
+========== =========================================================================================
+torn       no message arrived, at the PLC or in ROS, that was not exactly what was sent
+invented   none that nobody had announced to send
+disordered none twice, none after a later one of the same sender
+losses     on the topics that a fault leaves accountable: what is missing at the receiving end is at
+           most what bridge, PLC and subscriber have counted meanwhile
+objects    shared memory holds the objects of the configuration and nothing else
+resources  a process that lived through the round holds about as many descriptors and threads as
+           before, and its own memory does not grow from round to round
+========== =========================================================================================
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from soak.cell import SHM, Cell, WatchdogError
+from soak.faults import Fault
+from soak.parts import Usage
+from soak.pattern import TOPICS
+
+__all__ = ["Checker"]
+
+_FILES, _THREADS = 12, 8
+_SETTLED = 5
+_GROWTH_KB = 32 * 1024
+
+
+@dataclass
+class _Life:
+    """One process through the rounds."""
+
+    first: Usage
+    rounds: int = 0
+    settled_kb: int = 0
+    last_kb: int = 0
+
+
+@dataclass
+class Checker:
+    """Judges a cell after each round.
+
+    Attributes:
+        cell: The cell.
+        worst_growth_kb: Part → the most that one of its processes grew, once it had settled.
+        unaccounted: What nobody counted, of rounds in which something died.
+    """
+
+    cell: Cell
+    worst_growth_kb: dict[str, int] = field(default_factory=dict)
+    unaccounted: list[int] = field(default_factory=list)
+    _lives: dict[str, _Life] = field(default_factory=dict)
+    _before: list[tuple[int, int]] = field(default_factory=list)
+    _pids: tuple[int, ...] = ()
+    _wrong: dict[str, int] = field(default_factory=dict)
+
+    def begin(self) -> None:
+        """Note how things stand before a round."""
+        # The other way round than at the end: what is counted lags, and must not cover what came before.
+        counted = [known for _, known in self.cell.ledger.losses()]
+        missing = [lost for lost, _ in self.cell.ledger.losses()]
+        self._before = list(zip(missing, counted, strict=True))
+        self._pids = self._processes()
+
+    def _processes(self) -> tuple[int, ...]:
+        return tuple(part.pid for part in self.cell.parts.values())
+
+    def _losses(self) -> list[tuple[int, int]]:
+        # What is missing is read first and what is counted later, so that nothing is counted too late.
+        missing = [lost for lost, _ in self.cell.ledger.losses()]
+        self.cell.await_diagnostics(2)
+        return [
+            (lost, counted) for lost, (_, counted) in zip(missing, self.cell.ledger.losses(), strict=True)
+        ]
+
+    def end(self, fault: Fault) -> list[str]:
+        """Return what does not hold after a round."""
+        cell = self.cell
+        found = []
+        if dead := [name for name, part in cell.parts.items() if not part.alive]:
+            found.append(f"{', '.join(dead)} ended though nobody killed it")
+            cell.ensure()
+        for kind, count in cell.ledger.violations().items():
+            if count > self._wrong.get(kind, 0):
+                found.append(f"{count - self._wrong.get(kind, 0)} messages {kind}")
+            self._wrong[kind] = count
+        found += self._account(fault)
+        found += self._objects()
+        found += self._resources()
+        return found
+
+    def _account(self, fault: Fault) -> list[str]:
+        after = self._losses()
+        lost = [now[0] - was[0] for was, now in zip(self._before, after, strict=True)]
+        counted = [now[1] - was[1] for was, now in zip(self._before, after, strict=True)]
+        if self._processes() != self._pids or self.cell.backend == "zenoh":
+            # Counters begin again with each process, and Zenoh tells of no loss.
+            self.unaccounted.append(sum(lost))
+            return []
+        return [
+            f"{topic}: {missing} messages are missing, and {known} were counted"
+            for topic, missing, known in zip(TOPICS, lost, counted, strict=True)
+            if missing > known and topic in fault.accounted
+        ]
+
+    def _objects(self) -> list[str]:
+        cell = self.cell
+        try:
+            cell.wait(lambda: cell.objects() == cell.expected_objects(), "objects")
+        except WatchdogError:
+            surplus = cell.objects() - cell.expected_objects()
+            lacking = cell.expected_objects() - cell.objects()
+            return [f"shared memory: {sorted(surplus)} too many, {sorted(lacking)} too few"]
+        if cell.private:
+            strange = [path.name for path in SHM.iterdir() if cell.prefix not in path.name]
+            return [f"shared memory: {strange} left behind"] if strange else []
+        return []
+
+    def _resources(self) -> list[str]:
+        found = []
+        for name, part in self.cell.parts.items():
+            usage = part.usage()
+            if usage is None:
+                continue
+            life = self._lives.get(name)
+            if life is None or life.first.pid != usage.pid:
+                self._lives[name] = _Life(usage)
+                continue
+            life.rounds += 1
+            life.last_kb = usage.private_kb
+            if life.rounds <= _SETTLED:
+                life.settled_kb = max(life.settled_kb, usage.private_kb)
+            growth = usage.private_kb - life.settled_kb
+            self.worst_growth_kb[name] = max(self.worst_growth_kb.get(name, 0), growth)
+            if usage.files > life.first.files + _FILES:
+                found.append(f"{name}: {usage.files} descriptors, {life.first.files} at first")
+            if usage.threads > life.first.threads + _THREADS:
+                found.append(f"{name}: {usage.threads} threads, {life.first.threads} at first")
+            if growth > _GROWTH_KB:
+                found.append(f"{name}: {growth} KiB more memory of its own than when it had settled")
+        return found

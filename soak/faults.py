@@ -1,0 +1,322 @@
+"""What is done to the cell: one class for each kind of fault.
+
+``inflict`` does it and undoes it; when it returns, nothing stands in the way any more. What a fault
+makes impossible to account for, it says: a message that was under way in a process that dies is counted
+by nobody.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import resource
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from soak.cell import SHM, Cell
+from soak.pattern import CAPACITY, IN, OUT, TOPICS
+
+__all__ = ["FAULTS", "Fault", "faults_for"]
+
+_FAKETIME = [Path(f"/usr/lib/{arch}-linux-gnu/faketime/libfaketimeMT.so.1") for arch in ("x86_64", "aarch64")]
+
+
+class Fault:
+    """One kind of fault.
+
+    Attributes:
+        name: What it is called.
+        accounted: The topics on which every missing message must be counted by somebody.
+        may_end: The bridge may end of it, and is started again.
+    """
+
+    name = ""
+    accounted: tuple[str, ...] = ()
+    may_end = False
+
+    def missing(self, cell: Cell) -> str:
+        """Return why it cannot be tried here; empty if it can."""
+        return ""
+
+    def inflict(self, cell: Cell, dice: random.Random) -> None:
+        """Do it, and undo it."""
+        raise NotImplementedError
+
+
+class Kill(Fault):
+    """kill -9, and a new process at once, or after a while."""
+
+    def __init__(self, part: str) -> None:
+        self.part = part
+        self.name = f"kill -9 {part}"
+
+    def inflict(self, cell: Cell, dice: random.Random) -> None:
+        cell.parts[self.part].kill()
+        time.sleep(dice.choice((0.0, 0.0, 0.4)))
+        cell.parts[self.part].start()
+
+
+class Restart(Fault):
+    """SIGTERM, and a new process."""
+
+    def __init__(self, part: str) -> None:
+        self.part = part
+        self.name = f"restart {part}"
+
+    def inflict(self, cell: Cell, dice: random.Random) -> None:
+        if not cell.parts[self.part].terminate():
+            raise AssertionError(f"{self.part} did not end within 15 s of SIGTERM")
+        cell.parts[self.part].start()
+
+
+class Stop(Fault):
+    """SIGSTOP, a while, SIGCONT."""
+
+    def __init__(self, part: str) -> None:
+        self.part = part
+        self.name = f"stop {part}"
+        self.accounted = TOPICS
+
+    def inflict(self, cell: Cell, dice: random.Random) -> None:
+        cell.parts[self.part].send(signal.SIGSTOP)
+        time.sleep(dice.uniform(0.05, 1.2))
+        cell.parts[self.part].send(signal.SIGCONT)
+
+
+class KillTwo(Fault):
+    """Two of the parts die at the same moment."""
+
+    name = "kill -9 two at once"
+
+    def inflict(self, cell: Cell, dice: random.Random) -> None:
+        names = dice.sample(sorted(cell.parts), 2)
+        for name in names:
+            cell.parts[name].send(signal.SIGKILL)
+        for name in names:
+            cell.parts[name].kill()
+            cell.parts[name].start()
+
+
+class Flood(Fault):
+    """Ten times the configured rate, in both directions."""
+
+    name = "flood"
+    accounted = TOPICS
+
+    def inflict(self, cell: Cell, dice: random.Random) -> None:
+        cell.ledger.control["flood"] = 10
+        time.sleep(dice.uniform(0.5, 1.5))
+        cell.ledger.control["flood"] = 1
+
+
+class Hang(Fault):
+    """A subscriber that is stopped while ten times as much comes as it is used to."""
+
+    name = "subscriber hangs in a flood"
+    accounted = IN
+
+    def inflict(self, cell: Cell, dice: random.Random) -> None:
+        cell.parts["subscriber"].send(signal.SIGSTOP)
+        cell.ledger.control["flood"] = 10
+        time.sleep(dice.uniform(1.0, 2.0))
+        cell.ledger.control["flood"] = 1
+        # The PLC's way may not depend on a subscriber that hangs.
+        cell.wait(_reaches_plc(cell), "the bridge carries to the PLC while a subscriber hangs")
+        cell.parts["subscriber"].send(signal.SIGCONT)
+
+
+def _reaches_plc(cell: Cell) -> Callable[[], bool]:
+    marks = cell.marks()
+    return lambda: not set(cell.flows(marks)) & set(IN)
+
+
+class Remove(Fault):
+    """Objects are unlinked: some, or all with their lock files."""
+
+    def __init__(self, everything: bool) -> None:
+        self._all = everything
+        self.name = "all files removed" if everything else "objects removed"
+
+    def inflict(self, cell: Cell, dice: random.Random) -> None:
+        names = sorted(cell.objects())
+        if self._all:
+            cell.remove(path.name for path in SHM.glob(f"*{cell.prefix}*"))
+        else:
+            cell.remove(dice.sample(names, dice.randint(1, len(names))))
+        cell.wait(lambda: cell.expected_objects() <= cell.objects(), "the objects are made again")
+
+
+class Full(Fault):
+    """No room in shared memory while objects have to be made again."""
+
+    def __init__(self, nearly: bool) -> None:
+        self._nearly = nearly
+        self.name = "shared memory nearly full" if nearly else "shared memory full"
+
+    def missing(self, cell: Cell) -> str:
+        return "" if cell.private else "needs a /dev/shm of its own: root, and mount namespaces"
+
+    def inflict(self, cell: Cell, dice: random.Random) -> None:
+        before = cell.said("SHM117")
+        filler = SHM / "filler"
+        try:
+            with filler.open("wb") as file, contextlib.suppress(OSError):
+                leave = 16384 if self._nearly else 0
+                room = os.statvfs(SHM)
+                os.posix_fallocate(file.fileno(), 0, room.f_bavail * room.f_frsize - leave)
+            # What is removed stays mapped, and its memory in use: there is really no room.
+            cell.remove([cell.namespace.object_name(topic) for topic in TOPICS])
+            cell.wait(lambda: cell.said("SHM117") > before, "the bridge says that there is no room")
+        finally:
+            filler.unlink(missing_ok=True)
+
+
+class Limit(Fault):
+    """The bridge may open no further file, or take no further memory, while its objects are removed."""
+
+    def __init__(self, what: str) -> None:
+        self._what = what
+        self.name = f"no further {what}"
+        self.may_end = True
+
+    def inflict(self, cell: Cell, dice: random.Random) -> None:
+        bridge = cell.parts["bridge"]
+        kind = resource.RLIMIT_NOFILE if self._what == "descriptor" else resource.RLIMIT_AS
+        before = resource.prlimit(bridge.pid, kind)
+        resource.prlimit(bridge.pid, kind, (self._now(bridge.pid), before[1]))
+        cell.remove([cell.namespace.object_name(topic) for topic in OUT])
+        time.sleep(dice.uniform(1.2, 2.5))
+        if bridge.alive:
+            resource.prlimit(bridge.pid, kind, before)
+        cell.ensure()
+
+    def _now(self, pid: int) -> int:
+        if self._what == "descriptor":
+            return len(os.listdir(f"/proc/{pid}/fd"))  # noqa: PTH208
+        lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+        return 1024 * next(int(line.split()[1]) for line in lines if line.startswith("VmSize:"))
+
+
+class Clock(Fault):
+    """The wall clock of the bridge's process jumps, by an hour, a year, back."""
+
+    name = "clock steps"
+
+    def missing(self, cell: Cell) -> str:
+        return "" if any(path.exists() for path in _FAKETIME) else "Debian package faketime is missing"
+
+    def inflict(self, cell: Cell, dice: random.Random) -> None:
+        bridge = cell.parts["bridge"]
+        clock = cell.folder / "clock"
+        clock.write_text("+0")
+        honest = dict(bridge.environment)
+        bridge.environment |= {
+            "LD_PRELOAD": str(next(path for path in _FAKETIME if path.exists())),
+            "FAKETIME_TIMESTAMP_FILE": str(clock),
+            "FAKETIME_CACHE_DURATION": "1",
+            "DONT_FAKE_MONOTONIC": "1",
+            "FAKETIME_DONT_FAKE_MONOTONIC": "1",
+        }
+        try:
+            bridge.terminate()
+            bridge.start()
+            cell.await_flow(cell.marks())
+            for step in dice.sample((3600, -3600, 365 * 86400, -30), 2):
+                clock.write_text(f"{step:+d}")
+                cell.wait(_shifted(cell, step), f"the bridge's clock is {step:+d} s off")
+                cell.await_flow(cell.marks())
+        finally:
+            bridge.environment = honest
+            bridge.terminate()
+            bridge.start()
+            for path in SHM.glob("*faketime_s*") if cell.private else ():
+                path.unlink()  # libfaketime's own, which it leaves if its process ends by a signal
+
+
+def _shifted(cell: Cell, step: int) -> Callable[[], bool]:
+    def is_shifted() -> bool:
+        off = int(cell.ledger.control["stamp_ns"]) / 1e9 - time.time()
+        return abs(off - step) < 10
+
+    return is_shifted
+
+
+class Reload(Fault):
+    """The configuration is changed while running: topics added, removed, changed."""
+
+    name = "configuration reloaded"
+    accounted = ("/soak/in", "/soak/out")
+
+    def inflict(self, cell: Cell, dice: random.Random) -> None:
+        extra = cell.extra
+        for topic in dice.sample(sorted(extra), dice.randint(0, len(extra))):
+            del extra[topic]
+        for topic in sorted(extra):
+            extra[topic] = _entry(dice)
+        for number in dice.sample(range(8), dice.randint(0, 3)):
+            extra[f"/soak/extra{number}"] = _entry(dice)
+        # The two topics that are not accounted for change, too: in manner, or in their layout.
+        manner = dice.choice((", qos: {depth: 500}", ", rate_limit: 1ms", ", stale_after: 3s", ""))
+        cell.options["/soak/in_newest"] = manner
+        cell.options["/soak/out_newest"] = f", limits: {{data: {CAPACITY + dice.randint(0, 8)}}}"
+        cell.write_config()
+        cell.hang_up("has reloaded its configuration")
+        cell.wait(lambda: cell.objects() == cell.expected_objects(), "objects are those of the new file")
+
+
+def _entry(dice: random.Random) -> str:
+    kind = dice.choice(("std_msgs/msg/String", "geometry_msgs/msg/Twist", "sensor_msgs/msg/JointState"))
+    limits = f", limits: {{string: {dice.randint(8, 200)}}}" if "Twist" not in kind else ""
+    return f"{{type: {kind}, to: {dice.choice(('plc', 'ros'))}{limits}}}"
+
+
+class Refused(Fault):
+    """A file that is wrong, or changes what cannot change, is refused; nothing happens."""
+
+    name = "wrong configuration refused"
+    accounted = TOPICS
+
+    def inflict(self, cell: Cell, dice: random.Random) -> None:
+        cell.write_config(dice.choice(("tick: 3ms", "tick: nonsense", "nonsense: 1", "topics: [")))
+        cell.hang_up("the new configuration is refused")
+        cell.write_config()
+        cell.hang_up("has reloaded its configuration")
+
+
+class Quiet(Fault):
+    """Nothing happens: what is missing then is missing for no reason."""
+
+    name = "nothing"
+    accounted = TOPICS
+
+    def inflict(self, cell: Cell, dice: random.Random) -> None:
+        time.sleep(dice.uniform(0.2, 1.0))
+
+
+_PARTS = ("bridge", "plc", "publisher", "subscriber")
+FAULTS: tuple[Fault, ...] = (
+    *(Kill(part) for part in _PARTS),
+    *(Restart(part) for part in _PARTS),
+    *(Stop(part) for part in _PARTS),
+    KillTwo(),
+    Flood(),
+    Hang(),
+    Remove(everything=False),
+    Remove(everything=True),
+    Full(nearly=False),
+    Full(nearly=True),
+    Limit("descriptor"),
+    Limit("memory"),
+    Clock(),
+    Reload(),
+    Refused(),
+    Quiet(),
+)
+
+
+def faults_for(cell: Cell) -> tuple[Fault, ...]:
+    """Return the faults that there are with a cell's backend."""
+    return (*FAULTS, Kill("hub"), Restart("hub"), Stop("hub")) if "hub" in cell.parts else FAULTS

@@ -1,0 +1,111 @@
+"""What a campaign found, for people and as JSON."""
+
+from __future__ import annotations
+
+import statistics
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from soak.campaign import Outcome
+
+__all__ = ["figure", "summary", "to_json"]
+
+
+def _percentile(values: list[float], share: float) -> float:
+    ordered = sorted(values)
+    return ordered[min(len(ordered) - 1, round(share * (len(ordered) - 1)))]
+
+
+def _by_fault(outcome: Outcome) -> dict[str, dict[str, Any]]:
+    table = {}
+    for name in sorted({one.fault for one in outcome.rounds}):
+        rounds = [one for one in outcome.rounds if one.fault == name]
+        times = [one.recovery_s for one in rounds if not one.violations]
+        table[name] = {
+            "rounds": len(rounds),
+            "survived": sum(not one.violations for one in rounds),
+            "recovery_p50_s": round(statistics.median(times), 3) if times else None,
+            "recovery_p99_s": round(_percentile(times, 0.99), 3) if times else None,
+            "recovery_max_s": round(max(times), 3) if times else None,
+        }
+    return table
+
+
+def to_json(outcome: Outcome) -> dict[str, Any]:
+    """Return everything as plain data; times in seconds, memory in KiB."""
+    return {
+        "seed": outcome.seed,
+        "backend": outcome.backend,
+        "seconds": round(outcome.seconds, 1),
+        "rounds": len(outcome.rounds),
+        "messages": outcome.messages,
+        "violations": outcome.violations,
+        "faults": _by_fault(outcome),
+        "skipped": outcome.skipped,
+        "unaccounted_per_round_with_a_death": outcome.unaccounted,
+        "growth_kb": outcome.growth_kb,
+        "log": [asdict(one) for one in outcome.rounds],
+        "samples": outcome.samples,
+    }
+
+
+def summary(outcome: Outcome) -> str:
+    """Return the table that is printed at the end."""
+    lines = [
+        "",
+        "| fault | rounds | survived | recovery p50 | p99 | max |",
+        "| --- | ---: | ---: | ---: | ---: | ---: |",
+    ]
+    for name, row in _by_fault(outcome).items():
+        times = [row[f"recovery_{key}_s"] for key in ("p50", "p99", "max")]
+        shown = " | ".join("–" if value is None else f"{value:.2f} s" for value in times)
+        lines.append(f"| {name} | {row['rounds']} | {row['survived']} | {shown} |")
+    lines.append("")
+    lines += [f"not tried: {name}: {why}" for name, why in outcome.skipped.items()]
+    if outcome.unaccounted:
+        lines.append(
+            f"messages that nobody counted, in {len(outcome.unaccounted)} rounds in which something died: "
+            f"median {statistics.median(outcome.unaccounted):.0f}, most {max(outcome.unaccounted)}"
+        )
+    grown = ", ".join(f"{name} {kb} KiB" for name, kb in outcome.growth_kb.items())
+    lines.append(f"the most that a settled process has grown: {grown or 'none lived long enough'}")
+    lines.append(
+        f"{len(outcome.rounds)} rounds in {outcome.seconds:.0f} s over {outcome.backend}, "
+        f"{outcome.messages} messages, {len(outcome.violations)} violations, seed {outcome.seed}"
+    )
+    lines += [f"violated: {text}" for text in outcome.violations]
+    return "\n".join(lines)
+
+
+def figure(outcome: Outcome, path: Path) -> None:
+    """Draw memory and descriptors over time; a line ends where a process died."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt
+
+    drawn, (memory, files) = plt.subplots(2, 1, sharex=True, figsize=(9, 5))
+    names = [name for name in outcome.samples[0] if name not in ("round", "seconds")]
+    for colour, name in enumerate(names):
+        lives: dict[int, list[tuple[float, int, int]]] = {}
+        for sample in outcome.samples:
+            if name in sample:
+                use = sample[name]
+                point = (sample["seconds"] / 60, use["private_kb"] // 1024, use["files"])
+                lives.setdefault(use["pid"], []).append(point)
+        for index, points in enumerate(lives.values()):
+            label = name if index == 0 else None
+            minutes = [point[0] for point in points]
+            for axis, column in ((memory, 1), (files, 2)):
+                values = [point[column] for point in points]
+                axis.plot(minutes, values, f"C{colour}.-", linewidth=0.8, markersize=2, label=label)
+    memory.set_ylabel("memory of its own, MiB")
+    files.set_ylabel("descriptors")
+    files.set_xlabel("minutes")
+    memory.legend(loc="upper left", ncols=len(names), fontsize=8)
+    for axis in (memory, files):
+        axis.set_ylim(bottom=0)
+        axis.grid(alpha=0.3)
+    drawn.tight_layout()
+    drawn.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None)

@@ -1,0 +1,16 @@
+"""A Zenoh router as a process of its own."""
+
+from __future__ import annotations
+
+import sys
+import threading
+
+import zenoh
+
+if __name__ == "__main__":
+    config = zenoh.Config()
+    config.insert_json5("mode", '"router"')
+    config.insert_json5("listen/endpoints", f'["{sys.argv[1]}"]')
+    config.insert_json5("scouting/multicast/enabled", "false")
+    session = zenoh.open(config)
+    threading.Event().wait()
