@@ -86,12 +86,13 @@ def _lines(axes: Any, figure: Figure) -> None:
         axes.set_xscale("log")
         ticks = sorted({x for series in figure.series for x in series.x})
         if len(ticks) <= _MOST_TICKS:
-            axes.set_xticks(ticks, [f"{tick:,.0f}" for tick in ticks], minor=False, fontsize=8)
+            axes.set_xticks(ticks, [_tick(tick, figure.x_label) for tick in ticks], minor=False, fontsize=8)
             axes.minorticks_off()
     if figure.y_log:
         axes.set_yscale("log")
     axes.set_xlabel(figure.x_label)
     axes.set_ylabel(figure.y_label)
+    _plain_numbers(axes.yaxis, figure.y_label)
     # Beside the lines and in the order of their ends: a dozen names inside would cover what they name.
     handles, names = axes.get_legend_handles_labels()
     ends = {series.name: series.y[-1] if series.y else 0.0 for series in figure.series}
@@ -104,6 +105,25 @@ def _lines(axes: Any, figure: Figure) -> None:
         fontsize=8,
         frameon=False,
     )
+
+
+def _tick(value: float, label: str) -> str:
+    if label == "bytes":
+        for unit, name in ((1 << 20, "MiB"), (1 << 10, "KiB")):
+            if value >= unit:
+                return f"{value / unit:,.0f} {name}"
+    return f"{value:,.0f}"
+
+
+def _plain_numbers(axis: Any, label: str) -> None:
+    """Write seconds as µs and ms, and other numbers with thousands apart: few people read powers of ten."""
+    from matplotlib import ticker
+
+    if label == "s":
+        axis.set_major_formatter(ticker.EngFormatter("s"))
+        axis.set_label_text("duration")
+    elif axis.get_scale() == "log":
+        axis.set_major_formatter(ticker.FuncFormatter(lambda value, _: f"{value:,.12g}"))
 
 
 def _bars(axes: Any, figure: Figure) -> None:
@@ -123,3 +143,4 @@ def _bars(axes: Any, figure: Figure) -> None:
         axes.margins(x=0.15)
     axes.bar_label(bars, labels=[cell_text(float(value)) for value in values], padding=3, fontsize=8)
     axes.set_xlabel(figure.y_label)
+    _plain_numbers(axes.xaxis, figure.y_label)

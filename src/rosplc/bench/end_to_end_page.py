@@ -107,7 +107,8 @@ def _lead(data: Mapping[str, Any]) -> tuple[str, ...]:
         "client in the bridge. OPC UA: one node per field, an array being one node, as a PLC's symbol "
         "configuration has it; the client writes and reads all nodes of a message in one request. All "
         "PLC programs are Python; the task may interrupt the server anywhere, as a task of higher "
-        "priority does.",
+        "priority does (the interpreter may switch between the two every 50 µs). The same code counts "
+        "torn messages for all three ways.",
         f"Each way carries messages at {data['rate_hz']:g} per second first, with random gaps, then as "
         "many as come back, one under way at a time.",
     )

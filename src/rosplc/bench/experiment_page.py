@@ -186,9 +186,9 @@ def _after(found: Found) -> tuple[str, ...]:
         "Each cycle includes the two additions and one look at the clock, the same for every contender of a "
         "language: 100 additions and about 25 ns in C, one numpy addition of 100 numbers per side in Python.",
         "The same for all: the same 200 bytes each way, both processes pinned and started before, a "
-        "connection or session that stays, a warm-up that does not count, one message under way at a time. In Python "
-        "rosplc's two methods are called as they are; where a contender needs several calls for one message, "
-        "or a comparison to find what is new, a function of a few lines joins them, as its users would write "
-        "it. In each round every contender has its turn, in another order, and a ratio is the median of the "
-        "rounds' ratios.",
+        "connection or session that stays, a warm-up that does not count, one message under way at a time. "
+        "In Python rosplc's two methods are called as they are; where a contender needs several calls for "
+        "one message, or a comparison to find what is new, a function of a few lines joins them, as its "
+        "users would write it. In each round every contender has its turn, in another order, and a ratio is"
+        " the median of the rounds' ratios.",
     )

@@ -166,7 +166,7 @@ def _figures(runs: list[Mapping[str, Any]], methods: list[str], cycles: list[int
             ]
             if points and not (what == "calls_ns" and method == "none"):
                 x, y = zip(*points, strict=True)
-                group = "rosplc" if method == "rosplc" else ""
+                group = "rosplc" if method.startswith("rosplc") else ""
                 series.append(Series(NAMES[method], x, y, group=group))
     return (
         Figure(

@@ -84,7 +84,7 @@ def _series(names: Mapping[str, str], found: Mapping[str, Mapping[int, float]], 
             name,
             tuple(map(float, found[key])),
             tuple(y(x, ns) for x, ns in found[key].items()),
-            group="rosplc" if key == "rosplc" else "",
+            group="rosplc" if key.startswith("rosplc") else "",
         )
         for key, name in names.items()
         if key in found
