@@ -80,7 +80,8 @@ class Realtime:
         before, self._before = self._before, None
         if before is not None:
             policy, parameters, processors = before
-            os.sched_setscheduler(0, policy, parameters)
+            if os.sched_getscheduler(0) != policy:
+                os.sched_setscheduler(0, policy, parameters)
             os.sched_setaffinity(0, processors)
 
     def settled(self) -> None:

@@ -14,6 +14,7 @@ from benchmarks import (
     bench_bridge_load,
     bench_channel,
     bench_classic,
+    bench_realtime,
     measure,
 )
 from rosplc.layout import Limits
@@ -148,3 +149,12 @@ def test_the_benchmark_of_all_backends() -> None:
         row["name"].partition(",")[0].partition("-")[0] for t in report["tables"] for row in t["rows"]
     }  # type: ignore[attr-defined]
     assert titles <= named | measured
+
+
+@pytest.mark.serial
+def test_the_real_time_benchmark() -> None:
+    """Both bridges carry every message, on the machine as it is and beside endless loops."""
+    if not bench_realtime.permitted():
+        pytest.skip("this user may not use SCHED_FIFO")
+    for table in rows(bench_realtime.run(1, count=20)).values():
+        assert [row["count"] for row in table.values()] == [20, 20]

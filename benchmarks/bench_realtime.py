@@ -1,0 +1,134 @@
+"""What `realtime:` changes at the PLC while other programs want every processor.
+
+usage: python benchmarks/bench_realtime.py [--rounds N] [--json]
+
+Two bridges run beside each other, one as an ordinary process, one with SCHED_FIFO, locked memory and the
+garbage collector off. One publisher sends to both by turns, and one reader, which stands for a fast PLC
+task, measures how old each message is when it finds it; so both bridges meet the same machine. It is done
+on the machine as it is and with two endless loops per processor beside it. Publisher and reader have
+priorities of their own above the bridge's.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+if __name__ == "__main__":
+    sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from benchmarks import measure
+from benchmarks.processes import Peer, bridge, ros_domain
+from benchmarks.realtime_peers import TOPIC, TYPE
+
+ORDINARY, FIFO = "ordinary", "fifo"
+SETTINGS = {ORDINARY: "{}", FIFO: "{policy: fifo, priority: 20, lock_memory: true, gc: off}"}
+HOGS_PER_CORE = 2
+_HOG = "while True: pass"
+
+
+def config(name: str, prefix: str) -> str:
+    """Return the configuration of one of the bridges."""
+    return "\n".join(
+        (
+            f"bridge: {prefix}",
+            f"prefix: {prefix}",
+            "ros: {backend: dds, distro: jazzy}",
+            f"realtime: {SETTINGS[name]}",
+            f"topics: {{{TOPIC.format(name)}: {{type: {TYPE}, to: plc, every: true, depth: 1024}}}}",
+            "",
+        )
+    )
+
+
+def permitted() -> bool:
+    """Return whether this process may use SCHED_FIFO at all."""
+    before = os.sched_getscheduler(0), os.sched_getparam(0)
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(60))
+    except PermissionError:
+        return False
+    os.sched_setscheduler(0, *before)
+    return True
+
+
+@contextmanager
+def hogs(count: int) -> Iterator[None]:
+    """Keep processors busy with endless loops of ordinary priority."""
+    running = [subprocess.Popen([sys.executable, "-c", _HOG]) for _ in range(count)]
+    try:
+        time.sleep(0.2 if running else 0.0)
+        yield
+    finally:
+        for each in running:
+            each.kill()
+            each.wait()
+
+
+def one_round(source: Peer, plc: Peer, rate: int, count: int) -> dict[str, list[float]]:
+    """Return the ages in microseconds by bridge."""
+    source.tell(f"{rate} {count}")
+    source.hear()
+    time.sleep(0.3)
+    plc.tell("")
+    ages: dict[str, list[float]] = plc.hear()["ages"]
+    return ages
+
+
+def table_of(title: str, rounds: list[dict[str, list[float]]]) -> dict[str, Any]:
+    """Return a table with the ratio of the 99th percentiles, the median over the rounds."""
+    ratio = statistics.median(
+        measure.percentile(one[FIFO], 99) / measure.percentile(one[ORDINARY], 99) for one in rounds
+    )
+    rows = []
+    for name, words in ((ORDINARY, "ordinary process"), (FIFO, "SCHED_FIFO 20, memory locked, gc off")):
+        values = [value for one in rounds for value in one[name]]
+        worst = max(values)
+        rows.append(
+            {
+                **measure.row(f"{words} (oldest: {worst / 1000:.1f} ms)", values),
+                "p99_ratio": 1.0 if name == ORDINARY else ratio,
+            }
+        )
+    return measure.table(title, "µs", "bridge: woken by DDS; PLC: sleeps 0.2 ms between looks", rows)
+
+
+def run(rounds: int, rate: int = 200, count: int = 400) -> dict[str, Any]:
+    """Measure in ``rounds`` rounds; returns a :func:`measure.report`."""
+    if not permitted():
+        raise SystemExit("this user may not use SCHED_FIFO (see docs/howto/real-time.md): nothing to compare")
+    before = measure.environment()
+    prefixes = {name: f"bench-{name[0]}-{secrets.token_hex(4)}" for name in SETTINGS}
+    cores = len(os.sched_getaffinity(0))
+    loads = {"nothing else started": 0, f"{HOGS_PER_CORE} endless loops per core": HOGS_PER_CORE * cores}
+    found: dict[str, list[dict[str, list[float]]]] = {title: [] for title in loads}
+    with ExitStack() as stack:
+        domain = stack.enter_context(ros_domain())
+        for name, prefix in prefixes.items():
+            folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+            stack.enter_context(bridge(folder, config(name, prefix), domain))
+        order = {"prefixes": prefixes}
+        source = stack.enter_context(Peer("realtime_peers", "source", order, domain))
+        plc = stack.enter_context(Peer("realtime_peers", "plc", order, domain))
+        for peer in (source, plc):
+            peer.hear()
+        one_round(source, plc, rate, 10)  # everything has run once before anything counts
+        for _ in range(rounds):
+            for title, number in loads.items():
+                with hogs(number):
+                    found[title].append(one_round(source, plc, rate, count))
+    tables = [table_of(f"Age at the PLC, {rate} Hz, {title}", values) for title, values in found.items()]
+    return measure.report(tables, before)
+
+
+if __name__ == "__main__":
+    measure.main(run, __doc__, 5)
