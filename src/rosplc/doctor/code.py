@@ -83,7 +83,7 @@ def _difference(block: Block, plan: TopicPlan) -> str:
     if block.layout_id == layout.layout_id:
         return ""
     sizes = "" if block.record_size == layout.size else f" ({block.record_size} and {layout.size} bytes)"
-    return f"layout {block.layout_id} in the code, {layout.layout_id} by the configuration{sizes}"
+    return f"layout {block.layout_id} in {block.name}, {layout.layout_id} by the configuration{sizes}"
 
 
 def against_live(code: Generated, objects: Objects, directory: Path) -> Iterator[Finding]:

@@ -129,7 +129,7 @@ class _Examination:
         if q.code is not None:
             yield Probe("generated PLC code", Area.CODE, self._generated, 20.0)
         if self._project is not None and q.ros and self._chosen != "memory":
-            yield Probe("the ROS graph", Area.GRAPH, self._graph, q.seconds + 30.0)
+            yield Probe("the ROS graph", Area.GRAPH, self._graph, q.seconds + 40.0)
 
     # What the configuration says.
 

@@ -26,7 +26,7 @@ __all__ = ["NODE", "main", "see_graph"]
 
 NODE = "rosplc_doctor"
 _PROGRAM = "from rosplc.doctor.look import main; main()"
-_START_S = 20.0
+_START_S = 30.0
 """How long the process may take beyond its look: imports, joining, leaving."""
 _LEAST_S = 1.0
 _STEADY_S = 1.0

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
 import threading
 from pathlib import Path
 
@@ -18,7 +20,7 @@ from rosplc.doctor.machine import logout
 from rosplc.doctor.packages import backend, needed
 from rosplc.doctor.probe import Probe, run_probe
 from rosplc.doctor.processes import find_runtimes, shm_mount
-from rosplc.doctor.rights import File, may_use, rights, runtimes
+from rosplc.doctor.rights import File, may_use, rights, runtimes, same_memory
 from rosplc.errors import BackendError
 from rosplc.plc.build import ProjectOptions
 from rosplc.plc.delivery import project_files, write_files
@@ -226,6 +228,29 @@ def test_the_last_mount_covers_the_others(stage: Stage) -> None:
     path.write_text("1 0 8:1 / / ro - ext4 x rw\nnonsense\n")
     mount = shm_mount(path)
     assert mount is not None and (mount.point, mount.read_only) == ("/", True)
+
+
+def test_a_mount_namespace_of_its_own_is_seen(stage: Stage) -> None:
+    """A process with another /dev/shm, as in a container, is told from one with the same."""
+    own = shm_mount(Path("/proc/self/mountinfo"))
+    script = "mount -t tmpfs tmpfs /dev/shm && echo ready && exec sleep 60"
+    with subprocess.Popen(
+        ["unshare", "--mount", "sh", "-c", script],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    ) as other:
+        try:
+            assert other.stdout is not None
+            if other.stdout.readline() != "ready\n":
+                pytest.skip("this user may not make a mount namespace")
+            for pid in (other.pid, os.getpid()):
+                stage.process(pid, mount=Path(f"/proc/{pid}/mountinfo").read_text())
+        finally:
+            other.kill()
+    found = find_runtimes(stage.root / "proc")
+    seen = {each.pid: bool(problems(same_memory([each], own))) for each in found}
+    assert seen == {other.pid: True, os.getpid(): False}
 
 
 @pytest.mark.parametrize(
