@@ -30,8 +30,15 @@ def orders() -> Iterator[dict[str, Any]]:
         yield json.loads(line)
 
 
-def in_background(serve: Callable[[Callable[[], None]], Any]) -> threading.Thread:
-    """Run an event loop in a thread of its own; return that when ``serve`` says that it is ready."""
+def in_background(
+    serve: Callable[[Callable[[], None]], Any], seconds: float = WATCHDOG_S
+) -> threading.Thread:
+    """Run an event loop in a thread of its own; return that when ``serve`` says that it is ready.
+
+    Args:
+        serve: Called with what it calls when it is ready.
+        seconds: How long that may take.
+    """
     ready = threading.Event()
     failed: list[BaseException] = []
 
@@ -44,7 +51,7 @@ def in_background(serve: Callable[[Callable[[], None]], Any]) -> threading.Threa
 
     thread = threading.Thread(target=run, name="loop", daemon=True)
     thread.start()
-    if not ready.wait(WATCHDOG_S):
+    if not ready.wait(seconds):
         raise TimeoutError("the event loop does not become ready")
     if failed:
         raise failed[0]

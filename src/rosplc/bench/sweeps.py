@@ -33,8 +33,8 @@ from rosplc.bench.sweeps_contenders import (
     twist,
 )
 from rosplc.bench.sweeps_page import PAYLOAD_NAMES, TOPIC_NAMES, render
-from rosplc.bench.sweeps_server import FIELDS
-from rosplc.errors import ChannelError
+from rosplc.bench.sweeps_server import FIELDS, START_SECONDS
+from rosplc.errors import ChannelError, SetupError
 
 __all__ = ["SECTION", "run"]
 
@@ -171,7 +171,11 @@ class Around:
         port = free_port()
         side = Side(f"{package} server", python("sweeps_server", method, str(port), str(self._most)))
         stack.callback(side.close)
-        side.hear_json(WATCHDOG_S)
+        try:
+            side.hear_json(START_SECONDS + WATCHDOG_S)
+        except SetupError as error:  # the others go on
+            context.fail(f"sweeps over {package}", error.what)
+            return 0
         return port
 
     def payload(self, size: int, stack: ExitStack) -> list[Contender]:

@@ -12,12 +12,14 @@ from collections.abc import Callable
 
 from rosplc.bench.end_to_end_child import in_background, orders, say
 
-__all__ = ["FIELDS", "REGISTERS", "URN", "main"]
+__all__ = ["FIELDS", "REGISTERS", "START_SECONDS", "URN", "main"]
 
 REGISTERS = 65536
 FIELDS = 6
 """Numbers of a topic: those of a Twist."""
 URN = "urn:rosplc:sweeps"
+START_SECONDS = 300.0
+"""asyncua makes some hundred nodes per second, on a small board tens; there are 6,000 in a full run."""
 
 
 async def modbus(port: int, _topics: int, ready: Callable[[], None]) -> None:
@@ -58,7 +60,7 @@ def main() -> None:
     logging.disable(logging.WARNING)
     serve = {"modbus": modbus, "opcua": opcua}[sys.argv[1]]
     port, topics = int(sys.argv[2]), int(sys.argv[3])
-    in_background(lambda ready: serve(port, topics, ready))
+    in_background(lambda ready: serve(port, topics, ready), START_SECONDS)
     say(ready=True)
     for _ in orders():
         pass

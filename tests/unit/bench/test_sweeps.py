@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -80,3 +81,15 @@ def test_contenders_of_other_sections_start_nothing(context: Context) -> None:
     context.only = ("iceoryx2",)
     assert sweeps.run(context) == {}
     assert not context.skips
+
+
+def test_a_server_that_does_not_come_up_takes_no_other_along(
+    context: Context, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A server that ends or hangs is a failure with its name; shared memory is measured all the same."""
+    monkeypatch.setitem(sweeps._EFFORTS, "quick", {**EFFORT, "sizes": (8,), "topics": (1,)})
+    monkeypatch.setattr(sweeps, "python", lambda *_: [sys.executable, "-c", "raise SystemExit(3)"])
+    context.only = ("asyncua", "rosplc-python")
+    data = sweeps.run(context)
+    assert [each.what for each in context.failures] == ["sweeps over asyncua"]
+    assert {one["contender"] for one in data["payload"]} == {"rosplc-python"}
