@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
+import select
 import signal
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from queue import Empty, SimpleQueue
+from contextlib import contextmanager, suppress
 from types import FrameType
 
 from rosplc.bridge.engine import Bridge
@@ -15,7 +17,7 @@ from rosplc.bridge.status import BridgeStatus
 from rosplc.bridge.topic import log
 from rosplc.errors import BackendError, RosplcError
 
-__all__ = ["run_until_signal", "stop_on_signals"]
+__all__ = ["News", "run_until_signal", "stop_on_signals"]
 
 _SAME_SIGNAL_S = 0.2
 
@@ -79,20 +81,61 @@ def run_until_signal(
         BackendError: ROS015, the ROS side has ended for good; whoever started this program may start
             it again.
     """
-    news: SimpleQueue[int | str] = SimpleQueue()  # its put() may be called from a signal's handler
-    bridge.on_ended = news.put
-    with stop_on_signals(news.put) as stop, bridge:
-        while not stop.is_set():
-            try:
-                item = news.get(timeout=seconds if report is not None else None)
-            except Empty:
-                if report is not None:
+    with News() as news:
+        bridge.on_ended = news.put
+        with stop_on_signals(news.put) as stop, bridge:
+            while not stop.is_set():
+                items = news.wait(seconds if report is not None else None)
+                if not items and report is not None:
                     report(bridge.status())
-                continue
-            if isinstance(item, str):
-                raise BackendError("ROS015", item)
-            if item == signal.SIGHUP:
-                _reload(bridge)
+                for item in items:
+                    if isinstance(item, str):
+                        raise BackendError("ROS015", item)
+                    if item == signal.SIGHUP:
+                        _reload(bridge)
+
+
+class News:
+    """What the main thread waits for; a context manager.
+
+    A signal may come at the moment before a thread begins to wait for a lock or a queue: its handler would
+    then run after the wait, which may be never. The interpreter writes into this pipe as a signal comes.
+    """
+
+    def __init__(self) -> None:
+        self._items: deque[int | str] = deque()
+        self._read, self._write = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+        self._before = -1
+
+    def __enter__(self) -> News:
+        self._before = signal.set_wakeup_fd(self._write, warn_on_full_buffer=False)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        signal.set_wakeup_fd(self._before)
+        # The descriptors stay until nobody refers to this: another thread may be about to put something.
+
+    def __del__(self) -> None:
+        os.close(self._read)
+        os.close(self._write)
+
+    def put(self, item: int | str) -> None:
+        """Add an item; from any thread, and from a signal's handler."""
+        self._items.append(item)
+        with suppress(BlockingIOError):  # full: the reader wakes up anyway
+            os.write(self._write, b"+")
+
+    def wait(self, seconds: float | None) -> list[int | str]:
+        """Return what has come; an empty list if nothing has within the time."""
+        end = None if seconds is None else time.monotonic() + seconds
+        while not self._items:
+            rest = None if end is None else end - time.monotonic()
+            if rest is not None and rest <= 0:
+                return []
+            if select.select([self._read], [], [], rest)[0]:
+                with suppress(BlockingIOError):
+                    os.read(self._read, 4096)
+        return [self._items.popleft() for _ in range(len(self._items))]
 
 
 def _reload(bridge: Bridge) -> None:

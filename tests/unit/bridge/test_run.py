@@ -6,12 +6,18 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from rosplc.bridge import Bridge, parse_config
+from rosplc.bridge.run import News, run_until_signal
+from rosplc.errors import BackendError
+from rosplc.model import TypeStore
+from rosplc.ros.memory import open_backend
 from rosplc.shm import Namespace, attach
 from tests.unit.bridge.conftest import wait_for
 
@@ -112,3 +118,43 @@ def test_kill_and_restart(run: object, shm_namespace: Namespace) -> None:
         found.valid()
         assert found.still_there()
         assert found.identity.generation == generation
+
+
+def test_a_signal_just_before_the_wait_is_not_lost() -> None:
+    """Where the handler has not run yet when the wait begins, the signal ends the wait all the same."""
+    with News() as news:
+        before = signal.signal(signal.SIGHUP, lambda number, _: news.put(number))
+        try:
+            # What the interpreter's C handler does, without its Python half: that runs once the wait is over.
+            os.write(news._write, b"\x01")
+            kill = threading.Timer(0.2, news.put, [7])
+            kill.start()
+            assert news.wait(20.0) == [7]
+            os.kill(os.getpid(), signal.SIGHUP)
+            assert news.wait(20.0) == [signal.SIGHUP]
+            assert news.wait(0.01) == []
+        finally:
+            signal.signal(signal.SIGHUP, before)
+
+
+def test_many_hang_ups_reload_once_more(run: object, config: Path, shm_namespace: Namespace) -> None:
+    """However many signals come while a file is read, what the file holds at last is what runs at last."""
+    process = run()  # type: ignore[operator]
+    for number in range(20):
+        config.write_text(config.read_text() + f"  /more{number}: {{type: std_msgs/msg/Int32, to: plc}}\n")
+        process.send_signal(signal.SIGHUP)
+    wait_for(lambda: shm_namespace.path("/more19").exists())
+    process.terminate()
+    assert process.wait(timeout=20) == 0
+
+
+def test_a_backend_that_ends_ends_the_program(tmp_path: Path, shm_namespace: Namespace) -> None:
+    """A node that was told to leave is an error with its reason: whoever watches may start it again."""
+    backend = open_backend(TypeStore.bundled("jazzy"), "told", domain=40)
+    bridge = Bridge(parse_config(f"prefix: {shm_namespace.prefix}\nros: {{backend: memory}}\n"), backend)
+    threading.Timer(0.2, setattr, [backend, "ended", "somebody told it to leave"]).start()
+    with pytest.raises(BackendError, match="somebody told it to leave") as found:
+        run_until_signal(bridge)
+    assert found.value.code == "ROS015"
+    assert not bridge.status().running
+    backend.close()
