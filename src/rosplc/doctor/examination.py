@@ -110,13 +110,13 @@ class _Examination:
         if q.config is not None:
             yield Probe("the configuration", Area.CONFIG, self._read_config, 20.0)
         yield Probe("the machine", Area.MACHINE, self._machine)
-        yield Probe("what happens at log-out", Area.MACHINE, self._logout)
         yield Probe("installed packages", Area.MACHINE, self._packages)
         yield Probe("the ways into ROS", Area.MACHINE, self._backend, 30.0)
         yield Probe("/dev/shm", Area.MEMORY, self._memory)
         yield Probe("objects in shared memory", Area.MEMORY, self._look_at_objects, 10.0)
         if self._objects is not None:
             yield Probe("left-overs", Area.MEMORY, self._leftovers)
+        yield Probe("what happens at log-out", Area.MACHINE, self._logout)
         if self._classic:
             yield Probe("classic memories and locks", Area.MEMORY, self._classic_objects)
         yield Probe("PLC runtimes", Area.PLC, self._plc)
@@ -159,13 +159,13 @@ class _Examination:
             return
         if self._uid != 0 and uid not in (None, self._uid):
             what = f"shm.owner is {settings.owner}, and {user_name(self._uid)} may not give files away"
-            yield kind("DOC502").found(what, f"Start the bridge as {settings.owner}, or remove shm.owner.")
+            remedy = f"Start the bridge as {settings.owner}, or remove shm.owner."
+            yield kind("DOC502").found(what, remedy, level=Level.WARNING)
         elif self._uid != 0 and gid is not None and gid not in {os.getegid(), *os.getgroups()}:
             what = f"shm.group is {settings.group}, and {user_name(self._uid)} is not in it"
+            remedy = "Put the bridge's user into the group, and log in again."
             command = f"sudo usermod --append --groups {settings.group} {user_name(self._uid)}"
-            yield kind("DOC502").found(
-                what, "Put the bridge's user into the group, and log in again.", command
-            )
+            yield kind("DOC502").found(what, remedy, command, level=Level.WARNING)
         else:
             yield kind("DOC502").fine(
                 "objects can be given to the owner and group that the configuration names"
@@ -206,7 +206,9 @@ class _Examination:
         yield from machine.real_time(priority, locked, held)
 
     def _logout(self) -> Iterator[Finding]:
-        uid = self._owner_id()
+        # Whose objects are there already is who the bridge runs as; the doctor may be asked by another.
+        seen = leftovers.concerned(self._objects or Objects(), self._prefix)
+        uid = max((each.status.st_uid for each in seen), default=self._owner_id())
         return machine.logout(self._q.root, uid, user_name(uid))
 
     def _owner_id(self) -> int:

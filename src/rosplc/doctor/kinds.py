@@ -52,7 +52,7 @@ _register("DOC205", _A, _N, "objects that no bridge holds", "A bridge that stopp
 _register("DOC206", _A, _W, "objects that the configuration does not have", "They have the configuration's prefix, but no topic of it: another bridge uses this prefix, or a topic was removed.", "Remove them, if no other configuration has this prefix.")
 _register("DOC207", _A, _N, "temporaries", "A bridge was killed while it made an object. The next start removes them.", "Start the bridge, or remove them.")
 _register("DOC208", _A, _N, "retired objects", "A bridge was killed between retiring an object and making its successor. The next start replaces them.", "Start the bridge.")
-_register("DOC209", _A, _E, "objects of another user", "A bridge of this user could not take them over (SHM119).", "Remove them as their owner, or run the bridge as that user.")
+_register("DOC209", _A, _W, "objects of another user", "Nobody holds them, and a bridge of the user who asked the doctor could not take them over (SHM119).", "Start the bridge as their owner, or remove them.")
 _register("DOC210", _A, _W, "objects that are open to everybody", "Every user of this machine may read or change what the robot and the PLC tell each other.", "Restrict shm.mode, and give the objects to one group.")
 _register("DOC211", _A, _E, "damaged objects", "Another program wrote into them, or uses the name; a PLC refuses them.", "Restart the bridge: it replaces objects that are its own.")
 _register("DOC212", _A, _E, "plain files at the objects' names", "A link, a folder or a device stands at an object's name; rosplc never follows it (SHM121).", "Remove it.")
@@ -84,7 +84,7 @@ _register("DOC410", _A, _W, "this machine's address in ROS 1", "Other nodes are 
 
 _A = Area.CONFIG
 _register("DOC501", _A, _E, "the configuration", "It cannot be used; `rosplc check` shows the same.", "Correct the named key.")
-_register("DOC502", _A, _E, "owner and group of the objects", "The configuration gives the objects to somebody that this machine does not know, or that this user may not give them to.", "Create the user or group, or start the bridge as a user who is in it.")
+_register("DOC502", _A, _E, "owner and group of the objects", "The configuration gives the objects to somebody that this machine does not know; or, as a warning, whom the user who asked the doctor may not give them to.", "Create the user or group, or start the bridge as a user who is in it.")
 
 _A = Area.GRAPH
 _register("DOC510", _A, _E, "joining the ROS graph", "The doctor could not join it, and the bridge would fare alike.", "See what it says.")
