@@ -94,7 +94,7 @@ class ZenohBackend:
             self._session, self._session_id = session, str(session.zid())
             node = self._entity("NN", "0")
             # "Direct": otherwise the library starts a thread; and our own tokens come this way, too.
-            see = zenoh.handlers.Callback(self._see, indirect=False)
+            see = zenoh.handlers.Callback(self._see, None, indirect=False)  # 1.5 has no default there
             liveliness = session.liveliness()
             self._declared = [
                 liveliness.declare_token(node.token),

@@ -163,7 +163,7 @@ class ZenohSubscription(_Endpoint):
 
     def _declare(self, session: Any) -> list[Any]:
         # "Direct": otherwise the library starts a thread for every subscriber.
-        receive = zenoh.handlers.Callback(self.arrived, indirect=False)
+        receive = zenoh.handlers.Callback(self.arrived, None, indirect=False)
         if self.qos.durability == "volatile":
             return [session.declare_subscriber(self._key, receive)]
         reliable = self.qos.reliability == "reliable"
