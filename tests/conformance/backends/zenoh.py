@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from typing import Any, ClassVar
 
-from tests.conformance.backends.base import Abilities, Harness
+from tests.conformance.backends.base import Abilities, Harness, Peer
 from tests.interop.graphs import wait_for
 from tests.interop.zenoh.processes import Router, free_port
 
@@ -50,6 +50,19 @@ class ZenohHarness(Harness):
         self.router.kill()
         time.sleep(silent_s)
         self.router.start()
+
+    def foreign_peers(self) -> tuple[str, ...]:
+        """Return the other project's implementation, if it is installed."""
+        return ("sdk",) if importlib.util.find_spec("zenoh_ros2_sdk") else ()
+
+    def foreign(self, which: str, name: str) -> Peer:
+        """Start a process on zenoh-ros2-sdk."""
+        from tests.interop.zenoh.sdk import SdkPeer
+
+        assert self.domain is not None
+        peer = SdkPeer(self.router.port, self.domain)
+        self.stack.callback(peer.kill)
+        return peer
 
     def rogue(self, topic: str, type_name: str) -> Callable[[bytes], object]:
         """Put bytes on the topic's key with a proper attachment."""

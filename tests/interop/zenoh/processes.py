@@ -44,6 +44,7 @@ class Router:
         prefix: tuple[str, ...] = (),
         address: str = "127.0.0.1",
     ) -> None:
+        self.port = port
         self.endpoint = f"tcp/{address}:{port}"
         self._command = [*prefix, python, str(_HERE / "router.py"), self.endpoint, *connect]
         self._process: subprocess.Popen[str] | None = None

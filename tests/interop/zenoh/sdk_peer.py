@@ -1,14 +1,16 @@
-"""A peer on zenoh-ros2-sdk: ``sdk_peer.py PORT DOMAIN pub|sub TOPIC TYPE DEFINITION QOS [VALUES]``.
+"""A peer on zenoh-ros2-sdk: ``sdk_peer.py PORT DOMAIN``, told by lines of JSON what to do.
 
-Nothing of the project is imported. Definition and values are JSON: a list of messages, each with
-its fields. A publisher sends what standard input tells, ``go`` for all of them; a subscriber
-prints each message as a line of JSON.
+Nothing of the project is imported. It takes ``subscribe`` or ``advertise`` (a topic, with ``type``,
+``definition`` and ``qos``) and ``publish`` (a topic, with ``messages``: each its fields), and prints
+``{"ready": topic}`` and ``{"heard": topic, "message": fields}``.
 """
 
 from __future__ import annotations
 
 import json
 import sys
+import threading
+import time
 from typing import Any
 
 import numpy as np
@@ -17,44 +19,63 @@ from zenoh_ros2_sdk import ROS2Publisher, ROS2Subscriber
 ARRAYS = {"values": np.float64, "flags": np.bool_, "raw": np.uint8}
 """Fields that are arrays → what they are arrays of."""
 
+PORT, DOMAIN = int(sys.argv[1]), int(sys.argv[2])
+_writing = threading.Lock()
+_endpoints: dict[str, Any] = {}
+
+
+def say(**words: object) -> None:
+    """Print one line whole, from whatever thread."""
+    with _writing:
+        sys.stdout.write(json.dumps(words) + "\n")
+        sys.stdout.flush()
+
 
 def plain(value: Any) -> Any:
-    """Return a message's field as JSON has it."""
+    """Return a message or a field of one as JSON has it."""
     if hasattr(value, "tolist"):
         return value.tolist()
     if isinstance(value, list | tuple):
         return [plain(one) for one in value]
+    if hasattr(value, "__dataclass_fields__"):
+        return {name: plain(getattr(value, name)) for name in value.__dataclass_fields__ if name[0] != "_"}
     return value
 
 
-def main() -> None:
-    """Do what the arguments say until standard input ends."""
-    port, domain, role, topic, kind, definition, qos, *values = sys.argv[1:]
-    common: dict[str, Any] = {
-        "msg_definition": definition,
-        "domain_id": int(domain),
-        "router_port": int(port),
-        "qos": qos or None,
+def given(fields: dict[str, Any]) -> dict[str, Any]:
+    """Return a message's fields as the SDK takes them."""
+    return {k: np.array(v, ARRAYS[k]) if k in ARRAYS else v for k, v in fields.items()}
+
+
+def obey(order: dict[str, Any]) -> None:
+    """Carry out one line."""
+    common = {
+        "msg_definition": order.get("definition"),
+        "domain_id": DOMAIN,
+        "router_port": PORT,
+        "qos": order.get("qos") or None,
     }
-    if role == "pub":
-        publisher = ROS2Publisher(topic, kind, **common)
-        print("ready", flush=True)
-        for _ in sys.stdin:
-            for fields in json.loads(values[0]):
-                publisher.publish(
-                    **{k: np.array(v, ARRAYS[k]) if k in ARRAYS else v for k, v in fields.items()}
-                )
-        publisher.close()
-    else:
-        names = json.loads(values[0])
+    if topic := order.get("subscribe"):
+        heard = lambda message: say(heard=topic, message=plain(message))  # noqa: E731
+        _endpoints[f"in {topic}"] = ROS2Subscriber(topic, order["type"], callback=heard, **common)
+        say(ready=topic)
+    elif topic := order.get("advertise"):
+        _endpoints[topic] = ROS2Publisher(topic, order["type"], **common)
+        say(ready=topic)
+    elif topic := order.get("publish"):
+        # As a ROS node waits for subscribers: what is put before one is known goes nowhere.
+        while order.get("wait") and not _endpoints[topic].pub.matching_status.matching:
+            time.sleep(0.005)
+        for fields in order["messages"]:
+            _endpoints[topic].publish(**given(fields))
 
-        def show(message: Any) -> None:
-            print(json.dumps({name: plain(getattr(message, name)) for name in names}), flush=True)
 
-        subscriber = ROS2Subscriber(topic, kind, callback=show, **common)
-        print("ready", flush=True)
-        sys.stdin.read()
-        subscriber.close()
+def main() -> None:
+    """Obey until standard input ends."""
+    for line in sys.stdin:
+        obey(json.loads(line))
+    for endpoint in _endpoints.values():
+        endpoint.close()
 
 
 if __name__ == "__main__":

@@ -2,14 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-import json
-import subprocess
-import sys
-import threading
-import time
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,9 +14,10 @@ pytest.importorskip("zenoh_ros2_sdk")
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from rosplc.model import TypeStore
-from rosplc.ros import Backend, Qos, open_backend
-from tests.interop.graphs import wait_for
+from rosplc.ros import LATCHED, Backend, Qos, open_backend
+from tests.interop.graphs import STRING, string, text_of, wait_for
 from tests.interop.zenoh.processes import Router, free_port
+from tests.interop.zenoh.sdk import TRANSIENT_LOCAL, SdkPeer
 
 pytestmark = pytest.mark.timeout(120)
 
@@ -76,61 +70,78 @@ def node(request: pytest.FixtureRequest, port: int) -> Iterator[Backend]:
     backend.close()
 
 
-@contextlib.contextmanager
-def sdk(port: int, role: str, kind: str, values: object, qos: str = "") -> Iterator[subprocess.Popen[str]]:
-    script = str(Path(__file__).with_name("sdk_peer.py"))
-    command = [sys.executable, script, str(port), str(DOMAIN), role, "/data", kind, DEFINITIONS[kind], qos]
-    pipe = subprocess.PIPE
-    with subprocess.Popen([*command, json.dumps(values)], stdin=pipe, stdout=pipe, text=True) as process:
-        assert process.stdout is not None
-        try:
-            for line in process.stdout:
-                if line.strip() == "ready":
-                    break
-            yield process
-        finally:
-            # Killed, it would leave a segment of the library's in /dev/shm.
-            assert process.stdin is not None
-            process.stdin.close()
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(10)
-            process.kill()
+@pytest.fixture
+def sdk(port: int) -> Iterator[SdkPeer]:
+    with SdkPeer(port, DOMAIN) as peer:
+        yield peer
 
 
 @pytest.mark.parametrize("kind", DEFINITIONS)
-def test_values_from_the_sdk(node: Backend, port: int, kind: str) -> None:
+def test_values_from_the_sdk(node: Backend, sdk: SdkPeer, kind: str) -> None:
     """What the SDK publishes arrives value by value, from a type hash that both computed themselves."""
     got: list[bytes] = []
     subscription = node.subscribe("/data", kind, Qos(depth=100), lambda data, _: got.append(data))
-    with sdk(port, "pub", kind, VALUES[kind]) as peer:
-        wait_for(lambda: subscription.matched == 1)
-        assert peer.stdin is not None
-
-        while len(got) < 5:  # the way changes while peers connect, and what is under way then is lost
-            peer.stdin.write("go\n")
-            peer.stdin.flush()
-            time.sleep(0.2)
-        expected = [serialized(kind, fields) for fields in VALUES[kind]]
-        assert [data + bytes(-len(data) % 4) for data in got[:5]] == expected
+    outbox = sdk.advertise("/data", kind, definition=DEFINITIONS[kind])
+    outbox.publish(*VALUES[kind])
+    wait_for(lambda: len(got) == 5)
+    assert [data + bytes(-len(data) % 4) for data in got] == [serialized(kind, f) for f in VALUES[kind]]
+    assert subscription.matched == 1
+    sdk.close()
     wait_for(lambda: subscription.matched == 0)
-    assert subscription.status().rejected == 0
+    status = subscription.status()
+    assert (status.rejected, status.dropped) == (0, 0)
 
 
 @pytest.mark.parametrize("kind", DEFINITIONS)
-def test_values_to_the_sdk(node: Backend, port: int, kind: str) -> None:
-    """What the backend publishes arrives at the SDK value by value, in order."""
+def test_values_to_the_sdk(node: Backend, sdk: SdkPeer, kind: str) -> None:
+    """What the backend publishes arrives at the SDK value by value, in order, from the first one on."""
     publisher = node.advertise("/data", kind, Qos(depth=100))
-    first, *rest = VALUES[kind]
-    heard: list[dict[str, Any]] = []
-    with sdk(port, "sub", kind, list(first)) as peer:
-        assert peer.stdout is not None
-        thread = threading.Thread(target=lambda: heard.extend(map(json.loads, peer.stdout)), daemon=True)
-        thread.start()
-        wait_for(lambda: publisher.matched == 1)
-        while not heard:  # the way changes while peers connect, and what is under way then is lost
-            assert publisher.write(serialized(kind, first))
-            time.sleep(0.05)
-        for fields in rest:
-            assert publisher.write(serialized(kind, fields))
-        wait_for(lambda: heard[-1] == rest[-1])
-    assert [fields for fields in heard if fields != first] == rest
+    inbox = sdk.subscribe("/data", kind, definition=DEFINITIONS[kind])
+    wait_for(lambda: publisher.matched == 1)
+    for fields in VALUES[kind]:
+        assert publisher.write(serialized(kind, fields))
+    wait_for(lambda: len(inbox.messages) == 5)
+    assert inbox.messages == VALUES[kind]
+
+
+def test_one_message_is_enough(node: Backend, sdk: SdkPeer) -> None:
+    """What is sent once, in the moment in which a subscriber has matched, arrives."""
+    for topic in [f"/once{number}" for number in range(10)]:
+        publisher = node.advertise(topic, STRING, Qos())
+        inbox = sdk.subscribe(topic, wait=False)
+        while not publisher.matched:
+            pass
+        assert publisher.write(string("once"))
+        wait_for(lambda i=inbox: i.messages)
+        assert inbox.messages == [{"data": "once"}]
+
+
+def test_late_sdk_subscriber_gets_the_newest(node: Backend, sdk: SdkPeer) -> None:
+    """The SDK asks our cache; it keeps one answer per key, so that it shows the newest message alone."""
+    publisher = node.advertise("/map", STRING, Qos(durability="transient_local", depth=10))
+    for number in range(5):
+        publisher.write(string(str(number)))
+    # It asks once, in the moment in which it subscribes: its links have to stand by then.
+    ready = node.advertise("/ready", STRING, Qos())
+    heard = sdk.subscribe("/ready")
+    wait_for(lambda: ready.matched)
+    ready.write(string("now"))
+    wait_for(lambda: heard.messages)
+    inbox = sdk.subscribe("/map", qos=TRANSIENT_LOCAL)
+    wait_for(lambda: publisher.matched and inbox.messages)
+    publisher.write(string("now"))
+    wait_for(lambda: len(inbox.messages) == 2)
+    assert [message["data"] for message in inbox.messages] == ["4", "now"]
+
+
+def test_sdk_publisher_without_a_cache(node: Backend, sdk: SdkPeer) -> None:
+    """The SDK says transient_local and keeps nothing: our late subscription hears what comes then."""
+    outbox = sdk.advertise("/map", qos=TRANSIENT_LOCAL)
+    outbox.publish({"data": "old"}, wait=False)
+    sdk.advertise("/done")  # it does one thing after the other
+    got: list[bytes] = []
+    subscription = node.subscribe("/map", STRING, LATCHED, lambda data, _: got.append(data))
+    wait_for(lambda: subscription.matched)
+    outbox.publish({"data": "new"})
+    wait_for(lambda: got)
+    assert list(map(text_of, got)) == ["new"]
