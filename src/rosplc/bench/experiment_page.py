@@ -7,9 +7,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rosplc.bench import source
+from rosplc.bench.arrangements import ONE_CORE, TWO_CORES
 from rosplc.bench.experiment_goals import goals
 from rosplc.bench.experiment_summary import summary
 from rosplc.bench.found import Found, durations, group_of
+from rosplc.bench.markdown import cell_text
 from rosplc.bench.results import Cell, Figure, Page, Series, Table
 from rosplc.bench.stats import shown
 
@@ -180,7 +182,20 @@ def _rate_figure(arrangement: Mapping[str, Any]) -> Figure:
 def _after(found: Found) -> tuple[str, ...]:
     wrong = sum(each["wrong"] for arrangement in found for each in arrangement["contenders"])
     runs = sum(each["runs"] for arrangement in found for each in arrangement["contenders"])
+    requests = [
+        f"{cell_text(ratio)} times as long as rosplc's in C ({words})"
+        for arrangement, words in (
+            (TWO_CORES, "two cores, rosplc spinning"),
+            (ONE_CORE, "one core, both asleep"),
+        )
+        if (ratio := found.ratio(arrangement.name, "libmodbus-fc23", "rosplc-c")) is not None
+    ]
+    combined = (
+        "libmodbus with the one request that writes and reads (FC23), which the goals do not use because "
+        f"the source wrote and read apart, takes {' and '.join(requests)}.",
+    )
     return (
+        *(combined if requests else ()),
         f"Torn, lost or repeated messages would leave other values than twice the number of cycles: "
         f"**{wrong} of {runs} runs** did.",
         "Each cycle includes the two additions and one look at the clock, the same for every contender of a "

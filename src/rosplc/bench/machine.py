@@ -22,6 +22,7 @@ def describe() -> dict[str, Any]:
         "processor": _processor(),
         "architecture": platform.machine(),
         "cores": len(os.sched_getaffinity(0)),
+        "threads_of_one_core": _threads_of_one_core(),
         "virtual": " hypervisor " in _read("/proc/cpuinfo"),
         "governor": _read("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor").strip() or "unknown",
         "kernel": f"{platform.system()} {platform.release()} {platform.version()}",
@@ -51,6 +52,17 @@ def _processor() -> str:
         if line.startswith(("model name", "Model")):
             return line.partition(":")[2].strip()
     return _read("/proc/device-tree/model").strip("\0\n ") or platform.machine()
+
+
+def _threads_of_one_core() -> bool:
+    """Return whether the two processors that are measured on are threads of one core, as the kernel knows."""
+    used = sorted(os.sched_getaffinity(0))[:2]
+    siblings = _read(f"/sys/devices/system/cpu/cpu{used[0]}/topology/thread_siblings_list").strip()
+    together: set[int] = set()
+    for part in filter(None, siblings.split(",")):
+        first, _, last = part.partition("-")
+        together.update(range(int(first), int(last or first) + 1))
+    return len(used) == 2 and used[1] in together
 
 
 def _first_line(*command: str) -> str:

@@ -120,8 +120,9 @@ def _machine(report: Report) -> list[str]:
     kind = "virtual machine" if facts["virtual"] else "machine"
     versions = ", ".join(f"{name} {number}" for name, number in facts["versions"].items() if number != "none")
     effort = report.options["effort"]
+    shared = " (the two measured on are threads of one core)" if facts.get("threads_of_one_core") else ""
     return [
-        f"{facts['processor']}, {kind} with {facts['cores']} cores, {facts['kernel']}, "
+        f"{facts['processor']}, {kind} with {facts['cores']} cores{shared}, {facts['kernel']}, "
         f"frequency governor {facts['governor']}, on {facts['when']}. Python {facts['python']}, {versions}, "
         f"libmodbus {facts['libmodbus']}, {facts['compiler']}. Load average {_numbers(facts['load_before'])} "
         f"before and {_numbers(facts['load_after'])} after. Effort: {effort['name']}, "
