@@ -35,7 +35,9 @@ def test_a_holder_is_seen_and_its_death_too(shm_namespace: Namespace) -> None:
     try:
         until(child, "ready")
         (seen,) = look(shm_namespace).objects
-        assert seen.topic == TOPIC and seen.held and seen.bridge_beats and not seen.plc_beats
+        while not seen.bridge_beats:  # on a machine with much else to do; pytest's timeout is the watchdog
+            (seen,) = look(shm_namespace).objects
+        assert seen.topic == TOPIC and seen.held and not seen.plc_beats
     finally:
         child.kill()
         child.communicate()
