@@ -99,22 +99,10 @@ def oldest(tmp_path_factory: pytest.TempPathFactory) -> Path:
     version = ".".join([*wish[1].split("."), "0", "0"][:3])
     folder = tmp_path_factory.mktemp("zenoh")
     # Bounded, since a machine without a network is no failure of the backend.
-    pip = [
-        sys.executable,
-        "-m",
-        "pip",
-        "install",
-        "--quiet",
-        "--retries",
-        "1",
-        "--timeout",
-        "30",
-        "--no-deps",
-    ]
+    bounds = ["--quiet", "--retries", "1", "--timeout", "30"]
+    pip = [sys.executable, "-m", "pip", "install", *bounds, "--no-deps", "--target", str(folder)]
     wanted = f"eclipse-zenoh=={version}"
-    done = subprocess.run(
-        [*pip, "--target", str(folder), wanted], capture_output=True, text=True, check=False
-    )
+    done = subprocess.run([*pip, wanted], capture_output=True, text=True, check=False)
     if done.returncode:
         why = (done.stderr.strip().splitlines() or ["pip says nothing"])[-1]
         pytest.skip(f"{wanted} cannot be installed here: {why}")
@@ -133,7 +121,7 @@ def test_router_of_the_oldest_version(stack: ExitStack, oldest: Path, mode: str)
     crosses(there, here, "/back")
 
 
-@pytest.mark.verify(minutes=5)
+@pytest.mark.verify(minutes=3)
 @pytest.mark.timeout(600)
 def test_oldest_version_passes_the_suite(oldest: Path) -> None:
     """The backend passes the suite of all backends on the oldest version of the library that it allows."""
