@@ -14,7 +14,7 @@ import tempfile
 from pathlib import Path
 
 from soak.campaign import Campaign
-from soak.cell import Cell
+from soak.cell import Cell, WatchdogError
 from soak.faults import faults_for
 from soak.report import figure, summary, to_json
 
@@ -82,6 +82,11 @@ def main() -> int:
                 outcome = campaign.run(rounds, options.minutes * 60, options.logs)
             except KeyboardInterrupt:
                 outcome = campaign.outcome
+            except WatchdogError as error:
+                print(f"the cell did not start: {error}", file=sys.stderr)
+                if options.logs is not None:
+                    cell.keep_logs(options.logs)
+                return 1
         finally:
             cell.close()
     print(summary(outcome))

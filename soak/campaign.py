@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import signal
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
@@ -147,6 +148,10 @@ class Campaign:
         """After a round that did not end well: everything anew, so that the next says something again."""
         cell = self._cell
         cell.ledger.control["flood"] = 1
+        for part in cell.parts.values():
+            part.send(signal.SIGCONT)
+            part.send(signal.SIGABRT)  # the log then tells where each thread was
+        time.sleep(0.5)
         for part in cell.parts.values():
             part.kill()
         cell.write_config()

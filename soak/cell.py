@@ -71,7 +71,7 @@ class Cell:
 
     def _environment(self) -> dict[str, str]:
         kept = {key: value for key, value in os.environ.items() if not key.startswith(("ROS", "CYCLONEDDS"))}
-        kept["PYTHONPATH"] = str(ROOT)
+        kept |= {"PYTHONPATH": str(ROOT), "PYTHONFAULTHANDLER": "1"}  # SIGABRT: where every thread is
         if self.backend == "rospy":
             kept |= {"ROS_MASTER_URI": f"http://127.0.0.1:{self._port}", "ROS_IP": "127.0.0.1"}
         else:

@@ -36,8 +36,10 @@ class Usage:
     private_kb: int
 
 
-def _die_with_parent() -> None:
+def _prepare() -> None:
+    """In the child: die with the campaign, and heed SIGHUP though nohup may have started the campaign."""
     _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 class Part:
@@ -83,7 +85,7 @@ class Part:
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,
-                preexec_fn=_die_with_parent,
+                preexec_fn=_prepare,
             )
 
     def send(self, number: signal.Signals) -> None:
