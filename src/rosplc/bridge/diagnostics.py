@@ -129,6 +129,8 @@ def _values(topic: TopicStatus) -> dict[str, str]:
         "recovered": str(topic.recovered),
         "reason": topic.reason,
     }
+    if topic.deadlines_missed:
+        values["deadlines missed"] = str(topic.deadlines_missed)
     if (classic := topic.classic) is not None:
         values["classic memory"] = f"{classic.memory}, {classic.bytes} bytes"
         values["lock"] = classic.lock

@@ -204,6 +204,11 @@ def _layout(
 def _plan(config: Config, topic: str, entry: TopicSettings, task: str, layout: Layout) -> TopicPlan:
     to_plc = entry.to == "plc"
     qos = _qos(entry)
+    backend = config.settings.ros.backend
+    if qos.promises and (backend not in ("auto", "dds") or layout.store.ros_version == 1):
+        what = f"deadline and lease are carried by the dds backend alone; ros.backend is {backend}"
+        where = config.source.place(("topics", topic, "qos"))
+        raise ConfigError("CFG004", what, where=where, remedy="Remove them; stale_after needs neither.")
     classic = classic_plan(config, topic, entry, task)
     every = entry.every if entry.every is not None else not to_plc and classic is None
     stale = entry.stale_after_ns if entry.stale_after_ns is not None else _STALE_NS[entry.to]
@@ -241,7 +246,13 @@ def _qos(entry: TopicSettings) -> Qos:
     durability = asked.durability or base.durability
     if entry.latched is not None:
         durability = "transient_local" if entry.latched else "volatile"
-    return Qos(asked.reliability or base.reliability, durability, asked.depth or base.depth)
+    return Qos(
+        asked.reliability or base.reliability,
+        durability,
+        asked.depth or base.depth,
+        deadline_ns=asked.deadline_ns or 0,
+        lease_ns=asked.lease_ns or 0,
+    )
 
 
 def _slots(config: Config, topic: str, entry: TopicSettings, task: str, record_size: int, every: bool) -> int:

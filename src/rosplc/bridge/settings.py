@@ -280,6 +280,18 @@ class QosSettings(_Section):
     depth: StrictInt | None = _f(
         None, "How many messages wait at most (in ROS 1: `queue_size`).", ge=1, le=100_000
     )
+    deadline_ns: Interval | None = _f(
+        None,
+        "`dds` only: the longest time between two messages. `to: plc` asks publishers for it, and one that "
+        "does not offer it is not received; `to: ros` offers it to subscribers. What is missed is counted.",
+        alias="deadline",
+    )
+    lease_ns: Annotated[Duration, between("100ms", "1h")] | None = _f(
+        None,
+        "`dds` only: how long after its last sign of life a publisher counts as gone (automatic "
+        "liveliness), 100ms to 1h. Asked for and offered as `deadline` is.",
+        alias="lease",
+    )
 
 
 def _qos(value: Any) -> Any:

@@ -81,6 +81,7 @@ class TopicStatus:
         lost: Messages that came too fast, or while there was no object or no room.
         refused: Messages that could not be converted or that the other side refused.
         truncated: Messages passed on with something cut off.
+        deadlines_missed: Times that the QoS' deadline passed without a message; 0 where there is none.
         rate_hz: Messages that came in per second, over the last seconds.
         age_ns: Time since the last message came in; None before the first.
         stale: Whether that is longer than the topic allows.
@@ -111,6 +112,7 @@ class TopicStatus:
     lost: int = 0
     refused: int = 0
     truncated: int = 0
+    deadlines_missed: int = 0
     rate_hz: float = 0.0
     age_ns: int | None = None
     stale: bool = False

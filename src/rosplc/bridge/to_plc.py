@@ -45,6 +45,7 @@ class ToPlc(Topic):
 
     def join(self, backend: Backend) -> None:
         """Subscribe."""
+        self._check_backend(backend)
         plan = self.plan
         self._subscription = backend.subscribe(plan.topic, plan.type_name, plan.qos, self.on_message)
 

@@ -53,6 +53,7 @@ class ToRos(Topic):
 
     def join(self, backend: Backend) -> None:
         """Advertise."""
+        self._check_backend(backend)
         plan = self.plan
         self._publisher = backend.advertise(plan.topic, plan.type_name, plan.qos)
         if self._substitute is not None:

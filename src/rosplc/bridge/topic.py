@@ -12,7 +12,7 @@ from rosplc.bridge.repeats import QUIET_NS, RepeatedWarnings
 from rosplc.bridge.resolve import TopicPlan
 from rosplc.bridge.status import ClassicStatus, TopicStatus
 from rosplc.codec import Codec, Wire
-from rosplc.errors import ChannelError, RosplcError
+from rosplc.errors import BackendError, ChannelError, RosplcError
 from rosplc.ros import Backend, EndpointStatus
 from rosplc.shm import Liveness, Namespace, OwnedChannel, Region
 
@@ -155,6 +155,12 @@ class Topic(ABC):
     @abstractmethod
     def join(self, backend: Backend) -> None:
         """Subscribe or advertise."""
+
+    def _check_backend(self, backend: Backend) -> None:
+        """Raise BackendError ROS019 if the backend would pass over what the topic's QoS promises."""
+        if self.plan.qos.promises and "deadline" not in backend.capabilities:
+            what = f"the {backend.name} backend carries neither deadline nor lease"
+            raise BackendError("ROS019", what, where=self.plan.topic)
 
     @abstractmethod
     def leave(self) -> None:
@@ -323,6 +329,7 @@ class Topic(ABC):
             lost=self._lost(endpoint),
             refused=count.refused + (endpoint.rejected if endpoint else 0),
             truncated=count.truncated,
+            deadlines_missed=endpoint.late if endpoint else 0,
             rate_hz=self._rate,
             age_ns=None if self.last_ns is None else max(0, now_ns - self.last_ns),
             stale=bool(plan.stale_after_ns) and now_ns - since > plan.stale_after_ns,

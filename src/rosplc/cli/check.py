@@ -103,6 +103,8 @@ def _topic_facts(project: Project, plan: TopicPlan) -> dict[str, Any]:
             "reliability": plan.qos.reliability,
             "durability": plan.qos.durability,
             "depth": plan.qos.depth,
+            "deadline_ms": plan.qos.deadline_ns / 1e6,
+            "lease_ms": plan.qos.lease_ns / 1e6,
         },
         "stale_after_ms": plan.stale_after_ns / 1e6,
         "on_stale": _stale_facts(plan),
@@ -216,6 +218,15 @@ def _sieve(plan: TopicPlan) -> str:
     return ", ".join(words)
 
 
+def _qos_words(plan: TopicPlan) -> str:
+    from rosplc.bridge.quantities import format_duration
+
+    qos = plan.qos
+    words = [qos.reliability, qos.durability, f"depth {qos.depth}"]
+    times = (("deadline", qos.deadline_ns), ("lease", qos.lease_ns))
+    return ", ".join([*words, *(f"{word} {format_duration(ns)}" for word, ns in times if ns)])
+
+
 def _when_silent(project: Project, plan: TopicPlan) -> str:
     """Say in plain words what happens while the topic's source says nothing."""
     from rosplc.bridge.quantities import format_duration
@@ -287,7 +298,7 @@ def _explain(project: Project) -> None:
             ),
             *([] if plan.classic is None else _classic_rows(plan, plan.classic)),
             ("takes", f"{how}; PLC task {plan.task}"),
-            ("QoS", f"{plan.qos.reliability}, {plan.qos.durability}, depth {plan.qos.depth} ({qos})"),
+            ("QoS", f"{_qos_words(plan)} ({qos})"),
             ("stale after", stale),
             ("when silent", _when_silent(project, plan)),
         ]

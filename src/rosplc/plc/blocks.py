@@ -162,7 +162,7 @@ END_IF;
 Degrade := xStale;""",
         "BOOL",
         "PRIVATE",
-        "What msg is while it is stale: at every scan, so that a state found at the start does not show either.",
+        "What msg is while it is stale: at every scan, so that a state found at the start does not show.",
     )
 
 

@@ -76,6 +76,7 @@ class EndpointStatus:
         last_ns: When the last message was received or sent (ns since 1970, own clock); 0: never.
         reason: In words, what keeps peers from matching, or what is doubtful; empty if all is well.
         code: The error code that goes with ``reason``; empty if there is none.
+        late: Times that a promised deadline passed without a message; 0 where none was promised.
     """
 
     topic: str
@@ -89,6 +90,7 @@ class EndpointStatus:
     last_ns: int = 0
     reason: str = ""
     code: str = ""
+    late: int = 0
 
     @property
     def received(self) -> int:
@@ -112,6 +114,7 @@ class EndpointInfo:
         node: The full name of its node; empty if the peer does not say.
         qos: Its settings; ``depth`` is not announced and stands at 1.
         type_hash: The type hash it announces; empty if none.
+        obstacles: Its other settings that keep a plain ROS endpoint from matching, in words.
     """
 
     topic: str
@@ -120,6 +123,7 @@ class EndpointInfo:
     node: str
     qos: Qos
     type_hash: str = ""
+    obstacles: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,7 +202,7 @@ class Backend(Protocol):
     """The backend's name, as ``ros.backend`` in the configuration has it."""
 
     capabilities: frozenset[str]
-    """What it can carry: ``topics`` so far."""
+    """What it can carry: ``topics``, and ``deadline`` if it keeps what a QoS promises in time."""
 
     def subscribe(self, topic: str, type_name: str, qos: Qos, on_message: OnMessage) -> Subscription:
         """Receive a topic.

@@ -1,8 +1,8 @@
 """Quality of service of a topic, in ROS 2's words, and when two settings fit each other.
 
-Only what a message bridge needs: reliability, durability and how many messages wait. The
-rules of :func:`incompatibility` are DDS's "requested versus offered" (DDS 1.4, 2.2.3); in
-ROS 2 documentation: "About Quality of Service settings", QoS compatibilities.
+Only what a message bridge needs: reliability, durability, how many messages wait, and what was promised
+about their coming. The rules of :func:`incompatibility` are DDS's "requested versus offered" (DDS 1.4,
+2.2.3); in ROS 2 documentation: "About Quality of Service settings", QoS compatibilities.
 """
 
 from __future__ import annotations
@@ -41,6 +41,10 @@ class Qos:
             come later (ROS 1: latched), ``volatile`` keeps none.
         depth: Messages that wait at most; the oldest give way.
         history: ``keep_last`` alone: a queue without a bound has no place beside a PLC.
+        deadline_ns: The longest time between two messages that is promised, or asked for; 0: none. Only
+            backends with the capability ``deadline`` carry it.
+        lease_ns: How long after its last sign of life a publisher counts as gone, as promised or asked for;
+            0: none. The middleware gives the signs ("automatic" liveliness). The same capability.
 
     Raises:
         BackendError: ROS007, if a value is none of these.
@@ -50,6 +54,8 @@ class Qos:
     durability: Durability = "volatile"
     depth: int = 10
     history: History = "keep_last"
+    deadline_ns: int = 0
+    lease_ns: int = 0
 
     def __post_init__(self) -> None:
         for name, allowed in _ALLOWED.items():
@@ -57,6 +63,15 @@ class Qos:
                 raise BackendError("ROS007", f"{name} is {value!r}; it can be {' or '.join(allowed)}")
         if not isinstance(self.depth, int) or isinstance(self.depth, bool) or not 1 <= self.depth <= _MOST:
             raise BackendError("ROS007", f"depth is {self.depth!r}; it is a whole number from 1 up")
+        for name in ("deadline_ns", "lease_ns"):
+            time = getattr(self, name)
+            if not isinstance(time, int) or isinstance(time, bool) or not 0 <= time < 2**63 - 1:
+                raise BackendError("ROS007", f"{name} is {time!r}; it is a number of nanoseconds, 0 for none")
+
+    @property
+    def promises(self) -> bool:
+        """Whether anything is promised, or asked for, about the coming of messages."""
+        return bool(self.deadline_ns or self.lease_ns)
 
 
 _ALLOWED: dict[str, tuple[str, ...]] = {
@@ -90,4 +105,11 @@ def incompatibility(offered: Qos, requested: Qos) -> str | None:
         problems.append("the publisher is best_effort, the subscriber wants reliable")
     if offered.durability == "volatile" and requested.durability == "transient_local":
         problems.append("the publisher is volatile, the subscriber wants transient_local")
+    for what, offer, wish in (
+        ("deadline", offered.deadline_ns, requested.deadline_ns),
+        ("liveliness lease", offered.lease_ns, requested.lease_ns),
+    ):
+        if wish and not 0 < offer <= wish:
+            has = f"one of {offer / 1e6:g} ms" if offer else "none"
+            problems.append(f"the publisher offers {has}, the subscriber wants a {what} of {wish / 1e6:g} ms")
     return "; ".join(problems) or None

@@ -49,7 +49,7 @@ topics:
     type: sensor_msgs/JointState
     to: ros
     limits: {name: 6, "name[]": 20, string: 16}
-    qos: {preset: sensor_data, reliability: reliable, depth: 3}
+    qos: {preset: sensor_data, reliability: reliable, depth: 3, deadline: 20Hz, lease: 1s}
     every: false
     depth: 9
     rate: 100Hz
@@ -105,6 +105,7 @@ def test_every_key_is_read() -> None:
     }  # fmt: skip
     assert joints.qos.model_dump() == {
         "preset": "sensor_data", "reliability": "reliable", "durability": None, "depth": 3,
+        "deadline_ns": 5 * 10**7, "lease_ns": 10**9,
     }  # fmt: skip
     assert settings.topics["/cmd_vel"].stale_after_ns == 200_000_000
     assert settings.topics["/scan"].qos.preset == "sensor_data"

@@ -43,9 +43,9 @@ def graph() -> Iterator[Graph]:
             [XCDR1, Policy.Durability.Transient, Policy.Reliability.Reliable(0)],
             "transient or persistent durability",
         ),
-        ([XCDR1, Policy.Deadline(20_000_000)], "it wants a deadline of 20 ms"),
+        ([XCDR1, Policy.Deadline(20_000_000)], "offers none, the subscriber wants a deadline of 20 ms"),
         ([XCDR1, Policy.Liveliness.ManualByTopic(2**63 - 1)], "it wants manual liveliness"),
-        ([XCDR1, Policy.Liveliness.Automatic(50_000_000)], "it wants a liveliness lease of 50 ms"),
+        ([XCDR1, Policy.Liveliness.Automatic(50_000_000)], "wants a liveliness lease of 50 ms"),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )

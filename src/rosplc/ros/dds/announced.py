@@ -74,12 +74,24 @@ def read_announced(pointer: int, *, writer: bool) -> Announced:
     # Best effort is DDS's default of readers, reliable that of writers.
     reliable = writer if reliability is None else reliability[0].value == _RELIABLE
     volatile = _number(_durability(pointer)) == _VOLATILE
-    qos = Qos("reliable" if reliable else "best_effort", "volatile" if volatile else "transient_local", 1)
+    liveliness = _liveliness(pointer)
+    qos = Qos(
+        "reliable" if reliable else "best_effort",
+        "volatile" if volatile else "transient_local",
+        1,
+        deadline_ns=_time(_number(_deadline(pointer), _INFINITE)),
+        lease_ns=_time(_INFINITE if liveliness is None else liveliness[1].value),
+    )
     return Announced(qos, tuple(_obstacles(pointer, writer)), _user_data(pointer))
 
 
 def _number(values: tuple[Any, ...] | None, default: int = 0) -> int:
     return default if values is None else int(values[0].value)
+
+
+def _time(ns: int) -> int:
+    """Return a time as :class:`Qos` has it: 0 is none."""
+    return 0 if ns >= _INFINITE else max(1, ns)
 
 
 def _user_data(pointer: int) -> bytes:
@@ -127,10 +139,6 @@ def _obstacles(pointer: int, writer: bool) -> Iterator[str]:
         return
     if _number(_durability(pointer)) > _TRANSIENT_LOCAL:
         yield "it wants transient or persistent durability, which ROS does not have"
-    if (deadline := _number(_deadline(pointer), _INFINITE)) != _INFINITE:
-        yield f"it wants a deadline of {deadline / 1e6:g} ms"
     liveliness = _liveliness(pointer)
     if liveliness is not None and liveliness[0].value != _AUTOMATIC:
         yield "it wants manual liveliness"
-    if liveliness is not None and liveliness[1].value != _INFINITE:
-        yield f"it wants a liveliness lease of {liveliness[1].value / 1e6:g} ms"

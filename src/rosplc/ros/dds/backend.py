@@ -7,7 +7,7 @@ import os
 import threading
 import time
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Literal
 
 from cyclonedds.core import DDSException
 from cyclonedds.domain import DomainParticipant
@@ -58,6 +58,10 @@ def dds_qos(qos: Qos, type_hash: str) -> DdsQos:
     ]
     if transient:
         policies.append(Policy.DurabilityService(0, Policy.History.KeepLast(qos.depth), -1, -1, -1))
+    if qos.deadline_ns:
+        policies.append(Policy.Deadline(qos.deadline_ns))
+    if qos.lease_ns:
+        policies.append(Policy.Liveliness.Automatic(qos.lease_ns))
     if type_hash:
         policies.append(Policy.Userdata(f"typehash={type_hash};".encode()))
     return DdsQos(*policies)
@@ -68,13 +72,13 @@ class DdsBackend:
 
     Attributes:
         name: ``dds``.
-        capabilities: ``topics``.
+        capabilities: ``topics`` and ``deadline``.
         domain: The ROS domain.
         node: The node's full name.
     """
 
     name = "dds"
-    capabilities = frozenset({"topics"})
+    capabilities = frozenset({"topics", "deadline"})
 
     def __init__(
         self,
@@ -310,9 +314,8 @@ class DdsBackend:
             kind = ros_type_name(peer.type_name)
             topics.setdefault(topic, set()).add(kind)
             node = self._announcer.node_of(peer.guid)
-            seen.append(
-                EndpointInfo(topic, kind, "out" if peer.writer else "in", node, peer.qos, peer.type_hash)
-            )
+            way: Literal["in", "out"] = "out" if peer.writer else "in"
+            seen.append(EndpointInfo(topic, kind, way, node, peer.qos, peer.type_hash, peer.obstacles))
         return GraphInfo(
             self._announcer.nodes(),
             tuple(sorted(seen, key=lambda info: (info.topic, info.direction, info.node))),

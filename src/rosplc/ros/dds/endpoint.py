@@ -76,6 +76,12 @@ class _Endpoint:
         """Peers that exchange messages with this endpoint."""
         return 0 if self._closed else native.matched_count(self._ref, of_reader=self.direction == "in")
 
+    def _late(self) -> int:
+        """Times that the deadline passed without a message; 0 if there is none."""
+        if not self.qos.deadline_ns:
+            return 0
+        return native.deadlines_missed(self._ref, of_reader=self.direction == "in")
+
     def matched_handles(self) -> frozenset[int]:
         """Instance handles of the matched peers."""
         if self._closed:
@@ -108,8 +114,12 @@ class DdsSubscription(_Endpoint):
 
     @property
     def matched(self) -> int:
-        """Publishers whose messages are delivered."""
-        return len(self.matched_handles() - self.strangers) if self.strangers else super().matched
+        """Publishers whose messages are delivered; with a lease, those that show that they live."""
+        matched = len(self.matched_handles() - self.strangers) if self.strangers else super().matched
+        if matched and self.qos.lease_ns:
+            # Its strangers may be among those alive: at most as many as match.
+            return min(matched, native.alive_count(self._ref))
+        return matched
 
     def take(self) -> None:
         """Deliver what has arrived; called by the receive thread alone.
@@ -180,6 +190,7 @@ class DdsSubscription(_Endpoint):
             self._last_ns,
             reason,
             code,
+            self._late(),
         )
 
 
@@ -237,4 +248,5 @@ class DdsPublisher(_Endpoint):
             self._last_ns,
             reason,
             code,
+            0 if self._closed else self._late(),
         )

@@ -19,6 +19,8 @@ __all__ = [
     "FOREVER",
     "RETCODE_TIMEOUT",
     "WaitSet",
+    "alive_count",
+    "deadlines_missed",
     "delete",
     "matched_count",
     "matched_handles",
@@ -62,6 +64,24 @@ _matched_subs = _function(
 )
 _lost = _function(
     "dds_get_sample_lost_status", ct.c_int32, ct.c_int32, ct.POINTER(dds_c_t.sample_lost_status)
+)
+_late_in = _function(
+    "dds_get_requested_deadline_missed_status",
+    ct.c_int32,
+    ct.c_int32,
+    ct.POINTER(dds_c_t.requested_deadline_missed_status),
+)
+_late_out = _function(
+    "dds_get_offered_deadline_missed_status",
+    ct.c_int32,
+    ct.c_int32,
+    ct.POINTER(dds_c_t.offered_deadline_missed_status),
+)
+_alive = _function(
+    "dds_get_liveliness_changed_status",
+    ct.c_int32,
+    ct.c_int32,
+    ct.POINTER(dds_c_t.liveliness_changed_status),
 )
 _rejected = _function(
     "dds_get_sample_rejected_status", ct.c_int32, ct.c_int32, ct.POINTER(dds_c_t.sample_rejected_status)
@@ -109,6 +129,21 @@ def sample_lost(ref: int) -> int:
     """Return how many messages the reader knows to have missed."""
     status = dds_c_t.sample_lost_status()
     return int(status.total_count) if _lost(ref, ct.byref(status)) == 0 else 0
+
+
+def deadlines_missed(ref: int, *, of_reader: bool) -> int:
+    """Return how often an endpoint's deadline passed without a message."""
+    if of_reader:
+        status = dds_c_t.requested_deadline_missed_status()
+        return int(status.total_count) if _late_in(ref, ct.byref(status)) == 0 else 0
+    offered = dds_c_t.offered_deadline_missed_status()
+    return int(offered.total_count) if _late_out(ref, ct.byref(offered)) == 0 else 0
+
+
+def alive_count(ref: int) -> int:
+    """Return how many of a reader's matched writers have kept to their lease."""
+    status = dds_c_t.liveliness_changed_status()
+    return int(status.alive_count) if _alive(ref, ct.byref(status)) == 0 else 0
 
 
 def sample_rejected(ref: int) -> int:
