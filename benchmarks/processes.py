@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 import time
@@ -15,7 +16,7 @@ from typing import Any
 
 from rosplc.demo.domain import FreeDomain
 
-__all__ = ["Peer", "RosGraph", "bridge", "cpu_seconds", "environment", "ros_domain"]
+__all__ = ["Peer", "RosGraph", "bridge", "cpu_seconds", "environment", "lost_in_bridge", "ros_domain"]
 
 ROOT = Path(__file__).resolve().parent.parent
 _TICKS = os.sysconf("SC_CLK_TCK")
@@ -124,7 +125,7 @@ def bridge(
     path.write_text(config)
     with log.open("wb") as errors:
         process = subprocess.Popen(
-            [sys.executable, "-m", "rosplc", "run", str(path)],
+            [sys.executable, "-m", "rosplc", "run", str(path), "--status", "5"],
             env=environment(domain, variables),
             stdout=errors,
             stderr=errors,
@@ -145,6 +146,19 @@ def bridge(
             prefix = next(line.split()[1] for line in config.splitlines() if line.startswith("prefix:"))
             for left in Path("/dev/shm").glob(f"{prefix}.*"):
                 left.unlink()
+
+
+def lost_in_bridge(folder: Path) -> int:
+    """Wait for the next status line of a bridge that runs in a folder; return the losses that it counts."""
+    log = folder / "bridge.log"
+
+    def lines() -> list[bytes]:
+        return re.findall(rb"status: .*, lost (\d+), refused", log.read_bytes())
+
+    before = len(lines())
+    while len(found := lines()) == before:
+        time.sleep(0.1)
+    return int(found[-1])
 
 
 def cpu_seconds(pid: int) -> tuple[float, float]:

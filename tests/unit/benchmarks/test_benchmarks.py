@@ -125,7 +125,8 @@ def check_backends(titles: tuple[str, ...] | None) -> dict[str, object]:
     for way in ("ROS to PLC", "PLC to ROS (with the bridge's tick)"):
         table = found[f"{way}, PoseStamped of 200 B, 100 Hz"]
         assert set(table) == expected
-        assert all(row["count"] == 10 for row in table.values())
+        # The newest alone counts towards the PLC: a spinner that is held up sees fewer.
+        assert all(0 < row["count"] <= 10 for row in table.values())
     assert all("bridge" in found[f"{title}: 1 topics x 100 Hz each way"] for title in there)
     return report
 
