@@ -24,7 +24,7 @@ are milder or worse, so is the finding.
 | `note` | good to know; nothing has to be done |
 | `ok` | it was looked at, and is as it should be |
 
-What could not be looked at is a finding itself (DOC001 to DOC003), never `ok`.
+What could not be looked at is a finding itself (DOC001 to DOC003), in the area that it concerns; never `ok`.
 
 ## JSON
 

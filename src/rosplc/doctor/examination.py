@@ -108,7 +108,7 @@ class _Examination:
         """Yield the examinations; what a later one looks at depends on what earlier ones have found."""
         q = self._q
         if q.config is not None:
-            yield Probe("the configuration", Area.CONFIG, self._read_config, 20.0)
+            yield Probe("the configuration", Area.CONFIG, self._read_config, 20.0, vital=True)
         yield Probe("the machine", Area.MACHINE, self._machine)
         yield Probe("installed packages", Area.MACHINE, self._packages)
         yield Probe("the ways into ROS", Area.MACHINE, self._backend, 30.0)

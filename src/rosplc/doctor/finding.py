@@ -30,7 +30,7 @@ class Level(enum.IntEnum):
 class Area(enum.Enum):
     """What a finding is about, in the order in which people read them."""
 
-    DOCTOR = "doctor"
+    DOCTOR = "what the doctor could not do"
     MACHINE = "machine"
     MEMORY = "shared memory"
     PLC = "PLC runtime"

@@ -49,7 +49,7 @@ def leftovers(objects: Objects, prefix: str | None, configured: Collection[Path]
     strangers = [] if configured is None else [each for each in idle if each.path not in configured]
     left = [each for each in idle if each not in retired and each not in strangers]
     if unknown:
-        text = f"who holds {plural(len(unknown), 'object')}: /proc/locks cannot be read"
+        text = f"not visible: who holds {plural(len(unknown), 'object')}, since /proc/locks cannot be read"
         yield kind("DOC003").found(text)
     if left:
         what = f"no bridge holds {plural(len(left), 'object')}: {listed(map(_from, left))}"
@@ -126,7 +126,9 @@ def soundness(objects: Objects, prefix: str | None) -> Iterator[Finding]:
         assert error is not None
         what = f"{seen.path}: {error.what} [{error.code}]"
         if error.code == "SHM102":
-            yield kind("DOC003").found(f"{seen.path} belongs to {user_name(seen.status.st_uid)}")
+            yield kind("DOC003").found(
+                f"not visible: what stands in {seen.path}, which belongs to {user_name(seen.status.st_uid)}"
+            )
         elif error.code == "SHM121":
             folder = stat.S_ISDIR(seen.status.st_mode)
             yield kind("DOC212").found(what, command=f"rm{'dir' if folder else ''} {seen.path}")

@@ -95,7 +95,8 @@ def routers(locators: Sequence[str], *, call: Callable[[str, int], str] = answer
         port = rest.partition("?")[0].partition("#")[0]
         if protocol not in ("tcp", "tls", "ws") or not port.isdigit():
             yield kind("DOC003").found(
-                f"whether somebody answers at {locator}", "Nothing; the bridge will say."
+                f"not visible from outside: whether somebody answers at {locator}",
+                "Nothing; the bridge will say.",
             )
         elif reason := call(host.strip("[]"), int(port)):
             yield kind("DOC409").found(

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from rosplc.doctor.finding import Area, Finding
+from rosplc.doctor.finding import Area, Finding, Level
 from rosplc.doctor.kinds import kind
 from rosplc.errors import RosplcError
 
@@ -23,15 +23,17 @@ class Probe:
 
     Attributes:
         what: What it looks at, as a person would say it.
-        area: What its findings are about.
+        area: What it is about; what it could not do is told there.
         look: Returns, or yields, what it finds.
         seconds: After this time it is given up.
+        vital: Without it the answer is worth little: if it fails or hangs, that is an error.
     """
 
     what: str
     area: Area
     look: Callable[[], Iterable[Finding]]
     seconds: float = 5.0
+    vital: bool = False
 
 
 def run_probe(probe: Probe) -> list[Finding]:
@@ -50,14 +52,17 @@ def run_probe(probe: Probe) -> list[Finding]:
     thread.start()
     thread.join(probe.seconds)
     result = list(found)
+    level = Level.ERROR if probe.vital else None
     if thread.is_alive():
         text = f"could not check {probe.what}: no answer within {probe.seconds:g} s"
-        result.append(kind("DOC002").found(text))
+        result.append(kind("DOC002").found(text, level=level))
     elif failed and isinstance(failed[0], TimeoutError) and not failed[0].strerror:
-        result.append(kind("DOC002").found(f"could not check {probe.what}: {failed[0]}"))
+        result.append(kind("DOC002").found(f"could not check {probe.what}: {failed[0]}", level=level))
     elif failed:
-        result.append(kind("DOC001").found(f"could not check {probe.what}: {_words(failed[0])}"))
-    return result
+        text = f"could not check {probe.what}: {_words(failed[0])}"
+        result.append(kind("DOC001").found(text, level=level))
+    # What the doctor could not do stands beside what it did: people read by area.
+    return [replace(each, area=probe.area) if each.area is Area.DOCTOR else each for each in result]
 
 
 def _words(error: BaseException) -> str:

@@ -44,7 +44,7 @@ def runtimes(found: Sequence[Runtime], machine_bits: int, *, classic: bool) -> I
     yield kind("DOC301").fine(f"running: {listed(who)}")
     narrow = [each for each in found if each.bits == 32]
     for each in (each for each in found if not each.bits):
-        yield kind("DOC003").found(f"the word size of process {each.pid} ({each.name})")
+        yield kind("DOC003").found(f"not visible: the word size of process {each.pid} ({each.name})")
     if narrow and machine_bits == 64:
         what = f"{narrow[0].name} (process {narrow[0].pid}) has 32 bits on a kernel of 64"
         yield kind("DOC302").found(what, level=Level.ERROR if classic else None)
@@ -101,7 +101,7 @@ def same_memory(found: Sequence[Runtime], own: Mount | None) -> Iterator[Finding
     ]
     hidden = [each for each in found if each.shm is None]
     for each in hidden:
-        yield kind("DOC003").found(f"what process {each.pid} ({each.name}) sees at /dev/shm")
+        yield kind("DOC003").found(f"not visible: what process {each.pid} ({each.name}) has at /dev/shm")
     if apart:
         what = f"{apart[0].name} (process {apart[0].pid}) has a /dev/shm of its own"
         yield kind("DOC304").found(what, _SHARE)
