@@ -14,6 +14,9 @@ from rosplc.shm.constants import STATE_RETIRED
 
 __all__ = ["concerned", "leftovers", "ownership", "soundness"]
 
+_HIDDEN = ("SHM102", "SHM123")
+"""Errors that say nothing about an object: no right, or no descriptor, to look at it."""
+
 
 def concerned(objects: Objects, prefix: str | None) -> tuple[Seen, ...]:
     """Return the objects to judge: of one prefix, or, without one, whatever is a bridge's.
@@ -125,10 +128,10 @@ def soundness(objects: Objects, prefix: str | None) -> Iterator[Finding]:
         error = seen.error
         assert error is not None
         what = f"{seen.path}: {error.what} [{error.code}]"
-        if error.code == "SHM102":
-            yield kind("DOC003").found(
-                f"not visible: what stands in {seen.path}, which belongs to {user_name(seen.status.st_uid)}"
-            )
+        if error.code in _HIDDEN:
+            owner = user_name(seen.status.st_uid)
+            text = f"not visible: what stands in {seen.path}, which belongs to {owner} ({error.what})"
+            yield kind("DOC003").found(text)
         elif error.code == "SHM121":
             folder = stat.S_ISDIR(seen.status.st_mode)
             yield kind("DOC212").found(what, command=f"rm{'dir' if folder else ''} {seen.path}")
@@ -136,7 +139,7 @@ def soundness(objects: Objects, prefix: str | None) -> Iterator[Finding]:
             yield kind("DOC211").found(what, error.remedy)
     if not any(seen.error and seen.error.code == "SHM121" for seen in bad):
         yield kind("DOC212").fine("plain files stand at the objects' names")
-    if not any(seen.error and seen.error.code not in ("SHM102", "SHM121") for seen in bad):
+    if not any(seen.error and seen.error.code not in (*_HIDDEN, "SHM121") for seen in bad):
         yield kind("DOC211").fine("no object is damaged")
 
 

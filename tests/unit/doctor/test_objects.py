@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
+from rosplc.doctor.leftovers import soundness
 from rosplc.doctor.objects import Objects, held_files, look_at_objects
+from rosplc.errors import ChannelError
 from rosplc.shm import Direction, Namespace, attach
 from tests.channels import open_channel, start_child, until
+from tests.unit.doctor.stage import problems
 
 TOPIC = "/robot1/cmd_vel"
 
@@ -123,9 +127,20 @@ def test_objects_that_come_and_go_disturb_nobody(shm_namespace: Namespace) -> No
     channel = open_channel(shm_namespace)
     channel.writer(beat_ms=100)
 
-    def replace(seconds: float) -> None:
+    def remove(seconds: float) -> None:
         channel.retire() if shm_namespace.path(TOPIC).exists() else None
 
-    (seen,) = look(shm_namespace, sleep=replace, seconds=0.2).objects
+    (seen,) = look(shm_namespace, sleep=remove, seconds=0.2).objects
     assert seen.topic == TOPIC
     assert look(shm_namespace).objects == ()
+
+
+def test_an_object_that_may_not_be_opened_is_not_called_damaged(shm_namespace: Namespace) -> None:
+    """Without a right or a descriptor to look at an object, nothing is said about its content."""
+    open_channel(shm_namespace).close()
+    found = look(shm_namespace, seconds=0.0)
+    for code in ("SHM102", "SHM123"):
+        (seen,) = found.objects
+        hidden = replace(seen, error=ChannelError(code, "no"), identity=None, description=None, snapshot=None)
+        codes = problems(soundness(replace(found, objects=(hidden,)), shm_namespace.prefix))
+        assert set(codes) == {"DOC003"}
