@@ -111,11 +111,13 @@ def _problem(end: EndpointInfo, plan: TopicPlan, ours: str, *, over_zenoh: bool)
         what = f"{does} with another definition (type hash {there}… there, {here}… here) [ROS003]"
         return kind("DOC513").found(what, command=f"ros2 interface show {end.type_name}")
     offered, requested = (end.qos, plan.qos) if end.direction == "out" else (plan.qos, end.qos)
-    if problem := incompatibility(offered, requested):
-        if over_zenoh:
-            what = f"{does}, but {problem}; over Zenoh messages are exchanged nevertheless"
-            return kind("DOC514").found(what, level=Level.NOTE)
-        return kind("DOC514").found(f"{does}, but {problem} [ROS004]", _qos_remedy(end, plan))
+    problem = incompatibility(offered, requested)
+    if problem and over_zenoh:
+        what = f"{does}, but {problem}; over Zenoh messages are exchanged nevertheless"
+        return kind("DOC514").found(what, level=Level.NOTE)
+    if obstacles := "; ".join([problem, *end.obstacles] if problem else end.obstacles):
+        remedy = _qos_remedy(end, plan) if problem else "Change these settings of the node: ROS has no such."
+        return kind("DOC514").found(f"{does}, but {obstacles} [ROS004]", remedy)
     if not (ours and end.type_hash):
         return kind("DOC518").found(f"{does}, without its definition")
     return None

@@ -69,7 +69,10 @@ def see_graph(config: Path, seconds: float, variables: Mapping[str, str]) -> Gra
 
 
 def _graph_of(answer: dict[str, Any]) -> Graph:
-    ends = tuple(EndpointInfo(**{**end, "qos": Qos(**end["qos"])}) for end in answer["endpoints"])
+    ends = tuple(
+        EndpointInfo(**{**end, "qos": Qos(**end["qos"]), "obstacles": tuple(end["obstacles"])})
+        for end in answer["endpoints"]
+    )
     topics = {topic: tuple(types) for topic, types in answer["topics"].items()}
     info = GraphInfo(tuple(answer["nodes"]), ends, topics)
     return Graph(answer["backend"], info, answer["names"], answer["bridge"], answer["where"])

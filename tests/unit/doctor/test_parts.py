@@ -24,7 +24,7 @@ from rosplc.doctor.rights import File, may_use, rights, runtimes, same_memory
 from rosplc.errors import BackendError
 from rosplc.plc.build import ProjectOptions
 from rosplc.plc.delivery import project_files, write_files
-from rosplc.ros import Qos, memory
+from rosplc.ros import EndpointInfo, GraphInfo, Qos, memory
 from rosplc.shm import Namespace
 from tests.unit.doctor.stage import OTHER_MOUNT, Stage, problems
 
@@ -47,6 +47,17 @@ def test_what_was_found_before_a_failure_is_kept() -> None:
     assert first.level is Level.OK
     assert (second.code, second.level) == ("DOC001", Level.WARNING)
     assert second.seen == "could not check it: Permission denied: /proc/1/exe"
+
+
+def test_a_vital_examination_that_fails_is_an_error() -> None:
+    """A configuration that cannot be examined at all does not end in a good exit status."""
+
+    def look():
+        raise PermissionError(13, "Permission denied", "rosplc.yaml")
+        yield
+
+    (finding,) = run_probe(Probe("the configuration", Area.CONFIG, look, vital=True))
+    assert (finding.code, finding.level) == ("DOC001", Level.ERROR)
 
 
 def test_an_examination_that_hangs_is_given_up() -> None:
@@ -125,6 +136,16 @@ def test_the_reasons_are_the_bridges(stage: Stage, theirs: str, qos: Qos) -> Non
         assert said and status.reason in said[0] and said[0].endswith(f"[{status.code}]")
     else:
         assert not said
+
+
+def test_settings_that_ros_does_not_have_are_named(stage: Stage) -> None:
+    """What keeps a peer from matching beyond ROS's own settings is told as the bridge tells it."""
+    project = stage.project(f"  /in: {{type: {INT}, to: plc}}\n")
+    own = project.store.type_hash(INT)
+    end = EndpointInfo("/in", INT, "out", "/robot", Qos(), own, ("it is in the partition lab",))
+    graph = Graph("dds", GraphInfo(("/robot",), (end,)), {}, "/rosplc_cell", "domain 0")
+    finding = problems(judge_graph(graph, project.topics, lambda name: own, bridge_runs=False))["DOC514"]
+    assert finding.seen.endswith(f"as {INT}, but it is in the partition lab [ROS004]")
 
 
 @pytest.mark.parametrize("fenced", [True, False])
