@@ -96,8 +96,7 @@ def _check_silence(entry: TopicSettings, stale_ns: int, wrong: Any) -> None:
         if entry.classic is not None:
             what = "a classic memory does not tell a silent PLC from one that writes the same message again"
             raise wrong(what, "Remove it, or carry the topic without classic.")
-        return
-    if entry.classic is None and entry.on_change:
+    elif entry.classic is None and entry.on_change:
         what = "on_change holds equal messages back, so that a steady source would count as silent"
         raise wrong(what, "Remove on_change.")
     if (entry.rate_limit_ns or 0) >= stale_ns:

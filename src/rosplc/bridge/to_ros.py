@@ -117,6 +117,7 @@ class ToRos(Topic):
         if self._gate is not None and (item := self._gate.flush(now_ns)) is not None:
             self._write(*item, now_ns)
         if self._substitute is not None and (payload := self._substitute.take(now_ns)) is not None:
+            self._release(now_ns, anyway=True)  # what the PLC said comes before what stands in for it
             self._send_substitute(payload, now_ns)
 
     def await_subscriber(self, now_ns: int) -> None:

@@ -68,6 +68,16 @@ def test_what_the_plc_says_is_never_mixed_with_substitutes(cell: Cell) -> None:
     assert [number for number in numbers(messages) if number != -7] == list(range(6))
 
 
+def test_what_waits_for_a_subscriber_comes_before_the_substitute(cell: Cell) -> None:
+    """A message that the PLC sent at the start is not overtaken by what stands in for it."""
+    bridge = cell.start(SUBSTITUTED)
+    cell.plc("/out").write({"data": 5})
+    wait_for(lambda: bridge.status().topic("/out").substituted >= 2)
+    messages = cell.listen("/out", INT, Qos("reliable", "transient_local", 1000))
+    heard = numbers(wait_for(lambda: len(messages) > 2 and messages))
+    assert (heard[0], set(heard[1:])) == (5, {-7})
+
+
 def test_without_being_asked_for_nothing_is_published(cell: Cell) -> None:
     """By default a PLC that is silent leaves ROS without messages, and there is no flag either."""
     bridge = cell.start(f"  /out: {{type: {INT}, to: ros, stale_after: 20ms}}\n")

@@ -58,6 +58,11 @@ def test_values_become_records() -> None:
         ("to: plc, stale_after: never, on_stale: zero", "", "stale_after is never"),
         ("to: plc, on_change: true, on_stale: zero", "", "on_change holds equal messages back"),
         ("to: plc, rate_limit: 1s, on_stale: zero", "", "rate_limit leaves more time"),
+        (
+            "to: ros, stale_after: 1s, rate_limit: 1s, on_stale: {value: {}, period: 1s}",
+            "",
+            "rate_limit leaves more time",
+        ),
         ("to: ros, on_stale: {value: {}, period: 1s}", "", "the default of to: ros"),
         ("to: ros, stale_after: 1s, on_stale: {value: {}}", "", "'period' is missing"),
         ("to: ros, stale_after: 1s, on_stale: {value: {}, period: 1us}", ".period", "shorter than 1ms"),
