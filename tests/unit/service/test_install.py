@@ -18,7 +18,16 @@ from rosplc.service.unit import MARK, Plan
 EXPOSURE = 2.0
 """The highest exposure that docs/howto/run-as-a-service.md promises; systemd's scale goes from 0 to 10."""
 
-_READ = "-all,+dac_read_search"  # a checkout may lie where nobody else may look
+
+def _right_to_read() -> str:
+    """Return a capability that lets nobody's process read a checkout which lies where nobody else may look."""
+    bounding = int(
+        re.findall(r"^CapBnd:\s*(\w+)", Path("/proc/self/status").read_text(), re.MULTILINE)[0], 16
+    )
+    return "-all,+dac_read_search" if bounding & 1 << 2 else "-all,+dac_override"
+
+
+_READ = _right_to_read()
 _AS_NOBODY = ["setpriv", "--reuid", "65534", "--regid", "65534", "--clear-groups"]
 _AS_NOBODY += ["--inh-caps", _READ, "--ambient-caps", _READ, "--bounding-set", _READ]
 AS_NOBODY = tuple(_AS_NOBODY) if os.geteuid() == 0 else ()
@@ -72,7 +81,7 @@ def installed(root: Path) -> dict[str, str]:
 def offer_program(root: Path) -> None:
     """Put a program where the unit looks for it; systemd checks that it can be executed."""
     for text in installed(root).values():
-        for line in re.findall(r"^ExecStart=(/\S+)", text, re.MULTILINE):
+        for line in re.findall(r"^Exec\w+=(/\S+)", text, re.MULTILINE):
             program = root / line.lstrip("/")
             program.parent.mkdir(parents=True, exist_ok=True)
             program.write_text("#!/bin/sh\n")
