@@ -248,6 +248,7 @@ class ZenohPublisher(_Endpoint):
         super().__init__(*arguments)
         self._zenoh: Any = None
         self._route: Any = None  # knows whether there is a subscriber; an "advanced" publisher does not
+        self._asking = threading.Lock()  # the library's objects refuse to be withdrawn while they are asked
         self._gid = b""
         self._sequence = 0
         latched = self.qos.depth if self.qos.durability == "transient_local" else 0
