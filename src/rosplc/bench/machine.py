@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 import platform
 import subprocess
+from collections.abc import Mapping
 from datetime import datetime, timezone
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-__all__ = ["describe", "load_average"]
+__all__ = ["busy", "describe", "load_average"]
 
 _PACKAGES = ("rosplc", "pymodbus", "asyncua", "posix_ipc", "iceoryx2", "cyclonedds", "numpy")
 
@@ -38,6 +39,22 @@ def describe() -> dict[str, Any]:
 def load_average() -> list[float]:
     """Return the load of the last 1, 5 and 15 minutes."""
     return [round(value, 2) for value in os.getloadavg()]
+
+
+def busy(facts: Mapping[str, Any]) -> str:
+    """Return a remark if other programs ran when the measurement began; else nothing.
+
+    Args:
+        facts: What :func:`describe` has returned.
+    """
+    load = facts["load_before"][0]
+    if load <= facts["cores"] / 2:
+        return ""
+    return (
+        f"Other programs were running (load average {load:.1f} before it began). They delay a contender that "
+        "sleeps, and a long turn, more than a short one that spins: repeat this on a quiet machine before "
+        "you rely on a ratio."
+    )
 
 
 def _read(path: str) -> str:

@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
+from rosplc.bench.machine import busy
 from rosplc.bench.results import Cell, Figure, Goal, Measured, Page, Report, Table
 from rosplc.bench.section import Section, render
 
@@ -128,6 +129,7 @@ def _machine(report: Report) -> list[str]:
         f"before and {_numbers(facts['load_after'])} after. Effort: {effort['name']}, "
         f"{effort['rounds']} rounds.",
         "",
+        *([f"**{remark}**", ""] if (remark := busy(facts)) else []),
         "**Ratios travel between machines, times do not**, and no ratio means anything without how those "
         "waited who waited: it stands below every table.",
     ]

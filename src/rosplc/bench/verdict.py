@@ -5,6 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterator, Mapping
 
+from rosplc.bench.machine import busy
 from rosplc.bench.markdown import cell_text
 from rosplc.bench.results import Goal, Report
 from rosplc.bench.section import Section, render
@@ -25,6 +26,8 @@ def verdict(report: Report, sections: Mapping[str, Section], width: int = 80) ->
     yield from _wrapped(
         f"On this machine ({facts['processor']}, {facts['cores']} cores, load {load:.1f}):", width
     )
+    if remark := busy(facts):
+        yield from _wrapped(remark, width, "  ")
     goals: list[Goal] = []
     for name, page in render(report, sections).items():
         goals += page.goals

@@ -119,6 +119,23 @@ def test_the_page_holds_everything_with_its_waiting() -> None:
     assert "Not measured: they: no gcc (install it)" in text
 
 
+def test_a_busy_machine_is_named() -> None:
+    """Where other programs ran, page and verdict say what that does to ratios; on a quiet one they do not."""
+    loaded = Report({**MACHINE, "load_before": [0.9, 0.2, 0.3]}, report().options, report().sections)
+    for found, words in ((loaded, True), (report(), False)):
+        assert ("Other programs were running" in markdown.text(found, SECTIONS)) is words
+        assert ("Other programs were running" in "\n".join(verdict(found, SECTIONS))) is words
+
+
+def test_lines_fit_the_terminal() -> None:
+    """No sentence of the verdict is wider than the terminal; a table's rows stay as they are."""
+    row = " row " + "x" * 75
+    section = Section("one", "One", "Who?", lambda _: {}, lambda _: Page(summary=("word " * 60, row)))
+    lines = list(verdict(report(), {"one": section}, 60))
+    assert row in lines
+    assert all(len(line) <= 60 for line in lines if line != row)
+
+
 def test_failures_stand_in_page_and_verdict() -> None:
     """A report with a failure is not good, and says so in both."""
     failed = Report(MACHINE, report().options, (Measured("one", 1.0, {}, (), (Failure("we", "torn"),)),))
