@@ -188,6 +188,27 @@ def test_an_older_configuration_runs(
     assert f"{INT} there, {LONG} here" in finding["seen"]
 
 
+def test_a_classic_topic(
+    config: Callable[..., Path], bridges: list[Bridge], shm_namespace: Namespace
+) -> None:
+    """A bridge holds a classic topic as well as another, and leaves memory and lock in order."""
+    name = f"{shm_namespace.prefix.lower()}_old"
+    text = f"  /in: {{type: {INT}, to: plc}}\n  /old: {{type: {INT}, to: plc, classic: {{name: {name}}}}}\n"
+    path = config(text)
+    try:
+        assert levels(doctor(path), "DOC601") == ["note"]
+        bridges.append(Bridge(path, shm_namespace, 1))
+        fine = {code: ["ok"] for code in ("DOC214", "DOC215", "DOC216", "DOC217", "DOC601")}
+        wait_for(lambda: shown(doctor(path), fine) == fine, "the bridge to hold both")
+        bridges[-1].end()
+        assert levels(doctor(path), "DOC601") == ["note"]
+    finally:
+        for bridge in bridges:
+            bridge.end()
+        for left in (name, f"sem.{name}", f"rosplc.classic.{name}"):
+            (Path(shm_namespace.directory) / left).unlink(missing_ok=True)
+
+
 def test_generated_code(config: Callable[..., Path], bridges: list[Bridge], shm_namespace: Namespace) -> None:
     """Generated code is compared with configuration and running bridge; a changed limit is named."""
     text = "  /in: {type: std_msgs/msg/String, to: plc, limits: {data: 40}}\n"

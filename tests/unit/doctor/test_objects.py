@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import os
+import sys
 from dataclasses import replace
 from pathlib import Path
 
+from rosplc.bridge.classic_plan import ClassicPlan
+from rosplc.doctor.classic import locks
 from rosplc.doctor.leftovers import soundness
 from rosplc.doctor.objects import Objects, held_files, look_at_objects
 from rosplc.errors import ChannelError
 from rosplc.shm import Direction, Namespace, attach
+from rosplc.shm.semaphore import Semaphore
 from tests.channels import open_channel, start_child, until
 from tests.unit.doctor.stage import problems
 
@@ -144,3 +148,26 @@ def test_an_object_that_may_not_be_opened_is_not_called_damaged(shm_namespace: N
         hidden = replace(seen, error=ChannelError(code, "no"), identity=None, description=None, snapshot=None)
         codes = problems(soundness(replace(found, objects=(hidden,)), shm_namespace.prefix))
         assert set(codes) == {"DOC003"}
+
+
+def test_a_real_semaphore_is_read(shm_namespace: Namespace) -> None:
+    """The value that the C library keeps is seen, and looking leaves it as it is."""
+    name = f"{shm_namespace.prefix}.x"
+    semaphore = Semaphore(name, create=True)
+    path = Path(shm_namespace.directory) / f"sem.{name}"
+    try:
+        plan = ClassicPlan(name, name, 1, 1)
+        bits = 64 if sys.maxsize > 1 << 32 else 32
+
+        def codes() -> set[str]:
+            return set(problems(locks(path.parent, [plan], bits, sleep=lambda seconds: None)))
+
+        assert codes() == set()
+        assert semaphore.enter()
+        assert codes() == {"DOC214"}
+        semaphore.leave()
+        semaphore.leave()
+        assert codes() == {"DOC216"} and semaphore.value == 2
+    finally:
+        semaphore.close()
+        path.unlink()
