@@ -61,7 +61,7 @@ class ZenohHarness(Harness):
 
         assert self.domain is not None
         peer = SdkPeer(self.router.port, self.domain)
-        self.stack.callback(peer.kill)
+        self.stack.callback(peer.close)
         return peer
 
     def rogue(self, topic: str, type_name: str) -> Callable[[bytes], object]:

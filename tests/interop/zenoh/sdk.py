@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import subprocess
 import sys
@@ -119,13 +120,16 @@ class SdkPeer:
     def kill(self) -> None:
         """End it without a goodbye."""
         self._process.kill()
-        self._process.wait()
-        self._reader.join()
+        self.close()
 
     def close(self) -> None:
-        """Let it leave the graph by itself."""
+        """Let it leave the graph by itself; killed, it would leave a segment of its library's in /dev/shm."""
         assert self._process.stdin is not None
-        self._process.stdin.close()
+        with contextlib.suppress(BrokenPipeError):
+            self._process.stdin.close()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(20)
+        self._process.kill()
         self._process.wait()
         self._reader.join()
 
@@ -133,4 +137,4 @@ class SdkPeer:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.kill()
+        self.close()
