@@ -8,6 +8,7 @@ import json
 import os
 import random
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -62,6 +63,7 @@ def main() -> int:
     if reason := why_not(options.backend):
         print(reason, file=sys.stderr)
         return 2
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     seed = random.SystemRandom().randrange(2**31) if options.seed is None else options.seed
     rounds = options.rounds if options.rounds or options.minutes else 50
     private = own_shared_memory()

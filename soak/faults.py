@@ -60,7 +60,7 @@ class Kill(Fault):
 
 
 class Restart(Fault):
-    """SIGTERM, and a new process."""
+    """SIGTERM, which everything of rosplc's ends by with status 0, and a new process."""
 
     def __init__(self, part: str) -> None:
         self.part = part
@@ -69,6 +69,9 @@ class Restart(Fault):
     def inflict(self, cell: Cell, dice: random.Random) -> None:
         if not cell.parts[self.part].terminate():
             raise AssertionError(f"{self.part} did not end within 15 s of SIGTERM")
+        status = cell.parts[self.part].status
+        if status and self.part != "hub":
+            raise AssertionError(f"{self.part} ended with status {status} after SIGTERM")
         cell.parts[self.part].start()
 
 
@@ -181,6 +184,11 @@ class Limit(Fault):
         self._what = what
         self.name = f"no further {what}"
         self.may_end = True
+
+    def missing(self, cell: Cell) -> str:
+        if cell.backend == "zenoh" and self._what == "memory":
+            return "the Zenoh library's receiving thread ends for good where memory cannot be had"
+        return ""
 
     def inflict(self, cell: Cell, dice: random.Random) -> None:
         bridge = cell.parts["bridge"]

@@ -75,6 +75,11 @@ class Part:
         """Whether it runs (or is stopped)."""
         return self._process is not None and self._process.poll() is None
 
+    @property
+    def status(self) -> int | None:
+        """How it ended; None while it runs."""
+        return None if self._process is None else self._process.poll()
+
     def start(self) -> None:
         """Start it."""
         self.lives += 1

@@ -34,13 +34,18 @@ def _open(kind: str, name: str, where: str) -> tuple[Backend, TypeStore]:
     return open_backend(kind, store, name, domain=domain, options=options), store
 
 
+def _until_told() -> threading.Event:
+    stop = threading.Event()
+    signal.signal(signal.SIGTERM, lambda *_: stop.set())
+    return stop
+
+
 def publish(ledger: Ledger, generation: int, kind: str, where: str) -> None:
     """Publish until told to stop, each topic a hundred times a second, or as often as ordered."""
+    stop = _until_told()
     backend, store = _open(kind, "soak_publisher", where)
     codec = wire_codec(store)
     publishers = [backend.advertise(topic, TYPE, _RELIABLE) for topic in IN]
-    stop = threading.Event()
-    signal.signal(signal.SIGTERM, lambda *_: stop.set())
     due, number = time.monotonic(), 0
     while not stop.is_set():
         number += 1
@@ -56,6 +61,7 @@ def publish(ledger: Ledger, generation: int, kind: str, where: str) -> None:
 
 def subscribe(ledger: Ledger, kind: str, where: str) -> None:
     """Judge what comes, and pass on what the bridge says of itself."""
+    stop = _until_told()
     backend, store = _open(kind, "soak_subscriber", where)
     codec = wire_codec(store)
 
@@ -80,8 +86,6 @@ def subscribe(ledger: Ledger, kind: str, where: str) -> None:
         Qos(),
         lambda data, _: _note(ledger, layout.to_dict(reader.decode(data))),
     )
-    stop = threading.Event()
-    signal.signal(signal.SIGTERM, lambda *_: stop.set())
     before = dict.fromkeys(subscriptions, 0)
     while not stop.wait(0.05):
         for index, subscription in subscriptions.items():

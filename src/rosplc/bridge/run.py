@@ -42,7 +42,9 @@ def stop_on_signals(tell: Callable[[int], None] | None = None) -> Iterator[threa
         event.set()
         if tell is not None:
             tell(number)
-        time.sleep(_SAME_SIGNAL_S)  # the other threads carry on; a repetition comes in here
+        # The other threads carry on; a repetition comes in here. Not time.sleep(), which sleeps until a time
+        # of day under libfaketime and fails if that lies in the past.
+        select.select([], [], [], _SAME_SIGNAL_S)
         for number in (signal.SIGTERM, signal.SIGINT):
             if number in before:
                 signal.signal(number, signal.SIG_DFL)
