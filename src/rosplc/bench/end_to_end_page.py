@@ -240,5 +240,8 @@ _AFTER = (
     "period. That it can be seen does not: neither protocol promises more. A Modbus message that fits "
     "into one request arrives whole here because this server stores a request in one step; the "
     "protocol does not say so. A user can add a counter at both ends and throw torn messages away; "
-    "then they are lost instead of torn, and somebody has to write and test that for each type.",
+    "then they are lost instead of torn, and somebody has to write and test that for each type. The "
+    "mappings are the usual ones, not the only ones: four registers can carry a 64-bit number and further "
+    "ones a string, where both ends agree on it, at the price of more requests; an OPC UA structure can "
+    "carry a whole message in one node, where server and client know its type.",
 )
