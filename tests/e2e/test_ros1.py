@@ -58,6 +58,9 @@ class Bridge:
         self._process.kill()
         self._process.wait()
 
+    def wait(self) -> int:
+        return self._process.wait()
+
     def stop(self) -> int:
         self._process.send_signal(signal.SIGTERM)
         return self._process.wait()
@@ -261,3 +264,17 @@ def test_everything_dies_and_comes_back(ros1: Graph, tmp_path: Path, shm_prefix:
         assert numbers == sorted(numbers)  # nothing old came as new
         assert os.path.exists(bridge.log)
         assert bridge.stop() == 0, bridge.log.read_text()
+
+
+def test_rosnode_kill_ends_the_program(ros1: Graph, tmp_path: Path, shm_prefix: str) -> None:
+    """The bridge says who told it to leave and ends with status 3: respawn starts it again."""
+    bridge = Bridge(config(tmp_path, shm_prefix), ros1.variables)
+    try:
+        wait_until(lambda: f"/{shm_prefix}" in ros1.run("rosnode", "list"))
+        wait_until(lambda: "carries 3 topics" in bridge.log.read_text())
+        assert "killed" in ros1.run("rosnode", "kill", f"/{shm_prefix}")
+        assert bridge.wait() == 3, bridge.log.read_text()
+        assert "to shut down" in bridge.log.read_text()
+        assert "error ROS015" in bridge.log.read_text()
+    finally:
+        bridge.kill()
