@@ -772,6 +772,41 @@ def test_endpoints_may_be_used_from_many_threads(graph: Harness) -> None:
             assert texts == [f"{half}:{n}" for n in range(200)]
 
 
+def test_endpoint_may_be_asked_while_it_closes(graph: Harness) -> None:
+    """Whoever asks an endpoint at the moment in which it closes gets an answer, and closing succeeds."""
+    node, other = graph.node("node"), graph.node("other")
+    other.subscribe("/down", STRING)
+    other.advertise("/up", STRING)
+    present: list[AnyInbox | AnyOutbox] = []
+    failures: list[BaseException] = []
+    done = threading.Event()
+
+    def ask() -> None:
+        try:
+            while not done.is_set():
+                for end in tuple(present):
+                    end.matched()
+                    end.status()
+        except BaseException as error:
+            failures.append(error)
+
+    threads = [threading.Thread(target=ask) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    try:
+        for _ in range(10):
+            ends = node.advertise("/down", STRING), node.subscribe("/up", STRING)
+            present[:] = ends
+            wait_for(lambda e=ends: failures or all(end.matched() for end in e))
+            for end in ends:
+                end.close()
+    finally:
+        done.set()
+        for thread in threads:
+            thread.join()
+    assert not failures
+
+
 # -- looking at the graph
 
 

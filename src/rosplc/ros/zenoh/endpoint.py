@@ -260,12 +260,13 @@ class ZenohPublisher(_Endpoint):
         congestion = zenoh.CongestionControl.DROP
         reliability = zenoh.Reliability.RELIABLE if reliable else zenoh.Reliability.BEST_EFFORT
         publisher: Any
+        route: Any
         if self.qos.durability == "volatile":
-            publisher = self._route = session.declare_publisher(
+            publisher = route = session.declare_publisher(
                 self._key, congestion_control=congestion, reliability=reliability
             )
         else:
-            self._route = session.declare_publisher(self._key)
+            route = session.declare_publisher(self._key)
             detection = zenoh.ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=_HEARTBEAT_S)
             publisher = zenoh.ext.declare_advanced_publisher(
                 session,
@@ -277,18 +278,23 @@ class ZenohPublisher(_Endpoint):
                 sample_miss_detection=detection if reliable else None,
             )
         with self._lock:
-            self._zenoh, self._gid = publisher, gid_of(self.entity.token)
+            self._zenoh, self._route, self._gid = publisher, route, gid_of(self.entity.token)
             while self._early:
                 self._put(*self._early.popleft())
-        return [publisher] if publisher is self._route else [publisher, self._route]
+        return [publisher] if publisher is route else [publisher, route]
 
     def _connected(self) -> bool:
-        route = self._route
         try:
-            # Tokens overtake the declarations that open the way; before, the library sends nothing.
-            return route is not None and bool(route.matching_status.matching)
+            with self._asking:
+                # Tokens overtake the declarations that open the way; before, the library sends nothing.
+                return self._route is not None and bool(self._route.matching_status.matching)
         except zenoh.ZError:
             return False  # it is being closed
+
+    def _withdraw(self, declared: list[Any]) -> None:
+        with self._asking:
+            self._route = None
+        super()._withdraw(declared)
 
     def write(self, payload: bytes, stamp_ns: int | None = None) -> bool:
         """Send one message; see :meth:`rosplc.ros.backend.Publisher.write`."""
