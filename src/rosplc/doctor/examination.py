@@ -421,7 +421,7 @@ class _Examination:
         distro = project.config.settings.ros.distro
         silent = distro in (ROS1, "humble")
         runs = any(each.live for each in self._carried())
-        yield kind("DOC510").fine(f"joined {seen.where} over {seen.backend}")
+        yield kind("DOC510").fine(f"looked at {seen.where} over {seen.backend}")
         yield from graph.judge_graph(
             seen, self._topics, lambda name: "" if silent else project.store.type_hash(name), bridge_runs=runs
         )

@@ -29,6 +29,7 @@ _PROGRAM = "from rosplc.doctor.look import main; main()"
 _START_S = 30.0
 """How long the process may take beyond its look: imports, joining, leaving."""
 _LEAST_S = 1.0
+_LONGEST_WORDS = 200
 _STEADY_S = 1.0
 
 
@@ -56,16 +57,27 @@ def see_graph(config: Path, seconds: float, variables: Mapping[str, str]) -> Gra
         if process.poll() is None:
             process.kill()
             process.communicate()
+    words = _last_line(noise)
     try:
         answer = json.loads(out.decode("utf-8", "replace").splitlines()[-1])
     except (IndexError, ValueError):
-        last = noise.decode("utf-8", "replace").strip().splitlines()[-1:] or ["it said nothing"]
-        what = f"the look at the graph ended with status {process.returncode}: {last[0]}"
+        what = f"the look at the graph ended with status {process.returncode}: {words or 'it said nothing'}"
         raise BackendError("ROS002", what) from None
     if "error" in answer:
         error = answer["error"]
-        raise BackendError(error["code"], error["what"], where=error["where"], remedy=error["remedy"])
+        # What the library wrote would otherwise be lost with the process.
+        what = (
+            f"{error['what']} (the library: {words})"
+            if words and error["code"] == "ROS002"
+            else error["what"]
+        )
+        raise BackendError(error["code"], what, where=error["where"], remedy=error["remedy"])
     return _graph_of(answer)
+
+
+def _last_line(noise: bytes) -> str:
+    lines = noise.decode("utf-8", "replace").strip().splitlines()
+    return lines[-1].strip()[:_LONGEST_WORDS] if lines else ""
 
 
 def _graph_of(answer: dict[str, Any]) -> Graph:

@@ -10,7 +10,7 @@ from urllib.parse import urlsplit
 from rosplc.doctor.finding import Finding
 from rosplc.doctor.kinds import kind
 
-__all__ = ["answers", "is_local", "master", "multicast", "resolve", "routers"]
+__all__ = ["answers", "is_local", "master", "multicast", "no_master", "resolve", "routers"]
 
 _UP, _LOOPBACK, _MULTICAST = 0x1, 0x8, 0x1000
 _PATIENCE_S = 2.0
@@ -61,12 +61,34 @@ def multicast(sys: Path) -> Iterator[Finding]:
         yield kind("DOC407").found("no interface is up, not even loopback", command="sudo ip link set lo up")
 
 
-def master(uri: str, *, call: Callable[[str, int], str] = answers) -> Iterator[Finding]:
+def no_master(uri: str) -> str:
+    """Return why what answers there is no ROS master; empty if it is one, or ROS 1 is not installed."""
+    try:
+        from rosplc.ros.rospy.master import Master, UnreachableError
+    except ImportError:
+        return ""
+    server = Master(uri, "/rosplc_doctor", _PATIENCE_S)
+    try:
+        server.setting("/run_id")
+    except UnreachableError as error:
+        return str(error)
+    finally:
+        server.close()
+    return ""
+
+
+def master(
+    uri: str,
+    *,
+    call: Callable[[str, int], str] = answers,
+    ask: Callable[[str], str] = no_master,
+) -> Iterator[Finding]:
     """Judge whether the ROS master answers.
 
     Args:
         uri: ``ROS_MASTER_URI``, or its default.
         call: Returns why nobody answers at host and port; empty if somebody does.
+        ask: Returns why that is no master; empty if it is.
     """
     try:
         parts = urlsplit(uri)
@@ -78,8 +100,10 @@ def master(uri: str, *, call: Callable[[str, int], str] = answers) -> Iterator[F
         yield kind("DOC403").found(what, command="export ROS_MASTER_URI=http://localhost:11311")
     elif reason := call(host, port):
         yield kind("DOC408").found(f"nobody answers at {uri}: {reason}", command="roscore")
+    elif reason := ask(uri):
+        yield kind("DOC408").found(f"what answers at {uri} is no ROS master: {reason}", command="roscore")
     else:
-        yield kind("DOC408").fine(f"somebody answers at {uri}")
+        yield kind("DOC408").fine(f"the ROS master answers at {uri}")
 
 
 def routers(locators: Sequence[str], *, call: Callable[[str, int], str] = answers) -> Iterator[Finding]:

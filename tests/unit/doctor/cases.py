@@ -432,7 +432,7 @@ case("DOC407", _interfaces(lo="0x9", eth0="0x1002"), _interfaces(lo="0x9", eth0=
 case(
     "DOC408",
     lambda s: network.master("http://robot:11311", call=lambda host, port: "Connection refused"),
-    lambda s: network.master("http://robot:11311", call=lambda host, port: ""),
+    lambda s: network.master("http://robot:11311", call=lambda host, port: "", ask=lambda uri: ""),
 )
 case(
     "DOC409",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import socket
 import subprocess
 import threading
 from pathlib import Path
@@ -17,6 +18,7 @@ from rosplc.doctor.graph import Graph, judge_graph
 from rosplc.doctor.kinds import kind
 from rosplc.doctor.look import see_graph
 from rosplc.doctor.machine import logout
+from rosplc.doctor.network import answers, is_local, master
 from rosplc.doctor.packages import backend, needed
 from rosplc.doctor.probe import Probe, run_probe
 from rosplc.doctor.processes import find_runtimes, shm_mount
@@ -216,6 +218,26 @@ def test_the_remedy_for_rights_names_the_group() -> None:
     assert finding.command == "sudo usermod --append --groups group 4294967 user 1234567"
     (finding,) = rights([File("/in", 0, 0, 0o660)], 1234567, frozenset())
     assert finding.command.startswith("sudo groupadd --force plc && ")
+
+
+def test_a_web_server_is_no_master() -> None:
+    """Something that takes connections where a master should be is not taken for one."""
+    (finding,) = master(
+        "http://robot:11311", call=lambda host, port: "", ask=lambda uri: "its answer is none"
+    )
+    assert (finding.code, finding.level) == ("DOC408", Level.WARNING)
+    assert "is no ROS master: its answer is none" in finding.seen
+    (finding,) = master("robot:11311")
+    assert (finding.code, finding.level) == ("DOC403", Level.ERROR)
+
+
+def test_who_answers_is_asked_for_real() -> None:
+    """A port that listens answers; one that nobody holds does not, with the reason."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+        assert answers("127.0.0.1", port) == ""
+    assert "refused" in answers("127.0.0.1", port)
+    assert is_local("127.0.0.1") and not is_local("192.0.2.1")
 
 
 def test_processes_are_found_by_their_names(stage: Stage) -> None:
