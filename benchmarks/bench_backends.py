@@ -180,7 +180,7 @@ def run(
     names: Sequence[str] | None = None,
     messages: dict[int, int] | None = None,
     rates: Sequence[int] = RATES,
-    seconds: float = 1.0,
+    seconds: float = 0.7,
     load: tuple[int, int, float] = (20, 1000, 3.0),
 ) -> dict[str, Any]:
     """Measure in ``rounds`` rounds; returns a :func:`measure.report`.
