@@ -6,7 +6,7 @@ import stat
 from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 
-from rosplc.doctor.finding import Finding
+from rosplc.doctor.finding import Finding, Level
 from rosplc.doctor.kinds import kind
 from rosplc.doctor.objects import Objects, Seen
 from rosplc.doctor.words import listed, plural, remove, user_name
@@ -124,6 +124,8 @@ def _lock_files(objects: Objects, prefix: str | None) -> Iterator[Finding]:
 def soundness(objects: Objects, prefix: str | None) -> Iterator[Finding]:
     """Tell which objects are damaged, are no objects, or may not be looked at."""
     bad = [seen for seen in concerned(objects, prefix) if seen.error is not None]
+    # Without a configuration nobody says that a bridge of this machine needs these names.
+    level = Level.WARNING if prefix is None else None
     for seen in bad:
         error = seen.error
         assert error is not None
@@ -134,9 +136,10 @@ def soundness(objects: Objects, prefix: str | None) -> Iterator[Finding]:
             yield kind("DOC003").found(text)
         elif error.code == "SHM121":
             folder = stat.S_ISDIR(seen.status.st_mode)
-            yield kind("DOC212").found(what, command=f"rm{'dir' if folder else ''} {seen.path}")
+            command = f"rm{'dir' if folder else ''} {seen.path}"
+            yield kind("DOC212").found(what, command=command, level=level)
         else:
-            yield kind("DOC211").found(what, error.remedy)
+            yield kind("DOC211").found(what, error.remedy, level=level)
     if not any(seen.error and seen.error.code == "SHM121" for seen in bad):
         yield kind("DOC212").fine("plain files stand at the objects' names")
     if not any(seen.error and seen.error.code not in (*_HIDDEN, "SHM121") for seen in bad):

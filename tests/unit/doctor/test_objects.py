@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from rosplc.bridge.classic_plan import ClassicPlan
+from rosplc.doctor import Level
 from rosplc.doctor.classic import locks
 from rosplc.doctor.leftovers import soundness
 from rosplc.doctor.objects import Objects, held_files, look_at_objects
@@ -171,3 +172,14 @@ def test_a_real_semaphore_is_read(shm_namespace: Namespace) -> None:
     finally:
         semaphore.close()
         path.unlink()
+
+
+def test_a_damaged_object_that_no_configuration_names_is_a_warning(shm_namespace: Namespace) -> None:
+    """Only with a configuration is it known that somebody needs the name."""
+    open_channel(shm_namespace).close()
+    shm_namespace.path(TOPIC).write_bytes(b"x" * 600)
+    found = look(shm_namespace, seconds=0.0)
+    assert problems(soundness(found, None))["DOC211"].level is Level.WARNING
+    assert problems(soundness(found, shm_namespace.prefix))["DOC211"].level is Level.ERROR
+    strangers = replace(found, locks=frozenset())
+    assert not problems(soundness(strangers, None))  # any program may have a file of such a name
