@@ -22,14 +22,18 @@ help: ## list the targets
 	  || sed -nE 's/^([a-z-]+):.*## (.*)/  make \1: \2/p' $(MAKEFILE_LIST)
 
 # Stamps: a second `make` does nothing; a changed C source rebuilds the core without the network.
+# To run rosplc takes a third of the packages that its tests take.
+$(VENV)/.base: pyproject.toml setup.py tools/setup.sh
+	@tools/setup.sh base
+
 $(VENV)/.installed: pyproject.toml setup.py tools/setup.sh
 	@tools/setup.sh install
 
-$(VENV)/.core: $(VENV)/.installed $(CORE_SOURCES)
+$(VENV)/.core: $(VENV)/.base $(CORE_SOURCES)
 	@tools/setup.sh core
 
 .PHONY: setup
-setup: $(VENV)/.core ## create .venv and install rosplc into it
+setup: $(VENV)/.installed $(VENV)/.core ## create .venv and install rosplc into it
 	@echo "rosplc stands ready in $(VENV)/bin/rosplc"
 
 .PHONY: demo
@@ -37,15 +41,15 @@ demo: $(VENV)/.core ## show the main job: ROS topics to a (virtual) PLC and back
 	@if [ -t 1 ]; then $(VENV)/bin/rosplc demo; else $(VENV)/bin/rosplc demo --duration 20s; fi
 
 .PHONY: test
-test: $(VENV)/.core ## lint, types and all tests of ordinary length (about 10 minutes)
+test: $(VENV)/.installed $(VENV)/.core ## lint, types and all tests of ordinary length (about 10 minutes)
 	@$(RUN) lint types tests
 
 .PHONY: verify
-verify: $(VENV)/.core ## `make test` and every long check; VERIFY_MINUTES=30 sets a time budget
+verify: $(VENV)/.installed $(VENV)/.core ## `make test` and every long check; VERIFY_MINUTES=30 sets a time budget
 	@$(RUN) lint types tests long --minutes "$(VERIFY_MINUTES)"
 
 .PHONY: verify-long
-verify-long: $(VENV)/.core ## only the long checks
+verify-long: $(VENV)/.installed $(VENV)/.core ## only the long checks
 	@$(RUN) long --minutes "$(VERIFY_MINUTES)"
 
 .PHONY: lint
@@ -62,7 +66,7 @@ format: $(VENV)/.installed ## let ruff format and sort imports
 	@$(VENV)/bin/ruff format .
 
 .PHONY: reference
-reference: $(VENV)/.core ## write the generated pages of docs/reference again
+reference: $(VENV)/.installed $(VENV)/.core ## write the generated pages of docs/reference again
 	@$(VENV)/bin/python tools/generate_error_reference.py
 	@$(VENV)/bin/python tools/generate_config_reference.py
 	@$(VENV)/bin/python tools/generate_cli_reference.py
@@ -71,15 +75,15 @@ reference: $(VENV)/.core ## write the generated pages of docs/reference again
 	@$(VENV)/bin/python tools/generate_comparison.py
 
 .PHONY: bench
-bench: $(VENV)/.core ## the developers' measurements in benchmarks/
+bench: $(VENV)/.installed $(VENV)/.core ## the developers' measurements in benchmarks/
 	@$(RUN) bench
 
 .PHONY: soak
-soak: $(VENV)/.core ## the fault campaign; SOAK_MINUTES=60 SOAK_OPTIONS="--backend zenoh --json FILE"
+soak: $(VENV)/.installed $(VENV)/.core ## the fault campaign; SOAK_MINUTES=60 SOAK_OPTIONS="--backend zenoh --json FILE"
 	@$(VENV)/bin/python -m soak --minutes $(SOAK_MINUTES) $(SOAK_OPTIONS)
 
 .PHONY: wheel
-wheel: $(VENV)/.core ## build dist/rosplc-*.whl
+wheel: $(VENV)/.installed $(VENV)/.core ## build dist/rosplc-*.whl
 	@rm -rf build # setuptools would pack leftovers of removed modules
 	@$(VENV)/bin/python -m pip wheel --quiet --no-deps --no-build-isolation --wheel-dir dist .
 	@ls -1 dist/*.whl

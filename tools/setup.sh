@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # Set up .venv: check the machine, create the environment, install rosplc into it (editable).
 #
-#   tools/setup.sh install   everything          (when pyproject.toml or setup.py changed)
+#   tools/setup.sh base      what running takes  (when pyproject.toml or setup.py changed)
+#   tools/setup.sh install   and what tests take
 #   tools/setup.sh core      only the C core     (when a C source changed)
 #   tools/setup.sh check     only look whether the machine has what is needed
 #
@@ -64,6 +65,7 @@ run_pip() {
     fail "pip failed; all of its output is in $LOG"
 }
 
+# install EXTRAS WORDS
 install() {
     say "[1/4] looking for gcc, Python.h and venv"
     check
@@ -81,9 +83,9 @@ install() {
     say "[3/4] installing the build tools"
     # In the environment itself, so that a changed C source is rebuilt without the network.
     run_pip 'setuptools>=77'
-    say "[4/4] installing rosplc and what it needs (about 60 MB; some minutes on a slow line)"
-    run_pip --no-build-isolation -e '.[dev]'
-    touch "$VENV/.installed" "$VENV/.core"
+    say "[4/4] installing rosplc and what ${2} (some minutes on a slow line)"
+    run_pip --no-build-isolation -e ".$1"
+    touch "$VENV/.base" "$VENV/.core"
     say "ready: $VENV/bin/rosplc"
 }
 
@@ -99,7 +101,11 @@ core() {
 }
 
 case "${1:-install}" in
-install) install ;;
+base) install "" "it needs to run" ;;
+install)
+    install "[dev]" "its tests need, about 150 MB"
+    touch "$VENV/.installed"
+    ;;
 core) core ;;
 check) check ;;
 *) fail "unknown step: $1" ;;
