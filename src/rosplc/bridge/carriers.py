@@ -146,7 +146,7 @@ def _finish(topic: Topic) -> None:
         if not isinstance(topic, ClassicToRos):
             _drain(topic)
         topic.finish(time.monotonic_ns())
-    if isinstance(topic, (ToPlc, ToRos)) and (due := topic.due_ns) is not None:
+    if isinstance(topic, ToPlc) and (due := topic.due_ns) is not None:
         topic.flush(due)
 
 

@@ -137,8 +137,12 @@ class ToRos(Topic):
                 self._grace = None
 
     def finish(self, now_ns: int) -> None:
-        """Publish what waits for a subscriber, though none has come."""
+        """Publish what waits for a subscriber or for its time, though neither has come."""
         self._release(now_ns, anyway=True)
+        if self._gate is not None and (due := self._gate.due_ns) is not None:
+            item = self._gate.flush(due)
+            if item is not None:
+                self._send(*item, now_ns)
 
     def on_fault(self, error: Fault | ChannelError, now_ns: int) -> bool:
         """Note what went wrong; return whether the object must be opened again."""

@@ -126,6 +126,36 @@ def test_what_the_plc_wrote_before_is_passed_on(cell: Cell) -> None:
     assert not objects(cell.namespace)
 
 
+def test_a_topic_that_leaves_says_no_substitute(cell: Cell) -> None:
+    """Nothing is put in a silent PLC's place because its topic is removed or changed."""
+    topic = (
+        f"  /out: {{type: {INT}, to: ros, stale_after: 1h, on_stale: {{value: {{data: 77}}, period: 1s}}}}\n"
+    )
+    bridge = cell.start(topic)
+    received = cell.listen("/out", INT)
+    cell.plc("/out").write({"data": 1})
+    wait_for(lambda: numbers(received) == [1])
+    reload(cell, topic.replace("1h", "2h"))
+    cell.plc("/out").write({"data": 2})
+    wait_for(lambda: numbers(received) == [1, 2])
+    reload(cell, "  {}\n")
+    bridge.stop()
+    assert numbers(received) == [1, 2]
+
+
+def test_the_end_drops_no_message_that_waits(cell: Cell) -> None:
+    """What a rate limit holds back is sent when the bridge ends: the last message is never dropped."""
+    bridge = cell.start(f"  /out: {{type: {INT}, to: ros, rate_limit: 1h}}\n")
+    received = cell.listen("/out", INT)
+    outgoing = cell.plc("/out")
+    outgoing.write({"data": 1})
+    wait_for(lambda: numbers(received) == [1])
+    outgoing.write({"data": 2})
+    wait_for(lambda: bridge.status().topic("/out").received == 2)
+    bridge.stop()
+    wait_for(lambda: numbers(received) == [1, 2])
+
+
 def test_classic_topics_come_change_and_go(cell: Cell) -> None:
     """A topic becomes classic and a channel again; its memory stays where a classic project expects it."""
     name = f"{cell.namespace.prefix}_classic"
