@@ -49,7 +49,8 @@ def page() -> str:
         for code, kind in sorted(KINDS.items()):
             if kind.area is area:
                 title = f"{kind.title[0].upper()}{kind.title[1:]}"
-                parts.append(f"### {code}\n\n**{title}** ({kind.level.word}). {kind.meaning} {kind.remedy}\n")
+                parts.append(f"### {code}\n\n**{title}** ({kind.level.word}). {kind.meaning}\n")
+                parts.append(f"What to do: {kind.remedy}\n")
     return "\n".join(parts)
 
 

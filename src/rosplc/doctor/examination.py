@@ -8,14 +8,12 @@ import pwd
 import resource
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field
 from pathlib import Path
 
 from rosplc._version import __version__
-from rosplc.bridge import ConfigErrors, Project, TopicPlan, load_project
-from rosplc.bridge.describe import object_size
+from rosplc.bridge import ConfigErrors, Project, load_project
 from rosplc.bridge.owner import group_id, user_id
 from rosplc.bridge.ros_side import choose_backend
 from rosplc.doctor import (
@@ -39,42 +37,15 @@ from rosplc.doctor.objects import Objects, held_files, is_held, look_at_objects
 from rosplc.doctor.probe import Probe, run_probe
 from rosplc.doctor.processes import Runtime, find_runtimes, shm_mount
 from rosplc.doctor.report import Report
+from rosplc.doctor.subject import Question, Subject
 from rosplc.doctor.words import user_name
 from rosplc.errors import RosplcError
 from rosplc.ros import ROS1
 
-__all__ = ["Question", "examine"]
+__all__ = ["examine"]
 
 _LOOK_S, _GLANCE_S = 3.5, 0.5
 """How long to watch a configuration's objects for beats, and all of a machine's."""
-
-
-@dataclass(frozen=True)
-class Question:
-    """What is to be examined.
-
-    Attributes:
-        config: The configuration file; None for the machine alone.
-        code: The folder of generated PLC code; None for none.
-        plc_user: The user of the PLC runtime, where it does not run now; empty: found by its process.
-        ros: Whether to look at the ROS graph.
-        seconds: How long to look at it, at most.
-        root: Where ``proc``, ``sys``, ``etc`` and ``run`` stand.
-        directory: Where objects lie without a configuration.
-        variables: The environment variables.
-        generate: Returns what would be generated for a project: path → content; its arguments are
-            whether the code is fenced, and whether it has pins.
-    """
-
-    config: Path | None = None
-    code: Path | None = None
-    plc_user: str = ""
-    ros: bool = True
-    seconds: float = 4.0
-    root: Path = Path("/")
-    directory: Path = Path("/dev/shm")
-    variables: Mapping[str, str] = field(default_factory=lambda: dict(os.environ))
-    generate: Callable[[Project, bool, bool], Mapping[str, bytes]] | None = None
 
 
 def examine(question: Question, progress: Callable[[str], None] = lambda what: None) -> Report:
@@ -97,12 +68,10 @@ class _Examination:
 
     def __init__(self, question: Question) -> None:
         self._q = question
-        self._project: Project | None = None
+        self._subject = Subject(question)
         self._objects: Objects | None = None
         self._code: Generated | None = None
         self._runtimes: list[Runtime] = []
-        self._uid = os.geteuid()
-        self._chosen = ""
 
     def probes(self) -> Iterator[Probe]:
         """Yield the examinations; what a later one looks at depends on what earlier ones have found."""
@@ -117,18 +86,18 @@ class _Examination:
         if self._objects is not None:
             yield Probe("left-overs", Area.MEMORY, self._leftovers)
         yield Probe("what happens at log-out", Area.MACHINE, self._logout)
-        if self._classic:
+        if self._subject.classic:
             yield Probe("classic memories and locks", Area.MEMORY, self._classic_objects)
         yield Probe("PLC runtimes", Area.PLC, self._plc)
         yield Probe("rights of the PLC's user", Area.PLC, self._rights)
         yield Probe("the ROS environment", Area.ROS, self._variables)
         yield Probe("host names of ROS", Area.ROS, self._addresses)
         yield from self._network()
-        if self._project is not None and self._objects is not None:
+        if self._subject.project is not None and self._objects is not None:
             yield Probe("the running bridge", Area.LIVE, self._live)
         if q.code is not None:
             yield Probe("generated PLC code", Area.CODE, self._generated, 20.0)
-        if self._project is not None and q.ros and self._chosen != "memory":
+        if self._subject.project is not None and q.ros and self._subject.chosen != "memory":
             yield Probe("the ROS graph", Area.GRAPH, self._graph, q.seconds + 40.0)
 
     # What the configuration says.
@@ -137,7 +106,7 @@ class _Examination:
         path = self._q.config
         assert path is not None
         try:
-            self._project = load_project(path)
+            self._subject.project = load_project(path)
         except ConfigErrors as errors:
             return [
                 kind("DOC501").found(
@@ -146,8 +115,8 @@ class _Examination:
                 for each in errors.errors
             ]
         return [
-            kind("DOC501").fine(f"{path} is valid: {len(self._project.topics)} topics"),
-            *self._owner(self._project),
+            kind("DOC501").fine(f"{path} is valid: {len(self._subject.project.topics)} topics"),
+            *self._owner(self._subject.project),
         ]
 
     def _owner(self, project: Project) -> Iterator[Finding]:
@@ -157,48 +126,30 @@ class _Examination:
         except RosplcError as error:
             yield kind("DOC502").found(error.what, error.remedy)
             return
-        if self._uid != 0 and uid not in (None, self._uid):
-            what = f"shm.owner is {settings.owner}, and {user_name(self._uid)} may not give files away"
+        if self._subject.uid != 0 and uid not in (None, self._subject.uid):
+            what = (
+                f"shm.owner is {settings.owner}, and {user_name(self._subject.uid)} may not give files away"
+            )
             remedy = f"Start the bridge as {settings.owner}, or remove shm.owner."
             yield kind("DOC502").found(what, remedy, level=Level.WARNING)
-        elif self._uid != 0 and gid is not None and gid not in {os.getegid(), *os.getgroups()}:
-            what = f"shm.group is {settings.group}, and {user_name(self._uid)} is not in it"
+        elif self._subject.uid != 0 and gid is not None and gid not in {os.getegid(), *os.getgroups()}:
+            what = f"shm.group is {settings.group}, and {user_name(self._subject.uid)} is not in it"
             remedy = "Put the bridge's user into the group, and log in again."
-            command = f"sudo usermod --append --groups {settings.group} {user_name(self._uid)}"
+            command = f"sudo usermod --append --groups {settings.group} {user_name(self._subject.uid)}"
             yield kind("DOC502").found(what, remedy, command, level=Level.WARNING)
         else:
             yield kind("DOC502").fine(
                 "objects can be given to the owner and group that the configuration names"
             )
 
-    @property
-    def _topics(self) -> tuple[TopicPlan, ...]:
-        return () if self._project is None else self._project.topics
-
-    @property
-    def _classic(self) -> list[TopicPlan]:
-        return [plan for plan in self._topics if plan.classic is not None]
-
-    @property
-    def _directory(self) -> Path:
-        return self._q.directory if self._project is None else Path(self._project.namespace.directory)
-
-    @property
-    def _prefix(self) -> str | None:
-        return None if self._project is None else self._project.namespace.prefix
-
-    def _wish(self) -> environment.Wish | None:
-        if self._project is None:
-            return None
-        ros = self._project.config.settings.ros
-        return environment.Wish(ros.distro, ros.distro == ROS1, self._chosen, ros.domain)
-
     # The machine.
 
     def _machine(self) -> Iterator[Finding]:
         yield from machine.architecture(platform.machine(), platform.release(), byte_order=sys.byteorder)
         yield from machine.clock(time.time())
-        yield from machine.open_files(resource.getrlimit(resource.RLIMIT_NOFILE)[0], len(self._topics))
+        yield from machine.open_files(
+            resource.getrlimit(resource.RLIMIT_NOFILE)[0], len(self._subject.topics)
+        )
         priority, locked = (
             resource.getrlimit(which)[0] for which in (resource.RLIMIT_RTPRIO, resource.RLIMIT_MEMLOCK)
         )
@@ -207,31 +158,21 @@ class _Examination:
 
     def _logout(self) -> Iterator[Finding]:
         # Whose objects are there already is who the bridge runs as; the doctor may be asked by another.
-        seen = leftovers.concerned(self._objects or Objects(), self._prefix)
-        uid = max((each.status.st_uid for each in seen), default=self._owner_id())
+        seen = leftovers.concerned(self._objects or Objects(), self._subject.prefix)
+        uid = max((each.status.st_uid for each in seen), default=self._subject.owner_id())
         return machine.logout(self._q.root, uid, user_name(uid))
-
-    def _owner_id(self) -> int:
-        """Return who owns, or would own, the objects."""
-        if self._project is None:
-            return self._uid
-        try:
-            found = user_id(self._project.config)
-        except RosplcError:
-            return self._uid
-        return self._uid if found is None else found
 
     def _packages(self) -> Iterator[Finding]:
         yield from packages.packages(packages.needed(), platform.python_version(), __version__)
         yield from packages.wheels(platform.machine(), (sys.version_info[0], sys.version_info[1]))
 
     def _backend(self) -> Iterator[Finding]:
-        if self._project is None:
+        if self._subject.project is None:
             distro = self._q.variables.get("ROS_DISTRO") or "jazzy"
             return packages.backend(distro, "auto", self._q.variables, configured=False)
-        ros = self._project.config.settings.ros
+        ros = self._subject.project.config.settings.ros
         with suppress(RosplcError):  # the same is found below
-            self._chosen = choose_backend(self._project.config, self._q.variables).name
+            self._subject.chosen = choose_backend(self._subject.project.config, self._q.variables).name
         return packages.backend(
             ros.distro, ros.backend, self._q.variables, zenoh_settings=ros.zenoh is not None
         )
@@ -239,61 +180,54 @@ class _Examination:
     # Shared memory.
 
     def _memory(self) -> Iterator[Finding]:
-        directory = self._directory
+        directory = self._subject.directory
         mount = shm_mount(self._q.root / "proc/self/mountinfo")
         yield from memory.mounted(directory, mount)
         if directory.is_dir():
             yield from memory.mode(directory, writable=os.access(directory, os.W_OK | os.X_OK))
-            needed, present = self._sizes()
+            needed, present = self._subject.sizes()
             yield from memory.room(directory, os.statvfs(directory), needed, present)
-
-    def _sizes(self) -> tuple[int, int]:
-        """Return the bytes that the configuration's objects take, and those that are there already."""
-        if self._project is None:
-            return 0, 0
-        needed = present = 0
-        for plan in self._topics:
-            if plan.classic is None:
-                size, path = object_size(self._project, plan), self._project.namespace.path(plan.topic)
-            else:
-                size, path = plan.layout.size, self._directory / plan.classic.name
-            needed += size
-            if path.is_file():
-                present += min(size, path.stat().st_blocks * 512)
-        return needed, present
 
     def _look_at_objects(self) -> Iterable[Finding]:
         held = held_files(self._q.root / "proc")
         self._objects = look_at_objects(
-            self._directory,
+            self._subject.directory,
             held,
-            prefix=self._prefix,
-            seconds=_GLANCE_S if self._project is None else _LOOK_S,
+            prefix=self._subject.prefix,
+            seconds=_GLANCE_S if self._subject.project is None else _LOOK_S,
         )
         return ()
 
     def _leftovers(self) -> Iterator[Finding]:
         assert self._objects is not None
         configured = None
-        if self._project is not None:
-            configured = {self._project.namespace.path(p.topic) for p in self._topics if p.classic is None}
-        yield from leftovers.leftovers(self._objects, self._prefix, configured)
-        yield from leftovers.soundness(self._objects, self._prefix)
-        owners = {self._uid, self._owner_id()}
-        yield from leftovers.ownership(self._objects, self._prefix, owners, root=self._uid == 0)
+        if self._subject.project is not None:
+            configured = {
+                self._subject.project.namespace.path(p.topic)
+                for p in self._subject.topics
+                if p.classic is None
+            }
+        yield from leftovers.leftovers(self._objects, self._subject.prefix, configured)
+        yield from leftovers.soundness(self._objects, self._subject.prefix)
+        owners = {self._subject.uid, self._subject.owner_id()}
+        yield from leftovers.ownership(
+            self._objects, self._subject.prefix, owners, root=self._subject.uid == 0
+        )
 
     def _classic_objects(self) -> Iterator[Finding]:
         bits = 64 if sys.maxsize > 1 << 32 else 32
-        plans = [(plan.topic, plan.classic, plan.layout.size) for plan in self._classic if plan.classic]
-        yield from classic.locks(self._directory, [each for _, each, _ in plans], bits)
-        yield from classic.sizes(self._directory, plans)
+        plans = [
+            (plan.topic, plan.classic, plan.layout.size) for plan in self._subject.classic if plan.classic
+        ]
+        yield from classic.locks(self._subject.directory, [each for _, each, _ in plans], bits)
+        yield from classic.sizes(self._subject.directory, plans)
 
     # The PLC.
 
     def _plc(self) -> Iterator[Finding]:
         self._runtimes = find_runtimes(self._q.root / "proc")
         wide = platform.machine() in ("x86_64", "aarch64", "ppc64le", "riscv64")
-        locked = any(plan.classic is not None and plan.classic.semaphore for plan in self._topics)
+        locked = any(plan.classic is not None and plan.classic.semaphore for plan in self._subject.topics)
         yield from rights.runtimes(self._runtimes, 64 if wide else 32, classic=locked)
         yield from rights.same_memory(self._runtimes, shm_mount(self._q.root / "proc/self/mountinfo"))
         word = self._q.variables.get("container", "")
@@ -312,44 +246,16 @@ class _Examination:
                 return
             users = {(entry.pw_uid, frozenset(os.getgrouplist(user, entry.pw_gid)))}
         for uid, gids in sorted(users, key=lambda each: each[0]):
-            yield from rights.rights(self._files(), uid, gids)
-        plans = [plan.classic for plan in self._classic if plan.classic is not None]
+            yield from rights.rights(self._subject.files(self._objects or Objects()), uid, gids)
+        plans = [plan.classic for plan in self._subject.classic if plan.classic is not None]
         if plans and users:
             uids = sorted(uid for uid, _ in users)
-            yield from classic.create_or_open(self._q.root, self._directory, plans, uids)
-
-    def _files(self) -> list[rights.File]:
-        """Return the objects as they are; where the configuration's are missing, as they would be."""
-        files, there = [], set()
-        for seen in leftovers.concerned(self._objects or Objects(), self._prefix):
-            status = seen.status
-            files.append(rights.File(seen.topic, status.st_uid, status.st_gid, status.st_mode & 0o7777))
-            there.add(seen.topic)
-        if self._project is None:
-            return files
-        uid, gid = self._owner_id(), os.getegid()
-        try:
-            wanted = group_id(self._project.config)
-        except RosplcError:
-            wanted = None
-        mode = self._project.config.settings.shm.mode
-        for plan in self._topics:
-            names = [plan.topic] if plan.classic is None else [plan.classic.name]
-            if plan.classic is not None and plan.classic.semaphore:
-                names.append(f"sem.{plan.classic.semaphore}")
-            for name in names:
-                path = self._directory / name.lstrip("/") if plan.classic else None
-                if path is not None and path.is_file():
-                    status = path.stat()
-                    files.append(rights.File(name, status.st_uid, status.st_gid, status.st_mode & 0o7777))
-                elif name not in there:
-                    files.append(rights.File(name, uid, gid if wanted is None else wanted, mode))
-        return files
+            yield from classic.create_or_open(self._q.root, self._subject.directory, plans, uids)
 
     # ROS.
 
     def _variables(self) -> Iterator[Finding]:
-        variables, wish = self._q.variables, self._wish()
+        variables, wish = self._q.variables, self._subject.wish()
         for look in (environment.distro, environment.values, environment.domain):
             yield from look(variables, wish)
         yield from environment.middleware(variables, wish)
@@ -357,40 +263,31 @@ class _Examination:
 
     def _addresses(self) -> Iterator[Finding]:
         return environment.addresses(
-            self._q.variables, self._wish(), resolve=network.resolve, is_local=network.is_local
+            self._q.variables, self._subject.wish(), resolve=network.resolve, is_local=network.is_local
         )
 
     def _network(self) -> Iterator[Probe]:
-        wish = self._wish()
+        wish = self._subject.wish()
         if wish is not None and wish.backend == "memory":
             return
         if wish is not None and wish.ros1:
             uri = self._q.variables.get("ROS_MASTER_URI") or "http://localhost:11311"
             yield Probe("the ROS master", Area.ROS, lambda: network.master(uri), 8.0)
         elif wish is not None and wish.backend == "zenoh":
-            locators = self._locators()
+            locators = self._subject.locators()
             yield Probe(
                 "the Zenoh router", Area.ROS, lambda: network.routers(locators), 4.0 + 3.0 * len(locators)
             )
         else:
             yield Probe("network interfaces", Area.ROS, lambda: network.multicast(self._q.root / "sys"))
 
-    def _locators(self) -> tuple[str, ...]:
-        assert self._project is not None
-        zenoh = self._project.config.settings.ros.zenoh
-        if zenoh is not None and zenoh.connect:
-            return zenoh.connect
-        # A file or a variable may say otherwise; what they say only the library can read.
-        others = (zenoh is not None and zenoh.config) or self._q.variables.get("ZENOH_SESSION_CONFIG_URI")
-        return () if others or self._q.variables.get("ZENOH_CONFIG_OVERRIDE") else ("tcp/localhost:7447",)
-
     def _carried(self) -> list[live.Carried]:
-        project, objects = self._project, self._objects
+        project, objects = self._subject.project, self._objects
         if project is None or objects is None:
             return []
         return [
             live.Carried(plan, objects.of(project.namespace, plan.topic))
-            for plan in self._topics
+            for plan in self._subject.topics
             if plan.classic is None
         ]
 
@@ -398,8 +295,8 @@ class _Examination:
         """Return classic topic → whether a bridge holds the lock file of its memory."""
         held = held_files(self._q.root / "proc")
         return {
-            plan.topic: bool(is_held(self._directory / f"rosplc.classic.{plan.classic.name}", held))
-            for plan in self._classic
+            plan.topic: bool(is_held(self._subject.directory / f"rosplc.classic.{plan.classic.name}", held))
+            for plan in self._subject.classic
             if plan.classic is not None
         }
 
@@ -411,7 +308,7 @@ class _Examination:
         yield from live.refusals(carried)
 
     def _graph(self) -> Iterator[Finding]:
-        project, config = self._project, self._q.config
+        project, config = self._subject.project, self._q.config
         assert project is not None and config is not None
         try:
             seen = see_graph(config, self._q.seconds, self._q.variables)
@@ -423,7 +320,10 @@ class _Examination:
         runs = any(each.live for each in self._carried())
         yield kind("DOC510").fine(f"looked at {seen.where} over {seen.backend}")
         yield from graph.judge_graph(
-            seen, self._topics, lambda name: "" if silent else project.store.type_hash(name), bridge_runs=runs
+            seen,
+            self._subject.topics,
+            lambda name: "" if silent else project.store.type_hash(name),
+            bridge_runs=runs,
         )
 
     # Generated code.
@@ -438,8 +338,8 @@ class _Examination:
             return
         yield kind("DOC701").fine(f"{folder}: {len(found.blocks)} blocks")
         command = f"rosplc generate {self._q.config or 'rosplc.yaml'} --out {folder}"
-        if self._project is not None:
-            project = self._project
+        if self._subject.project is not None:
+            project = self._subject.project
             edited, differences = self._regenerated(project, folder, found, command)
             compared = list(
                 code.against_config(
@@ -450,7 +350,7 @@ class _Examination:
             if all(each.level is Level.OK for each in compared):
                 yield from edited
         if self._objects is not None:
-            yield from code.against_live(found, self._objects, self._directory)
+            yield from code.against_live(found, self._objects, self._subject.directory)
         yield from code.fences(found, platform.machine(), command)
 
     def _regenerated(

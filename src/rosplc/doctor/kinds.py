@@ -36,7 +36,7 @@ _register("DOC101", _A, _W, "kernel and architecture", "rosplc is tested on x86-
 _register("DOC102", _A, _N, "word size of kernel and programs", "The kernel has 64 bits and this Python 32, as on many single-board computers. Channels do not mind; a classic topic's semaphore needs both sides to have the same word size.", "Nothing, unless a classic topic is used with a 64-bit PLC runtime.")
 _register("DOC103", _A, _W, "the clock", "The clock is earlier than this release, so stamps of messages will be wrong, and jump when it is set.", "Set the clock.")
 _register("DOC104", _A, _E, "open files", "A bridge holds files and sockets open, several per topic; without enough of them it ends with SYS006.", "Raise the limit in the shell or the service that starts the bridge.")
-_register("DOC105", _A, _N, "rights for real time", "Without them a bridge runs with ordinary priority; beside a busy PLC its messages can come a few milliseconds later.", "Nothing, unless the age of messages matters at that scale.")
+_register("DOC105", _A, _N, "rights for real time", "Without them a bridge runs with ordinary priority; beside a busy PLC its messages may come later.", "Nothing, unless a few milliseconds matter.")
 _register("DOC106", _A, _W, "what happens at log-out", "systemd removes what an ordinary user owns in /dev/shm when the last session ends: objects of a running bridge, too.", "Run the bridge as a system user, or tell systemd not to.")
 _register("DOC110", _A, _E, "installed packages", "A package that rosplc needs is missing.", "Install rosplc again, with its packages.")
 _register("DOC111", _A, _N, "ways into ROS that this machine has no package for", "PyPI has no wheel for this architecture or this Python.", "Use another backend, or build the package.")

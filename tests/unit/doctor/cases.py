@@ -18,6 +18,7 @@ from pathlib import Path
 
 from rosplc.doctor import (
     Finding,
+    Question,
     code,
     environment,
     examination,
@@ -446,7 +447,7 @@ case(
 def _configured(text: str) -> Look:
     def look(stage: Stage) -> Iterable[Finding]:
         path = stage.file("rosplc.yaml", f"prefix: {stage.namespace.prefix}\n{text}")
-        return examination.examine(examination.Question(path, ros=False)).findings
+        return examination.examine(Question(path, ros=False)).findings
 
     return look
 
@@ -494,7 +495,7 @@ def _joined(stage: Stage, error: Exception | None) -> Iterable[Finding]:
 
     before, examination.see_graph = examination.see_graph, see
     try:
-        return examination.examine(examination.Question(path)).findings
+        return examination.examine(Question(path)).findings
     finally:
         examination.see_graph = before
 
@@ -611,7 +612,7 @@ SMALL = "  /in: {type: std_msgs/msg/String, to: plc, limits: {data: 20}}\n"
 def _folder(stage: Stage, name: str) -> Iterable[Finding]:
     _write_code(stage, TOPICS)
     path = stage.file("rosplc.yaml", f"prefix: {stage.namespace.prefix}\ntopics:\n{TOPICS}")
-    return examination.examine(examination.Question(path, stage.root / name, ros=False)).findings
+    return examination.examine(Question(path, stage.root / name, ros=False)).findings
 
 
 case("DOC701", lambda s: _folder(s, "nothing"), lambda s: _folder(s, "out"))

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from rosplc.cli.generate import plc_project
-from rosplc.doctor import Area, Level, Report, examination
+from rosplc.doctor import Area, Level, Question, Report, examination
 from rosplc.doctor.generated import read_generated
 from rosplc.doctor.graph import Graph, judge_graph
 from rosplc.doctor.kinds import kind
@@ -331,7 +331,7 @@ def test_the_plc_of_another_user(stage: Stage) -> None:
     for name in ("proc/locks", "proc/self/mountinfo", "proc/self/status"):
         stage.file(name, Path("/", name).read_text())
     stage.file("sys/class/net/lo/flags", "0x9\n")
-    question = examination.Question(path, ros=False, root=stage.root)
+    question = Question(path, ros=False, root=stage.root)
     found = problems(examination.examine(question).findings)
     assert "DOC001" not in found
     assert "user 7654321 may not open /in" in found["DOC303"].seen
@@ -340,5 +340,5 @@ def test_the_plc_of_another_user(stage: Stage) -> None:
 def test_an_unknown_plc_user_is_named(stage: Stage) -> None:
     """A user that this machine does not have is an error of its own."""
     path = stage.file("rosplc.yaml", f"prefix: {stage.namespace.prefix}\n")
-    question = examination.Question(path, plc_user="no-such-user", ros=False)
+    question = Question(path, plc_user="no-such-user", ros=False)
     assert "no user 'no-such-user'" in problems(examination.examine(question).findings)["DOC303"].seen
