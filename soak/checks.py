@@ -45,7 +45,7 @@ class Checker:
     Attributes:
         cell: The cell.
         worst_growth_kb: Part → the most that one of its processes grew, once it had settled.
-        unaccounted: What nobody counted, of rounds in which something died.
+        unaccounted: What is missing, per round in which something died.
     """
 
     cell: Cell

@@ -43,7 +43,7 @@ def to_json(outcome: Outcome) -> dict[str, Any]:
         "violations": outcome.violations,
         "faults": _by_fault(outcome),
         "skipped": outcome.skipped,
-        "unaccounted_per_round_with_a_death": outcome.unaccounted,
+        "missing_per_round_with_a_death": outcome.unaccounted,
         "growth_kb": outcome.growth_kb,
         "log": [asdict(one) for one in outcome.rounds],
         "samples": outcome.samples,
@@ -65,8 +65,9 @@ def summary(outcome: Outcome) -> str:
     lines += [f"not tried: {name}: {why}" for name, why in outcome.skipped.items()]
     if outcome.unaccounted:
         lines.append(
-            f"messages that nobody counted, in {len(outcome.unaccounted)} rounds in which something died: "
-            f"median {statistics.median(outcome.unaccounted):.0f}, most {max(outcome.unaccounted)}"
+            f"messages missing after a round in which something died, those sent while it was away among them: "
+            f"median {statistics.median(outcome.unaccounted):.0f}, most {max(outcome.unaccounted)}, "
+            f"of {len(outcome.unaccounted)} rounds"
         )
     grown = ", ".join(f"{name} {kb} KiB" for name, kb in outcome.growth_kb.items())
     lines.append(f"the most that a settled process has grown: {grown or 'none lived long enough'}")
