@@ -47,7 +47,7 @@ class Outcome:
         skipped: Fault → why it was not tried.
         samples: Per round, what each process held.
         messages: Messages that arrived at either end.
-        unaccounted: Messages missing per round in which something died, those sent while it was away included.
+        unaccounted: Messages missing per round in which something died; most were sent while it was away.
         growth_kb: Part → the most that a settled process grew.
         seconds: How long it took.
         faults: The kinds that were tried.

@@ -65,7 +65,7 @@ def summary(outcome: Outcome) -> str:
     lines += [f"not tried: {name}: {why}" for name, why in outcome.skipped.items()]
     if outcome.unaccounted:
         lines.append(
-            f"messages missing after a round in which something died, those sent while it was away among them: "
+            f"messages missing where something died, those sent while it was away among them: "
             f"median {statistics.median(outcome.unaccounted):.0f}, most {max(outcome.unaccounted)}, "
             f"of {len(outcome.unaccounted)} rounds"
         )

@@ -47,7 +47,7 @@ def test_topics_come_and_go(cell: Cell) -> None:
 
 def test_what_is_the_same_is_not_disturbed(cell: Cell) -> None:
     """While topics are added and removed around it, a topic loses nothing and keeps its object."""
-    # Slots for all: what a busy machine cannot take in time would be lost, and counted, without a reload, too.
+    # Slots for all: what a busy machine cannot take in time would be lost without a reload, too.
     both = BOTH.replace("to: ros", "to: ros, depth: 16384")
     bridge = cell.start(both)
     incoming, outgoing = cell.plc("/in"), cell.plc("/out")
