@@ -20,7 +20,7 @@ EXPOSURE = 2.0
 
 
 def _right_to_read() -> str:
-    """Return a capability that lets nobody's process read a checkout which lies where nobody else may look."""
+    """Return a capability that lets nobody's process read a checkout where nobody else may look."""
     bounding = int(
         re.findall(r"^CapBnd:\s*(\w+)", Path("/proc/self/status").read_text(), re.MULTILINE)[0], 16
     )
