@@ -60,6 +60,4 @@ def command(
     level = logging.DEBUG if verbose else logging.WARNING if quiet else logging.INFO
     if arguments.log_level is not None and not (verbose or quiet):
         level = _LEVELS[arguments.log_level]
-    run_bridge(
-        config, status_seconds=status or None, level=level, arguments=arguments, supervised=supervised
-    )
+    run_bridge(config, status_seconds=status or None, level=level, arguments=arguments, supervised=supervised)
