@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from rosplc.errors import SetupError
+from rosplc.service.install import Run, Step, Write, execute
 from rosplc.service.unit import MARK, Plan
 
 EXPOSURE = 2.0
@@ -262,3 +263,37 @@ def test_files_of_ours_are_marked(root: Path) -> None:
     told = rosplc("service", "install", "cell1", "--root", root, "--dry-run", "--json")
     for step in json.loads(told.stdout)["steps"]:
         assert "write" not in step or step["text"].startswith(MARK)
+
+
+@pytest.mark.skipif(
+    Path("/run/systemd/system").exists(), reason="systemd runs this machine: it would be done"
+)
+def test_without_systemd_it_says_so(root: Path) -> None:
+    """Where systemd does not run, root is told so before anything is written."""
+    config = root / "etc/rosplc/cell1.yaml"
+    done = rosplc("service", "install", "cell1", "--config", config)
+    assert done.returncode == 1
+    assert "SYS011" in done.stderr
+    assert "systemd does not run" in done.stderr or "only root" in done.stderr
+    assert not Path("/etc/systemd/system/rosplc@cell1.service.d").exists()
+
+
+def test_the_first_file_that_cannot_be_written_ends_it(tmp_path: Path) -> None:
+    """A step that fails is named, and what comes after it is not done."""
+    (tmp_path / "etc").write_text("a file, no folder")
+    steps: list[Step] = [
+        Write(tmp_path / "etc/sysusers.d/x.conf", "text"),
+        Write(tmp_path / "second", "text"),
+    ]
+    told: list[str] = []
+    with pytest.raises(SetupError, match=r"cannot write .*x\.conf.*SYS011"):
+        execute(steps, told.append)
+    assert len(told) == 1 and not (tmp_path / "second").exists()
+
+
+def test_a_command_that_fails_is_named_with_what_it_said(tmp_path: Path) -> None:
+    """Exit status and message of a command reach the reader; a missing program is one too."""
+    with pytest.raises(SetupError, match=r"sh -c .*failed: no such unit"):
+        execute([Run(("sh", "-c", "echo no such unit >&2; exit 3"))], lambda _: None)
+    with pytest.raises(SetupError, match="there is no rosplc-no-such-program"):
+        execute([Run(("rosplc-no-such-program",))], lambda _: None)
