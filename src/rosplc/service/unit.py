@@ -132,8 +132,6 @@ Type=notify
 NotifyAccess=main
 User=rosplc
 ExecStart={program} run --status 0 /etc/rosplc/%i.yaml
-# Topics may be added, changed and removed without a restart.
-ExecReload=/bin/kill -HUP $MAINPID
 # Another configuration while it runs; one that is refused changes nothing.
 ExecReload=/bin/kill -HUP $MAINPID
 EnvironmentFile=-/etc/rosplc/%i.env
