@@ -10,6 +10,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
+from rosplc.bench.orphan import die_with_parent
 from rosplc.bench.process import Side
 
 __all__ = ["WATCHDOG_S", "ask", "in_background", "orders", "python", "say"]
@@ -25,6 +26,7 @@ def say(**facts: Any) -> None:
 
 def orders() -> Iterator[dict[str, Any]]:
     """Yield the orders that come in, until there is nobody left to give any."""
+    die_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for line in sys.stdin:
         yield json.loads(line)

@@ -11,7 +11,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-__all__ = ["busy", "describe", "load_average"]
+__all__ = ["busy", "cores_text", "describe", "load_average"]
 
 _PACKAGES = ("rosplc", "pymodbus", "asyncua", "posix_ipc", "iceoryx2", "cyclonedds", "numpy")
 
@@ -39,6 +39,11 @@ def describe() -> dict[str, Any]:
 def load_average() -> list[float]:
     """Return the load of the last 1, 5 and 15 minutes."""
     return [round(value, 2) for value in os.getloadavg()]
+
+
+def cores_text(facts: Mapping[str, Any]) -> str:
+    """Return how many cores there are, as people write it."""
+    return "1 core" if facts["cores"] == 1 else f"{facts['cores']} cores"
 
 
 def busy(facts: Mapping[str, Any]) -> str:

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
-from rosplc.bench.machine import busy
+from rosplc.bench.machine import busy, cores_text
 from rosplc.bench.results import Cell, Figure, Goal, Measured, Page, Report, Table
 from rosplc.bench.section import Section, render
 
@@ -123,7 +123,7 @@ def _machine(report: Report) -> list[str]:
     effort = report.options["effort"]
     shared = " (the two measured on are threads of one core)" if facts.get("threads_of_one_core") else ""
     return [
-        f"{facts['processor']}, {kind} with {facts['cores']} cores{shared}, {facts['kernel']}, "
+        f"{facts['processor']}, {kind} with {cores_text(facts)}{shared}, {facts['kernel']}, "
         f"frequency governor {facts['governor']}, on {facts['when']}. Python {facts['python']}, {versions}, "
         f"libmodbus {facts['libmodbus']}, {facts['compiler']}. Load average {_numbers(facts['load_before'])} "
         f"before and {_numbers(facts['load_after'])} after. Effort: {effort['name']}, "

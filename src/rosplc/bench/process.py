@@ -46,7 +46,11 @@ class Side:
         )
         self.pid = self._process.pid
         self._buffer = b""
-        self._clock = _cpu_clock(self.pid)
+        try:
+            self._clock = _cpu_clock(self.pid)
+        except BaseException:  # nobody else knows of it yet
+            self.kill()
+            raise
 
     def order(self, line: str) -> None:
         """Send a line; a process that is gone shows in :meth:`hear`."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterator, Mapping
 
-from rosplc.bench.machine import busy
+from rosplc.bench.machine import busy, cores_text
 from rosplc.bench.markdown import cell_text
 from rosplc.bench.results import Goal, Report
 from rosplc.bench.section import Section, render
@@ -24,7 +24,7 @@ def verdict(report: Report, sections: Mapping[str, Section], width: int = 80) ->
     facts = report.machine
     load = facts["load_before"][0]
     yield from _wrapped(
-        f"On this machine ({facts['processor']}, {facts['cores']} cores, load {load:.1f}):", width
+        f"On this machine ({facts['processor']}, {cores_text(facts)}, load {load:.1f}):", width
     )
     if remark := busy(facts):
         yield from _wrapped(remark, width, "  ")

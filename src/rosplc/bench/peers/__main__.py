@@ -6,11 +6,14 @@ import importlib
 import signal
 import sys
 
+from rosplc.bench.orphan import die_with_parent
+
 MODULES = ("channel", "typed_channel", "semaphore", "modbus", "opcua", "iceoryx")
 
 
 def main() -> None:
     """Find the module by its name and let it run."""
+    die_with_parent()
     # Ctrl-C is for the program that measures; this one ends with its input.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     module, side, *arguments = sys.argv[1:]
