@@ -1,0 +1,47 @@
+"""What a watchdog is told: whether the threads that carry and beat go round."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+
+from rosplc.ros.memory import MemoryPublisher
+from tests.unit.bridge.conftest import Cell, wait_for
+
+INT = "std_msgs/msg/Int32"
+BOTH = f"  /in: {{type: {INT}, to: plc}}\n  /out: {{type: {INT}, to: ros}}\n"
+LONG_NS, SHORT_NS = 3_600_000_000_000, 400_000_000
+
+
+def test_a_bridge_that_goes_round_is_not_stuck(cell: Cell) -> None:
+    """A bridge that runs stands nowhere; one that is not started does."""
+    bridge = cell.start(BOTH)
+    assert bridge.stuck(LONG_NS) == ""
+    bridge.stop()
+    assert bridge.stuck(LONG_NS) == "it is not started"
+
+
+def test_a_hanging_ros_side_is_noticed_and_forgotten(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A publication that does not return stands still after the time given, for as long as it hangs."""
+    bridge = cell.start(BOTH)
+    outgoing = cell.plc("/out")
+    go_on = threading.Event()
+    with monkeypatch.context() as patch:
+        patch.setattr(MemoryPublisher, "write", lambda *_: go_on.wait(60) and None)
+        outgoing.write({"data": 1})
+        wait_for(lambda: "towards ROS stands still" in bridge.stuck(SHORT_NS))
+        assert bridge.stuck(LONG_NS) == ""
+        go_on.set()
+    wait_for(lambda: "towards ROS" not in bridge.stuck(SHORT_NS))
+
+
+def test_a_hanging_keeper_is_noticed(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The thread that beats counts too."""
+    bridge = cell.start(BOTH)
+    go_on = threading.Event()
+    for topic in bridge._topics:
+        monkeypatch.setattr(topic, "check", lambda *_: go_on.wait(60) and False)
+    wait_for(lambda: "that beats stands still" in bridge.stuck(SHORT_NS))
+    go_on.set()
+    wait_for(lambda: "that beats" not in bridge.stuck(2_000_000_000))
