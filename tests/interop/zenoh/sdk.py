@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import subprocess
 import sys
 import threading
@@ -63,6 +64,8 @@ class SdkPeer:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
+            # Whoever is killed would leave a segment of the library's in /dev/shm.
+            env={**os.environ, "ZENOH_CONFIG_OVERRIDE": "transport/shared_memory/enabled=false"},
         )
         self._ready: set[str] = set()
         self._inboxes: dict[str, SdkInbox] = {}
@@ -123,7 +126,7 @@ class SdkPeer:
         self.close()
 
     def close(self) -> None:
-        """Let it leave the graph by itself; killed, it would leave a segment of its library's in /dev/shm."""
+        """Let it leave the graph by itself."""
         assert self._process.stdin is not None
         with contextlib.suppress(BrokenPipeError):
             self._process.stdin.close()
