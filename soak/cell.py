@@ -220,10 +220,13 @@ class Cell:
                 raise WatchdogError(f"waited {WATCHDOG_S:.0f} s: {what}")
             time.sleep(0.01)
 
-    def await_diagnostics(self, count: int) -> None:
-        """Wait for so many of the bridge's messages about itself."""
-        seen = int(self.ledger.control["diagnostics"]) + count
-        self.wait(lambda: self.ledger.control["diagnostics"] >= seen, "diagnostics come")
+    def await_diagnostics(self) -> None:
+        """Wait until the bridge has said how it stands now, and not how it stood when the subscriber hung."""
+        now = time.time_ns()
+        control = self.ledger.control
+        self.wait(lambda: control["stamp_ns"] > now, "diagnostics come")
+        first = int(control["stamp_ns"])  # the status was taken a moment before it was stamped
+        self.wait(lambda: control["stamp_ns"] > first, "diagnostics come")
 
     # -- shared memory
 

@@ -70,7 +70,7 @@ class Checker:
     def _losses(self) -> list[tuple[int, int]]:
         # What is missing is read first and what is counted later, so that nothing is counted too late.
         missing = [lost for lost, _ in self.cell.ledger.losses()]
-        self.cell.await_diagnostics(2)
+        self.cell.await_diagnostics()
         return [
             (lost, counted) for lost, (_, counted) in zip(missing, self.cell.ledger.losses(), strict=True)
         ]

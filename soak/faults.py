@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from rosplc import attach
 from soak.cell import SHM, Cell
 from soak.pattern import CAPACITY, IN, OUT, TOPICS
 
@@ -273,6 +274,14 @@ class Reload(Fault):
         cell.write_config()
         cell.hang_up("has reloaded its configuration")
         cell.wait(lambda: cell.objects() == cell.expected_objects(), "objects are those of the new file")
+        for topic in (name for name, entry in extra.items() if "to: ros" in entry):
+            _is_carried(cell, topic)
+
+
+def _is_carried(cell: Cell, topic: str) -> None:
+    with attach(topic, prefix=cell.prefix, write=True) as channel:
+        number = channel.write({})
+        cell.wait(lambda: channel.snapshot().readers[0].taken == number, f"the bridge takes from {topic}")
 
 
 def _entry(dice: random.Random) -> str:
