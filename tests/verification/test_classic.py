@@ -100,11 +100,13 @@ def test_stale_by_the_plcs_own_clock(cell: ClassicCell) -> None:
     assert cell.get("/in", "xStale") is False
     cell.scan()
     assert (cell.get("/in", "xStale", "tAge"), cell.msg("/in")) == ((True, 210), record(1))
-    assert cell.msg("/zero") == bytes(48)
+    assert (cell.msg("/zero"), cell.get("/zero", "xSubstituted")) == (bytes(48), True)
+    assert cell.get("/in", "xSubstituted") is False, "held, and still the source's"
     for peer in peers:
         peer.write(record(2))
     cell.scan()
     assert (cell.get("/in", "xStale"), cell.msg("/zero")) == (False, record(2))
+    assert cell.get("/zero", "xSubstituted") is False
 
 
 def test_faulty_records_become_harmless(cell: ClassicCell) -> None:
