@@ -10,6 +10,7 @@ import pytest
 from rosplc.plc.build import PlcTask, PlcTopic, build_project
 from rosplc.plc.plcopen import plcopen_xml
 from rosplc.plc.project import PlcProject
+from rosplc.plc.script import import_script
 from rosplc.plc.types import DutBuilder
 from rosplc.plc.values import initial_value
 from tests.unit.plc.projects import JOINTS, POSE, STORE, TWIST, custom, layout, named, project, read
@@ -103,3 +104,12 @@ def test_plcopen_has_structures_and_arrays() -> None:
         "position_count": "1",
         "position": [(None, "1.5"), ("15", "0.0")],
     }
+
+
+def test_the_import_script_makes_safe_messages_anew() -> None:
+    """The compiler keeps the values of constants that it knows, so a change replaces the whole list."""
+    text = import_script(with_safe())
+    start = text.index("'name': 'ROS_Safe'")
+    assert "'instances': True," in text[start : start + 120]
+    start = text.index("'name': 'RosPlc_Settings'")
+    assert "'instances': False," in text[start : start + 120]
