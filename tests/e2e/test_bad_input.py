@@ -219,12 +219,13 @@ def test_name_that_another_bridge_holds(config: Callable[..., Path], run: Callab
 def test_foreign_file_at_a_name(
     config: Callable[..., Path], run: Callable[..., Bridge], shm_namespace: Namespace
 ) -> None:
-    """A file of this user that is no object is replaced, as the format says, and that is warned of."""
-    shm_namespace.path("/in").write_bytes(b"not an object" * 100)
+    """A file of this user that no bridge has made is left as it is, and named."""
+    path = shm_namespace.path("/in")
+    path.write_bytes(b"not an object" * 100)
     bridge = run(config())
-    assert "WARNING" in bridge.says("the object was replaced: magic is")
-    bridge.says("carries 2 topics")
-    assert bridge.stop() == 0
+    assert bridge.ends() == 1
+    assert "SHM104" in "\n".join(bridge.said)
+    assert path.read_bytes() == b"not an object" * 100
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files to other users")
