@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import struct
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -16,8 +14,7 @@ from typing import Any
 
 import pytest
 
-from rosplc.layout import plain
-from rosplc.virtual_plc import ReadBlock, WriteBlock
+from tests.e2e.cell import Bridge, Plc
 from tests.interop.ros1.graph import Graph, lend, wait_until
 from tests.interop.ros1.test_peers import PART, part_defines, string
 
@@ -41,66 +38,9 @@ def config(folder: Path, prefix: str, extra: str = "") -> Path:
     return path
 
 
-class Bridge:
-    """``rosplc run`` as a process of its own."""
-
-    def __init__(self, path: Path, environment: dict[str, str]) -> None:
-        self.log = path.with_suffix(".log")
-        with self.log.open("a") as log:
-            self._process = subprocess.Popen(
-                [sys.executable, "-m", "rosplc", "run", str(path)],
-                env=environment,
-                stdout=log,
-                stderr=log,
-            )
-
-    def kill(self) -> None:
-        self._process.kill()
-        self._process.wait()
-
-    def wait(self) -> int:
-        return self._process.wait()
-
-    def stop(self) -> int:
-        self._process.send_signal(signal.SIGTERM)
-        return self._process.wait()
-
-
-class Plc:
-    """Read and Write blocks, scanned by the test itself."""
-
-    def __init__(self, prefix: str, *more: str) -> None:
-        self.reads = {
-            topic: ReadBlock(topic, prefix=prefix, mode="every", max_per_cycle=500, stale_after=None)
-            for topic in ("/cmd_vel", *more)
-        }
-        self.writes = {topic: WriteBlock(topic, prefix=prefix) for topic in ("/pose", "/label")}
-        self.seen: dict[str, list[Any]] = {topic: [] for topic in self.reads}
-
-    def scan(self) -> None:
-        for topic, block in self.reads.items():
-            self.seen[topic] += [plain(message) for message in block.each()]
-        for block in self.writes.values():
-            block.xEnable = False
-            block()
-        time.sleep(0.002)
-
-    def until(self, condition: Any) -> None:
-        while not condition():
-            self.scan()
-
-    def write(self, topic: str, fill: Any) -> None:
-        block = self.writes[topic]
-        self.until(lambda: block.xReady)
-        fill(block.msg)
-        block.xEnable = True
-        block()
-        block.xEnable = False
-        assert block.xPublished
-
-    @property
-    def attached(self) -> bool:
-        return all(b.xAttached for b in self.reads.values()) and all(b.xReady for b in self.writes.values())
+def cell_plc(prefix: str, *more: str) -> Plc:
+    """Return the PLC of that configuration."""
+    return Plc(prefix, ("/cmd_vel", *more), ("/pose", "/label"))
 
 
 @pytest.fixture
@@ -122,7 +62,7 @@ def test_values_cross_between_ros1_and_the_plc(
     said = peer.advertise("/cmd_vel", "geometry_msgs/Twist")
     bridge = Bridge(config(tmp_path, shm_prefix), ros1.variables)
     try:
-        plc = Plc(shm_prefix)
+        plc = cell_plc(shm_prefix)
         plc.until(lambda: plc.attached)
         plc.until(lambda: peer.matched("/cmd_vel") and peer.matched("/pose") and peer.matched("/label"))
         assert f"/{shm_prefix}" in ros1.run("rosnode", "list").split()
@@ -175,7 +115,7 @@ def test_type_from_the_wire_reaches_the_plc(ros1: Graph, tmp_path: Path, shm_pre
     assert json.loads(saved.stdout)["type"] == PART
     bridge = Bridge(config(tmp_path, shm_prefix, f"types: {{paths: [{tmp_path / 'msg'}]}}\n"), ros1.variables)
     try:
-        plc = Plc(shm_prefix, "/parts")
+        plc = cell_plc(shm_prefix, "/parts")
         plc.until(lambda: plc.attached)
         plc.until(lambda: peer.matched("/parts"))
         weights = struct.pack("<I2f", 2, 0.5, 2.0)
@@ -197,7 +137,7 @@ def test_bytes_that_are_no_message_stop_at_the_bridge(ros1: Graph, tmp_path: Pat
     broken = open_backend("rospy", TypeStore.bundled("noetic"), "broken", environment=ros1.environment)
     try:
         outbox = broken.advertise("/cmd_vel", "geometry_msgs/msg/Twist", Qos(depth=1000))
-        plc = Plc(shm_prefix)
+        plc = cell_plc(shm_prefix)
         plc.until(lambda: plc.attached and outbox.matched)
         for bad in (b"", b"x", bytes(47), bytes(49), bytes(1 << 16)):
             outbox.write(bad)
@@ -218,7 +158,7 @@ def test_everything_dies_and_comes_back(ros1: Graph, tmp_path: Path, shm_prefix:
         bridge = Bridge(path, ros1.variables)
         stack.callback(lambda: bridge.kill())
         peer = ros1.peer("roscpp", "robot")
-        plc = Plc(shm_prefix)
+        plc = cell_plc(shm_prefix)
         number = 0
 
         def open_peer() -> tuple[Any, Any]:

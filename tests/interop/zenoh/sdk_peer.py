@@ -16,7 +16,15 @@ from typing import Any
 import numpy as np
 from zenoh_ros2_sdk import ROS2Publisher, ROS2Subscriber
 
-ARRAYS = {"values": np.float64, "flags": np.bool_, "raw": np.uint8}
+ARRAYS = {
+    "values": np.float64,
+    "flags": np.bool_,
+    "raw": np.uint8,
+    "byte_array_value": np.uint8,
+    "bool_array_value": np.bool_,
+    "integer_array_value": np.int64,
+    "double_array_value": np.float64,
+}
 """Fields that are arrays → what they are arrays of."""
 
 PORT, DOMAIN = int(sys.argv[1]), int(sys.argv[2])
