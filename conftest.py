@@ -14,6 +14,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import signal
 import time
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,16 @@ import pytest
 MISSING_PACKAGE = re.compile(r"Debian package (\S+) is missing")
 NOT_REACHED = "not reached within the time given"
 DEFAULT_MINUTES = 2.0
+
+
+# A shell starts background jobs with these ignored, and so would be every program that a test starts.
+for number, handler in (
+    (signal.SIGINT, signal.default_int_handler),
+    (signal.SIGQUIT, signal.SIG_DFL),
+    (signal.SIGHUP, signal.SIG_DFL),
+):
+    if signal.getsignal(number) is signal.SIG_IGN:
+        signal.signal(number, handler)
 
 
 def in_ci() -> bool:
