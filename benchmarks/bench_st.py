@@ -88,7 +88,7 @@ def build(folder: Path, objects: Mapping[str, str]) -> Path:
     source, program = folder / "plc.c", folder / "st_loop"
     source.write_text(translate(objects).code)
     flags = ("-std=gnu11", "-O2", "-w", "-fwrapv", "-fno-strict-aliasing")
-    sources = (HERE / "st_loop.c", source, RUNTIME / "st_runtime.c")
+    sources = (HERE / "st_loop.c", source, RUNTIME / "st_runtime.c", RUNTIME / "st_semaphore.c")
     subprocess.run([compiler, *flags, "-I", CORE, "-I", RUNTIME, "-o", program, *sources, "-lm"], check=True)
     return program
 

@@ -52,8 +52,13 @@ def connect(graph: Harness, topic: str = "/chatter", qos: Qos | None = None, rec
 
 def send_until(outbox: Any, payload: bytes, done: Callable[[], object]) -> None:
     """Send a message again and again until it has had its effect."""
+    repeat_until(outbox.write, payload, done)
+
+
+def repeat_until(send: Callable[[bytes], object], payload: bytes, done: Callable[[], object]) -> None:
+    """Send again and again, by whatever means, until it has had its effect."""
     while not done():
-        outbox.write(payload)
+        send(payload)
         time.sleep(0.05)
 
 
@@ -340,14 +345,15 @@ def test_malformed_bytes_that_arrive_break_nothing(graph: Harness, bad: bytes) -
     send = graph.rogue("/chatter", STRING)
     if send is None:
         pytest.skip(f"nothing can send malformed bytes past the checks of {graph.title}")
+    good = graph.string("good")
     send(bad)
-    send(graph.string("good"))
-    wait_for(lambda: any(payload == graph.string("good") for payload, _ in inbox.since(0)))
-    delivered = [payload for payload, _ in inbox.since(0)][:-1]
+    # What goes past a library goes past its repetitions, too.
+    repeat_until(send, good, lambda: good in (payload for payload, _ in inbox.since(0)))
+    delivered = [payload for payload, _ in inbox.since(0) if payload != good]
     if graph.abilities.checks_incoming:
         assert delivered == []
         if bad[:2] == b"\0\1":  # without a header it is no part of any message, and of no topic
-            wait_for(lambda: inbox.status().rejected == 1)
+            repeat_until(send, bad, lambda: inbox.status().rejected)
     else:  # the bridge's codec refuses it
         assert delivered == [bad] if bad[:2] == b"\0\1" else delivered in ([], [bad])
         assert len(delivered) + inbox.status().rejected + inbox.status().dropped == 1

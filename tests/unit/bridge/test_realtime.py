@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import os
 import signal
@@ -68,13 +69,14 @@ def as_before() -> Iterator[None]:
 
 def policies() -> dict[str, tuple[int, int]]:
     """Return policy and priority of this process's threads by name."""
-    return {
-        thread.name: (
-            os.sched_getscheduler(thread.native_id or 0),
-            os.sched_getparam(thread.native_id or 0).sched_priority,
-        )
-        for thread in threading.enumerate()
-    }
+    found = {}
+    for thread in threading.enumerate():
+        with contextlib.suppress(ProcessLookupError):  # one of another test's that has just ended
+            found[thread.name] = (
+                os.sched_getscheduler(thread.native_id or 0),
+                os.sched_getparam(thread.native_id or 0).sched_priority,
+            )
+    return found
 
 
 @needs_fifo
