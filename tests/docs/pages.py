@@ -96,12 +96,20 @@ def blocks(path: Path) -> Iterator[Block]:
 
 
 def pattern(expected: str) -> re.Pattern[str]:
-    """Return what output must match: the text itself, with ``...`` for anything."""
-    text = "\n".join(line.rstrip() for line in expected.strip().splitlines())
-    return re.compile(".*".join(re.escape(part) for part in text.split("...")), re.DOTALL)
+    """Return what output must match: the text itself, with ``...`` for anything.
+
+    A line of its own that says ``...`` stands for any number of lines, none included: what other
+    programs of the machine add to a list must not decide.
+    """
+    lines = [line.rstrip() for line in expected.strip().splitlines()]
+    body = "".join(
+        "(?:.*\n)?" if line == "..." else ".*".join(re.escape(part) for part in line.split("...")) + "\n"
+        for line in lines
+    )
+    return re.compile(body, re.DOTALL)
 
 
 def normal(output: str) -> str:
     """Return output as it is compared: without colours, trailing blanks and carriage returns."""
     output = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", output).replace("\r\n", "\n")
-    return "\n".join(line.rstrip() for line in output.strip().splitlines())
+    return "".join(f"{line.rstrip()}\n" for line in output.strip().splitlines())
