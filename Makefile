@@ -74,6 +74,11 @@ reference: $(VENV)/.installed $(VENV)/.core ## write the generated pages of docs
 	@$(VENV)/bin/python tools/generate_doctor_reference.py
 	@$(VENV)/bin/python tools/generate_comparison.py
 
+.PHONY: site
+site: $(VENV)/.installed $(VENV)/.core ## build the documentation as a site in site/; a broken link is an error
+	@NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --quiet
+	@echo "site/index.html is the start page; to read it with its search: python3 -m http.server -d site 8000"
+
 .PHONY: bench
 bench: $(VENV)/.installed $(VENV)/.core ## the developers' measurements in benchmarks/
 	@$(RUN) bench
@@ -90,6 +95,6 @@ wheel: $(VENV)/.installed $(VENV)/.core ## build dist/rosplc-*.whl
 
 .PHONY: clean
 clean: ## remove everything that make created, .venv included
-	rm -rf $(VENV) build dist .cache .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) build dist site .cache .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 	rm -rf src/*.egg-info src/rosplc/_core/*.so
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

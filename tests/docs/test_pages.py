@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from links import anchors, relative_links
 from tests.docs.pages import blocks, normal, pattern
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -16,21 +17,10 @@ TEXTS = sorted(
     [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md"]
     + [path for folder in ("docs", "spec", "vectors", "examples") for path in (ROOT / folder).rglob("*.md")]
 )
-LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)|<img [^>]*src=\"([^\"]+)\"")
-FENCED = re.compile(r"^(`{3,}).*?^\1$", re.MULTILINE | re.DOTALL)
-CODE = re.compile(r"^(`{3,}).*?^\1$|`[^`\n]*`", re.MULTILINE | re.DOTALL)
-
-
-def anchors(path: Path) -> set[str]:
-    """Return the anchors of a page's headings, as GitHub forms them."""
-    text = FENCED.sub("", path.read_text(encoding="utf-8"))
-    headings = re.findall(r"^#{1,6} (.+)$", text, re.MULTILINE)
-    return {re.sub(r"[^\w\- ]", "", heading.strip().lower()).replace(" ", "-") for heading in headings}
 
 
 def links(path: Path) -> list[str]:
-    text = CODE.sub("", path.read_text(encoding="utf-8"))
-    return [link for match in LINK.finditer(text) if not (link := match[1] or match[2]).startswith("http")]
+    return relative_links(path.read_text(encoding="utf-8"))
 
 
 @pytest.mark.parametrize("page", TEXTS, ids=lambda path: str(path.relative_to(ROOT)))
