@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 from typer.main import get_command
 
+from generated_page import REFERENCE, write_or_verify
 from rosplc.cli.app import app
 
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "reference" / "cli.md"
+PAGE = REFERENCE / "cli.md"
 HEAD = """\
 # The rosplc command
 
@@ -97,16 +96,8 @@ def default(option: Any) -> str:
 
 
 def main() -> int:
-    """Write or compare the page."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--verify", action="store_true", help="only say whether the page is up to date")
-    if not parser.parse_args().verify:
-        PAGE.write_text(page(), encoding="utf-8")
-        return 0
-    if PAGE.read_text(encoding="utf-8") == page():
-        return 0
-    print(f"{PAGE} is out of date: run tools/generate_cli_reference.py")
-    return 1
+    """Write the page, or compare it."""
+    return write_or_verify(PAGE, page(), __doc__)
 
 
 if __name__ == "__main__":

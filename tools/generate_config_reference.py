@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
+from generated_page import REFERENCE, write_or_verify
 from rosplc.bridge.config import json_schema, parse_config
 
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "reference" / "configuration.md"
+PAGE = REFERENCE / "configuration.md"
 SECTIONS = ("ros", "types", "limits", "shm", "diagnostics", "realtime", "tasks", "topics")
 EXAMPLE = """\
 bridge: cell1
@@ -138,17 +137,7 @@ def page() -> str:
 
 def main() -> int:
     """Write the page, or compare it."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--verify", action="store_true", help="exit with 1 if the page is out of date")
-    arguments = parser.parse_args()
-    if arguments.verify:
-        current = PAGE.read_text(encoding="utf-8") if PAGE.exists() else ""
-        if current != page():
-            print(f"{PAGE} is out of date; run {Path(__file__).name}")
-            return 1
-        return 0
-    PAGE.write_text(page(), encoding="utf-8")
-    return 0
+    return write_or_verify(PAGE, page(), __doc__)
 
 
 if __name__ == "__main__":

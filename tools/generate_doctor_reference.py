@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import argparse
-from pathlib import Path
-
+from generated_page import REFERENCE, write_or_verify
 from rosplc.doctor import KINDS, Area
 
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "reference" / "doctor.md"
+PAGE = REFERENCE / "doctor.md"
 HEAD = """\
 # What the doctor finds
 
@@ -55,16 +53,8 @@ def page() -> str:
 
 
 def main() -> int:
-    """Write the page, or with ``--verify`` say whether it is up to date."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--verify", action="store_true", help="only say whether the page is up to date")
-    if parser.parse_args().verify:
-        if PAGE.exists() and PAGE.read_text(encoding="utf-8") == page():
-            return 0
-        print(f"{PAGE.name} is not what the table of findings says; run `make reference`")
-        return 1
-    PAGE.write_text(page(), encoding="utf-8")
-    return 0
+    """Write the page, or compare it."""
+    return write_or_verify(PAGE, page(), __doc__)
 
 
 if __name__ == "__main__":

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import argparse
-from pathlib import Path
-
+from generated_page import REFERENCE, write_or_verify
 from rosplc.errors import (
     CODES,
     BackendError,
@@ -18,7 +16,7 @@ from rosplc.errors import (
     SetupError,
 )
 
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "reference" / "errors.md"
+PAGE = REFERENCE / "errors.md"
 FAMILIES: tuple[tuple[str, type[RosplcError]], ...] = (
     ("Message types", MessageTypeError),
     ("Layouts", LayoutError),
@@ -61,16 +59,8 @@ def page() -> str:
 
 
 def main() -> int:
-    """Write the page, or with ``--verify`` say whether it is up to date."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--verify", action="store_true", help="only say whether the page is up to date")
-    if parser.parse_args().verify:
-        if PAGE.exists() and PAGE.read_text(encoding="utf-8") == page():
-            return 0
-        print(f"{PAGE.name} is not what the error codes say; run `make reference`")
-        return 1
-    PAGE.write_text(page(), encoding="utf-8")
-    return 0
+    """Write the page, or compare it."""
+    return write_or_verify(PAGE, page(), __doc__)
 
 
 if __name__ == "__main__":

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import argparse
 import re
 from collections.abc import Iterable
-from pathlib import Path
 
+from generated_page import REFERENCE, write_or_verify
 from rosplc.errors import CODES
 from rosplc.layout import compute_layout
 from rosplc.model import TypeStore
@@ -16,7 +15,7 @@ from rosplc.plc.classic import Classic, classic_objects
 from rosplc.plc.helpers import HELPER_NAMES
 from rosplc.plc.project import Dut, Pou, VarBlock, Variable
 
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "reference" / "plc-blocks.md"
+PAGE = REFERENCE / "plc-blocks.md"
 EXAMPLE, EXAMPLE_DUT = "geometry_msgs/msg/PoseStamped", "geometry_msgs_PoseStamped"
 HEAD = """\
 # The PLC's blocks
@@ -221,16 +220,8 @@ def page() -> str:
 
 
 def main() -> int:
-    """Write the page, or with ``--verify`` say whether it is up to date."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--verify", action="store_true", help="only say whether the page is up to date")
-    if parser.parse_args().verify:
-        if PAGE.exists() and PAGE.read_text(encoding="utf-8") == page():
-            return 0
-        print(f"{PAGE.name} is not what the generator says; run `make reference`")
-        return 1
-    PAGE.write_text(page(), encoding="utf-8")
-    return 0
+    """Write the page, or compare it."""
+    return write_or_verify(PAGE, page(), __doc__)
 
 
 if __name__ == "__main__":
