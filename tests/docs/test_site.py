@@ -1,0 +1,140 @@
+"""The documentation as a site: complete in itself, every link and anchor there, nothing fetched from elsewhere."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from collections import Counter
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.parse import unquote, urljoin, urlsplit
+
+import pytest
+from markdown_it import MarkdownIt
+
+from docs_site import indented
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
+HOST = "http://site/"
+STRUCTURE = ("h1", "h2", "h3", "h4", "h5", "ol", "ul", "li", "table", "tr", "pre", "blockquote", "img", "details")
+
+pytestmark = pytest.mark.xdist_group("site")
+
+
+class Page(HTMLParser):
+    """What a page of the site has: links, anchors, and the elements of its own text."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.links: list[str] = []
+        self.fetched: list[str] = []
+        self.anchors: set[str] = set()
+        self.elements: Counter[str] = Counter()
+        self.inside = False
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        values = {name: value or "" for name, value in attrs}
+        if "id" in values:
+            self.anchors.add(values["id"])
+        if tag in ("a", "link") and "href" in values:
+            self.links.append(values["href"])
+        if tag == "link" and values.get("rel") not in ("canonical", "prev", "next"):
+            self.fetched.append(values["href"])
+        if "src" in values:
+            self.links.append(values["src"])
+            self.fetched.append(values["src"])
+        if tag == "article":
+            self.inside = True
+        elif self.inside and tag in STRUCTURE:
+            self.elements[tag] += 1
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag == "article":
+            self.inside = False
+
+
+def address(page: Path) -> str:
+    """Return a page's place in the site, as a browser asks for it."""
+    path = page.relative_to(DOCS).with_suffix("")
+    return "" if str(path) == "index" else f"{path.parent if path.name == 'README' else path}/"
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The site, built as `make site` does."""
+    folder = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(folder)]
+    env = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
+    done = subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True, timeout=240, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return folder
+
+
+@pytest.fixture(scope="module")
+def pages(site: Path) -> dict[str, Page]:
+    """Every page by its address."""
+    found = {
+        str(path.relative_to(site)).removesuffix("index.html"): Page(path.read_text(encoding="utf-8"))
+        for path in site.rglob("*.html")
+    }
+    assert len(found) > 50
+    return found
+
+
+def test_every_link_and_anchor_of_the_site_leads_somewhere(site: Path, pages: dict[str, Page]) -> None:
+    """What a reader can click is there, headings included."""
+    broken = []
+    for name, page in pages.items():
+        for link in page.links:
+            target = urlsplit(urljoin(HOST + ("" if name == "404.html" else name), link))
+            if f"{target.scheme}://{target.netloc}/" != HOST:
+                continue
+            path = unquote(target.path).lstrip("/")
+            if path not in pages and not (site / path).is_file():
+                broken.append(f"{name}: {link}")
+            elif target.fragment and path in pages and unquote(target.fragment) not in pages[path].anchors:
+                broken.append(f"{name}: {link}, no such anchor")
+    assert broken == []
+
+
+def test_the_site_fetches_nothing_from_elsewhere(site: Path, pages: dict[str, Page]) -> None:
+    """It works where there is no way out, and tells nobody that it is read."""
+    fetched = {link for page in pages.values() for link in page.fetched}
+    styles = "".join(path.read_text(encoding="utf-8") for path in site.rglob("*.css"))
+    fetched |= set(re.findall(r"(?:url\(|@import )[\"']?([^\"')]+)", styles))
+    assert [link for link in sorted(fetched) if re.match("(https?:)?//", link)] == []
+
+
+def test_every_page_stands_in_the_navigation(pages: dict[str, Page]) -> None:
+    """A page that its section's README.md does not list is found by nobody who looks through the menu."""
+    listed = {urljoin(HOST, link) for link in pages[""].links}
+    left = {DOCS / "decisions" / "template.md"}
+    missing = [page for page in DOCS.rglob("*.md") if page not in left and HOST + address(page) not in listed]
+    assert sorted(str(page.relative_to(ROOT)) for page in missing) == []
+
+
+def test_a_page_of_the_site_has_the_structure_that_it_has_elsewhere(pages: dict[str, Page]) -> None:
+    """Lists, tables and blocks come out as any reader of CommonMark shows them."""
+    markdown = MarkdownIt("commonmark", {"html": True}).enable("table")
+    for path in sorted(DOCS.rglob("*.md")):
+        elsewhere = Page(f"<article>{markdown.render(path.read_text(encoding='utf-8'))}</article>")
+        assert pages[address(path)].elements == elsewhere.elements, path.relative_to(ROOT)
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("1. a\n\n   b\n", "1. a\n\n    b\n"),
+        ("1. a\n   * b\n     c\n2. d\n", "1. a\n    * b\n        c\n2. d\n"),
+        ("* a\n\n  ```text\n  * x\n\n    y\n  ```\n\nz\n", "* a\n\n    ```text\n    * x\n\n      y\n    ```\n\nz\n"),
+        ("```text\n1. a\n   b\n```\n", "```text\n1. a\n   b\n```\n"),
+        ("10. a\n    b\n\nc\n", "10. a\n    b\n\nc\n"),
+    ],
+)
+def test_what_belongs_to_an_item_is_indented_by_four(text: str, shown: str) -> None:
+    """Nested lists and blocks keep their place; what stands in a block is left alone."""
+    assert indented(text) == shown
