@@ -1,0 +1,97 @@
+"""What happened between two pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from rosplc.levels import Level
+from rosplc.monitor.picture import BridgeView, ChannelView, Event
+from rosplc.monitor.states import State
+
+__all__ = ["bridge_events", "channel_events"]
+
+_SILENCE = (State.STALE, State.SILENT)
+
+
+def channel_events(
+    before: Mapping[str, ChannelView], after: Mapping[str, ChannelView], time_ns: int
+) -> Iterator[Event]:
+    """Yield what happened to channels, each by its id, between two looks."""
+    for identifier, view in after.items():
+        known = before.get(identifier)
+        if known is None:
+            yield _event(time_ns, "appeared", view, "the channel appeared", view.state.level)
+        elif known != view:
+            yield from _changes(known, view, time_ns)
+    for identifier, view in before.items():
+        if identifier not in after:
+            yield _event(time_ns, "vanished", view, "the channel is gone", Level.WARN)
+
+
+def _changes(before: ChannelView, after: ChannelView, time_ns: int) -> Iterator[Event]:
+    broken = State.UNREADABLE
+    if after.state is broken:
+        if before.state is not broken or before.code != after.code:
+            yield _event(time_ns, "unreadable", after, f"{after.words} [{after.code}]", Level.ERROR)
+        return
+    if before.state is broken:
+        yield _event(time_ns, "readable", after, "the object can be read again")
+        return
+    if before.generation != after.generation:
+        what = "the object was replaced"
+        if before.layout_id != after.layout_id:
+            what += f", and has another layout: {after.type_name}, {after.record_size} bytes"
+        yield _event(time_ns, "replaced", after, what, Level.WARN)
+        return
+    yield from _counters(before, after, time_ns)
+    if before.plc_alive and after.plc_alive is False:
+        way = "reads" if after.direction == "to_plc" else "writes"
+        yield _event(time_ns, "plc-gone", after, f"no PLC task {way} it any more", Level.ERROR)
+    elif before.plc_alive is False and after.plc_alive:
+        yield _event(time_ns, "plc-back", after, "a PLC task is there again")
+    if after.state in _SILENCE and before.state not in _SILENCE:
+        yield _event(time_ns, "stale", after, after.words, Level.STALE)
+    elif before.state in _SILENCE and after.state is State.OK:
+        yield _event(time_ns, "recovered", after, "messages come again")
+
+
+def _counters(before: ChannelView, after: ChannelView, time_ns: int) -> Iterator[Event]:
+    if (count := after.refused - before.refused) > 0:
+        yield _event(time_ns, "refused", after, f"{_messages(count)} refused", Level.WARN)
+    if (count := after.truncated - before.truncated) > 0:
+        yield _event(time_ns, "truncated", after, f"{_messages(count)} cut to fit", Level.WARN)
+    if after.state is State.LOST and (count := after.lost - before.lost) > 0:
+        yield _event(time_ns, "lost", after, f"{_messages(count)} lost", Level.WARN)
+
+
+def bridge_events(
+    before: tuple[BridgeView, ...], after: tuple[BridgeView, ...], time_ns: int
+) -> Iterator[Event]:
+    """Yield bridges that stopped beating or began to: one event each, however many channels they have."""
+    known = {(bridge.prefix, bridge.name): bridge for bridge in before}
+    for bridge in after:
+        earlier = known.get((bridge.prefix, bridge.name))
+        if earlier is None or earlier.alive is bridge.alive:
+            continue
+        who = f"bridge {bridge.name}" + (f", process {bridge.pid}," if bridge.pid else "")
+        if bridge.alive is False and earlier.alive:
+            words = f"{who} " + ("does not beat any more" if bridge.pid else "has ended")
+            yield Event(
+                time_ns,
+                "bridge-gone",
+                Level.ERROR if bridge.pid else Level.WARN,
+                "",
+                bridge.prefix,
+                "",
+                words,
+            )
+        elif bridge.alive and earlier.alive is False:
+            yield Event(time_ns, "bridge-back", Level.OK, "", bridge.prefix, "", f"{who} beats again")
+
+
+def _event(time_ns: int, kind: str, view: ChannelView, words: str, level: Level = Level.OK) -> Event:
+    return Event(time_ns, kind, level, view.id, view.prefix, view.topic, words)
+
+
+def _messages(count: int) -> str:
+    return "1 message" if count == 1 else f"{count} messages"

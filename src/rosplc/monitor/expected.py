@@ -1,0 +1,74 @@
+"""What a look may expect of a topic; a configuration knows, and the object does not say it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from rosplc.layout import Layout
+from rosplc.shm import Direction
+
+__all__ = ["ClassicTopic", "Expectation", "Expected", "default_expectation"]
+
+_STALE_TO_PLC_NS = 1_000_000_000
+
+
+@dataclass(frozen=True)
+class Expectation:
+    """What is expected of one topic.
+
+    Attributes:
+        stale_after_ns: How old its newest message may become; 0 for never.
+        in_order: Whether each message counts, so that a loss is a fault. False where it is not known.
+        configured: Whether a configuration says so.
+    """
+
+    stale_after_ns: int
+    in_order: bool = False
+    configured: bool = True
+
+
+@dataclass(frozen=True)
+class ClassicTopic:
+    """A classic topic, whose memory cannot describe itself.
+
+    Attributes:
+        topic: As ROS writes it.
+        direction: Where its messages go.
+        memory: The memory's name.
+        semaphore: The semaphore's name; empty if there is none.
+        layout: The record's layout.
+        stale_after_ns: How long its record may stay the same; 0 for never.
+    """
+
+    topic: str
+    direction: Direction
+    memory: str
+    semaphore: str
+    layout: Layout
+    stale_after_ns: int = 0
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What configurations say.
+
+    Attributes:
+        topics: Per prefix and topic.
+        classic: Classic topics, with the prefix of their bridge.
+        stale_after_ns: For topics towards the PLC that no configuration names; 0 for never.
+    """
+
+    topics: Mapping[tuple[str, str], Expectation] = field(default_factory=dict)
+    classic: tuple[tuple[str, ClassicTopic], ...] = ()
+    stale_after_ns: int = _STALE_TO_PLC_NS
+
+    def of(self, prefix: str, topic: str, direction: Direction) -> Expectation:
+        """Return what is expected of a topic."""
+        known = self.topics.get((prefix, topic))
+        return known or default_expectation(direction, self.stale_after_ns)
+
+
+def default_expectation(direction: Direction, stale_after_ns: int = _STALE_TO_PLC_NS) -> Expectation:
+    """Return what a configuration says that says nothing: 1 s towards the PLC, never towards ROS."""
+    return Expectation(stale_after_ns if direction is Direction.TO_PLC else 0, configured=False)

@@ -1,0 +1,94 @@
+"""The newest message of a channel, decoded by the object's own description."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from rosplc.layout import Layout
+from rosplc.shm import SlotInfo
+from rosplc.shm.constants import (
+    FLAG_FIRST,
+    FLAG_SUBSTITUTED,
+    FLAG_TRUNCATED,
+    STAMP_PLC,
+    STAMP_ROS,
+    STAMP_SYSTEM,
+)
+
+__all__ = ["Message", "marks_of", "message_of", "numbers"]
+
+_MARKS = ((FLAG_FIRST, "first"), (FLAG_TRUNCATED, "truncated"), (FLAG_SUBSTITUTED, "substituted"))
+_CLOCKS = {STAMP_SYSTEM: "system", STAMP_ROS: "ros", STAMP_PLC: "plc"}
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """A message and what its slot says about it.
+
+    Attributes:
+        channel: The channel's id.
+        type_name: ``package/msg/Name``.
+        sequence: Its number; 0 for a classic topic, which has none.
+        stamp_ns: The source's time stamp, ns since its clock's epoch; 0 for none.
+        clock: That clock: ``system``, ``ros`` or ``plc``; empty for none.
+        marks: What of ``first``, ``truncated`` and ``substituted`` holds.
+        values: The fields, nested dicts and lists in the order of the type.
+    """
+
+    channel: str
+    type_name: str
+    sequence: int
+    stamp_ns: int
+    clock: str
+    marks: tuple[str, ...]
+    values: dict[str, Any]
+
+    def as_json(self) -> dict[str, Any]:
+        """Return plain data; NaN and infinity are still in it."""
+        return {name: getattr(self, name) for name in self.__slots__} | {"marks": list(self.marks)}
+
+
+def marks_of(flags: int) -> tuple[str, ...]:
+    """Return a slot's flags in words."""
+    return tuple(word for bit, word in _MARKS if flags & bit)
+
+
+def message_of(channel: str, layout: Layout, record: bytes | bytearray, info: SlotInfo | None) -> Message:
+    """Return a record as a message.
+
+    Args:
+        channel: The channel's id.
+        layout: The record's layout.
+        record: The bytes.
+        info: Its slot header; None for a classic topic.
+    """
+    values = layout.to_dict(record)
+    if info is None:
+        return Message(channel, layout.type_name, 0, 0, "", (), values)
+    clock = _CLOCKS.get(info.stamp_clock, "")
+    stamp = info.stamp_ns if clock else 0
+    return Message(channel, layout.type_name, info.sequence, stamp, clock, marks_of(info.flags), values)
+
+
+def numbers(values: Any, *, elements: int = 64, path: str = "") -> Iterator[tuple[str, float]]:
+    """Yield the path and value of every number in a message, ``pose.position.x`` or ``ranges[3]``.
+
+    Args:
+        values: A message's values.
+        elements: How many elements of an array are followed at most.
+        path: What every path begins with.
+
+    Yields:
+        Paths and numbers; a BOOL is 0 or 1, what is not finite is left out.
+    """
+    if isinstance(values, dict):
+        for name, value in values.items():
+            yield from numbers(value, elements=elements, path=f"{path}.{name}" if path else name)
+    elif isinstance(values, list):
+        for index, value in enumerate(values[:elements]):
+            yield from numbers(value, elements=elements, path=f"{path}[{index}]")
+    elif isinstance(values, (bool, int, float)) and math.isfinite(values):
+        yield path, float(values)

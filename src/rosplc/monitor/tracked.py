@@ -1,0 +1,224 @@
+"""One object between two looks: what was seen before, and what follows from it now."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+
+from rosplc._core._native import distance
+from rosplc.errors import ChannelError
+from rosplc.monitor.expected import Expectation
+from rosplc.monitor.judge import judge
+from rosplc.monitor.peers import Peers
+from rosplc.monitor.picture import ChannelView, ReaderView
+from rosplc.monitor.rate import Rate
+from rosplc.shm import Attached, Direction, ReaderState, Snapshot
+from rosplc.shm.constants import SLOT_HEADER, STAMP_SYSTEM, UNKNOWN
+from rosplc.shm.files import open_plain_file
+from rosplc.shm.header import channel_error
+from rosplc.shm.names import Namespace
+
+__all__ = ["Recently", "Tracked", "open_object"]
+
+_RECENT_NS = 10_000_000_000
+_DEBOUNCE_NS = 500_000_000
+_WRITER = -1
+_YEARS_NS = 10 * 365 * 86400 * 10**9
+
+
+def open_object(path: str) -> Attached:
+    """Map an object read-only, by its file: a shortened name does not give its topic away.
+
+    Raises:
+        ChannelError: As :func:`rosplc.shm.attach`.
+    """
+    fd = open_plain_file(Path(path), os.O_RDONLY)
+    try:
+        return Attached(fd, path, None, None, None, False)
+    finally:
+        os.close(fd)
+
+
+class Recently:
+    """Whether a counter has grown within the last ten seconds of looking."""
+
+    def __init__(self, count: int) -> None:
+        self._count = count
+        self._grown_ns: int | None = None
+
+    def of(self, count: int, now_ns: int) -> bool:
+        """Note the counter; return whether it grew lately."""
+        if count > self._count:
+            self._grown_ns = now_ns
+        self._count = count
+        return self._grown_ns is not None and now_ns - self._grown_ns < _RECENT_NS
+
+
+class Tracked:
+    """An attached object and what is remembered of it.
+
+    Args:
+        namespace: The names of its bridge.
+        name: The object's name.
+        attached: The object, mapped read-only; closed by :meth:`close`.
+        now_ns: The time of a monotonic clock.
+
+    Raises:
+        ChannelError: SHM113 if the self-description cannot be read, or is of another object.
+    """
+
+    def __init__(self, namespace: Namespace, name: str, attached: Attached, now_ns: int) -> None:
+        description = attached.description
+        try:
+            stands_right = namespace.object_name(description.topic) == name
+        except ChannelError:
+            stands_right = False
+        if not stands_right:
+            what = f"it describes {description.topic[:80]!r}, which has another name"
+            raise channel_error(113, what, attached.path)
+        self.name = name
+        self.prefix = namespace.prefix
+        self.attached = attached
+        self.description = description
+        self.direction = attached.identity.direction
+        self._to_plc = self.direction is Direction.TO_PLC
+        self._peers = Peers()
+        self._rate = Rate()
+        self._since_ns = now_ns
+        first = attached.snapshot()
+        self._head = first.writer.head
+        self._count = 0
+        self._changed_ns: int | None = None
+        self._refused = Recently(first.writer.refused)
+        self._lost = Recently(_most_lost(first))
+        self._settled_ns = 0
+
+    def close(self) -> None:
+        """Unmap the object."""
+        self.attached.close()
+
+    def look(self, expectation: Expectation, now_ns: int, wall_ns: int) -> ChannelView:
+        """Return how the channel stands.
+
+        Args:
+            expectation: What is expected of the topic.
+            now_ns: The time of a monotonic clock.
+            wall_ns: The time in ns since 1970 UTC.
+
+        Raises:
+            ChannelError: SHM111 or SHM112, the name must be opened again.
+        """
+        self.attached.valid()
+        identity, snapshot = self.attached.identity, self.attached.snapshot()
+        writer = snapshot.writer
+        self._follow(writer.head, now_ns, expectation.stale_after_ns)
+        age = self._age(writer.head, now_ns, wall_ns)
+        since = max(now_ns - self._since_ns, _past(wall_ns, identity.created_ns)) if age is None else age
+        limit = expectation.stale_after_ns
+        writer_alive = self._peers.alive(
+            _WRITER, writer.epoch, writer.beat_ms, writer.beat, writer.head, now_ns
+        )
+        readers = tuple(self._reader(line, now_ns) for line in snapshot.readers if line.claim)
+        bridge, plc = self._sides(writer_alive, readers)
+        lost = _most_lost(snapshot)
+        view = ChannelView(
+            id=self.name,
+            prefix=self.prefix,
+            topic=self.description.topic,
+            direction=self.direction.word,
+            type_name=self.description.type,
+            bridge=self.description.bridge,
+            bridge_pid=self._bridge_pid(snapshot),
+            rate_hz=self._rate.of(self._count, now_ns),
+            age_ns=age,
+            received=writer.head,
+            lost=lost,
+            refused=writer.refused,
+            truncated=writer.truncated,
+            writer_alive=writer_alive,
+            reader_alive=plc if self._to_plc else bridge,
+            bridge_alive=bridge,
+            plc_alive=plc,
+            ros_peers=self._ros_peers(snapshot),
+            stale=bool(limit) and since > limit,
+            stale_after_ns=limit,
+            configured=expectation.configured,
+            record_size=identity.record_size,
+            slots=identity.slot_count,
+            object_size=identity.object_size,
+            layout_id=identity.layout_id,
+            generation=identity.generation,
+            created_ns=identity.created_ns,
+            readers=readers,
+        )
+        silent = bool(limit) and (since > limit + _DEBOUNCE_NS or now_ns < self._settled_ns)
+        lost_lately = self._lost.of(lost, now_ns) and expectation.in_order
+        held = bool(readers) if self._to_plc else bool(writer.epoch)
+        refused = self._refused.of(writer.refused, now_ns)
+        state, words = judge(view, refused=refused, lost=lost_lately, silent=silent, held=held)
+        return replace(view, state=state, words=words)
+
+    def _follow(self, head: int, now_ns: int, limit: int) -> None:
+        if head == self._head:
+            return
+        new = distance(self._head, head, self.attached.identity.slot_count) if self._head else head
+        if new < 2**31:  # else the head was scribbled over, or begins anew
+            self._count += new
+            before = self._since_ns if self._changed_ns is None else self._changed_ns
+            if limit and self._head and now_ns - before > limit + _DEBOUNCE_NS:
+                self._settled_ns = now_ns + _DEBOUNCE_NS
+            self._changed_ns = now_ns
+        self._head = head
+
+    def _age(self, head: int, now_ns: int, wall_ns: int) -> int | None:
+        if not head:
+            return None
+        if self._changed_ns is not None:
+            return now_ns - self._changed_ns
+        return max(now_ns - self._since_ns, _past(wall_ns, self._stamp(head)))
+
+    def _stamp(self, head: int) -> int:
+        """Return the newest message's stamp by the system's clock; 0 if it has none."""
+        identity, region = self.attached.identity, self.attached.region
+        slot = identity.slots_offset + head % identity.slot_count * identity.slot_stride
+        words = region.words(slot, SLOT_HEADER["checksum"] // 4)
+        low, high, clock = words[SLOT_HEADER["stamp_lo"] // 4 :][:3]
+        return low | high << 32 if words[0] == head and clock == STAMP_SYSTEM else 0
+
+    def _reader(self, line: ReaderState, now_ns: int) -> ReaderView:
+        alive = self._peers.alive(line.index, line.claim, line.beat_ms, line.beat, line.taken, now_ns)
+        return ReaderView(
+            line.index, line.task, line.pid, alive, line.taken, line.lost, line.retries, line.error
+        )
+
+    def _sides(self, writer: bool | None, readers: tuple[ReaderView, ...]) -> tuple[bool | None, bool | None]:
+        """Return whether the bridge and whether the PLC beats."""
+        if self._to_plc:
+            return writer, _any(reader.alive for reader in readers)
+        return _any(reader.alive for reader in readers if reader.index == 0), writer
+
+    def _bridge_pid(self, snapshot: Snapshot) -> int:
+        if self._to_plc:
+            return snapshot.writer.pid if snapshot.writer.epoch else 0
+        return snapshot.readers[0].pid if snapshot.readers[0].claim else 0
+
+    def _ros_peers(self, snapshot: Snapshot) -> int | None:
+        count = snapshot.writer.sources if self._to_plc else snapshot.readers[0].sinks
+        return None if count == UNKNOWN else count
+
+
+def _any(alive: Iterable[bool | None]) -> bool | None:
+    known = list(alive)
+    return True if True in known else None if None in known else False
+
+
+def _most_lost(snapshot: Snapshot) -> int:
+    return max((line.lost for line in snapshot.readers if line.claim), default=0)
+
+
+def _past(wall_ns: int, then_ns: int) -> int:
+    """Return how long ago a time of another's clock was; 0 if that cannot be believed."""
+    ago = wall_ns - then_ns
+    return ago if then_ns and 0 < ago < _YEARS_NS else 0

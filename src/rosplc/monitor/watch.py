@@ -1,0 +1,268 @@
+"""Looking again and again at every channel of the machine, without touching any.
+
+A look lists the directory, reads the control words of each object, and compares with what it saw
+before. Objects that appear, vanish, are replaced or are damaged are ordinary, and never an error.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import time
+from dataclasses import dataclass
+
+from rosplc.described import layout_of
+from rosplc.errors import ChannelError
+from rosplc.monitor.classic_watch import ClassicWatch
+from rosplc.monitor.events import bridge_events, channel_events
+from rosplc.monitor.expected import Expected
+from rosplc.monitor.message import Message, message_of
+from rosplc.monitor.picture import BridgeView, ChannelView, Event, Picture
+from rosplc.monitor.states import State
+from rosplc.monitor.tracked import Tracked, open_object
+from rosplc.shm import Namespace, Reader
+from rosplc.shm.header import channel_error
+
+__all__ = ["MAX_CHANNELS", "Watch"]
+
+MAX_CHANNELS = 4096
+"""More objects than this are not looked at, and a note says so."""
+
+_OBJECT = re.compile(r"([A-Za-z][A-Za-z0-9_-]{0,31})\.t\.(.+)", re.DOTALL)
+_RETRY_NS = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class _File:
+    """What the directory says of an object."""
+
+    name: str
+    prefix: str
+    inode: int
+    size: int
+
+
+@dataclass(slots=True)
+class _Broken:
+    """An object that could not be opened; it is tried again when it changes, and about once a second."""
+
+    file: _File
+    error: ChannelError
+    retry_ns: int
+
+
+class Watch:
+    """Looks at the channels of this machine; a context manager. For one thread at a time.
+
+    Args:
+        prefix: Only those of this prefix; None for all.
+        directory: Where the objects stand.
+        expected: What configurations say of topics; without it the defaults hold.
+
+    Raises:
+        ChannelError: SHM118 if the prefix is not valid.
+    """
+
+    def __init__(
+        self,
+        prefix: str | None = None,
+        *,
+        directory: str = "/dev/shm",
+        expected: Expected | None = None,
+    ) -> None:
+        if prefix is not None:
+            Namespace(prefix, directory)
+        self._prefix = prefix
+        self._directory = directory
+        self._expected = expected or Expected()
+        self._tracked: dict[str, tuple[_File, Tracked]] = {}
+        self._broken: dict[str, _Broken] = {}
+        self._classic = [
+            ClassicWatch(each_prefix, topic)
+            for each_prefix, topic in self._expected.classic
+            if prefix in (None, each_prefix)
+        ]
+        self._before: dict[str, ChannelView] | None = None
+        self._bridges: tuple[BridgeView, ...] = ()
+
+    def __enter__(self) -> Watch:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Unmap everything; a second call does nothing."""
+        for _, tracked in self._tracked.values():
+            tracked.close()
+        self._tracked.clear()
+
+    def look(self) -> Picture:
+        """Look at every channel once; one to ten times a second is sensible.
+
+        Returns:
+            How they stand; rates and signs of life are unknown in the first picture.
+
+        Raises:
+            ChannelError: SHM123 if the directory cannot be listed.
+        """
+        now, wall = time.monotonic_ns(), time.time_ns()
+        files, notes = self._list()
+        for name in [name for name in self._tracked if name not in files]:
+            self._drop(name)
+        for name in [name for name in self._broken if name not in files]:
+            del self._broken[name]
+        views = [self._view(file, now, wall) for file in files.values()]
+        views += [watch.look(now) for watch in self._classic]
+        views += self._missing(views)
+        views.sort(key=lambda view: (view.prefix, view.topic, view.id))
+        return self._picture(tuple(views), wall, notes)
+
+    def message(self, channel: ChannelView | str) -> Message | None:
+        """Return a channel's newest message; None if there is none yet.
+
+        Args:
+            channel: One of the last picture's, or its id.
+
+        Raises:
+            ChannelError: SHM101 if it is gone or cannot be read, SHM113 if its type cannot be rebuilt.
+        """
+        identifier = channel if isinstance(channel, str) else channel.id
+        classic = next((each for each in self._classic if each.id == identifier), None)
+        if classic is not None:
+            return classic.message()
+        if identifier in self._broken:
+            raise self._broken[identifier].error
+        if identifier not in self._tracked:
+            raise channel_error(101, where=identifier)
+        attached = self._tracked[identifier][1].attached
+        if not attached.still_there():
+            raise channel_error(101, where=attached.path)
+        layout = layout_of(attached)
+        record = bytearray(layout.size)
+        info = Reader(attached.region, 0).peek(record)
+        return None if info is None else message_of(identifier, layout, record, info)
+
+    def _list(self) -> tuple[dict[str, _File], tuple[str, ...]]:
+        found: dict[str, _File] = {}
+        more = 0
+        try:
+            with os.scandir(self._directory) as entries:
+                for entry in entries:
+                    match = _OBJECT.fullmatch(entry.name)
+                    if match is None or self._prefix not in (None, match[1]):
+                        continue
+                    if len(found) >= MAX_CHANNELS:
+                        more += 1
+                        continue
+                    try:
+                        status = entry.stat(follow_symlinks=False)
+                    except OSError:
+                        continue  # gone in between
+                    found[entry.name] = _File(entry.name, match[1], status.st_ino, status.st_size)
+        except OSError as error:
+            raise channel_error(123, f"cannot list: {error.strerror}", self._directory) from error
+        return found, ((f"{more} more objects are not looked at",) if more else ())
+
+    def _view(self, file: _File, now: int, wall: int) -> ChannelView:
+        for _ in range(
+            2
+        ):  # once more where the object was retired or replaced since the directory was listed
+            try:
+                tracked = self._track(file, now)
+                expectation = self._expected.of(file.prefix, tracked.description.topic, tracked.direction)
+                return tracked.look(expectation, now, wall)
+            except ChannelError as error:
+                self._drop(file.name)
+                known = self._broken.get(file.name)
+                if known is None or known.error is not error:
+                    self._broken[file.name] = _Broken(file, error, now + _RETRY_NS)
+                if error.code not in ("SHM111", "SHM112"):
+                    break
+        return self._unreadable(file, self._broken[file.name].error)
+
+    def _track(self, file: _File, now: int) -> Tracked:
+        known = self._tracked.get(file.name)
+        if known is not None:
+            before, tracked = known
+            if before.inode == file.inode and file.size >= tracked.attached.identity.object_size:
+                return tracked
+            # A file that became shorter must not be touched: that would end this process.
+            self._drop(file.name)
+        broken = self._broken.get(file.name)
+        if broken is not None and broken.file == file and now < broken.retry_ns:
+            raise broken.error
+        namespace = Namespace(file.prefix, self._directory)
+        attached = open_object(os.path.join(self._directory, file.name))  # noqa: PTH118 - 200 times a look
+        try:
+            tracked = Tracked(namespace, file.name, attached, now)
+        except BaseException:
+            attached.close()
+            raise
+        self._tracked[file.name] = (file, tracked)
+        self._broken.pop(file.name, None)
+        return tracked
+
+    def _drop(self, name: str) -> None:
+        known = self._tracked.pop(name, None)
+        if known is not None:
+            known[1].close()
+
+    def _unreadable(self, file: _File, error: ChannelError) -> ChannelView:
+        topic = Namespace(file.prefix, self._directory).topic_of(file.name) or file.name
+        return ChannelView(
+            id=file.name,
+            prefix=file.prefix,
+            topic=topic,
+            state=State.UNREADABLE,
+            words=error.what,
+            code=error.code,
+            object_size=file.size,
+        )
+
+    def _missing(self, views: list[ChannelView]) -> list[ChannelView]:
+        there = {(view.prefix, view.topic) for view in views}
+        return [
+            ChannelView(
+                id=Namespace(prefix, self._directory).object_name(topic),
+                prefix=prefix,
+                topic=topic,
+                state=State.MISSING,
+                words="the configuration has it, and there is no object: its bridge does not run",
+                code="SHM101",
+                configured=True,
+            )
+            for prefix, topic in self._expected.topics
+            if (prefix, topic) not in there and self._prefix in (None, prefix)
+        ]
+
+    def _picture(self, views: tuple[ChannelView, ...], wall: int, notes: tuple[str, ...]) -> Picture:
+        after = {view.id: view for view in views}
+        bridges = _bridges(views)
+        events: list[Event] = []
+        if self._before is not None:
+            events += bridge_events(self._bridges, bridges, wall)
+            events += channel_events(self._before, after, wall)
+        self._before, self._bridges = after, bridges
+        return Picture(wall, views, bridges, tuple(events), notes)
+
+
+def _bridges(views: tuple[ChannelView, ...]) -> tuple[BridgeView, ...]:
+    groups: dict[tuple[str, str], list[ChannelView]] = {}
+    for view in views:
+        if view.bridge:
+            groups.setdefault((view.prefix, view.bridge), []).append(view)
+    bridges = []
+    for (prefix, name), group in sorted(groups.items()):
+        alive = [view.bridge_alive for view in group]
+        bridges.append(
+            BridgeView(
+                prefix=prefix,
+                name=name,
+                pid=max(view.bridge_pid for view in group),
+                alive=True if True in alive else None if None in alive else False,
+                channels=len(group),
+                worst=max((view.state for view in group), key=lambda state: state.severity),
+            )
+        )
+    return tuple(bridges)
