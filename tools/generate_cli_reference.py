@@ -30,7 +30,7 @@ rosplc: error SHM101: ...
 | exit status | meaning |
 | ---: | --- |
 | 0 | done |
-| 1 | it failed; for `demo`: something that was sent did not arrive |
+| 1 | it failed; for `demo`: something that was sent did not arrive; for `status`: something is wrong |
 | 2 | the configuration or the command line is wrong |
 | 3 | `run`: ROS told the node to leave (`rosnode kill`, a name that was taken); another start may help |
 | 130 | ended by Ctrl-C; `run` ends with 0, since that is how it is meant to end |

@@ -18,6 +18,7 @@ __all__ = [
     "parse_duration",
     "parse_mode",
     "parse_rate",
+    "parse_stale",
 ]
 
 _UNITS = {"ns": 1, "us": 10**3, "µs": 10**3, "ms": 10**6, "s": 10**9, "min": 60 * 10**9, "h": 3600 * 10**9}
@@ -88,7 +89,12 @@ def parse_mode(value: Any) -> int:
     return mode
 
 
-def _parse_stale(value: Any) -> int:
+def parse_stale(value: Any) -> int:
+    """Return the nanoseconds of a duration, or 0 for ``"never"``.
+
+    Raises:
+        ValueError: With a text that says what would be right.
+    """
     return 0 if value == "never" else parse_duration(value)
 
 
@@ -124,7 +130,7 @@ Interval = Annotated[int, BeforeValidator(parse_rate), _text(_EITHER_PATTERN, "1
 
 StaleAfter = Annotated[
     int,
-    BeforeValidator(_parse_stale),
+    BeforeValidator(parse_stale),
     WithJsonSchema({"anyOf": [{"const": "never"}, {"type": "string", "pattern": _DURATION_PATTERN}]}),
 ]
 """Nanoseconds; 0 for ``never``."""

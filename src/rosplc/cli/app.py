@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from rosplc._version import __version__
-from rosplc.cli import bench, check, demo, doctor, generate, run, service, show, types
+from rosplc.cli import bench, check, demo, doctor, generate, run, service, show, status, types
 from rosplc.cli.ros_arguments import RosCommand
 
 __all__ = ["app"]
@@ -25,6 +25,8 @@ rosplc generate rosplc.yaml  —  the PLC half, for CODESYS
 rosplc run rosplc.yaml  —  carry the topics of a configuration
 
 rosplc show /cmd_vel  —  what stands in a topic's shared memory now
+
+rosplc status  —  every channel on this machine, and whether anything is wrong
 
 rosplc service install cell1  —  start /etc/rosplc/cell1.yaml with the machine
 
@@ -47,6 +49,7 @@ for _name, _verb in (
     ("service", service),
     ("check", check),
     ("show", show),
+    ("status", status),
     ("types", types),
     ("generate", generate),
     ("demo", demo),

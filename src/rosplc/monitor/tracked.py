@@ -111,7 +111,7 @@ class Tracked:
             ChannelError: SHM111 or SHM112, the name must be opened again.
         """
         self.attached.valid()
-        identity, snapshot = self.attached.identity, self.attached.snapshot()
+        identity, snapshot = self.attached.identity, Snapshot.of(self.attached.region, free=False)
         writer = snapshot.writer
         self._follow(writer.head, now_ns, expectation.stale_after_ns)
         age = self._age(writer.head, now_ns, wall_ns)
@@ -120,7 +120,7 @@ class Tracked:
         writer_alive = self._peers.alive(
             _WRITER, writer.epoch, writer.beat_ms, writer.beat, writer.head, now_ns
         )
-        readers = tuple(self._reader(line, now_ns) for line in snapshot.readers if line.claim)
+        readers = tuple(self._reader(line, now_ns) for line in snapshot.readers)
         bridge, plc = self._sides(writer_alive, readers)
         lost = _most_lost(snapshot)
         view = ChannelView(
@@ -202,10 +202,13 @@ class Tracked:
     def _bridge_pid(self, snapshot: Snapshot) -> int:
         if self._to_plc:
             return snapshot.writer.pid if snapshot.writer.epoch else 0
-        return snapshot.readers[0].pid if snapshot.readers[0].claim else 0
+        return next((line.pid for line in snapshot.readers if line.index == 0), 0)
 
     def _ros_peers(self, snapshot: Snapshot) -> int | None:
-        count = snapshot.writer.sources if self._to_plc else snapshot.readers[0].sinks
+        if self._to_plc:
+            count = snapshot.writer.sources
+        else:
+            count = next((line.sinks for line in snapshot.readers if line.index == 0), UNKNOWN)
         return None if count == UNKNOWN else count
 
 

@@ -57,11 +57,18 @@ class Snapshot:
     readers: tuple[ReaderState, ...]
 
     @classmethod
-    def of(cls, region: Region) -> Snapshot:
-        """Look at a mapped object."""
+    def of(cls, region: Region, *, free: bool = True) -> Snapshot:
+        """Look at a mapped object.
+
+        Args:
+            region: The object.
+            free: Return free reader lines too; who looks at hundreds of objects can do without them.
+        """
         words = region.words(IDENTITY_SIZE, CHANGING_WORDS)
         lines = [words[at : at + _WORDS] for at in range(0, len(words), _WORDS)]
-        readers = tuple(_reader(index, lines[1 + index]) for index in range(READER_LINES))
+        readers = tuple(
+            _reader(index, lines[1 + index]) for index in range(READER_LINES) if free or lines[1 + index][0]
+        )
         return cls(region.word(IDENTITY["state"]), WriterState(*lines[0][:10]), readers)
 
 

@@ -1,0 +1,134 @@
+"""``rosplc status``: every channel of every bridge on this machine, once, and whether anything is wrong."""
+
+from __future__ import annotations
+
+import json
+import time
+from datetime import datetime
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rosplc.cli.guard import EXIT_FAILURE, finite, guarded, print_json
+from rosplc.cli.text import columns, say
+from rosplc.cli.watching import Configs, Directory, Prefix, StaleAfter, open_watch
+
+if TYPE_CHECKING:
+    from rosplc.monitor import ChannelView, Event, Picture, Watch
+
+__all__ = ["EPILOG", "command", "settled"]
+
+EPILOG = """Examples:
+
+rosplc status  —  every channel, and what is wrong
+
+rosplc status --config rosplc.yaml  —  judged by what the configuration allows
+
+rosplc status --json | jq '.channels[] | select(.state != "ok") | .topic'
+
+rosplc status --follow  —  then what happens, line by line, until Ctrl-C
+
+It looks for about a second, and for up to three where nobody beats. It needs no configuration, no ROS and no
+right to write, and nobody notices it. The exit status is 0 only if there are channels and nothing is wrong
+with any of them, and 1 otherwise: it can guard a script. docs/howto/watch-channels.md explains each state.
+"""
+
+_LOOK_SECONDS = 0.1
+_LEAST_SECONDS = 1.0
+_MOST_SECONDS = 31.0
+"""A beat is never promised for more than ten seconds, and three are waited for."""
+_FOLLOW_SECONDS = 0.5
+
+
+@guarded
+def command(
+    prefix: Prefix = None,
+    config: Configs = None,
+    stale_after: StaleAfter = "1s",
+    follow: Annotated[
+        bool, typer.Option("--follow", "-f", help="Go on and print what happens until Ctrl-C.")
+    ] = False,
+    directory: Directory = "/dev/shm",
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Print one table of every channel of every bridge on this machine, and what is wrong."""
+    with open_watch(prefix, config, stale_after, directory) as watch:
+        picture = settled(watch)
+        if as_json and follow:
+            typer.echo(json.dumps(finite(picture.as_json())))
+        elif as_json:
+            print_json(picture.as_json())
+        else:
+            _print(picture)
+        if follow:
+            _follow(watch, as_json=as_json)
+    if picture.wrong or not picture.channels:
+        raise typer.Exit(EXIT_FAILURE)
+
+
+def settled(watch: Watch) -> Picture:
+    """Look until there are rates, and until it is known of everybody whether they live.
+
+    Raises:
+        ChannelError: SHM123 if the directory cannot be listed.
+    """
+    from rosplc.monitor import State
+
+    began = time.monotonic()
+    while True:
+        picture = watch.look()
+        passed = time.monotonic() - began
+        looking = any(view.state is State.UNKNOWN for view in picture.channels)
+        if not picture.channels or passed > _MOST_SECONDS or (passed > _LEAST_SECONDS and not looking):
+            return picture
+        time.sleep(_LOOK_SECONDS)
+
+
+def _print(picture: Picture) -> None:
+    from rosplc.monitor.cells import plc_text, state_text, way_text
+
+    if not picture.channels:
+        say("There are no channels on this machine. Start a bridge (rosplc run) or the demo (rosplc demo).")
+        return
+    for bridge in picture.bridges:
+        alive = "alive" if bridge.alive else "dead" if bridge.pid else "ended"
+        process = f", process {bridge.pid}" if bridge.pid else ""
+        say(f"bridge {bridge.name}, prefix {bridge.prefix}{process}: {alive}, {bridge.channels} channels")
+    say()
+    several = len({view.prefix for view in picture.channels}) > 1
+    rows = []
+    for view in picture.channels:
+        figures = ("-", "-", "-", "-") if not view.direction else _figures(view)
+        row = [state_text(view), view.topic, way_text(view), *figures, plc_text(view)]
+        rows.append([*row, view.prefix] if several else row)
+    header = ["  state", "topic", "way", "per s", "age", "lost", "refused", "PLC"]
+    for line in columns(rows, header=[*header, "prefix"] if several else header):
+        say(line)
+    if picture.wrong:
+        say()
+    for view in picture.wrong:
+        code = f" [{view.code}]" if view.code else ""
+        say(f"{view.topic}: {view.state.value}: {view.words}{code}")
+    for note in picture.notes:
+        say(note)
+
+
+def _figures(view: ChannelView) -> tuple[str, str, str, str]:
+    from rosplc.monitor.cells import age_text, count_text, rate_text
+
+    lost, refused = count_text(view.lost), count_text(view.refused)
+    return rate_text(view.rate_hz), age_text(view.age_ns), lost, refused
+
+
+def _follow(watch: Watch, *, as_json: bool) -> None:
+    while True:
+        time.sleep(_FOLLOW_SECONDS)
+        for event in watch.look().events:
+            typer.echo(json.dumps(event.as_json())) if as_json else say(_line(event))
+
+
+def _line(event: Event) -> str:
+    from rosplc.monitor.cells import event_text
+
+    clock = datetime.fromtimestamp(event.time_ns / 1e9).strftime("%H:%M:%S")
+    return f"{clock} {event_text(event)}"
