@@ -66,7 +66,9 @@ format: $(VENV)/.installed ## let ruff format and sort imports
 	@$(VENV)/bin/ruff format .
 
 .PHONY: reference
-reference: $(VENV)/.installed $(VENV)/.core ## write the generated pages of docs/reference again
+reference: $(VENV)/.installed $(VENV)/.core ## write the generated pages and drawings of docs/ again
+	@$(VENV)/bin/python tools/draw_path.py
+	@$(VENV)/bin/python tools/draw_format.py
 	@$(VENV)/bin/python tools/generate_error_reference.py
 	@$(VENV)/bin/python tools/generate_config_reference.py
 	@$(VENV)/bin/python tools/generate_cli_reference.py

@@ -2,46 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from drawing import box, picture, stroke, text, write
 
-IMAGE = Path(__file__).resolve().parent.parent / "docs" / "images" / "path.svg"
-WIDTH, HEIGHT = 960, 336
-STYLE = """\
-text { font: 14px system-ui, -apple-system, "Segoe UI", sans-serif; fill: #1f2328; text-anchor: middle }
-.small { font-size: 12px; fill: #59636e }
-.mono { font: 12px ui-monospace, "DejaVu Sans Mono", monospace; fill: #59636e }
-.bold { font-weight: 600 }
-.page { fill: #ffffff }
-.area { fill: none; stroke: #8c959f; stroke-dasharray: 5 4 }
-.box { fill: #f6f8fa; stroke: #59636e }
-.shm { fill: #ddf4ff; stroke: #0969da }
-.slot { fill: #ffffff; stroke: #0969da }
-.full { fill: #54aeff; stroke: #0969da }
-.arrow { stroke: #1f2328; stroke-width: 1.6; fill: none; marker-end: url(#head) }
-#head path { fill: #1f2328 }
-@media (prefers-color-scheme: dark) {
-  text { fill: #f0f6fc }
-  .small, .mono { fill: #9198a1 }
-  .page { fill: #0d1117 }
-  .area { stroke: #656c76 }
-  .box { fill: #151b23; stroke: #9198a1 }
-  .shm { fill: #0c2d6b; stroke: #4493f8 }
-  .slot { fill: #0d1117; stroke: #4493f8 }
-  .full { fill: #1f6feb; stroke: #4493f8 }
-  .arrow { stroke: #f0f6fc }
-  #head path { fill: #f0f6fc }
-}
-"""
-
-
-def text(x: float, y: float, content: str, kind: str = "") -> str:
-    """Return a line of text centred on x."""
-    return f'<text x="{x:g}" y="{y:g}" class="{kind}">{content}</text>'
-
-
-def box(x: float, y: float, width: float, height: float, kind: str = "box") -> str:
-    """Return a rectangle with round corners."""
-    return f'<rect x="{x:g}" y="{y:g}" width="{width:g}" height="{height:g}" rx="6" class="{kind}"/>'
+WIDTH, BOTTOM = 960, 336
 
 
 def part(x: float, y: float, width: float, title: str, subtitle: str) -> str:
@@ -64,22 +27,13 @@ def channel(x: float, y: float, name: str, newest: int) -> str:
 
 def arrow(x1: float, x2: float, y: float) -> str:
     """Return a horizontal arrow."""
-    return f'<path d="M{x1:g} {y:g}H{x2:g}" class="arrow"/>'
+    return stroke(f"M{x1:g} {y:g}H{x2:g}")
 
 
 def image() -> str:
     """Return the whole picture."""
     down, up = 96, 212
     parts = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 24 {WIDTH} {HEIGHT - 24}" role="img" '
-        'aria-labelledby="t">',
-        '<title id="t">A message goes from ROS through the bridge and a channel in shared memory into the '
-        "PLC's scan cycle, and back the same way.</title>",
-        f"<style>\n{STYLE}</style>",
-        '<defs><marker id="head" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="8" markerHeight="8" '
-        'orient="auto"><path d="M0 0 8 4 0 8z"/></marker></defs>',
-        # a ground of its own: a page may be dark where the reader's system is light
-        f'<rect y="24" width="{WIDTH}" height="{HEIGHT - 24}" rx="6" class="page"/>',
         # who owns what
         box(196, 40, 320, 252, "area") + text(356, 64, "bridge: one process, one YAML file", "bold"),
         box(754, 40, 196, 252, "area") + text(852, 64, "PLC: its own scan cycle", "bold"),
@@ -104,10 +58,15 @@ def image() -> str:
         text(635, 182, "4 or more slots: the newest", "small"),
         text(635, 198, "whole message always stays", "small"),
         text(480, 318, "no lock, no wait and no system call on the PLC's side", "small"),
-        "</svg>\n",
     ]
-    return "\n".join(parts)
+    title = (
+        "A message goes from ROS through the bridge and a channel in shared memory into the PLC's scan "
+        "cycle, and back the same way."
+    )
+    return picture(title, 24, WIDTH, BOTTOM, parts)
 
+
+DRAWINGS = {"path.svg": image}
 
 if __name__ == "__main__":
-    IMAGE.write_text(image(), encoding="utf-8")
+    write(DRAWINGS)

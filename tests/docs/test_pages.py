@@ -124,7 +124,9 @@ def test_ellipsis_stands_for_any_text(expected: str, output: str, fits: bool) ->
     assert bool(pattern(expected).fullmatch(normal(output))) is fits
 
 
-def test_picture_is_what_its_program_draws() -> None:
-    """docs/images/path.svg was not changed by hand."""
-    program = runpy.run_path(str(ROOT / "tools" / "draw_path.py"))
-    assert (DOCS / "images" / "path.svg").read_text(encoding="utf-8") == program["image"]()
+@pytest.mark.parametrize("program", ["draw_path.py", "draw_format.py"])
+def test_pictures_are_what_their_programs_draw(program: str) -> None:
+    """No picture was changed by hand, and none shows what the C core no longer does."""
+    drawings = runpy.run_path(str(ROOT / "tools" / program))["DRAWINGS"]
+    for name, draw in drawings.items():
+        assert (DOCS / "images" / name).read_text(encoding="utf-8") == draw(), name

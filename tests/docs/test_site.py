@@ -1,4 +1,4 @@
-"""The documentation as a site: complete in itself, every link and anchor there, nothing fetched from elsewhere."""
+"""The documentation as a site: complete in itself, with every link and anchor, and nothing fetched."""
 
 from __future__ import annotations
 
@@ -19,7 +19,22 @@ from docs_site import indented
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 HOST = "http://site/"
-STRUCTURE = ("h1", "h2", "h3", "h4", "h5", "ol", "ul", "li", "table", "tr", "pre", "blockquote", "img", "details")
+STRUCTURE = (
+    "h1",
+    "h2",
+    "h3",
+    "h4",
+    "h5",
+    "ol",
+    "ul",
+    "li",
+    "table",
+    "tr",
+    "pre",
+    "blockquote",
+    "img",
+    "details",
+)
 
 pytestmark = pytest.mark.xdist_group("site")
 
@@ -69,7 +84,9 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("site")
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(folder)]
     env = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
-    done = subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True, timeout=240, check=False)
+    done = subprocess.run(
+        command, cwd=ROOT, env=env, capture_output=True, text=True, timeout=240, check=False
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     return folder
 
@@ -130,7 +147,10 @@ def test_a_page_of_the_site_has_the_structure_that_it_has_elsewhere(pages: dict[
     [
         ("1. a\n\n   b\n", "1. a\n\n    b\n"),
         ("1. a\n   * b\n     c\n2. d\n", "1. a\n    * b\n        c\n2. d\n"),
-        ("* a\n\n  ```text\n  * x\n\n    y\n  ```\n\nz\n", "* a\n\n    ```text\n    * x\n\n      y\n    ```\n\nz\n"),
+        (
+            "* a\n\n  ```text\n  * x\n\n    y\n  ```\n\nz\n",
+            "* a\n\n    ```text\n    * x\n\n      y\n    ```\n\nz\n",
+        ),
         ("```text\n1. a\n   b\n```\n", "```text\n1. a\n   b\n```\n"),
         ("10. a\n    b\n\nc\n", "10. a\n    b\n\nc\n"),
     ],
