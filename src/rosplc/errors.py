@@ -23,8 +23,10 @@ __all__ = [
     "GenerationError",
     "LayoutError",
     "MessageTypeError",
+    "RecordingError",
     "RosplcError",
     "SetupError",
+    "WebError",
 ]
 
 
@@ -135,10 +137,22 @@ class GenerationError(RosplcError):
     family = "PLC"
 
 
+class RecordingError(RosplcError):
+    """A recording cannot be made, read or replayed."""
+
+    family = "REC"
+
+
 class SetupError(RosplcError):
     """The machine lacks something: a package, a right, room in ``/dev/shm``."""
 
     family = "SYS"
+
+
+class WebError(RosplcError):
+    """The page cannot be served, or a browser's request was refused."""
+
+    family = "WEB"
 
 
 _register("TYP001", "unknown message type", "Check the spelling with `rosplc types`, or add its folder to types.paths.")
@@ -214,6 +228,8 @@ _register("CFG009", "aliases and custom tags are not accepted", "Write the value
 _register("CFG010", "key is written twice", "Keep one of the two; YAML readers drop the other silently.")
 _register("CFG011", "ROS argument is not valid", "Correct the named argument: --ros-args -r from:=to, or __name:=node __ns:=/namespace from:=to in ROS 1.")
 _register("CFG012", "key cannot change while the bridge runs", "Set it back, or restart the bridge; nothing of the new file is applied until then.")
+_register("CFG013", "configuration exists already", "Choose another file with --output, or replace this one with --force.")
+_register("CFG014", "configuration cannot be written", "Check the folder and the permissions, or choose another file with --output.")
 
 _register("ROS001", "backend is not available", "Install the backend's package, or choose another in ros.backend.")
 _register("ROS002", "middleware refused", "See the message; domain, network interface and QoS are the usual causes.")
@@ -234,6 +250,7 @@ _register("ROS016", "Zenoh router is not reachable", "Start one where ros.zenoh.
 _register("ROS017", "definition cannot be taken from the wire", "Start a publisher of the topic; `rostopic info TOPIC` shows who there is.")
 _register("ROS018", "ROS side does not answer", "See the log for what it hangs in; restart the bridge if it does not come back.")
 _register("ROS019", "backend does not carry this quality of service", "Remove deadline and lease from the topic's qos, or use the dds backend; stale_after needs neither.")
+_register("ROS020", "nothing was found in the ROS graph", "Start the robot's nodes, and see that domain (ROS_DOMAIN_ID), network and ROS version are theirs; in ROS 1 name --distro noetic.")
 
 _register("PLC001", "a generated file was edited", "Move your changes elsewhere and remove the file, or run again with --force.")
 _register("PLC002", "output folder cannot be written", "Check the path and the permissions.")
@@ -254,3 +271,22 @@ _register("SYS008", "shared memory cannot be used", "Check that /dev/shm is moun
 _register("SYS009", "a program of the comparison does not compile", "See the compiler's message; a missing header belongs to a -dev package.")
 _register("SYS010", "real-time setting is not permitted", "Run the bridge as a service (rosplc service install), or raise the limits rtprio and memlock; without `realtime:` none is needed.")
 _register("SYS011", "service cannot be installed", "Run it as root (sudo), or look with --dry-run; --root writes into another folder.")
+
+_register("REC001", "recording cannot be written", "Check path and permissions, or choose another place with --output.")
+_register("REC002", "disk is full", "Free space or record elsewhere; what was recorded until then is in the file, and readable.")
+_register("REC003", "recording cannot be read", "If it was cut off or damaged, `rosplc record --repair FILE` saves what is whole.")
+_register("REC004", "nothing to record", "Start the bridge, or name its prefix (--prefix); `rosplc show` lists what there is.")
+_register("REC005", "trigger is not valid", "Write stale, error, or a field such as '/plc/status.fault' or '/tank.level > 0.9'.")
+_register("REC006", "nothing to replay", "See which topics the recording has with `rosplc replay FILE --list`.")
+_register("REC007", "topic cannot be replayed", "Leave it out with --exclude, or rename it with --rename.")
+
+_register("WEB001", "address cannot be listened at", "Choose another --port, or end the program that has this one; --bind takes an address of this machine.")
+_register("WEB002", "token file cannot be used", "Write 16 to 256 printable characters into it, without a blank, and keep it to yourself (chmod 600).")
+_register("WEB003", "request names a host that is not this server", "Open the page by an address or as localhost, or start the server with --name NAME.")
+_register("WEB004", "request comes from another site's page", "Open this server's own page. If a proxy stands in between, it must pass on the Host header.")
+_register("WEB005", "token is missing or wrong", "Enter the token that the server printed when it started, or that stands in its --token-file.")
+_register("WEB006", "writing is not switched on", "Start the server with --allow-write.")
+_register("WEB007", "too many pages are connected", "Close a page elsewhere.")
+_register("WEB008", "channel is not there, or not one that can be asked", "Look for it in the list of channels.")
+_register("WEB009", "request is not understood", "Reload the page; it and the server are of different releases.")
+_register("WEB010", "channel cannot be written", "A test message is written only where nobody else writes: stop the other writer, or write where it reads.")

@@ -1,4 +1,4 @@
-"""Durations, rates and file modes as people write them in a configuration."""
+"""Durations, rates, sizes and file modes as people write them."""
 
 from __future__ import annotations
 
@@ -18,11 +18,17 @@ __all__ = [
     "parse_duration",
     "parse_mode",
     "parse_rate",
+    "parse_size",
     "parse_stale",
 ]
 
 _UNITS = {"ns": 1, "us": 10**3, "µs": 10**3, "ms": 10**6, "s": 10**9, "min": 60 * 10**9, "h": 3600 * 10**9}
 _RATES = {"mHz": Fraction(1, 1000), "Hz": Fraction(1), "kHz": Fraction(1000)}
+_SIZES = {"B": 1, "kB": 10**3, "KB": 10**3, "MB": 10**6, "GB": 10**9, "TB": 10**12} | {
+    "KiB": 2**10,
+    "MiB": 2**20,
+    "GiB": 2**30,
+}
 _QUANTITY = re.compile(r"([0-9]{1,14}(?:\.[0-9]{1,9})?)[ ]?([A-Za-zµ]+)\Z")
 _LONGEST = 24 * 3600 * 10**9
 
@@ -67,6 +73,21 @@ def parse_rate(value: Any) -> int:
     if not 0 < hertz <= 10**6 or 10**9 / hertz > _LONGEST:
         raise ValueError(f"{value!r} is not between one a day and 1000kHz")
     return round(10**9 / hertz)
+
+
+def parse_size(value: Any) -> int:
+    """Return the bytes of ``"200MB"`` or ``"64MiB"``; up to 1000 TB.
+
+    Raises:
+        ValueError: With a text that says what would be right.
+    """
+    number, unit = _split(value, "200MB or 1GB")
+    if unit not in _SIZES:
+        raise ValueError(f"{value!r} has the unit {unit!r}; the units are {', '.join(_SIZES)}")
+    size = number * _SIZES[unit]
+    if not 1 <= size <= 10**15:
+        raise ValueError(f"{value!r} is not between 1B and 1000TB")
+    return int(size)
 
 
 def parse_mode(value: Any) -> int:

@@ -1,0 +1,335 @@
+"""``rosplc record``: what channels carry, into files that ROS tools read."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from rosplc.cli.guard import guarded, print_json
+from rosplc.cli.progress import ProgressLine
+from rosplc.cli.text import columns, in_bytes, say, warn
+from rosplc.cli.watching import Directory
+
+if TYPE_CHECKING:
+    from rosplc.recorder import Order, Recorder, Result
+
+__all__ = ["EPILOG", "command", "duration", "size"]
+
+EPILOG = """Examples:
+
+rosplc record  —  every channel of the bridge, until Ctrl-C
+
+rosplc record /cmd_vel '/robot1/*' -o shift.mcap --duration 10min  —  some of them, for ten minutes
+
+rosplc record --bag -o shift --split-size 1GB  —  a folder for `ros2 bag`, a new file every gigabyte
+
+rosplc record --keep 5min --trigger error --trigger '/plc/status.fault' --after 10s  —  keep the last five
+minutes in memory, and write them when something has happened; Ctrl-C ends it, SIGHUP saves at once
+
+rosplc record --repair broken.mcap  —  save what is whole of a file that was cut off
+
+It reads every message in order, and nobody notices it. What it could not keep up with is counted, printed,
+and stands in the file. docs/howto/record-and-replay.md has more.
+"""
+
+_TURN_S = 0.1
+
+
+@guarded
+def command(
+    topics: Annotated[
+        list[str] | None,
+        typer.Argument(help="Topics, or patterns such as '/robot1/*'; every channel without."),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", metavar="PATH", help="The file, or the folder of a bag; by default rosplc_DATE."
+        ),
+    ] = None,
+    bag: Annotated[
+        bool, typer.Option("--bag", help="Write a folder with a metadata.yaml, as `ros2 bag record` does.")
+    ] = False,
+    prefix: Annotated[
+        str | None, typer.Option(metavar="NAME", help="The bridge's `prefix:`; by default rosplc.")
+    ] = None,
+    config: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="The bridge's configuration: prefix, QoS and `stale_after:` count."
+        ),
+    ] = None,
+    exclude: Annotated[
+        list[str] | None,
+        typer.Option("--exclude", "-x", metavar="TOPIC", help="Topics or patterns to leave out."),
+    ] = None,
+    length: Annotated[
+        str | None, typer.Option("--duration", metavar="TIME", help="End after so long, such as 10min.")
+    ] = None,
+    split_size: Annotated[
+        str | None, typer.Option(metavar="SIZE", help="Begin a new file at so many bytes, such as 1GB.")
+    ] = None,
+    split_time: Annotated[
+        str | None, typer.Option(metavar="TIME", help="Begin a new file after so long, such as 10min.")
+    ] = None,
+    compression: Annotated[
+        str, typer.Option(metavar="NAME", help="How messages are compressed: zstd, lz4 or none.")
+    ] = "zstd",
+    keep: Annotated[
+        str | None,
+        typer.Option(metavar="TIME", help="Keep so much in memory, and write it only when a trigger fires."),
+    ] = None,
+    memory: Annotated[
+        str, typer.Option(metavar="SIZE", help="With --keep: what that may take; the oldest gives way.")
+    ] = "200MB",
+    trigger: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--trigger",
+            "-t",
+            metavar="WHAT",
+            help="With --keep: stale, error, or a field that becomes true such as '/plc/status.fault' or "
+            "'/tank.level > 0.9'; by default stale and error.",
+        ),
+    ] = None,
+    after: Annotated[
+        str | None, typer.Option(metavar="TIME", help="With --keep: go on for so long after a trigger.")
+    ] = None,
+    most_files: Annotated[
+        int, typer.Option("--files", metavar="N", min=1, help="With --keep: save no more often than this.")
+    ] = 100,
+    repair: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Record nothing: save what is whole of this file, into --output."),
+    ] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print no progress.")] = False,
+    directory: Directory = "/dev/shm",
+    as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+) -> None:
+    """Record channels into MCAP files, which Foxglove, PlotJuggler and `ros2 bag` read."""
+    if repair is not None:
+        raise typer.BadParameter("not there yet", param_hint="--repair")
+    seconds = duration(length, "--duration") / 1e9
+    order = _order(
+        topics or [],
+        output=output,
+        bag=bag,
+        prefix=prefix,
+        config=config,
+        exclude=exclude or [],
+        split_size=split_size,
+        split_time=split_time,
+        compression=compression,
+        keep=keep,
+        memory=memory,
+        trigger=trigger or [],
+        after=after,
+        most_files=most_files,
+        directory=directory,
+    )
+    _record(order, seconds, quiet=quiet, as_json=as_json)
+
+
+def duration(text: str | None, option: str) -> int:
+    """Return an option's duration in ns; 0 if it was not given."""
+    from rosplc.bridge.quantities import parse_duration
+
+    return _quantity(parse_duration, text, option)
+
+
+def size(text: str | None, option: str) -> int:
+    """Return an option's bytes; 0 if it was not given."""
+    from rosplc.bridge.quantities import parse_size
+
+    return _quantity(parse_size, text, option)
+
+
+def _quantity(parse: Callable[[str], int], text: str | None, option: str) -> int:
+    try:
+        return 0 if text is None else parse(text)
+    except ValueError as error:
+        raise typer.BadParameter(str(error), param_hint=option) from None
+
+
+def _order(
+    topics: list[str],
+    *,
+    output: Path | None,
+    bag: bool,
+    prefix: str | None,
+    config: Path | None,
+    exclude: list[str],
+    split_size: str | None,
+    split_time: str | None,
+    compression: str,
+    keep: str | None,
+    memory: str,
+    trigger: list[str],
+    after: str | None,
+    most_files: int,
+    directory: str,
+) -> Order:
+    from rosplc.bridge.resolve import load_project
+    from rosplc.expected import expected_of
+    from rosplc.recorder import COMPRESSIONS, Order, Selection, Split
+    from rosplc.recorder.names import base_of, dated, free_name, refuse_taken
+    from rosplc.shm import Namespace
+
+    chosen = next((one for one in COMPRESSIONS if one == compression), None)
+    if chosen is None:
+        raise typer.BadParameter(
+            f"{compression!r} is none of {', '.join(COMPRESSIONS)}", param_hint="--compression"
+        )
+    if keep is None and (trigger or after is not None):
+        raise typer.BadParameter("it needs --keep", param_hint="--trigger" if trigger else "--after")
+    namespace, expected, qos, distro = Namespace(prefix or "rosplc", directory), None, {}, ""
+    if config is not None:
+        project = load_project(config)
+        if prefix is None:
+            namespace = project.namespace
+        expected, distro = expected_of(project), project.config.settings.ros.distro
+        qos = {plan.topic: plan.qos for plan in project.topics}
+    if output is not None:
+        base = base_of(output)
+        if keep is None:
+            refuse_taken(base)
+    else:
+        base = Path("rosplc") if keep is not None else free_name(dated(Path("rosplc")))
+    return Order(
+        namespace=namespace,
+        base=base,
+        selection=Selection(tuple(topics), tuple(exclude)),
+        split=Split(size(split_size, "--split-size"), duration(split_time, "--split-time")),
+        bag=bag,
+        compression=chosen,
+        qos=qos,
+        distro=distro,
+        keep_ns=duration(keep, "--keep"),
+        memory=size(memory, "--memory"),
+        triggers=tuple(trigger) if trigger else ("stale", "error") if keep is not None else (),
+        after_ns=duration(after, "--after"),
+        most_files=most_files,
+        expected=expected,
+    )
+
+
+def _record(order: Order, seconds: float, *, quiet: bool, as_json: bool) -> None:
+    from rosplc.bridge.run import stop_on_signals
+    from rosplc.errors import RecordingError
+    from rosplc.recorder import Recorder, prepare_process
+
+    recorder = Recorder(order)
+    prepare_process()
+
+    def tell(number: int) -> None:
+        if number == signal.SIGHUP:
+            recorder.trigger("SIGHUP")
+
+    line = ProgressLine(quiet=quiet)
+    with stop_on_signals(tell) as stop:
+        recorder.start()
+        _begin(recorder, order, quiet=quiet)
+        end = time.monotonic() + seconds if seconds else None
+        try:
+            try:
+                while not stop.wait(_TURN_S) and (end is None or time.monotonic() < end):
+                    recorder.look_after()
+                    line.show(lambda: _progress(recorder))
+            finally:
+                line.clear()
+                recorder.stop()
+        finally:
+            if recorder.result is not None:
+                _report(order, recorder, recorder.result, as_json=as_json)
+    if recorder.result is not None and not recorder.result.received and not order.keep_ns:
+        raise RecordingError("REC004", "not one message came", where=order.namespace.prefix)
+
+
+def _begin(recorder: Recorder, order: Order, *, quiet: bool) -> None:
+    for name, error in recorder.failures.items():
+        warn(f"{name} is not recorded: {error.what} [{error.code}]")
+    topics = list(recorder.inlet.counts)
+    for pattern in order.selection.without_match(topics):
+        warn(f"there is no channel {pattern} yet; it is recorded when it comes")
+    if not topics:
+        warn(
+            f"there are no channels of prefix {order.namespace.prefix} yet; they are recorded when they come"
+        )
+        _hint(order)
+    if quiet:
+        return
+    what = f"{len(topics)} topic{'' if len(topics) == 1 else 's'}"
+    if order.keep_ns:
+        warn(f"keeping the last {order.keep_ns / 1e9:g} s of {what}; triggers: {', '.join(order.triggers)}")
+    else:
+        warn(f"recording {what}; Ctrl-C ends it")
+
+
+def _hint(order: Order) -> None:
+    from rosplc.monitor import find_objects
+
+    others = sorted({state.prefix for state in find_objects(str(order.namespace.directory), seconds=0.0)})
+    if others:
+        warn(f"there are channels of prefix {', '.join(others)}: choose with --prefix")
+
+
+def _progress(recorder: Recorder) -> str:
+    now = recorder.progress()
+    held = f", holds {now.span_ns / 1e9:.0f} s" if recorder.order.keep_ns else ""
+    return (
+        f"{now.seconds:.0f} s: {now.received} messages of {now.topics} topics, {now.lost} lost, "
+        f"{in_bytes(now.size)}{held}" + (f", {now.files} files" if now.files else "")
+    )
+
+
+def _report(order: Order, recorder: Recorder, result: Result, *, as_json: bool) -> None:
+    if as_json:
+        print_json(_document(result, recorder))
+        return
+    lost = f"{result.lost} lost" if result.lost else "none lost"
+    say(f"{result.received} messages of {len(result.topics)} topics in {result.seconds:.1f} s, {lost}")
+    rows = [
+        (name, one.type_name, one.received, one.lost + one.refused) for name, one in result.topics.items()
+    ]
+    for text in columns(rows, header=("topic", "type", "messages", "lost"), indent=2):
+        say(text)
+    for file in result.files:
+        say(f"{file.path}: {sum(file.counts.values())} messages, {in_bytes(file.size)}")
+    if order.keep_ns:
+        for reason in result.saves:
+            say(f"saved because of {reason}")
+        if not result.saves:
+            say("no trigger fired: nothing was saved")
+        if result.unsaved:
+            warn(f"{result.unsaved} more triggers: --files {order.most_files} was reached")
+        if result.cut_short:
+            warn("memory was full before the time was: raise --memory, or leave out topics")
+    if result.lost:
+        warn("messages were lost: raise depth: of these topics, or record fewer; sequence numbers show where")
+
+
+def _document(result: Result, recorder: Recorder) -> dict[str, Any]:
+    return {
+        "seconds": result.seconds,
+        "received": result.received,
+        "lost": result.lost,
+        "topics": {
+            name: {
+                "type": one.type_name,
+                "received": one.received,
+                "lost": one.lost,
+                "refused": one.refused,
+            }
+            for name, one in result.topics.items()
+        },
+        "files": [file.to_dict() for file in result.files],
+        "saves": list(result.saves),
+        "unsaved": result.unsaved,
+        "cut_short": result.cut_short,
+        "not_recorded": {name: error.to_dict() for name, error in recorder.failures.items()},
+    }

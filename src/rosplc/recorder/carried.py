@@ -1,0 +1,96 @@
+"""A channel that is being recorded: what it is called in the file, and how to read it in order."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+from rosplc.codec import Codec, Wire
+from rosplc.described import layout_of
+from rosplc.monitor.tracked import open_object
+from rosplc.recorder.mcap_write import ChannelInfo
+from rosplc.recorder.rosbag2 import qos_text
+from rosplc.ros import DEFAULT, LATCHED, Qos
+from rosplc.shm import Description, Direction, Reader
+
+__all__ = ["CarriedChannel", "channel_info"]
+
+
+class CarriedChannel:
+    """An object, attached read-only: nobody notices that it is recorded.
+
+    Args:
+        path: The object's file.
+        from_start: Take what it holds already, because it is younger than the recording.
+
+    Attributes:
+        topic: As its description says.
+        description: Its self-description.
+        slots: Its slots; one message less can wait.
+        codec: Record to CDR.
+        reader: Takes every message in order, and counts what it missed.
+
+    Raises:
+        ChannelError: As :func:`rosplc.shm.attach`; SHM113 if it does not describe itself.
+    """
+
+    def __init__(self, path: Path, *, from_start: bool) -> None:
+        self._attached = open_object(str(path))
+        try:
+            self.description: Description = self._attached.description
+            layout = layout_of(self._attached)
+            # Also of a ROS 1 channel: its store is one of ROS 2, as the description gives no version.
+            self.codec = Codec(layout, Wire.CDR)
+            self.reader: Reader = self._attached.reader(latched=from_start)
+        except BaseException:
+            self._attached.close()
+            raise
+        self.topic = self.description.topic
+        self.slots = self._attached.identity.slot_count
+
+    def still_there(self) -> bool:
+        """Return whether the name still leads to this object."""
+        return self._attached.still_there()
+
+    def close(self) -> None:
+        """Let go of the object."""
+        self._attached.close()
+
+
+def channel_info(carried: CarriedChannel, number: int, prefix: str, qos: Qos | None) -> ChannelInfo:
+    """Return how a file names a channel; ``qos`` None where no configuration says it."""
+    description, layout = carried.description, carried.codec.layout
+    return ChannelInfo(
+        id=number,
+        topic=description.topic,
+        schema_name=layout.type_name,
+        schema_encoding="ros2msg",
+        schema=layout.store.definition_text(layout.type_name).encode(),
+        encoding="cdr",
+        metadata={
+            "offered_qos_profiles": qos_text(qos or _usual(description)),
+            "topic_type_hash": layout.store.type_hash(layout.type_name),
+            **_own(description, carried.slots, prefix),
+        },
+    )
+
+
+def _usual(description: Description) -> Qos:
+    # Which QoS the bridge uses stands in its configuration alone; these are its defaults.
+    if description.direction is Direction.TO_ROS:
+        return LATCHED
+    return DEFAULT
+
+
+def _own(description: Description, slots: int, prefix: str) -> Mapping[str, str]:
+    """Return what a replay needs to make the same channel again."""
+    return {
+        "rosplc.direction": description.direction.word,
+        "rosplc.limits": json.dumps(dict(description.limits)),
+        "rosplc.layout_id": description.layout_id,
+        "rosplc.slots": str(slots),
+        "rosplc.distro": description.distro,
+        "rosplc.bridge": description.bridge,
+        "rosplc.prefix": prefix,
+    }

@@ -1,0 +1,359 @@
+"""MCAP files, written chunk by chunk; with :mod:`rosplc.recorder.mcap_read` the only user of the library.
+
+The library's records are used, its ``Writer`` is not: a ring buffer keeps chunks that are finished and
+compressed, and puts them into a file when something has happened; the ``Writer`` takes messages only.
+
+A file is good at every moment: what is written is whole records, and one that the disk has no room for is
+taken back. Only :meth:`McapFile.finish` adds the summary, so a file without one was cut off; readers that
+go through it from the front read it all the same.
+"""
+
+from __future__ import annotations
+
+import os
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import lz4.frame
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    MessageIndex,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+from mcap.writer import MCAP0_MAGIC
+
+from rosplc._version import __version__
+from rosplc.recorder.batch import Batch
+
+__all__ = ["COMPRESSIONS", "ChannelInfo", "Compression", "McapFile", "SealedChunk", "seal"]
+
+Compression = Literal["zstd", "lz4", "none"]
+COMPRESSIONS: tuple[Compression, ...] = ("zstd", "lz4", "none")
+_LEVEL = 1  # of zstd: three times as fast as its default, and hardly larger on messages
+
+
+@dataclass(frozen=True)
+class ChannelInfo:
+    """A channel of a file, as everything that stands before its messages.
+
+    Attributes:
+        id: From 1 to 65535, the same in every file of a recording.
+        topic: The topic.
+        schema_name: The type, ``package/msg/Name``.
+        schema_encoding: ``ros2msg``.
+        schema: The definition.
+        encoding: How messages are serialized, ``cdr``.
+        metadata: What else is known of it.
+    """
+
+    id: int
+    topic: str
+    schema_name: str
+    schema_encoding: str
+    schema: bytes
+    encoding: str
+    metadata: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class SealedChunk:
+    """A finished chunk: the bytes that a file gets, and what its summary needs to know.
+
+    Attributes:
+        blob: The Chunk record, and the MessageIndex records behind it.
+        chunk_length: Bytes of the Chunk record.
+        index_offsets: Channel id → where in ``blob`` its MessageIndex stands.
+        start_ns: The earliest log time.
+        end_ns: The latest.
+        compression: As the record names it.
+        compressed_size: Bytes inside.
+        uncompressed_size: Bytes that they stand for.
+        counts: Channel id → messages.
+    """
+
+    blob: bytes
+    chunk_length: int
+    index_offsets: Mapping[int, int]
+    start_ns: int
+    end_ns: int
+    compression: str
+    compressed_size: int
+    uncompressed_size: int
+    counts: Mapping[int, int]
+
+
+def seal(batch: Batch, compression: Compression) -> SealedChunk:
+    """Compress and index a batch that holds at least one message."""
+    raw = bytes(batch.data)
+    packed, name = _compress(raw, compression)
+    builder = RecordBuilder()
+    Chunk(
+        compression=name,
+        data=packed,
+        message_start_time=batch.start_ns,
+        message_end_time=batch.end_ns,
+        uncompressed_crc=zlib.crc32(raw),
+        uncompressed_size=len(raw),
+    ).write(builder)
+    length = builder.count
+    offsets = {}
+    for channel, places in sorted(batch.index.items()):
+        offsets[channel] = builder.count
+        MessageIndex(channel, list(zip(places[::2], places[1::2], strict=True))).write(builder)
+    return SealedChunk(
+        blob=_ended(builder),
+        chunk_length=length,
+        index_offsets=offsets,
+        start_ns=batch.start_ns,
+        end_ns=batch.end_ns,
+        compression=name,
+        compressed_size=len(packed),
+        uncompressed_size=len(raw),
+        counts=batch.counts(),
+    )
+
+
+def _compress(raw: bytes, compression: Compression) -> tuple[bytes, str]:
+    if compression == "zstd":
+        return zstandard.ZstdCompressor(level=_LEVEL).compress(raw), "zstd"
+    if compression == "lz4":
+        return bytes(lz4.frame.compress(raw)), "lz4"
+    return raw, ""
+
+
+@dataclass
+class _Contents:
+    """What the summary will say."""
+
+    schemas: dict[tuple[str, bytes], Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    chunks: list[ChunkIndex] = field(default_factory=list)
+    metadata: list[MetadataIndex] = field(default_factory=list)
+    counts: dict[int, int] = field(default_factory=dict)
+
+
+class McapFile:
+    """A file that is being written.
+
+    Args:
+        path: Where; there must be nothing at this name yet.
+        profile: What readers may rely on, ``ros2``.
+
+    Attributes:
+        path: As given.
+        size: Bytes, whole records only.
+        finished: Whether the summary is written.
+
+    Raises:
+        OSError: It cannot be created, or written; also from the other methods.
+    """
+
+    def __init__(self, path: Path, profile: str = "ros2") -> None:
+        self.path = path
+        self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+        self.size = 0
+        self.finished = False
+        self._contents = _Contents()
+        self._chunk_counts: list[Mapping[int, int]] = []
+        try:
+            self._write(MCAP0_MAGIC + _bytes(Header(profile, f"rosplc {__version__}")))
+        except OSError:
+            self.close()
+            path.unlink(missing_ok=True)  # not even a beginning
+            raise
+
+    @property
+    def counts(self) -> dict[int, int]:
+        """Channel id → messages written."""
+        return self._contents.counts
+
+    @property
+    def messages(self) -> int:
+        """Messages written."""
+        return sum(self._contents.counts.values())
+
+    @property
+    def start_ns(self) -> int:
+        """The earliest log time; 0 without messages."""
+        return min((chunk.message_start_time for chunk in self._contents.chunks), default=0)
+
+    @property
+    def end_ns(self) -> int:
+        """The latest log time; 0 without messages."""
+        return max((chunk.message_end_time for chunk in self._contents.chunks), default=0)
+
+    def declare(self, channel: ChannelInfo) -> None:
+        """Write a channel and its schema, if they are not there yet."""
+        contents = self._contents
+        if channel.id in contents.channels:
+            return
+        key = (channel.schema_name, channel.schema)
+        records: list[McapRecord] = []
+        if (schema := contents.schemas.get(key)) is None:
+            number = len(contents.schemas) + 1
+            schema = Schema(
+                id=number, data=channel.schema, encoding=channel.schema_encoding, name=channel.schema_name
+            )
+            records.append(schema)
+        record = Channel(channel.id, channel.topic, channel.encoding, dict(channel.metadata), schema.id)
+        records.append(record)
+        self._write(b"".join(_bytes(one) for one in records))
+        contents.schemas[key] = schema
+        contents.channels[channel.id] = record
+
+    def append(self, chunk: SealedChunk) -> None:
+        """Write a chunk, whose channels were declared."""
+        start = self.size
+        self._write(chunk.blob)
+        contents = self._contents
+        contents.chunks.append(
+            ChunkIndex(
+                chunk_length=chunk.chunk_length,
+                chunk_start_offset=start,
+                compression=chunk.compression,
+                compressed_size=chunk.compressed_size,
+                message_end_time=chunk.end_ns,
+                message_index_length=len(chunk.blob) - chunk.chunk_length,
+                message_index_offsets={
+                    channel: start + offset for channel, offset in chunk.index_offsets.items()
+                },
+                message_start_time=chunk.start_ns,
+                uncompressed_size=chunk.uncompressed_size,
+            )
+        )
+        self._chunk_counts.append(chunk.counts)
+        for channel, count in chunk.counts.items():
+            contents.counts[channel] = contents.counts.get(channel, 0) + count
+
+    def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Write a Metadata record."""
+        data = _bytes(Metadata(name, dict(values)))
+        start = self.size
+        self._write(data)
+        self._contents.metadata.append(MetadataIndex(length=len(data), name=name, offset=start))
+
+    def finish(self) -> None:
+        """Write the summary and close the file.
+
+        On a full disk the last chunks make room for it: tools that need a summary are many, and a second
+        of messages is little.
+
+        Raises:
+            OSError: There was no room for it all the same; the file is closed, and readable from the front.
+        """
+        try:
+            while not self.finished:
+                end = _bytes(DataEnd(0))
+                try:
+                    self._write(end + self._summary(self.size + len(end)))
+                    self.finished = True
+                except OSError:
+                    if not self._contents.chunks:
+                        raise
+                    self._take_back()
+        finally:
+            self.close()
+
+    def _take_back(self) -> None:
+        """Remove the last chunk, and what stands behind it."""
+        contents = self._contents
+        last = contents.chunks.pop()
+        self.size = last.chunk_start_offset
+        os.ftruncate(self._fd, self.size)
+        os.lseek(self._fd, self.size, os.SEEK_SET)
+        contents.metadata = [one for one in contents.metadata if one.offset < self.size]
+        for channel, count in self._chunk_counts.pop().items():
+            contents.counts[channel] -= count
+
+    def close(self) -> None:
+        """Close the file as it stands; harmless twice."""
+        fd, self._fd = self._fd, -1
+        if fd >= 0:
+            os.close(fd)
+
+    def sync(self) -> None:
+        """Wait until the disk has it."""
+        os.fdatasync(self._fd)
+
+    def _write(self, data: bytes) -> None:
+        rest = memoryview(data)
+        try:
+            while rest:
+                rest = rest[os.write(self._fd, rest) :]
+        except OSError:
+            # Half a record helps nobody, and its room may be enough for the summary.
+            os.ftruncate(self._fd, self.size)
+            os.lseek(self._fd, self.size, os.SEEK_SET)
+            raise
+        self.size += len(data)
+
+    def _summary(self, start: int) -> bytes:
+        contents = self._contents
+        groups: list[tuple[Opcode, list[McapRecord]]] = [
+            (Opcode.SCHEMA, list(contents.schemas.values())),
+            (Opcode.CHANNEL, list(contents.channels.values())),
+            (Opcode.STATISTICS, [self._statistics()]),
+            (Opcode.CHUNK_INDEX, list(contents.chunks)),
+            (Opcode.METADATA_INDEX, list(contents.metadata)),
+        ]
+        builder, offsets = RecordBuilder(), []
+        for opcode, records in groups:
+            before = builder.count
+            for record in records:
+                record.write(builder)
+            if records:
+                offsets.append(
+                    SummaryOffset(
+                        group_opcode=opcode,
+                        group_start=start + before,
+                        group_length=builder.count - before,
+                    )
+                )
+        offsets_at = start + builder.count
+        for offset in offsets:
+            offset.write(builder)
+        summary = _ended(builder)
+        # The checksum covers the summary and the footer up to the checksum itself.
+        footer = _bytes(Footer(start, offsets_at, 0))
+        crc = zlib.crc32(footer[:-4], zlib.crc32(summary))
+        return summary + footer[:-4] + crc.to_bytes(4, "little") + MCAP0_MAGIC
+
+    def _statistics(self) -> Statistics:
+        contents = self._contents
+        return Statistics(
+            attachment_count=0,
+            channel_count=len(contents.channels),
+            channel_message_counts=dict(contents.counts),
+            chunk_count=len(contents.chunks),
+            message_count=self.messages,
+            message_end_time=self.end_ns,
+            message_start_time=self.start_ns,
+            metadata_count=len(contents.metadata),
+            schema_count=len(contents.schemas),
+        )
+
+
+def _bytes(record: McapRecord) -> bytes:
+    builder = RecordBuilder()
+    record.write(builder)
+    return _ended(builder)
+
+
+def _ended(builder: RecordBuilder) -> bytes:
+    return bytes(builder.end())  # type: ignore[no-untyped-call]

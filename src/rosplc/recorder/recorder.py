@@ -1,0 +1,399 @@
+"""The data logger: from channels to files, at once or when something has happened."""
+
+from __future__ import annotations
+
+import gc
+import json
+import sys
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from rosplc._version import __version__
+from rosplc.errors import ChannelError, RecordingError
+from rosplc.monitor import Expected, Watch
+from rosplc.recorder.inlet import Inlet
+from rosplc.recorder.mcap_write import Compression, SealedChunk
+from rosplc.recorder.names import dated, free_name
+from rosplc.recorder.outlet import Outlet
+from rosplc.recorder.ring import Ring
+from rosplc.recorder.selection import Selection
+from rosplc.recorder.store import FileStore, Split, Written
+from rosplc.recorder.trigger import Fired, Triggers
+from rosplc.ros import Qos
+from rosplc.shm import Namespace
+
+__all__ = ["Order", "Progress", "Recorder", "Result", "TopicResult", "prepare_process"]
+
+_LOOK_NS = 500_000_000
+_SETTLE_NS = 200_000_000
+
+
+@dataclass(frozen=True)
+class Order:
+    """What is to be recorded, and how.
+
+    Attributes:
+        namespace: The channels' prefix and directory.
+        base: The file's path without ``.mcap``; of a ring buffer's files, what their names begin with.
+        selection: Which topics.
+        split: When a new file begins.
+        bag: Write folders as `ros2 bag record` does.
+        compression: How chunks are compressed.
+        chunk_bytes: How large a chunk becomes.
+        flush_ns: How old a chunk becomes before it is written: what a crash may cost.
+        qos: Topic → QoS, as far as a configuration says it.
+        distro: The ROS distribution that is named in the file.
+        keep_ns: How much a ring buffer keeps; 0: everything is written at once.
+        memory: Bytes that a ring buffer's chunks may have.
+        triggers: What makes a ring buffer be saved.
+        after_ns: How long it goes on after a trigger before it is saved.
+        most_files: How many times it is saved; more would fill the disk.
+        expected: What is stale, as far as a configuration says it.
+    """
+
+    namespace: Namespace
+    base: Path
+    selection: Selection = field(default_factory=Selection)
+    split: Split = field(default_factory=Split)
+    bag: bool = False
+    compression: Compression = "zstd"
+    chunk_bytes: int = 1 << 20
+    flush_ns: int = 1_000_000_000
+    qos: Mapping[str, Qos] = field(default_factory=dict)
+    distro: str = ""
+    keep_ns: int = 0
+    memory: int = 200_000_000
+    triggers: Sequence[str] = ()
+    after_ns: int = 0
+    most_files: int = 100
+    expected: Expected | None = None
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How a recording stands.
+
+    Attributes:
+        seconds: How long it has run.
+        topics: Topics that are, or were, recorded.
+        received: Messages taken.
+        lost: Messages missed.
+        size: Bytes on the disk, or in the ring buffer.
+        span_ns: What the ring buffer holds; 0 without one.
+        files: Files that are finished.
+    """
+
+    seconds: float
+    topics: int
+    received: int
+    lost: int
+    size: int
+    span_ns: int
+    files: int
+
+
+@dataclass(frozen=True)
+class TopicResult:
+    """One topic's part of a recording.
+
+    Attributes:
+        type_name: Its type.
+        received: Messages taken.
+        lost: Messages missed: overwritten before they were read, or dropped before the disk.
+        refused: Messages taken that could not be encoded.
+    """
+
+    type_name: str
+    received: int
+    lost: int
+    refused: int
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a recording became.
+
+    Attributes:
+        files: The files.
+        topics: Per topic what was taken and missed.
+        seconds: How long it ran.
+        saves: Why a ring buffer was saved, per time.
+        unsaved: Triggers for which nothing was saved any more.
+        cut_short: Whether memory held less than it was to keep.
+    """
+
+    files: tuple[Written, ...]
+    topics: Mapping[str, TopicResult]
+    seconds: float
+    saves: tuple[str, ...] = ()
+    unsaved: int = 0
+    cut_short: bool = False
+
+    @property
+    def received(self) -> int:
+        """Messages taken, of all topics."""
+        return sum(topic.received for topic in self.topics.values())
+
+    @property
+    def lost(self) -> int:
+        """Messages missed, of all topics."""
+        return sum(topic.lost + topic.refused for topic in self.topics.values())
+
+
+def prepare_process() -> None:
+    """Make this process answer quickly: for a program that does nothing but record.
+
+    A thread that computes gives way after half a millisecond instead of five, and a collection of
+    garbage no longer goes through everything that was there at the start. Both would cost messages of
+    channels with few slots.
+    """
+    sys.setswitchinterval(0.0005)
+    gc.collect()
+    gc.freeze()
+
+
+class Recorder:
+    """A recording; :meth:`start`, :meth:`look_after` a few times a second, :meth:`stop`.
+
+    Args:
+        order: What is to be recorded.
+
+    Attributes:
+        inlet: What takes the messages.
+        result: What the recording became, once it has been stopped.
+
+    Raises:
+        RecordingError: REC005, a trigger is wrong; REC001 or REC002, the file cannot be created.
+    """
+
+    def __init__(self, order: Order) -> None:
+        self.order = order
+        self._triggers = Triggers(order.triggers)
+        self._ring = Ring(order.keep_ns, order.memory) if order.keep_ns else None
+        self._outlet = Outlet(self._take, order.compression)
+        self.inlet = Inlet(
+            order.namespace,
+            order.selection,
+            self._outlet.put,
+            chunk_bytes=order.chunk_bytes,
+            flush_ns=order.flush_ns,
+            qos=order.qos,
+            watch=self._triggers.watch,
+        )
+        self._store = None if self._ring is not None else self._new_store(order.base, {})
+        self._watch: Watch | None = None
+        if self._triggers.watches:
+            self._watch = Watch(
+                order.namespace.prefix, directory=str(order.namespace.directory), expected=order.expected
+            )
+        self._files: list[Written] = []
+        self._saves: list[str] = []
+        self._waiting: list[Fired] = []
+        self._due_ns = 0
+        self._saver: threading.Thread | None = None
+        self._save_error: Exception | None = None
+        self._unsaved = 0
+        self._looked_ns = 0
+        self._began = time.monotonic()
+        self.result: Result | None = None
+
+    def start(self) -> None:
+        """Begin.
+
+        Raises:
+            ChannelError: SHM123 if the directory cannot be listed.
+            RecordingError: REC005, a trigger's field does not exist.
+        """
+        self._outlet.start()
+        try:
+            self.inlet.start()
+            self._raise_problem()
+        except BaseException:
+            self.stop()
+            raise
+        self._began = time.monotonic()
+        self._looked_ns = time.monotonic_ns()
+
+    def look_after(self) -> None:
+        """Look for channels that came or went, for triggers, and for what went wrong.
+
+        Raises:
+            RecordingError: REC001 or REC002, it cannot go on; :meth:`stop` finishes what there is.
+        """
+        now = time.monotonic_ns()
+        if now - self._looked_ns >= _LOOK_NS:
+            self._looked_ns = now
+            self.inlet.look_after()
+            if self._watch is not None:
+                seen = [
+                    event
+                    for event in self._watch.look().events
+                    if not event.topic or event.topic in self.order.selection
+                ]
+                self._triggers.see(seen)
+        for error in (self.inlet.error, self._outlet.error, self._save_error):
+            if error is not None:
+                raise error
+        self._raise_problem()
+        if self._ring is not None:
+            self._trigger(now)
+
+    def trigger(self, reason: str) -> None:
+        """Save the ring buffer, as a trigger would; from any thread."""
+        self._triggers.fire(time.time_ns(), reason)
+
+    def progress(self) -> Progress:
+        """Return how it stands."""
+        counts = list(self.inlet.counts.values())
+        store, ring = self._store, self._ring
+        return Progress(
+            seconds=time.monotonic() - self._began,
+            topics=len(counts),
+            received=sum(count.received for count in counts),
+            lost=sum(count.lost + count.refused for count in counts) + sum(self._dropped().values()),
+            size=store.size if store is not None else ring.size if ring is not None else 0,
+            span_ns=0 if ring is None else ring.span_ns,
+            files=len(self._files) if store is None else len(store.written),
+        )
+
+    def stop(self) -> Result:
+        """Take what is there, finish the files, and return what became of it.
+
+        Raises:
+            RecordingError: REC001 or REC002: the last file could not be finished, and has no summary.
+        """
+        seconds = time.monotonic() - self._began
+        self.inlet.stop()
+        self._outlet.stop()
+        if self._watch is not None:
+            self._watch.close()
+        if self._ring is not None:
+            self._waiting += self._triggers.take()
+            self._join()
+            if self._waiting:
+                self._save()
+                self._join()
+        failure = self._save_error
+        if self._store is not None:
+            try:
+                self._store.finish()
+            except RecordingError as error:
+                failure = error
+            self._files = self._store.written
+        self.result = Result(
+            tuple(self._files),
+            self._topics(),
+            seconds,
+            tuple(self._saves),
+            self._unsaved,
+            self._ring is not None and self._ring.cut_short,
+        )
+        if failure is not None:
+            raise failure
+        return self.result
+
+    def _take(self, chunk: SealedChunk) -> None:
+        if self._ring is not None:
+            self._ring.take(chunk)
+        else:
+            assert self._store is not None
+            self._store.take(chunk)
+
+    def _new_store(self, base: Path, more: Mapping[str, str]) -> FileStore:
+        order = self.order
+        return FileStore(
+            base,
+            self.inlet.channels,
+            lambda: {**self._facts(), **more},
+            split=order.split,
+            bag=order.bag,
+            distro=order.distro,
+        )
+
+    # -- the ring buffer
+
+    def _trigger(self, now_ns: int) -> None:
+        fired = self._triggers.take()
+        if fired and not self._waiting:
+            # The chunk of the moment is written when it is full: until then it is waited for as well.
+            self._due_ns = now_ns + self.order.after_ns + self.order.flush_ns + _SETTLE_NS
+        self._waiting += fired
+        saving = self._saver is not None and self._saver.is_alive()
+        if self._waiting and now_ns >= self._due_ns and not saving:
+            self._save()
+
+    def _save(self) -> None:
+        """Write what the ring holds, in a thread of its own: taking messages goes on."""
+        assert self._ring is not None
+        fired, self._waiting = self._waiting, []
+        if len(self._saves) >= self.order.most_files:
+            self._unsaved += len(fired)
+            return
+        chunks = self._ring.chunks()
+        reasons = list(dict.fromkeys(one.reason for one in fired))
+        base = free_name(dated(self.order.base, fired[0].time_ns / 1e9))
+        facts = {
+            "trigger": json.dumps(reasons, ensure_ascii=False),
+            "trigger_ns": json.dumps([one.time_ns for one in fired]),
+        }
+        self._saves.append("; ".join(reasons))
+
+        def write() -> None:
+            try:
+                store = self._new_store(base, facts)
+                try:
+                    for chunk in chunks:
+                        store.take(chunk)
+                finally:
+                    store.finish()
+                    self._files += store.written
+            except Exception as error:  # whoever waits for the recording is told
+                self._save_error = error
+
+        self._saver = threading.Thread(target=write, name="rosplc-save", daemon=True)
+        self._saver.start()
+
+    def _join(self) -> None:
+        if self._saver is not None:
+            self._saver.join()
+
+    # -- facts
+
+    def _raise_problem(self) -> None:
+        if self._triggers.problems:
+            raise self._triggers.problems[0]
+
+    def _dropped(self) -> dict[str, int]:
+        dropped: dict[str, int] = {}
+        for number, count in list(self._outlet.dropped.items()):
+            topic = self.inlet.channels[number].topic
+            dropped[topic] = dropped.get(topic, 0) + count
+        return dropped
+
+    def _topics(self) -> dict[str, TopicResult]:
+        dropped = self._dropped()
+        return {
+            topic: TopicResult(
+                count.type_name, count.received, count.lost + dropped.get(topic, 0), count.refused
+            )
+            for topic, count in sorted(self.inlet.counts.copy().items())
+        }
+
+    def _facts(self) -> dict[str, str]:
+        """Return what the file says of its own making."""
+        topics = self._topics()
+        return {
+            "rosplc": __version__,
+            "prefix": self.order.namespace.prefix,
+            "lost": json.dumps({name: topic.lost for name, topic in topics.items() if topic.lost}),
+            "refused": json.dumps({name: topic.refused for name, topic in topics.items() if topic.refused}),
+            "lost_total": str(sum(topic.lost for topic in topics.values())),
+        }
+
+    @property
+    def failures(self) -> Mapping[str, ChannelError]:
+        """Object name → why it is not recorded."""
+        return self.inlet.failures

@@ -1,0 +1,233 @@
+"""Where chunks go: into one file, or into several of limited size or time, alone or as a rosbag2 folder."""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from rosplc.errors import RecordingError
+from rosplc.recorder.mcap_write import ChannelInfo, McapFile, SealedChunk
+from rosplc.recorder.names import file_name
+from rosplc.recorder.rosbag2 import RECORD_NAME, BagFile, BagTopic, bag_information, to_yaml
+
+__all__ = ["METADATA", "FileStore", "Split", "Written"]
+
+METADATA = "rosplc"
+"""Name of the metadata record that tells what was lost."""
+
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+@dataclass(frozen=True)
+class Split:
+    """When a new file begins; 0 for never."""
+
+    size: int = 0
+    time_ns: int = 0
+
+
+@dataclass(frozen=True)
+class Written:
+    """A file that is finished.
+
+    Attributes:
+        path: The file.
+        size: Its bytes.
+        start_ns: The earliest log time; 0 without messages.
+        end_ns: The latest.
+        counts: Topic → messages.
+        complete: Whether it has its summary.
+    """
+
+    path: Path
+    size: int
+    start_ns: int
+    end_ns: int
+    counts: Mapping[str, int]
+    complete: bool
+
+    def to_dict(self) -> dict[str, object]:
+        """Return plain data for JSON."""
+        return {
+            "path": str(self.path),
+            "bytes": self.size,
+            "start_ns": self.start_ns,
+            "end_ns": self.end_ns,
+            "messages": sum(self.counts.values()),
+            "topics": dict(self.counts),
+            "complete": self.complete,
+        }
+
+
+class FileStore:
+    """Writes chunks into files; used by one thread at a time.
+
+    Args:
+        base: The file's path without ``.mcap``, or the folder's.
+        channels: Channel id → how files name it; it may grow.
+        facts: Returns what the metadata record says; asked often, and written when it changed.
+        split: When a new file begins.
+        bag: Write a folder with a ``metadata.yaml``, as `ros2 bag record` does.
+        distro: The ROS distribution that ``metadata.yaml`` names.
+
+    Attributes:
+        written: The files that are finished.
+
+    Raises:
+        RecordingError: REC001, the first file cannot be created; REC002, the disk is full. Also from
+            the other methods; the files that there are stay readable.
+    """
+
+    def __init__(
+        self,
+        base: Path,
+        channels: Mapping[int, ChannelInfo],
+        facts: Callable[[], Mapping[str, str]],
+        *,
+        split: Split | None = None,
+        bag: bool = False,
+        distro: str = "",
+    ) -> None:
+        self._base, self._channels, self._facts = base, channels, facts
+        self._split = split or Split()
+        self._bag, self._distro = bag, distro
+        self._files: list[BagFile] = []
+        self._counts: dict[int, int] = {}
+        self._said: Mapping[str, str] = {}
+        self.written: list[Written] = []
+        if bag:
+            try:
+                base.mkdir(parents=True)
+            except OSError as error:
+                raise _failure(error, base) from error
+            self._write_metadata()
+        self._file: McapFile | None = self._open()
+
+    @property
+    def size(self) -> int:
+        """Bytes written, all files together."""
+        return sum(file.size for file in self.written) + (0 if self._file is None else self._file.size)
+
+    @property
+    def path(self) -> Path:
+        """The file that is being written, or was last."""
+        return self._file.path if self._file is not None else self.written[-1].path
+
+    def take(self, chunk: SealedChunk) -> None:
+        """Write a chunk."""
+        file = self._file
+        assert file is not None
+        if file.messages and self._due(file, chunk):
+            self._close(file)
+            file = self._file = self._open()
+        try:
+            for channel in chunk.counts:
+                file.declare(self._channels[channel])
+            file.append(chunk)
+            self._say(file)
+        except OSError as error:
+            raise _failure(error, file.path) from error
+
+    def finish(self) -> None:
+        """Finish the last file; harmless twice."""
+        if self._file is not None:
+            self._close(self._file)
+
+    def _due(self, file: McapFile, chunk: SealedChunk) -> bool:
+        size, time_ns = self._split.size, self._split.time_ns
+        return bool(
+            (size and file.size + len(chunk.blob) > size)
+            or (time_ns and chunk.end_ns - file.start_ns >= time_ns)
+        )
+
+    def _open(self) -> McapFile:
+        parts = self._bag or self._split != Split()
+        base = self._base / self._base.name if self._bag else self._base
+        path = file_name(base, len(self.written) if parts else None)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            file = McapFile(path)
+        except OSError as error:
+            raise _failure(error, path) from error
+        try:
+            # Without a record of this name, newer releases of rosbag2 read QoS as a newer format.
+            file.add_metadata(RECORD_NAME, self._information([BagFile(path.name, 0, 0, 0)], {}))
+        except OSError as error:
+            file.close()
+            raise _failure(error, path) from error
+        self._said = {}
+        return file
+
+    def _say(self, file: McapFile) -> None:
+        facts = self._facts()
+        if facts != self._said:
+            file.add_metadata(METADATA, facts)
+            self._said = facts
+
+    def _close(self, file: McapFile) -> None:
+        self._file = None
+        failure: OSError | None = None
+        try:
+            self._say(file)
+            entry = BagFile(file.path.name, file.start_ns, file.end_ns, file.messages)
+            file.add_metadata(RECORD_NAME, self._information([entry], file.counts))
+        except OSError as error:
+            failure = error
+        try:
+            file.finish()
+        except OSError as error:
+            failure = failure or error
+        self.written.append(self._summary(file))
+        self._files.append(BagFile(file.path.name, file.start_ns, file.end_ns, file.messages))
+        for channel, count in file.counts.items():
+            self._counts[channel] = self._counts.get(channel, 0) + count
+        if failure is not None:
+            raise _failure(failure, file.path) from failure
+        if self._bag:
+            self._write_metadata()
+
+    def _summary(self, file: McapFile) -> Written:
+        counts: dict[str, int] = {}
+        for channel, count in file.counts.items():
+            topic = self._channels[channel].topic
+            counts[topic] = counts.get(topic, 0) + count
+        return Written(file.path, file.size, file.start_ns, file.end_ns, counts, file.finished)
+
+    def _information(self, files: list[BagFile], counts: Mapping[int, int]) -> dict[str, str]:
+        return {"serialized_metadata": self._yaml(files, counts, whole=False)}
+
+    def _yaml(self, files: list[BagFile], counts: Mapping[int, int], *, whole: bool) -> str:
+        topics = [
+            BagTopic(
+                channel.topic,
+                channel.schema_name,
+                channel.metadata.get("offered_qos_profiles", ""),
+                channel.metadata.get("topic_type_hash", ""),
+                counts[number],
+            )
+            for number, channel in sorted(self._channels.items())
+            if number in counts
+        ]
+        information = bag_information(files, topics, self._distro)
+        return to_yaml(information if whole else information["rosbag2_bagfile_information"])
+
+    def _write_metadata(self) -> None:
+        path = self._base / "metadata.yaml"
+        try:
+            temporary = path.with_suffix(".tmp")
+            temporary.write_text(self._yaml(self._files, self._counts, whole=True), encoding="utf-8")
+            temporary.replace(path)
+        except OSError as error:
+            raise _failure(error, path) from error
+
+
+def _failure(error: OSError, path: Path) -> RecordingError:
+    if error.errno in _NO_ROOM:
+        return RecordingError("REC002", f"no room: {error.strerror}", where=str(path))
+    if isinstance(error, FileExistsError):
+        what = "there is something at this name already, and nothing is overwritten"
+    else:
+        what = error.strerror or str(error)
+    return RecordingError("REC001", what, where=str(path))
