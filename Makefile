@@ -14,6 +14,10 @@ VERIFY_MINUTES ?=
 SOAK_MINUTES ?= 4
 SOAK_OPTIONS ?=
 
+# Seconds for each target of `make fuzz`, and what else it is told.
+FUZZ_SECONDS ?= 60
+FUZZ_OPTIONS ?=
+
 export PYTHON
 
 .PHONY: help
@@ -72,6 +76,7 @@ reference: $(VENV)/.installed $(VENV)/.core ## write the generated pages and dra
 	@$(VENV)/bin/python tools/generate_error_reference.py
 	@$(VENV)/bin/python tools/generate_config_reference.py
 	@$(VENV)/bin/python tools/generate_cli_reference.py
+	@$(VENV)/bin/python tools/generate_api_reference.py
 	@$(VENV)/bin/python tools/generate_plc_reference.py
 	@$(VENV)/bin/python tools/generate_doctor_reference.py
 	@$(VENV)/bin/python tools/generate_comparison.py
@@ -88,6 +93,10 @@ bench: $(VENV)/.installed $(VENV)/.core ## the developers' measurements in bench
 .PHONY: soak
 soak: $(VENV)/.installed $(VENV)/.core ## the fault campaign; SOAK_MINUTES=60 SOAK_OPTIONS="--backend zenoh --json FILE"
 	@$(VENV)/bin/python -m soak --minutes $(SOAK_MINUTES) $(SOAK_OPTIONS)
+
+.PHONY: fuzz
+fuzz: $(VENV)/.installed $(VENV)/.core ## hostile input for every reader; FUZZ_SECONDS=600 for each, FUZZ_OPTIONS="--page"
+	@$(VENV)/bin/python -m fuzz --seconds $(FUZZ_SECONDS) --jobs 2 $(FUZZ_OPTIONS)
 
 .PHONY: wheel
 wheel: $(VENV)/.installed $(VENV)/.core ## build dist/rosplc-*.whl

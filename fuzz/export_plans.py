@@ -1,6 +1,6 @@
-"""Write plans and messages to a file, for fuzz/plan_driver.c and fuzz/codec_fuzz.c.
+"""Write plans and messages to a file, for the programs in fuzz/native.
 
-usage: python fuzz/export_plans.py FILE [SAMPLES]
+usage: python -m fuzz.export_plans FILE [SAMPLES]
 """
 
 from __future__ import annotations
@@ -8,14 +8,17 @@ from __future__ import annotations
 import random
 import struct
 import sys
+from collections.abc import Iterable
+from functools import cache
 from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from rosplc.codec import Wire, compile_plan
 from rosplc.layout import Limits, compute_layout
+from rosplc.model import DISTROS
 from tests.codec_oracle import Oracle, random_value
-from tests.codec_types import hard_store
+from tests.codec_types import hard_store as make_store
+
+__all__ = ["every_type", "export", "typical_types"]
 
 TYPICAL = (
     "geometry_msgs/msg/PolygonStamped",
@@ -34,31 +37,54 @@ TYPICAL = (
 )
 
 
+hard_store = cache(make_store)
+
+
+def typical_types() -> list[tuple[str, str]]:
+    """Return distribution and name of the types that the driver runs: usual and hard ones."""
+    found = []
+    for distro in ("jazzy", "noetic"):
+        store = hard_store(distro)
+        hard = (name for name in store.names() if name.startswith("hard_msgs/"))
+        found += [(distro, name) for name in (*(name for name in TYPICAL if name in store), *hard)]
+    return found
+
+
+def every_type() -> list[tuple[str, str]]:
+    """Return distribution and name of every bundled type, and of the hard ones."""
+    return [(distro, name) for distro in DISTROS for name in hard_store(distro).names()]
+
+
+def export(
+    path: Path, types: Iterable[tuple[str, str]], samples: int = 3, string: int = 6, sequence: int = 3
+) -> list[list[bytes]]:
+    """Write the plan and ``samples`` messages of each type; return the messages.
+
+    ROS 1's types travel as ROS 1 sends them, ROS 2's as CDR.
+    """
+    parts, made = [], []
+    for distro, name in types:
+        store = hard_store(distro)
+        oracle = Oracle(store, string, sequence)
+        layout = compute_layout(store, name, Limits(string, sequence))
+        wire = Wire.ROS1 if store.ros_version == 1 else Wire.CDR
+        messages = []
+        for number in range(samples):
+            value = random_value(oracle, name, random.Random(f"{name} {number}"))
+            if wire is Wire.ROS1:
+                messages.append(oracle.ros1(name, value))
+            else:
+                messages.append(oracle.cdr(name, value, little=number % 2 == 0))
+        blobs = b"".join(_sized(message) for message in messages)
+        parts.append(_sized(compile_plan(layout.root, wire).blob) + struct.pack("<I", samples) + blobs)
+        made.append(messages)
+    path.write_bytes(struct.pack("<I", len(parts)) + b"".join(parts))
+    return made
+
+
 def _sized(data: bytes) -> bytes:
     return struct.pack("<I", len(data)) + data
 
 
-def export(path: Path, samples: int = 3, string: int = 6, sequence: int = 3) -> int:
-    """Write ``samples`` messages of each typical and hard type per wire; return the number of plans."""
-    parts = []
-    for distro, wire in (("jazzy", Wire.CDR), ("noetic", Wire.ROS1)):
-        store = hard_store(distro)
-        oracle = Oracle(store, string, sequence)
-        hard = (name for name in store.names() if name.startswith("hard_msgs/"))
-        for name in (*(name for name in TYPICAL if name in store), *hard):
-            layout = compute_layout(store, name, Limits(string, sequence))
-            messages = []
-            for number in range(samples):
-                value = random_value(oracle, name, random.Random(f"{name} {number}"))
-                if wire is Wire.ROS1:
-                    messages.append(oracle.ros1(name, value))
-                else:
-                    messages.append(oracle.cdr(name, value, little=number % 2 == 0))
-            blobs = b"".join(_sized(message) for message in messages)
-            parts.append(_sized(compile_plan(layout.root, wire).blob) + struct.pack("<I", samples) + blobs)
-    path.write_bytes(struct.pack("<I", len(parts)) + b"".join(parts))
-    return len(parts)
-
-
 if __name__ == "__main__":
-    print(export(Path(sys.argv[1]), *(int(text) for text in sys.argv[2:3])), "plans")
+    print(len(export(Path(sys.argv[1]), typical_types(), *(int(text) for text in sys.argv[2:3]))), "plans")

@@ -33,6 +33,7 @@ _HEADER = re.compile(r"MSG:\s*(\S+)\s*\Z")
 _TYPE_NAME = re.compile(r"([A-Za-z][A-Za-z0-9_]*)/(?:msg/)?([A-Za-z][A-Za-z0-9_]*)\Z")
 _LINE = re.compile(r"(\S+)\s+([A-Za-z][A-Za-z0-9_]*)\s*(.*)\Z", re.DOTALL)
 _ANNOTATIONS = re.compile(r"(@[a-z_]+(\s+|\Z))*")
+_HALF = re.compile("[\ud800-\udfff]")
 _UNSUPPORTED = re.compile(r"(wstring|wchar|float128|long\s+double)\b(?!/)")
 
 
@@ -82,6 +83,10 @@ def parse_definition(
     where = where or type_name
     if len(text) > MAX_TEXT or len(text.encode("utf-8", "surrogatepass")) > MAX_TEXT:
         raise MessageTypeError("TYP007", f"the definition has more than {MAX_TEXT} bytes", where=where)
+    # JSON can hold halves of characters: no file can, and no hash has a form for them.
+    if half := _HALF.search(text):
+        number = text.count("\n", 0, half.start()) + 1
+        raise _syntax(f"{half[0]!r} is no character", where, number)
     found: dict[str, ParsedType] = {}
     budget = MAX_FIELDS
     sections = list(_sections(full_name(type_name), text, where))

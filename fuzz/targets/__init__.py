@@ -1,0 +1,69 @@
+"""Which targets there are; the Python ones are loaded by name, so that they can be instrumented first."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol, cast
+
+__all__ = ["TARGETS", "Entry", "Target", "load", "missing"]
+
+_DEBIAN = (Path("/opt/ros/noetic/lib/python3/dist-packages"), Path("/usr/lib/python3/dist-packages"))
+
+
+class Target(Protocol):
+    """A target's module."""
+
+    check: Callable[[bytes], None]
+    """Does with an input what rosplc does with it; raises for what must not happen."""
+    seeds: Callable[[], Iterable[bytes]]
+    """Yields inputs to begin with."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One target.
+
+    Attributes:
+        what: What is fed, in words.
+        module: The Python module; empty for a target in C.
+        instrument: Packages whose coverage guides the fuzzer.
+        longest: The longest input, in bytes.
+        needs: A module that must be there, and the Debian package that brings it.
+    """
+
+    what: str
+    module: str = ""
+    instrument: tuple[str, ...] = ()
+    longest: int = 4096
+    needs: tuple[str, str] = ("", "")
+
+
+TARGETS: dict[str, Entry] = {
+    "codec": Entry("CDR and ROS 1 bytes, records and damaged plans, for every bundled type", longest=2048),
+    "channel": Entry("regions that change under the C core's readers and writers", longest=4096),
+    "definition": Entry(
+        "`.msg` text, as from files, from objects and from the wire",
+        "definition",
+        ("rosplc.model", "rosplc.layout", "rosplc.codec", "rosbags.typesys"),
+    ),
+}
+"""By name."""
+
+
+def load(name: str) -> Target:
+    """Import a Python target's module."""
+    return cast(Target, importlib.import_module(f"fuzz.targets.{TARGETS[name].module}"))
+
+
+def missing(name: str) -> str:
+    """Return what keeps a target from running; empty if nothing does."""
+    module, package = TARGETS[name].needs
+    if not module or importlib.util.find_spec(module) is not None:
+        return ""
+    if any((place / module).exists() for place in _DEBIAN):
+        return ""
+    return f"Debian package {package} is missing"

@@ -1,0 +1,67 @@
+"""Hostile input for everything that reads what others write; docs/explanation/hostile-input.md."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from fuzz.corpus import CORPUS, MOST_BYTES
+from fuzz.targets import TARGETS
+
+ROOT = Path(__file__).resolve().parents[2]
+NATIVE = [name for name, entry in TARGETS.items() if not entry.module]
+PYTHON = [name for name, entry in TARGETS.items() if entry.module]
+
+
+def run(*arguments: str) -> str:
+    """Run a module; return what it printed. A target that cannot run here is a skip."""
+    done = subprocess.run(
+        [sys.executable, "-m", *arguments],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        errors="replace",
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout[-6000:]
+    for line in done.stdout.splitlines():
+        if "not run: " in line and len(done.stdout.splitlines()) == 1:
+            pytest.skip(line.partition("not run: ")[2])
+    return done.stdout
+
+
+@pytest.mark.parametrize("names", [NATIVE, PYTHON], ids=["native", "python"])
+@pytest.mark.timeout(600)
+def test_known_inputs_are_refused_or_accepted(names: list[str]) -> None:
+    """Seeds, corpus and everything that once was a defect end in a result or in an error of rosplc's."""
+    said = run("fuzz.replay", *names)
+    assert len(said.splitlines()) == len(names)
+
+
+def test_the_corpus_is_small() -> None:
+    """What stands in the repository stays small, and every target has something of its own there."""
+    sizes = [path.stat().st_size for path in CORPUS.rglob("*") if path.is_file()]
+    assert sum(sizes) < MOST_BYTES
+    assert {path.name for path in CORPUS.iterdir() if path.is_dir()} == set(TARGETS)
+
+
+@pytest.mark.verify(minutes=4)
+@pytest.mark.timeout(1500)
+def test_the_fuzzers_find_nothing(tmp_path: Path) -> None:
+    """Each fuzzer runs for some seconds from the corpus on, reaches every type, and finds nothing."""
+    report = tmp_path / "report.json"
+    seconds = str(max(5, 180 // len(TARGETS)))
+    run("fuzz", "--seconds", seconds, "--cache", str(tmp_path / "cache"), "--json", str(report))
+    facts = json.loads(report.read_text())
+    assert facts["findings"] == 0
+    for one in facts["targets"]:
+        if "skipped" in one:
+            continue
+        assert one["executions"] > 0, one["name"]
+    codec = next(one for one in facts["targets"] if one["name"] == "codec")
+    assert "skipped" in codec or codec["types_reached"] == codec["types"] > 800
