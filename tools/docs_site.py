@@ -81,9 +81,10 @@ def navigation(path: str) -> list[Any]:
 
 
 def indented(text: str) -> str:
-    """Return a page with what belongs to a list's item indented by four, as Python-Markdown wants it.
+    """Return a page with lists as Python-Markdown wants them; the pages are CommonMark.
 
-    The pages are CommonMark, where it stands below the item's own text.
+    What belongs to an item is indented by four, not to where the item's text begins, and a list begins after
+    an empty line.
     """
     lines: list[str] = []
     columns: list[int] = []  # where the text of each open list's item begins
@@ -93,10 +94,13 @@ def indented(text: str) -> str:
         indent = len(line) - len(body)
         if not fence and body:
             item = ITEM.match(body)
+            first = not columns
             while columns and indent < columns[-1] and (blank or item or body.startswith("```")):
                 columns.pop()
             shift = 4 * len(columns) - columns[-1] if columns and indent >= columns[-1] else 0
             if item:
+                if first and not blank:
+                    lines.append("")  # a list may follow a paragraph at once
                 columns.append(indent + len(item[0]))
         lines.append(" " * shift + line if body else "")
         if body.startswith("```"):

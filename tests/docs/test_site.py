@@ -153,6 +153,7 @@ def test_a_page_of_the_site_has_the_structure_that_it_has_elsewhere(pages: dict[
         ),
         ("```text\n1. a\n   b\n```\n", "```text\n1. a\n   b\n```\n"),
         ("10. a\n    b\n\nc\n", "10. a\n    b\n\nc\n"),
+        ("a:\n* b\n* c\n", "a:\n\n* b\n* c\n"),
     ],
 )
 def test_what_belongs_to_an_item_is_indented_by_four(text: str, shown: str) -> None:
