@@ -271,6 +271,7 @@ _register("SYS008", "shared memory cannot be used", "Check that /dev/shm is moun
 _register("SYS009", "a program of the comparison does not compile", "See the compiler's message; a missing header belongs to a -dev package.")
 _register("SYS010", "real-time setting is not permitted", "Run the bridge as a service (rosplc service install), or raise the limits rtprio and memlock; without `realtime:` none is needed.")
 _register("SYS011", "service cannot be installed", "Run it as root (sudo), or look with --dry-run; --root writes into another folder.")
+_register("SYS012", "terminal cannot show this", "Use a terminal (with ssh: -t) of a common kind, such as TERM=xterm-256color; `rosplc status` prints the same once, for scripts.")
 
 _register("REC001", "recording cannot be written", "Check path and permissions, or choose another place with --output.")
 _register("REC002", "disk is full", "Free space or record elsewhere; what was recorded until then is in the file, and readable.")

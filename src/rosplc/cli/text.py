@@ -6,6 +6,8 @@ from collections.abc import Iterable, Sequence
 
 import typer
 
+from rosplc.harmless import harmless
+
 __all__ = ["columns", "harmless", "in_bytes", "say", "warn"]
 
 
@@ -17,15 +19,6 @@ def say(text: str = "") -> None:
 def warn(text: str) -> None:
     """Print text on stderr, made harmless."""
     typer.echo(harmless(text), err=True)
-
-
-def harmless(text: str) -> str:
-    """Return text with every character that a terminal would act upon written out."""
-    # Names in an object come from whoever made it: no escape sequence may reach the terminal.
-    return "".join(
-        char if char.isprintable() or char == "\n" else char.encode("unicode_escape").decode()
-        for char in text
-    )
 
 
 def columns(rows: Iterable[Sequence[object]], *, header: Sequence[str] = (), indent: int = 0) -> list[str]:

@@ -1,0 +1,71 @@
+"""``rosplc top``: every channel of every bridge on this machine, live in the terminal."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from typing import Annotated
+
+import typer
+
+from rosplc.cli.extras import need_extra
+from rosplc.cli.guard import guarded
+from rosplc.cli.watching import Configs, Directory, Prefix, StaleAfter, open_watch
+from rosplc.errors import SetupError
+
+__all__ = ["EPILOG", "command"]
+
+EPILOG = """Examples:
+
+rosplc top  —  every channel of this machine; Enter shows the message with live values, ? explains
+
+rosplc top --config rosplc.yaml  —  judged by what the configuration allows, with its classic topics
+
+rosplc top --interval 2  —  look every two seconds, over a slow connection
+
+It needs no configuration, no ROS and no right to write, and nobody notices it. It works over ssh from 60
+columns and 20 rows on; for scripts there is `rosplc status`. It needs `pip install 'rosplc[views]'`.
+"""
+
+
+@guarded
+def command(
+    prefix: Prefix = None,
+    config: Configs = None,
+    stale_after: StaleAfter = "1s",
+    interval: Annotated[
+        float, typer.Option(metavar="SECONDS", help="Time between two looks.", min=0.1, max=60.0)
+    ] = 0.5,
+    directory: Directory = "/dev/shm",
+) -> None:
+    """Watch every channel of this machine in the terminal: rates, ages, losses, who lives, live values."""
+    need_extra("textual", "views", "top")
+    _check_terminal()
+    with open_watch(prefix, config, stale_after, directory) as watch:
+        watch.look()  # what cannot be looked at is said before the terminal is taken
+        from rosplc.monitor.terminal import TopApp
+
+        app = TopApp(watch, interval)
+        before = signal.signal(signal.SIGTERM, lambda *_: app.exit())
+        try:
+            app.run()
+        finally:
+            signal.signal(signal.SIGTERM, before)
+        if app.return_code:
+            raise typer.Exit(app.return_code)
+
+
+def _check_terminal() -> None:
+    """Refuse what is no terminal that can be drawn upon.
+
+    Raises:
+        SetupError: SYS012.
+    """
+    # The picture is drawn on stderr, as textual does.
+    for name in ("stdin", "stdout", "stderr"):
+        if not getattr(sys, name).isatty():
+            raise SetupError("SYS012", f"{name} is no terminal")
+    if os.environ.get("TERM", "") in ("", "dumb", "unknown"):
+        what = f"the terminal says that it can only print lines (TERM={os.environ.get('TERM', '')})"
+        raise SetupError("SYS012", what)

@@ -1,0 +1,10 @@
+"""The terminal view: every channel of the machine, and a message with live values.
+
+Only this package imports textual; it is part of the extra ``views``.
+"""
+
+from __future__ import annotations
+
+from rosplc.monitor.terminal.app import TopApp
+
+__all__ = ["TopApp"]

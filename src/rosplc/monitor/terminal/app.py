@@ -1,0 +1,80 @@
+"""The application: it looks, and gives each look to the screen that is shown."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import ClassVar
+
+from textual.app import App
+from textual.binding import Binding, BindingType
+
+from rosplc.errors import ChannelError
+from rosplc.monitor.picture import Event, Picture
+from rosplc.monitor.terminal.help import HelpScreen
+from rosplc.monitor.terminal.message import MessageScreen
+from rosplc.monitor.terminal.overview import OverviewScreen
+from rosplc.monitor.watch import Watch
+
+__all__ = ["TopApp"]
+
+_EVENTS = 200
+
+
+class TopApp(App[None]):
+    """Shows every channel of the machine until it is left.
+
+    Args:
+        watch: The watch; the caller closes it.
+        seconds: Time between two looks.
+    """
+
+    ENABLE_COMMAND_PALETTE = False
+    BINDINGS: ClassVar[list[BindingType]] = [Binding("ctrl+c", "quit", "Quit", show=False, priority=True)]
+
+    def __init__(self, watch: Watch, seconds: float = 0.5) -> None:
+        super().__init__()
+        self._watch = watch
+        self._seconds = seconds
+        self._events: deque[Event] = deque(maxlen=_EVENTS)
+        self._picture: Picture | None = None
+        self._paused = False
+        self._overview = OverviewScreen()
+
+    def on_mount(self) -> None:
+        """Begin to look."""
+        self.push_screen(self._overview)
+        self.call_later(self._look)
+        self.set_interval(self._seconds, self._look)
+
+    def on_overview_screen_chosen(self, message: OverviewScreen.Chosen) -> None:
+        """Open a channel's message."""
+        self.push_screen(MessageScreen(self._watch, message.channel, self._seconds))
+
+    def action_help(self) -> None:
+        """Explain keys and states."""
+        self.push_screen(HelpScreen())
+
+    def action_pause(self) -> None:
+        """Let the picture stand, or go on."""
+        self._paused = not self._paused
+        self.title = "paused" if self._paused else "rosplc top"
+        self._show()
+
+    def _look(self) -> None:
+        try:
+            picture = self._watch.look()
+        except ChannelError as error:
+            self.notify(f"{error.what} [{error.code}]", severity="error", markup=False)
+            return
+        self._events.extend(picture.events)
+        if not self._paused:
+            self._picture = picture
+            self._show()
+
+    def _show(self) -> None:
+        if self._picture is None:
+            return
+        if isinstance(self.screen, OverviewScreen):
+            self.screen.show(self._picture, list(self._events))
+        elif isinstance(self.screen, MessageScreen):
+            self.screen.show(self._picture)

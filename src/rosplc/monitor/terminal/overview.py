@@ -1,0 +1,208 @@
+"""Every channel of the machine, what is wrong with the chosen one, and what happened last."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import datetime
+from typing import ClassVar
+
+from rich.text import Text
+from textual.app import ComposeResult
+from textual.binding import Binding, BindingType
+from textual.events import Resize
+from textual.message import Message
+from textual.screen import Screen
+from textual.widgets import DataTable, Footer, Input, Static
+
+from rosplc.harmless import one_line
+from rosplc.monitor.picture import BridgeView, ChannelView, Event, Picture
+from rosplc.monitor.terminal.order import Order
+from rosplc.monitor.terminal.style import event_line, plain
+from rosplc.monitor.terminal.table import ChannelTable
+
+__all__ = ["OverviewScreen"]
+
+_NONE = "There are no channels on this machine. Start a bridge (rosplc run) or the demo (rosplc demo)."
+_EVENT_LINES = ((18, 2), (24, 4), (36, 8))
+
+
+class OverviewScreen(Screen[None]):
+    """The first screen."""
+
+    class Chosen(Message):
+        """A channel was chosen, to see its message.
+
+        Attributes:
+            channel: The channel.
+        """
+
+        def __init__(self, channel: ChannelView) -> None:
+            super().__init__()
+            self.channel = channel
+
+    DEFAULT_CSS = """
+    OverviewScreen #head { height: 1; background: $panel; }
+    OverviewScreen #nothing { height: auto; padding: 1; display: none; }
+    OverviewScreen ChannelTable { height: 1fr; background: $background; }
+    OverviewScreen #chosen { height: 2; border-top: none; background: $panel; }
+    OverviewScreen #events { height: 0; text-wrap: nowrap; text-overflow: ellipsis; }
+    OverviewScreen Input { height: 1; border: none; padding: 0; display: none; }
+    """
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("s", "sort", "Sort"),
+        Binding("r", "reverse", "Reverse", show=False),
+        Binding("slash", "filter", "Filter", key_display="/"),
+        Binding("w", "wrong", "Wrong"),
+        Binding("p", "app.pause", "Pause"),
+        Binding("question_mark,f1", "app.help", "Help", key_display="?"),
+        Binding("q,ctrl+c", "app.quit", "Quit", key_display="q"),
+        Binding("escape", "all", "All", show=False),
+    ]
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._order = Order()
+        self._picture: Picture | None = None
+        self._events: list[Event] = []
+
+    def compose(self) -> ComposeResult:
+        """Make heading, table, details, events and keys."""
+        yield Static(id="head")
+        yield Static(_NONE, id="nothing", markup=False)
+        yield ChannelTable()
+        yield Input(placeholder="words in topic, type, bridge or state", id="filter")
+        yield Static(id="chosen")
+        yield Static(id="events")
+        yield Footer()
+
+    def on_mount(self) -> None:
+        """Let keys move in the table."""
+        self.query_one(ChannelTable).focus()
+
+    def on_resize(self, event: Resize) -> None:
+        """Give events the lines that a screen of this height can spare."""
+        lines = max((lines for height, lines in _EVENT_LINES if event.size.height >= height), default=0)
+        self.query_one("#events", Static).styles.height = lines
+        self._show_events()
+
+    def show(self, picture: Picture, events: list[Event]) -> None:
+        """Show a new look.
+
+        Args:
+            picture: The look.
+            events: What happened since the start, the newest last.
+        """
+        self._picture, self._events = picture, events
+        self._draw()
+        self._show_events()
+
+    def _draw(self) -> None:
+        picture = self._picture
+        if picture is None:
+            return
+        shown = self._order.of(picture.channels)
+        self.query_one("#nothing").display = not picture.channels
+        self.query_one(ChannelTable).show(shown, self._order)
+        self._head(picture, len(shown))
+        self._details()
+
+    def _head(self, picture: Picture, shown: int) -> None:
+        wrong = len(picture.wrong)
+        text = Text(" rosplc top  ", style="bold", no_wrap=True, overflow="ellipsis")
+        count = len(picture.channels)
+        text.append(f"{shown} of {count} channels  " if shown != count else f"{count} channels  ", "not bold")
+        text.append(f"! {wrong} wrong  " if wrong else "all well  ", "bold red" if wrong else "green")
+        if self.app.title == "paused":
+            text.append("PAUSED  ", "bold yellow")
+        if self._order.wrong or self._order.words:
+            text.append(f"only: {one_line(self._order.words) or 'wrong'}  ", "bold yellow")
+        text.append(", ".join(_bridge(bridge) for bridge in picture.bridges), "not bold")
+        for note in picture.notes:
+            text.append(f"  {note}", "bold yellow")
+        self.query_one("#head", Static).update(text)
+
+    def _details(self) -> None:
+        view = self.query_one(ChannelTable).chosen
+        box = self.query_one("#chosen", Static)
+        if view is None:
+            box.update("")
+            return
+        place = f" {one_line(view.topic)}  {one_line(view.type_name)}  {view.prefix}: {one_line(view.bridge)}"
+        readers = ", ".join(one_line(each.task) or f"process {each.pid}" for each in view.readers)
+        code = f" [{view.code}]" if view.code else ""
+        words = f" {one_line(view.words)}{code}" + (f"; read by {readers}" if readers else "")
+        box.update(Text(f"{place}\n{words}", no_wrap=True, overflow="ellipsis"))
+
+    def _show_events(self) -> None:
+        box = self.query_one("#events", Static)
+        lines = int(box.styles.height.value) if box.styles.height is not None else 0
+        if not lines:
+            return
+        newest = self._events[-lines:][::-1]
+        text = Text("\n", no_wrap=True, overflow="ellipsis").join(
+            event_line(event, f" {datetime.fromtimestamp(event.time_ns / 1e9):%H:%M:%S}") for event in newest
+        )
+        box.update(text if newest else plain(" Nothing happened since the start.", "dim"))
+
+    def on_data_table_row_highlighted(self, event: DataTable.RowHighlighted) -> None:
+        """Tell about the row under the cursor."""
+        self._details()
+
+    def on_data_table_row_selected(self, event: DataTable.RowSelected) -> None:
+        """Open the row's message, by Enter or a click."""
+        self.action_choose()
+
+    def on_data_table_header_selected(self, event: DataTable.HeaderSelected) -> None:
+        """Sort by the column whose heading was clicked."""
+        self._reorder(self._order.sorted_by(str(event.column_key.value)))
+
+    def on_input_changed(self, event: Input.Changed) -> None:
+        """Filter while typing."""
+        self._reorder(replace(self._order, words=event.value))
+
+    def on_input_submitted(self, event: Input.Submitted) -> None:
+        """Go back to the table, which stays filtered."""
+        self._close_filter()
+
+    def action_choose(self) -> None:
+        """Open the chosen channel's message."""
+        view = self.query_one(ChannelTable).chosen
+        if view is not None:
+            self.post_message(self.Chosen(view))
+
+    def action_sort(self) -> None:
+        """Sort by the next figure."""
+        self._reorder(self._order.next())
+
+    def action_reverse(self) -> None:
+        """Sort the other way round."""
+        self._reorder(replace(self._order, reverse=not self._order.reverse))
+
+    def action_wrong(self) -> None:
+        """Show only what is wrong, or everything again."""
+        self._reorder(replace(self._order, wrong=not self._order.wrong))
+
+    def action_filter(self) -> None:
+        """Ask for words."""
+        field = self.query_one(Input)
+        field.display = True
+        field.focus()
+
+    def action_all(self) -> None:
+        """Show everything again."""
+        self.query_one(Input).value = ""
+        self._close_filter()
+        self._reorder(replace(self._order, words="", wrong=False))
+
+    def _close_filter(self) -> None:
+        self.query_one(Input).display = False
+        self.query_one(ChannelTable).focus()
+
+    def _reorder(self, order: Order) -> None:
+        self._order = order
+        self._draw()
+
+
+def _bridge(bridge: BridgeView) -> str:
+    word = "?" if bridge.alive is None else "alive" if bridge.alive else "DEAD" if bridge.pid else "ENDED"
+    return f"{one_line(bridge.name)} {word}"
