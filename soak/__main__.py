@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import ctypes
+import importlib.util
 import json
 import os
 import random
@@ -14,9 +15,9 @@ import sys
 import tempfile
 from pathlib import Path
 
-from soak.campaign import Campaign
+from soak.campaign import Campaign, Outcome
+from soak.catalogue import faults_for
 from soak.cell import Cell, WatchdogError
-from soak.faults import faults_for
 from soak.report import figure, summary, to_json
 
 _CLONE_NEWNS = 0x00020000
@@ -38,11 +39,20 @@ def own_shared_memory() -> bool:
     return True
 
 
-def why_not(backend: str) -> str:
-    """Return what is missing for a backend; empty if nothing is."""
+def why_not(backend: str, plc: str) -> str:
+    """Return what is missing for a backend and a PLC; empty if nothing is."""
     if backend == "rospy" and shutil.which("rosmaster") is None:
         return "Debian package python3-rosmaster is missing"
+    if plc == "st" and shutil.which("gcc") is None:
+        return "Debian package gcc is missing"
+    if plc == "st" and importlib.util.find_spec("blark") is None:
+        return "Python package blark is missing"
     return ""
+
+
+def _note(outcome: Outcome, path: Path | None) -> None:
+    if path is not None:
+        path.write_text(json.dumps(to_json(outcome), indent=1) + "\n")
 
 
 def main() -> int:
@@ -54,13 +64,25 @@ def main() -> int:
     parser.add_argument("--rounds", type=int, default=0, help="most rounds")
     parser.add_argument("--minutes", type=float, default=0.0, help="most minutes")
     parser.add_argument("--backend", choices=("dds", "zenoh", "rospy"), default="dds", help="the ROS side")
+    parser.add_argument(
+        "--plc",
+        choices=("python", "st"),
+        default="python",
+        help="the PLC: virtual, or generated Structured Text that is executed, with classic topics",
+    )
+    parser.add_argument(
+        "--spare", action="append", default=[], metavar="PART", help="no fault that ends PART"
+    )
+    parser.add_argument(
+        "--from-round", type=int, default=1, metavar="N", help="go on as the seed has it from there"
+    )
     parser.add_argument("--fault", action="append", default=[], help="only faults whose name has this in it")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write everything there")
     parser.add_argument("--figure", type=Path, metavar="FILE", help="draw memory and descriptors over time")
     parser.add_argument("--logs", type=Path, metavar="FOLDER", help="keep the logs of rounds that failed")
     parser.add_argument("--list", action="store_true", help="only list the faults")
     options = parser.parse_args()
-    if reason := why_not(options.backend):
+    if reason := why_not(options.backend, options.plc):
         print(reason, file=sys.stderr)
         return 2
     signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -68,20 +90,27 @@ def main() -> int:
     rounds = options.rounds if options.rounds or options.minutes else 50
     private = own_shared_memory()
     with tempfile.TemporaryDirectory(prefix="soak-") as folder:
-        cell = Cell(Path(folder), options.backend, private=private)
+        cell = Cell(Path(folder), options.backend, private=private, plc=options.plc)
         try:
             faults = [
                 fault
                 for fault in faults_for(cell)
-                if not options.fault or any(word in fault.name for word in options.fault)
+                if (not options.fault or any(word in fault.name for word in options.fault))
+                and not fault.ends & set(options.spare)
             ]
             if options.list:
                 print("\n".join(f"{fault.name:32s} {fault.missing(cell)}".rstrip() for fault in faults))
                 return 0
             print(f"seed {seed}, backend {options.backend}, {len(faults)} kinds of fault", flush=True)
-            campaign = Campaign(cell, faults, seed, lambda line: print(line, flush=True))
+            campaign = Campaign(
+                cell,
+                faults,
+                seed,
+                lambda line: print(line, flush=True),
+                lambda found: _note(found, options.json),
+            )
             try:
-                outcome = campaign.run(rounds, options.minutes * 60, options.logs)
+                outcome = campaign.run(rounds, options.minutes * 60, options.logs, options.from_round)
             except KeyboardInterrupt:
                 outcome = campaign.outcome
             except WatchdogError as error:
@@ -92,8 +121,7 @@ def main() -> int:
         finally:
             cell.close()
     print(summary(outcome))
-    if options.json is not None:
-        options.json.write_text(json.dumps(to_json(outcome), indent=1) + "\n")
+    _note(outcome, options.json)
     if options.figure is not None and outcome.samples:
         figure(outcome, options.figure)
     return 1 if outcome.violations else 0

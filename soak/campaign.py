@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+import os
 import random
 import signal
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from soak.cell import Cell, WatchdogError
+from soak.bundle import keep
+from soak.cell import SHM, Cell, WatchdogError
 from soak.checks import Checker
 from soak.faults import Fault
 
 __all__ = ["Campaign", "Outcome", "Round"]
 
 _MOST_VIOLATIONS = 20
+_NOTE_EVERY = 20
 
 
 @dataclass(frozen=True)
@@ -28,12 +31,16 @@ class Round:
         fault: The kind of fault.
         recovery_s: From the end of the fault until a newer message had come through on every topic.
         violations: What did not hold.
+        fault_s: How long it took to do it and undo it.
+        check_s: How long the checks took.
     """
 
     number: int
     fault: str
     recovery_s: float
     violations: tuple[str, ...] = ()
+    fault_s: float = 0.0
+    check_s: float = 0.0
 
 
 @dataclass
@@ -43,6 +50,7 @@ class Outcome:
     Attributes:
         seed: It, the backend and the number of rounds make the same order of faults again.
         backend: The ROS side.
+        plc: The PLC.
         rounds: All rounds.
         skipped: Fault → why it was not tried.
         samples: Per round, what each process held.
@@ -55,6 +63,7 @@ class Outcome:
 
     seed: int
     backend: str
+    plc: str = "python"
     rounds: list[Round] = field(default_factory=list)
     skipped: dict[str, str] = field(default_factory=dict)
     samples: list[dict[str, Any]] = field(default_factory=list)
@@ -78,13 +87,23 @@ class Campaign:
         faults: What may happen.
         seed: Decides what happens when.
         say: Takes a line about each round.
+        note: Takes what was found so far, now and then: a campaign of hours must not end with nothing.
     """
 
-    def __init__(self, cell: Cell, faults: Sequence[Fault], seed: int, say: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        cell: Cell,
+        faults: Sequence[Fault],
+        seed: int,
+        say: Callable[[str], None],
+        note: Callable[[Outcome], None] = lambda _: None,
+    ) -> None:
         self._cell = cell
         self._say = say
+        self._note = note
+        self._began = 0.0
         self._seed = seed
-        self.outcome = Outcome(seed, cell.backend)
+        self.outcome = Outcome(seed, cell.backend, cell.plc)
         self._faults = []
         for fault in faults:
             if why := fault.missing(cell):
@@ -93,56 +112,89 @@ class Campaign:
                 self._faults.append(fault)
         self.outcome.faults = tuple(fault.name for fault in self._faults)
 
-    def run(self, rounds: int, seconds: float, logs: Path | None = None) -> Outcome:
+    def run(self, rounds: int, seconds: float, logs: Path | None = None, first: int = 1) -> Outcome:
         """Run until so many rounds or seconds are over.
 
         Args:
             rounds: The most rounds; 0: no limit.
             seconds: The most seconds; 0: no limit.
-            logs: Where the processes' logs go if something did not hold.
+            logs: Where the bundle of a round goes in which something did not hold.
+            first: Leave out the rounds before this one, to repeat one that failed.
         """
-        cell, outcome = self._cell, self.outcome
-        began = time.monotonic()
+        self._began = time.monotonic()
         dice = random.Random(self._seed)
-        cell.start()
-        checker = Checker(cell)
-        number = 0
-        bag: list[Fault] = []
-        while (not rounds or number < rounds) and (not seconds or time.monotonic() - began < seconds):
+        self._cell.start()
+        checker = Checker(self._cell)
+        try:
+            for number, fault, own_dice in self._drawn(dice, first):
+                if rounds and len(self.outcome.rounds) >= rounds:
+                    break
+                if seconds and time.monotonic() - self._began >= seconds:
+                    break
+                self._one(number, fault, own_dice, checker, logs)
+                if len(self.outcome.violations) >= _MOST_VIOLATIONS:
+                    self._say("too much does not hold; the campaign ends")
+                    break
+        finally:
+            self._sum_up(checker)
+        return self.outcome
+
+    def _drawn(self, dice: random.Random, first: int) -> Iterator[tuple[int, Fault, random.Random]]:
+        number, bag = 0, list[Fault]()
+        while True:
             number += 1
             if not bag:
                 # Every kind once, in an order of its own each time: rare kinds come as often as others.
                 bag = dice.sample(self._faults, len(self._faults))
-            one = self._round(number, bag.pop(), checker, random.Random(dice.random()))
-            outcome.rounds.append(one)
-            self._sample(number, began)
-            text = "; ".join(one.violations) or "ok"
-            self._say(f"{number:5d}  {one.fault:30s} {one.recovery_s:6.2f} s  {text}")
-            if one.violations and logs is not None:
-                cell.keep_logs(logs / f"round-{number}")
-            if len(outcome.violations) >= _MOST_VIOLATIONS:
-                self._say("too much does not hold; the campaign ends")
-                break
-        outcome.seconds = time.monotonic() - began
-        outcome.messages = int(cell.ledger.counters["received"].sum())
+            fault, own_dice = bag.pop(), random.Random(dice.random())
+            if (
+                number >= first
+            ):  # what comes before is drawn all the same, so that the rest is drawn as it was
+                yield number, fault, own_dice
+
+    def _one(
+        self, number: int, fault: Fault, dice: random.Random, checker: Checker, logs: Path | None
+    ) -> None:
+        one = self._round(number, fault, checker, dice)
+        self.outcome.rounds.append(one)
+        self._say(
+            f"{number:5d}  {one.fault:36s} {one.recovery_s:6.2f} s  {'; '.join(one.violations) or 'ok'}"
+        )
+        if one.violations:
+            if logs is not None:
+                keep(self._cell, number, one, self._seed, logs / f"round-{number}")
+            self._start_over()
+        self._sample(number)
+        if number % _NOTE_EVERY == 0:
+            self._sum_up(checker)
+            self._note(self.outcome)
+
+    def _sum_up(self, checker: Checker) -> None:
+        outcome = self.outcome
+        outcome.seconds = time.monotonic() - self._began
+        outcome.messages = int(self._cell.ledger.counters["received"].sum())
         outcome.unaccounted = checker.unaccounted
         outcome.growth_kb = checker.worst_growth_kb
-        return outcome
 
     def _round(self, number: int, fault: Fault, checker: Checker, dice: random.Random) -> Round:
         cell = self._cell
-        recovery = 0.0
+        recovery = inflicted = checked = 0.0
         try:
+            for part in cell.parts.values():
+                part.mark()
             checker.begin()
+            began = time.monotonic()
             fault.inflict(cell, dice)
             if fault.may_end:
                 cell.ensure()
+            inflicted = time.monotonic() - began
             recovery = cell.await_flow(cell.marks())
+            began = time.monotonic()
             found = checker.end(fault)
+            checked = time.monotonic() - began
         except (WatchdogError, AssertionError, OSError) as error:
             found = [f"{type(error).__name__}: {error}"]
-            self._start_over()
-        return Round(number, fault.name, recovery, tuple(found))
+        return Round(number, fault.name, recovery, tuple(found), inflicted, checked)
 
     def _start_over(self) -> None:
         """After a round that did not end well: everything anew, so that the next says something again."""
@@ -161,8 +213,13 @@ class Campaign:
         except WatchdogError as error:
             self._say(f"       starting over: {error}")
 
-    def _sample(self, number: int, began: float) -> None:
-        sample: dict[str, Any] = {"round": number, "seconds": round(time.monotonic() - began, 3)}
+    def _sample(self, number: int) -> None:
+        sample: dict[str, Any] = {
+            "round": number,
+            "seconds": round(time.monotonic() - self._began, 3),
+            "load": round(os.getloadavg()[0], 2),
+            "objects": len(list(SHM.glob(f"*{self._cell.prefix}*"))),
+        }
         for name, part in self._cell.parts.items():
             usage = part.usage()
             if usage is not None:

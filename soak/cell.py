@@ -16,12 +16,15 @@ from rosplc.demo.domain import FreeDomain
 from rosplc.shm import Namespace
 from soak.ledger import GENERATIONS, Ledger
 from soak.parts import Part
-from soak.pattern import CAPACITY, IN, TOPICS, TYPE
+from soak.pattern import ALL, CAPACITY, CLASSIC, TOPICS, TYPE, towards_plc
+from soak.st import build_program
 
 __all__ = ["Cell", "Extra", "WatchdogError"]
 
 ROOT = Path(__file__).resolve().parent.parent
 WATCHDOG_S = 60.0
+RECOVER_AFTER_S = 2
+"""When the lock of a classic topic is freed for a holder that shows no life: longer than any SIGSTOP here."""
 SHM = Path("/dev/shm")
 
 
@@ -40,6 +43,8 @@ class Cell:
         folder: For files; made and removed by the caller.
         backend: ``dds``, ``zenoh`` or ``rospy``.
         private: Whether ``/dev/shm`` is this campaign's own.
+        plc: ``python``, the virtual PLC; or ``st``, generated Structured Text that is executed, with two
+            classic topics more.
 
     Attributes:
         parts: Name → process.
@@ -48,16 +53,19 @@ class Cell:
         options: More keys for the four topics' entries.
     """
 
-    def __init__(self, folder: Path, backend: str, *, private: bool) -> None:
+    def __init__(self, folder: Path, backend: str, *, private: bool, plc: str = "python") -> None:
         self.folder = folder
         self.backend = backend
         self.private = private
+        self.plc = plc
+        self.topics = ALL if plc == "st" else TOPICS
         self.prefix = f"soak{secrets.token_hex(4)}"
         self.namespace = Namespace(self.prefix)
         self.ledger = Ledger(folder / "ledger", create=True)
         self.extra = Extra()
-        self.options = dict.fromkeys(TOPICS, "")
+        self.options = dict.fromkeys(ALL, "")
         self.config = folder / "soak.yaml"
+        self._plc_config, self._plc_built = folder / "plc.yaml", folder / "plc.built"
         self._generations = 0
         self._sender = {"publisher": 0, "plc": 0}
         self._domain = FreeDomain() if backend == "dds" else None
@@ -71,7 +79,8 @@ class Cell:
 
     def _environment(self) -> dict[str, str]:
         kept = {key: value for key, value in os.environ.items() if not key.startswith(("ROS", "CYCLONEDDS"))}
-        kept |= {"PYTHONPATH": str(ROOT), "PYTHONFAULTHANDLER": "1"}  # SIGABRT: where every thread is
+        kept["PYTHONPATH"] = os.pathsep.join((str(ROOT), str(ROOT / "src")))  # this checkout, and no other
+        kept["PYTHONFAULTHANDLER"] = "1"  # SIGABRT: where every thread is
         if self.backend == "rospy":
             kept |= {"ROS_MASTER_URI": f"http://127.0.0.1:{self._port}", "ROS_IP": "127.0.0.1"}
         else:
@@ -105,7 +114,11 @@ class Cell:
         return str(self._generations)
 
     def _plc(self) -> list[str]:
-        arguments = [str(self.folder / "ledger"), self._next("plc"), self.prefix]
+        arguments = [str(self.folder / "ledger"), self._next("plc")]
+        if self.plc == "st":
+            arguments += [str(self._plc_config), str(self._plc_built)]
+        else:
+            arguments.append(self.prefix)
         return [sys.executable, "-m", "soak.plc", *arguments]
 
     def _publisher(self) -> list[str]:
@@ -116,12 +129,20 @@ class Cell:
 
     def _peer(self, role: str, generation: str) -> list[str]:
         path = str(self.folder / "ledger")
-        return [sys.executable, "-m", "soak.peers", role, path, generation, self.backend, self._where]
+        arguments = [role, path, generation, self.backend, self._where, *self.topics]
+        return [sys.executable, "-m", "soak.peers", *arguments]
 
     # -- configuration
 
     def write_config(self, wrong: str = "") -> None:
         """Write the bridge's configuration; ``wrong`` is a line that makes it refused."""
+        lines = self._lines(wrong) + [f"  {topic}: {entry}" for topic, entry in self.extra.items()]
+        # Replaced at once: a bridge that starts at this moment reads the old or the new, never half of it.
+        fresh = self.config.with_suffix(".new")
+        fresh.write_text("\n".join(lines) + "\n")
+        fresh.rename(self.config)
+
+    def _lines(self, wrong: str = "") -> list[str]:
         ros = {
             "dds": f"backend: dds, domain: {self._domain.number if self._domain else 0}",
             "zenoh": f"backend: zenoh, zenoh: {{connect: ['{self._where}']}}",
@@ -132,21 +153,24 @@ class Cell:
             f"prefix: {self.prefix}",
             f"ros: {{{ros}}}",
             "beat: 50ms",
-            "diagnostics: {period: 200ms}",
+            "diagnostics: {period: 100ms}",
             *([wrong] if wrong else []),
             "topics:",
         ]
-        for topic in TOPICS:
-            way = "plc" if topic in IN else "ros"
-            every = "true" if topic.endswith(("/in", "/out")) else "false"
+        for topic in self.topics:
+            way = "plc" if towards_plc(topic) else "ros"
             limits = "" if "limits" in self.options[topic] else f", limits: {{data: {CAPACITY}}}"
-            rest = f"every: {every}, depth: 64{limits}{self.options[topic]}"
+            if topic in CLASSIC:
+                how = f"classic: {{name: {self.classic_name(topic)}, recover_after: {RECOVER_AFTER_S}s}}"
+            else:
+                how = f"every: {'true' if topic.endswith(('/in', '/out')) else 'false'}, depth: 64"
+            rest = f"{how}{limits}{self.options[topic]}"
             lines.append(f"  {topic}: {{type: {TYPE}, to: {way}, {rest}}}")
-        lines += [f"  {topic}: {entry}" for topic, entry in self.extra.items()]
-        # Replaced at once: a bridge that starts at this moment reads the old or the new, never half of it.
-        fresh = self.config.with_suffix(".new")
-        fresh.write_text("\n".join(lines) + "\n")
-        fresh.rename(self.config)
+        return lines
+
+    def classic_name(self, topic: str) -> str:
+        """Return the name of a classic topic's memory."""
+        return f"{self.prefix}_{topic.rpartition('_')[2]}"
 
     def hang_up(self, words: str) -> None:
         """Send SIGHUP to the bridge, and wait until it has logged these words."""
@@ -155,15 +179,17 @@ class Cell:
         self.wait(lambda: self.said(words) > before, f"the bridge says {words!r} after SIGHUP")
 
     def said(self, words: str) -> int:
-        """Return how often the bridge has logged some words."""
-        log = self.parts["bridge"].log
-        return log.read_text(errors="replace").count(words) if log.exists() else 0
+        """Return how often the bridge has logged some words since the round began."""
+        return self.parts["bridge"].told().count(words)
 
     # -- life
 
     def start(self) -> None:
         """Start everything, and wait until all topics are carried."""
         self.write_config()
+        if self.plc == "st":
+            self._plc_config.write_text("\n".join(self._lines()) + "\n")
+            build_program(self._plc_config, self._plc_built)
         self.ensure()
         self.await_flow(self.marks())
 
@@ -189,8 +215,8 @@ class Cell:
     def marks(self) -> list[tuple[int, int]]:
         """Return for each topic the sender's generation and the number it has come to."""
         found = []
-        for index, topic in enumerate(TOPICS):
-            generation = self._sender["publisher" if topic in IN else "plc"]
+        for index, topic in enumerate(self.topics):
+            generation = self._sender["publisher" if towards_plc(topic) else "plc"]
             found.append((generation, int(self.ledger.announced[generation, index])))
         return found
 
@@ -200,7 +226,7 @@ class Cell:
         for index, (generation, number) in enumerate(marks):
             came, last = self.ledger.arrived(index)
             if came < generation or (came == generation and last <= number):
-                silent.append(TOPICS[index])
+                silent.append(ALL[index])
         return silent
 
     def await_flow(self, marks: list[tuple[int, int]]) -> float:
@@ -233,12 +259,19 @@ class Cell:
 
     def objects(self) -> set[str]:
         """Return the names of this cell's files in shared memory, lock files left out."""
-        locks = f"{self.prefix}.l."
+        locks = (f"{self.prefix}.l.", "rosplc.classic.")
         return {path.name for path in SHM.glob(f"*{self.prefix}*") if not path.name.startswith(locks)}
+
+    def is_classic(self, name: str) -> bool:
+        """Return whether a file in shared memory is a classic topic's memory or semaphore."""
+        return name.removeprefix("sem.").startswith(f"{self.prefix}_")
 
     def expected_objects(self) -> set[str]:
         """Return the names that should be there."""
-        return {self.namespace.object_name(topic) for topic in (*TOPICS, *self.extra)}
+        names = {self.namespace.object_name(topic) for topic in (*TOPICS, *self.extra)}
+        for topic in set(self.topics) & set(CLASSIC):
+            names |= {self.classic_name(topic), f"sem.{self.classic_name(topic)}"}
+        return names
 
     def remove(self, names: Iterable[str]) -> None:
         """Remove files from shared memory, as session clean-up and container restarts do."""

@@ -20,9 +20,12 @@ from rosplc import attach
 from soak.cell import SHM, Cell
 from soak.pattern import CAPACITY, IN, OUT, TOPICS
 
-__all__ = ["FAULTS", "Fault", "faults_for"]
+__all__ = ["FAULTS", "HUB_FAULTS", "Fault"]
 
 _FAKETIME = [Path(f"/usr/lib/{arch}-linux-gnu/faketime/libfaketimeMT.so.1") for arch in ("x86_64", "aarch64")]
+
+
+_ENDING = ("bridge", "plc", "publisher", "subscriber", "hub")
 
 
 class Fault:
@@ -30,12 +33,15 @@ class Fault:
 
     Attributes:
         name: What it is called.
-        accounted: The topics on which every missing message must be counted by somebody.
+        accounted: The topics on which every missing message must be counted by somebody, as far as those who
+            count on its way live on.
+        ends: The parts whose process it ends.
         may_end: The bridge may end of it, and is started again.
     """
 
     name = ""
     accounted: tuple[str, ...] = ()
+    ends: frozenset[str] = frozenset()
     may_end = False
 
     def missing(self, cell: Cell) -> str:
@@ -53,6 +59,8 @@ class Kill(Fault):
     def __init__(self, part: str) -> None:
         self.part = part
         self.name = f"kill -9 {part}"
+        self.ends = frozenset({part})
+        self.accounted = TOPICS
 
     def inflict(self, cell: Cell, dice: random.Random) -> None:
         cell.parts[self.part].kill()
@@ -66,6 +74,8 @@ class Restart(Fault):
     def __init__(self, part: str) -> None:
         self.part = part
         self.name = f"restart {part}"
+        self.ends = frozenset({part})
+        self.accounted = TOPICS
 
     def inflict(self, cell: Cell, dice: random.Random) -> None:
         if not cell.parts[self.part].terminate():
@@ -94,6 +104,7 @@ class KillTwo(Fault):
     """Two of the parts die at the same moment."""
 
     name = "kill -9 two at once"
+    ends = frozenset(_ENDING)
 
     def inflict(self, cell: Cell, dice: random.Random) -> None:
         names = dice.sample(sorted(cell.parts), 2)
@@ -102,6 +113,22 @@ class KillTwo(Fault):
         for name in names:
             cell.parts[name].kill()
             cell.parts[name].start()
+
+
+class KillBesideStopped(Fault):
+    """One part dies and comes back while another stands still."""
+
+    name = "kill -9 beside a stopped one"
+    ends = frozenset(_ENDING)
+
+    def inflict(self, cell: Cell, dice: random.Random) -> None:
+        dead, still = dice.sample(sorted(cell.parts), 2)
+        cell.parts[still].send(signal.SIGSTOP)
+        time.sleep(dice.uniform(0.0, 0.3))
+        cell.parts[dead].kill()
+        cell.parts[dead].start()
+        time.sleep(dice.uniform(0.0, 0.8))
+        cell.parts[still].send(signal.SIGCONT)
 
 
 class Flood(Fault):
@@ -145,12 +172,14 @@ class Remove(Fault):
         self.name = "all files removed" if everything else "objects removed"
 
     def inflict(self, cell: Cell, dice: random.Random) -> None:
-        names = sorted(cell.objects())
         if self._all:
             cell.remove(path.name for path in SHM.glob(f"*{cell.prefix}*"))
         else:
+            names = [name for name in sorted(cell.objects()) if not cell.is_classic(name)]
             cell.remove(dice.sample(names, dice.randint(1, len(names))))
         cell.wait(lambda: cell.expected_objects() <= cell.objects(), "the objects are made again")
+        if self._all:
+            cell.ledger.control["reopen"] += 1  # classic objects cannot tell a PLC that they were replaced
 
 
 class Full(Fault):
@@ -185,6 +214,7 @@ class Limit(Fault):
         self._what = what
         self.name = f"no further {what}"
         self.may_end = True
+        self.ends = frozenset({"bridge"})
 
     def missing(self, cell: Cell) -> str:
         if cell.backend == "zenoh" and self._what == "memory":
@@ -210,44 +240,50 @@ class Limit(Fault):
 
 
 class Clock(Fault):
-    """The wall clock of the bridge's process jumps, by an hour, a year, back."""
+    """The wall clock of a process jumps, by an hour, a year, back; the machine's own never does."""
 
-    name = "clock steps"
+    def __init__(self, part: str) -> None:
+        self.part = part
+        self.name = f"clock steps, {part}"
+        self.ends = frozenset({part})
 
     def missing(self, cell: Cell) -> str:
         return "" if any(path.exists() for path in _FAKETIME) else "Debian package faketime is missing"
 
     def inflict(self, cell: Cell, dice: random.Random) -> None:
-        bridge = cell.parts["bridge"]
-        clock = cell.folder / "clock"
+        part = cell.parts[self.part]
+        clock = cell.folder / f"clock-{self.part}"
         clock.write_text("+0")
-        honest = dict(bridge.environment)
-        bridge.environment |= {
+        honest = dict(part.environment)
+        part.environment |= {
             "LD_PRELOAD": str(next(path for path in _FAKETIME if path.exists())),
             "FAKETIME_TIMESTAMP_FILE": str(clock),
             "FAKETIME_CACHE_DURATION": "1",
             "DONT_FAKE_MONOTONIC": "1",
             "FAKETIME_DONT_FAKE_MONOTONIC": "1",
         }
+        part.through = "soak.stepped"
         try:
-            bridge.terminate()
-            bridge.start()
+            part.terminate()
+            part.start()
             cell.await_flow(cell.marks())
             for step in dice.sample((3600, -3600, 365 * 86400, -30), 2):
                 clock.write_text(f"{step:+d}")
-                cell.wait(_shifted(cell, step), f"the bridge's clock is {step:+d} s off")
+                cell.wait(_shifted(cell, self.part, step), f"the {self.part}'s clock is {step:+d} s off")
                 cell.await_flow(cell.marks())
         finally:
-            bridge.environment = honest
-            bridge.terminate()
-            bridge.start()
+            part.environment, part.through = honest, ""
+            part.terminate()
+            part.start()
             for path in SHM.glob("*faketime_s*") if cell.private else ():
                 path.unlink()  # libfaketime's own, which it leaves if its process ends by a signal
 
 
-def _shifted(cell: Cell, step: int) -> Callable[[], bool]:
+def _shifted(cell: Cell, part: str, step: int) -> Callable[[], bool]:
+    clock = "stamp_ns" if part == "bridge" else "publisher_clock_ns"
+
     def is_shifted() -> bool:
-        off = int(cell.ledger.control["stamp_ns"]) / 1e9 - time.time()
+        off = int(cell.ledger.control[clock]) / 1e9 - time.time()
         return abs(off - step) < 10
 
     return is_shifted
@@ -269,8 +305,10 @@ class Reload(Fault):
             extra[f"/soak/extra{number}"] = _entry(dice)
         # The two topics that are not accounted for change, too: in manner, or in their layout.
         manner = dice.choice((", qos: {depth: 500}", ", rate_limit: 1ms", ", stale_after: 3s", ""))
+        layout = f", limits: {{data: {CAPACITY + dice.randint(0, 8)}}}"
         cell.options["/soak/in_newest"] = manner
-        cell.options["/soak/out_newest"] = f", limits: {{data: {CAPACITY + dice.randint(0, 8)}}}"
+        # Structured Text is compiled for one layout: there the manner changes alone.
+        cell.options["/soak/out_newest"] = layout if cell.plc == "python" else manner.replace("500", "50")
         cell.write_config()
         cell.hang_up("has reloaded its configuration")
         cell.wait(lambda: cell.objects() == cell.expected_objects(), "objects are those of the new file")
@@ -319,6 +357,7 @@ FAULTS: tuple[Fault, ...] = (
     *(Restart(part) for part in _PARTS),
     *(Stop(part) for part in _PARTS),
     KillTwo(),
+    KillBesideStopped(),
     Flood(),
     Hang(),
     Remove(everything=False),
@@ -327,13 +366,11 @@ FAULTS: tuple[Fault, ...] = (
     Full(nearly=True),
     Limit("descriptor"),
     Limit("memory"),
-    Clock(),
+    Clock("bridge"),
+    Clock("publisher"),
     Reload(),
     Refused(),
     Quiet(),
 )
-
-
-def faults_for(cell: Cell) -> tuple[Fault, ...]:
-    """Return the faults that there are with a cell's backend."""
-    return (*FAULTS, Kill("hub"), Restart("hub"), Stop("hub")) if "hub" in cell.parts else FAULTS
+HUB_FAULTS: tuple[Fault, ...] = (Kill("hub"), Restart("hub"), Stop("hub"))
+"""What happens to a router or a master, where there is one."""

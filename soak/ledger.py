@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from soak.pattern import IN, TOPICS, Stamp, read
+from soak.pattern import ALL, IN, TOPICS, Stamp, read
 
 __all__ = ["GENERATIONS", "Ledger"]
 
@@ -38,9 +38,9 @@ class Ledger:
     def __init__(self, path: Path, *, create: bool = False) -> None:
         kind = np.dtype(
             [
-                ("announced", np.uint32, (GENERATIONS, len(TOPICS))),
-                ("seen", np.uint32, (GENERATIONS, len(TOPICS))),
-                ("counters", [(name, np.int64) for name in _COUNTERS], (len(TOPICS),)),
+                ("announced", np.uint32, (GENERATIONS, len(ALL))),
+                ("seen", np.uint32, (GENERATIONS, len(ALL))),
+                ("counters", [(name, np.int64) for name in _COUNTERS], (len(ALL),)),
                 ("bridge", [(name, np.int64) for name in _BRIDGE], (len(TOPICS),)),
                 (
                     "control",
@@ -50,6 +50,10 @@ class Ledger:
                         ("stamp_ns", np.int64),
                         ("plc_scans", np.int64),
                         ("publisher_turns", np.int64),
+                        ("publisher_clock_ns", np.int64),
+                        ("stop_inside", np.int64),
+                        ("online_change", np.int64),
+                        ("reopen", np.int64),
                         ("dropped", np.int64, (len(TOPICS),)),
                     ],
                 ),
@@ -88,7 +92,7 @@ class Ledger:
 
     def _wrong(self, kind: str, topic: int, what: str) -> None:
         self.counters[topic][kind] += 1
-        print(f"{time.time():.3f} {TOPICS[topic]}: {kind}: {what}", flush=True)
+        print(f"{time.time():.3f} {ALL[topic]}: {kind}: {what}", flush=True)
 
     def _was_sent(self, topic: int, stamp: Stamp) -> bool:
         if not 0 < stamp.generation < GENERATIONS:
@@ -105,7 +109,7 @@ class Ledger:
         return {kind: int(self.counters[kind].sum()) for kind in ("torn", "invented", "disordered")}
 
     def losses(self) -> list[tuple[int, int]]:
-        """Return per topic what is missing at the receiving end, and what somebody has counted as lost."""
+        """Return per topic of TOPICS what is missing at the receiving end, and what somebody has counted."""
         found = []
         for topic in range(len(TOPICS)):
             count, bridge = self.counters[topic], self.bridge[topic]

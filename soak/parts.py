@@ -53,6 +53,7 @@ class Part:
 
     Attributes:
         lives: How often it was started.
+        through: A module of Python that the next processes are started through; none if it is empty.
     """
 
     def __init__(
@@ -60,10 +61,12 @@ class Part:
     ) -> None:
         self.name = name
         self.lives = 0
+        self.through = ""
         self.environment = dict(environment)
         self.log = log
         self._command = command
         self._process: subprocess.Popen[bytes] | None = None
+        self._marked = 0
 
     @property
     def pid(self) -> int:
@@ -83,15 +86,30 @@ class Part:
     def start(self) -> None:
         """Start it."""
         self.lives += 1
+        command = self._command()
+        if self.through:
+            command.insert(command.index("-m") + 1, self.through)
         with self.log.open("ab") as log:
             self._process = subprocess.Popen(
-                self._command(),
+                command,
                 env=self.environment,
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,
                 preexec_fn=_prepare,
             )
+
+    def mark(self) -> None:
+        """Note where the log stands: what is told from here on belongs to a new round."""
+        self._marked = self.log.stat().st_size if self.log.exists() else 0
+
+    def told(self) -> str:
+        """Return the log since the mark."""
+        if not self.log.exists():
+            return ""
+        with self.log.open("rb") as log:
+            log.seek(self._marked)
+            return log.read().decode(errors="replace")
 
     def send(self, number: signal.Signals) -> None:
         """Send a signal."""

@@ -16,12 +16,20 @@ from rosplc.codec import Codec, Wire
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 
-__all__ = ["CAPACITY", "IN", "OUT", "TOPICS", "TYPE", "Stamp", "fill", "read", "wire_codec"]
+__all__ = [
+    "ALL", "CAPACITY", "CLASSIC", "IN", "OUT", "TOPICS", "TYPE", "Stamp", "fill", "read", "towards_plc",
+    "wire_codec",
+]  # fmt: skip
 
 TYPE = "std_msgs/msg/UInt32MultiArray"
 IN = ("/soak/in", "/soak/in_newest")
 OUT = ("/soak/out", "/soak/out_newest")
 TOPICS = (*IN, *OUT)
+"""The topics of every cell, carried over channels; the first of each direction counts every message."""
+CLASSIC = ("/soak/classic_in", "/soak/classic_out")
+"""In cells with classic topics: a bare record under a semaphore, of which the newest alone is carried."""
+ALL = (*TOPICS, *CLASSIC)
+"""A topic's place in here is its number in patterns and in the ledger."""
 CAPACITY = 256
 _LONGEST, _SHORTEST = 240, 8
 _STEP = np.arange(CAPACITY + 64, dtype=np.uint32) * np.uint32(0x9E3779B1)
@@ -40,6 +48,11 @@ class Stamp:
 
     generation: int
     number: int
+
+
+def towards_plc(topic: str) -> bool:
+    """Return whether a topic goes from ROS to the PLC."""
+    return topic in (*IN, CLASSIC[0])
 
 
 def fill(topic: int, generation: int, number: int) -> Words:

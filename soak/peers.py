@@ -14,7 +14,7 @@ from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.ros import Backend, Qos, open_backend
 from soak.ledger import Ledger
-from soak.pattern import IN, OUT, TOPICS, TYPE, fill, wire_codec
+from soak.pattern import ALL, TOPICS, TYPE, fill, towards_plc, wire_codec
 
 __all__ = ["main"]
 
@@ -40,26 +40,29 @@ def _until_told() -> threading.Event:
     return stop
 
 
-def publish(ledger: Ledger, generation: int, kind: str, where: str) -> None:
+def publish(ledger: Ledger, generation: int, kind: str, where: str, topics: list[str]) -> None:
     """Publish until told to stop, each topic a hundred times a second, or as often as ordered."""
     stop = _until_told()
     backend, store = _open(kind, "soak_publisher", where)
     codec = wire_codec(store)
-    publishers = [backend.advertise(topic, TYPE, _RELIABLE) for topic in IN]
+    publishers = {
+        ALL.index(topic): backend.advertise(topic, TYPE, _RELIABLE) for topic in topics if towards_plc(topic)
+    }
     due, number = time.monotonic(), 0
     while not stop.is_set():
         number += 1
-        for index, publisher in enumerate(publishers):
+        for index, publisher in publishers.items():
             record = codec.layout.pack({"data": fill(index, generation, number)})
             ledger.announce(index, generation, number)
             publisher.write(codec.encode(record))
         ledger.control["publisher_turns"] += 1
+        ledger.control["publisher_clock_ns"] = time.time_ns()
         due = max(due + _PERIOD_S / max(1, int(ledger.control["flood"])), time.monotonic() - 0.1)
         stop.wait(max(0.0, due - time.monotonic()))
     backend.close()
 
 
-def subscribe(ledger: Ledger, kind: str, where: str) -> None:
+def subscribe(ledger: Ledger, kind: str, where: str, topics: list[str]) -> None:
     """Judge what comes, and pass on what the bridge says of itself."""
     stop = _until_told()
     backend, store = _open(kind, "soak_subscriber", where)
@@ -73,9 +76,9 @@ def subscribe(ledger: Ledger, kind: str, where: str) -> None:
         return on_message
 
     subscriptions = {
-        index: backend.subscribe(topic, TYPE, _RELIABLE, listener(index))
-        for index, topic in enumerate(TOPICS)
-        if topic in OUT
+        ALL.index(topic): backend.subscribe(topic, TYPE, _RELIABLE, listener(ALL.index(topic)))
+        for topic in topics
+        if not towards_plc(topic)
     }
     fields = {"status": 32, "status[].values": 24}
     layout = compute_layout(store, _DIAGNOSTICS, Limits(string=300, sequence=24, fields=fields))
@@ -90,7 +93,8 @@ def subscribe(ledger: Ledger, kind: str, where: str) -> None:
     while not stop.wait(0.05):
         for index, subscription in subscriptions.items():
             dropped = subscription.status().dropped
-            ledger.control["dropped"][index] += dropped - before[index]
+            if index < len(TOPICS):
+                ledger.control["dropped"][index] += dropped - before[index]
             before[index] = dropped
     backend.close()
 
@@ -108,13 +112,13 @@ def _note(ledger: Ledger, array: dict[str, Any]) -> None:
 
 
 def main() -> None:
-    """Run until told to stop: arguments are role, ledger, generation, backend, where."""
-    role, path, generation, kind, where = sys.argv[1:6]
+    """Run until told to stop: arguments are role, ledger, generation, backend, where, topics."""
+    role, path, generation, kind, where, *topics = sys.argv[1:]
     ledger = Ledger(Path(path))
     if role == "publisher":
-        publish(ledger, int(generation), kind, where)
+        publish(ledger, int(generation), kind, where, topics)
     else:
-        subscribe(ledger, kind, where)
+        subscribe(ledger, kind, where, topics)
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ import contextlib
 import signal
 import sys
 from pathlib import Path
+from typing import Any
 
 from rosplc.virtual_plc import ReadBlock, VirtualPlc, WriteBlock
 from soak.ledger import Ledger
@@ -14,6 +15,7 @@ from soak.pattern import IN, OUT, fill
 __all__ = ["main"]
 
 _SCAN_S = 0.01
+_BEAT_MS = 100
 
 
 class Program:
@@ -24,10 +26,10 @@ class Program:
         self._generation = generation
         modes = ("every", "latest")
         self._reads = [
-            ReadBlock(topic, prefix=prefix, mode=mode, max_per_cycle=64)  # type: ignore[arg-type]
+            ReadBlock(topic, prefix=prefix, mode=mode, max_per_cycle=64, beat_ms=_BEAT_MS)  # type: ignore[arg-type]
             for topic, mode in zip(IN, modes, strict=True)
         ]
-        self._writes = [WriteBlock(topic, prefix=prefix) for topic in OUT]
+        self._writes = [WriteBlock(topic, prefix=prefix, beat_ms=_BEAT_MS) for topic in OUT]
         self._numbers = [1] * len(OUT)
         self._lost = [0] * len(IN)
 
@@ -64,10 +66,16 @@ class Program:
 
 
 def main() -> None:
-    """Run until killed: arguments are ledger, generation, prefix."""
-    path, generation, prefix = sys.argv[1:4]
+    """Run until killed: arguments are ledger, generation, and a prefix or the files of Structured Text."""
+    path, generation, *rest = sys.argv[1:]
     plc = VirtualPlc()
-    program = Program(Ledger(Path(path)), int(generation), prefix)
+    program: Any
+    if len(rest) == 1:
+        program = Program(Ledger(Path(path)), int(generation), rest[0])
+    else:
+        from soak import st  # imports what a PLC in Python need not wait for
+
+        program = st.Program(Ledger(Path(path)), int(generation), Path(rest[0]), Path(rest[1]))
     plc.task("Soak", _SCAN_S).program(program)
     # A PLC that is stopped in an orderly way gives its claims back; one that is killed cannot.
     signal.signal(signal.SIGTERM, signal.default_int_handler)

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import importlib.metadata
+import os
+import platform
 import statistics
+import time
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import rosplc
 from soak.campaign import Outcome
 
 __all__ = ["figure", "summary", "to_json"]
@@ -32,11 +37,36 @@ def _by_fault(outcome: Outcome) -> dict[str, dict[str, Any]]:
     return table
 
 
+def machine() -> dict[str, Any]:
+    """Return what a figure depends on beside the code: the machine and the versions in use."""
+    lines = Path("/proc/cpuinfo").read_text().splitlines()
+    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return {
+        "processor": models[0] if models else platform.machine(),
+        "cores": os.cpu_count(),
+        "kernel": platform.release(),
+        "python": platform.python_version(),
+        "rosplc": rosplc.__version__,
+        "cyclonedds": _version("cyclonedds"),
+        "eclipse-zenoh": _version("eclipse-zenoh"),
+        "ended": time.strftime("%Y-%m-%d %H:%M", time.gmtime()),
+    }
+
+
+def _version(package: str) -> str:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return ""
+
+
 def to_json(outcome: Outcome) -> dict[str, Any]:
     """Return everything as plain data; times in seconds, memory in KiB."""
     return {
         "seed": outcome.seed,
         "backend": outcome.backend,
+        "plc": outcome.plc,
+        "machine": machine(),
         "seconds": round(outcome.seconds, 1),
         "rounds": len(outcome.rounds),
         "messages": outcome.messages,
