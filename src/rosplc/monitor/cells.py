@@ -49,9 +49,8 @@ def plc_text(view: ChannelView) -> str:
     if view.plc_alive:
         return "alive"
     if view.plc_alive is None:
-        return "?"
-    held = any(not (reader.index == 0 and view.direction == "to_ros") for reader in view.readers)
-    return "dead" if held and view.direction == "to_plc" else "none"
+        return "-" if view.classic else "?"
+    return "dead" if view.plc_claimed else "none"
 
 
 def way_text(view: ChannelView) -> str:

@@ -49,7 +49,7 @@ def _changes(before: ChannelView, after: ChannelView, time_ns: int) -> Iterator[
         yield _event(time_ns, "plc-gone", after, f"no PLC task {way} it any more", Level.ERROR)
     elif before.plc_alive is False and after.plc_alive:
         yield _event(time_ns, "plc-back", after, "a PLC task is there again")
-    if after.state in _SILENCE and before.state not in _SILENCE:
+    if after.state in _SILENCE and after.stale and before.state not in _SILENCE:
         yield _event(time_ns, "stale", after, after.words, Level.STALE)
     elif before.state in _SILENCE and after.state is State.OK:
         yield _event(time_ns, "recovered", after, "messages come again")

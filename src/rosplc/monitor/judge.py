@@ -2,55 +2,75 @@
 
 from __future__ import annotations
 
-from rosplc.monitor.picture import ChannelView
+from dataclasses import dataclass
+
+from rosplc.monitor.picture import ReaderView
 from rosplc.monitor.states import State
 
-__all__ = ["judge"]
+__all__ = ["Signs", "judge"]
 
 
-def judge(view: ChannelView, *, refused: bool, lost: bool, silent: bool, held: bool) -> tuple[State, str]:
-    """Return how a channel stands; of several things the worst counts.
+@dataclass(slots=True)
+class Signs:
+    """What is judged; names as in :class:`rosplc.monitor.ChannelView` mean the same.
 
-    Args:
-        view: What was seen; its state and words do not matter.
-        refused: Whether messages were refused lately.
-        lost: Whether messages were lost lately where each one counts.
+    Attributes:
+        to_plc: Whether messages go to the PLC.
+        moving: Whether messages came over the last seconds.
+        refused_lately: Whether messages were refused lately.
+        lost_lately: Whether messages were lost lately where each one counts.
         silent: Whether the source is silent for longer than it may be, and than one late message lasts.
-        held: Whether the PLC's side holds a claim.
     """
-    to_plc = view.direction == "to_plc"
-    if view.bridge_alive is False:
-        if view.bridge_pid:
-            return State.DEAD, f"the bridge does not beat any more; it was process {view.bridge_pid}"
+
+    to_plc: bool
+    bridge_alive: bool | None
+    bridge_pid: int
+    plc_alive: bool | None
+    plc_claimed: bool
+    readers: tuple[ReaderView, ...]
+    received: int
+    ros_peers: int | None
+    stale: bool
+    moving: bool
+    refused_lately: bool
+    lost_lately: bool
+    silent: bool
+
+
+def judge(signs: Signs) -> tuple[State, str]:
+    """Return how a channel stands; of several things the worst counts."""
+    if signs.bridge_alive is False:
+        if signs.bridge_pid:
+            return State.DEAD, f"the bridge does not beat any more; it was process {signs.bridge_pid}"
         return State.NO_BRIDGE, "the bridge has ended; this is what it left"
-    if view.plc_alive is False and held:
-        tasks = ", ".join(reader.task or f"process {reader.pid}" for reader in view.readers)
-        if to_plc:
+    if signs.plc_alive is False and signs.plc_claimed:
+        if signs.to_plc:
+            tasks = ", ".join(reader.task or f"process {reader.pid}" for reader in signs.readers)
             return State.DEAD, f"the PLC task that reads it does not beat any more: {tasks}"
         return State.DEAD, "the PLC task that writes it does not beat any more"
-    if refused:
+    if signs.refused_lately:
         return State.REFUSED, "messages do not fit and are refused; the bridge's log says why"
-    if lost:
+    if signs.lost_lately:
         return State.LOST, "messages are lost, and each one counts; raise depth: or read more per scan"
-    if silent:
-        return (State.STALE if view.received else State.SILENT), _silence(view, to_plc=to_plc)
-    if view.bridge_alive is None or (view.plc_alive is None and held):
+    if signs.silent:
+        return (State.STALE if signs.received else State.SILENT), _silence(signs)
+    if signs.bridge_alive is None or (signs.plc_alive is None and signs.plc_claimed):
         return State.UNKNOWN, "looking for signs of life"
-    if view.plc_alive is False:
-        return State.NO_PLC, "no PLC task reads it" if to_plc else "no PLC task writes it"
-    if view.ros_peers == 0:
-        return State.OK, "nobody publishes" if to_plc else "nobody subscribes"
-    if not view.received:
+    if signs.plc_alive is False:
+        return State.NO_PLC, "no PLC task reads it" if signs.to_plc else "no PLC task writes it"
+    if signs.ros_peers == 0:
+        return State.OK, "nobody publishes" if signs.to_plc else "nobody subscribes"
+    if not signs.received:
         return State.OK, "no message yet"
-    return State.OK, "messages come" if view.rate_hz else "no message at present, which is allowed"
+    return State.OK, "messages come" if signs.moving else "no message at present, which is allowed"
 
 
-def _silence(view: ChannelView, *, to_plc: bool) -> str:
-    source = "ROS" if to_plc else "the PLC"
-    if view.received:
-        if not view.stale:
-            return f"messages come again from {source}, after silence"
-        gone = "; nobody publishes any more" if to_plc and view.ros_peers == 0 else ""
-        return f"no message from {source} for longer than it may be silent{gone}"
-    gone = ": nobody publishes" if to_plc and view.ros_peers == 0 else ""
-    return f"no message yet from {source}{gone}"
+def _silence(signs: Signs) -> str:
+    source = "ROS" if signs.to_plc else "the PLC"
+    nobody = signs.to_plc and signs.ros_peers == 0
+    if not signs.received:
+        return f"no message yet from {source}" + (": nobody publishes" if nobody else "")
+    if not signs.stale:
+        return f"messages come again from {source}, after silence"
+    gone = "; nobody publishes any more" if nobody else ""
+    return f"no message from {source} for longer than it may be silent{gone}"

@@ -66,6 +66,7 @@ class ChannelView:
         reader_alive: Whether one of the readers beats: a PLC task towards the PLC, the bridge towards ROS.
         bridge_alive: That one of the two which is the bridge.
         plc_alive: That one of the two which is the PLC.
+        plc_claimed: Whether the PLC's side holds a claim: alive, or dead without having given it back.
         ros_peers: ROS publishers towards the PLC, subscribers towards ROS; None if nobody counts them.
         stale: Whether the newest message is older than ``stale_after_ns``.
         stale_after_ns: How old it may become; 0 for never.
@@ -100,6 +101,7 @@ class ChannelView:
     reader_alive: bool | None = None
     bridge_alive: bool | None = None
     plc_alive: bool | None = None
+    plc_claimed: bool = False
     ros_peers: int | None = None
     stale: bool = False
     stale_after_ns: int = 0

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable
-from dataclasses import replace
 from pathlib import Path
 
 from rosplc._core._native import distance
 from rosplc.errors import ChannelError
 from rosplc.monitor.expected import Expectation
-from rosplc.monitor.judge import judge
+from rosplc.monitor.judge import Signs, judge
 from rosplc.monitor.peers import Peers
 from rosplc.monitor.picture import ChannelView, ReaderView
 from rosplc.monitor.rate import Rate
@@ -123,17 +122,36 @@ class Tracked:
         readers = tuple(self._reader(line, now_ns) for line in snapshot.readers)
         bridge, plc = self._sides(writer_alive, readers)
         lost = _most_lost(snapshot)
-        view = ChannelView(
+        rate = self._rate.of(self._count, now_ns)
+        signs = Signs(
+            to_plc=self._to_plc,
+            bridge_alive=bridge,
+            bridge_pid=self._bridge_pid(snapshot),
+            plc_alive=plc,
+            plc_claimed=bool(readers) if self._to_plc else bool(writer.epoch),
+            readers=readers,
+            received=writer.head,
+            ros_peers=self._ros_peers(snapshot),
+            stale=bool(limit) and since > limit,
+            moving=bool(rate),
+            refused_lately=self._refused.of(writer.refused, now_ns),
+            lost_lately=self._lost.of(lost, now_ns) and expectation.in_order,
+            silent=bool(limit) and (since > limit + _DEBOUNCE_NS or now_ns < self._settled_ns),
+        )
+        state, words = judge(signs)
+        return ChannelView(
             id=self.name,
             prefix=self.prefix,
             topic=self.description.topic,
             direction=self.direction.word,
             type_name=self.description.type,
             bridge=self.description.bridge,
-            bridge_pid=self._bridge_pid(snapshot),
-            rate_hz=self._rate.of(self._count, now_ns),
+            bridge_pid=signs.bridge_pid,
+            state=state,
+            words=words,
+            rate_hz=rate,
             age_ns=age,
-            received=writer.head,
+            received=signs.received,
             lost=lost,
             refused=writer.refused,
             truncated=writer.truncated,
@@ -141,8 +159,9 @@ class Tracked:
             reader_alive=plc if self._to_plc else bridge,
             bridge_alive=bridge,
             plc_alive=plc,
-            ros_peers=self._ros_peers(snapshot),
-            stale=bool(limit) and since > limit,
+            plc_claimed=signs.plc_claimed,
+            ros_peers=signs.ros_peers,
+            stale=signs.stale,
             stale_after_ns=limit,
             configured=expectation.configured,
             record_size=identity.record_size,
@@ -153,12 +172,6 @@ class Tracked:
             created_ns=identity.created_ns,
             readers=readers,
         )
-        silent = bool(limit) and (since > limit + _DEBOUNCE_NS or now_ns < self._settled_ns)
-        lost_lately = self._lost.of(lost, now_ns) and expectation.in_order
-        held = bool(readers) if self._to_plc else bool(writer.epoch)
-        refused = self._refused.of(writer.refused, now_ns)
-        state, words = judge(view, refused=refused, lost=lost_lately, silent=silent, held=held)
-        return replace(view, state=state, words=words)
 
     def _follow(self, head: int, now_ns: int, limit: int) -> None:
         if head == self._head:

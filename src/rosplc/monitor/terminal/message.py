@@ -98,13 +98,16 @@ class MessageScreen(Screen[None]):
     def _head(self) -> None:
         view = self._channel
         self.query_one("#channel-head", Static).update(
-            Text.assemble((one_line(view.topic), "bold"), f"  {way_text(view)}  ", one_line(view.type_name))
+            Text.assemble((one_line(view.topic), "bold"), f"  {way_text(view)}  ", one_line(view.type_name)),
+            layout=False,
         )
         figures = (
             f"  {rate_text(view.rate_hz)} per s  age {age_text(view.age_ns)}  lost {count_text(view.lost)}"
             f"  refused {count_text(view.refused)}  PLC {plc_text(view)}"
         )
-        self.query_one("#channel-state", Static).update(Text.assemble(state_cell(view), figures))
+        self.query_one("#channel-state", Static).update(
+            Text.assemble(state_cell(view), figures), layout=False
+        )
         self._say(view.words)
 
     def _take(self) -> None:
@@ -128,14 +131,14 @@ class MessageScreen(Screen[None]):
         if not self._history.of(self._path):
             self._path = self._history.first()
         self.query_one(ValueTree).show(message.values, shape)
-        self.query_one("#channel-message", Static).update(plain(_about(message), "dim"))
+        self.query_one("#channel-message", Static).update(plain(_about(message), "dim"), layout=False)
         self._draw_course()
 
     def _draw_course(self) -> None:
         self.query_one(Course).show(self._path, self._history.of(self._path), self._seconds)
 
     def _say(self, words: str) -> None:
-        self.query_one("#channel-words", Static).update(plain(words))
+        self.query_one("#channel-words", Static).update(plain(words), layout=False)
 
 
 def _about(message: Message) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -11,9 +12,15 @@ from rosplc.monitor.states import ALL_WELL
 
 __all__ = ["ORDERS", "Order"]
 
+
+def _natural(text: str) -> list[tuple[int, str]]:
+    """Return what sorts robot2 before robot10."""
+    return [(int(part[:18]), "") if part.isdecimal() else (0, part) for part in re.split(r"([0-9]+)", text)]
+
+
 # The first look at a figure is for what stands out, so that figures begin with the largest.
 ORDERS: dict[str, tuple[bool, Callable[[ChannelView], Any]]] = {
-    "topic": (False, lambda view: (view.prefix, view.topic)),
+    "topic": (False, lambda view: (view.prefix, _natural(view.topic))),
     "state": (True, lambda view: view.state.severity),
     "rate": (True, lambda view: view.rate_hz or 0.0),
     "age": (True, lambda view: -1 if view.age_ns is None else view.age_ns),

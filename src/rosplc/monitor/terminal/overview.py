@@ -12,7 +12,7 @@ from textual.binding import Binding, BindingType
 from textual.events import Resize
 from textual.message import Message
 from textual.screen import Screen
-from textual.widgets import DataTable, Footer, Input, Static
+from textual.widgets import Footer, Input, Static
 
 from rosplc.harmless import one_line
 from rosplc.monitor.picture import BridgeView, ChannelView, Event, Picture
@@ -43,7 +43,6 @@ class OverviewScreen(Screen[None]):
     DEFAULT_CSS = """
     OverviewScreen #head { height: 1; background: $panel; }
     OverviewScreen #nothing { height: auto; padding: 1; display: none; }
-    OverviewScreen ChannelTable { height: 1fr; background: $background; }
     OverviewScreen #chosen { height: 2; border-top: none; background: $panel; }
     OverviewScreen #events { height: 0; text-wrap: nowrap; text-overflow: ellipsis; }
     OverviewScreen Input { height: 1; border: none; padding: 0; display: none; }
@@ -119,19 +118,19 @@ class OverviewScreen(Screen[None]):
         text.append(", ".join(_bridge(bridge) for bridge in picture.bridges), "not bold")
         for note in picture.notes:
             text.append(f"  {note}", "bold yellow")
-        self.query_one("#head", Static).update(text)
+        self.query_one("#head", Static).update(text, layout=False)
 
     def _details(self) -> None:
         view = self.query_one(ChannelTable).chosen
         box = self.query_one("#chosen", Static)
         if view is None:
-            box.update("")
+            box.update("", layout=False)
             return
         place = f" {one_line(view.topic)}  {one_line(view.type_name)}  {view.prefix}: {one_line(view.bridge)}"
         readers = ", ".join(one_line(each.task) or f"process {each.pid}" for each in view.readers)
         code = f" [{view.code}]" if view.code else ""
         words = f" {one_line(view.words)}{code}" + (f"; read by {readers}" if readers else "")
-        box.update(Text(f"{place}\n{words}", no_wrap=True, overflow="ellipsis"))
+        box.update(Text(f"{place}\n{words}", no_wrap=True, overflow="ellipsis"), layout=False)
 
     def _show_events(self) -> None:
         box = self.query_one("#events", Static)
@@ -142,19 +141,21 @@ class OverviewScreen(Screen[None]):
         text = Text("\n", no_wrap=True, overflow="ellipsis").join(
             event_line(event, f" {datetime.fromtimestamp(event.time_ns / 1e9):%H:%M:%S}") for event in newest
         )
-        box.update(text if newest else plain(" Nothing happened since the start.", "dim"))
+        box.update(text if newest else plain(" Nothing happened since the start.", "dim"), layout=False)
 
-    def on_data_table_row_highlighted(self, event: DataTable.RowHighlighted) -> None:
+    def on_channel_table_highlighted(self, event: ChannelTable.Highlighted) -> None:
         """Tell about the row under the cursor."""
         self._details()
 
-    def on_data_table_row_selected(self, event: DataTable.RowSelected) -> None:
-        """Open the row's message, by Enter or a click."""
-        self.action_choose()
+    def on_channel_table_opened(self, event: ChannelTable.Opened) -> None:
+        """Open the row's message."""
+        view = self.query_one(ChannelTable).chosen
+        if view is not None:
+            self.post_message(self.Chosen(view))
 
-    def on_data_table_header_selected(self, event: DataTable.HeaderSelected) -> None:
+    def on_channel_table_heading_clicked(self, event: ChannelTable.HeadingClicked) -> None:
         """Sort by the column whose heading was clicked."""
-        self._reorder(self._order.sorted_by(str(event.column_key.value)))
+        self._reorder(self._order.sorted_by(event.by))
 
     def on_input_changed(self, event: Input.Changed) -> None:
         """Filter while typing."""
@@ -163,12 +164,6 @@ class OverviewScreen(Screen[None]):
     def on_input_submitted(self, event: Input.Submitted) -> None:
         """Go back to the table, which stays filtered."""
         self._close_filter()
-
-    def action_choose(self) -> None:
-        """Open the chosen channel's message."""
-        view = self.query_one(ChannelTable).chosen
-        if view is not None:
-            self.post_message(self.Chosen(view))
 
     def action_sort(self) -> None:
         """Sort by the next figure."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from rich.style import Style
 from rich.text import Text
 
 from rosplc.harmless import one_line
@@ -9,9 +10,14 @@ from rosplc.levels import Level
 from rosplc.monitor.cells import event_text, state_text
 from rosplc.monitor.picture import ChannelView, Event
 
-__all__ = ["event_line", "plain", "right", "shortened", "state_cell"]
+__all__ = ["LEVEL_STYLES", "event_line", "plain", "state_cell"]
 
-_STYLES = {Level.OK: "green", Level.WARN: "bold yellow", Level.ERROR: "bold red", Level.STALE: "bold magenta"}
+LEVEL_STYLES = {
+    Level.OK: Style(color="green"),
+    Level.WARN: Style(color="yellow", bold=True),
+    Level.ERROR: Style(color="red", bold=True),
+    Level.STALE: Style(color="magenta", bold=True),
+}
 
 
 def plain(text: str, style: str = "") -> Text:
@@ -19,27 +25,13 @@ def plain(text: str, style: str = "") -> Text:
     return Text(one_line(text), style=style, no_wrap=True, end="")
 
 
-def right(text: str, width: int, style: str = "") -> Text:
-    """Return a figure in ``width`` cells, standing to the right."""
-    return Text(text.rjust(width), style=style, no_wrap=True, end="")
-
-
-def shortened(text: str, width: int) -> Text:
-    """Return a name in ``width`` cells, cut at its beginning: its end is what tells names apart."""
-    found = plain(text)
-    if found.cell_len <= width:
-        return found
-    kept = found.plain
-    while kept and Text(kept).cell_len > width - 1:
-        kept = kept[1:]
-    return Text("…" + kept, no_wrap=True, end="")
-
-
 def state_cell(view: ChannelView) -> Text:
     """Return mark and word of a channel's state, in its level's colour."""
-    return Text(state_text(view), style=_STYLES[view.state.level], no_wrap=True, end="")
+    return Text(state_text(view), style=LEVEL_STYLES[view.state.level], no_wrap=True, end="")
 
 
 def event_line(event: Event, clock: str) -> Text:
     """Return an event as a line, its time before it."""
-    return Text.assemble((f"{clock} ", "dim"), (one_line(event_text(event)), _STYLES[event.level]), end="")
+    return Text.assemble(
+        (f"{clock} ", "dim"), (one_line(event_text(event)), LEVEL_STYLES[event.level]), end=""
+    )
