@@ -113,7 +113,8 @@ def command(
 ) -> None:
     """Record channels into MCAP files, which Foxglove, PlotJuggler and `ros2 bag` read."""
     if repair is not None:
-        raise typer.BadParameter("not there yet", param_hint="--repair")
+        _repair(repair, output, as_json=as_json, quiet=quiet)
+        return
     seconds = duration(length, "--duration") / 1e9
     order = _order(
         topics or [],
@@ -248,6 +249,27 @@ def _record(order: Order, seconds: float, *, quiet: bool, as_json: bool) -> None
                 _report(order, recorder, recorder.result, as_json=as_json)
     if recorder.result is not None and not recorder.result.received and not order.keep_ns:
         raise RecordingError("REC004", "not one message came", where=order.namespace.prefix)
+
+
+def _repair(file: Path, output: Path | None, *, as_json: bool, quiet: bool) -> None:
+    from rosplc.recorder.names import base_of, file_name, refuse_taken
+    from rosplc.recorder.repair import repair
+
+    base = (
+        base_of(output) if output is not None else base_of(file).with_name(f"{base_of(file).name}_repaired")
+    )
+    refuse_taken(base)
+    line = ProgressLine(quiet=quiet)
+    done = repair(file, file_name(base), lambda messages: line.show(lambda: f"{messages} messages saved"))
+    line.clear()
+    if as_json:
+        facts = {"path": str(done.path), "messages": done.messages, "topics": done.topics}
+        print_json(facts | {"problem": done.problem, "damaged": done.damaged})
+        return
+    say(f"{file}: {done.problem or 'nothing is wrong with it'}")
+    if done.damaged:
+        say(f"{done.damaged} parts in between could not be read, and are left out")
+    say(f"{done.path}: {done.messages} messages of {len(done.topics)} topics saved")
 
 
 def _begin(recorder: Recorder, order: Order, *, quiet: bool) -> None:

@@ -43,11 +43,23 @@ class CarriedChannel:
             # Also of a ROS 1 channel: its store is one of ROS 2, as the description gives no version.
             self.codec = Codec(layout, Wire.CDR)
             self.reader: Reader = self._attached.reader(latched=from_start)
+            self._begun = from_start
         except BaseException:
             self._attached.close()
             raise
         self.topic = self.description.topic
         self.slots = self._attached.identity.slot_count
+
+    def begin(self) -> Reader:
+        """Return the reader, which takes what comes from now on; what came while it was opened is no loss.
+
+        Raises:
+            ChannelError: SHM111, the object has been retired meanwhile.
+        """
+        if not self._begun:
+            self._begun = True
+            self.reader = self._attached.reader()
+        return self.reader
 
     def still_there(self) -> bool:
         """Return whether the name still leads to this object."""

@@ -185,7 +185,12 @@ class Inlet:
 
     def _add(self, entry: _Entry) -> None:
         carried = entry.carried
-        entry.index = self._group.add_reader(carried.reader, carried.codec.plan, _IN_ORDER, carried.slots)
+        try:
+            reader = carried.begin()
+        except ChannelError:
+            entry.broken = True  # look_after opens the name again
+            return
+        entry.index = self._group.add_reader(reader, carried.codec.plan, _IN_ORDER, carried.slots)
         self._by_index[entry.index] = entry
 
     def _drop(self, entry: _Entry) -> None:

@@ -12,7 +12,7 @@ from rosplc.recorder.mcap_write import ChannelInfo, McapFile, SealedChunk
 from rosplc.recorder.names import file_name
 from rosplc.recorder.rosbag2 import RECORD_NAME, BagFile, BagTopic, bag_information, to_yaml
 
-__all__ = ["METADATA", "FileStore", "Split", "Written"]
+__all__ = ["METADATA", "FileStore", "Split", "Written", "failure"]
 
 METADATA = "rosplc"
 """Name of the metadata record that tells what was lost."""
@@ -101,7 +101,7 @@ class FileStore:
             try:
                 base.mkdir(parents=True)
             except OSError as error:
-                raise _failure(error, base) from error
+                raise failure(error, base) from error
             self._write_metadata()
         self._file: McapFile | None = self._open()
 
@@ -128,7 +128,7 @@ class FileStore:
             file.append(chunk)
             self._say(file)
         except OSError as error:
-            raise _failure(error, file.path) from error
+            raise failure(error, file.path) from error
 
     def finish(self) -> None:
         """Finish the last file; harmless twice."""
@@ -150,13 +150,13 @@ class FileStore:
             path.parent.mkdir(parents=True, exist_ok=True)
             file = McapFile(path)
         except OSError as error:
-            raise _failure(error, path) from error
+            raise failure(error, path) from error
         try:
             # Without a record of this name, newer releases of rosbag2 read QoS as a newer format.
             file.add_metadata(RECORD_NAME, self._information([BagFile(path.name, 0, 0, 0)], {}))
         except OSError as error:
             file.close()
-            raise _failure(error, path) from error
+            raise failure(error, path) from error
         self._said = {}
         return file
 
@@ -168,23 +168,23 @@ class FileStore:
 
     def _close(self, file: McapFile) -> None:
         self._file = None
-        failure: OSError | None = None
+        failed: OSError | None = None
         try:
             self._say(file)
             entry = BagFile(file.path.name, file.start_ns, file.end_ns, file.messages)
             file.add_metadata(RECORD_NAME, self._information([entry], file.counts))
         except OSError as error:
-            failure = error
+            failed = error
         try:
             file.finish()
         except OSError as error:
-            failure = failure or error
+            failed = failed or error
         self.written.append(self._summary(file))
         self._files.append(BagFile(file.path.name, file.start_ns, file.end_ns, file.messages))
         for channel, count in file.counts.items():
             self._counts[channel] = self._counts.get(channel, 0) + count
-        if failure is not None:
-            raise _failure(failure, file.path) from failure
+        if failed is not None:
+            raise failure(failed, file.path) from failed
         if self._bag:
             self._write_metadata()
 
@@ -220,10 +220,11 @@ class FileStore:
             temporary.write_text(self._yaml(self._files, self._counts, whole=True), encoding="utf-8")
             temporary.replace(path)
         except OSError as error:
-            raise _failure(error, path) from error
+            raise failure(error, path) from error
 
 
-def _failure(error: OSError, path: Path) -> RecordingError:
+def failure(error: OSError, path: Path) -> RecordingError:
+    """Return what a failed write means to a person: REC002 where the disk is full, else REC001."""
     if error.errno in _NO_ROOM:
         return RecordingError("REC002", f"no room: {error.strerror}", where=str(path))
     if isinstance(error, FileExistsError):

@@ -16,7 +16,7 @@ turns definitions into code, so a recording is to be trusted like a program: rep
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -144,14 +144,32 @@ class Recording:
             )
         return result
 
-    def messages(self) -> Iterator[RecordedMessage]:
+    @property
+    def start_ns(self) -> int:
+        """When the first message was recorded (ns since the epoch)."""
+        return self._reader.start_time
+
+    @property
+    def end_ns(self) -> int:
+        """When the last message was recorded (ns since the epoch)."""
+        return self._reader.end_time
+
+    def definition(self, topic: str) -> str:
+        """Return the definition of the type that a topic's messages are given as, in ROS 2's words."""
+        return self._target.generate_msgdef(self._types[topic], ros_version=2)[0]
+
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[RecordedMessage]:
         """Yield every message in the order of recording.
+
+        Args:
+            topics: Only those of these topics; None for all.
 
         Raises:
             BackendError: ROS006, the file is damaged.
         """
+        wanted = [one for one in self._reader.connections if topics is None or one.topic in topics]
         try:
-            for connection, time_ns, raw in self._reader.messages():
+            for connection, time_ns, raw in self._reader.messages(wanted) if wanted else ():
                 yield RecordedMessage(connection.topic, time_ns, self._to_cdr(connection, raw))
         except (AnyReaderError, Reader1Error, Reader2Error, SerdeError, OSError) as error:
             raise BackendError("ROS006", f"recording is damaged: {error}", where=str(self.path)) from error

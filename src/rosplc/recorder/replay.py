@@ -1,0 +1,152 @@
+"""Giving a recording's messages out again, in their order and at their pace."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+from rosplc.errors import RecordingError
+from rosplc.recorder.selection import Selection
+from rosplc.recorder.source import Source, SourceTopic
+from rosplc.recorder.target import Target
+
+__all__ = ["Player", "ReplayOrder", "chosen_topics"]
+
+_NAP_S = 0.2
+"""How long at most before it is looked whether to stop."""
+
+
+@dataclass(frozen=True)
+class ReplayOrder:
+    """How a recording is replayed.
+
+    Attributes:
+        speed: 1 as recorded, 2 twice as fast; 0 as fast as it goes.
+        loop: Begin again at the end.
+        start_ns: Leave out so much at the beginning.
+        end_ns: End so long after the recording's beginning; 0 for its end.
+        stamps: ``now``: a message is stamped when it is sent; ``original``: as it was recorded.
+    """
+
+    speed: float = 1.0
+    loop: bool = False
+    start_ns: int = 0
+    end_ns: int = 0
+    stamps: Literal["now", "original"] = "now"
+
+
+def chosen_topics(
+    source: Source,
+    selection: Selection,
+    rename: Mapping[str, str],
+    *,
+    to_plc: bool,
+) -> tuple[dict[str, SourceTopic], list[str]]:
+    """Return new name → topic of what is to be replayed, and in words what was left out.
+
+    Args:
+        source: The recording.
+        selection: Which topics; without names, towards the PLC those that the PLC wrote are left out.
+        rename: Topic → new name.
+        to_plc: Whether they go into channels.
+
+    Raises:
+        RecordingError: REC006, nothing is left; REC007, two topics would have one name.
+    """
+    remarks = [f"{name} is left out: {why}" for name, why in source.unusable.items() if name in selection]
+    chosen: dict[str, SourceTopic] = {}
+    for name, topic in sorted(source.topics.items()):
+        if name not in selection or name in source.unusable:
+            continue
+        if to_plc and topic.direction == "to_ros" and not selection.topics:
+            remarks.append(f"{name} is left out: the PLC wrote it; name it to replay it")
+            continue
+        new = rename.get(name, name)
+        if new in chosen:
+            raise RecordingError("REC007", f"{new} would get two topics' messages", where=name)
+        chosen[new] = topic
+    for wrong in [name for name in rename if name not in source.topics]:
+        remarks.append(f"{wrong} is not in the recording, and not renamed")
+    if not chosen:
+        known = ", ".join(sorted(source.topics)) or "none"
+        raise RecordingError("REC006", f"no topic is left to replay; the recording has {known}")
+    return chosen, remarks
+
+
+@dataclass
+class Player:
+    """Plays a recording into a target.
+
+    Args:
+        source: The recording.
+        target: Where it goes.
+        topics: New name → topic.
+        order: How.
+
+    Attributes:
+        rounds: How many times it was begun.
+        position_ns: How far it is from the recording's beginning.
+        latest_ns: The most that a message was sent too late, at a speed other than the fastest.
+        disordered: Messages whose time lies before that of the one sent before.
+    """
+
+    source: Source
+    target: Target
+    topics: Mapping[str, SourceTopic]
+    order: ReplayOrder = field(default_factory=ReplayOrder)
+    rounds: int = 0
+    position_ns: int = 0
+    latest_ns: int = 0
+    disordered: int = 0
+
+    def play(self, stopped: Callable[[float], bool], look: Callable[[], None] = lambda: None) -> None:
+        """Play until the end, or until told to stop.
+
+        Args:
+            stopped: Waits for so many seconds, and returns True if it is to stop.
+            look: Called a few times a second, for progress.
+
+        Raises:
+            RecordingError: REC003, the file is damaged; what lies before has been sent.
+        """
+        while not stopped(0.0):
+            self.rounds += 1
+            if not self._once(stopped, look) or not self.order.loop:
+                return
+
+    def _once(self, stopped: Callable[[float], bool], look: Callable[[], None]) -> bool:
+        """Play once; return whether there was a message, and the end was reached."""
+        order, source = self.order, self.source
+        names: dict[str, list[str]] = {}
+        for new, topic in self.topics.items():
+            names.setdefault(topic.name, []).append(new)
+        first = source.start_ns + order.start_ns
+        last = source.start_ns + order.end_ns if order.end_ns else source.end_ns
+        began, base, before = 0, -1, 0
+        looked = time.monotonic()
+        for message in source.messages(names.keys(), first, last):
+            if base < 0:
+                # From its first message on: silence before it is nobody's test.
+                began, base = time.monotonic_ns(), message.log_ns
+            if message.log_ns < before:
+                self.disordered += 1
+            before = message.log_ns
+            self.position_ns = message.log_ns - source.start_ns
+            if order.speed:
+                due = began + int((message.log_ns - base) / order.speed)
+                while (rest := due - time.monotonic_ns()) > 0:
+                    if stopped(min(_NAP_S, rest / 1e9)):
+                        return False
+                    look()
+                self.latest_ns = max(self.latest_ns, -rest)
+            if time.monotonic() - looked > _NAP_S:
+                looked = time.monotonic()
+                look()
+                if stopped(0.0):
+                    return False
+            stamp = message.publish_ns if order.stamps == "original" else time.time_ns()
+            for new in names[message.topic]:
+                self.target.send(new, message.data, stamp)
+        return base >= 0

@@ -1,0 +1,58 @@
+"""What a replay's messages go into."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+__all__ = ["Target", "TopicCount", "wait_for_readers"]
+
+_LOOK_S = 0.05
+
+
+@dataclass
+class TopicCount:
+    """What became of one topic's messages."""
+
+    sent: int = 0
+    refused: int = 0
+    lost: int = 0
+    reason: str = ""
+
+
+class Target(Protocol):
+    """Where messages go.
+
+    Attributes:
+        counts: Topic → what became of its messages.
+        linger_s: How long to stay after the last message, in seconds.
+    """
+
+    counts: dict[str, TopicCount]
+    linger_s: float
+
+    def send(self, topic: str, data: bytes, stamp_ns: int) -> None:
+        """Pass a message on; what does not fit is counted and never raised."""
+
+    def missing(self) -> list[str]:
+        """Return the topics that nobody takes yet."""
+
+    def close(self) -> None:
+        """Let go of everything; channels keep their last message."""
+
+
+def wait_for_readers(target: Target, seconds: float, stopped: Callable[[float], bool]) -> list[str]:
+    """Wait until every topic has somebody who takes it, and return those that have not.
+
+    Args:
+        target: Where messages will go.
+        seconds: How long to wait.
+        stopped: Waits for so many seconds; returns True if the wait is to end.
+    """
+    end = time.monotonic() + seconds
+    while (missing := target.missing()) and time.monotonic() < end:
+        if stopped(_LOOK_S):
+            break
+    return missing

@@ -1,0 +1,227 @@
+"""Replaying into channels, as the bridge would fill them."""
+
+from __future__ import annotations
+
+import stat
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from rosplc.bridge.bind import Binding
+from rosplc.bridge.describe import describe
+from rosplc.bridge.owner import group_id, user_id
+from rosplc.bridge.resolve import Project
+from rosplc.codec import Codec, Wire
+from rosplc.errors import ChannelError, CodecError, RecordingError, RosplcError
+from rosplc.layout import Layout, Limits, compute_layout
+from rosplc.model import TypeStore
+from rosplc.recorder.source import SourceTopic
+from rosplc.recorder.target import TopicCount
+from rosplc.shm import Description, Direction, Namespace, OwnedChannel, attach
+
+__all__ = ["PlcTarget"]
+
+_SLOTS = 64
+"""Of a channel that neither a configuration nor a recording nor an object describes."""
+
+
+class PlcTarget:
+    """Channels towards the PLC, each made or adopted as a bridge would.
+
+    A channel's limits and depth are those of the configuration, else of the object that is there, else of
+    the recording: so the code in the PLC goes on to fit.
+
+    Args:
+        topics: Name in shared memory → topic.
+        namespace: Where the objects stand.
+        project: A configuration, whose channels these are; None if there is none.
+        distro: Whose definitions hold where the recording has none.
+
+    Raises:
+        ChannelError: SHM116, a bridge or another program writes the channel; SHM117 and others.
+        RecordingError: REC007, the channel belongs to a topic that the PLC writes, or to another type.
+    """
+
+    def __init__(
+        self,
+        topics: Mapping[str, SourceTopic],
+        namespace: Namespace,
+        *,
+        project: Project | None = None,
+        distro: str = "jazzy",
+    ) -> None:
+        self.linger_s = 0.0
+        self._namespace = namespace
+        self._bindings: dict[str, Binding] = {}
+        self.counts = {name: TopicCount() for name in topics}
+        self._before: dict[str, tuple[tuple[int, int], ...]] = {}
+        try:
+            plans = [(name, self._plan(name, topic, project, distro)) for name, topic in topics.items()]
+            for name, plan in plans:
+                try:
+                    self._bindings[name] = plan.bind(namespace)
+                except ValueError as error:  # limits that lead to an object of more than 2 GiB
+                    raise RecordingError("REC007", str(error), where=name) from error
+        except BaseException:
+            self.close()
+            raise
+
+    def send(self, topic: str, data: bytes, stamp_ns: int) -> None:
+        """Write a message into the channel; one that does not fit its limits is refused and counted."""
+        count = self.counts[topic]
+        try:
+            self._bindings[topic].write(data, stamp_ns=stamp_ns)
+        except CodecError as error:
+            count.refused += 1
+            count.reason = count.reason or f"{error.where}: {error.what} [{error.code}]"
+        except ChannelError as error:
+            count.lost += 1
+            count.reason = f"{error.what} [{error.code}]"
+        else:
+            count.sent += 1
+
+    def missing(self) -> list[str]:
+        """Return the topics that no PLC task reads: whose reader lines show no life between two calls."""
+        quiet = []
+        for name in self._bindings:
+            now = self._lines(name)
+            before = self._before.setdefault(name, now)
+            if now == before or not any(now):
+                quiet.append(name)
+        return quiet
+
+    def close(self) -> None:
+        """Leave the objects, with their last state."""
+        for binding in self._bindings.values():
+            binding.close()
+
+    def _lines(self, name: str) -> tuple[tuple[int, int], ...]:
+        try:
+            with attach(self._namespace, name) as attached:
+                lines = attached.snapshot().readers
+        except ChannelError:
+            return ()
+        return tuple((line.beat, line.taken) if line.claim else (0, 0) for line in lines)
+
+    def _plan(self, name: str, topic: SourceTopic, project: Project | None, distro: str) -> _Plan:
+        there = self._there(name)
+        if project is not None:
+            for plan in project.topics:
+                if plan.topic == name and plan.classic is None:
+                    self._refuse_other(name, topic, plan.type_name, plan.direction, "the configuration")
+                    settings = project.config.settings
+                    description = describe(plan, distro=settings.ros.distro, bridge=settings.bridge)
+                    owner = {
+                        "mode": settings.shm.mode,
+                        "uid": user_id(project.config),
+                        "gid": group_id(project.config),
+                    }
+                    return _Plan(description, plan.layout, plan.slots, plan.truncate, owner)
+        if there.description is not None:
+            self._refuse_other(
+                name, topic, there.description.type, there.description.direction, "the channel that is there"
+            )
+        store = _definition_store(topic, topic.distro or distro)
+        for limits in (there.limits, topic.limits):
+            if limits is None:
+                continue
+            try:
+                layout = compute_layout(store, topic.type_name, Limits.from_dict(dict(limits)))
+            except RosplcError:
+                continue  # they belong to another definition of the type, or were made up
+            if there.description is not None and there.description.layout_id == layout.layout_id:
+                return _Plan(there.description, layout, there.slots, owner=there.owner)
+            break
+        else:
+            layout = compute_layout(store, topic.type_name)
+        description = Description(
+            topic=name,
+            type=layout.type_name,
+            distro=topic.distro or distro,
+            direction=Direction.TO_PLC,
+            limits=layout.limits.to_dict(),
+            layout_id=layout.layout_id,
+            bridge="replay",
+            definition=store.definition_text(layout.type_name),
+        )
+        return _Plan(description, layout, there.slots or topic.slots or _SLOTS, owner=there.owner)
+
+    def _refuse_other(
+        self, name: str, topic: SourceTopic, type_name: str, direction: Direction, who: str
+    ) -> None:
+        if direction is not Direction.TO_PLC:
+            raise RecordingError(
+                "REC007",
+                f"{who} says that the PLC writes it",
+                where=name,
+                remedy=f"Leave it out with --exclude {name}, or rename it with --rename {name}:=/other.",
+            )
+        if type_name != topic.type_name:
+            what = f"{who} has {type_name}, and it was recorded as {topic.type_name}"
+            raise RecordingError("REC007", what, where=name)
+
+    def _there(self, name: str) -> _There:
+        try:
+            with attach(self._namespace, name) as attached:
+                description = attached.description
+                status = Path(attached.path).stat()
+                owner = {"mode": stat.S_IMODE(status.st_mode), "uid": status.st_uid, "gid": status.st_gid}
+                return _There(description, description.limits, attached.identity.slot_count, owner)
+        except (ChannelError, OSError):
+            return _There()  # none, or one that is about to be replaced
+
+
+@dataclass(frozen=True)
+class _There:
+    """The object that stands at a name already."""
+
+    description: Description | None = None
+    limits: Mapping[str, Any] | None = None
+    slots: int = 0
+    owner: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """A channel that is to be opened."""
+
+    description: Description
+    layout: Layout
+    slots: int
+    truncate: bool = False
+    owner: Mapping[str, Any] = field(default_factory=dict)
+
+    def bind(self, namespace: Namespace) -> Binding:
+        def open_channel() -> OwnedChannel:
+            return OwnedChannel.open(
+                namespace, self.description, record_size=self.layout.size, slots=self.slots, **self.owner
+            )
+
+        return Binding(
+            self.description,
+            Codec(self.layout, Wire.CDR),
+            open_channel,
+            None,
+            print=False,
+            truncate=self.truncate,
+            every=False,
+        )
+
+
+def _definition_store(topic: SourceTopic, distro: str) -> TypeStore:
+    """Return a store that has the topic's type, as it was recorded.
+
+    Raises:
+        RecordingError: REC007, there is no definition of it, or one that cannot be used.
+    """
+    try:
+        if topic.definition:
+            return TypeStore.from_definition(topic.type_name, topic.definition, distro=distro)
+        store = TypeStore.bundled(distro)
+        store[topic.type_name]
+    except RosplcError as error:
+        raise RecordingError(
+            "REC007", f"its type cannot be used: {error.what} [{error.code}]", where=topic.name
+        ) from error
+    return store
