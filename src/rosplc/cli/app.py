@@ -7,7 +7,20 @@ from typing import Annotated
 import typer
 
 from rosplc._version import __version__
-from rosplc.cli import bench, check, demo, doctor, generate, run, service, show, status, types
+from rosplc.cli import (
+    bench,
+    check,
+    demo,
+    doctor,
+    generate,
+    record,
+    replay,
+    run,
+    service,
+    show,
+    status,
+    types,
+)
 from rosplc.cli.ros_arguments import RosCommand
 
 __all__ = ["app"]
@@ -28,6 +41,10 @@ rosplc show /cmd_vel  —  what stands in a topic's shared memory now
 
 rosplc status  —  every channel on this machine, and whether anything is wrong
 
+rosplc record -o shift.mcap  —  what all channels carry, for Foxglove, PlotJuggler and `ros2 bag`
+
+rosplc replay shift.mcap --to plc  —  a PLC program, tested with yesterday's line
+
 rosplc service install cell1  —  start /etc/rosplc/cell1.yaml with the machine
 
 rosplc doctor rosplc.yaml  —  what is wrong on this machine, and what to do about it
@@ -46,6 +63,8 @@ app = typer.Typer(
 
 for _name, _verb in (
     ("run", run),
+    ("record", record),
+    ("replay", replay),
     ("service", service),
     ("check", check),
     ("show", show),
