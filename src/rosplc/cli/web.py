@@ -1,0 +1,138 @@
+"""``rosplc web``: a page that shows this machine's channels in a browser."""
+
+from __future__ import annotations
+
+import json
+import logging
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rosplc.cli.guard import guarded
+from rosplc.cli.text import say, warn
+from rosplc.errors import SetupError
+
+if TYPE_CHECKING:
+    from rosplc.web import Settings
+
+__all__ = ["EPILOG", "command"]
+
+EPILOG = """Examples:
+
+rosplc web  —  open the address that it prints, on this machine
+
+ssh -L 8480:localhost:8480 MACHINE  —  then the same address shows MACHINE's page, on another one
+
+rosplc web --config rosplc.yaml  —  with what a configuration expects of its topics, and its classic topics
+
+rosplc web --allow-write  —  test messages may be written, by whoever has the token that it prints
+
+rosplc web --bind 192.168.1.5 --token-file web.token  —  reachable in the network, with a token of your own
+
+It needs no ROS, no configuration and no right to write. Who reaches the page sees every message that the
+user who started it may read. Nothing is encrypted: do not use --bind in a network that you do not trust.
+"""
+
+
+@guarded
+def command(
+    config: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="FILE", help="A configuration, for what it expects; may be repeated."),
+    ] = None,
+    prefix: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Only channels of this bridge's `prefix:`.")
+    ] = None,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="The port; 0 takes a free one.")] = 8480,
+    bind: Annotated[
+        str, typer.Option(metavar="ADDRESS", help="Where to listen; `0.0.0.0` for every network.")
+    ] = "127.0.0.1",
+    name: Annotated[
+        list[str] | None,
+        typer.Option(metavar="HOST", help="A name by which browsers reach it; may be repeated."),
+    ] = None,
+    allow_write: Annotated[
+        bool, typer.Option("--allow-write", help="Let who has the token write test messages.")
+    ] = False,
+    token_file: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="The token stands in it; otherwise one is made and printed."),
+    ] = None,
+    token_to_view: Annotated[
+        bool,
+        typer.Option("--token-to-view", help="Ask for the token before anything is shown, on loopback too."),
+    ] = False,
+    directory: Annotated[str, typer.Option(help="Where the objects stand.", hidden=True)] = "/dev/shm",
+    as_json: Annotated[bool, typer.Option("--json", help="Print address and token as JSON.")] = False,
+) -> None:
+    """Show this machine's channels in a browser, live, until Ctrl-C."""
+    from rosplc.expected import expected_by
+    from rosplc.monitor import Watch
+
+    try:
+        from rosplc.web import Settings, is_loopback, new_token, read_token, serve
+    except ModuleNotFoundError as error:
+        what = f"the Python package {error.name} is missing"
+        raise SetupError("SYS001", what, remedy="Install it: pip install 'rosplc[views]'.") from None
+
+    expected = expected_by(config or ())
+    Watch(prefix, directory=directory).close()  # a wrong prefix is said before anything listens
+    beyond = not is_loopback(bind)
+    needed = allow_write or token_to_view or beyond
+    settings = Settings(
+        prefix=prefix,
+        directory=directory,
+        names=tuple(name or ()),
+        allow_write=allow_write,
+        token=(read_token(token_file) if token_file else new_token()) if needed else "",
+        token_to_view=token_to_view or beyond,
+    )
+
+    def ready(address: str, chosen: int) -> None:
+        url = _url(address, chosen)
+        if as_json:
+            document = {
+                "url": url,
+                "token": "" if token_file else settings.token,
+                "allow_write": allow_write,
+                "token_to_view": settings.token_to_view,
+            }
+            sys.stdout.write(json.dumps(document) + "\n")
+        else:
+            _introduce(settings, url, from_file=token_file)
+        sys.stdout.flush()
+        if beyond:
+            warn(
+                f"rosplc: warning: it listens at {address}, beyond this machine. Nothing is encrypted: "
+                "who can listen in on this network reads messages and token."
+            )
+
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
+    serve(
+        settings,
+        lambda: Watch(prefix, directory=directory, expected=expected),
+        bind=bind,
+        port=port,
+        ready=ready,
+    )
+
+
+def _url(address: str, port: int) -> str:
+    host = "localhost" if address in ("0.0.0.0", "::", "127.0.0.1", "::1") else address
+    return f"http://[{host}]:{port}/" if ":" in host else f"http://{host}:{port}/"
+
+
+def _introduce(settings: Settings, url: str, *, from_file: Path | None) -> None:
+    if settings.token and from_file is None:
+        # What stands after # never leaves the browser.
+        url += f"#token={settings.token}"
+    say(f"The page is at {url}")
+    if settings.token:
+        what = (
+            "look" if not settings.allow_write else "look and to write" if settings.token_to_view else "write"
+        )
+        place = "is part of the address" if from_file is None else f"stands in {from_file}"
+        say(f"To {what}, the token is needed; it {place}.")
+    say("Ctrl-C ends it.")

@@ -1,0 +1,14 @@
+"""The page of this machine's channels: live values, plots, events, and test messages where allowed.
+
+One process serves it, with the files of this package alone: no other address is asked for anything,
+nothing has to be built. It looks at channels as ``rosplc top`` does and disturbs none.
+"""
+
+from __future__ import annotations
+
+from rosplc.web.access import is_loopback
+from rosplc.web.server import serve
+from rosplc.web.settings import Settings
+from rosplc.web.token import new_token, read_token
+
+__all__ = ["Settings", "is_loopback", "new_token", "read_token", "serve"]

@@ -1,0 +1,117 @@
+"""A message type as the page needs it: a tree to show values in, and a form to write them with.
+
+Numbers that JavaScript's own numbers cannot hold exactly travel as text, in both directions.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from rosplc.layout import (
+    ArrayNode,
+    Layout,
+    Node,
+    PaddingNode,
+    ScalarNode,
+    SequenceNode,
+    StringNode,
+    StructNode,
+)
+
+if TYPE_CHECKING:
+    from rosplc.model import TypeStore
+
+__all__ = ["SAFE_INTEGER", "form_of", "from_form", "shown"]
+
+SAFE_INTEGER = (1 << 53) - 1
+"""The largest whole number that JavaScript's numbers hold exactly."""
+
+_ELEMENTS = 256
+
+
+def form_of(layout: Layout) -> dict[str, Any]:
+    """Return a layout as a tree of plain data.
+
+    Every node has ``kind``: ``struct`` (with ``members``, each with its ``name``), ``list`` (with
+    ``element``, ``capacity`` and ``fixed``), ``string`` (``capacity`` in bytes), ``bool``, ``integer``
+    (``low`` and ``high`` as text) or ``float``; and ``type``, as ROS writes it.
+    """
+    return _node(layout.root, layout.store)
+
+
+def _node(node: Node, store: TypeStore) -> dict[str, Any]:
+    if isinstance(node, StructNode):
+        message = store[node.type_name]
+        return {
+            "kind": "struct",
+            "type": node.type_name,
+            "members": [
+                {"name": member.name, **_node(member.node, store)}
+                for member in node.members
+                if not isinstance(member.node, PaddingNode) and member.count_of is None
+            ],
+            "constants": [
+                {"name": constant.name, "type": str(constant.type), "value": shown(constant.value)}
+                for constant in message.constants
+            ],
+        }
+    if isinstance(node, ArrayNode | SequenceNode):
+        element = _node(node.element, store)
+        fixed = isinstance(node, ArrayNode)
+        capacity = node.length if isinstance(node, ArrayNode) else node.capacity
+        text = f"{element['type']}[{capacity if fixed else ''}]"
+        return {"kind": "list", "type": text, "capacity": capacity, "fixed": fixed, "element": element}
+    if isinstance(node, StringNode):
+        return {"kind": "string", "type": "string", "capacity": node.capacity}
+    assert isinstance(node, ScalarNode)
+    if node.kind == "bool":
+        return {"kind": "bool", "type": "bool"}
+    if node.kind.startswith("float"):
+        return {"kind": "float", "type": node.kind}
+    signed = node.kind.startswith("int")
+    bits = 8 * node.size - signed
+    low = -(1 << bits) if signed else 0
+    return {"kind": "integer", "type": node.kind, "low": str(low), "high": str((1 << bits) - 1)}
+
+
+def shown(value: Any, elements: int = _ELEMENTS) -> Any:
+    """Return a message's values as JSON can hold them and a page can show them.
+
+    NaN, infinities and whole numbers beyond :data:`SAFE_INTEGER` become text. A list longer than
+    ``elements`` becomes ``{"first": [...], "count": n}``.
+    """
+    if isinstance(value, bool) or value is None or isinstance(value, str):
+        return value
+    if isinstance(value, int):
+        return value if -SAFE_INTEGER <= value <= SAFE_INTEGER else str(value)
+    if isinstance(value, float):
+        return value if value - value == 0.0 else str(value)
+    if isinstance(value, dict):
+        return {name: shown(item, elements) for name, item in value.items()}
+    if len(value) > elements:
+        return {"first": [shown(item, elements) for item in value[:elements]], "count": len(value)}
+    return [shown(item, elements) for item in value]
+
+
+def from_form(form: dict[str, Any], value: Any) -> Any:
+    """Return what a page sent with text turned back into the numbers it stands for.
+
+    Nothing is checked here: a value that is no number, or does not fit, is refused by the layout,
+    which names the field.
+    """
+    kind = form["kind"]
+    if kind == "struct" and isinstance(value, dict):
+        members = {member["name"]: member for member in form["members"]}
+        return {
+            name: from_form(members[name], item) if name in members else item for name, item in value.items()
+        }
+    if kind == "list" and isinstance(value, list):
+        return [from_form(form["element"], item) for item in value]
+    if kind in ("integer", "float") and isinstance(value, str):
+        try:
+            return int(value, 10) if kind == "integer" else float(value)
+        except ValueError:
+            return value
+    if kind == "integer" and isinstance(value, float) and value.is_integer():
+        return int(value)  # JSON of a page does not tell 3.0 from 3
+    return value

@@ -1,0 +1,60 @@
+// The token: it comes in the address after #, or is typed; it stays in this tab.
+
+const KEY = "rosplc.token";
+
+/** Take the token out of the address, so that it is in no bookmark and no screenshot. */
+export function takeFromAddress() {
+  const found = /^#token=([!-~]+)$/.exec(location.hash);
+  if (!found) return;
+  keep(found[1]);
+  history.replaceState(null, "", "#/channels");
+}
+
+/** The token, or an empty text. */
+export function token() {
+  try {
+    return sessionStorage.getItem(KEY) ?? "";
+  } catch {
+    return memory;
+  }
+}
+
+let memory = "";
+
+/** Remember a token until the tab is closed. */
+export function keep(text) {
+  memory = text;
+  try {
+    sessionStorage.setItem(KEY, text);
+  } catch {
+    // A browser may forbid it; then it is kept until the page is left.
+  }
+}
+
+/** Ask the server, with the token if there is one; returns its JSON, or throws its error. */
+export async function ask(path, body = null) {
+  const headers = {};
+  if (token()) headers.Authorization = `Bearer ${token()}`;
+  const options = { headers, cache: "no-store" };
+  if (body !== null) {
+    options.method = "POST";
+    options.body = JSON.stringify(body);
+    headers["Content-Type"] = "application/json";
+  }
+  let response;
+  try {
+    response = await fetch(path, options);
+  } catch {
+    throw { code: "", what: "the server does not answer", where: "", remedy: "Is rosplc web still running?" };
+  }
+  let answer = {};
+  try {
+    answer = await response.json();
+  } catch {
+    // An answer that is no JSON is an error without words.
+  }
+  if (!response.ok) {
+    throw answer.error ?? { code: "", what: `the server answered ${response.status}`, where: "", remedy: "" };
+  }
+  return answer;
+}

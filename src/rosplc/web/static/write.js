@@ -1,0 +1,94 @@
+// Writing one test message: the form, the question whether it is meant, and what came of it.
+
+import { announce, el, fill, setText } from "./dom.js";
+import { way } from "./format.js";
+import { input } from "./inputs.js";
+import { store } from "./store.js";
+import { ask, keep, token } from "./token.js";
+
+/** Make the form of a channel's test message from what the server says of its type. */
+export function writeForm(id, { form, layout, initial }) {
+  const inputs = input(form, "", "");
+  const initialise = () => inputs.set(initial);
+  initialise();
+  const result = el("p", { class: "result", role: "status" });
+  const key = el("input", { type: "password", class: "input", id: "write-token", autocomplete: "off", value: token() });
+  const send = el("button", { type: "submit", class: "button primary" }, "Write the test message …");
+  const take = el("button", { type: "button", class: "button", onclick: () => {
+    const message = store.messages.get(id);
+    if (message?.values) inputs.set(message.values);
+    setText(result, message?.values ? "The form holds the newest message." : "There is no message to take.");
+  } }, "Take the newest message");
+  const reset = el("button", { type: "button", class: "button", onclick: () => { initialise(); setText(result, "The form holds the initial values."); } }, "Initial values");
+  const question = dialog(() => write());
+
+  const root = el("details", { class: "write" },
+    el("summary", {}, "Write a test message"),
+    el("form", { novalidate: true, onsubmit: (event) => { event.preventDefault(); askFirst(); } },
+      el("p", { class: "hint" }, "The message is written once, if nobody else writes this channel. Who reads it acts on it as on any other."),
+      el("div", { class: "tools" }, take, reset),
+      inputs.root,
+      el("div", { class: "form-row" }, el("label", { for: "write-token" }, "Token"), key, el("span", { class: "hint" }, "as the server printed it, or in its file")),
+      el("div", { class: "tools" }, send),
+      result),
+    question.root);
+
+  function show(text, tone) {
+    result.className = `result tone-${tone}`;
+    setText(result, text);
+  }
+
+  function askFirst() {
+    const faults = inputs.check();
+    if (faults.length) {
+      show(faults.length === 1 ? "One value does not fit." : `${faults.length} values do not fit.`, "bad");
+      faults[0].focus();
+      return;
+    }
+    if (!key.value) {
+      show("The token is needed to write.", "bad");
+      key.focus();
+      return;
+    }
+    const channel = store.channels.get(id);
+    question.open(channel?.topic ?? id, way(channel?.direction));
+  }
+
+  async function write() {
+    keep(key.value.trim());
+    send.disabled = true;
+    show("Writing …", "quiet");
+    try {
+      const answer = await ask("/api/write", { channel: id, layout, message: inputs.get() });
+      show(`Written, as message number ${answer.sequence}.`, "good");
+    } catch (error) {
+      const field = error.code === "LAY006" ? inputs.at(error.where) : null;
+      field?.complain(error.what);
+      field?.focus();
+      show(`Not written: ${error.what}${error.code ? ` (${error.code})` : ""}. ${error.remedy}`, "bad");
+      announce(result.textContent);
+    } finally {
+      send.disabled = false;
+    }
+  }
+
+  return root;
+}
+
+/** A question that has to be answered before a machine may move. */
+function dialog(yes) {
+  const title = el("h2", { id: "write-title" });
+  const close = el("button", { type: "button", class: "button", onclick: () => root.close() }, "Do not write");
+  const root = el("dialog", { class: "dialog", "aria-labelledby": "write-title" },
+    title,
+    el("p", {}, "Whoever reads this channel acts on the message: a machine may move. Is everybody out of its way?"),
+    el("div", { class: "tools" }, close, el("button", { type: "button", class: "button danger", onclick: () => { root.close(); yes(); } }, "Write now")));
+  return {
+    root,
+    open(topic, direction) {
+      fill(title, `Write to ${topic}, ${direction}?`);
+      root.showModal();
+      close.focus();
+    },
+  };
+}
