@@ -161,6 +161,28 @@ class Layout:
         result: dict[str, Any] = plain(self.view(buffer))
         return result
 
+    def excerpt(self, buffer: Buffer, elements: int) -> dict[str, Any]:
+        """Return a record as :meth:`to_dict` does, arrays with their first elements only.
+
+        It costs what it returns, where a picture or a point cloud would be a million numbers. An array that
+        is longer becomes an :class:`rosplc.layout.view.Excerpt`, a list that knows the whole length.
+
+        Args:
+            buffer: The record.
+            elements: How many elements of each array are wanted at most.
+        """
+        data = memoryview(buffer).cast("B")
+        self._check_size(data)
+        reader = self._excerpts.get(elements)
+        if reader is None:
+            reader = self._excerpts[elements] = StructReader(self.root, elements)
+        result: dict[str, Any] = plain(reader(data, 0))
+        return result
+
+    @cached_property
+    def _excerpts(self) -> dict[int, StructReader]:
+        return {}
+
     @cached_property
     def _packer(self) -> StructPacker:
         return StructPacker(self.root, self.store)

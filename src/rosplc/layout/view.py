@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import keyword
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
 
 from rosplc.layout.nodes import ArrayNode, PaddingNode, ScalarNode, SequenceNode, StringNode, StructNode
@@ -13,11 +13,23 @@ from rosplc.layout.numbers import FORMATS
 if TYPE_CHECKING:
     from rosplc.layout.nodes import Member, Node
 
-__all__ = ["RecordView", "StructReader", "plain"]
+__all__ = ["Excerpt", "RecordView", "StructReader", "plain"]
 
 _Read: TypeAlias = "Callable[[memoryview, int], Any]"
 _COUNT = struct.Struct("<I")
 _SHOWN = 8
+
+
+class Excerpt(list[Any]):
+    """The first elements of an array that is longer.
+
+    Attributes:
+        length: How many elements the array has.
+    """
+
+    def __init__(self, elements: Iterable[Any], length: int) -> None:
+        super().__init__(elements)
+        self.length = length
 
 
 class StructReader:
@@ -25,12 +37,13 @@ class StructReader:
 
     Args:
         node: The struct.
+        most: How many elements of an array are read at most; longer ones become an :class:`Excerpt`.
     """
 
-    def __init__(self, node: StructNode) -> None:
+    def __init__(self, node: StructNode, most: int | None = None) -> None:
         self.type_name = node.type_name
         self.fields: dict[str, tuple[int, _Read]] = {
-            member.name: (member.offset, _reader(member, node))
+            member.name: (member.offset, _reader(member, node, most))
             for member in node.members
             if not isinstance(member.node, PaddingNode) and member.count_of is None
         }
@@ -115,7 +128,8 @@ def plain(value: Any) -> Any:
     if isinstance(value, RecordView):
         return {name: plain(getattr(value, name)) for name in value._reader.fields}
     if isinstance(value, list) and value and isinstance(value[0], RecordView):
-        return [plain(item) for item in value]
+        items = [plain(item) for item in value]
+        return Excerpt(items, value.length) if isinstance(value, Excerpt) else items
     return value
 
 
@@ -126,21 +140,21 @@ def _show(value: Any) -> str:
     return repr(value)
 
 
-def _reader(member: Member, parent: StructNode) -> _Read:
+def _reader(member: Member, parent: StructNode, most: int | None) -> _Read:
     node = member.node
     if isinstance(node, ArrayNode):
-        read_elements = _elements(node.element)
+        read_elements = _elements(node.element, most)
         length = node.length
         return lambda buffer, offset: read_elements(buffer, offset, length)
     if isinstance(node, SequenceNode):
         count = next(m.offset for m in parent.members if m.count_of == member.name) - member.offset
-        return _sequence(node, count)
-    return _single(node)
+        return _sequence(node, count, most)
+    return _single(node, most)
 
 
-def _single(node: Node) -> _Read:
+def _single(node: Node, most: int | None) -> _Read:
     if isinstance(node, StructNode):
-        return StructReader(node)
+        return StructReader(node, most)
     if isinstance(node, StringNode):
         return _string(node.capacity)
     assert isinstance(node, ScalarNode)
@@ -159,8 +173,8 @@ def _string(capacity: int) -> _Read:
     return read
 
 
-def _sequence(node: SequenceNode, count: int) -> _Read:
-    read_elements = _elements(node.element)
+def _sequence(node: SequenceNode, count: int, most: int | None) -> _Read:
+    read_elements = _elements(node.element, most)
     capacity = node.capacity
 
     def read(buffer: memoryview, offset: int) -> list[Any]:
@@ -170,11 +184,27 @@ def _sequence(node: SequenceNode, count: int) -> _Read:
     return read
 
 
-def _elements(node: ScalarNode | StringNode | StructNode) -> Callable[[memoryview, int, int], list[Any]]:
+def _elements(
+    node: ScalarNode | StringNode | StructNode, most: int | None
+) -> Callable[[memoryview, int, int], list[Any]]:
+    if most is not None:
+        read_all = _elements_of(node, most)
+
+        def read_first(buffer: memoryview, offset: int, size: int) -> list[Any]:
+            read = read_all(buffer, offset, min(size, most))
+            return Excerpt(read, size) if size > most else read
+
+        return read_first
+    return _elements_of(node, None)
+
+
+def _elements_of(
+    node: ScalarNode | StringNode | StructNode, most: int | None
+) -> Callable[[memoryview, int, int], list[Any]]:
     if isinstance(node, ScalarNode) and node.kind != "bool":
         code = FORMATS[node.kind]
         return lambda buffer, offset, size: list(struct.unpack_from(f"<{size}{code}", buffer, offset))
-    read, stride = _single(node), node.size
+    read, stride = _single(node, most), node.size
 
     def read_each(buffer: memoryview, offset: int, size: int) -> list[Any]:
         return [read(buffer, offset + index * stride) for index in range(size)]

@@ -65,8 +65,11 @@ class ClassicWatch:
             classic=True,
         )
 
-    def message(self) -> Message:
+    def message(self, elements: int | None = None) -> Message:
         """Return what stands in the memory.
+
+        Args:
+            elements: How many elements of each array are wanted at most; None for all.
 
         Raises:
             ChannelError: It cannot be read.
@@ -74,7 +77,7 @@ class ClassicWatch:
         found = self._look()
         if found.record is None:
             raise ChannelError(found.code, found.error, where=f"/dev/shm/{found.name}")
-        return message_of(self.id, self._topic.layout, found.record, None)
+        return message_of(self.id, self._topic.layout, found.record, None, elements)
 
     def _look(self) -> ClassicState:
         return look_at(self._topic.memory, self._topic.semaphore, self._topic.layout.size)

@@ -56,7 +56,13 @@ def marks_of(flags: int) -> tuple[str, ...]:
     return tuple(word for bit, word in _MARKS if flags & bit)
 
 
-def message_of(channel: str, layout: Layout, record: bytes | bytearray, info: SlotInfo | None) -> Message:
+def message_of(
+    channel: str,
+    layout: Layout,
+    record: bytes | bytearray,
+    info: SlotInfo | None,
+    elements: int | None = None,
+) -> Message:
     """Return a record as a message.
 
     Args:
@@ -64,8 +70,9 @@ def message_of(channel: str, layout: Layout, record: bytes | bytearray, info: Sl
         layout: The record's layout.
         record: The bytes.
         info: Its slot header; None for a classic topic.
+        elements: How many elements of each array are wanted at most; None for all.
     """
-    values = layout.to_dict(record)
+    values = layout.to_dict(record) if elements is None else layout.excerpt(record, elements)
     if info is None:
         return Message(channel, layout.type_name, 0, 0, "", (), values)
     clock = _CLOCKS.get(info.stamp_clock, "")

@@ -20,13 +20,16 @@ from rosplc.monitor.message import Message, message_of
 from rosplc.monitor.picture import BridgeView, ChannelView, Event, Picture
 from rosplc.monitor.states import State
 from rosplc.monitor.tracked import Tracked, open_object
-from rosplc.shm import Namespace, Reader
+from rosplc.shm import Attached, Namespace, Reader
 from rosplc.shm.header import channel_error
 
-__all__ = ["MAX_CHANNELS", "Watch"]
+__all__ = ["MAX_CHANNELS", "MAX_RECORD", "Watch"]
 
 MAX_CHANNELS = 4096
 """More objects than this are not looked at, and a note says so."""
+
+MAX_RECORD = 256 * 1024 * 1024
+"""Bytes of a record above which its message is not decoded: a view is not worth that much memory."""
 
 _OBJECT = re.compile(r"([A-Za-z][A-Za-z0-9_-]{0,31})\.t\.(.+)", re.DOTALL)
 _RETRY_NS = 1_000_000_000
@@ -118,30 +121,44 @@ class Watch:
         views.sort(key=lambda view: (view.prefix, view.topic, view.id))
         return self._picture(tuple(views), wall, notes)
 
-    def message(self, channel: ChannelView | str) -> Message | None:
+    def message(self, channel: ChannelView | str, elements: int | None = None) -> Message | None:
         """Return a channel's newest message; None if there is none yet.
 
         Args:
             channel: One of the last picture's, or its id.
+            elements: How many elements of each array are wanted at most, for a view that shows no more; a
+                longer array becomes an :class:`rosplc.layout.view.Excerpt`. None for all.
 
         Raises:
-            ChannelError: SHM101 if it is gone or cannot be read, SHM113 if its type cannot be rebuilt.
+            ChannelError: SHM101 if it is gone, SHM113 if its type cannot be rebuilt, or what keeps it from
+                being read.
         """
         identifier = channel if isinstance(channel, str) else channel.id
         classic = next((each for each in self._classic if each.id == identifier), None)
         if classic is not None:
-            return classic.message()
+            return classic.message(elements)
         if identifier in self._broken:
             raise self._broken[identifier].error
         if identifier not in self._tracked:
             raise channel_error(101, where=identifier)
         attached = self._tracked[identifier][1].attached
-        if not attached.still_there():
+        if not self._sound(attached):
             raise channel_error(101, where=attached.path)
+        if attached.identity.record_size > MAX_RECORD:
+            what = f"a message of {attached.identity.record_size >> 20} MiB is too large to be shown"
+            raise channel_error(112, what, attached.path)
         layout = layout_of(attached)
         record = bytearray(layout.size)
         info = Reader(attached.region, 0).peek(record)
-        return None if info is None else message_of(identifier, layout, record, info)
+        return None if info is None else message_of(identifier, layout, record, info, elements)
+
+    def _sound(self, attached: Attached) -> bool:
+        """Return whether the name still leads to the object, and the object still has its size."""
+        try:
+            size = os.stat(attached.path, follow_symlinks=False).st_size  # noqa: PTH116
+        except OSError:
+            return False
+        return size >= attached.identity.object_size and attached.still_there()
 
     def _list(self) -> tuple[dict[str, _File], tuple[str, ...]]:
         found: dict[str, _File] = {}

@@ -19,7 +19,7 @@ from rosplc.monitor.message import Message, numbers
 from rosplc.monitor.picture import ChannelView, Picture
 from rosplc.monitor.terminal.plot import Course, History
 from rosplc.monitor.terminal.style import plain, state_cell
-from rosplc.monitor.terminal.values import ValueTree
+from rosplc.monitor.terminal.values import ELEMENTS, ValueTree
 
 if TYPE_CHECKING:
     from rosplc.monitor.watch import Watch
@@ -113,7 +113,7 @@ class MessageScreen(Screen[None]):
     def _take(self) -> None:
         began = time.monotonic()
         try:
-            message = self._watch.message(self._channel)
+            message = self._watch.message(self._channel, ELEMENTS)
         except ChannelError as error:
             self._say(f"{error.what} [{error.code}]; these are the last values")
             return

@@ -10,10 +10,13 @@ from textual.widgets import Tree
 from textual.widgets.tree import TreeNode
 
 from rosplc.harmless import one_line
+from rosplc.layout.view import Excerpt
 
-__all__ = ["ValueTree"]
+__all__ = ["ELEMENTS", "ValueTree"]
 
-_ELEMENTS = 64
+ELEMENTS = 64
+"""So many elements of an array are shown."""
+
 _PREVIEW = 12
 
 
@@ -107,7 +110,7 @@ def _items(path: str, value: Any) -> dict[str, tuple[str, Any]]:
     if isinstance(value, dict):
         return {f"{path}.{name}" if path else name: (name, item) for name, item in value.items()}
     if isinstance(value, list):
-        return {f"{path}[{index}]": (f"[{index}]", item) for index, item in enumerate(value[:_ELEMENTS])}
+        return {f"{path}[{index}]": (f"[{index}]", item) for index, item in enumerate(value[:ELEMENTS])}
     return {}
 
 
@@ -119,10 +122,11 @@ def _shown(value: Any) -> str:
     if isinstance(value, dict):
         return ""
     if isinstance(value, list):
+        length = value.length if isinstance(value, Excerpt) else len(value)
         if value and isinstance(value[0], (dict, list)):
-            return f"({len(value)})"
+            return f"({length})"
         words = ", ".join(_shown(item) for item in value[:_PREVIEW])
-        return f"({len(value)}) {words}" + (", …" if len(value) > _PREVIEW else "")
+        return f"({length}) {words}" + (", …" if length > _PREVIEW else "")
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, float):
