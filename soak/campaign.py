@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import random
+import resource
 import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -15,6 +16,7 @@ from soak.bundle import keep
 from soak.cell import SHM, Cell, WatchdogError
 from soak.checks import Checker
 from soak.faults import Fault
+from soak.trend import leaks
 
 __all__ = ["Campaign", "Outcome", "Round"]
 
@@ -51,6 +53,7 @@ class Outcome:
         seed: It, the backend and the number of rounds make the same order of faults again.
         backend: The ROS side.
         plc: The PLC.
+        spared: Parts that no fault ends.
         rounds: All rounds.
         skipped: Fault → why it was not tried.
         samples: Per round, what each process held.
@@ -58,12 +61,15 @@ class Outcome:
         unaccounted: Messages missing per round in which something died; most were sent while it was away.
         growth_kb: Part → the most that a settled process grew.
         seconds: How long it took.
+        cpu_s: Processor time of the cell's processes that have ended, and of the campaign.
+        leaks: What grew over a life.
         faults: The kinds that were tried.
     """
 
     seed: int
     backend: str
     plc: str = "python"
+    spared: tuple[str, ...] = ()
     rounds: list[Round] = field(default_factory=list)
     skipped: dict[str, str] = field(default_factory=dict)
     samples: list[dict[str, Any]] = field(default_factory=list)
@@ -71,12 +77,15 @@ class Outcome:
     unaccounted: list[int] = field(default_factory=list)
     growth_kb: dict[str, int] = field(default_factory=dict)
     seconds: float = 0.0
+    cpu_s: float = 0.0
+    leaks: list[str] = field(default_factory=list)
     faults: tuple[str, ...] = ()
 
     @property
     def violations(self) -> list[str]:
-        """All that did not hold, each with its round."""
-        return [f"round {one.number}, {one.fault}: {what}" for one in self.rounds for what in one.violations]
+        """All that did not hold, each with its round; then what grew over many."""
+        found = [f"round {one.number}, {one.fault}: {what}" for one in self.rounds for what in one.violations]
+        return found + self.leaks
 
 
 class Campaign:
@@ -87,6 +96,7 @@ class Campaign:
         faults: What may happen.
         seed: Decides what happens when.
         say: Takes a line about each round.
+        spared: Parts that no fault ends: noted.
         note: Takes what was found so far, now and then: a campaign of hours must not end with nothing.
     """
 
@@ -97,13 +107,14 @@ class Campaign:
         seed: int,
         say: Callable[[str], None],
         note: Callable[[Outcome], None] = lambda _: None,
+        spared: Sequence[str] = (),
     ) -> None:
         self._cell = cell
         self._say = say
         self._note = note
         self._began = 0.0
         self._seed = seed
-        self.outcome = Outcome(seed, cell.backend, cell.plc)
+        self.outcome = Outcome(seed, cell.backend, cell.plc, tuple(spared))
         self._faults = []
         for fault in faults:
             if why := fault.missing(cell):
@@ -137,6 +148,7 @@ class Campaign:
                     break
         finally:
             self._sum_up(checker)
+            self.outcome.leaks = leaks(self.outcome.samples)
         return self.outcome
 
     def _drawn(self, dice: random.Random, first: int) -> Iterator[tuple[int, Fault, random.Random]]:
@@ -172,6 +184,9 @@ class Campaign:
     def _sum_up(self, checker: Checker) -> None:
         outcome = self.outcome
         outcome.seconds = time.monotonic() - self._began
+        outcome.cpu_s = sum(
+            sum(resource.getrusage(who)[:2]) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+        )
         outcome.messages = int(self._cell.ledger.counters["received"].sum())
         outcome.unaccounted = checker.unaccounted
         outcome.growth_kb = checker.worst_growth_kb

@@ -22,7 +22,7 @@ from soak.st import build_program
 __all__ = ["Cell", "Extra", "WatchdogError"]
 
 ROOT = Path(__file__).resolve().parent.parent
-WATCHDOG_S = 60.0
+WATCHDOG_S = 120.0
 RECOVER_AFTER_S = 2
 """When the lock of a classic topic is freed for a holder that shows no life: longer than any SIGSTOP here."""
 SHM = Path("/dev/shm")

@@ -13,13 +13,9 @@ from typing import Any
 
 import rosplc
 from soak.campaign import Outcome
+from soak.results import percentile
 
-__all__ = ["figure", "summary", "to_json"]
-
-
-def _percentile(values: list[float], share: float) -> float:
-    ordered = sorted(values)
-    return ordered[min(len(ordered) - 1, round(share * (len(ordered) - 1)))]
+__all__ = ["machine", "summary", "to_json"]
 
 
 def _by_fault(outcome: Outcome) -> dict[str, dict[str, Any]]:
@@ -31,7 +27,7 @@ def _by_fault(outcome: Outcome) -> dict[str, dict[str, Any]]:
             "rounds": len(rounds),
             "survived": sum(not one.violations for one in rounds),
             "recovery_p50_s": round(statistics.median(times), 3) if times else None,
-            "recovery_p99_s": round(_percentile(times, 0.99), 3) if times else None,
+            "recovery_p99_s": round(percentile(times, 0.99), 3) if times else None,
             "recovery_max_s": round(max(times), 3) if times else None,
         }
     return table
@@ -66,8 +62,10 @@ def to_json(outcome: Outcome) -> dict[str, Any]:
         "seed": outcome.seed,
         "backend": outcome.backend,
         "plc": outcome.plc,
+        "spared": list(outcome.spared),
         "machine": machine(),
         "seconds": round(outcome.seconds, 1),
+        "cpu_s": round(outcome.cpu_s, 1),
         "rounds": len(outcome.rounds),
         "messages": outcome.messages,
         "violations": outcome.violations,
@@ -102,41 +100,9 @@ def summary(outcome: Outcome) -> str:
     grown = ", ".join(f"{name} {kb} KiB" for name, kb in outcome.growth_kb.items())
     lines.append(f"the most that a settled process has grown: {grown or 'none lived long enough'}")
     lines.append(
-        f"{len(outcome.rounds)} rounds in {outcome.seconds:.0f} s over {outcome.backend}, "
+        f"{len(outcome.rounds)} rounds in {outcome.seconds:.0f} s, {outcome.cpu_s:.0f} s of processor time, "
+        f"over {outcome.backend}, "
         f"{outcome.messages} messages, {len(outcome.violations)} violations, seed {outcome.seed}"
     )
     lines += [f"violated: {text}" for text in outcome.violations]
     return "\n".join(lines)
-
-
-def figure(outcome: Outcome, path: Path) -> None:
-    """Draw memory and descriptors over time; a line ends where a process died."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    from matplotlib import pyplot as plt
-
-    drawn, (memory, files) = plt.subplots(2, 1, sharex=True, figsize=(9, 5))
-    names = [name for name in outcome.samples[0] if name not in ("round", "seconds")]
-    for colour, name in enumerate(names):
-        lives: dict[int, list[tuple[float, int, int]]] = {}
-        for sample in outcome.samples:
-            if name in sample:
-                use = sample[name]
-                point = (sample["seconds"] / 60, use["private_kb"] // 1024, use["files"])
-                lives.setdefault(use["pid"], []).append(point)
-        for index, points in enumerate(lives.values()):
-            label = name if index == 0 else None
-            minutes = [point[0] for point in points]
-            for axis, column in ((memory, 1), (files, 2)):
-                values = [point[column] for point in points]
-                axis.plot(minutes, values, f"C{colour}.-", linewidth=0.8, markersize=2, label=label)
-    memory.set_ylabel("memory of its own, MiB")
-    files.set_ylabel("descriptors")
-    files.set_xlabel("minutes")
-    memory.legend(loc="upper left", ncols=len(names), fontsize=8)
-    for axis in (memory, files):
-        axis.set_ylim(bottom=0)
-        axis.grid(alpha=0.3)
-    drawn.tight_layout()
-    drawn.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None)
