@@ -13,13 +13,16 @@ from rosplc.cli import (
     demo,
     doctor,
     generate,
+    init,
     record,
     replay,
     run,
     service,
     show,
     status,
+    top,
     types,
+    web,
 )
 from rosplc.cli.ros_arguments import RosCommand
 
@@ -31,6 +34,8 @@ rosplc demo  —  see it work, without a robot and without a PLC
 
 rosplc types geometry_msgs/Twist  —  how a ROS type looks in the PLC
 
+rosplc init  —  from a robot that is there to a configuration
+
 rosplc check rosplc.yaml  —  what a configuration means, in plain words
 
 rosplc generate rosplc.yaml  —  the PLC half, for CODESYS
@@ -41,7 +46,11 @@ rosplc show /cmd_vel  —  what stands in a topic's shared memory now
 
 rosplc status  —  every channel on this machine, and whether anything is wrong
 
+rosplc web  —  all channels in a browser, live
+
 rosplc record -o shift.mcap  —  what all channels carry, for Foxglove, PlotJuggler and `ros2 bag`
+
+rosplc top  —  the same live in the terminal, with the values of each message
 
 rosplc replay shift.mcap --to plc  —  a PLC program, tested with yesterday's line
 
@@ -62,6 +71,7 @@ app = typer.Typer(
 )
 
 for _name, _verb in (
+    ("init", init),
     ("run", run),
     ("record", record),
     ("replay", replay),
@@ -69,6 +79,8 @@ for _name, _verb in (
     ("check", check),
     ("show", show),
     ("status", status),
+    ("top", top),
+    ("web", web),
     ("types", types),
     ("generate", generate),
     ("demo", demo),

@@ -10,7 +10,6 @@ import json
 import os
 import subprocess
 import sys
-import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ from rosplc.bridge import Project, load_project
 from rosplc.bridge.ros_side import RosSide, choose_backend
 from rosplc.doctor.graph import Graph
 from rosplc.errors import BackendError, RosplcError
-from rosplc.ros import ROS1, EndpointInfo, GraphInfo, Qos, open_backend
+from rosplc.ros import ROS1, EndpointInfo, GraphInfo, Qos, open_backend, settled_graph
 from rosplc.ros.names import join, resolve_topic
 
 __all__ = ["NODE", "main", "see_graph"]
@@ -28,9 +27,7 @@ NODE = "rosplc_doctor"
 _PROGRAM = "from rosplc.doctor.look import main; main()"
 _START_S = 30.0
 """How long the process may take beyond its look: imports, joining, leaving."""
-_LEAST_S = 1.0
 _LONGEST_WORDS = 200
-_STEADY_S = 1.0
 
 
 def see_graph(config: Path, seconds: float, variables: Mapping[str, str]) -> Graph:
@@ -107,7 +104,7 @@ def _look(project: Project, seconds: float) -> Graph:
         options=side.options(choice.name),
     )
     try:
-        info = _steady(backend.graph, seconds)
+        info = settled_graph(backend.graph, seconds)
     finally:
         backend.close()
     names = {
@@ -118,21 +115,6 @@ def _look(project: Project, seconds: float) -> Graph:
     if settings.distro == ROS1:
         where = f"the graph of {environment.get('ROS_MASTER_URI') or 'http://localhost:11311'}"
     return Graph(choice.name, info, names, join(namespace, own), where)
-
-
-def _steady(graph: Any, seconds: float) -> GraphInfo:
-    """Return the graph once it has not changed for a second, or when the time is over."""
-    start = changed = time.monotonic()
-    seen: GraphInfo = graph()
-    while (now := time.monotonic()) - start < seconds:
-        time.sleep(0.1)
-        if (again := graph()) != seen:
-            seen, changed = again, now
-        # A graph in which nobody is may still be about to appear: it is waited for to the end.
-        complete = bool(seen.nodes) and all(end.node for end in seen.endpoints)
-        if complete and now - start > _LEAST_S and now - changed > _STEADY_S:
-            break
-    return seen
 
 
 def main() -> None:

@@ -24,6 +24,7 @@ from rosplc.ros.backend import (
     incompatibility,
 )
 from rosplc.ros.choice import BACKENDS, INSTALL, ROS1, Choice, choose, load
+from rosplc.ros.settled import settled_graph
 
 __all__ = [
     "BACKENDS",
@@ -49,6 +50,7 @@ __all__ = [
     "ended_for_good",
     "incompatibility",
     "open_backend",
+    "settled_graph",
     "split_arguments",
 ]
 

@@ -9,17 +9,16 @@ executed.
 from __future__ import annotations
 
 import os
-import re
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from rosplc.errors import BackendError, MessageTypeError
-from rosplc.model import TypeStore
+from rosplc.errors import BackendError
+from rosplc.model import TypeStore, save_definitions, split_definition
 from rosplc.ros.names import resolve_topic
 from rosplc.ros.rospy.address import is_node_uri, read_address
-from rosplc.ros.rospy.handshake import HandshakeError, ros2_name
+from rosplc.ros.rospy.handshake import HandshakeError
 from rosplc.ros.rospy.inbound import WireType, handshake, request
 from rosplc.ros.rospy.master import Master, RefusedError, UnreachableError
 
@@ -27,7 +26,6 @@ __all__ = ["WireDefinition", "definition_on_wire", "save_definition"]
 
 _CALLER = "/rosplc_types"
 _PAUSE_S = 0.2
-_SEPARATOR = re.compile(r"^={80}\s*\nMSG:\s*(\S+)\s*\n", re.MULTILINE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,36 +122,6 @@ def save_definition(definition: WireDefinition, folder: Path) -> tuple[Path, ...
     Raises:
         MessageTypeError: TYP009 if a file of that name says something else, or cannot be written.
     """
-    parts = _SEPARATOR.split(definition.text.replace("\r\n", "\n"))
-    texts = {definition.type_name: parts[0]}
-    for name, text in zip(parts[1::2], parts[2::2], strict=True):
-        texts.setdefault(ros2_name(name), text)
     bundled = TypeStore.bundled("noetic")
-    wanted = {
-        folder / package / "msg" / f"{base}.msg": text.strip("\n") + "\n"
-        for name, text in texts.items()
-        if name not in bundled
-        for package, _, base in (definition.store[name].name.split("/"),)
-    }
-    for file, text in wanted.items():  # all or nothing
-        _check(file, text)
-    for file, text in wanted.items():
-        try:
-            file.parent.mkdir(parents=True, exist_ok=True)
-            file.write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise MessageTypeError(
-                "TYP009", f"cannot be written: {error.strerror}", where=str(file)
-            ) from None
-    return tuple(wanted)
-
-
-def _check(file: Path, text: str) -> None:
-    try:
-        if file.read_text(encoding="utf-8") != text:
-            raise MessageTypeError("TYP009", "holds another definition", where=str(file))
-    except FileNotFoundError:
-        pass
-    except (OSError, UnicodeDecodeError) as error:
-        what = getattr(error, "strerror", None) or "is not UTF-8 text"
-        raise MessageTypeError("TYP009", f"is in the way: {what}", where=str(file)) from None
+    texts = split_definition(definition.type_name, definition.text)
+    return save_definitions({name: text for name, text in texts.items() if name not in bundled}, folder)

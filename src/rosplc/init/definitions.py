@@ -1,0 +1,125 @@
+"""Where the definition of a type comes from: the distribution, the user, ROS's own folders, or the wire.
+
+Whatever does not come with the distribution and is not named by the user is kept as text, to be saved
+beside the configuration: a bridge must not depend on what was on the network when it was set up.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from rosplc.errors import MessageTypeError, RosplcError
+from rosplc.model import ArrayType, FieldType, NamedType, SequenceType, TypeStore, split_definition
+from rosplc.model.parse import MAX_TEXT, full_name, parse_definition
+
+__all__ = ["Definitions"]
+
+_MOST_TYPES = 500  # one type's definition has a handful
+_SEPARATOR = "=" * 80
+
+
+class Definitions:
+    """The types that are known, more of them with time.
+
+    Args:
+        distro: The ROS distribution to begin with.
+        folders: The user's own folders with ``.msg`` files.
+        environment: Variables; ``AMENT_PREFIX_PATH`` and ``ROS_PACKAGE_PATH`` say where an installed
+            ROS keeps its definitions.
+
+    Attributes:
+        store: The types.
+        texts: Definition text by full name, of the types that are to be saved.
+        origins: Where each type that was learnt comes from, in words.
+
+    Raises:
+        MessageTypeError: TYP… as for ``types.paths`` of a configuration.
+    """
+
+    def __init__(
+        self, distro: str, folders: Sequence[Path] = (), environment: Mapping[str, str] | None = None
+    ) -> None:
+        self.store = TypeStore.bundled(distro).with_paths(folders)
+        self.texts: dict[str, str] = {}
+        self.origins: dict[str, str] = {}
+        self._environment = os.environ if environment is None else environment
+
+    def learn(self, type_name: str, text: str, origin: str) -> None:
+        """Take a type from a definition text, which is not trusted.
+
+        Raises:
+            MessageTypeError: TYP001 … TYP007.
+        """
+        new = self.store.with_definition(type_name, text)
+        for name, part in split_definition(type_name, text).items():
+            if name not in self.store:
+                self.texts[name] = part
+                self.origins[name] = origin
+        self.store = new
+
+    def find_installed(self, type_name: str) -> bool:
+        """Look for a type, and those it needs, where ROS has them installed; say whether it is known now.
+
+        Raises:
+            MessageTypeError: TYP… if what stands there is wrong.
+        """
+        if type_name in self.store:
+            return True
+        parts: dict[str, str] = {}
+        first: Path | None = None
+        todo = [full_name(type_name)]
+        while todo:
+            name = todo.pop(0)
+            if name in parts or name in self.store or name.startswith("builtin_interfaces/"):
+                continue
+            file = self._file(name)
+            if file is None or len(parts) == _MOST_TYPES:
+                return False
+            first = first or file
+            parts[name] = _read(file)
+            todo += _needed(name, parts[name], self.store.ros_version)
+        text = f"{_SEPARATOR}\nMSG: ".join(
+            part if number == 0 else f"{name.replace('/msg/', '/')}\n{part}"
+            for number, (name, part) in enumerate(parts.items())
+        )
+        self.learn(type_name, text, str(first))
+        return True
+
+    def _file(self, type_name: str) -> Path | None:
+        package, _, base = type_name.split("/")
+        for folder in self._roots():
+            file = folder / package / "msg" / f"{base}.msg"
+            if file.is_file():
+                return file
+        return None
+
+    def _roots(self) -> list[Path]:
+        if self.store.ros_version == 1:
+            return [Path(part) for part in self._environment.get("ROS_PACKAGE_PATH", "").split(":") if part]
+        prefixes = self._environment.get("AMENT_PREFIX_PATH", "").split(":")
+        return [Path(part) / "share" for part in prefixes if part]
+
+
+def _read(file: Path) -> str:
+    try:
+        with file.open("rb") as stream:
+            text = stream.read(MAX_TEXT).decode("utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise MessageTypeError("TYP008", f"cannot be read: {error}", where=str(file)) from None
+    return text if text.endswith("\n") else f"{text}\n"
+
+
+def _needed(name: str, text: str, ros_version: int) -> list[str]:
+    """Return the types that a definition's fields name."""
+    try:
+        (parsed,) = parse_definition(name, text, ros_version=ros_version)
+    except (RosplcError, ValueError):
+        return []  # whoever learns the text says what is wrong with it
+    kinds = (_element(field.type) for field in parsed.message.fields)
+    return [kind.name for kind in kinds if isinstance(kind, NamedType)]
+
+
+def _element(kind: FieldType) -> FieldType:
+    return kind.element if isinstance(kind, ArrayType | SequenceType) else kind

@@ -1,0 +1,105 @@
+"""What a robot, or a recording of one, shows of itself: the topics, and what their messages were like."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from rosplc.init.definitions import Definitions
+from rosplc.init.meter import Length
+from rosplc.ros import Qos
+
+__all__ = ["Found", "Seen", "Source", "Topic"]
+
+
+@dataclass(frozen=True)
+class Topic:
+    """One topic that was found.
+
+    Attributes:
+        name: As ROS writes it.
+        types: The types that were seen on it, ``package/msg/Name``; more than one is an error of the
+            robot's, none means that nobody has told.
+        publishers: Names of the nodes that publish it; a publisher without a node's name counts as ``?``.
+        subscribers: Names of the nodes that subscribe to it.
+        offered: The publishers' quality of service, each once.
+        hashes: The type hashes that are announced, each once.
+    """
+
+    name: str
+    types: tuple[str, ...]
+    publishers: tuple[str, ...] = ()
+    subscribers: tuple[str, ...] = ()
+    offered: tuple[Qos, ...] = ()
+    hashes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What the messages of one topic were like.
+
+    Attributes:
+        messages: How many there were.
+        unreadable: How many more did not fit the type.
+        seconds: How long was listened, or how long the recording is.
+        rate_hz: Messages a second from the first to the last; 0 with fewer than two.
+        longest_gap_s: The longest time between two.
+        lengths: By field path: the lengths of its strings and sequences.
+        trouble: Why nothing could be received, in words; empty if nothing spoke against it.
+    """
+
+    messages: int = 0
+    unreadable: int = 0
+    seconds: float = 0.0
+    rate_hz: float = 0.0
+    longest_gap_s: float = 0.0
+    lengths: Mapping[str, Length] = field(default_factory=dict)
+    trouble: str = ""
+
+
+@dataclass(frozen=True)
+class Found:
+    """What was found.
+
+    Attributes:
+        topics: By name, sorted.
+        where: What was looked at, in words: ``domain 0, over dds``.
+        ros: The keys of the configuration's section ``ros`` that lead there.
+        why: Remarks on ``ros``, by key.
+        notes: What is worth knowing beyond.
+    """
+
+    topics: Mapping[str, Topic]
+    where: str
+    ros: Mapping[str, object]
+    why: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+class Source(Protocol):
+    """A robot or a recording."""
+
+    definitions: Definitions
+    found: Found
+
+    def learn(self, topic: str, type_name: str) -> None:
+        """Make sure that a topic's type is known.
+
+        Raises:
+            RosplcError: It is not, or what tells its definition cannot be right.
+        """
+
+    def listen(
+        self, wanted: Mapping[str, str], seconds: float, progress: Callable[[str], None]
+    ) -> dict[str, Seen]:
+        """Return what the messages of these topics (name → type) are like.
+
+        Args:
+            wanted: Type by topic; each type has been learnt.
+            seconds: How long to listen; a recording is read to its end.
+            progress: Called about once a second with how far it is, in words.
+        """
+
+    def close(self) -> None:
+        """Leave the graph, or close the file."""

@@ -1,0 +1,262 @@
+"""A robot that runs: its graph, seen through one of the bridge's own ways into ROS."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from rosplc.bridge import Config
+from rosplc.bridge.live_types import LiveTypes
+from rosplc.bridge.ros_side import RosSide
+from rosplc.errors import BackendError, MessageTypeError, RosplcError
+from rosplc.init.definitions import Definitions
+from rosplc.init.found import Found, Seen, Topic
+from rosplc.init.meter import Meter
+from rosplc.init.sample import Sample
+from rosplc.model import DISTROS, TypeStore
+from rosplc.ros import ROS1, Backend, Choice, EndpointInfo, GraphInfo, Qos, choose, settled_graph
+
+__all__ = ["NODE", "LiveRobot", "distro_here"]
+
+NODE = "rosplc_init"
+_ANY = "*"
+"""What ROS 1's master says where nobody has told the type."""
+_NAMELESS = "?"
+_UNREACHABLE = ("ROS014", "ROS016")
+_PAUSE_S = 0.1
+_SHOW_S = 1.0
+
+
+def distro_here(backend: str, environment: Mapping[str, str]) -> tuple[str, str]:
+    """Return the ROS distribution to begin with, and why."""
+    named = environment.get("ROS_DISTRO", "")
+    if backend == "rospy":
+        return ROS1, "the rospy backend speaks ROS 1"
+    if named in DISTROS and not (named == ROS1 and backend in ("dds", "rclpy", "zenoh")):
+        return named, "ROS_DISTRO names it"
+    if backend == "auto" and environment.get("ROS_MASTER_URI"):
+        return ROS1, "ROS_MASTER_URI is set, as for ROS 1"
+    return "jazzy", "the default; nothing here names another"
+
+
+class LiveRobot:
+    """The ROS graph as a :class:`~rosplc.init.found.Source`.
+
+    It subscribes to what is to be learnt about, for as long as that takes, and publishes nothing.
+
+    Args:
+        ros: Keys of the configuration's section ``ros``: ``backend``, and what else was given.
+        folders: The user's own folders with ``.msg`` files.
+        seconds: How long to look for others at most.
+        needed: Topics that are waited for.
+
+    Raises:
+        BackendError: ROS001, no way into ROS is installed; ROS002, the middleware refuses; ROS014 or
+            ROS016, the master or router does not answer; ROS020, there is nobody.
+    """
+
+    def __init__(
+        self,
+        ros: Mapping[str, object],
+        folders: Sequence[Path] = (),
+        seconds: float = 5.0,
+        needed: Collection[str] = (),
+    ) -> None:
+        given = "distro" in ros
+        distro, why = distro_here(str(ros.get("backend", "auto")), os.environ)
+        keys: dict[str, object] = {"backend": "auto", "distro": distro, **ros}
+        distro = str(keys["distro"])
+        side = RosSide(Config.from_dict({"ros": {**keys, "node_name": NODE}}))
+        self.definitions = Definitions(distro, folders)
+        self._types = LiveTypes(self.definitions.store)
+        self._backend, choice = side.open(self._types)
+        try:
+            info = settled_graph(self._backend.graph, seconds, needed)
+            where = f"{_graph_name(self._backend, os.environ)}, over {choice.name}"
+            self._refuse_nobody(info, where, seconds)
+            self.found = Found(
+                topics=_topics(info),
+                where=where,
+                ros=keys,
+                why={"distro": "as asked for" if given else why},
+            )
+            self._keep_environment(keys, choice)
+        except BaseException:
+            self._backend.close()
+            raise
+
+    def _keep_environment(self, keys: dict[str, object], choice: Choice) -> None:
+        """Write down what this terminal's environment decides: a service will not have it."""
+        why = dict(self.found.why)
+        if keys["backend"] == "auto":
+            plain = bool(keys.get("zenoh")) or _chosen_without_environment(str(keys["distro"])) == choice.name
+            why["backend"] = f"{'here it is ' if plain else ''}{choice.name}, because {choice.why}"
+            if not plain:
+                keys["backend"], why["backend"] = choice.name, choice.why
+        if (
+            choice.name != "rospy"
+            and "domain" not in keys
+            and (domain := getattr(self._backend, "domain", 0))
+        ):
+            keys["domain"], why["domain"] = domain, "as ROS_DOMAIN_ID says here"
+        self.found = replace(self.found, why=why)
+
+    def learn(self, topic: str, type_name: str) -> None:
+        """Make sure that a topic's type is known; see :class:`~rosplc.init.found.Source`."""
+        definitions = self.definitions
+        if not definitions.find_installed(type_name):
+            if self._backend.name != "rospy":
+                raise MessageTypeError(
+                    "TYP001",
+                    f"{type_name} is unknown in {definitions.store.distro}, and ROS 2 tells no definitions",
+                    remedy="Name the folder of its package with --types, or source the setup.bash of a "
+                    "workspace that has it.",
+                )
+            self._ask(topic, type_name)
+        self._types.store = definitions.store
+        self._compare(topic, type_name)
+
+    def _ask(self, topic: str, type_name: str) -> None:
+        """Ask a publisher; ROS 1 alone has that."""
+        from rosplc.ros.rospy import definition_on_wire
+
+        found = definition_on_wire(topic, 2.0)
+        if found.type_name != type_name:
+            raise BackendError("ROS017", f"node {found.node} publishes {topic} as {found.type_name}")
+        self.definitions.learn(type_name, found.text, f"node {found.node}")
+
+    def _compare(self, topic: str, type_name: str) -> None:
+        """Note a topic whose nodes announce another definition than ours."""
+        hashes = self.found.topics[topic].hashes if topic in self.found.topics else ()
+        if not hashes or self._types.distro in ("humble", ROS1):
+            return
+        ours = self._types.type_hash(type_name)
+        if ours not in hashes:
+            also = [
+                name for name in DISTROS if name not in ("humble", ROS1) and _hash(name, type_name) in hashes
+            ]
+            hint = f"; it is that of {', '.join(also)}: name one with --distro" if also else ""
+            note = (
+                f"{topic}: the robot's definition of {type_name} is not that of {self._types.distro}{hint}."
+            )
+            self.found = replace(self.found, notes=(*self.found.notes, note))
+
+    def listen(
+        self, wanted: Mapping[str, str], seconds: float, progress: Callable[[str], None]
+    ) -> dict[str, Seen]:
+        """Subscribe for a while; see :class:`~rosplc.init.found.Source`."""
+        version = self.definitions.store.ros_version
+        samples: dict[str, Sample] = {}
+        trouble: dict[str, str] = {}
+        with contextlib.ExitStack() as stack:
+            subscriptions: dict[str, Any] = {}
+            for topic, type_name in wanted.items():
+                sample = samples[topic] = Sample(Meter(self.definitions.store, type_name, version))
+                take = partial(_take, sample)
+                try:
+                    made = self._backend.subscribe(topic, type_name, self._qos(topic), take)
+                except RosplcError as error:
+                    trouble[topic] = f"{error.what} [{error.code}]"
+                    continue
+                subscriptions[topic] = made
+                stack.callback(made.close)
+            started, shown = time.monotonic(), 0.0
+            while subscriptions and (left := seconds - (time.monotonic() - started)) > 0:
+                if time.monotonic() - shown >= _SHOW_S:
+                    shown = time.monotonic()
+                    many = f"{len(subscriptions)} topic{'s' if len(subscriptions) != 1 else ''}"
+                    progress(f"Listening to {many}, {left:.0f} s left")
+                time.sleep(min(_PAUSE_S, left))
+            for topic, subscription in subscriptions.items():
+                trouble[topic] = subscription.status().reason
+            # ROS 1 tells who latches only to those who are connected.
+            self.found = replace(self.found, topics={**self.found.topics, **self._offers(subscriptions)})
+        return {topic: sample.seen(seconds, trouble.get(topic, "")) for topic, sample in samples.items()}
+
+    def _offers(self, wanted: Iterable[str]) -> dict[str, Topic]:
+        """Return these topics with what their publishers offer now."""
+        now, before = _topics(self._backend.graph()), self.found.topics
+        return {
+            name: replace(before[name], offered=now[name].offered)
+            for name in wanted
+            if name in before and name in now and now[name].offered
+        }
+
+    def _qos(self, topic: str) -> Qos:
+        """Return what matches every publisher, and gets what they sent before."""
+        offered = self.found.topics[topic].offered if topic in self.found.topics else ()
+        reliable = all(qos.reliability == "reliable" for qos in offered)
+        latched = bool(offered) and all(qos.durability == "transient_local" for qos in offered)
+        return Qos(
+            "reliable" if reliable else "best_effort",
+            "transient_local" if latched else "volatile",
+            depth=1000,
+        )
+
+    def _refuse_nobody(self, info: GraphInfo, where: str, seconds: float) -> None:
+        """Say why nothing was found: the master or router is away, or nobody is there."""
+        if info.endpoints:
+            return
+        subscription = self._backend.subscribe(f"/{NODE}", "std_msgs/msg/Empty", Qos(), lambda *_: None)
+        try:
+            status = subscription.status()
+        finally:
+            subscription.close()
+        if status.code in _UNREACHABLE:
+            raise BackendError(status.code, status.reason)
+        who = f"{len(info.nodes)} nodes and no topic" if info.nodes else "no node"
+        raise BackendError("ROS020", f"{who} in {where}, within {seconds:g} s")
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._backend.close()
+
+
+def _chosen_without_environment(distro: str) -> str:
+    try:
+        return choose(distro, {}).name
+    except BackendError:
+        return ""
+
+
+def _take(sample: Sample, data: bytes, _: int) -> None:
+    # By our own clock: how regular a topic is where the bridge would be, whatever the sender's clock says.
+    sample.take(data, time.monotonic_ns())
+
+
+def _hash(distro: str, type_name: str) -> str:
+    store = TypeStore.bundled(distro)
+    return store.type_hash(type_name) if type_name in store else ""
+
+
+def _graph_name(backend: Backend, variables: Mapping[str, str]) -> str:
+    if backend.name == "rospy":
+        return f"the graph of {variables.get('ROS_MASTER_URI') or 'http://localhost:11311'}"
+    return f"domain {getattr(backend, 'domain', variables.get('ROS_DOMAIN_ID') or 0)}"
+
+
+def _topics(info: GraphInfo) -> dict[str, Topic]:
+    ends: dict[str, list[EndpointInfo]] = {}
+    for end in info.endpoints:
+        ends.setdefault(end.topic, []).append(end)
+    return {
+        name: Topic(
+            name=name,
+            types=tuple(sorted({end.type_name for end in parts} - {_ANY})),
+            publishers=_names(end for end in parts if end.direction == "out"),
+            subscribers=_names(end for end in parts if end.direction == "in"),
+            offered=tuple(dict.fromkeys(end.qos for end in parts if end.direction == "out")),
+            hashes=tuple(dict.fromkeys(end.type_hash for end in parts if end.type_hash)),
+        )
+        for name, parts in sorted(ends.items())
+    }
+
+
+def _names(ends: Any) -> tuple[str, ...]:
+    return tuple(sorted({end.node or _NAMELESS for end in ends}))

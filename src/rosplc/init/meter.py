@@ -1,0 +1,169 @@
+"""How long strings and sequences really are: messages are walked through as they came, none is decoded.
+
+A message's bytes come from other programs and are not trusted: every length is checked against what
+is left of the message, and the work for one message is bounded.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, field
+
+from rosplc.model import (
+    PRIMITIVES,
+    ArrayType,
+    FieldType,
+    NamedType,
+    PrimitiveType,
+    SequenceType,
+    StringType,
+    TypeStore,
+)
+
+__all__ = ["Length", "Meter"]
+
+_MOST_VISITS = 100_000
+"""Values looked at in one message; a point cloud's bytes are one, its fields another ten."""
+
+
+@dataclass(slots=True)
+class Length:
+    """The lengths of one string (bytes) or sequence (elements), over all messages and elements above it."""
+
+    least: int
+    most: int
+
+    def add(self, length: int) -> None:
+        """Take one more into account."""
+        self.least = min(self.least, length)
+        self.most = max(self.most, length)
+
+
+@dataclass
+class Meter:
+    """Measures the messages of one type.
+
+    Args:
+        store: Knows the type.
+        type_name: Its full name.
+        ros_version: 1: ROS 1's serialization; 2: CDR with its 4-byte header.
+
+    Attributes:
+        messages: Messages measured.
+        unreadable: Messages that do not fit the type.
+        cut_short: Messages with more values than are looked at; what came first is in ``lengths``.
+        lengths: By field path, as a configuration's ``limits`` write it.
+    """
+
+    store: TypeStore
+    type_name: str
+    ros_version: int
+    messages: int = 0
+    unreadable: int = 0
+    cut_short: int = 0
+    lengths: dict[str, Length] = field(default_factory=dict)
+
+    def measure(self, data: bytes) -> None:
+        """Take one message into account; one that does not fit the type is counted, and that is all."""
+        lengths: dict[str, Length] = {}
+        try:
+            _Walk(self.store, data, lengths, cdr=self.ros_version == 2).message(self.type_name)
+        except _TooMuchError:
+            self.cut_short += 1
+        except ValueError:
+            self.unreadable += 1
+            return
+        self.messages += 1
+        for path, seen in lengths.items():
+            known = self.lengths.setdefault(path, Length(seen.least, seen.most))
+            known.add(seen.least)
+            known.add(seen.most)
+
+
+class _TooMuchError(Exception):
+    """The message has more values than are looked at."""
+
+
+class _Walk:
+    """One way through one message."""
+
+    def __init__(self, store: TypeStore, data: bytes, lengths: dict[str, Length], *, cdr: bool) -> None:
+        self._lengths = lengths
+        self._store = store
+        self._cdr = cdr
+        self._at = 0
+        self._visits = 0
+        self._order = "<"
+        self._data = memoryview(data)
+        if cdr:
+            if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
+                raise ValueError("no plain CDR")
+            self._order = "<" if data[1] else ">"
+            self._data = self._data[4:]
+
+    def message(self, type_name: str) -> None:
+        """Walk through a message of a type, nested ones included."""
+        self._struct(type_name, "")
+
+    def _struct(self, type_name: str, path: str) -> None:
+        fields = self._store[type_name].fields
+        if not fields and self._cdr:
+            self._skip(1, 1)  # rosidl gives a message without fields one dummy byte
+        for each in fields:
+            self._value(each.type, f"{path}{each.name}")
+
+    def _value(self, kind: FieldType, path: str) -> None:
+        self._visits += 1
+        if self._visits > _MOST_VISITS:
+            raise _TooMuchError
+        if isinstance(kind, PrimitiveType):
+            self._skip(PRIMITIVES[kind.name], 1)
+        elif isinstance(kind, StringType):
+            self._note(path, self._string())
+        elif isinstance(kind, NamedType):
+            self._struct(kind.name, f"{path}.")
+        elif isinstance(kind, ArrayType):
+            self._elements(kind.element, kind.length, path)
+        elif isinstance(kind, SequenceType):
+            count = self._count()
+            if count > len(self._data) - self._at and not self._may_be_empty(kind.element):
+                raise ValueError("a sequence is longer than the message")
+            self._note(path, count)
+            self._elements(kind.element, count, path)
+
+    def _may_be_empty(self, kind: FieldType) -> bool:
+        """Return whether an element of a sequence may take no byte at all, as ROS 1's std_msgs/Empty."""
+        return not self._cdr and isinstance(kind, NamedType)
+
+    def _elements(self, kind: FieldType, count: int, path: str) -> None:
+        if isinstance(kind, PrimitiveType):
+            if count:
+                self._skip(PRIMITIVES[kind.name], count)
+            return
+        for _ in range(count):
+            self._value(kind, f"{path}[]")
+
+    def _string(self) -> int:
+        length = self._count()
+        if self._cdr and length == 0:  # some peers send an empty string without its NUL
+            return 0
+        self._skip(1, length)
+        return length - self._cdr
+
+    def _count(self) -> int:
+        self._skip(4, 1)
+        (number,) = struct.unpack_from(f"{self._order}I", self._data, self._at - 4)
+        return int(number)
+
+    def _skip(self, size: int, count: int) -> None:
+        if self._cdr:
+            self._at += -self._at % size
+        self._at += size * count
+        if self._at > len(self._data):
+            raise ValueError("the message ends too early")
+
+    def _note(self, path: str, length: int) -> None:
+        if (known := self._lengths.get(path)) is None:
+            self._lengths[path] = Length(length, length)
+        else:
+            known.add(length)

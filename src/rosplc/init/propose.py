@@ -1,0 +1,285 @@
+"""From what was found to what a configuration should say: direction, limits, quality of service, times.
+
+Every proposal comes with its reason, and every number that was chosen has its rule at the top here:
+the file says both, so that whoever answers for the machine can judge and correct them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal
+
+from rosplc.errors import LayoutError
+from rosplc.init.found import Seen, Topic
+from rosplc.init.meter import Length
+from rosplc.layout import MAX_SEQUENCE, MAX_STRING, Layout, Limits, compute_layout
+from rosplc.layout.compute import limit_paths
+from rosplc.layout.nodes import SequenceNode, StringNode
+from rosplc.model import TypeStore
+
+__all__ = ["RULES", "Entry", "Limit", "Setting", "direction", "is_of_ros_itself", "propose"]
+
+_STRING_HEADROOM, _STRING_STEP, _STRING_LEAST = 2.0, 16, 48
+_SEQUENCE_HEADROOM, _SEQUENCE_STEP = 1.5, 4
+_RATE_HEADROOM, _RATE_STEP = 1.5, 100
+_SURE = 10  # messages from which on a length that never changed counts as fixed
+_STALE_S = 1.0  # the configuration's default towards the PLC
+_STALE_GAPS = 3
+_FAST_HZ = 100.0
+_LARGE = 64 * 1024
+_LARGEST = 128 * 1024 * 1024  # with four slots half a gigabyte: no topic for a PLC
+
+RULES = (
+    f"Strings: twice the longest seen, rounded up to a multiple of {_STRING_STEP}, at least {_STRING_LEAST} "
+    f"bytes. Sequences: half as many again as the most seen, rounded up to a multiple of {_SEQUENCE_STEP}; "
+    f"where all of {_SURE} messages or more had the same number, that number. With fewer than {_SURE} "
+    "messages nothing is lowered below the default. "
+    "A message that exceeds a limit is refused and counted, never cut."
+)
+"""How limits are proposed, in words."""
+
+_OF_ROS = frozenset(
+    {"/rosout", "/rosout_agg", "/parameter_events", "/diagnostics", "/diagnostics_agg", "/clock"}
+)
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A capacity, with the reason."""
+
+    path: str
+    capacity: int
+    why: str
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A key of a topic with its value as YAML, and the reason."""
+
+    key: str
+    value: str
+    why: str
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One topic of the configuration.
+
+    Attributes:
+        topic: Its name.
+        type_name: Its type.
+        to: Where its messages go.
+        about: What was found of it, in sentences.
+        limits: Capacities that differ from the defaults.
+        settings: Other keys.
+        record_bytes: Size of a record with these limits.
+    """
+
+    topic: str
+    type_name: str
+    to: Literal["plc", "ros"]
+    about: tuple[str, ...] = ()
+    limits: tuple[Limit, ...] = ()
+    settings: tuple[Setting, ...] = ()
+    record_bytes: int = 0
+
+
+@dataclass
+class _Draft:
+    about: list[str] = field(default_factory=list)
+    limits: list[Limit] = field(default_factory=list)
+    settings: list[Setting] = field(default_factory=list)
+
+
+def is_of_ros_itself(topic: str) -> bool:
+    """Return whether a topic is part of ROS's own household, and carried only if it is named."""
+    return topic in _OF_ROS or any(part.startswith("_") for part in topic.split("/"))
+
+
+def direction(topic: Topic) -> tuple[Literal["plc", "ros"], str]:
+    """Return where a topic's messages should go, and why.
+
+    What somebody publishes the PLC may read, and that disturbs nobody. What is only subscribed to waits
+    for somebody who publishes it: the PLC can. Where both are there, a second publisher would fight with
+    the first, so the PLC listens unless it is told otherwise.
+    """
+    readers, writers = _listed(topic.subscribers), _listed(topic.publishers)
+    if topic.publishers and topic.subscribers:
+        return "plc", f"{writers} publishes it for {readers}; the PLC listens in"
+    if topic.publishers:
+        return "plc", f"{writers} publishes it" if topic.publishers != ("unnamed",) else "it was recorded"
+    if topic.subscribers:
+        return "ros", f"{readers} subscribes to it, and nobody publishes it"
+    return "plc", "nobody publishes it, and nobody subscribes to it"
+
+
+def propose(
+    topic: Topic, type_name: str, to: Literal["plc", "ros"], store: TypeStore, seen: Seen | None
+) -> Entry:
+    """Return the entry of a topic.
+
+    Args:
+        topic: What was found of it.
+        type_name: Its type; the store knows it.
+        to: Where its messages go.
+        store: The types.
+        seen: What its messages are like; None if nobody listened.
+
+    Raises:
+        LayoutError: LAY…, a record of the type cannot be made, whatever the limits.
+    """
+    draft = _Draft()
+    _tell(draft, topic, to, seen)
+    layout = _limits(draft, type_name, store, seen)
+    if layout.size > _LARGEST:
+        raise LayoutError(
+            "LAY003",
+            f"a record of {layout.type_name} would have {layout.size} bytes with what was seen",
+            where=topic.name,
+            remedy="Carry a smaller topic of the robot, or write its entry and limits by hand.",
+        )
+    if to == "plc":
+        _quality(draft, topic)
+        _times(draft, topic, seen, fast=layout.size <= _LARGE)
+    if layout.size > _LARGE:
+        draft.about.append(
+            f"A record has {layout.size} bytes: copying it takes part of a scan. "
+            "Lower its largest limits if you can."
+        )
+    return Entry(
+        topic.name,
+        layout.type_name,
+        to,
+        tuple(draft.about),
+        tuple(draft.limits),
+        tuple(draft.settings),
+        layout.size,
+    )
+
+
+def _tell(draft: _Draft, topic: Topic, to: str, seen: Seen | None) -> None:
+    proposed, why = direction(topic)
+    draft.about.append(f"{why[0].upper()}{why[1:]}.")
+    if proposed != to:
+        draft.about.append(f"Taken {'towards the PLC' if to == 'plc' else 'from the PLC'} as asked for.")
+    if len(topic.types) > 1:
+        draft.about.append(f"It was seen with several types: {', '.join(topic.types)}.")
+    if to == "ros" and topic.publishers:
+        draft.about.append("Its publishers and the PLC will both be heard.")
+    if seen is None or (to == "ros" and not seen.messages):
+        return
+    if not seen.messages:
+        why = f": {seen.trouble}" if seen.trouble else ""
+        draft.about.append(f"No message was seen in {seen.seconds:.3g} s{why}.")
+        return
+    rate = f", {seen.rate_hz:.3g} Hz" if seen.rate_hz else ""
+    draft.about.append(f"{_plural(seen.messages, 'message')} seen in {seen.seconds:.3g} s{rate}.")
+    if seen.unreadable:
+        draft.about.append(
+            f"{_plural(seen.unreadable, 'message')} did not fit the type: the robot may have another "
+            "definition of it."
+        )
+
+
+def _limits(draft: _Draft, type_name: str, store: TypeStore, seen: Seen | None) -> Layout:
+    """Add what was learnt of the lengths, and return the layout that it leads to."""
+    variable = limit_paths(store, type_name)
+    if not variable:
+        return compute_layout(store, type_name)
+    wanted = _wanted(store, type_name, seen) if seen is not None and seen.messages else {}
+    while True:
+        capacities = {path: limit.capacity for path, limit in wanted.items()}
+        try:
+            layout = compute_layout(store, type_name, Limits(fields=capacities))
+            break
+        except LayoutError as error:
+            # A default value of the definition may need more than was seen; its default capacity then holds.
+            if error.where not in wanted:
+                raise
+            del wanted[error.where]
+    plain = {path: node for path, _, node in compute_layout(store, type_name).fields()}
+    for path, limit in wanted.items():
+        node = plain.get(path)
+        if isinstance(node, StringNode | SequenceNode) and node.capacity == limit.capacity:
+            continue  # as the default
+        draft.limits.append(limit)
+    unseen = [path for path in variable if path not in wanted]
+    if unseen:
+        shown = ", ".join(unseen[:6]) + (f" and {len(unseen) - 6} more" if len(unseen) > 6 else "")
+        nothing = "Empty in all of them" if wanted or (seen is not None and seen.messages) else "Not seen yet"
+        draft.about.append(f"{nothing}: {shown}; the defaults at the top hold.")
+    return layout
+
+
+def _wanted(store: TypeStore, type_name: str, seen: Seen) -> dict[str, Limit]:
+    nodes = {path: node for path, _, node in compute_layout(store, type_name).fields()}
+    found = {}
+    for path, length in seen.lengths.items():
+        node = nodes.get(path)
+        if length.most == 0 or not isinstance(node, StringNode | SequenceNode):
+            continue
+        limit = (
+            _string(path, length) if isinstance(node, StringNode) else _sequence(path, length, seen.messages)
+        )
+        if seen.messages < _SURE and limit.capacity < node.capacity:
+            limit = Limit(path, node.capacity, limit.why)
+        if node.bound is not None and limit.capacity > node.bound:
+            limit = Limit(path, node.bound, f"{limit.why}; the type allows {node.bound}")
+        found[path] = limit
+    return found
+
+
+def _string(path: str, length: Length) -> Limit:
+    capacity = max(_STRING_LEAST, _up(length.most * _STRING_HEADROOM, _STRING_STEP))
+    return Limit(path, min(capacity, MAX_STRING), f"longest seen: {_plural(length.most, 'byte')}")
+
+
+def _sequence(path: str, length: Length, messages: int) -> Limit:
+    if length.least == length.most and messages >= _SURE:
+        return Limit(path, min(length.most, MAX_SEQUENCE), f"always {length.most} in {messages} messages")
+    capacity = _up(length.most * _SEQUENCE_HEADROOM, _SEQUENCE_STEP)
+    return Limit(path, min(capacity, MAX_SEQUENCE), f"most seen: {length.most}")
+
+
+def _quality(draft: _Draft, topic: Topic) -> None:
+    if any(qos.reliability == "best_effort" for qos in topic.offered):
+        why = "a publisher is best effort: asking for reliable would get nothing of it"
+        draft.settings.append(Setting("qos", "{reliability: best_effort}", why))
+    if _retained(topic):
+        why = "its publishers keep the last message for those who come later"
+        draft.settings.append(Setting("latched", "true", why))
+
+
+def _times(draft: _Draft, topic: Topic, seen: Seen | None, *, fast: bool) -> None:
+    if seen is None:
+        return
+    if _retained(topic) and seen.messages < 2:
+        draft.settings.append(Setting("stale_after", "never", "it is sent once, not regularly"))
+    elif seen.longest_gap_s * _STALE_GAPS > _STALE_S:
+        seconds = min(math.ceil(seen.longest_gap_s * _STALE_GAPS), 24 * 3600)
+        why = f"three times the longest pause seen, {seen.longest_gap_s:.3g} s"
+        draft.settings.append(Setting("stale_after", f"{seconds}s", why))
+    if fast and seen.rate_hz > _FAST_HZ:
+        rate = min(_up(seen.rate_hz * _RATE_HEADROOM, _RATE_STEP), 1_000_000)
+        draft.settings.append(
+            Setting("rate", f"{rate}Hz", f"{seen.rate_hz:.4g} Hz seen; for sizing the slots")
+        )
+
+
+def _retained(topic: Topic) -> bool:
+    return bool(topic.offered) and all(qos.durability == "transient_local" for qos in topic.offered)
+
+
+def _up(value: float, step: int) -> int:
+    return math.ceil(value / step) * step
+
+
+def _plural(count: int, word: str) -> str:
+    return f"{count} {word}" if count == 1 else f"{count} {word}s"
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    shown = [name if name != "?" else "a node without a name" for name in names[:3]]
+    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+    return ", ".join(shown) + more

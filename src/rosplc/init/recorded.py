@@ -1,0 +1,172 @@
+"""A robot that is not there, but was recorded."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+from rosplc.errors import BackendError, MessageTypeError, RosplcError
+from rosplc.init.definitions import Definitions
+from rosplc.init.found import Found, Seen, Topic
+from rosplc.init.meter import Meter
+from rosplc.init.sample import Sample
+from rosplc.model import DISTROS, TypeStore
+from rosplc.model.parse import full_name
+from rosplc.ros import ROS1
+from rosplc.ros.bag import Bag, BagTopic
+
+__all__ = ["RecordedRobot"]
+
+_NEWEST = "jazzy"
+_UNNAMED = "unnamed"
+
+
+class RecordedRobot:
+    """A recording as a :class:`~rosplc.init.found.Source`.
+
+    Args:
+        path: The file or folder.
+        distro: The ROS distribution; None: what the recording fits best.
+        folders: The user's own folders with ``.msg`` files.
+        ros: More keys of the configuration's section ``ros``.
+
+    Raises:
+        BackendError: ROS006, the recording cannot be read; ROS001, it is of the other ROS.
+    """
+
+    def __init__(
+        self, path: Path, distro: str | None, folders: Sequence[Path], ros: Mapping[str, object]
+    ) -> None:
+        self._bag = Bag(path)
+        try:
+            self._recorded = self._bag.topics()
+            chosen, why = self._distro(distro)
+            self.definitions = Definitions(chosen, folders)
+        except BaseException:
+            self._bag.close()
+            raise
+        topics: dict[str, list[BagTopic]] = {}
+        for each in self._recorded:
+            topics.setdefault(_absolute(each.name), []).append(each)
+        self.found = Found(
+            topics={name: _topic(name, parts) for name, parts in sorted(topics.items())},
+            where=f"the recording {path}",
+            ros={**ros, "distro": chosen},
+            why={"distro": why},
+            notes=(
+                "A recording tells who published, and not who subscribes: "
+                "what the PLC should send is named with --to-ros TOPIC=TYPE.",
+            ),
+        )
+
+    def _distro(self, wanted: str | None) -> tuple[str, str]:
+        if wanted is not None:
+            if (wanted == ROS1) != (self._bag.ros_version == 1):
+                raise BackendError(
+                    "ROS001",
+                    f"the recording is of ROS {self._bag.ros_version}, and {wanted} is not",
+                    where=str(self._bag.path),
+                    remedy="Leave --distro out, or name a distribution of that ROS.",
+                )
+            return wanted, "as asked for"
+        if self._bag.ros_version == 1:
+            return ROS1, "the recording is of ROS 1"
+        if self._bag.distro in DISTROS:
+            return self._bag.distro, "the recording names it"
+        others = [name for name in reversed(DISTROS) if name not in (ROS1, _NEWEST)]
+        candidates = [_NEWEST, *others]
+        misfits = {name: self._misfits(name) for name in candidates}
+        best = min(candidates, key=lambda name: misfits[name])
+        if best == _NEWEST:
+            return best, "the recording names none"
+        return best, "the recording names none; the definitions in it fit this one best"
+
+    def _misfits(self, distro: str) -> int:
+        """Return how many of the recording's types a distribution defines differently."""
+        known = TypeStore.bundled(distro)
+        count = 0
+        for each in self._recorded:
+            if each.definition and each.type_name in known:
+                try:
+                    known.with_definition(each.type_name, each.definition)
+                except MessageTypeError:
+                    count += 1
+        return count
+
+    def learn(self, topic: str, type_name: str) -> None:
+        """Make sure that a topic's type is known; see :class:`~rosplc.init.found.Source`."""
+        carried = [
+            each.definition
+            for each in self._recorded
+            if _absolute(each.name) == topic and _full(each.type_name) == type_name and each.definition
+        ]
+        if carried:
+            # Also where the type is known: a recording of another definition must not be measured by ours.
+            self.definitions.learn(type_name, carried[0], f"the recording {self._bag.path}")
+        elif not self.definitions.find_installed(type_name):
+            raise MessageTypeError(
+                "TYP001",
+                f"{type_name} is unknown in {self.definitions.store.distro}, and the recording lacks it",
+                remedy="Name the folder of its package with --types.",
+            )
+
+    def listen(
+        self, wanted: Mapping[str, str], seconds: float, progress: Callable[[str], None]
+    ) -> dict[str, Seen]:
+        """Read the recording to its end; see :class:`~rosplc.init.found.Source`."""
+        version = self.definitions.store.ros_version
+        samples = {
+            (topic, kind): Sample(Meter(self.definitions.store, kind, version))
+            for topic, kind in wanted.items()
+        }
+        first = last = count = 0
+        total = sum(each.count for each in self._recorded)
+        trouble, shown = "", time.monotonic()
+        try:
+            for topic, kind, time_ns, data in self._bag.messages():
+                count += 1
+                first = first or time_ns
+                last = max(last, time_ns)
+                if (sample := samples.get((_absolute(topic), _full(kind)))) is not None:
+                    sample.take(data, time_ns)
+                if (now := time.monotonic()) - shown > 1.0:
+                    shown = now
+                    progress(f"{count} of {total} messages read")
+        except RosplcError as error:
+            trouble = error.what
+            self.found = Found(
+                self.found.topics,
+                self.found.where,
+                self.found.ros,
+                self.found.why,
+                (*self.found.notes, f"The recording was read up to its damage: {error.what}."),
+            )
+        lasted = (last - first) / 1e9
+        return {topic: sample.seen(lasted, trouble) for (topic, _), sample in samples.items()}
+
+    def close(self) -> None:
+        """Close the file."""
+        self._bag.close()
+
+
+def _absolute(topic: str) -> str:
+    # ROS 1 recorders keep the name as it was given; without a namespace it stands at the root.
+    return topic if topic.startswith("/") else f"/{topic}"
+
+
+def _full(type_name: str) -> str:
+    try:
+        return full_name(type_name)
+    except MessageTypeError:
+        return type_name
+
+
+def _topic(name: str, parts: Sequence[BagTopic]) -> Topic:
+    publishers = {node for part in parts for node in part.publishers}
+    return Topic(
+        name=name,
+        types=tuple(sorted({_full(part.type_name) for part in parts})),
+        publishers=tuple(sorted(publishers)) or (_UNNAMED,),
+        offered=tuple(dict.fromkeys(qos for part in parts for qos in part.offered)),
+    )

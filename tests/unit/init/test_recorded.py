@@ -1,0 +1,108 @@
+"""Robots that were recorded: both ROS worlds, every storage, damaged files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from rosplc.errors import RosplcError
+from rosplc.init import RecordedRobot, draft, parse_wish, save, select
+from tests.e2e.turtle_recording import write_recording
+from tests.unit.init.robots import JOINTS, PART, record
+
+
+def robot(path: Path, distro: str | None = None, folders=()) -> RecordedRobot:
+    return RecordedRobot(path, distro, folders, {"backend": "auto"})
+
+
+def drafted(source: RecordedRobot, *wishes: str):
+    chosen, left_out = select(
+        source.found.topics, [parse_wish(text) for text in wishes], everything=not wishes
+    )
+    return draft(source, chosen, seconds=1.0), left_out
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_ros2_recording_gives_types_sizes_and_definitions(tmp_path: Path, storage: str) -> None:
+    """Custom types come out of the recording, with what they need; every message is measured."""
+    source = robot(record(tmp_path / "bag", storage))
+    made, _ = drafted(source)
+    assert {entry.topic: entry.type_name for entry in made.entries} == {
+        "/joint_states": JOINTS,
+        "/parts": PART,
+    }
+    capacities = {limit.path: limit.capacity for entry in made.entries for limit in entry.limits}
+    assert capacities["name"] == 6
+    assert capacities["name[]"] == 64
+    assert capacities["sizes"] == 4
+    assert made.seen["/parts"].rate_hz == pytest.approx(2.0)
+    assert set(made.definitions) == {PART, "cell_msgs/msg/Side"}
+    _, files = save(source, made, tmp_path / "rosplc.yaml", bridge="cell")
+    assert "bool left" in (tmp_path / "msg/cell_msgs/msg/Side.msg").read_text()
+    assert len(files) == 2
+    source.close()
+
+
+def test_a_single_file_of_a_recording_is_enough(tmp_path: Path) -> None:
+    """An .mcap file without its folder is read as well."""
+    (file,) = record(tmp_path / "bag").glob("*.mcap")
+    source = robot(file)
+    assert set(source.found.topics) == {"/joint_states", "/parts", "/rosout"}
+    source.close()
+
+
+def test_ros1_recording_leads_to_ros1(tmp_path: Path) -> None:
+    """A .bag file is of noetic; its names and types stay as they are."""
+    write_recording(tmp_path / "turtle.bag", steps=20)
+    source = robot(tmp_path / "turtle.bag")
+    made, _ = drafted(source)
+    assert source.found.ros["distro"] == "noetic"
+    types = {entry.topic: entry.type_name for entry in made.entries}
+    assert types["/tf"] == "tf/msg/tfMessage"
+    assert set(made.definitions) == {"tf/msg/tfMessage", "turtlesim/msg/Pose", "turtlesim/msg/Color"}
+    assert all(made.seen[topic].unreadable == 0 for topic in types)
+    source.close()
+    with pytest.raises(RosplcError, match="ROS001"):
+        robot(tmp_path / "turtle.bag", "jazzy")
+
+
+def test_damage_is_said(tmp_path: Path) -> None:
+    """What is no recording is an error; one that was cut off never crashes the program."""
+    (tmp_path / "no.bag").write_bytes(b"#ROSBAG V2.0\n")
+    (tmp_path / "no.mcap").write_bytes(b"\x89MCAP0\r\n")
+    for name in ("no.bag", "no.mcap", "missing.bag", "missing"):
+        with pytest.raises(RosplcError, match="ROS006"):
+            robot(tmp_path / name)
+    write_recording(tmp_path / "turtle.bag", steps=50)
+    whole = (tmp_path / "turtle.bag").read_bytes()
+    for size in range(0, len(whole), len(whole) // 40):
+        cut = tmp_path / f"cut{size}.bag"
+        cut.write_bytes(whole[:size] + bytes(len(whole) - size))
+        try:
+            source = robot(cut)
+        except RosplcError as error:
+            assert error.code == "ROS006"
+            continue
+        try:
+            drafted(source, *([] if "/tf" not in source.found.topics else ["/tf"]))
+        except (RosplcError, ValueError):
+            pass
+        finally:
+            source.close()
+
+
+def test_types_of_a_recording_are_not_executed(tmp_path: Path) -> None:
+    """A definition with a field that is no name is refused, not turned into a program."""
+    folder = record(tmp_path / "bag", "sqlite3")
+    (file,) = folder.glob("*.db3")
+    data = file.read_bytes()
+    assert b"float32[] sizes" in data
+    file.write_bytes(data.replace(b"float32[] sizes", b"float32[] 1);x="))
+    source = robot(folder)
+    with pytest.raises(RosplcError, match="TYP002"):
+        drafted(source, "/parts")
+    made, _ = drafted(source)
+    assert [entry.topic for entry in made.entries] == ["/joint_states"]
+    assert "TYP" not in made.left_out["/parts"] and made.left_out["/parts"]
+    source.close()
