@@ -44,4 +44,5 @@ class Rate:
         late = now_ns - last > max(_MISSED * mean, _WINDOW_NS / 4)
         if now_ns - last > max(_WINDOW_NS, 5 * mean):
             return 0.0
-        return (after - before) * 1e9 / ((now_ns if late else last) - then)
+        span = (now_ns if late else last) - then
+        return (after - before) * 1e9 / span if span > 0 else None

@@ -10,6 +10,7 @@ import os
 import re
 import time
 from dataclasses import dataclass
+from pathlib import Path
 
 from rosplc.described import layout_of
 from rosplc.errors import ChannelError
@@ -182,21 +183,19 @@ class Watch:
         return found, ((f"{more} more objects are not looked at",) if more else ())
 
     def _view(self, file: _File, now: int, wall: int) -> ChannelView:
-        for _ in range(
-            2
-        ):  # once more where the object was retired or replaced since the directory was listed
+        error: ChannelError
+        for _ in range(2):  # once more where the object was retired since the directory was listed
             try:
                 tracked = self._track(file, now)
-                expectation = self._expected.of(file.prefix, tracked.description.topic, tracked.direction)
+            except ChannelError as reason:
+                return self._unreadable(file, reason)
+            expectation = self._expected.of(file.prefix, tracked.description.topic, tracked.direction)
+            try:
                 return tracked.look(expectation, now, wall)
-            except ChannelError as error:
+            except ChannelError as reason:
                 self._drop(file.name)
-                known = self._broken.get(file.name)
-                if known is None or known.error is not error:
-                    self._broken[file.name] = _Broken(file, error, now + _RETRY_NS)
-                if error.code not in ("SHM111", "SHM112"):
-                    break
-        return self._unreadable(file, self._broken[file.name].error)
+                error = reason
+        return self._unreadable(file, error)
 
     def _track(self, file: _File, now: int) -> Tracked:
         known = self._tracked.get(file.name)
@@ -209,16 +208,22 @@ class Watch:
         broken = self._broken.get(file.name)
         if broken is not None and broken.file == file and now < broken.retry_ns:
             raise broken.error
-        namespace = Namespace(file.prefix, self._directory)
-        attached = open_object(os.path.join(self._directory, file.name))  # noqa: PTH118 - 200 times a look
         try:
-            tracked = Tracked(namespace, file.name, attached, now)
-        except BaseException:
-            attached.close()
+            tracked = self._open(file, now)
+        except ChannelError as error:
+            self._broken[file.name] = _Broken(file, error, now + _RETRY_NS)
             raise
         self._tracked[file.name] = (file, tracked)
         self._broken.pop(file.name, None)
         return tracked
+
+    def _open(self, file: _File, now: int) -> Tracked:
+        attached = open_object(str(Path(self._directory) / file.name))
+        try:
+            return Tracked(Namespace(file.prefix, self._directory), file.name, attached, now)
+        except BaseException:
+            attached.close()
+            raise
 
     def _drop(self, name: str) -> None:
         known = self._tracked.pop(name, None)
