@@ -50,6 +50,44 @@ TARGETS: dict[str, Entry] = {
         "definition",
         ("rosplc.model", "rosplc.layout", "rosplc.codec", "rosbags.typesys"),
     ),
+    "configuration": Entry(
+        "`rosplc.yaml`: YAML, settings, types, layouts, the words of `rosplc check`, the PLC project",
+        "configuration",
+        ("rosplc.bridge", "rosplc.layout", "yaml"),
+    ),
+    "object": Entry(
+        "objects in shared memory: headers, self-descriptions and slots, read by every tool that reads them",
+        "object",
+        (
+            "rosplc.shm",
+            "rosplc.described",
+            "rosplc.api",
+            "rosplc.monitor",
+            "rosplc.doctor.objects",
+            "rosplc.layout",
+        ),
+        8192,
+    ),
+    "ros1": Entry(
+        "ROS 1: connection headers, definitions in them, answers and calls of nodes and masters",
+        "ros1",
+        ("rosplc.ros.rospy", "rosplc.model", "rosgraph.network"),
+        needs=("rospy", "python3-rospy"),
+    ),
+    "zenoh": Entry("Zenoh: liveliness tokens, attachments, samples", "zenoh", ("rosplc.ros",), 2048),
+    "dds": Entry(
+        "DDS: announcements of nodes, type names, user data",
+        "dds",
+        ("rosplc.ros",),
+        2048,
+        needs=("cyclonedds", "cyclonedds"),
+    ),
+    "plc": Entry(
+        "names, constants, default values and safe messages that try to become PLC code",
+        "plc",
+        ("rosplc.plc", "rosplc.layout"),
+        1024,
+    ),
 }
 """By name."""
 

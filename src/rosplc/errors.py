@@ -259,6 +259,7 @@ _register("PLC004", "Structured Text cannot be translated", "Correct the named l
 _register("PLC005", "tasks differ by case only", "CODESYS does not tell such names apart; rename one in `tasks`.")
 _register("PLC006", "topic name is too long for the PLC", "The blocks take names of up to 255 characters; choose a shorter one.")
 _register("PLC007", "name is not valid for a classic topic", "Memories and semaphores have 1 to 80 printable characters, none of them a slash or a blank.")
+_register("PLC008", "name cannot stand in PLC code", "Topics have letters, digits, _ and /; tasks letters, digits and _; prefixes letters, digits, _ and -.")
 
 _register("SYS001", "a program or package is missing", "Install the named Debian package.")
 _register("SYS002", "a child process failed", "See its output above.")

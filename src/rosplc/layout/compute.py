@@ -18,6 +18,7 @@ from rosplc.layout.nodes import (
     StructNode,
 )
 from rosplc.model import PRIMITIVES, ArrayType, NamedType, PrimitiveType, SequenceType, StringType
+from rosplc.model.parse import check_names
 
 if TYPE_CHECKING:
     from rosplc.model import Field, FieldType, TypeStore
@@ -41,7 +42,7 @@ def compute_struct(store: TypeStore, type_name: str, limits: Limits) -> StructNo
         limits: Capacities.
 
     Raises:
-        MessageTypeError: TYP001, the type is unknown.
+        MessageTypeError: TYP001, the type is unknown; TYP002, a field's name is none.
         LayoutError: LAY001 … LAY004; LAY006 if a default value does not fit its capacity.
     """
     return _Builder(store, type_name, limits).struct(store[type_name].name, dict(limits.fields), "")[0]
@@ -81,7 +82,9 @@ class _Builder:
             offset += gap + node.size
             align = max(align, node.align)
 
-        for field in self._store[type_name].fields:
+        message = self._store[type_name]
+        check_names(message)
+        for field in message.fields:
             node, lines = self._node(field, field.type, _take(limits, field.name), f"{path}{field.name}")
             if isinstance(node, SequenceNode):
                 place(field.name, _COUNT, count_of=field.name)
@@ -111,7 +114,7 @@ class _Builder:
         if isinstance(kind, StringType):
             capacity = self._capacity(limits.pop("", None), kind.bound, self._limits.string, MAX_STRING, path)
             self._none_left(limits, path)
-            longest = max((len(text.encode()) for text in _texts(field.default)), default=0)
+            longest = max((len(_bytes(text)) for text in _texts(field.default)), default=0)
             _default_fits(longest, capacity, path)
             return StringNode(capacity, kind.bound), 1
         if isinstance(kind, NamedType):
@@ -206,6 +209,10 @@ def _strip(limits: dict[str, int], prefix: str) -> dict[str, int]:
 def _texts(default: object) -> tuple[str, ...]:
     values = default if isinstance(default, tuple) else (default,)
     return tuple(value for value in values if isinstance(value, str))
+
+
+def _bytes(text: str) -> bytes:
+    return text.encode("utf-8", "surrogateescape")
 
 
 def _default_fits(size: int, capacity: int, path: str) -> None:

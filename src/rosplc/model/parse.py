@@ -19,7 +19,15 @@ from rosplc.model.types import Constant, Field, FieldType, MessageType, Primitiv
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
 
-__all__ = ["MAX_FIELDS", "MAX_NAME", "MAX_TEXT", "ParsedType", "full_name", "parse_definition"]
+__all__ = [
+    "MAX_FIELDS",
+    "MAX_NAME",
+    "MAX_TEXT",
+    "ParsedType",
+    "check_names",
+    "full_name",
+    "parse_definition",
+]
 
 MAX_TEXT = 1 << 20
 """Largest definition text in bytes."""
@@ -31,6 +39,7 @@ MAX_NAME = 255
 _SEPARATOR = re.compile(r"={80}\s*\Z")
 _HEADER = re.compile(r"MSG:\s*(\S+)\s*\Z")
 _TYPE_NAME = re.compile(r"([A-Za-z][A-Za-z0-9_]*)/(?:msg/)?([A-Za-z][A-Za-z0-9_]*)\Z")
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
 _LINE = re.compile(r"(\S+)\s+([A-Za-z][A-Za-z0-9_]*)\s*(.*)\Z", re.DOTALL)
 _ANNOTATIONS = re.compile(r"(@[a-z_]+(\s+|\Z))*")
 _HALF = re.compile("[\ud800-\udfff]")
@@ -56,6 +65,24 @@ def full_name(name: str) -> str:
     if not found:
         raise MessageTypeError("TYP001", f"{name[:80]!r} is no type name such as geometry_msgs/msg/Twist")
     return f"{found[1]}/msg/{found[2]}"
+
+
+def check_names(message: MessageType) -> None:
+    """Make sure that a type that no text was parsed for has names that one could have.
+
+    They become identifiers of generated code, and that is no place for anything else.
+
+    Raises:
+        MessageTypeError: TYP001 for the type's name, TYP002 for a field's.
+    """
+    if full_name(message.name) != message.name:
+        raise MessageTypeError("TYP001", f"{message.name!r} is no full name such as geometry_msgs/msg/Twist")
+    seen: set[str] = set()
+    for field in message.fields:
+        if not _NAME.match(field.name) or len(field.name) > MAX_NAME or field.name in seen:
+            what = "is defined twice" if field.name in seen else "is no name of a field"
+            raise MessageTypeError("TYP002", f"{field.name[:80]!r} {what}", where=message.name)
+        seen.add(field.name)
 
 
 def parse_definition(

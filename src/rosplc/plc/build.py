@@ -6,6 +6,7 @@ that a second generation from the same input gives the same bytes.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -40,6 +41,9 @@ __all__ = ["PlcTask", "PlcTopic", "ProjectOptions", "build_project", "build_type
 _LARGE_DUT = 64 * 1024
 _MOST_TASKS = 16  # as many as RosPlc_State.axMayOpen has elements
 _LONGEST_TOPIC = 255  # bytes: FB_Init of RosPlc_Channel takes a STRING(255)
+_TOPIC = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+\Z")
+_TASK = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,63}\Z")
+_PREFIX = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,31}\Z")
 _LIBRARIES: tuple[str, ...] = ("SysShm", "SysMem", "SysTypes2 Interfaces")
 _SETTINGS_GVL = "RosPlc_Settings"
 _SAFE_COMMENT = """What a message becomes while its source is silent, whether or not the bridge lives.
@@ -94,11 +98,13 @@ def build_project(
     Raises:
         GenerationError: PLC003, there are more tasks than the blocks serve; PLC005, two tasks have
             names that are one to CODESYS; PLC006, a topic's name is longer than the blocks take; PLC007, the
-            name of a classic topic's memory or semaphore is none.
+            name of a classic topic's memory or semaphore is none; PLC008, a topic, task or prefix has
+            a name that is none.
     """
+    options = options or ProjectOptions()
+    _check_name(_PREFIX, options.prefix, "prefix")
     _check_tasks(tasks)
     _check_topics(topics)
-    options = options or ProjectOptions()
     topics = sorted(topics, key=lambda item: item.topic)
     base = base_objects(f"{options.folder}/Base")
     libraries = _LIBRARIES
@@ -179,6 +185,7 @@ def _check_tasks(tasks: Sequence[PlcTask]) -> None:
         raise GenerationError("PLC003", f"the topics use {len(tasks)} tasks", where="tasks")
     seen: dict[str, str] = {}
     for task in tasks:
+        _check_name(_TASK, task.name, "tasks")
         other = seen.setdefault(task.name.upper(), task.name)
         if other != task.name:
             raise GenerationError("PLC005", f"{other} and {task.name}", where="tasks")
@@ -188,9 +195,17 @@ def _check_topics(topics: Sequence[PlcTopic]) -> None:
     for topic in topics:
         # CODESYS would cut the literal off without a word, and the block look for another object.
         if len(topic.topic.encode()) > _LONGEST_TOPIC:
-            raise GenerationError("PLC006", f"the name has {len(topic.topic)} characters", where=topic.topic)
+            what = f"the name has {len(topic.topic)} characters"
+            raise GenerationError("PLC006", what, where=topic.topic[: 2 * _LONGEST_TOPIC])
+        _check_name(_TOPIC, topic.topic, "topics")
         if topic.classic is not None:
             check_classic(topic.topic, topic.classic)
+
+
+def _check_name(pattern: re.Pattern[str], name: str, where: str) -> None:
+    """Refuse what is no name before it gets into comments and literals."""
+    if not pattern.match(name):
+        raise GenerationError("PLC008", f"{name[:80]!r} is none", where=where)
 
 
 def _builder(store: TypeStore, options: ProjectOptions, base: Sequence[Dut | Gvl | Pou]) -> DutBuilder:

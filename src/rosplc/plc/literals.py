@@ -21,7 +21,7 @@ _ESCAPES = {"$": "$$", "'": "$'", "\n": "$N", "\r": "$R", "\t": "$T", "\f": "$P"
 def string_literal(text: str) -> str:
     """Return a single-byte string literal; bytes outside printable ASCII are written ``$xx``."""
     parts: list[str] = []
-    for byte in text.encode():
+    for byte in text.encode("utf-8", "surrogateescape"):
         char = chr(byte)
         if char in _ESCAPES:
             parts.append(_ESCAPES[char])
