@@ -63,19 +63,26 @@ def resolve(source: str, link: str) -> str:
     return posixpath.normpath(posixpath.join(folder, link))
 
 
-def navigation(path: str) -> list[Any]:
-    """Return what an index lists: its pages in order, under its headings."""
-    text = (ROOT / DOCS / path).read_text(encoding="utf-8")
-    entries: list[Any] = [path]
-    group = entries
-    for line in text.splitlines():
+def navigation(section: str) -> list[Any]:
+    """Return what a folder's README.md lists: its pages in order, under its headings.
+
+    Of a list's item or a table's row the links to pages of the same folder count, and the first one if it leads
+    to a page beside docs/.
+    """
+    index = f"{section}/README.md"
+    entries: list[Any] = [index]
+    group, listed = entries, {index}
+    for line in (ROOT / DOCS / index).read_text(encoding="utf-8").splitlines():
         if line.startswith("## "):
             group = []
             entries.append({line.removeprefix("## ").strip(): group})
-        elif line.startswith(("* ", "|")) or re.match(r"\d+\. ", line):
-            for link in relative_links(line)[:1]:
-                page = place(resolve(DOCS + path, link.partition("#")[0]))
-                if page.endswith(".md"):
+        elif line.startswith(("* ", "|", "  ")) or re.match(r"\d+\. ", line):
+            for number, link in enumerate(relative_links(line)):
+                path = resolve(DOCS + index, link.partition("#")[0])
+                page = place(path)
+                beside = number == 0 and not path.startswith(DOCS)
+                if (page.startswith(f"{section}/") or beside) and page.endswith(".md") and page not in listed:
+                    listed.add(page)
                     group.append(page)
     return [entry for entry in entries if not isinstance(entry, dict) or any(entry.values())]
 
@@ -116,7 +123,7 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
     titles = {section: heading(f"{DOCS}{section}/README.md") for section in SECTIONS}
     config.nav = [
         "index.md",
-        *({titles[section]: navigation(f"{section}/README.md")} for section in SECTIONS),
+        *({titles[section]: navigation(section)} for section in SECTIONS),
         {"Project": [place(path) for path in (*PROJECT, "examples", "vectors")]},
     ]
     return config
