@@ -22,7 +22,8 @@ class CarriedChannel:
 
     Args:
         path: The object's file.
-        from_start: Take what it holds already, because it is younger than the recording.
+        since_ns: When the recording began (ns since 1970), if it has: then what the object holds already is
+            taken. None: what comes after :meth:`begin` is.
 
     Attributes:
         topic: As its description says.
@@ -30,24 +31,26 @@ class CarriedChannel:
         slots: Its slots; one message less can wait.
         codec: Record to CDR.
         reader: Takes every message in order, and counts what it missed.
+        since_creation: Whether the object was made while recording, so that its first message is one to take.
 
     Raises:
         ChannelError: As :func:`rosplc.shm.attach`; SHM113 if it does not describe itself.
     """
 
-    def __init__(self, path: Path, *, from_start: bool) -> None:
+    def __init__(self, path: Path, *, since_ns: int | None) -> None:
         self._attached = open_object(str(path))
         try:
             self.description: Description = self._attached.description
             layout = layout_of(self._attached)
             # Also of a ROS 1 channel: its store is one of ROS 2, as the description gives no version.
             self.codec = Codec(layout, Wire.CDR)
-            self.reader: Reader = self._attached.reader(latched=from_start)
-            self._begun = from_start
+            self.reader: Reader = self._attached.reader(latched=since_ns is not None)
+            self._begun = since_ns is not None
         except BaseException:
             self._attached.close()
             raise
         self.topic = self.description.topic
+        self.since_creation = since_ns is not None and self._attached.identity.created_ns >= since_ns
         self.slots = self._attached.identity.slot_count
 
     def begin(self) -> Reader:

@@ -34,6 +34,8 @@ _TICK_NS = 1_000_000
 _LONGEST_WAIT_NS = 200_000_000
 _RETRY_S = 1.0
 _NO_TIME = 2**63 - 1
+_LOSS = 1 << 24
+"""A first sequence beyond this is no count of messages, but something that a writer made up."""
 
 
 @dataclass
@@ -58,6 +60,7 @@ class _Entry:
     index: int = -1
     broken: bool = False
     lost: int = field(default=0)
+    first: bool = True
 
     def note_losses(self) -> None:
         lost = self.carried.reader.lost
@@ -110,15 +113,18 @@ class Inlet:
         self._retry_at: dict[str, float] = {}
         self._group = Group()
         self._jobs: deque[Callable[[], None]] = deque()
+        self._ready = threading.Event()
+        self._began_ns = time.time_ns()
         self._started = False
         self._stopping = False
         self._thread = threading.Thread(target=self._run, name="rosplc-record", daemon=True)
 
     def start(self) -> None:
-        """Attach to what is there, and begin with the next message of each channel."""
+        """Attach to what is there, and take every message from the return of this on."""
         self.look_after()
         self._thread.start()
         self._started = True
+        self._ready.wait()
 
     def stop(self) -> None:
         """Take what is there, put the last batch, and let go of everything."""
@@ -155,7 +161,8 @@ class Inlet:
             self._skipped.add(name)
             return
         try:
-            carried = CarriedChannel(Path(self._namespace.directory) / name, from_start=self._started)
+            path = Path(self._namespace.directory) / name
+            carried = CarriedChannel(path, since_ns=self._began_ns if self._started else None)
         except ChannelError as error:
             self._retry_at[name] = now + _RETRY_S
             if error.code not in ("SHM101", "SHM111"):  # those are about to be replaced, or gone
@@ -205,6 +212,8 @@ class Inlet:
             self._take_all()
         except Exception as error:  # whoever waits for the recording is told
             self.error = error
+        finally:
+            self._ready.set()
 
     def _take_all(self) -> None:
         batch, since = Batch(), 0
@@ -215,6 +224,7 @@ class Inlet:
                 self._group.wait(_TICK_NS, max(0, min(_LONGEST_WAIT_NS, rest)))
             while self._jobs:
                 self._jobs.popleft()()
+            self._ready.set()
             messages, faults = self._group.take()
             if messages:
                 if not batch:
@@ -239,6 +249,10 @@ class Inlet:
         for index, data, sequence, _flags, stamp_ns, stamp_clock in messages:
             entry = by_index[index]
             entry.count.received += 1
+            if entry.first:
+                entry.first = False
+                if entry.carried.since_creation and sequence < _LOSS:
+                    entry.count.lost += sequence - 1  # overwritten before the new object was found
             # A stamp of the PLC's own clock would stand beside the others as if it were of this one.
             usable = stamp_clock == STAMP_SYSTEM and 0 < stamp_ns < _NO_TIME
             add(entry.number, sequence, now, stamp_ns if usable else now, data)

@@ -27,7 +27,7 @@ from rosplc.shm import Namespace
 
 __all__ = ["Order", "Progress", "Recorder", "Result", "TopicResult", "prepare_process"]
 
-_LOOK_NS = 500_000_000
+_LOOK_NS = 250_000_000
 _SETTLE_NS = 200_000_000
 
 

@@ -135,22 +135,23 @@ class McapSource:
             ),
             key=lambda entry: entry[0],
         )
-        heap: list[tuple[int, int, _Run]] = []
+        heap: list[tuple[int, int, int, _Run]] = []
         at = 0
         while heap or at < len(waiting):
             while at < len(waiting) and (
                 not heap or (waiting[at][0] <= heap[0][0] and len(heap) < _OPEN_PARTS)
             ):
-                run = self._run(waiting[at][1], waiting[at][2], topics, start_ns, end_ns)
-                if run is not None:
-                    heapq.heappush(heap, (run.time_ns, at, run))
+                _, number, part = waiting[at]
+                run = self._run(number, part, topics, start_ns, end_ns)
+                if run is not None:  # equal times in the order of the file
+                    heapq.heappush(heap, (run.time_ns, number, part.offset, run))
                 at += 1
             if not heap:
                 return
-            _, order, run = heapq.heappop(heap)
+            _, number, offset, run = heapq.heappop(heap)
             yield run.take()
             if run:
-                heapq.heappush(heap, (run.time_ns, order, run))
+                heapq.heappush(heap, (run.time_ns, number, offset, run))
 
     def _run(
         self, number: int, part: Part, topics: Collection[str], start_ns: int, end_ns: int
