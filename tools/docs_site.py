@@ -66,7 +66,7 @@ def resolve(source: str, link: str) -> str:
 def navigation(section: str) -> list[Any]:
     """Return what a folder's README.md lists: its pages in order, under its headings.
 
-    Of a list's item or a table's row the links to pages of the same folder count, and the first one if it leads
+    Of an item or a table's row the links to pages of the same folder count, and the first one if it leads
     to a page beside docs/.
     """
     index = f"{section}/README.md"
