@@ -27,7 +27,7 @@ class SourceTopic:
     Attributes:
         name: The topic.
         type_name: ``package/msg/Name``.
-        definition: The ``.msg`` text with every type that it needs; empty if the distribution has it.
+        definition: The ``.msg`` text with every type that it needs; None if the distribution has it.
         count: Messages.
         qos: What its publisher offered.
         direction: ``to_plc`` or ``to_ros`` if a bridge's channel was recorded; else empty.
@@ -39,7 +39,7 @@ class SourceTopic:
 
     name: str
     type_name: str
-    definition: str = ""
+    definition: str | None = None
     count: int = 0
     qos: Qos = DEFAULT
     direction: str = ""
@@ -231,7 +231,7 @@ class _BagSource:
             self.topics[name] = SourceTopic(
                 name,
                 topic.type_name,
-                definition="" if topic.bundled else self._recording.definition(name),
+                definition=None if topic.bundled else self._recording.definition(name),
                 count=topic.count,
                 distro=self.distro,
                 notes=topic.notes,

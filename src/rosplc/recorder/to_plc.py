@@ -216,7 +216,7 @@ def _definition_store(topic: SourceTopic, distro: str) -> TypeStore:
         RecordingError: REC007, there is no definition of it, or one that cannot be used.
     """
     try:
-        if topic.definition:
+        if topic.definition is not None:
             return TypeStore.from_definition(topic.type_name, topic.definition, distro=distro)
         store = TypeStore.bundled(distro)
         store[topic.type_name]

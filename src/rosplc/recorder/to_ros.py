@@ -46,7 +46,7 @@ class RosTarget:
         store = TypeStore.bundled(distro)
         for topic in topics.values():
             try:
-                if topic.definition:
+                if topic.definition is not None:
                     store = store.with_definition(topic.type_name, topic.definition)
                 store[topic.type_name]
             except RosplcError as error:

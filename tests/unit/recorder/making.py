@@ -41,7 +41,7 @@ class Feed:
             Description(
                 topic=topic,
                 type=self.layout.type_name,
-                distro="jazzy",
+                distro=store.distro,
                 direction=direction,
                 limits=self.layout.limits.to_dict(),
                 layout_id=self.layout.layout_id,
