@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import subprocess
 import sys
@@ -17,10 +18,11 @@ from fuzz.targets import TARGETS, load, missing
 
 __all__ = ["Outcome", "run_all"]
 
-_TIMEOUT_S = 25
+_TIMEOUT_S = 60
 """After so long libFuzzer takes an input for endless; generous, since the machine may have other work."""
 _MEMORY_MB = 2500
-_GRACE_S = 60
+_GRACE_S = 900
+"""For loading and for the inputs to begin with, which come before the time counts."""
 _SAY_S = 10
 
 
@@ -53,7 +55,7 @@ class _Run:
     def __init__(self, name: str, seconds: int, shared: Path, cache: Path) -> None:
         self.name = name
         self._began = time.monotonic()
-        self._limit = seconds + _GRACE_S + _TIMEOUT_S
+        self._limit = seconds + _GRACE_S
         self._folder = cache / name
         self._work = work_folder(name, cache)
         self._findings = self._folder / "findings"
@@ -157,6 +159,8 @@ def run_all(
             while waiting and len(running) < jobs:
                 name = waiting.pop(0)
                 why = missing(name)
+                if TARGETS[name].module and importlib.util.find_spec("atheris") is None:
+                    why = "atheris is missing: pip install 'atheris>=3,<4'"
                 if not why:
                     try:
                         running.append(_Run(name, seconds, shared, cache))

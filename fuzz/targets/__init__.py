@@ -12,6 +12,11 @@ from typing import Protocol, cast
 __all__ = ["TARGETS", "Entry", "Target", "load", "missing"]
 
 _DEBIAN = (Path("/opt/ros/noetic/lib/python3/dist-packages"), Path("/usr/lib/python3/dist-packages"))
+_ZENOH = ("zenoh", "the wheel eclipse-zenoh is missing")
+_CONFIGURATION = (
+    "classic_plan", "config", "depth", "problems", "quantities", "resolve", "ros_side", "settings",
+    "stale_plan", "yaml_source",
+)  # fmt: skip
 
 
 class Target(Protocol):
@@ -32,7 +37,7 @@ class Entry:
         module: The Python module; empty for a target in C.
         instrument: Packages whose coverage guides the fuzzer.
         longest: The longest input, in bytes.
-        needs: A module that must be there, and the Debian package that brings it.
+        needs: A module that must be there, and what to say where it is not.
     """
 
     what: str
@@ -53,34 +58,27 @@ TARGETS: dict[str, Entry] = {
     "configuration": Entry(
         "`rosplc.yaml`: YAML, settings, types, layouts, the words of `rosplc check`, the PLC project",
         "configuration",
-        ("rosplc.bridge", "rosplc.layout", "yaml"),
+        tuple(f"rosplc.bridge.{part}" for part in _CONFIGURATION),
     ),
     "object": Entry(
         "objects in shared memory: headers, self-descriptions and slots, read by every tool that reads them",
         "object",
-        (
-            "rosplc.shm",
-            "rosplc.described",
-            "rosplc.api",
-            "rosplc.monitor",
-            "rosplc.doctor.objects",
-            "rosplc.layout",
-        ),
+        ("rosplc.shm", "rosplc.described", "rosplc.api", "rosplc.monitor.snapshot", "rosplc.doctor.objects"),
         8192,
     ),
     "ros1": Entry(
         "ROS 1: connection headers, definitions in them, answers and calls of nodes and masters",
         "ros1",
         ("rosplc.ros.rospy", "rosplc.model", "rosgraph.network"),
-        needs=("rospy", "python3-rospy"),
+        needs=("rospy", "Debian package python3-rospy is missing"),
     ),
-    "zenoh": Entry("Zenoh: liveliness tokens, attachments, samples", "zenoh", ("rosplc.ros",), 2048),
+    "zenoh": Entry("Zenoh: liveliness tokens, attachments, samples", "zenoh", ("rosplc.ros",), 2048, _ZENOH),
     "dds": Entry(
         "DDS: announcements of nodes, type names, user data",
         "dds",
         ("rosplc.ros",),
         2048,
-        needs=("cyclonedds", "cyclonedds"),
+        needs=("cyclonedds", "the wheel cyclonedds is missing"),
     ),
     "plc": Entry(
         "names, constants, default values and safe messages that try to become PLC code",
@@ -99,9 +97,9 @@ def load(name: str) -> Target:
 
 def missing(name: str) -> str:
     """Return what keeps a target from running; empty if nothing does."""
-    module, package = TARGETS[name].needs
+    module, why = TARGETS[name].needs
     if not module or importlib.util.find_spec(module) is not None:
         return ""
     if any((place / module).exists() for place in _DEBIAN):
         return ""
-    return f"Debian package {package} is missing"
+    return why

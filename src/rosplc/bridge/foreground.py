@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import logging
 import resource
-import sys
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
@@ -14,6 +13,7 @@ from rosplc.bridge.engine import Bridge
 from rosplc.bridge.resolve import load_project
 from rosplc.bridge.run import run_until_signal
 from rosplc.bridge.status import BridgeStatus, Level
+from rosplc.harmless import log_to_stderr
 from rosplc.ros import RosArguments
 
 __all__ = ["run_bridge"]
@@ -43,9 +43,7 @@ def run_bridge(
         RosplcError: The configuration is wrong, the bridge cannot start, or the ROS side has ended for
             good (ROS015).
     """
-    logging.basicConfig(
-        level=level, stream=sys.stderr, format="%(asctime)s %(levelname)-7s %(message)s", datefmt="%H:%M:%S"
-    )
+    log_to_stderr(level, "%(asctime)s %(levelname)-7s %(message)s", times="%H:%M:%S")
     _allow_many_files()
     project = load_project(config)
     bridge = Bridge(project, arguments=arguments)

@@ -17,6 +17,7 @@ import yaml
 
 from rosplc.bridge.problems import Problems
 from rosplc.errors import ConfigError
+from rosplc.harmless import one_line
 
 __all__ = ["LARGEST_FILE", "KeyPath", "YamlSource", "read_yaml"]
 
@@ -66,7 +67,7 @@ class YamlSource:
         for part in path:
             text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
         # A key is whatever the file holds; no escape sequence of it may reach a terminal.
-        text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+        text = one_line(text)
         return f"{self.name}:{self.line(path)}" + (f": {text}" if text else "")
 
 

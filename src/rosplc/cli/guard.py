@@ -13,6 +13,7 @@ from typing import Any, NoReturn, ParamSpec
 import typer
 
 from rosplc.errors import ConfigError, RosplcError, SetupError
+from rosplc.harmless import harmless
 
 __all__ = [
     "EXIT_CONFIG",
@@ -115,7 +116,7 @@ def _report(error: RosplcError, *, as_json: bool) -> NoReturn:
             document["errors"] = [each.to_dict() for each in errors]
         sys.stderr.write(json.dumps(document) + "\n")
     else:
-        sys.stderr.write("\n".join(_in_words(each) for each in errors) + "\n")
+        sys.stderr.write(harmless("\n".join(_in_words(each) for each in errors)) + "\n")
     status = EXIT_CONFIG if isinstance(error, ConfigError) else EXIT_FAILURE
     raise typer.Exit(EXIT_ENDED if error.code == "ROS015" else status) from None
 
@@ -136,7 +137,7 @@ def _unexpected(error: Exception, *, as_json: bool) -> NoReturn:
         sys.stderr.write(json.dumps({"error": {"code": "", "what": what, "where": "", "remedy": ""}}) + "\n")
     else:
         sys.stderr.write(
-            f"rosplc: unexpected error: {what}\n"
+            f"rosplc: unexpected error: {harmless(what)}\n"
             "  remedy: This is a defect of rosplc. Set ROSPLC_DEBUG=1 for the traceback and report it.\n"
         )
     raise typer.Exit(EXIT_FAILURE) from None

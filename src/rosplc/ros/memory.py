@@ -27,6 +27,7 @@ from rosplc.ros.backend import (
     incompatibility,
 )
 from rosplc.ros.names import resolve_topic, validate_namespace, validate_node_name
+from rosplc.ros.words import listed
 
 __all__ = ["MemoryBackend", "MemoryPublisher", "MemorySubscription", "open_backend"]
 
@@ -86,7 +87,7 @@ class _Endpoint:
             others = self._others()
             problems = sorted(filter(None, (self.problem(other) for other in others)))
         if problems:
-            return problems[0][0], "; ".join(words for _, words in problems)
+            return problems[0][0], listed(words for _, words in problems)
         if not others:
             return "", f"no node {'publishes' if self.direction == 'in' else 'subscribes to'} {self.topic}"
         return "", ""

@@ -30,6 +30,7 @@ from rosplc.ros.dds.idl import IdlTypes, dds_topic, ros_topic, ros_type_name
 from rosplc.ros.dds.log import TRACING, library_log
 from rosplc.ros.dds.peers import Peer, PeerTable, describe, differs, explain
 from rosplc.ros.names import resolve_topic, validate_namespace, validate_node_name
+from rosplc.ros.words import Said, listed
 
 __all__ = ["DdsBackend", "open_backend"]
 
@@ -106,7 +107,7 @@ class DdsBackend:
         self._endpoints: dict[int, DdsEndpoint] = {}
         self._next_key = _FIRST
         self._suspects: dict[str, int] = {}
-        self._said: set[tuple[int, str]] = set()
+        self._said = Said()
         self._unmatched: dict[tuple[bytes, bytes], int] = {}
         self.domain = domain_id(domain, environment)
         check_peers(environment, store.distro)
@@ -251,8 +252,7 @@ class DdsBackend:
             endpoints = [(k, e) for k, e in self._endpoints.items() if dds_topic(e.topic) in due]
         for key, endpoint in endpoints:
             code, reason = self._diagnose(endpoint)
-            if code and (key, reason) not in self._said:
-                self._said.add((key, reason))
+            if code and self._said.first((key, reason)):
                 _logger.warning("%s [%s]", reason, code)
 
     def _diagnose(self, endpoint: DdsEndpoint) -> tuple[str, str]:
@@ -268,7 +268,7 @@ class DdsBackend:
             if problem is not None:
                 found.setdefault(problem[0], []).append(problem[1])
         if found:
-            return max(found), "; ".join(sorted(text for texts in found.values() for text in texts))
+            return max(found), listed(sorted(text for texts in found.values() for text in texts))
         if not peers and not matched:
             return "", f"no node {'publishes' if incoming else 'subscribes to'} {endpoint.topic}"
         return "", ""

@@ -12,6 +12,8 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from rosplc.harmless import one_line
+
 __all__ = [
     "ANNOUNCEMENT",
     "ANNOUNCEMENT_TOPIC",
@@ -26,6 +28,7 @@ ANNOUNCEMENT = "rmw_dds_common/msg/ParticipantEntitiesInfo"
 
 _HEADER = b"\x00\x01\x00\x00"  # plain CDR, little-endian
 _LONGEST = 1 << 20  # of nodes or gids that a peer may claim; far above any real graph
+_LONGEST_NAME = 256  # the bound in rmw_dds_common/msg/NodeEntitiesInfo
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +50,7 @@ class NodeEntities:
     @property
     def full_name(self) -> str:
         """``/robot1/talker``."""
-        return f"{self.namespace.rstrip('/')}/{self.name}"
+        return one_line(f"/{self.namespace.strip('/')}/{self.name}".replace("//", "/"))
 
 
 def gid_size(distro: str) -> int:
@@ -105,7 +108,10 @@ def decode_announcement(data: bytes, size: int) -> tuple[bytes, tuple[NodeEntiti
         return int(number)
 
     def text() -> str:
-        return take(count()).rstrip(b"\0").decode(errors="replace")
+        data = take(count()).rstrip(b"\0")
+        if len(data) > _LONGEST_NAME:
+            raise ValueError("a name is too long")
+        return data.decode(errors="replace")
 
     def gids() -> tuple[bytes, ...]:
         return tuple(take(size)[:16] for _ in range(count()))

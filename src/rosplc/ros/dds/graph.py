@@ -42,6 +42,7 @@ __all__ = ["AnnouncementTypes", "Announcer"]
 _logger = logging.getLogger("rosplc.ros.dds")
 
 _QOS = Qos(durability="transient_local", depth=1)
+_MOST_PARTICIPANTS = 10_000  # anybody may announce in the name of participants that there are not
 _READ_QOS = Qos(durability="transient_local", depth=1000)  # one instance for all participants: no keys
 
 
@@ -159,6 +160,8 @@ class Announcer:
                 continue
             with self._lock:
                 self._forget(guid)
+                if len(self._others) >= _MOST_PARTICIPANTS:
+                    continue
                 self._others[guid] = nodes
                 for node in nodes:
                     for gid in node.readers + node.writers:

@@ -25,6 +25,7 @@ from rosplc.ros.rclpy.parameters import show
 from rosplc.ros.rclpy.peers import Peer, explain, read_peers
 from rosplc.ros.rclpy.qos import profile
 from rosplc.ros.rclpy.spin import OwnNode
+from rosplc.ros.words import Said, listed
 
 __all__ = ["RclpyBackend", "from_node", "open_backend"]
 
@@ -70,7 +71,7 @@ class RclpyBackend:
         self._lost = False
         self._endpoints: list[RclpyEndpoint] = []
         self._short: dict[RclpyEndpoint, int] = {}
-        self._said: set[tuple[str, str]] = set()
+        self._said = Said()
 
     # -- endpoints
 
@@ -166,7 +167,7 @@ class RclpyBackend:
             return "ROS009", "the ROS context was shut down"
         peers, problems = self._judge(endpoint)
         if problems:
-            return problems[0][0], "; ".join(words for _, words in problems)
+            return problems[0][0], listed(words for _, words in problems)
         if not peers:
             verb = "publishes" if endpoint.direction == "in" else "subscribes to"
             return "", f"no node {verb} {endpoint.topic}"
@@ -182,11 +183,11 @@ class RclpyBackend:
         with self._lock:
             since = self._short.setdefault(endpoint, now)
         if now - since < _SETTLE_NS:
-            return "", f"{'; '.join(map(str, peers))}, not matched yet"
+            return "", f"{listed(map(str, peers))}, not matched yet"
         why = "with another definition, or kept out by access rules"
         if short == len(peers):
-            return "ROS003", "; ".join(f"{peer} {why}" for peer in peers)
-        return "ROS003", f"{short} of {len(peers)} peers {why}: {'; '.join(map(str, peers))}"
+            return "ROS003", listed(f"{peer} {why}" for peer in peers)
+        return "ROS003", f"{short} of {len(peers)} peers {why}: {listed(map(str, peers))}"
 
     def _look(self, endpoint: RclpyEndpoint) -> None:
         """Say once in the log what the middleware's event is about; on the executor's thread."""
@@ -194,9 +195,8 @@ class RclpyBackend:
             return
         code, reason = self._diagnose(endpoint)
         with self._lock:
-            if not code or (endpoint.topic, reason) in self._said:
+            if not code or not self._said.first((endpoint.topic, reason)):
                 return
-            self._said.add((endpoint.topic, reason))
         _logger.warning("%s [%s]", reason, code)
 
     # -- looking at it

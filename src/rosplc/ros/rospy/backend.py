@@ -19,6 +19,7 @@ from rosplc.ros.rospy.inbound import Incoming, RospySubscription
 from rosplc.ros.rospy.keeper import Endpoint, Keeper, Key
 from rosplc.ros.rospy.outbound import Outgoing, RospyPublisher
 from rosplc.ros.rospy.slave import Servers
+from rosplc.ros.words import Said, listed
 
 __all__ = ["RospyBackend", "open_backend"]
 
@@ -68,7 +69,7 @@ class RospyBackend:
         self._endpoints: dict[Key, Endpoint] = {}
         self._handles: dict[int, RospySubscription | RospyPublisher] = {}
         self._missed: dict[tuple[str, str], int] = {}
-        self._said: set[tuple[str, str]] = set()
+        self._said = Said()
         self._keeper: Keeper | None = None
         address = read_address(environment)
         try:
@@ -229,11 +230,10 @@ class RospyBackend:
             found.append(("ROS014", keeper.trouble))
         if found:
             code = max(code for code, _ in found)
-            reason = "; ".join(sorted({text for _, text in found}))
-            if code and (endpoint.topic, reason) not in self._said:
-                self._said.add((endpoint.topic, reason))
-                if code != "ROS014":  # the keeper says that, once for all topics
-                    _logger.warning("%s [%s]", reason, code)
+            reason = listed(sorted(text for _, text in found))
+            # ROS014 is said by the keeper, once for all topics.
+            if code and code != "ROS014" and self._said.first((endpoint.topic, reason)):
+                _logger.warning("%s [%s]", reason, code)
             return code, reason
         if endpoint.matched():
             return "", ""

@@ -17,6 +17,7 @@ import zenoh
 from rosplc.errors import BackendError
 from rosplc.ros.backend import EndpointStatus, GraphInfo, OnMessage, Qos, TypeSource
 from rosplc.ros.names import resolve_topic, validate_namespace, validate_node_name
+from rosplc.ros.words import Said, listed
 from rosplc.ros.zenoh.config import domain_id, session_config
 from rosplc.ros.zenoh.endpoint import ZenohPublisher, ZenohSubscription
 from rosplc.ros.zenoh.graph import TokenTable, explain, fits
@@ -78,7 +79,7 @@ class ZenohBackend:
         self._numbers = itertools.count(1)
         self._arrived: queue.SimpleQueue[ZenohSubscription | None] = queue.SimpleQueue()
         self._suspects: set[str] = set()
-        self._said: set[tuple[str, str]] = set()
+        self._said = Said()
         self._link = Link(session_config(options, environment), self._join)
         self._link.start()
         self._thread = threading.Thread(target=self._run, name=f"rosplc-zenoh-{self.domain}", daemon=True)
@@ -195,8 +196,7 @@ class ZenohBackend:
             endpoints = [endpoint for endpoint in self._endpoints.values() if endpoint.topic in due]
         for endpoint in endpoints:
             for code, reason in self._problems(endpoint.entity, self._others(endpoint.entity)):
-                if (endpoint.topic, reason) not in self._said:
-                    self._said.add((endpoint.topic, reason))
+                if self._said.first((endpoint.topic, reason)):
                     _logger.warning("%s%s", reason, f" [{code}]" if code else "")
 
     # -- what is wrong
@@ -214,7 +214,7 @@ class ZenohBackend:
         if trouble := self._link.trouble:
             problems.append(("ROS016", trouble))
         if problems:
-            return matched, max(problems)[0], "; ".join(words for _, words in problems)
+            return matched, max(problems)[0], listed(words for _, words in problems)
         if not others:
             verb = "publishes" if ours.kind == "MS" else "subscribes to"
             return 0, "", f"no node {verb} {ours.topic}"

@@ -16,7 +16,10 @@ from rosplc.ros.qos import Qos
 from rosplc.ros.zenoh.keys import NO_TYPE_HASH
 from rosplc.ros.zenoh.tokens import Entity, Kind, parse_token
 
-__all__ = ["TokenTable", "explain", "fits"]
+__all__ = ["MOST_TOKENS", "TokenTable", "explain", "fits"]
+
+MOST_TOKENS = 65_536
+"""Nodes and endpoints that are kept in mind; far above any real graph."""
 
 _logger = logging.getLogger("rosplc.ros.zenoh")
 
@@ -25,7 +28,7 @@ class TokenTable:
     """Every token that is alive; updated by threads of the library, read by any.
 
     Attributes:
-        malformed: Tokens that were refused.
+        malformed: Tokens that were refused, those beyond :data:`MOST_TOKENS` too.
     """
 
     def __init__(self) -> None:
@@ -44,6 +47,9 @@ class TokenTable:
         if entity is None:
             return None
         with self._lock:
+            if len(self._entities) >= MOST_TOKENS and token not in self._entities:
+                self.malformed += 1
+                return None
             self._entities[token] = entity
             if entity.kind != "NN":
                 self._by_topic.setdefault((entity.topic, entity.kind), {})[token] = entity

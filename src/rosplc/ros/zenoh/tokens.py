@@ -20,10 +20,13 @@ from rosplc.ros.qos import Qos
 from rosplc.ros.zenoh.keys import NO_TYPE_HASH, dds_type_name, demangle, mangle, ros_type_name
 from rosplc.ros.zenoh.qos import decode_qos, encode_qos
 
-__all__ = ["Entity", "Kind", "gid_of", "parse_token", "tokens_of_domain"]
+__all__ = ["LONGEST_TOKEN", "Entity", "Kind", "gid_of", "parse_token", "tokens_of_domain"]
 
 _SPACE = "@ros2_lv"
 _NODE_PARTS, _ENDPOINT_PARTS = 9, 13  # later releases may append more
+LONGEST_TOKEN = 2048
+"""Characters of a token; ROS' own names leave it far below."""
+
 _TYPE = re.compile(r"[A-Za-z0-9_:/]{1,255}\Z")
 _HASH = re.compile(r"[A-Za-z0-9_]{1,128}\Z")
 _ID = re.compile(r"[A-Za-z0-9_.\-]{1,64}\Z")
@@ -94,6 +97,8 @@ def parse_token(token: str) -> Entity | None:
     Raises:
         ValueError: It is not what a ROS node announces.
     """
+    if len(token) > LONGEST_TOKEN:
+        raise ValueError(f"it has {len(token)} characters")
     parts = token.split("/")
     if len(parts) < _NODE_PARTS or parts[0] != _SPACE:
         raise ValueError(f"it has {len(parts)} parts")
