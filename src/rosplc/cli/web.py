@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from rosplc.cli.extras import need_extra
 from rosplc.cli.guard import guarded
 from rosplc.cli.text import say, warn
-from rosplc.errors import SetupError
+from rosplc.cli.watching import Configs, Directory, Prefix, StaleAfter, open_watch
+from rosplc.harmless import log_to_stderr
 
 if TYPE_CHECKING:
     from rosplc.web import Settings
@@ -31,20 +33,17 @@ rosplc web --allow-write  —  test messages may be written, by whoever has the 
 
 rosplc web --bind 192.168.1.5 --token-file web.token  —  reachable in the network, with a token of your own
 
-It needs no ROS, no configuration and no right to write. Who reaches the page sees every message that the
-user who started it may read. Nothing is encrypted: do not use --bind in a network that you do not trust.
+It needs no ROS, no configuration and no right to write, and nobody notices it. Who reaches the page sees
+every message that the user who started it may read. Nothing is encrypted: do not use --bind in a network
+that you do not trust. It needs `pip install 'rosplc[views]'`.
 """
 
 
 @guarded
 def command(
-    config: Annotated[
-        list[Path] | None,
-        typer.Option(metavar="FILE", help="A configuration, for what it expects; may be repeated."),
-    ] = None,
-    prefix: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Only channels of this bridge's `prefix:`.")
-    ] = None,
+    prefix: Prefix = None,
+    config: Configs = None,
+    stale_after: StaleAfter = "1s",
     port: Annotated[int, typer.Option(min=0, max=65535, help="The port; 0 takes a free one.")] = 8480,
     bind: Annotated[
         str, typer.Option(metavar="ADDRESS", help="Where to listen; `0.0.0.0` for every network.")
@@ -64,21 +63,14 @@ def command(
         bool,
         typer.Option("--token-to-view", help="Ask for the token before anything is shown, on loopback too."),
     ] = False,
-    directory: Annotated[str, typer.Option(help="Where the objects stand.", hidden=True)] = "/dev/shm",
+    directory: Directory = "/dev/shm",
     as_json: Annotated[bool, typer.Option("--json", help="Print address and token as JSON.")] = False,
 ) -> None:
     """Show this machine's channels in a browser, live, until Ctrl-C."""
-    from rosplc.expected import expected_by
-    from rosplc.monitor import Watch
+    need_extra("aiohttp", "views", "web")
+    from rosplc.web import Settings, is_loopback, new_token, read_token, serve
 
-    try:
-        from rosplc.web import Settings, is_loopback, new_token, read_token, serve
-    except ModuleNotFoundError as error:
-        what = f"the Python package {error.name} is missing"
-        raise SetupError("SYS001", what, remedy="Install it: pip install 'rosplc[views]'.") from None
-
-    expected = expected_by(config or ())
-    Watch(prefix, directory=directory).close()  # a wrong prefix is said before anything listens
+    watch = open_watch(prefix, config, stale_after, directory)
     beyond = not is_loopback(bind)
     needed = allow_write or token_to_view or beyond
     settings = Settings(
@@ -109,14 +101,8 @@ def command(
                 "who can listen in on this network reads messages and token."
             )
 
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
-    serve(
-        settings,
-        lambda: Watch(prefix, directory=directory, expected=expected),
-        bind=bind,
-        port=port,
-        ready=ready,
-    )
+    log_to_stderr(logging.INFO, "%(asctime)s %(levelname)s %(message)s")
+    serve(settings, watch, bind=bind, port=port, ready=ready)
 
 
 def _url(address: str, port: int) -> str:

@@ -36,12 +36,12 @@ _log = logging.getLogger("rosplc.web")
 _LARGEST_BYTES = 4 * 1024 * 1024
 
 
-def make_application(settings: Settings, make_watch: Callable[[], Watch], machine: str) -> web.Application:
+def make_application(settings: Settings, watch: Watch, machine: str) -> web.Application:
     """Return the application; it looks from its start to its clean-up.
 
     Args:
         settings: What it was told.
-        make_watch: Makes the watch that it looks with.
+        watch: What it looks with.
         machine: What the page calls this machine.
     """
     viewers = Viewers(settings, machine)
@@ -49,7 +49,7 @@ def make_application(settings: Settings, make_watch: Callable[[], Watch], machin
 
     async def looking(_application: web.Application) -> AsyncIterator[None]:
         # Not earlier: what belongs to an event loop is made in it.
-        viewers.feed = api.feed = Feed(make_watch, viewers.wanted)
+        viewers.feed = api.feed = Feed(watch, viewers.wanted)
         task = asyncio.create_task(viewers.feed.run())
         yield
         task.cancel()
@@ -89,8 +89,8 @@ class _Api:
 
     async def status(self, _request: web.Request) -> web.Response:
         """Answer with what ``rosplc status --json`` prints, as of the last look."""
-        if self.feed.document is None:
-            await self.feed.news(2.0)
+        if self.feed.document is None and not self.feed.failure:
+            await self.feed.news()
         return web.json_response(self.feed.document or {})
 
     async def form(self, request: web.Request) -> web.Response:

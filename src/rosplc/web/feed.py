@@ -7,13 +7,12 @@ plotted samples in lists that forget their oldest. A slow page misses something 
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import itertools
+import logging
 from collections import deque
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from rosplc.errors import RosplcError
 from rosplc.web.looker import Look, Looker
@@ -25,7 +24,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Feed"]
 
-_T = TypeVar("_T")
+_log = logging.getLogger("rosplc.web")
 _TURN_SECONDS = 0.05
 _IDLE_SECONDS = 1.0
 _EVENTS = 1000
@@ -36,7 +35,7 @@ class Feed:
     """The looks of one server, for as long as :meth:`run` runs; for one event loop.
 
     Args:
-        make_watch: Makes the watch; called in the thread that looks, which alone uses it.
+        watch: What to look with; from now on the thread that looks alone uses it.
         wanted: Returns what each connected page wants.
 
     Attributes:
@@ -48,16 +47,15 @@ class Feed:
         failure: Why the last look failed; empty if it did not.
     """
 
-    def __init__(self, make_watch: Callable[[], Watch], wanted: Callable[[], Iterable[Wants]]) -> None:
+    def __init__(self, watch: Watch, wanted: Callable[[], Iterable[Wants]]) -> None:
         self.document: dict[str, Any] | None = None
         self.channels: dict[str, dict[str, Any]] = {}
         self.events: deque[tuple[int, dict[str, Any]]] = deque(maxlen=_EVENTS)
         self.messages: dict[str, tuple[int, dict[str, Any]]] = {}
         self.samples: dict[str, deque[tuple[int, float, dict[str, float | None]]]] = {}
         self.failure = ""
-        self._make_watch = make_watch
         self._wanted = wanted
-        self._looker: Looker | None = None
+        self._looker = Looker(watch)
         self._numbers = itertools.count(1)
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="rosplc-web-look")
         self._news = asyncio.Event()
@@ -65,30 +63,26 @@ class Feed:
 
     async def run(self) -> None:
         """Look until cancelled."""
+        loop = asyncio.get_running_loop()
         try:
             while True:
                 wanted = list(self._wanted())
                 try:
-                    self._apply(await self.call(partial(_look, wanted)), wanted)
+                    self._apply(await self._in_thread(wanted), wanted)
                 except RosplcError as error:
-                    self.failure = str(error)
-                    self.tell()
+                    self._fail(str(error))
+                except Exception as error:
+                    # A look at what somebody else has made must not end all looks.
+                    _log.exception("a look failed")
+                    self._fail(f"A look failed: {type(error).__name__}: {error}")
                 self._hurry.clear()
-                with contextlib.suppress(asyncio.TimeoutError):
-                    await asyncio.wait_for(self._hurry.wait(), _TURN_SECONDS if wanted else _IDLE_SECONDS)
+                # No wait_for: before Python 3.12 it may swallow the cancellation that ends this.
+                alarm = loop.call_later(_TURN_SECONDS if wanted else _IDLE_SECONDS, self._hurry.set)
+                await self._hurry.wait()
+                alarm.cancel()
         finally:
-            self._thread.submit(self._close)
-            self._thread.shutdown(wait=False)
-
-    async def call(self, function: Callable[[Looker], _T]) -> _T:
-        """Call a function in the thread that looks, and return what it returns."""
-
-        def called() -> _T:
-            if self._looker is None:
-                self._looker = Looker(self._make_watch)
-            return function(self._looker)
-
-        return await asyncio.get_running_loop().run_in_executor(self._thread, called)
+            # Waits for the look that is being taken: whoever started this closes the watch next.
+            self._thread.shutdown(cancel_futures=True)
 
     def hurry(self) -> None:
         """Take the next turn now: a page came, or wants something else."""
@@ -104,10 +98,14 @@ class Feed:
         self._news.set()
         self._news = asyncio.Event()
 
-    async def news(self, seconds: float) -> None:
-        """Wait until something has changed, or ``seconds`` have passed."""
-        with contextlib.suppress(asyncio.TimeoutError):
-            await asyncio.wait_for(self._news.wait(), seconds)
+    async def news(self) -> None:
+        """Wait until something has changed; a picture comes at least every second or so."""
+        await self._news.wait()
+
+    def _fail(self, what: str) -> None:
+        if self.failure != what:
+            self.failure = what
+            self.tell()
 
     def _apply(self, look: Look, wanted: list[Wants]) -> None:
         self.failure = ""
@@ -131,10 +129,5 @@ class Feed:
         if look.picture is not None or look.messages or look.samples:
             self.tell()
 
-    def _close(self) -> None:
-        if self._looker is not None:
-            self._looker.watch.close()
-
-
-def _look(wanted: list[Wants], looker: Looker) -> Look:
-    return looker.look(wanted)
+    async def _in_thread(self, wanted: list[Wants]) -> Look:
+        return await asyncio.get_running_loop().run_in_executor(self._thread, self._looker.look, wanted)

@@ -108,6 +108,7 @@ class Viewers:
                 self.feed.hurry()
                 await asyncio.sleep(_WANTS_SECONDS)
         finally:
+            self._wants.pop(socket, None)
             sending.cancel()
             with contextlib.suppress(asyncio.CancelledError, ConnectionError, asyncio.TimeoutError):
                 await sending
@@ -115,13 +116,14 @@ class Viewers:
     async def _send_frames(self, socket: web.WebSocketResponse, request: web.Request) -> None:
         frames = Frames(self.feed)
         try:
-            while not socket.closed:
-                frame = frames.next(self._wants.get(socket, Wants()))
+            # Not until it is cancelled: before Python 3.12 wait_for may swallow that.
+            while (wants := self._wants.get(socket)) is not None:
+                frame = frames.next(wants)
                 if frame is not None:
                     await _send(socket, frame)
                     await asyncio.sleep(_FRAME_SECONDS)
                 else:
-                    await self.feed.news(_HEARTBEAT_SECONDS)
+                    await self.feed.news()
         except (ConnectionError, asyncio.TimeoutError):
             # To say goodbye would wait for the page once more.
             if request.transport is not None:

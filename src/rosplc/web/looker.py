@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Set
+from collections.abc import Iterable, Set
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -46,14 +46,11 @@ class Looker:
     """Takes looks; for one thread.
 
     Args:
-        make_watch: Makes the watch.
-
-    Attributes:
-        watch: The watch.
+        watch: What to look with.
     """
 
-    def __init__(self, make_watch: Callable[[], Watch]) -> None:
-        self.watch = make_watch()
+    def __init__(self, watch: Watch) -> None:
+        self._watch = watch
         self._due: dict[str, float] = {}
         self._seen: dict[str, tuple[object, ...]] = {}
 
@@ -72,7 +69,7 @@ class Looker:
         found = Look()
         if self._is_due(""):
             started = time.monotonic()
-            found.picture = self.watch.look()
+            found.picture = self._watch.look()
             self._next("", started, _PICTURE_SECONDS if wanted else _IDLE_SECONDS)
         for channel in messages | plots.keys():
             if self._is_due(channel):
@@ -94,7 +91,7 @@ class Looker:
 
     def _message(self, found: Look, channel: str, wanted: bool, paths: Set[str]) -> None:
         try:
-            message = self.watch.message(channel)
+            message = self._watch.message(channel)
         except RosplcError as error:
             self._news(found, channel, ("error", error.code), {"error": error.to_dict()})
             return

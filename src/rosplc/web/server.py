@@ -25,7 +25,7 @@ _SHUTDOWN_SECONDS = 2.0
 
 def serve(
     settings: Settings,
-    make_watch: Callable[[], Watch],
+    watch: Watch,
     *,
     bind: str,
     port: int,
@@ -35,7 +35,7 @@ def serve(
 
     Args:
         settings: What the server was told.
-        make_watch: Makes the watch that it looks with.
+        watch: What it looks with; closed at the end.
         bind: The address to listen at.
         port: The port; 0 takes a free one.
         ready: Called with address and port once the page can be opened.
@@ -44,8 +44,8 @@ def serve(
         WebError: WEB001, the address cannot be listened at.
     """
     listener = _listen(bind, port)
-    with contextlib.closing(listener):
-        asyncio.run(_serve(settings, make_watch, listener, ready))
+    with contextlib.closing(listener), watch:
+        asyncio.run(_serve(settings, watch, listener, ready))
 
 
 def _listen(bind: str, port: int) -> socket.socket:
@@ -68,7 +68,7 @@ def _listen(bind: str, port: int) -> socket.socket:
 
 async def _serve(
     settings: Settings,
-    make_watch: Callable[[], Watch],
+    watch: Watch,
     listener: socket.socket,
     ready: Callable[[str, int], None],
 ) -> None:
@@ -76,7 +76,7 @@ async def _serve(
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, ended.set)
-    application = make_application(settings, make_watch, socket.gethostname())
+    application = make_application(settings, watch, socket.gethostname())
     runner = web.AppRunner(application, access_log=None, shutdown_timeout=_SHUTDOWN_SECONDS)
     await runner.setup()
     try:

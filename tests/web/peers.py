@@ -1,0 +1,75 @@
+"""What the page is tried with: typed channels, a machine's processes, and its WebSocket."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+from rosplc.layout import Layout, compute_layout
+from rosplc.model import TypeStore
+from rosplc.shm import Description, Direction, Namespace, OwnedChannel
+
+__all__ = ["TOKEN", "WATCHDOG", "end", "layout_of", "open_typed", "page_socket", "start_role"]
+
+TOKEN = "a-token-of-the-tests"
+WATCHDOG = 60.0
+_ROOT = Path(__file__).resolve().parents[2]
+
+
+def layout_of(type_name: str) -> Layout:
+    """Return a bundled type's layout."""
+    return compute_layout(TypeStore.bundled("jazzy"), type_name)
+
+
+def open_typed(
+    namespace: Namespace, topic: str, type_name: str, direction: Direction = Direction.TO_PLC
+) -> OwnedChannel:
+    """Own a channel of a bundled type, as a bridge does."""
+    layout = layout_of(type_name)
+    description = Description(
+        topic=topic,
+        type=layout.type_name,
+        distro="jazzy",
+        direction=direction,
+        limits=layout.limits.to_dict(),
+        layout_id=layout.layout_id,
+        bridge="cell",
+        definition=layout.store.definition_text(layout.type_name),
+    )
+    return OwnedChannel.open(namespace, description, record_size=layout.size)
+
+
+@asynccontextmanager
+async def page_socket(client: Any, wants: dict[str, Any] | None = None) -> Any:
+    """Open the WebSocket as the page does, and take the server's greeting."""
+    origin = str(client.make_url("/")).rstrip("/")
+    async with client.ws_connect("/api/live", headers={"Origin": origin}) as socket:
+        await socket.send_json({"wants": wants or {}})
+        assert "hello" in await socket.receive_json()
+        yield socket
+
+
+def start_role(role: str, prefix: str, count: int = 0) -> subprocess.Popen[str]:
+    """Start a process in the bridge's or the PLC's place, and wait until its channels are there."""
+    child = subprocess.Popen(
+        [sys.executable, "-m", "benchmarks.web_machine", role, prefix, str(count)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        cwd=_ROOT,
+    )
+    assert child.stdout is not None
+    assert child.stdout.readline() == "ready\n"
+    return child
+
+
+def end(child: subprocess.Popen[str]) -> None:
+    """Kill a process and close its pipes."""
+    child.kill()
+    child.wait()
+    for pipe in (child.stdin, child.stdout, child.stderr):
+        if pipe is not None:
+            pipe.close()
