@@ -12,6 +12,7 @@ from typing import Protocol, cast
 __all__ = ["TARGETS", "Entry", "Target", "load", "missing"]
 
 _DEBIAN = (Path("/opt/ros/noetic/lib/python3/dist-packages"), Path("/usr/lib/python3/dist-packages"))
+_DDS = ("cyclonedds", "the wheel cyclonedds is missing")
 _ZENOH = ("zenoh", "the wheel eclipse-zenoh is missing")
 _CONFIGURATION = (
     "classic_plan", "config", "depth", "problems", "quantities", "resolve", "ros_side", "settings",
@@ -78,13 +79,36 @@ TARGETS: dict[str, Entry] = {
         "dds",
         ("rosplc.ros",),
         2048,
-        needs=("cyclonedds", "the wheel cyclonedds is missing"),
+        needs=_DDS,
     ),
     "plc": Entry(
         "names, constants, default values and safe messages that try to become PLC code",
         "plc",
         ("rosplc.plc", "rosplc.layout"),
         1024,
+    ),
+    "recording": Entry(
+        "recordings: MCAP files, as `rosplc replay` opens them", "recording", ("rosplc.recorder", "mcap")
+    ),
+    "files": Entry(
+        "files beside rosplc's own: PLC code and its manifest, folders of `.msg` files, tokens",
+        "files",
+        ("rosplc.plc.delivery", "rosplc.doctor.generated", "rosplc.model", "rosplc.web.token"),
+        2048,
+    ),
+    "arguments": Entry(
+        "ROS arguments of the command line, ROS' environment variables, names",
+        "arguments",
+        ("rosplc.ros", "rosplc.shm.names"),
+        1024,
+        _DDS,
+    ),
+    "page": Entry(
+        "what a browser sends to `rosplc web`",
+        "page",
+        ("rosplc.web", "rosplc.layout"),
+        2048,
+        ("aiohttp", "aiohttp is missing: pip install 'rosplc[views]'"),
     ),
 }
 """By name."""

@@ -11,7 +11,7 @@ from fuzz.plc_oracle import check_project
 from fuzz.scratch import emptied
 from rosplc.bridge.config import parse_config
 from rosplc.bridge.resolve import resolve
-from rosplc.cli.check import facts, warnings
+from rosplc.cli.check_facts import facts
 from rosplc.cli.generate import plc_project
 from rosplc.cli.guard import finite
 from rosplc.errors import RosplcError
@@ -56,7 +56,6 @@ def check(data: bytes) -> None:
     with refusals(RosplcError):
         project = resolve(parse_config(text, name="rosplc.yaml", base=_folder))
         finite(facts(project))
-        warnings(project)
         sizes = sum(plan.layout.size for plan in project.topics)
         if len(project.topics) <= _MOST_TOPICS and sizes < _LARGE:
             check_project(plc_project(project, ProjectOptions()), [plan.layout for plan in project.topics])

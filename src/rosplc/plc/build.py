@@ -40,7 +40,7 @@ __all__ = ["PlcTask", "PlcTopic", "ProjectOptions", "build_project", "build_type
 
 _LARGE_DUT = 64 * 1024
 _MOST_TASKS = 16  # as many as RosPlc_State.axMayOpen has elements
-_LONGEST_TOPIC = 255  # bytes: FB_Init of RosPlc_Channel takes a STRING(255)
+_LONGEST_TOPIC = 255  # ASCII characters: FB_Init of RosPlc_Channel takes a STRING(255)
 _TOPIC = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+\Z")
 _TASK = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,63}\Z")
 _PREFIX = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,31}\Z")
@@ -194,7 +194,7 @@ def _check_tasks(tasks: Sequence[PlcTask]) -> None:
 def _check_topics(topics: Sequence[PlcTopic]) -> None:
     for topic in topics:
         # CODESYS would cut the literal off without a word, and the block look for another object.
-        if len(topic.topic.encode()) > _LONGEST_TOPIC:
+        if len(topic.topic) > _LONGEST_TOPIC:
             what = f"the name has {len(topic.topic)} characters"
             raise GenerationError("PLC006", what, where=topic.topic[: 2 * _LONGEST_TOPIC])
         _check_name(_TOPIC, topic.topic, "topics")

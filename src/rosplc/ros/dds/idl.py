@@ -7,6 +7,7 @@ XCDR version 1; ``byte`` and ``char`` travel as octets
 
 from __future__ import annotations
 
+import re
 import threading
 from typing import Any, Protocol
 
@@ -33,6 +34,7 @@ _PRIMITIVES: dict[str, Any] = {
     "float32": idl_types.float32, "float64": idl_types.float64,
 }  # fmt: skip
 
+_ROS_TYPE = re.compile(r"(\w+)::(\w+)::dds_::(\w+)_\Z", re.ASCII)
 _PLACEHOLDER = "structure_needs_at_least_one_member"  # rosidl's member of a message without fields
 
 
@@ -44,10 +46,8 @@ def dds_type_name(type_name: str) -> str:
 
 def ros_type_name(name: str) -> str:
     """Return the ROS name of a DDS type, or the DDS name as it is if it is not ROS's."""
-    parts = name.split("::")
-    if len(parts) == 4 and parts[2] == "dds_" and parts[3].endswith("_"):
-        return f"{parts[0]}/{parts[1]}/{parts[3][:-1]}"
-    return name
+    found = _ROS_TYPE.match(name)
+    return "/".join(found.groups()) if found else name
 
 
 def dds_topic(topic: str) -> str:
