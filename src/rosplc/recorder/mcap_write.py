@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import os
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -159,6 +159,7 @@ class McapFile:
         path: As given.
         size: Bytes, whole records only.
         finished: Whether the summary is written.
+        taken_back: Channel id → messages that gave way to the summary.
 
     Raises:
         OSError: It cannot be created, or written; also from the other methods.
@@ -169,6 +170,7 @@ class McapFile:
         self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
         self.size = 0
         self.finished = False
+        self.taken_back: dict[int, int] = {}
         self._contents = _Contents()
         self._chunk_counts: list[Mapping[int, int]] = []
         try:
@@ -248,19 +250,24 @@ class McapFile:
         self._write(data)
         self._contents.metadata.append(MetadataIndex(length=len(data), name=name, offset=start))
 
-    def finish(self) -> None:
-        """Write the summary and close the file.
+    def finish(self, last_words: Callable[[], Mapping[str, Mapping[str, str]]] = dict) -> None:
+        """Write metadata and the summary, and close the file.
 
-        On a full disk the last chunks make room for it: tools that need a summary are many, and a second
-        of messages is little.
+        On a full disk the last chunks make room for them: tools that need a summary are many, and a second
+        of messages is little. :attr:`taken_back` then has their messages.
+
+        Args:
+            last_words: Returns metadata records, name → values; asked again when a chunk has made room.
 
         Raises:
             OSError: There was no room for it all the same; the file is closed, and readable from the front.
         """
         try:
             while not self.finished:
-                end = _bytes(DataEnd(0))
                 try:
+                    for name, values in last_words().items():
+                        self.add_metadata(name, values)
+                    end = _bytes(DataEnd(0))
                     self._write(end + self._summary(self.size + len(end)))
                     self.finished = True
                 except OSError:
@@ -280,6 +287,7 @@ class McapFile:
         contents.metadata = [one for one in contents.metadata if one.offset < self.size]
         for channel, count in self._chunk_counts.pop().items():
             contents.counts[channel] -= count
+            self.taken_back[channel] = self.taken_back.get(channel, 0) + count
 
     def close(self) -> None:
         """Close the file as it stands; harmless twice."""

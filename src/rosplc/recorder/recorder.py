@@ -368,7 +368,8 @@ class Recorder:
 
     def _dropped(self) -> dict[str, int]:
         dropped: dict[str, int] = {}
-        for number, count in list(self._outlet.dropped.items()):
+        taken_back = [] if self._store is None else list(self._store.taken_back.items())
+        for number, count in [*self._outlet.dropped.items(), *taken_back]:
             topic = self.inlet.channels[number].topic
             dropped[topic] = dropped.get(topic, 0) + count
         return dropped

@@ -74,6 +74,7 @@ class FileStore:
 
     Attributes:
         written: The files that are finished.
+        taken_back: Channel id → messages that gave way to the end of a file, on a full disk.
 
     Raises:
         RecordingError: REC001, the first file cannot be created; REC002, the disk is full. Also from
@@ -97,6 +98,7 @@ class FileStore:
         self._counts: dict[int, int] = {}
         self._said: Mapping[str, str] = {}
         self.written: list[Written] = []
+        self.taken_back: dict[int, int] = {}
         if bag:
             try:
                 base.mkdir(parents=True)
@@ -168,17 +170,20 @@ class FileStore:
 
     def _close(self, file: McapFile) -> None:
         self._file = None
+
+        def last_words() -> dict[str, Mapping[str, str]]:
+            for channel, count in file.taken_back.items():
+                self.taken_back[channel] = count
+            entry = BagFile(file.path.name, file.start_ns, file.end_ns, file.messages)
+            facts = self._facts()
+            said: dict[str, Mapping[str, str]] = {METADATA: facts} if facts != self._said else {}
+            return {**said, RECORD_NAME: self._information([entry], file.counts)}
+
         failed: OSError | None = None
         try:
-            self._say(file)
-            entry = BagFile(file.path.name, file.start_ns, file.end_ns, file.messages)
-            file.add_metadata(RECORD_NAME, self._information([entry], file.counts))
+            file.finish(last_words)
         except OSError as error:
             failed = error
-        try:
-            file.finish()
-        except OSError as error:
-            failed = failed or error
         self.written.append(self._summary(file))
         self._files.append(BagFile(file.path.name, file.start_ns, file.end_ns, file.messages))
         for channel, count in file.counts.items():
