@@ -128,16 +128,15 @@ class Campaign:
 
         Args:
             rounds: The most rounds; 0: no limit.
-            seconds: The most seconds; 0: no limit.
+            seconds: The most seconds, from when the cell carries; 0: no limit.
             logs: Where the bundle of a round goes in which something did not hold.
             first: Leave out the rounds before this one, to repeat one that failed.
         """
-        self._began = time.monotonic()
-        dice = random.Random(self._seed)
         self._cell.start()
+        self._began = time.monotonic()  # a busy machine may take long to start: that is no round's time
         checker = Checker(self._cell)
         try:
-            for number, fault, own_dice in self._drawn(dice, first):
+            for number, fault, own_dice in self.drawn(first):
                 if rounds and len(self.outcome.rounds) >= rounds:
                     break
                 if seconds and time.monotonic() - self._began >= seconds:
@@ -151,7 +150,9 @@ class Campaign:
             self.outcome.leaks = leaks(self.outcome.samples)
         return self.outcome
 
-    def _drawn(self, dice: random.Random, first: int) -> Iterator[tuple[int, Fault, random.Random]]:
+    def drawn(self, first: int = 1) -> Iterator[tuple[int, Fault, random.Random]]:
+        """Yield number, fault and dice of each round from ``first`` on, for ever, as the seed has them."""
+        dice = random.Random(self._seed)
         number, bag = 0, list[Fault]()
         while True:
             number += 1
@@ -159,9 +160,8 @@ class Campaign:
                 # Every kind once, in an order of its own each time: rare kinds come as often as others.
                 bag = dice.sample(self._faults, len(self._faults))
             fault, own_dice = bag.pop(), random.Random(dice.random())
-            if (
-                number >= first
-            ):  # what comes before is drawn all the same, so that the rest is drawn as it was
+            # What comes before the first is drawn all the same, so that the rest is drawn as it was.
+            if number >= first:
                 yield number, fault, own_dice
 
     def _one(

@@ -16,7 +16,7 @@ from rosplc.demo.domain import FreeDomain
 from rosplc.shm import Namespace
 from soak.ledger import GENERATIONS, Ledger
 from soak.parts import Part
-from soak.pattern import ALL, CAPACITY, CLASSIC, TOPICS, TYPE, towards_plc
+from soak.pattern import ALL, CAPACITY, CLASSIC, OUT, TOPICS, TYPE, towards_plc
 from soak.st import build_program
 
 __all__ = ["Cell", "Extra", "WatchdogError"]
@@ -164,6 +164,9 @@ class Cell:
                 how = f"classic: {{name: {self.classic_name(topic)}, recover_after: {RECOVER_AFTER_S}s}}"
             else:
                 how = f"every: {'true' if topic.endswith(('/in', '/out')) else 'false'}, depth: 64"
+            if self.backend == "rospy" and topic in OUT:
+                # In ROS 1 whoever comes gets what is latched, asked for or not: an old message once more.
+                how += ", qos: {durability: volatile}"
             rest = f"{how}{limits}{self.options[topic]}"
             lines.append(f"  {topic}: {{type: {TYPE}, to: {way}, {rest}}}")
         return lines

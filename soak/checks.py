@@ -60,8 +60,10 @@ class Checker:
 
     def begin(self) -> None:
         """Note how things stand before a round."""
-        # The other way round than at the end: what is counted lags, and must not cover what came before.
+        # The other way round than at the end: what is counted lags, and must not cover what came before. What
+        # was counted shows as missing when the next message has come, and not earlier.
         counted = [known for _, known in self.cell.ledger.losses()]
+        self.cell.await_flow(self.cell.marks())
         missing = [lost for lost, _ in self.cell.ledger.losses()]
         self._before = list(zip(missing, counted, strict=True))
         self._pids = self._processes()
