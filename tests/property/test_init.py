@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rosplc.bridge import load_project
-from rosplc.cli.check import facts
+from rosplc.cli.check_facts import facts
 from rosplc.errors import RosplcError
 from rosplc.init import Definitions, Found, Length, Seen, Topic, Wish, draft, save, select
 from rosplc.layout.compute import limit_paths

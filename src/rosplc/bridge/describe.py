@@ -6,7 +6,7 @@ from rosplc.bridge.resolve import Project, TopicPlan
 from rosplc.shm import Description
 from rosplc.shm.header import Identity
 
-__all__ = ["describe", "object_size"]
+__all__ = ["describe", "object_plan", "object_size"]
 
 
 def describe(plan: TopicPlan, *, distro: str, bridge: str) -> Description:
@@ -24,11 +24,11 @@ def describe(plan: TopicPlan, *, distro: str, bridge: str) -> Description:
     )
 
 
-def object_size(project: Project, plan: TopicPlan) -> int:
-    """Return the bytes that the bridge's object for a topic will have."""
+def object_plan(project: Project, plan: TopicPlan) -> Identity:
+    """Return the geometry that the bridge's object for a topic will have; who made it, and when, is left open."""
     settings = project.config.settings
     description = describe(plan, distro=settings.ros.distro, bridge=settings.bridge)
-    identity = Identity.plan(
+    return Identity.plan(
         direction=plan.direction,
         slots=plan.slots,
         record_size=plan.layout.size,
@@ -37,4 +37,8 @@ def object_size(project: Project, plan: TopicPlan) -> int:
         generation=1,
         bridge_id=bytes(16),
     )
-    return identity.object_size
+
+
+def object_size(project: Project, plan: TopicPlan) -> int:
+    """Return the bytes that the bridge's object for a topic will have."""
+    return object_plan(project, plan).object_size

@@ -20,7 +20,7 @@ from rosplc.bridge.config import Config
 from rosplc.bridge.engine import Bridge
 from rosplc.bridge.realtime import Realtime, contention
 from rosplc.bridge.resolve import resolve
-from rosplc.cli.check import warnings
+from rosplc.cli.check_facts import warnings
 from rosplc.errors import RosplcError, SetupError
 from rosplc.shm import Namespace
 

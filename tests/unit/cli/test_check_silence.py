@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from rosplc.bridge import parse_config, resolve
-from rosplc.cli.check import facts
+from rosplc.cli.check_facts import facts
 
 INT = "std_msgs/msg/Int32"
 

@@ -134,7 +134,7 @@ def test_check_explains(config):
 
 
 def test_the_stated_memory_is_what_an_object_takes(config, tmp_path):
-    """What check says about memory is at least what the bridge then allocates, and not twice that."""
+    """What check says about memory is to the byte what the bridge then allocates, and adds up."""
     from rosplc.bridge.engine import Bridge
     from rosplc.bridge.resolve import load_project
 
@@ -143,7 +143,11 @@ def test_the_stated_memory_is_what_an_object_takes(config, tmp_path):
     with Bridge(load_project(path)):
         for topic in facts["topics"].values():
             size = os.stat(tmp_path / topic["object"]).st_size
-            assert size <= topic["memory_bytes"] < 2 * size + 4096
+            parts = topic["memory"]
+            assert parts["object_bytes"] == size <= topic["memory_bytes"] < size + os.sysconf("SC_PAGESIZE")
+            slots = parts["slots"] * parts["slot_bytes"]
+            assert parts["header_bytes"] + parts["description_bytes"] + slots == size
+    assert facts["memory_bytes"] == sum(topic["memory_bytes"] for topic in facts["topics"].values())
 
 
 def test_check_warns_of_what_is_probably_not_meant(config):

@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 
 from rosplc.bridge import load_project
 from rosplc.cli.app import app
-from rosplc.cli.check import facts
+from rosplc.cli.check_facts import facts
 from rosplc.demo.domain import FreeDomain
 from tests.unit.init.robots import PART, PART_TEXTS, Robot, record
 

@@ -1,0 +1,278 @@
+"""What a configuration leads to, as plain data, and what in it is probably not meant."""
+
+from __future__ import annotations
+
+import grp
+import os
+import pwd
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from rosplc.cli.text import in_bytes
+from rosplc.errors import GenerationError, RosplcError
+
+if TYPE_CHECKING:
+    from rosplc.bridge.classic_plan import ClassicPlan
+    from rosplc.bridge.resolve import Project, TopicPlan
+    from rosplc.ros import Choice
+
+__all__ = ["access", "chosen_backend", "facts", "memory", "plc_names", "warnings", "when_silent"]
+
+_PAGE = 4096
+_SEMAPHORE = 32
+_LARGE_RECORD = 64 * 1024
+_MUCH_MEMORY = 32 * 1024 * 1024
+
+
+def facts(project: Project) -> dict[str, Any]:
+    """Return what a configuration leads to, as plain data."""
+    settings = project.config.settings
+    chosen = chosen_backend(project)
+    names = plc_names(project)
+    return {
+        "bridge": settings.bridge,
+        "prefix": settings.prefix,
+        "backend": settings.ros.backend,
+        "backend_here": None
+        if isinstance(chosen, RosplcError)
+        else {"name": chosen.name, "why": chosen.why, "passed_over": dict(chosen.passed_over)},
+        "distro": settings.ros.distro,
+        "access": access(project),
+        "tasks": {
+            name: {"kind": task.kind, "interval_ms": task.interval_ns / 1e6, "priority": task.priority}
+            for name, task in settings.tasks.items()
+        },
+        "topics": {
+            plan.topic: _topic_facts(project, plan, {} if isinstance(names, RosplcError) else names)
+            for plan in project.topics
+        },
+        "memory_bytes": sum(memory(project, plan)["memory_bytes"] for plan in project.topics),
+        "warnings": warnings(project),
+    }
+
+
+def chosen_backend(project: Project) -> Choice | RosplcError:
+    """Return the backend that the configuration leads to on this machine, or why there is none."""
+    from rosplc.bridge.ros_side import choose_backend
+
+    try:
+        return choose_backend(project.config)
+    except RosplcError as error:
+        return error
+
+
+def plc_names(project: Project) -> dict[str, tuple[str, str]] | GenerationError:
+    """Return instance and function block of each topic in the generated code, or why there is none."""
+    from rosplc.cli.generate import plc_project
+    from rosplc.plc.build import ProjectOptions
+    from rosplc.plc.instances import instance_names
+    from rosplc.plc.programs import READ_GVL, WRITE_GVL
+
+    try:
+        made = plc_project(project, ProjectOptions())
+    except GenerationError as error:
+        return error
+    blocks = {
+        (gvl.name, variable.name): variable.type
+        for gvl in made.gvls
+        for block in gvl.blocks
+        for variable in block.variables
+    }
+    found = {}
+    for gvl, direction in ((READ_GVL, 1), (WRITE_GVL, 2)):
+        topics = [plan.topic for plan in project.topics if plan.direction == direction]
+        for topic, instance in instance_names(topics).items():
+            found[topic] = f"{gvl}.{instance}", blocks[gvl, instance]
+    return found
+
+
+def access(project: Project) -> dict[str, Any]:
+    """Return who may open the objects: mode, owner and group, as far as this machine knows them."""
+    shm = project.config.settings.shm
+    return {
+        "mode": f"{shm.mode:04o}",
+        "owner": _name(shm.owner, lambda number: pwd.getpwuid(number).pw_name),
+        "group": _name(shm.group, lambda number: grp.getgrgid(number).gr_name),
+    }
+
+
+def _name(given: str | int | None, look_up: Any) -> str | None:
+    if not isinstance(given, int):
+        return given
+    try:
+        return str(look_up(given))
+    except KeyError:
+        return str(given)
+
+
+def memory(project: Project, plan: TopicPlan) -> dict[str, int]:
+    """Return the shared memory that a topic takes, and of what it consists, in bytes.
+
+    ``memory_bytes`` is what is taken from the machine, in whole pages; the other parts add up to
+    ``object_bytes``.
+    """
+    if plan.classic is not None:
+        lock = _SEMAPHORE if plan.classic.semaphore else 0
+        return {
+            "memory_bytes": _pages(plan.layout.size) + _pages(lock),
+            "object_bytes": plan.layout.size,
+            "semaphore_bytes": lock,
+        }
+    from rosplc.bridge.describe import object_plan
+
+    made = object_plan(project, plan)
+    return {
+        "memory_bytes": _pages(made.object_size),
+        "object_bytes": made.object_size,
+        "header_bytes": made.description_offset,
+        "description_bytes": made.slots_offset - made.description_offset,
+        "slots": made.slot_count,
+        "slot_bytes": made.slot_stride,
+    }
+
+
+def _pages(count: int) -> int:
+    page = os.sysconf("SC_PAGESIZE") if hasattr(os, "sysconf") else _PAGE
+    return -(-count // page) * page
+
+
+def _topic_facts(project: Project, plan: TopicPlan, names: dict[str, tuple[str, str]]) -> dict[str, Any]:
+    instance, block = names.get(plan.topic, (None, None))
+    parts = memory(project, plan)
+    return {
+        "object": plan.classic.name if plan.classic else project.namespace.object_name(plan.topic),
+        "classic": None if plan.classic is None else _classic_facts(plan.classic),
+        "type": plan.type_name,
+        "to": "plc" if plan.direction == 1 else "ros",
+        "task": plan.task,
+        "instance": instance,
+        "block": block,
+        "layout_id": plan.layout.layout_id,
+        "record_bytes": plan.layout.size,
+        "slots": plan.slots,
+        "memory_bytes": parts["memory_bytes"],
+        "memory": parts,
+        "every": plan.every,
+        "qos": {
+            "reliability": plan.qos.reliability,
+            "durability": plan.qos.durability,
+            "depth": plan.qos.depth,
+            "deadline_ms": plan.qos.deadline_ns / 1e6,
+            "lease_ms": plan.qos.lease_ns / 1e6,
+        },
+        "stale_after_ms": plan.stale_after_ns / 1e6,
+        "on_stale": _stale_facts(plan),
+        "when_silent": when_silent(project, plan),
+        "min_interval_ms": plan.min_interval_ns / 1e6,
+        "on_change": plan.on_change,
+        "print": plan.print,
+        "on_overflow": "truncate" if plan.truncate else "refuse",
+    }
+
+
+def _stale_facts(plan: TopicPlan) -> dict[str, Any]:
+    from rosplc.bridge.stale_plan import flag_topic
+
+    safe = plan.on_stale
+    substituted = safe.action == "substitute"
+    return {
+        "action": safe.action,
+        "value": dict(safe.value) if safe.record else None,
+        "period_ms": safe.period_ns / 1e6 if substituted else None,
+        "flag_topic": flag_topic(plan.topic) if substituted else None,
+    }
+
+
+def _classic_facts(plan: ClassicPlan) -> dict[str, Any]:
+    return {
+        "memory": plan.name,
+        "semaphore": plan.semaphore or None,
+        "wait_ms": plan.wait_ns / 1e6,
+        "recover_after_ms": plan.recover_after_ns / 1e6,
+        "poll_ms": plan.poll_ns / 1e6,
+    }
+
+
+def when_silent(project: Project, plan: TopicPlan) -> str:
+    """Say in plain words what happens while the topic's source says nothing."""
+    from rosplc.bridge.quantities import format_duration
+    from rosplc.bridge.stale_plan import flag_topic
+
+    safe, after = plan.on_stale, format_duration(plan.stale_after_ns)
+    if plan.direction == 1:
+        if not plan.stale_after_ns:
+            return "the PLC keeps the last message, and xStale never comes"
+        value = {
+            "hold": "the PLC keeps the last message",
+            "zero": "every byte of the PLC's msg is zero, with xSubstituted",
+        }.get(safe.action, f"the PLC's msg is {_shown(safe.value)}, with xSubstituted")
+        lives = "" if safe.action == "hold" else ", whether or not the bridge lives"
+        unchanged = "; a record that does not change counts as silent" if plan.classic else ""
+        return f"after {after} {value} and xStale{lives}{unchanged}"
+    diagnostics = project.config.settings.diagnostics
+    report = ""
+    if plan.stale_after_ns and diagnostics.enabled:
+        report = f"; {format_duration(diagnostics.debounce_ns)} later /diagnostics says STALE"
+    if safe.action == "substitute":
+        return (
+            f"after {after} ROS gets {_shown(safe.value)} every {format_duration(safe.period_ns)}, "
+            f"and {flag_topic(plan.topic)} says so{report}"
+        )
+    return f"ROS gets nothing{report}"
+
+
+def _shown(value: Mapping[str, Any]) -> str:
+    """Return a message's fields as a configuration writes them, shortened."""
+    import json
+
+    text = json.dumps(value, ensure_ascii=False)
+    return "the type's initial message" if not value else text if len(text) <= 60 else text[:57] + "…"
+
+
+def warnings(project: Project) -> list[str]:
+    """Return what is allowed but probably not meant."""
+    from rosplc.bridge.access import open_doors
+    from rosplc.bridge.realtime import contention
+    from rosplc.ros import INSTALL
+    from rosplc.ros.choice import why_not_installed
+
+    found = []
+    if isinstance(chosen := chosen_backend(project), RosplcError):
+        found.append(f"on this machine the bridge would not start: {chosen.what}. {chosen.remedy}")
+    elif missing := why_not_installed(chosen.name):
+        found.append(
+            f"on this machine the bridge would not start: the package of backend {chosen.name} is not "
+            f"installed: {missing}. For {chosen.name}: {INSTALL.get(chosen.name, 'a complete rosplc')}."
+        )
+    found += [*open_doors(project.config), *contention(project.config)]
+    if isinstance(names := plc_names(project), RosplcError):
+        found.append(f"rosplc generate would refuse this: {names.what} [{names.code}]. {names.remedy}")
+    if not project.topics:
+        found.append("the file names no topics: a bridge would carry nothing")
+    for plan in project.topics:
+        if plan.layout.size > _LARGE_RECORD:
+            found.append(
+                f"{plan.topic}: a record has {in_bytes(plan.layout.size)}; copying it takes part of a scan. "
+                "Lower the limits of its largest fields (rosplc types shows them)."
+            )
+        if plan.truncate:
+            found.append(
+                f"{plan.topic}: on_overflow is truncate, so the PLC may see shortened data (xTruncated)."
+            )
+        if plan.classic is not None and plan.on_stale.action in ("zero", "value"):
+            found.append(
+                f"{plan.topic}: on_stale with classic: the same message sent again and again counts as "
+                "silent, because nothing in a bare record tells of it; let the source change a field."
+            )
+        if plan.classic is not None and not plan.classic.semaphore:
+            found.append(
+                f"{plan.topic}: nothing guards the classic memory {plan.classic.name}; a record larger than "
+                "a word can be read half written."
+            )
+    total = sum(memory(project, plan)["memory_bytes"] for plan in project.topics)
+    if total > _MUCH_MEMORY:
+        found.append(
+            f"all objects together take {in_bytes(total)} of shared memory; "
+            "containers often have 64 MiB of it (--shm-size)."
+        )
+    return found

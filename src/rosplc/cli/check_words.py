@@ -1,0 +1,183 @@
+"""A configuration in plain words, for who programs the robot, the PLC, or answers for both."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from rosplc.cli.check_facts import access, chosen_backend, memory, plc_names, warnings, when_silent
+from rosplc.cli.text import columns, in_bytes, say
+from rosplc.errors import RosplcError
+
+if TYPE_CHECKING:
+    from rosplc.bridge.classic_plan import ClassicPlan
+    from rosplc.bridge.resolve import Project, TopicPlan
+
+__all__ = ["explain"]
+
+
+def explain(project: Project) -> None:
+    """Print what a configuration means."""
+    name = project.config.path or "the configuration"
+    say(f"{name} is valid.")
+    for line in _head(project):
+        say(line)
+    found = plc_names(project)
+    names = {} if isinstance(found, RosplcError) else found
+    for plan in project.topics:
+        arrow = "ROS → PLC" if plan.direction == 1 else "PLC → ROS"
+        say(f"\n{plan.topic}  {arrow}  {plan.type_name}")
+        for line in columns(_rows(project, plan, names.get(plan.topic)), indent=2):
+            say(line)
+    for line in _total(project):
+        say(line)
+    for text in warnings(project):
+        say(f"Warning: {text}")
+
+
+def _head(project: Project) -> Iterator[str]:
+    settings = project.config.settings
+    topics = project.topics
+    yield (
+        f"Bridge {settings.bridge}: {len(topics)} topic{'s' if len(topics) != 1 else ''}, "
+        f"ROS backend {settings.ros.backend}, definitions of {settings.ros.distro}, "
+        f"objects named {settings.prefix}.t.… in {settings.shm.directory}."
+    )
+    if settings.ros.backend == "auto" and not isinstance(chosen := chosen_backend(project), RosplcError):
+        yield f"ROS backend auto is {chosen}."
+    domain = settings.ros.domain
+    if settings.ros.distro == "noetic":
+        yield "ROS master: ROS_MASTER_URI's, else http://localhost:11311."
+    else:
+        yield f"ROS domain {domain}." if domain is not None else "ROS domain: ROS_DOMAIN_ID's, else 0."
+    yield f"Who may open the objects: {_access_words(project)}."
+
+
+def _access_words(project: Project) -> str:
+    given = access(project)
+    mode = int(given["mode"], 8)
+    owner = f"user {given['owner']}" if given["owner"] else "the user who starts the bridge"
+    group = f"group {given['group']}" if given["group"] else "that user's group"
+    verbs = {0: "not at all", 2: "writing", 4: "reading only", 6: "reading and writing"}
+    everybody = "nobody else" if not mode & 0o006 else f"everybody else {verbs[mode & 0o006]}"
+    words = f"{owner} and {group}, {everybody} (mode {given['mode']})"
+    if mode & 0o060 != 0o060:
+        words = f"{owner}; {group} {verbs[mode >> 3 & 0o006]}, {everybody} (mode {given['mode']})"
+    return f"{words}; the PLC's runtime must be one of them"
+
+
+def _rows(project: Project, plan: TopicPlan, names: tuple[str, str] | None) -> list[tuple[str, str]]:
+    entry = project.config.settings.topics[plan.topic]
+    how = "every message, in order" if plan.every else "the newest message"
+    qos = "as configured" if entry.qos.model_fields_set or entry.latched is not None else "default"
+    slots = "as configured" if entry.depth is not None else "default"
+    stale = f"{plan.stale_after_ns / 1e6:g} ms" if plan.stale_after_ns else "never"
+    rows = [("record", f"{in_bytes(plan.layout.size)}, layout id {plan.layout.layout_id}")]
+    if plan.classic is None:
+        taken = in_bytes(memory(project, plan)["memory_bytes"])
+        rows.append(("slots", f"{plan.slots} ({slots}), {taken} of shared memory"))
+        rows.append(("", _memory_words(project, plan)))
+    else:
+        rows += _classic_rows(plan, plan.classic)
+    rows.append(("takes", f"{how}; PLC task {plan.task}{_cycle_words(project, plan)}"))
+    if names is not None:
+        verb = "read" if plan.direction == 1 else "written"
+        rows.append(("in the PLC", f"{verb} with {names[0]}, a {names[1]}"))
+    rows.append(("QoS", f"{_qos_words(plan)} ({qos})"))
+    rows += [("", words) for words in _qos_meaning(plan)]
+    rows += [("stale after", stale), ("when silent", when_silent(project, plan))]
+    if plan.direction == 1:
+        rows.append(("too large", "cut and counted" if plan.truncate else "refused and counted"))
+    if sieve := _sieve(plan):
+        rows.append(("passes on", sieve))
+    if plan.print:
+        rows.append(("print", "each message is logged"))
+    return rows
+
+
+def _memory_words(project: Project, plan: TopicPlan) -> str:
+    parts = memory(project, plan)
+    return (
+        f"header {parts['header_bytes']} + self-description {parts['description_bytes']} + "
+        f"{parts['slots']} slots × {parts['slot_bytes']} = {parts['object_bytes']} bytes, in whole pages"
+    )
+
+
+def _cycle_words(project: Project, plan: TopicPlan) -> str:
+    from rosplc.bridge.quantities import format_duration
+
+    task = project.tasks[plan.task]
+    return f", every {format_duration(task.interval_ns)}" if task.kind == "cyclic" else ", freewheeling"
+
+
+def _qos_meaning(plan: TopicPlan) -> Iterator[str]:
+    """Yield what the quality of service means for the messages, without its own words."""
+    qos, to_plc = plan.qos, plan.direction == 1
+    if plan.layout.store.ros_version == 1:
+        yield f"over TCP: nothing is lost on the way while the connection stands; {_waiting(qos.depth)}"
+    elif qos.reliability == "reliable":
+        yield f"what is lost on the way is sent again; {_waiting(qos.depth)}"
+    else:
+        yield f"what is lost on the way stays lost; {_waiting(qos.depth)}"
+    kept = qos.durability == "transient_local"
+    if to_plc:
+        yield (
+            "what publishers kept from before the start of the bridge comes, too"
+            if kept
+            else "what was published before the start of the bridge does not come"
+        )
+    else:
+        yield f"who subscribes later gets {'the messages that were kept' if kept else 'nothing from before'}"
+
+
+def _waiting(depth: int) -> str:
+    return (
+        "one message waits, the newest"
+        if depth == 1
+        else f"at most {depth} messages wait, the oldest give way"
+    )
+
+
+def _total(project: Project) -> Iterator[str]:
+    sizes = {1: 0, 2: 0}
+    for plan in project.topics:
+        sizes[plan.direction] += memory(project, plan)["memory_bytes"]
+    total = sum(sizes.values())
+    ways = (
+        f" ({in_bytes(sizes[1])} towards the PLC, {in_bytes(sizes[2])} towards ROS)"
+        if all(sizes.values())
+        else ""
+    )
+    yield f"\nShared memory in all: {in_bytes(total)}{ways}."
+
+
+def _classic_rows(plan: TopicPlan, classic: ClassicPlan) -> list[tuple[str, str]]:
+    from rosplc.bridge.quantities import format_duration
+
+    lock = "none: a record may be read while it is written"
+    if classic.semaphore:
+        lock = (
+            f"semaphore {classic.semaphore}, tried for {format_duration(classic.wait_ns)}, freed when it is "
+            f"held for {format_duration(classic.recover_after_ns)} without a sign of life"
+        )
+    rows = [("classic", f"memory {classic.name} with the bare record"), ("lock", lock)]
+    if plan.direction != 1:
+        what = "a changed record is a message" if plan.on_change else "every look is a message"
+        rows.append(("looks", f"every {format_duration(classic.poll_ns)}; {what}"))
+    return rows
+
+
+def _sieve(plan: TopicPlan) -> str:
+    words = ["only what changed"] if plan.on_change else []
+    if plan.min_interval_ns:
+        words.append(f"one message per {plan.min_interval_ns / 1e6:g} ms at most")
+    return ", ".join(words)
+
+
+def _qos_words(plan: TopicPlan) -> str:
+    from rosplc.bridge.quantities import format_duration
+
+    qos = plan.qos
+    words = [qos.reliability, qos.durability, f"depth {qos.depth}"]
+    times = (("deadline", qos.deadline_ns), ("lease", qos.lease_ns))
+    return ", ".join([*words, *(f"{word} {format_duration(ns)}" for word, ns in times if ns)])
