@@ -225,6 +225,7 @@ class Campaign:
         cell.ensure()
         try:
             cell.await_flow(cell.marks())
+            cell.await_diagnostics()  # the next round begins with what this bridge counts, not another
         except WatchdogError as error:
             self._say(f"       starting over: {error}")
 

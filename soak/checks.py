@@ -14,7 +14,7 @@ resources  a process that lived through the round holds about as many descriptor
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from soak.cell import SHM, Cell, WatchdogError
 from soak.faults import Fault
@@ -27,17 +27,30 @@ __all__ = ["Checker"]
 _COUNTERS = {True: {"bridge", "plc"}, False: {"bridge", "subscriber"}}
 _FILES, _THREADS = 12, 8
 _SETTLED = 5
+_QUANTITIES = ("files", "threads", "private_kb")
 _GROWTH_KB = 32 * 1024
 
 
 @dataclass
 class _Life:
-    """One process through the rounds."""
+    """One process through the rounds, and the most that it held while it settled."""
 
-    first: Usage
+    pid: int
     rounds: int = 0
-    settled_kb: int = 0
-    last_kb: int = 0
+    settled: Usage | None = None
+
+    def settle(self, usage: Usage) -> Usage:
+        """Take in what it holds now; return what it is compared with."""
+        self.rounds += 1
+        before = self.settled
+        if before is None:
+            self.settled = usage
+        elif self.rounds <= _SETTLED:
+            # A process that has just been started may not have opened anything yet.
+            most = {name: max(getattr(before, name), getattr(usage, name)) for name in _QUANTITIES}
+            self.settled = replace(before, **most)
+        assert self.settled is not None
+        return self.settled
 
 
 @dataclass
@@ -135,19 +148,17 @@ class Checker:
             if usage is None:
                 continue
             life = self._lives.get(name)
-            if life is None or life.first.pid != usage.pid:
-                self._lives[name] = _Life(usage)
-                continue
-            life.rounds += 1
-            life.last_kb = usage.private_kb
+            if life is None or life.pid != usage.pid:
+                life = self._lives[name] = _Life(usage.pid)
+            settled = life.settle(usage)
             if life.rounds <= _SETTLED:
-                life.settled_kb = max(life.settled_kb, usage.private_kb)
-            growth = usage.private_kb - life.settled_kb
+                continue
+            growth = usage.private_kb - settled.private_kb
             self.worst_growth_kb[name] = max(self.worst_growth_kb.get(name, 0), growth)
-            if usage.files > life.first.files + _FILES:
-                found.append(f"{name}: {usage.files} descriptors, {life.first.files} at first")
-            if usage.threads > life.first.threads + _THREADS:
-                found.append(f"{name}: {usage.threads} threads, {life.first.threads} at first")
+            if usage.files > settled.files + _FILES:
+                found.append(f"{name}: {usage.files} descriptors, {settled.files} when it had settled")
+            if usage.threads > settled.threads + _THREADS:
+                found.append(f"{name}: {usage.threads} threads, {settled.threads} when it had settled")
             if growth > _GROWTH_KB:
                 found.append(f"{name}: {growth} KiB more memory of its own than when it had settled")
         return found
