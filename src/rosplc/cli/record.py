@@ -222,17 +222,16 @@ def _order(
 def _record(order: Order, seconds: float, *, quiet: bool, as_json: bool) -> None:
     from rosplc.bridge.run import stop_on_signals
     from rosplc.errors import RecordingError
-    from rosplc.recorder import Recorder, prepare_process
+    from rosplc.recorder import Recorder, quick_process
 
     recorder = Recorder(order)
-    prepare_process()
 
     def tell(number: int) -> None:
         if number == signal.SIGHUP:
             recorder.trigger("SIGHUP")
 
     line = ProgressLine(quiet=quiet)
-    with stop_on_signals(tell) as stop:
+    with quick_process(), stop_on_signals(tell) as stop:
         recorder.start()
         _begin(recorder, order, quiet=quiet)
         end = time.monotonic() + seconds if seconds else None
@@ -279,9 +278,7 @@ def _begin(recorder: Recorder, order: Order, *, quiet: bool) -> None:
     for pattern in order.selection.without_match(topics):
         warn(f"there is no channel {pattern} yet; it is recorded when it comes")
     if not topics:
-        warn(
-            f"there are no channels of prefix {order.namespace.prefix} yet; they are recorded when they come"
-        )
+        warn(f"there is no channel of prefix {order.namespace.prefix} yet; what comes is recorded")
         _hint(order)
     if quiet:
         return

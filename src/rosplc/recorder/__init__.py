@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rosplc.recorder.mcap_write import COMPRESSIONS, Compression
-from rosplc.recorder.recorder import Order, Progress, Recorder, Result, prepare_process
+from rosplc.recorder.recorder import Order, Progress, Recorder, Result, quick_process
 from rosplc.recorder.selection import Selection
 from rosplc.recorder.store import Split
 
@@ -16,5 +16,5 @@ __all__ = [
     "Result",
     "Selection",
     "Split",
-    "prepare_process",
+    "quick_process",
 ]

@@ -7,7 +7,8 @@ import json
 import sys
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -25,7 +26,7 @@ from rosplc.recorder.trigger import Fired, Triggers
 from rosplc.ros import Qos
 from rosplc.shm import Namespace
 
-__all__ = ["Order", "Progress", "Recorder", "Result", "TopicResult", "prepare_process"]
+__all__ = ["Order", "Progress", "Recorder", "Result", "TopicResult", "quick_process"]
 
 _LOOK_NS = 250_000_000
 _SETTLE_NS = 200_000_000
@@ -143,16 +144,23 @@ class Result:
         return sum(topic.lost + topic.refused for topic in self.topics.values())
 
 
-def prepare_process() -> None:
-    """Make this process answer quickly: for a program that does nothing but record.
+@contextmanager
+def quick_process() -> Iterator[None]:
+    """Make this process answer quickly, for a program that does nothing but record.
 
     A thread that computes gives way after half a millisecond instead of five, and a collection of
     garbage no longer goes through everything that was there at the start. Both would cost messages of
     channels with few slots.
     """
+    before = sys.getswitchinterval()
     sys.setswitchinterval(0.0005)
     gc.collect()
     gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+        sys.setswitchinterval(before)
 
 
 class Recorder:
@@ -262,6 +270,8 @@ class Recorder:
     def stop(self) -> Result:
         """Take what is there, finish the files, and return what became of it.
 
+        Without a message no file is left, but for those of a ring buffer.
+
         Raises:
             RecordingError: REC001 or REC002: the last file could not be finished, and has no summary.
         """
@@ -283,6 +293,9 @@ class Recorder:
             except RecordingError as error:
                 failure = error
             self._files = self._store.written
+            if failure is None and not any(count.received for count in self.inlet.counts.values()):
+                self._store.discard()
+                self._files = []
         self.result = Result(
             tuple(self._files),
             self._topics(),

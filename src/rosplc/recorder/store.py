@@ -137,6 +137,21 @@ class FileStore:
         if self._file is not None:
             self._close(self._file)
 
+    def discard(self) -> None:
+        """Remove the finished files, because nothing is in them.
+
+        Raises:
+            RecordingError: REC001.
+        """
+        try:
+            for one in self.written:
+                one.path.unlink()
+            if self._bag:
+                (self._base / "metadata.yaml").unlink()
+                self._base.rmdir()
+        except OSError as error:
+            raise failure(error, self._base) from error
+
     def _due(self, file: McapFile, chunk: SealedChunk) -> bool:
         size, time_ns = self._split.size, self._split.time_ns
         return bool(

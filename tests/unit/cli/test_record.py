@@ -1,0 +1,183 @@
+"""`rosplc record` and `rosplc replay` as they are typed: files, JSON, signals, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from rosplc.cli.app import app
+from rosplc.shm import Namespace, attach
+from tests.unit.recorder.making import Feed, read_from_the_front
+
+
+def rosplc(*arguments: object, code: int = 0) -> Any:
+    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    assert result.exit_code == code, result.output
+    assert "Traceback" not in result.output
+    return result
+
+
+@contextmanager
+def talking(namespace: Namespace, topic: str = "/a") -> Iterator[Feed]:
+    """Publish numbers all the time."""
+    feed, stop = Feed(namespace, topic, slots=1024), threading.Event()
+
+    def talk() -> None:
+        number = 0
+        while not stop.wait(0.005):
+            number += 1
+            feed.number(number)
+
+    thread = threading.Thread(target=talk)
+    thread.start()
+    try:
+        yield feed
+    finally:
+        stop.set()
+        thread.join()
+        feed.close()
+
+
+@contextmanager
+def started(*arguments: object) -> Iterator[subprocess.Popen[str]]:
+    """Run the command as a process; it is dead when the block ends."""
+    child = subprocess.Popen(
+        [sys.executable, "-m", "rosplc", *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        yield child
+    finally:
+        if child.poll() is None:
+            child.kill()
+        child.communicate()
+
+
+def begun(child: subprocess.Popen[str]) -> None:
+    """Wait until a recorder says that it has begun."""
+    assert child.stderr is not None
+    for line in child.stderr:
+        if "Ctrl-C ends it" in line or "keeping the last" in line:
+            return
+    raise AssertionError("it ended before it had begun")
+
+
+def soon(condition: Any) -> None:
+    end = time.monotonic() + 60
+    while not condition():
+        assert time.monotonic() < end, "it did not come within a minute"
+        time.sleep(0.02)
+
+
+def test_record_list_and_replay(shm_namespace: Namespace, tmp_path: Path) -> None:
+    """A recording of a second says what it has, is listed, and is replayed into a channel."""
+    out = tmp_path / "r.mcap"
+    with talking(shm_namespace):
+        said = rosplc("record", "--prefix", shm_namespace.prefix, "-o", out, "--duration", "1s", "--json")
+    document = json.loads(said.stdout)
+    count = document["topics"]["/a"]["received"]
+    assert count > 0 and document["files"][0]["topics"] == {"/a": count}
+    listed = json.loads(rosplc("replay", out, "--list", "--json").stdout)
+    assert listed["topics"]["/a"]["messages"] == count and listed["topics"]["/a"]["direction"] == "to_plc"
+    assert "/a" in rosplc("replay", out, "--list").stdout
+    replay = ("replay", out, "--to", "plc", "--prefix", shm_namespace.prefix, "--speed", "max", "--wait", "0")
+    played = rosplc(*replay, "--rename", "/a:=/b", "--json")
+    assert json.loads(played.stdout)["topics"]["/b"]["sent"] == count
+    with attach(shm_namespace, "/b") as attached:
+        assert attached.snapshot().writer.head == count
+    assert f"{count} messages of 1 topics sent" in rosplc(*replay).stdout
+
+
+def test_ctrl_c_ends_a_recording(shm_namespace: Namespace, tmp_path: Path) -> None:
+    """SIGINT ends it in order: with status 0, a report, and a file that is complete."""
+    out = tmp_path / "r"
+    command = ("record", "--prefix", shm_namespace.prefix, "-o", out, "--bag")
+    with talking(shm_namespace), started(*command) as child:
+        begun(child)
+        time.sleep(0.5)
+        child.send_signal(signal.SIGINT)
+        report, _ = child.communicate(timeout=60)
+    assert child.returncode == 0 and "messages of 1 topics" in report
+    assert (out / "metadata.yaml").exists() and not list(tmp_path.glob("**/*.tmp"))
+    assert json.loads(rosplc("replay", out, "--list", "--json").stdout)["notes"] == []
+
+
+def test_sighup_saves_a_ring_buffer(shm_namespace: Namespace, tmp_path: Path) -> None:
+    """With --keep nothing is written until SIGHUP, or a trigger, asks for it."""
+    keep = ("record", "--prefix", shm_namespace.prefix, "-o", tmp_path / "ring", "--keep", "1min", "--json")
+    with talking(shm_namespace), started(*keep, "--trigger", "/a.pose.position.x < 0") as child:
+        begun(child)
+        time.sleep(0.3)
+        assert not list(tmp_path.iterdir())
+        child.send_signal(signal.SIGHUP)
+        soon(lambda: any(read_from_the_front(path) for path in tmp_path.glob("ring_*.mcap")))
+        child.send_signal(signal.SIGTERM)
+        document = json.loads(child.communicate(timeout=60)[0])
+    assert child.returncode == 0 and document["saves"] == ["SIGHUP"] and len(document["files"]) == 1
+
+
+def test_repairing(shm_namespace: Namespace, tmp_path: Path) -> None:
+    """A file that was cut is saved beside it, and what was wrong is said."""
+    out = tmp_path / "r.mcap"
+    with talking(shm_namespace):
+        rosplc("record", "--prefix", shm_namespace.prefix, "-o", out, "--duration", "2s")
+    out.write_bytes(out.read_bytes()[:-40])
+    said = rosplc("record", "--repair", out)
+    assert "it ends, or is damaged" in said.stdout and (tmp_path / "r_repaired.mcap").exists()
+    facts = json.loads(rosplc("record", "--repair", out, "-o", tmp_path / "again", "--json").stdout)
+    assert facts["messages"] > 0 and facts["damaged"] == 0
+    rosplc("record", "--repair", out, code=1)  # the name is taken now
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("record", "--duration", "soon"),
+        ("record", "--split-size", "1 lot"),
+        ("record", "--compression", "rar"),
+        ("record", "--trigger", "stale"),
+        ("record", "--after", "1s"),
+        ("replay", "x.mcap"),
+        ("replay", "x.mcap", "--to", "nowhere"),
+        ("replay", "x.mcap", "--to", "plc", "--speed", "fast"),
+        ("replay", "x.mcap", "--to", "plc", "--speed", "0"),
+        ("replay", "x.mcap", "--to", "plc", "--stamps", "old"),
+        ("replay", "x.mcap", "--to", "plc", "--rename", "a=b"),
+        ("replay", "x.mcap", "--to", "plc", "--start", "2s", "--end", "1s"),
+    ],
+)
+def test_options_that_cannot_be(arguments: tuple[str, ...]) -> None:
+    """A wrong option is refused before anything is opened."""
+    rosplc(*arguments, code=2)
+
+
+def test_what_is_refused_in_words(shm_namespace: Namespace, tmp_path: Path) -> None:
+    """No channel, a name that is taken, a file that is none, an unknown topic: each has its error."""
+    prefix = ("--prefix", shm_namespace.prefix)
+    empty = rosplc("record", *prefix, "-o", tmp_path / "e", "--duration", "100ms", code=1)
+    assert "REC004" in empty.stderr and "no channel of prefix" in empty.stderr
+    assert not list(tmp_path.iterdir())
+    (tmp_path / "taken.mcap").write_text("mine")
+    assert "REC001" in rosplc("record", *prefix, "-o", tmp_path / "taken", code=1).stderr
+    assert (tmp_path / "taken.mcap").read_text() == "mine"
+    assert "REC003" in rosplc("replay", tmp_path / "taken.mcap", "--to", "plc", code=1).stderr
+    assert "REC003" in rosplc("replay", tmp_path / "none.mcap", "--to", "plc", code=1).stderr
+    assert "REC005" in rosplc("record", *prefix, "--keep", "1s", "-t", "fault", code=1).stderr
+    with talking(shm_namespace):
+        rosplc("record", *prefix, "-o", tmp_path / "r", "--duration", "500ms")
+        play = ("replay", tmp_path / "r.mcap", "--to", "plc", *prefix)
+        assert "REC006" in rosplc(*play, "--topic", "/nothing", code=1).stderr
+        assert "SHM116" in rosplc(*play, code=1).stderr
