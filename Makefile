@@ -91,8 +91,8 @@ bench: $(VENV)/.installed $(VENV)/.core ## the developers' measurements in bench
 	@$(RUN) bench
 
 .PHONY: soak
-soak: $(VENV)/.installed $(VENV)/.core ## the fault campaign; SOAK_MINUTES=60 SOAK_OPTIONS="--backend zenoh --json FILE"
-	@$(VENV)/bin/python -m soak --minutes $(SOAK_MINUTES) $(SOAK_OPTIONS)
+soak: $(VENV)/.installed $(VENV)/.core ## the fault campaign, all kinds of cell at once; SOAK_MINUTES=60 SOAK_OPTIONS="--seed 7"
+	@$(VENV)/bin/python -m soak --mix .cache/soak --minutes $(SOAK_MINUTES) $(SOAK_OPTIONS)
 
 .PHONY: fuzz
 fuzz: $(VENV)/.installed $(VENV)/.core ## hostile input for every reader; FUZZ_SECONDS=600 for each, FUZZ_OPTIONS="--page"
