@@ -29,6 +29,7 @@ _Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _PLAIN_TAGS = frozenset(
     {"!"} | {f"tag:yaml.org,2002:{name}" for name in ("map", "seq", "str", "int", "float", "bool", "null")}
 )
+_HALF = re.compile("[\ud800-\udfff]")
 _INT = re.compile(r"[-+]?(0|[1-9][0-9]{0,17})\Z")
 _FLOAT = re.compile(r"[-+]?([0-9]+\.[0-9]*|\.[0-9]+|[0-9]+(?=[eE]))([eE][-+]?[0-9]{1,3})?\Z")
 _WORDS = {
@@ -87,6 +88,9 @@ def read_yaml(path: Path, problems: Problems, *, text: str | None = None) -> Yam
         text = _load(path)
     elif len(text) > LARGEST_FILE:
         raise _too_large(name)
+    if half := _HALF.search(text):
+        line = text.count("\n", 0, half.start()) + 1
+        raise ConfigError("CFG002", f"{half[0]!r} is no character", where=f"{name}:{line}")
     builder = _Builder(name, problems)
     try:
         for event in yaml.parse(text, Loader=_Loader):
@@ -158,6 +162,8 @@ class _Builder:
             else:
                 self._value(None, line)
         elif isinstance(event, yaml.ScalarEvent):
+            if "\0" in event.value:  # which no name, path or text of a message can hold
+                raise ConfigError("CFG002", "a text holds a NUL", where=f"{self.name}:{line}")
             self._tag(event.tag, line)
             if self._expects_key():
                 self._key(event.value, line)

@@ -15,7 +15,12 @@ if TYPE_CHECKING:
 
     from rosplc.model.parse import ParsedType
 
-__all__ = ["parse_folder"]
+__all__ = ["MAX_ENTRIES", "MAX_FILES", "parse_folder"]
+
+MAX_FILES = 10_000
+"""Most ``.msg`` files below one folder."""
+MAX_ENTRIES = 200_000
+"""Most files and folders below one folder: more is no folder of messages, but a disk."""
 
 _PACKAGE = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
 
@@ -27,14 +32,15 @@ def parse_folder(path: Path, ros_version: int) -> Iterator[ParsedType]:
     the ``package.xml`` there. One ``.msg`` file instead of a folder is accepted too.
 
     Raises:
-        MessageTypeError: TYP008 if there is nothing to read, and what
+        MessageTypeError: TYP008 if there is nothing to read, or too much, and what
             :func:`rosplc.model.parse.parse_definition` raises, with file and line.
     """
     try:
-        files = [path] if path.is_file() else sorted(path.rglob("*.msg"))
+        files = [path] if path.is_file() else _below(path)
         exists = path.exists()
-    except OSError as error:
-        raise MessageTypeError("TYP008", f"cannot be read: {error.strerror}", where=str(path)) from None
+    except (OSError, ValueError) as error:
+        what = getattr(error, "strerror", None) or str(error)
+        raise MessageTypeError("TYP008", f"cannot be read: {what}", where=str(path)) from None
     if not exists:
         raise MessageTypeError("TYP008", "does not exist", where=str(path))
     if not files or files[0].suffix != ".msg":
@@ -44,6 +50,19 @@ def parse_folder(path: Path, ros_version: int) -> Iterator[ParsedType]:
         yield from parse_definition(
             name, _read(file), where=str(file), ros_version=ros_version, siblings=names.values()
         )
+
+
+def _below(path: Path) -> list[Path]:
+    """Return the ``.msg`` files below a folder; links to folders are not followed, and no pipe is opened."""
+    files: list[Path] = []
+    for number, entry in enumerate(path.rglob("*")):
+        if number >= MAX_ENTRIES:
+            raise ValueError(f"there are more than {MAX_ENTRIES} files below it")
+        if entry.suffix == ".msg" and entry.is_file():
+            files.append(entry)
+        if len(files) > MAX_FILES:
+            raise ValueError(f"there are more than {MAX_FILES} .msg files below it")
+    return sorted(files)
 
 
 def _read(file: Path) -> str:
@@ -80,6 +99,8 @@ def _name_in(manifest: Path) -> str:
     if not manifest.is_file():
         return ""
     try:
-        return (ElementTree.parse(manifest).getroot().findtext("name") or "").strip()
+        with manifest.open("rb") as file:
+            text = file.read(MAX_TEXT)  # what is longer is cut off, and so no XML
+        return (ElementTree.fromstring(text).findtext("name") or "").strip()
     except (ElementTree.ParseError, OSError, ValueError):
         raise MessageTypeError("TYP002", "is not a readable package manifest", where=str(manifest)) from None

@@ -22,9 +22,11 @@ from rosplc.plc.project import Dut, Gvl, PlcProject, Pou
 from rosplc.plc.script import import_script
 from rosplc.plc.st_text import object_text
 
-__all__ = ["MANIFEST", "Delivery", "project_files", "write_files"]
+__all__ = ["LARGEST_MANIFEST", "MANIFEST", "Delivery", "project_files", "write_files"]
 
 MANIFEST = ".rosplc-manifest.json"
+LARGEST_MANIFEST = 16 << 20
+"""Bytes of the list of generated files; one of ten thousand files has two million."""
 _LONGEST_STEM = 120  # with the folders still within the 260 characters of a path on Windows
 
 
@@ -125,7 +127,8 @@ def _write(folder: Path, files: dict[str, bytes], known: dict[str, str]) -> Deli
 
 def _manifest(folder: Path, *, force: bool) -> dict[str, str]:
     try:
-        data = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+        with (folder / MANIFEST).open("rb") as file:
+            data = json.loads(file.read(LARGEST_MANIFEST))  # what is longer is cut off, and so no JSON
         entries = data["files"].items()
     except FileNotFoundError:
         return {}

@@ -332,8 +332,8 @@ def open_backend(
     """Join the graph of this process; arguments, without options, as :func:`rosplc.ros.open_backend`."""
     variables = os.environ if environment is None else environment
     text = str(domain) if domain is not None else variables.get("ROS_DOMAIN_ID") or "0"
-    if not text.isascii() or not text.isdigit():
+    if not text.isascii() or not text.isdigit() or len(text) > 9:
         raise BackendError(
-            "ROS010", f"ROS_DOMAIN_ID is {text!r}; it is a number from 0 up", where="ROS_DOMAIN_ID"
+            "ROS010", f"ROS_DOMAIN_ID is {text[:80]!r}; it is a number from 0 up", where="ROS_DOMAIN_ID"
         )
     return MemoryBackend(store, node_name, namespace, int(text), remap or {})

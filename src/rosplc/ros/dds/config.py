@@ -39,9 +39,9 @@ def domain_id(domain: int | None, environment: Mapping[str, str]) -> int:
     """
     source = "ros.domain" if domain is not None else "ROS_DOMAIN_ID"
     text = str(domain) if domain is not None else environment.get("ROS_DOMAIN_ID") or "0"
-    if not text.isascii() or not text.isdigit() or int(text) > MAX_DOMAIN:
+    if not text.isascii() or not text.isdigit() or len(text) > 9 or int(text) > MAX_DOMAIN:
         raise BackendError(
-            "ROS010", f"{source} is {text!r}; it is a number from 0 to {MAX_DOMAIN}", where=source
+            "ROS010", f"{source} is {text[:80]!r}; it is a number from 0 to {MAX_DOMAIN}", where=source
         )
     return int(text)
 

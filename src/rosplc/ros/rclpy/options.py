@@ -57,8 +57,8 @@ def domain_of(domain: int | None, environment: Mapping[str, str]) -> int | None:
     text = environment.get("ROS_DOMAIN_ID") or ""
     if domain is not None or not text:
         return domain
-    if not text.isascii() or not text.isdigit():
+    if not text.isascii() or not text.isdigit() or len(text) > 9:
         raise BackendError(
-            "ROS010", f"ROS_DOMAIN_ID is {text!r}; it is a number from 0 up", where="ROS_DOMAIN_ID"
+            "ROS010", f"ROS_DOMAIN_ID is {text[:80]!r}; it is a number from 0 up", where="ROS_DOMAIN_ID"
         )
     return int(text)

@@ -21,6 +21,7 @@ __all__ = [
     "AnyMsg",
     "QueuedConnection",
     "ROSHandler",
+    "SilenceableXMLRPCRequestHandler",
     "TCPROSPub",
     "TCPROSTransport",
     "TCPServer",
@@ -95,6 +96,7 @@ TransportProtocol = _found["rospy.impl.tcpros_base"].TCPROSTransportProtocol
 TCPROSPub = _found["rospy.impl.tcpros_pubsub"].TCPROSPub
 QueuedConnection = _found["rospy.impl.tcpros_pubsub"].QueuedConnection
 TransportError = _found["rospy.exceptions"].TransportException
+SilenceableXMLRPCRequestHandler = _found["rosgraph.xmlrpc"].SilenceableXMLRPCRequestHandler
 ThreadingXMLRPCServer = _found["rosgraph.xmlrpc"].ThreadingXMLRPCServer
 decode_header = _found["rosgraph.network"].decode_ros_handshake_header
 encode_header = _found["rosgraph.network"].encode_ros_handshake_header

@@ -13,6 +13,7 @@ from rosplc.ros.rospy.debian import decode_header, encode_header
 
 __all__ = [
     "ANY",
+    "MOST_HEADER",
     "HandshakeError",
     "connect",
     "peer_type",
@@ -25,7 +26,8 @@ __all__ = [
 ANY = "*"
 """Stands for any type and any checksum."""
 
-_MOST = 4 * 1024 * 1024  # a header holds the definition with all types that it needs
+MOST_HEADER = 4 << 20
+"""Bytes of a connection header, which holds the definition with all types that it needs."""
 
 
 class HandshakeError(Exception):
@@ -63,8 +65,8 @@ def read_header(sock: socket.socket, timeout_s: float) -> dict[str, str]:
     deadline = time.monotonic() + timeout_s
     start = _exactly(sock, 4, deadline)
     length = int.from_bytes(start, "little")
-    if length > _MOST:
-        raise HandshakeError(f"its connection header announces {length} bytes, {_MOST} are the most")
+    if length > MOST_HEADER:
+        raise HandshakeError(f"its connection header announces {length} bytes, {MOST_HEADER} are the most")
     rest = _exactly(sock, length, deadline)
     try:
         fields: dict[str, str] = decode_header(start + rest)

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import http.client
+import time
 import xmlrpc.client
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 from xml.parsers.expat import ExpatError
 
-__all__ = ["Master", "RefusedError", "SystemState", "UnreachableError", "call", "proxy"]
+__all__ = ["MOST_ANSWER", "Master", "RefusedError", "SystemState", "UnreachableError", "call", "proxy"]
+
+MOST_ANSWER = 16 << 20
+"""Bytes of an answer; the state of a graph of thousands of nodes has less."""
 
 _TIMEOUT_S = 3.0
+_LONGEST = 10  # times the timeout for all of an answer: one that drips in must not hold us for ever
 
 
 class UnreachableError(Exception):
@@ -23,7 +28,7 @@ class RefusedError(Exception):
 
 
 class _Transport(xmlrpc.client.Transport):
-    """The standard one, which knows no timeout."""
+    """The standard one knows no timeout, and takes answers of any size."""
 
     def __init__(self, timeout_s: float) -> None:
         super().__init__()
@@ -33,6 +38,24 @@ class _Transport(xmlrpc.client.Transport):
         connection = super().make_connection(host)
         connection.timeout = self._timeout_s
         return connection
+
+    def parse_response(self, response: Any) -> Any:
+        """Read an answer; ValueError or OSError for one that is none, too large or too slow."""
+        if response.getheader("Content-Encoding", "identity") != "identity":
+            raise ValueError("it is compressed, which nobody asked for")
+        deadline = time.monotonic() + _LONGEST * self._timeout_s
+        parser, target = self.getparser()
+        size = 0
+        while data := response.read1(65536):
+            size += len(data)
+            if size > MOST_ANSWER:
+                raise ValueError(f"it has more than {MOST_ANSWER} bytes")
+            if time.monotonic() > deadline:
+                raise TimeoutError("it takes too long")
+            parser.feed(data)
+        response.close()  # read1() does not tell the connection that all has been read
+        parser.close()
+        return target.close()
 
 
 def proxy(uri: str, timeout_s: float = _TIMEOUT_S) -> xmlrpc.client.ServerProxy:

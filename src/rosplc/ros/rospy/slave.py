@@ -13,14 +13,26 @@ import threading
 from typing import Any, Protocol
 
 from rosplc.ros.rospy.address import Address, is_node_uri
-from rosplc.ros.rospy.debian import ROSHandler, TCPServer, ThreadingXMLRPCServer
+from rosplc.ros.rospy.debian import (
+    ROSHandler,
+    SilenceableXMLRPCRequestHandler,
+    TCPServer,
+    ThreadingXMLRPCServer,
+)
 from rosplc.ros.rospy.handshake import HandshakeError, read_header, write_header
 from rosplc.ros.rospy.inbound import Incoming
 from rosplc.ros.rospy.outbound import Outgoing
 
-__all__ = ["Servers", "Topics"]
+__all__ = ["MOST_CALLERS", "MOST_GREETINGS", "MOST_REQUEST", "Servers", "Topics"]
 
 _logger = logging.getLogger("rosplc.ros.rospy")
+
+MOST_REQUEST = 4 << 20
+"""Bytes of a call; the list of a topic's publishers has far less."""
+MOST_CALLERS = 1000
+"""Connections that callers may have open at once."""
+MOST_GREETINGS = 128
+"""Subscribers whose headers are waited for at once."""
 
 _TIMEOUT_S = 5.0
 
@@ -92,14 +104,30 @@ class _Handler(ROSHandler):  # type: ignore[misc]
         return 1, "shutdown", 0
 
 
+class _Request(SilenceableXMLRPCRequestHandler):  # type: ignore[misc]
+    """rospy's, which believes any announced length."""
+
+    def do_POST(self) -> None:
+        length = self.headers.get("Content-Length", "")
+        if not length.isdigit() or len(length) > 9 or int(length) > MOST_REQUEST:
+            self.close_connection = True
+            self.send_error(413)
+            return
+        super().do_POST()
+
+
 class _SlaveServer(ThreadingXMLRPCServer):  # type: ignore[misc]
     """rospy's server, which here also ends the connections that callers keep open."""
 
     def __init__(self, bind: str) -> None:
         self._connections: set[socket.socket] = set()
         super().__init__((bind, 0), log_requests=0)
+        self.RequestHandlerClass = _Request
 
     def process_request(self, request: socket.socket, client_address: Any) -> None:
+        if len(self._connections) >= MOST_CALLERS:
+            request.close()
+            return
         self._connections.add(request)
         super().process_request(request, client_address)
 
@@ -158,6 +186,7 @@ class Servers:
 
     def __init__(self, node: str, address: Address, topics: Topics) -> None:
         self._topics = topics
+        self._greetings = threading.Semaphore(MOST_GREETINGS)
         self._rpc = _SlaveServer(address.bind)
         try:
             self._data = _DataServer(address.bind, self._serve)
@@ -179,6 +208,9 @@ class Servers:
 
     def _serve(self, sock: socket.socket, address: tuple[str, int]) -> None:
         # In a thread of its own: a caller that says nothing must not keep others waiting.
+        if not self._greetings.acquire(blocking=False):
+            sock.close()
+            return
         threading.Thread(target=self._greet, args=(sock, address), name="rosplc-greet", daemon=True).start()
 
     def _greet(self, sock: socket.socket, address: tuple[str, int]) -> None:
@@ -202,6 +234,8 @@ class Servers:
         except Exception:
             _logger.exception("a connection from %s had an error", address)
             sock.close()
+        finally:
+            self._greetings.release()
 
     def close(self) -> None:
         """Stop listening."""

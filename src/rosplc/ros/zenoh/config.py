@@ -16,7 +16,10 @@ import zenoh
 
 from rosplc.errors import BackendError
 
-__all__ = ["OPTIONS", "SessionConfig", "domain_id", "session_config", "words"]
+__all__ = ["LARGEST_FILE", "OPTIONS", "SessionConfig", "domain_id", "session_config", "words"]
+
+LARGEST_FILE = 1 << 20
+"""Bytes that a configuration of Zenoh's may have."""
 
 OPTIONS = ("mode", "connect", "listen", "config")
 """The keys of ``ros.zenoh``."""
@@ -75,7 +78,7 @@ def domain_id(domain: int | None, environment: Mapping[str, str]) -> int:
     source = "ros.domain" if domain is not None else "ROS_DOMAIN_ID"
     text = str(domain) if domain is not None else environment.get("ROS_DOMAIN_ID") or "0"
     if not text.isascii() or not text.isdigit() or len(text) > 9:
-        raise BackendError("ROS010", f"{source} is {text!r}; it is a number from 0 up", where=source)
+        raise BackendError("ROS010", f"{source} is {text[:80]!r}; it is a number from 0 up", where=source)
     return int(text)
 
 
@@ -145,11 +148,16 @@ def _base(options: Mapping[str, object], environment: Mapping[str, str]) -> Any:
     if not isinstance(path, str | Path):
         raise BackendError(code, f"{path!r} is no path of a file", where=where)
     try:
-        # Read here first: the library's words for a missing file do not name it.
-        Path(path).read_bytes()
+        # Read here first: the library's words for a missing file do not name it, and it would read a device
+        # without end.
+        with Path(path).open("rb") as file:
+            size = len(file.read(LARGEST_FILE + 1))
+        if size > LARGEST_FILE:
+            raise BackendError(code, f"{path} has more than {LARGEST_FILE} bytes", where=where)
         return zenoh.Config.from_file(str(path))
-    except OSError as error:
-        raise BackendError(code, f"{path} cannot be read: {error.strerror}", where=where) from error
+    except (OSError, ValueError) as error:
+        what = getattr(error, "strerror", None) or str(error)
+        raise BackendError(code, f"{str(path)[:300]!r} cannot be read: {what}", where=where) from error
     except zenoh.ZError as error:
         what = f"{path} is no configuration of Zenoh: {words(error)}"
         raise BackendError(code, what, where=where) from error
