@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections import deque
+from contextlib import suppress
 from typing import ClassVar
 
 from textual.app import App
 from textual.binding import Binding, BindingType
+from textual.css.query import NoMatches
 
 from rosplc.errors import ChannelError
 from rosplc.monitor.picture import Event, Picture
@@ -74,7 +76,9 @@ class TopApp(App[None]):
     def _show(self) -> None:
         if self._picture is None:
             return
-        if isinstance(self.screen, OverviewScreen):
-            self.screen.show(self._picture, list(self._events))
-        elif isinstance(self.screen, MessageScreen):
-            self.screen.show(self._picture)
+        # A look may come while a screen is being built or taken down, and then parts of it are missing.
+        with suppress(NoMatches):
+            if isinstance(self.screen, OverviewScreen):
+                self.screen.show(self._picture, list(self._events))
+            elif isinstance(self.screen, MessageScreen):
+                self.screen.show(self._picture)

@@ -39,6 +39,7 @@ class MessageScreen(Screen[None]):
     """
 
     DEFAULT_CSS = """
+    MessageScreen Static { text-wrap: nowrap; text-overflow: ellipsis; }
     MessageScreen #channel-head { height: 1; background: $panel; }
     MessageScreen #channel-state { height: 1; }
     MessageScreen #channel-words { height: 1; }
@@ -111,7 +112,7 @@ class MessageScreen(Screen[None]):
         self._say(view.words)
 
     def _take(self) -> None:
-        began = time.monotonic()
+        began = time.thread_time()
         try:
             message = self._watch.message(self._channel, ELEMENTS)
         except ChannelError as error:
@@ -119,7 +120,7 @@ class MessageScreen(Screen[None]):
             return
         finally:
             # A large message takes its time: no more than a tenth of it is spent on decoding.
-            self._next = began + _SHARE * (time.monotonic() - began)
+            self._next = time.monotonic() + _SHARE * (time.thread_time() - began)
         if message is None:
             self._say("no message yet")
             return

@@ -41,10 +41,11 @@ class OverviewScreen(Screen[None]):
             self.channel = channel
 
     DEFAULT_CSS = """
+    OverviewScreen Static { text-wrap: nowrap; text-overflow: ellipsis; }
     OverviewScreen #head { height: 1; background: $panel; }
-    OverviewScreen #nothing { height: auto; padding: 1; display: none; }
+    OverviewScreen #nothing { height: auto; padding: 1; display: none; text-wrap: wrap; }
     OverviewScreen #chosen { height: 2; border-top: none; background: $panel; }
-    OverviewScreen #events { height: 0; text-wrap: nowrap; text-overflow: ellipsis; }
+    OverviewScreen #events { height: 0; }
     OverviewScreen Input { height: 1; border: none; padding: 0; display: none; }
     """
     BINDINGS: ClassVar[list[BindingType]] = [
@@ -77,6 +78,7 @@ class OverviewScreen(Screen[None]):
     def on_mount(self) -> None:
         """Let keys move in the table."""
         self.query_one(ChannelTable).focus()
+        self._draw()
 
     def on_resize(self, event: Resize) -> None:
         """Give events the lines that a screen of this height can spare."""
@@ -93,7 +95,6 @@ class OverviewScreen(Screen[None]):
         """
         self._picture, self._events = picture, events
         self._draw()
-        self._show_events()
 
     def _draw(self) -> None:
         picture = self._picture
@@ -104,6 +105,7 @@ class OverviewScreen(Screen[None]):
         self.query_one(ChannelTable).show(shown, self._order)
         self._head(picture, len(shown))
         self._details()
+        self._show_events()
 
     def _head(self, picture: Picture, shown: int) -> None:
         wrong = len(picture.wrong)
