@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import json
 import os
+from pathlib import Path
 
 import pytest
 
 from rosplc.errors import ChannelError
 from rosplc.levels import Level
 from rosplc.monitor import Expectation, Expected, State
+from rosplc.monitor.expected import ClassicTopic
 from rosplc.monitor.watch import MAX_CHANNELS
 from rosplc.shm import Direction
+from tests.channels import layout_of
 
 
 def only(picture):
@@ -326,3 +329,26 @@ def test_too_many_objects_are_said(cell, tmp_path, monkeypatch):
     assert len(picture.channels) == 3
     assert picture.notes == ("2 more objects are not looked at",)
     assert MAX_CHANNELS >= 1000
+
+
+def test_a_classic_topic_is_watched_by_its_changes(cell):
+    """Its memory has neither beat nor sequence: that it changes is all there is to see."""
+    layout = layout_of("std_msgs/msg/Int32")
+    memory = Path("/dev/shm") / f"{cell.namespace.prefix}_classic"
+    topic = ClassicTopic("/n", Direction.TO_PLC, memory.name, "", layout, stale_after_ns=10**9)
+    watch = cell.watch(expected=Expected(classic=((cell.namespace.prefix, topic),)))
+    assert only(watch.look()).state is State.MISSING
+    try:
+        memory.write_bytes(bytes(layout.pack({"data": 1})))
+        watch.look()
+        memory.write_bytes(bytes(layout.pack({"data": 2})))
+        cell.pass_time(0.5)
+        view = only(watch.look())
+        assert (view.state, view.received, view.age_ns, view.plc_alive) == (State.OK, 1, 0, None)
+        assert watch.message(view).values == {"data": 2}
+        cell.pass_time(2)
+        assert only(watch.look()).state is State.STALE
+    finally:
+        memory.unlink()
+    with pytest.raises(ChannelError, match="SHM101"):
+        watch.message(view)

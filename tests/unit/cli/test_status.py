@@ -1,0 +1,159 @@
+"""``rosplc status`` and what keeps ``rosplc top`` from starting."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import subprocess
+import sys
+import threading
+
+import pytest
+from typer.testing import CliRunner
+
+from rosplc.cli.app import app
+from rosplc.shm import Direction, attach
+from tests.channels import Side, layout_of, until
+
+
+def rosplc(*arguments, code=0):
+    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    assert result.exit_code == code, result.output
+    assert "Traceback" not in result.output
+    return result
+
+
+@pytest.fixture
+def running(shm_namespace):
+    """A bridge and a PLC task that beat and exchange messages all the time."""
+    side = Side(shm_namespace, "/cell/state", layout_of("std_msgs/msg/Float64"), Direction.TO_PLC)
+    attached = attach(shm_namespace, "/cell/state", write=True)
+    reader = attached.reader("PLC_PRG", observe=False, beat_ms=100)
+    stop, record = threading.Event(), bytearray(8)
+
+    def turn():
+        while not stop.wait(0.01):
+            side.send(data=1.0)
+            reader.latest(record)
+
+    thread = threading.Thread(target=turn)
+    thread.start()
+    yield shm_namespace.prefix
+    stop.set()
+    thread.join()
+    attached.close()
+    side.close()
+
+
+def test_a_machine_that_is_in_order_is_one_table_and_status_0(running):
+    """Bridge, topic, rate and the PLC's life; nothing else."""
+    output = rosplc("status", "--prefix", running).output
+    assert f"bridge test, prefix {running}, process {os.getpid()}: alive, 1 channels" in output
+    (row,) = (line.split() for line in output.splitlines() if "/cell/state" in line)
+    assert row[:4] == ["ok", "/cell/state", "→", "PLC"]
+    assert row[-1] == "alive"
+
+
+def test_json_is_the_picture(running):
+    """The same for programs, with everything that is known."""
+    document = json.loads(rosplc("status", "--prefix", running, "--json").output)
+    (channel,) = document["channels"]
+    assert (channel["state"], channel["level"], channel["severity"]) == ("ok", "OK", 0)
+    assert channel["rate_hz"] > 0
+    assert channel["readers"][0]["task"] == "PLC_PRG"
+    assert document["worst"] == "ok"
+    assert document["bridges"][0]["alive"] is True
+
+
+def test_what_is_wrong_is_said_in_words_and_ends_with_status_1(shm_namespace):
+    """A dead bridge, a topic that is missing, an object that is none."""
+    side = Side(shm_namespace, "/n", layout_of("std_msgs/msg/Float64"), Direction.TO_PLC)
+    shm_namespace.path("/broken").write_bytes(b"\x1b" * 600)
+    output = rosplc("status", "--prefix", shm_namespace.prefix, code=1).output
+    side.close()
+    assert f"/n: dead: the bridge does not beat any more; it was process {os.getpid()}" in output
+    assert "/broken: unreadable: " in output
+    assert "[SHM104]" in output
+    assert "\x1b" not in output
+
+
+def test_a_configuration_says_what_is_missing(tmp_path, shm_namespace):
+    """Each of its topics without a channel is a line."""
+    config = tmp_path / "rosplc.yaml"
+    config.write_text(
+        f"bridge: cell1\nprefix: {shm_namespace.prefix}\n"
+        "topics:\n  /a: {type: std_msgs/msg/Bool, to: plc}\n"
+        f"  /b: {{type: std_msgs/msg/Bool, to: ros, classic: {{name: {shm_namespace.prefix}_b}}}}\n"
+    )
+    output = rosplc("status", "--config", config, "--prefix", shm_namespace.prefix, code=1).output
+    assert "/a: missing: " in output
+    assert "/b: missing: there is no such memory" in output
+
+
+def test_a_machine_without_channels_ends_with_status_1(shm_namespace):
+    """Nothing to be seen is nothing to rely on."""
+    output = rosplc("status", "--prefix", shm_namespace.prefix, code=1).output
+    assert "There are no channels" in output
+
+
+@pytest.mark.parametrize("given", ["soon", "5", "-1s"])
+def test_a_wrong_duration_is_refused(given):
+    """Status 2, and the text says what would be right."""
+    output = rosplc("status", f"--stale-after={given}", code=2).output
+    assert "never" in output
+
+
+def test_following_prints_what_happens(running, shm_namespace):
+    """After the table, one JSON document per event."""
+    child = subprocess.Popen(
+        [sys.executable, "-m", "rosplc", "status", "--prefix", running, "--follow", "--json"],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert json.loads(child.stdout.readline())["channels"]
+        other = Side(shm_namespace, "/new", layout_of("std_msgs/msg/Bool"), Direction.TO_PLC)
+        event = json.loads(until(child, "{"))
+        other.close()
+        assert (event["kind"], event["topic"]) == ("appeared", "/new")
+    finally:
+        child.kill()
+        child.communicate()
+
+
+def test_top_refuses_what_is_no_terminal():
+    """SYS012 names the stream, and what to use instead."""
+    done = subprocess.run(
+        [sys.executable, "-m", "rosplc", "top"], stdin=subprocess.DEVNULL, capture_output=True, text=True
+    )
+    assert done.returncode == 1
+    assert "error SYS012: stdin is no terminal" in done.stderr
+    assert "rosplc status" in done.stderr
+
+
+def test_top_refuses_a_terminal_that_only_prints_lines():
+    """TERM=dumb is said, not filled with control sequences."""
+    pid, terminal = pty.fork()
+    if pid == 0:
+        os.execve(sys.executable, [sys.executable, "-m", "rosplc", "top"], {**os.environ, "TERM": "dumb"})
+    output = b""
+    while chunk := _read(terminal):
+        output += chunk
+    assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 1
+    assert b"TERM=dumb" in output
+    assert b"\x1b" not in output
+
+
+def _read(terminal):
+    try:
+        return os.read(terminal, 4096)
+    except OSError:  # what a terminal says at its end
+        return b""
+
+
+def test_top_names_the_package_that_is_missing(monkeypatch):
+    """Without textual there is a pip command, and no traceback."""
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    result = rosplc("top", code=1)
+    assert "pip install 'rosplc[views]'" in result.output
