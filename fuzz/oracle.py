@@ -6,11 +6,11 @@ import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from rosplc.errors import CODES, RosplcError
+from rosplc.errors import CODES, LONGEST_TEXT, RosplcError
 
 __all__ = ["LONGEST_ERROR", "check_error", "refusals"]
 
-LONGEST_ERROR = 4000
+LONGEST_ERROR = 3 * LONGEST_TEXT
 """Characters that one error may have: it names what was wrong, and does not repeat it."""
 _MOST_ERRORS = 60
 

@@ -15,6 +15,7 @@ from typing import ClassVar
 
 __all__ = [
     "CODES",
+    "LONGEST_TEXT",
     "BackendError",
     "ChannelError",
     "CodeInfo",
@@ -47,6 +48,9 @@ class CodeInfo:
 
 CODES: dict[str, CodeInfo] = {}
 
+LONGEST_TEXT = 2000
+"""Characters that each text of an error may have; of longer ones the middle is left out."""
+
 
 def _register(code: str, title: str, remedy: str) -> None:
     if code in CODES:  # pragma: no cover - a programming error, found at import
@@ -73,10 +77,10 @@ class RosplcError(Exception):
         if not code.startswith(self.family) or code not in CODES:
             raise ValueError(f"{code} is not a registered code of {type(self).__name__}")
         self.code = code
-        self.what = what
-        self.where = where
-        self.remedy = remedy or CODES[code].remedy
-        super().__init__(code, what, where, remedy)
+        self.what = _bounded(what)
+        self.where = _bounded(where)
+        self.remedy = _bounded(remedy) or CODES[code].remedy
+        super().__init__(code, self.what, self.where, remedy)
 
     def __str__(self) -> str:
         place = f"{self.where}: " if self.where else ""
@@ -89,6 +93,13 @@ class RosplcError(Exception):
     def to_dict(self) -> dict[str, str]:
         """Return the error as plain data, for ``--json`` output."""
         return {"code": self.code, "what": self.what, "where": self.where, "remedy": self.remedy}
+
+
+def _bounded(text: str) -> str:
+    """Leave out the middle of a text that is longer than anybody reads: it is somebody else's."""
+    if len(text) <= LONGEST_TEXT:
+        return text
+    return f"{text[: LONGEST_TEXT - 300]} … {text[-200:]}"
 
 
 def _rebuild(cls: type[RosplcError], code: str, what: str, where: str, remedy: str) -> RosplcError:

@@ -28,6 +28,13 @@ from rosplc.model import DISTROS
 from rosplc.ros import BACKENDS
 
 __all__ = [
+    "LONGEST_NAME",
+    "LONGEST_TEXT",
+    "LONGEST_TYPE",
+    "MOST_PATHS",
+    "MOST_REMAPPINGS",
+    "MOST_TASKS",
+    "MOST_TOPICS",
     "ClassicSettings",
     "DiagnosticsSettings",
     "LimitSettings",
@@ -44,10 +51,26 @@ __all__ = [
     "ZenohSettings",
 ]
 
+LONGEST_NAME = 247
+"""Characters of a topic's or namespace's name, as in ROS."""
+LONGEST_TYPE = 255
+"""Characters of a type's name."""
+LONGEST_TEXT = 4096
+"""Characters of a path or an address, as of a path in Linux."""
+MOST_TOPICS = 10_000
+"""Topics of one bridge."""
+MOST_TASKS = 64
+"""Tasks of the PLC; PLC code serves fewer."""
+MOST_PATHS = 256
+"""Folders with messages, and addresses of Zenoh."""
+MOST_REMAPPINGS = 10_000
+"""Names that are replaced."""
+
 _TOPIC = r"(/[A-Za-z_][A-Za-z0-9_]*)+"
 
 
 def _topic_name(name: str) -> str:
+    _not_longer(name, LONGEST_NAME)
     if not re.fullmatch(_TOPIC, name):
         nearest = "/" + "/".join(part for part in re.sub(r"[^A-Za-z0-9_/]", "_", name).split("/") if part)
         hint = f", such as {nearest!r}" if re.fullmatch(_TOPIC, nearest) else ""
@@ -55,8 +78,14 @@ def _topic_name(name: str) -> str:
     return name
 
 
-def _pattern(expression: str, wording: str) -> AfterValidator:
+def _not_longer(text: str, most: int) -> None:
+    if len(text) > most:
+        raise ValueError(f"a text of {len(text)} characters; {most} are the most here")
+
+
+def _pattern(expression: str, wording: str, longest: int = LONGEST_NAME) -> AfterValidator:
     def check(value: str) -> str:
+        _not_longer(value, longest)
         if not re.fullmatch(expression, value):
             raise ValueError(f"{value!r} should be {wording}")
         return value
@@ -95,9 +124,11 @@ TopicName = Annotated[str, AfterValidator(_topic_name), _schema(_TOPIC)]
 Word = Annotated[str, _pattern(_WORD, "a letter, then at most 31 letters, digits, _ or -"), _schema(_WORD)]
 GraphName = Annotated[str, _pattern(_NAME, "a name such as /cmd_vel, cmd_vel or ~/cmd_vel"), _schema(_NAME)]
 Locator = Annotated[
-    str, _pattern(_LOCATOR, "protocol/address:port, such as tcp/192.168.1.10:7447"), _schema(_LOCATOR)
+    str,
+    _pattern(_LOCATOR, "protocol/address:port, such as tcp/192.168.1.10:7447", LONGEST_TEXT),
+    _schema(_LOCATOR),
 ]
-NodeName = Annotated[str, _pattern(_NODE, "letters, digits and _, not a digit first"), _schema(_NODE)]
+NodeName = Annotated[str, _pattern(_NODE, "letters, digits and _, not a digit first", 255), _schema(_NODE)]
 NamespaceName = Annotated[str, _pattern(_NAMESPACE, "/ or a name such as /robot1"), _schema(_NAMESPACE)]
 SharedName = Annotated[
     str,
@@ -106,7 +137,7 @@ SharedName = Annotated[
 ]
 TaskName = Annotated[str, _pattern(_TASK, "letters, digits and _, not a digit first"), _schema(_TASK)]
 TypeName = Annotated[
-    str, _pattern(_TYPE, "package/msg/Name, such as geometry_msgs/msg/Twist"), _schema(_TYPE)
+    str, _pattern(_TYPE, "package/msg/Name, such as geometry_msgs/msg/Twist", LONGEST_TYPE), _schema(_TYPE)
 ]
 BackendName = Annotated[
     str, AfterValidator(_known_backend), WithJsonSchema({"type": "string", "enum": ["auto", *BACKENDS]})
@@ -132,11 +163,13 @@ class ZenohSettings(_Section):
     mode: Literal["peer", "client"] | None = _f(
         None, "`peer` finds others by gossip and speaks to them directly; `client` goes through a router."
     )
-    connect: tuple[Locator, ...] | None = _f(
+    connect: Annotated[tuple[Locator, ...], Field(max_length=MOST_PATHS)] | None = _f(
         None, "Where routers or peers are, such as `tcp/192.168.1.10:7447`."
     )
-    listen: tuple[Locator, ...] | None = _f(None, "Where others may connect, such as `tcp/0.0.0.0:0`.")
-    config: Annotated[str, Field(min_length=1)] | None = _f(
+    listen: Annotated[tuple[Locator, ...], Field(max_length=MOST_PATHS)] | None = _f(
+        None, "Where others may connect, such as `tcp/0.0.0.0:0`."
+    )
+    config: Annotated[str, Field(min_length=1, max_length=LONGEST_TEXT)] | None = _f(
         None, "A Zenoh configuration file (JSON5), relative to this file; the keys above come on top of it."
     )
 
@@ -144,7 +177,7 @@ class ZenohSettings(_Section):
 class RclpySettings(_Section):
     """What the `rclpy` backend's node is started with."""
 
-    ros_args: tuple[Annotated[str, Field(min_length=1)], ...] = _f(
+    ros_args: tuple[Annotated[str, Field(min_length=1, max_length=LONGEST_TEXT)], ...] = _f(
         (), "ROS arguments of the node, as after `--ros-args` on a command line, one by one."
     )
     parameters: dict[str, str | list[str]] = _f(
@@ -169,7 +202,9 @@ class RosSettings(_Section):
         "/", "The node's namespace; topics in this file are absolute and ignore it."
     )
     remap: dict[GraphName, GraphName] = _f(
-        {}, "Topic → topic, as `-r from:=to` on the command line, which comes first; the PLC's names stay."
+        {},
+        "Topic → topic, as `-r from:=to` on the command line, which comes first; the PLC's names stay.",
+        max_length=MOST_REMAPPINGS,
     )
     zenoh: ZenohSettings | None = _f(None, "Settings of the `zenoh` backend; `auto` then takes it.")
     rclpy: RclpySettings | None = _f(None, "Settings of the `rclpy` backend.")
@@ -178,9 +213,10 @@ class RosSettings(_Section):
 class TypesSettings(_Section):
     """Where message types come from, beyond those that are bundled."""
 
-    paths: tuple[Annotated[str, Field(min_length=1)], ...] = _f(
+    paths: tuple[Annotated[str, Field(min_length=1, max_length=LONGEST_TEXT)], ...] = _f(
         (),
         "Folders with custom `.msg` files, relative to this file: `pkg/msg/Name.msg`, a package, a file.",
+        max_length=MOST_PATHS,
     )
 
 
@@ -197,11 +233,11 @@ class ShmSettings(_Section):
     mode: FileMode = _f(
         "0660", "Permission bits, as text. A PLC runtime of another user needs a common group."
     )
-    owner: str | StrictInt | None = _f(
+    owner: Annotated[str, Field(max_length=255)] | StrictInt | None = _f(
         None, "User that owns the objects, by name or number; changing it needs root."
     )
-    group: str | StrictInt | None = _f(None, "Group that owns the objects, by name or number.")
-    directory: Annotated[str, _pattern(r"/.*", "an absolute path")] = _f(
+    group: Annotated[str, Field(max_length=255)] | StrictInt | None = _f(None, "Group that owns the objects, by name or number.")
+    directory: Annotated[str, _pattern(r"/.*", "an absolute path", LONGEST_TEXT)] = _f(
         "/dev/shm", "Where the objects lie; another place is for tests and containers."
     )
 
@@ -476,9 +512,14 @@ class Settings(_Section):
     diagnostics: DiagnosticsSettings = _f({}, "Diagnostics.")
     realtime: RealtimeSettings = _f({}, "Real-time scheduling.")
     tasks: dict[TaskName, TaskSettings] = _f(
-        {"RosTask": {}}, "Tasks of the PLC by name; the first serves topics that name none.", min_length=1
+        {"RosTask": {}},
+        "Tasks of the PLC by name; the first serves topics that name none.",
+        min_length=1,
+        max_length=MOST_TASKS,
     )
-    topics: dict[TopicName, TopicSettings] = _f({}, "Topics by name, as ROS writes them.")
+    topics: dict[TopicName, TopicSettings] = _f(
+        {}, "Topics by name, as ROS writes them.", max_length=MOST_TOPICS
+    )
 
     @model_validator(mode="before")
     @classmethod
