@@ -122,7 +122,7 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
     config.mdx_configs["toc"]["slugify"] = slugify(case="lower")
     titles = {section: heading(f"{DOCS}{section}/README.md") for section in SECTIONS}
     config.nav = [
-        "index.md",
+        {"Start": "index.md"},
         *({titles[section]: navigation(section)} for section in SECTIONS),
         {"Project": [place(path) for path in (*PROJECT, "examples", "vectors")]},
     ]
@@ -160,6 +160,10 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     """Lead each link to its target's page in the site."""
+    if page.file.src_uri == "index.md":
+        page.meta["hide"] = ["navigation", "toc"]  # it is short, and leads on by itself
+    if page.file.src_uri.startswith("source/"):
+        page.meta["search"] = {"exclude": True}
     source = _sources[page.file.src_uri]
     folder = posixpath.dirname(page.file.src_uri)
 

@@ -6,19 +6,27 @@ import os
 import re
 import subprocess
 import sys
+import threading
 from collections import Counter
+from collections.abc import Iterator
+from functools import partial
 from html.parser import HTMLParser
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from typing import Any
 from urllib.parse import unquote, urljoin, urlsplit
 
 import pytest
 from markdown_it import MarkdownIt
 
 from docs_site import indented
+from tests.browser import WATCHDOG_MS, chromium
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 HOST = "http://site/"
+TELEPHONE = {"width": 390, "height": 844}
+SERIOUS = ("serious", "critical")
 STRUCTURE = (
     "h1",
     "h2",
@@ -36,7 +44,7 @@ STRUCTURE = (
     "details",
 )
 
-pytestmark = pytest.mark.xdist_group("site")
+pytestmark = [pytest.mark.xdist_group("site"), pytest.mark.timeout(600)]
 
 
 class Page(HTMLParser):
@@ -48,6 +56,7 @@ class Page(HTMLParser):
         self.fetched: list[str] = []
         self.anchors: set[str] = set()
         self.elements: Counter[str] = Counter()
+        self.text_links: list[str] = []
         self.inside = False
         self.feed(text)
 
@@ -57,6 +66,8 @@ class Page(HTMLParser):
             self.anchors.add(values["id"])
         if tag in ("a", "link") and "href" in values:
             self.links.append(values["href"])
+            if self.inside:
+                self.text_links.append(values["href"])
         if tag == "link" and values.get("rel") not in ("canonical", "prev", "next"):
             self.fetched.append(values["href"])
         if "src" in values:
@@ -140,6 +151,88 @@ def test_a_page_of_the_site_has_the_structure_that_it_has_elsewhere(pages: dict[
     for path in sorted(DOCS.rglob("*.md")):
         elsewhere = Page(f"<article>{markdown.render(path.read_text(encoding='utf-8'))}</article>")
         assert pages[address(path)].elements == elsewhere.elements, path.relative_to(ROOT)
+
+
+class Quiet(SimpleHTTPRequestHandler):
+    """Serves the site without a word."""
+
+    def log_message(self, *_: object) -> None:
+        """Say nothing."""
+
+
+@pytest.fixture(scope="module")
+def served(site: Path) -> Iterator[str]:
+    """The site's address."""
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=str(site))) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        yield f"http://127.0.0.1:{server.server_port}/"
+        server.shutdown()
+        thread.join()
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """A headless Chromium."""
+    with chromium() as started:
+        yield started
+
+
+@pytest.mark.parametrize(("scheme", "address"), [("light", "tutorial/into-service/"), ("dark", "")])
+def test_pages_can_be_read_by_everybody(browser: Any, served: str, scheme: str, address: str) -> None:
+    """Contrast, names and roles are in order."""
+    from axe_playwright_python.sync_playwright import Axe
+
+    page = browser.new_page(viewport=TELEPHONE, color_scheme=scheme)
+    page.set_default_timeout(WATCHDOG_MS)
+    page.goto(served + address)
+    page.wait_for_selector(".md-search[aria-label]", state="attached")
+    found = Axe().run(page).response["violations"]
+    page.close()
+    assert [(each["id"], each["nodes"][0]["html"]) for each in found if each["impact"] in SERIOUS] == []
+
+
+def test_no_page_is_wider_than_a_telephone_or_fetches_from_elsewhere(browser: Any, served: str) -> None:
+    """Drawings, tables and commands are pushed sideways in their own place."""
+    page = browser.new_page(viewport=TELEPHONE)
+    page.set_default_timeout(WATCHDOG_MS)
+    asked: list[str] = []
+    page.on("request", lambda request: asked.append(request.url))
+    for address in ("", "explanation/shared-memory-format/", "reference/cli/", "howto/use-ros-1/"):
+        page.goto(served + address)
+        assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth"), address
+    page.close()
+    assert [url for url in asked if not url.startswith((served, "data:", "blob:"))] == []
+
+
+def test_a_command_is_copied_without_its_prompt_and_output(browser: Any, served: str) -> None:
+    """What a reader pastes into a terminal is the command."""
+    context = browser.new_context(permissions=["clipboard-read", "clipboard-write"])
+    context.set_default_timeout(WATCHDOG_MS)
+    page = context.new_page()
+    page.goto(served + "tutorial/first-steps/")
+    page.locator(".highlight:has(.gp) button.md-code__button").first.click()
+    page.wait_for_function("navigator.clipboard.readText().then(text => text !== '')")
+    assert page.evaluate("navigator.clipboard.readText()") == "rosplc demo --duration 3s"
+    context.close()
+
+
+def test_the_search_finds_a_word(browser: Any, served: str) -> None:
+    """The index is part of the site, and needs no server that computes."""
+    context = browser.new_context()
+    context.set_default_timeout(WATCHDOG_MS)
+    page = context.new_page()
+    page.goto(f"{served}?q=seal")
+    page.wait_for_selector(".md-search-result__item", state="attached")
+    found = [each.get_attribute("href") for each in page.locator(".md-search-result__link").all()]
+    assert any("explanation/shared-memory-format/" in link for link in found), found
+    context.close()
+
+
+@pytest.mark.parametrize("person", ["first-steps", "codesys", "robot-topics", "into-service"])
+def test_each_user_is_one_click_from_a_tutorial(pages: dict[str, Page], person: str) -> None:
+    """The start page leads newcomers, technicians, robot programmers and integrators to their own."""
+    assert f"tutorial/{person}/" in pages[""].text_links
 
 
 @pytest.mark.parametrize(
