@@ -15,6 +15,7 @@ from pathlib import Path
 from rosplc.demo.domain import FreeDomain
 from rosplc.shm import Namespace
 from soak.ledger import GENERATIONS, Ledger
+from soak.nursery import Nursery
 from soak.parts import Part
 from soak.pattern import ALL, CAPACITY, CLASSIC, OUT, TOPICS, TYPE, towards_plc
 from soak.st import build_program
@@ -71,6 +72,8 @@ class Cell:
         self._domain = FreeDomain() if backend == "dds" else None
         self._port = _free_port()
         self.environment = self._environment()
+        modules = ("soak.peers", "soak.plc", *(("soak.st",) if plc == "st" else ()))
+        self._nursery = Nursery(self.environment, backend, modules)
         self.parts: dict[str, Part] = {}
         if backend != "dds":
             self._add("hub", self._hub)
@@ -88,7 +91,8 @@ class Cell:
         return kept
 
     def _add(self, name: str, command: Callable[[], list[str]]) -> None:
-        self.parts[name] = Part(name, command, self.environment, self.folder / f"{name}.log")
+        nursery = None if name in ("hub", "bridge") else self._nursery
+        self.parts[name] = Part(name, command, self.environment, self.folder / f"{name}.log", nursery)
 
     # -- command lines
 
@@ -208,6 +212,7 @@ class Cell:
         for part in self.parts.values():
             part.send(signal.SIGCONT)
             part.kill()
+        self._nursery.close()
         if self._domain is not None:
             self._domain.close()
         for path in SHM.glob(f"*{self.prefix}*"):

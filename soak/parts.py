@@ -11,6 +11,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from soak.nursery import Forked, Nursery
+
 __all__ = ["Part", "Usage"]
 
 _LIBC = ctypes.CDLL(None)
@@ -50,14 +52,21 @@ class Part:
         command: Returns its command line, for each start.
         environment: Its environment.
         log: Where its output goes.
+        nursery: Forks it, where it is given; else it is executed.
 
     Attributes:
         lives: How often it was started.
-        through: A module of Python that the next processes are started through; none if it is empty.
+        through: A module of Python that the next processes are started through; none if it is empty. They
+            are executed.
     """
 
     def __init__(
-        self, name: str, command: Callable[[], list[str]], environment: Mapping[str, str], log: Path
+        self,
+        name: str,
+        command: Callable[[], list[str]],
+        environment: Mapping[str, str],
+        log: Path,
+        nursery: Nursery | None = None,
     ) -> None:
         self.name = name
         self.lives = 0
@@ -65,7 +74,8 @@ class Part:
         self.environment = dict(environment)
         self.log = log
         self._command = command
-        self._process: subprocess.Popen[bytes] | None = None
+        self._nursery = nursery
+        self._process: subprocess.Popen[bytes] | Forked | None = None
         self._marked = 0
 
     @property
@@ -87,6 +97,10 @@ class Part:
         """Start it."""
         self.lives += 1
         command = self._command()
+        if self._nursery is not None and not self.through:
+            _, _, module, *arguments = command  # python -m MODULE …
+            self._process = self._nursery.fork(module, arguments, self.log)
+            return
         if self.through:
             command.insert(command.index("-m") + 1, self.through)
         with self.log.open("ab") as log:

@@ -23,7 +23,7 @@ _MOST_POINTS = 1500
 _CERTAIN_Z = 3.3
 """Of Mann and Kendall's test: one life in a thousand without any trend looks like one."""
 # What may come over a whole life by itself: descriptors, threads and KiB, and KiB for each round.
-_ALLOWED = {"files": (3.0, 0.0), "threads": (3.0, 0.0), "private_kb": (2048.0, 4.0)}
+_ALLOWED = {"files": (3.0, 0.0), "threads": (3.0, 0.0), "private_kb": (4096.0, 8.0)}
 
 
 @dataclass(frozen=True)
