@@ -178,7 +178,7 @@ def _order(
     from rosplc.bridge.resolve import load_project
     from rosplc.expected import expected_of
     from rosplc.recorder import COMPRESSIONS, Order, Selection, Split
-    from rosplc.recorder.names import base_of, dated, free_name, refuse_taken
+    from rosplc.recorder.names import base_of, dated, free_name
     from rosplc.shm import Namespace
 
     chosen = next((one for one in COMPRESSIONS if one == compression), None)
@@ -197,8 +197,6 @@ def _order(
         qos = {plan.topic: plan.qos for plan in project.topics}
     if output is not None:
         base = base_of(output)
-        if keep is None:
-            refuse_taken(base)
     else:
         base = Path("rosplc") if keep is not None else free_name(dated(Path("rosplc")))
     return Order(
@@ -251,13 +249,12 @@ def _record(order: Order, seconds: float, *, quiet: bool, as_json: bool) -> None
 
 
 def _repair(file: Path, output: Path | None, *, as_json: bool, quiet: bool) -> None:
-    from rosplc.recorder.names import base_of, file_name, refuse_taken
+    from rosplc.recorder.names import base_of, file_name
     from rosplc.recorder.repair import repair
 
     base = (
         base_of(output) if output is not None else base_of(file).with_name(f"{base_of(file).name}_repaired")
     )
-    refuse_taken(base)
     line = ProgressLine(quiet=quiet)
     done = repair(file, file_name(base), lambda messages: line.show(lambda: f"{messages} messages saved"))
     line.clear()

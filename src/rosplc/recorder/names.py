@@ -5,9 +5,7 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-from rosplc.errors import RecordingError
-
-__all__ = ["SUFFIX", "base_of", "dated", "file_name", "free_name", "refuse_taken"]
+__all__ = ["SUFFIX", "base_of", "dated", "file_name", "free_name"]
 
 SUFFIX = ".mcap"
 
@@ -35,18 +33,6 @@ def free_name(base: Path) -> Path:
 def file_name(base: Path, part: int | None = None) -> Path:
     """Return the file of a base, or one of its parts: ``base_0.mcap``."""
     return base.with_name(f"{base.name}{'' if part is None else f'_{part}'}{SUFFIX}")
-
-
-def refuse_taken(base: Path) -> None:
-    """Raise RecordingError REC001 if a name that somebody chose is taken."""
-    for one in (base, file_name(base), file_name(base, 0)):
-        if _exists(one):
-            raise RecordingError(
-                "REC001",
-                "there is something at this name already, and nothing is overwritten",
-                where=str(one),
-                remedy="Choose another name with --output, or move it away.",
-            )
 
 
 def _exists(path: Path) -> bool:

@@ -15,6 +15,7 @@ from benchmarks import (
     bench_channel,
     bench_classic,
     bench_realtime,
+    bench_views,
     measure,
 )
 from rosplc.layout import Limits
@@ -159,3 +160,16 @@ def test_the_real_time_benchmark() -> None:
         pytest.skip("this user may not use SCHED_FIFO")
     for table in rows(bench_realtime.run(1, count=20)).values():
         assert [row["count"] for row in table.values()] == [20, 20]
+
+
+@pytest.mark.serial
+@pytest.mark.verify(minutes=0.7)
+def test_the_views_benchmark() -> None:
+    """Each view runs beside a busy bridge, and a recorder accounts for every message at each rate."""
+    report = bench_views.run(1, topics=2, rate=100, seconds=1.0, settle=0.5, steps=(200,), depths=(4,))
+    found = rows(report)
+    for name in ("rosplc top", "rosplc web, a page", "rosplc record"):
+        assert {f"bridge, beside {name}", f"{name} itself"} <= set(found["2 topics x 100 Hz: CPU"])
+        assert f"beside {name}" in found["2 topics x 100 Hz: PLC → bridge → DDS"]
+    recording = report["tables"][-1]
+    assert recording["facts"]["losses that were not counted"] == 0

@@ -1,0 +1,203 @@
+"""What `rosplc top`, `rosplc web` and `rosplc record` cost beside a bridge, and how much record takes.
+
+usage: python benchmarks/bench_views.py [--rounds N] [--json]
+
+The bridge carries 20 topics x 1 kHz, half of them each way, over DDS. In every round each view runs for some
+seconds, and so does none: what is compared are the bridge's share of a core and the time from the PLC's
+publication to a bare DDS subscriber, as ratios to the same round without a view. Then, without bridge and
+ROS, channels are filled at growing rates while a recorder takes them into a file on this machine's
+temporary folder: which share of the messages it lost, and what it cost.
+"""
+
+from __future__ import annotations
+
+import json
+import secrets
+import statistics
+import sys
+import tempfile
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+if __name__ == "__main__":
+    sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from benchmarks import measure
+from benchmarks.bench_bridge_latency import ask
+from benchmarks.bench_bridge_latency import config as latency_config
+from benchmarks.bench_bridge_load import config, share
+from benchmarks.latency_peers import SENT, TO_ROS
+from benchmarks.processes import Peer, bridge, cpu_seconds, ros_domain
+from benchmarks.view_peers import VIEWS, recorder, view
+
+TOPICS = 20
+RATE = 1000
+ROUND_S = 5.0
+SETTLE_S = 3.0
+PINGS = 100  # a second
+RATES = (500, 1000, 2000, 4000, 8000)
+DEPTHS = (4, 16, 64, 256)
+
+
+def arrived(subscriber: Peer, count: int) -> dict[str, list[float]]:
+    """Return the ages of the messages through the bridge, once they are there, or after three seconds."""
+    got: dict[str, list[float]] = {TO_ROS: [], SENT: []}
+    for _ in range(30):
+        time.sleep(0.1)
+        for name, ages in ask(subscriber).items():
+            got.setdefault(name, []).extend(ages)
+        if len(got[TO_ROS]) >= count:
+            break
+    return got
+
+
+def views(rounds: int, topics: int, rate: int, seconds: float, settle: float) -> list[dict[str, Any]]:
+    """Measure every view beside a busy bridge, by turns."""
+    prefix = f"bench-{secrets.token_hex(4)}"
+    turns = rounds * len(VIEWS)
+    # More than can be needed: what a view takes to start is not known.
+    count = round(rate * turns * (seconds + settle + 20))
+    order = {"topics": topics // 2, "count": count, "rate": rate, "per_scan": 1, "qos_depth": 5000}
+    order["prefix"] = prefix
+    cpu: dict[str, list[float]] = {}
+    own: dict[str, list[float]] = {}
+    ages: dict[str, list[list[float]]] = {}
+    recorded: list[dict[str, Any]] = []
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        domain = stack.enter_context(ros_domain())
+        text = config(prefix, topics // 2, depth=4096)
+        text += latency_config(prefix).partition("topics:\n")[2]
+        process = stack.enter_context(bridge(folder, text, domain))
+        peers = [stack.enter_context(Peer("load_peers", role, order, domain)) for role in ("plc", "ros")]
+        subscriber = stack.enter_context(Peer("latency_peers", "subscriber", order, domain))
+        source = stack.enter_context(Peer("latency_peers", "source", order, domain))
+        for peer in (*peers, subscriber, source):
+            peer.hear()
+        for word in ("go", "more"):
+            for peer in peers:
+                peer.tell(word)
+            if word == "go":
+                for peer in peers:
+                    peer.hear()
+        for _ in range(rounds):
+            for kind in VIEWS:
+                with view(kind, prefix, folder, domain) as running:
+                    time.sleep(settle)
+                    ask(subscriber)
+                    source.tell(f"out {PINGS} {round(PINGS * seconds)}")
+                    pids = {"bridge": process.pid} | ({"view": running.pid} if running.pid else {})
+                    found = share(pids, seconds, 1)
+                    source.hear()
+                    got = arrived(subscriber, round(PINGS * seconds))
+                cpu.setdefault(kind, []).append(found["bridge"][0])
+                ages.setdefault(kind, []).append(got[TO_ROS])
+                ages.setdefault(f"{kind}, {SENT}", []).append(got[SENT])
+                if running.pid:
+                    own.setdefault(kind, []).append(found["view"][0])
+                if running.facts is not None:
+                    recorded.append(running.facts)
+    title = f"{topics} topics x {rate} Hz"
+    beside = [
+        measure.row(f"bridge, beside {kind}", values, ratio=measure.median_ratio(values, cpu["nothing"]))
+        for kind, values in cpu.items()
+    ]
+    beside += [measure.row(f"{kind} itself", values) for kind, values in own.items()]
+    facts = {
+        "recorded": sum(one["received"] for one in recorded),
+        "lost by record": sum(one["lost"] for one in recorded),
+    }
+    late = []
+    for name, groups in ages.items():
+        alone = ages["nothing" if SENT not in name else f"nothing, {SENT}"]
+        ratios = [
+            statistics.median(one) / statistics.median(other)
+            for one, other in zip(groups, alone, strict=True)
+            if one and other
+        ]
+        if ratios:  # else the machine is too busy for anything to arrive, and the row is left out
+            values = [age for one in groups for age in one]
+            late.append(measure.row(f"beside {name}", values, ratio=statistics.median(ratios)))
+    waiting = "top looks every 500 ms, web as often as a page asks, record and the bridge every 1 ms"
+    return [
+        measure.table(f"{title}: CPU", "% of a core", waiting, beside, facts),
+        measure.table(f"{title}: PLC → bridge → DDS", "µs", waiting, late),
+    ]
+
+
+def record(topics: int, rate: int, slots: int, seconds: float, folder: Path) -> dict[str, float]:
+    """Fill channels at a rate while a recorder takes them; return what it lost and cost."""
+    prefix = f"bench-{secrets.token_hex(4)}"
+    out = folder / "rate.mcap"
+    out.unlink(missing_ok=True)
+    count = round(rate * seconds)
+    order = {"prefix": prefix, "topics": topics, "rate": rate, "count": count, "slots": slots}
+    with Peer("view_peers", "feeder", order, 0) as feeder:
+        feeder.hear()
+        with recorder(prefix, out) as process:
+            before, began = sum(cpu_seconds(process.pid)), time.monotonic()
+            feeder.tell("go")
+            sent = feeder.hear()
+            used = 100 * (sum(cpu_seconds(process.pid)) - before) / (time.monotonic() - began)
+            time.sleep(0.5)
+            process.terminate()
+            facts = json.loads(process.communicate()[0])
+    for left in Path("/dev/shm").glob(f"{prefix}.*"):
+        left.unlink()
+    missing = sent["sent"] * topics - facts["received"]
+    return {
+        "lost": 100 * missing / (sent["sent"] * topics),
+        "uncounted": missing - facts["lost"],
+        "cpu": used,
+        "hz": sent["sent"] / sent["seconds"],
+        "mb": out.stat().st_size / 1e6 / seconds,
+    }
+
+
+def rates(
+    rounds: int, topics: int, steps: tuple[int, ...], depths: tuple[int, ...], seconds: float
+) -> list[dict[str, Any]]:
+    """Record at growing rates from deep channels, and at 1 kHz from shallow ones."""
+    ways = {f"{rate} Hz, depth 4096": (rate, 4096) for rate in steps}
+    ways |= {f"{RATE} Hz, depth {depth}": (RATE, depth) for depth in depths}
+    found: dict[str, list[dict[str, float]]] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for _ in range(rounds):
+            for name, (rate, depth) in ways.items():
+                found.setdefault(name, []).append(record(topics, rate, depth, seconds, Path(folder)))
+    rows = []
+    for name, results in found.items():
+        middle = {key: statistics.median(one[key] for one in results) for key in results[0]}
+        worst = max(one["lost"] for one in results)
+        more = {"worst": worst, "CPU %": middle["cpu"], "Hz reached": middle["hz"], "MB/s": middle["mb"]}
+        rows.append(measure.row(name, [one["lost"] for one in results], **more))
+    whole = [name for name, results in found.items() if not any(one["lost"] for one in results)]
+    facts = {
+        "without any loss": "; ".join(whole) or "none",
+        "losses that were not counted": sum(
+            one["uncounted"] for results in found.values() for one in results
+        ),
+    }
+    title = f"record, {topics} topics of 200 B"
+    return [measure.table(title, "% lost", "the recorder looks every 1 ms; nobody else reads", rows, facts)]
+
+
+def run(
+    rounds: int,
+    topics: int = TOPICS,
+    rate: int = RATE,
+    seconds: float = ROUND_S,
+    settle: float = SETTLE_S,
+    steps: tuple[int, ...] = RATES,
+    depths: tuple[int, ...] = DEPTHS,
+) -> dict[str, Any]:
+    """Measure in ``rounds`` rounds; returns a :func:`measure.report`."""
+    before = measure.environment()
+    tables = views(rounds, topics, rate, seconds, settle) + rates(rounds, topics, steps, depths, seconds)
+    return measure.report(tables, before)
+
+
+if __name__ == "__main__":
+    measure.main(run, __doc__, 3)
