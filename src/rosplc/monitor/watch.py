@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import re
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rosplc.described import layout_of
@@ -265,8 +265,27 @@ class Watch:
         if self._before is not None:
             events += bridge_events(self._bridges, bridges, wall)
             events += channel_events(self._before, after, wall)
-        self._before, self._bridges = after, bridges
+        self._before = {name: _known_life(self._before, view) for name, view in after.items()}
+        self._bridges = _known_bridges(self._bridges, bridges)
         return Picture(wall, views, bridges, tuple(events), notes)
+
+
+def _known_life(before: dict[str, ChannelView] | None, view: ChannelView) -> ChannelView:
+    """Return a view in which the PLC is as it was known last, where that cannot be known yet.
+
+    Whoever comes back has another claim, whose beat was not seen yet: dead, unknown, alive is one return.
+    """
+    earlier = before.get(view.id) if before and view.plc_alive is None else None
+    return view if earlier is None else replace(view, plc_alive=earlier.plc_alive)
+
+
+def _known_bridges(before: tuple[BridgeView, ...], after: tuple[BridgeView, ...]) -> tuple[BridgeView, ...]:
+    """Return bridges likewise."""
+    known = {(bridge.prefix, bridge.name): bridge.alive for bridge in before}
+    return tuple(
+        replace(bridge, alive=known.get((bridge.prefix, bridge.name))) if bridge.alive is None else bridge
+        for bridge in after
+    )
 
 
 def _bridges(views: tuple[ChannelView, ...]) -> tuple[BridgeView, ...]:

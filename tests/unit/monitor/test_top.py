@@ -110,9 +110,9 @@ def test_sorting_and_filtering_by_keys(channels, top):
             channels("/d").writer.refuse()
 
     async def drive(app, pilot):
-        await until(app, pilot, shows("/robot10/b", "topicv"))
+        await until(app, pilot, shows("/robot10/b", "topic▼"))
         await pilot.press("r")
-        lines = await until(app, pilot, shows("topic^"))
+        lines = await until(app, pilot, shows("topic▲"))
         rows = [line for line in lines if "→ PLC" in line]
         assert [row.split("/", 1)[1].split()[0] for row in rows] == ["robot10/b", "robot2/c", "d", "a"]
         await pilot.press("slash", *"robot")
@@ -122,7 +122,7 @@ def test_sorting_and_filtering_by_keys(channels, top):
         await pilot.press("enter", "escape")
         await until(app, pilot, shows("4 channels", "/d "))
         await pilot.press(*"sssss")
-        await until(app, pilot, shows("refdv"))
+        await until(app, pilot, shows("refd▼"))
 
     top((80, 24), drive)
 

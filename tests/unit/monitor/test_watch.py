@@ -108,6 +108,21 @@ def test_a_plc_task_that_stops_is_dead(cell, direction):
     assert kinds == ["plc-back"]
 
 
+@pytest.mark.parametrize("direction", Direction)
+def test_a_plc_that_was_replaced_is_back(cell, direction):
+    """A new process has a claim of its own, of which nothing is known at first; still it is a return."""
+    side = cell.side("/n", direction=direction)
+    plc = cell.plc_reader if direction is Direction.TO_PLC else cell.plc_writer
+    watch = cell.watch(expected=Expected(stale_after_ns=0))
+    watch.look()
+    settle(cell, watch, side, first := plc("/n"))
+    settle(cell, watch, side, looks=8)
+    first.close()
+    watch.look()
+    _, kinds = settle(cell, watch, side, plc("/n"))
+    assert kinds == ["plc-back"]
+
+
 def test_a_plc_that_is_not_there_is_no_plc(cell):
     """A bridge alone is a warning, not an error."""
     side = cell.side("/n", direction=Direction.TO_ROS)

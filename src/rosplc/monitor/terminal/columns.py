@@ -42,7 +42,7 @@ _COLUMNS = (
     Column("state", "  state", 12, 0, state_text),
     Column("topic", "topic", 0, 0, lambda view: view.topic),
     Column("way", "way", 5, 72, way_text),
-    Column("rate", "per s", 5, 0, lambda view: rate_text(view.rate_hz), True),
+    Column("rate", "per s", 6, 0, lambda view: rate_text(view.rate_hz), True),
     Column("age", "age", 6, 0, lambda view: age_text(view.age_ns), True),
     Column("lost", "lost", 5, 0, lambda view: count_text(view.lost), True),
     Column("refused", "refd", 5, 0, lambda view: count_text(view.refused), True),
@@ -74,6 +74,6 @@ def fitted(column: Column, width: int, view: ChannelView) -> str:
 
 def heading(column: Column, width: int, order: Order) -> str:
     """Return a column's heading in ``width`` cells, marked if the table is sorted by it."""
-    mark = "" if column.by != order.by else "^" if order.reverse else "v"
+    mark = "" if column.by != order.by else "▲" if order.reverse else "▼"
     text = f"{column.title}{mark}"
     return text.rjust(width) if column.figure else text.ljust(width)

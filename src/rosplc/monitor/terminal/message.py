@@ -14,11 +14,12 @@ from textual.widgets import Footer, Static, Tree
 
 from rosplc.errors import ChannelError
 from rosplc.harmless import one_line
+from rosplc.levels import Level
 from rosplc.monitor.cells import age_text, count_text, plc_text, rate_text, way_text
 from rosplc.monitor.message import Message, numbers
 from rosplc.monitor.picture import ChannelView, Picture
 from rosplc.monitor.terminal.plot import Course, History
-from rosplc.monitor.terminal.style import plain, state_cell
+from rosplc.monitor.terminal.style import LEVEL_STYLES, plain, state_cell
 from rosplc.monitor.terminal.values import ELEMENTS, ValueTree
 
 if TYPE_CHECKING:
@@ -88,7 +89,7 @@ class MessageScreen(Screen[None]):
         """Show a new look."""
         found = picture.channel(self._channel.id)
         if found is None:
-            self.query_one("#channel-state", Static).update(Text("X gone", style="bold red"))
+            self.query_one("#channel-state", Static).update(Text("X gone", style=LEVEL_STYLES[Level.ERROR]))
             self._say("the channel is gone; these are its last values")
             return
         self._channel = found

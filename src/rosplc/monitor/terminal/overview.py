@@ -15,9 +15,10 @@ from textual.screen import Screen
 from textual.widgets import Footer, Input, Static
 
 from rosplc.harmless import one_line
+from rosplc.levels import Level
 from rosplc.monitor.picture import BridgeView, ChannelView, Event, Picture
 from rosplc.monitor.terminal.order import Order
-from rosplc.monitor.terminal.style import event_line, plain
+from rosplc.monitor.terminal.style import LEVEL_STYLES, event_line, plain
 from rosplc.monitor.terminal.table import ChannelTable
 
 __all__ = ["OverviewScreen"]
@@ -46,7 +47,7 @@ class OverviewScreen(Screen[None]):
     OverviewScreen #nothing { height: auto; padding: 1; display: none; text-wrap: wrap; }
     OverviewScreen #chosen { height: 2; border-top: none; background: $panel; }
     OverviewScreen #events { height: 0; }
-    OverviewScreen Input { height: 1; border: none; padding: 0; display: none; }
+    OverviewScreen Input { height: 1; display: none; }
     """
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("s", "sort", "Sort"),
@@ -70,7 +71,7 @@ class OverviewScreen(Screen[None]):
         yield Static(id="head")
         yield Static(_NONE, id="nothing", markup=False)
         yield ChannelTable()
-        yield Input(placeholder="words in topic, type, bridge or state", id="filter")
+        yield Input(placeholder="words in topic, type, bridge or state", id="filter", compact=True)
         yield Static(id="chosen")
         yield Static(id="events")
         yield Footer()
@@ -112,14 +113,16 @@ class OverviewScreen(Screen[None]):
         text = Text(" rosplc top  ", style="bold", no_wrap=True, overflow="ellipsis")
         count = len(picture.channels)
         text.append(f"{shown} of {count} channels  " if shown != count else f"{count} channels  ", "not bold")
-        text.append(f"! {wrong} wrong  " if wrong else "all well  ", "bold red" if wrong else "green")
+        text.append(
+            f"! {wrong} wrong  " if wrong else "all well  ", LEVEL_STYLES[Level.ERROR if wrong else Level.OK]
+        )
         if self.app.title == "paused":
-            text.append("PAUSED  ", "bold yellow")
+            text.append("PAUSED  ", LEVEL_STYLES[Level.WARN])
         if self._order.wrong or self._order.words:
-            text.append(f"only: {one_line(self._order.words) or 'wrong'}  ", "bold yellow")
+            text.append(f"only: {one_line(self._order.words) or 'wrong'}  ", LEVEL_STYLES[Level.WARN])
         text.append(", ".join(_bridge(bridge) for bridge in picture.bridges), "not bold")
         for note in picture.notes:
-            text.append(f"  {note}", "bold yellow")
+            text.append(f"  {note}", LEVEL_STYLES[Level.WARN])
         self.query_one("#head", Static).update(text, layout=False)
 
     def _details(self) -> None:
@@ -183,7 +186,8 @@ class OverviewScreen(Screen[None]):
         """Ask for words."""
         field = self.query_one(Input)
         field.display = True
-        field.focus()
+        # At once, and not when there is time: over a slow line "/pose" arrives in one piece.
+        self.set_focus(field)
 
     def action_all(self) -> None:
         """Show everything again."""
@@ -193,7 +197,7 @@ class OverviewScreen(Screen[None]):
 
     def _close_filter(self) -> None:
         self.query_one(Input).display = False
-        self.query_one(ChannelTable).focus()
+        self.set_focus(self.query_one(ChannelTable))
 
     def _reorder(self, order: Order) -> None:
         self._order = order

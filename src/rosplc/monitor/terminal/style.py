@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 from rich.style import Style
 from rich.text import Text
 
@@ -12,12 +14,15 @@ from rosplc.monitor.picture import ChannelView, Event
 
 __all__ = ["LEVEL_STYLES", "event_line", "plain", "state_cell"]
 
+_COLOURS = {Level.OK: "green", Level.WARN: "yellow", Level.ERROR: "red", Level.STALE: "magenta"}
+# Without colours a red would become a grey that is hard to read.
+_PLAIN = bool(os.environ.get("NO_COLOR"))
+
 LEVEL_STYLES = {
-    Level.OK: Style(color="green"),
-    Level.WARN: Style(color="yellow", bold=True),
-    Level.ERROR: Style(color="red", bold=True),
-    Level.STALE: Style(color="magenta", bold=True),
+    level: Style(color=None if _PLAIN else colour, bold=level is not Level.OK)
+    for level, colour in _COLOURS.items()
 }
+"""How a level's mark and word look."""
 
 
 def plain(text: str, style: str = "") -> Text:
