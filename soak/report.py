@@ -63,6 +63,7 @@ def to_json(outcome: Outcome) -> dict[str, Any]:
         "backend": outcome.backend,
         "plc": outcome.plc,
         "spared": list(outcome.spared),
+        "peers": "forked",
         "machine": machine(),
         "seconds": round(outcome.seconds, 1),
         "cpu_s": round(outcome.cpu_s, 1),
