@@ -12,6 +12,7 @@ from rosplc.errors import (
     GenerationError,
     LayoutError,
     MessageTypeError,
+    RecordingError,
     RosplcError,
     SetupError,
 )
@@ -25,6 +26,7 @@ FAMILIES: tuple[tuple[str, type[RosplcError]], ...] = (
     ("Configuration", ConfigError),
     ("The ROS side", BackendError),
     ("The PLC's code", GenerationError),
+    ("Recordings", RecordingError),
     ("The machine", SetupError),
 )
 HEAD = """\
