@@ -117,7 +117,7 @@ def test_a_plc_that_was_replaced_is_back(cell, direction):
     watch.look()
     settle(cell, watch, side, first := plc("/n"))
     settle(cell, watch, side, looks=8)
-    first.close()
+    first.release()
     watch.look()
     _, kinds = settle(cell, watch, side, plc("/n"))
     assert kinds == ["plc-back"]
