@@ -12,7 +12,8 @@ from soak.results import compact, percentile, recovery_table, run_table
 def run(recoveries: list[float], **more: Any) -> dict[str, Any]:
     """Give a campaign's JSON with one kind of fault."""
     return {
-        "seed": 5, "backend": "dds", "plc": "python", "spared": [], "peers": "forked", "seconds": 60.0, "cpu_s": 9.0,
+        "seed": 5, "backend": "dds", "plc": "python", "spared": [], "peers": "forked",
+        "seconds": 60.0, "cpu_s": 9.0,
         "messages": 1234, "machine": {}, "violations": [], "skipped": {},
         "log": [
             {"number": n, "fault": "flood", "recovery_s": at, "fault_s": 1.0, "check_s": 0.1}
