@@ -74,6 +74,7 @@ reference: $(VENV)/.installed $(VENV)/.core ## write the generated pages and dra
 	@$(VENV)/bin/python tools/draw_path.py
 	@$(VENV)/bin/python tools/draw_format.py
 	@$(VENV)/bin/python tools/generate_error_reference.py
+	@$(VENV)/bin/python tools/generate_limits_reference.py
 	@$(VENV)/bin/python tools/generate_config_reference.py
 	@$(VENV)/bin/python tools/generate_cli_reference.py
 	@$(VENV)/bin/python tools/generate_api_reference.py

@@ -85,6 +85,7 @@ class _Run:
             f"-timeout={_TIMEOUT_S}",
             f"-rss_limit_mb={_MEMORY_MB}",
             f"-artifact_prefix={self._findings}/",
+            "-report_slow_units=3600",
             "-print_final_stats=1",
         ]
         folders = [self._work, CORPUS / name, REGRESSIONS / name, seeds]

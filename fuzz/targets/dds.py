@@ -25,7 +25,7 @@ def _announcement(choices: Choices) -> None:
     assert sum(len(node.readers) + len(node.writers) for node in nodes) * 16 <= len(data)
     for node in nodes:
         assert node.full_name.startswith("/"), node
-        assert len(node.full_name) <= 512
+        assert len(node.full_name) <= 2 + 2 * 4 * 256  # a byte takes four characters at most
         assert node.full_name.isprintable()
     again = decode_announcement(encode_announcement(participant, nodes, size), size)
     assert again == (participant, nodes)

@@ -20,6 +20,7 @@ from rosplc.layout import Limits, compute_layout
 from rosplc.layout.view import plain
 from rosplc.model import TypeStore
 from rosplc.monitor import find_objects
+from rosplc.monitor.watch import Watch
 from rosplc.shm import Description, Direction
 from rosplc.shm.header import Identity
 
@@ -93,6 +94,12 @@ def check(data: bytes) -> None:
             channel.read()
     for state in find_objects(str(_folder), seconds=0.0):
         json.dumps(state.to_dict())
+    with Watch(directory=str(_folder)) as watch:
+        for _ in range(2):
+            json.dumps(watch.look().as_json(), allow_nan=False)
+        for view in watch.look().channels:
+            with refusals(ChannelError):
+                repr(watch.message(view, 8))
     look_at_objects(_folder, frozenset(), sleep=lambda _: None)
     assert [path.name for path in Path(_folder).iterdir()] == [_path.name]
 

@@ -11,9 +11,9 @@ from collections.abc import Iterable
 
 from rosplc.errors import ConfigError, RosplcError
 
-__all__ = ["ConfigErrors", "Problems", "did_you_mean", "relocated"]
+__all__ = ["MOST_ERRORS", "ConfigErrors", "Problems", "did_you_mean", "relocated"]
 
-_MOST = 50  # more errors than this are one mistake, repeated
+MOST_ERRORS = 50  # more errors than this are one mistake, repeated
 
 
 class ConfigErrors(ConfigError):
@@ -54,7 +54,7 @@ class Problems:
 
     def add(self, error: RosplcError, line: int = 0) -> None:
         """Take an error; ``line`` sorts it among the others."""
-        if len(self._errors) < _MOST:
+        if len(self._errors) < MOST_ERRORS:
             self._errors.append((line, error))
 
     def check(self) -> None:

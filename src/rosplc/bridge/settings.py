@@ -236,7 +236,9 @@ class ShmSettings(_Section):
     owner: Annotated[str, Field(max_length=255)] | StrictInt | None = _f(
         None, "User that owns the objects, by name or number; changing it needs root."
     )
-    group: Annotated[str, Field(max_length=255)] | StrictInt | None = _f(None, "Group that owns the objects, by name or number.")
+    group: Annotated[str, Field(max_length=255)] | StrictInt | None = _f(
+        None, "Group that owns the objects, by name or number."
+    )
     directory: Annotated[str, _pattern(r"/.*", "an absolute path", LONGEST_TEXT)] = _f(
         "/dev/shm", "Where the objects lie; another place is for tests and containers."
     )

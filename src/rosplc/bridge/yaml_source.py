@@ -19,12 +19,13 @@ from rosplc.bridge.problems import Problems
 from rosplc.errors import ConfigError
 from rosplc.harmless import one_line
 
-__all__ = ["LARGEST_FILE", "KeyPath", "YamlSource", "read_yaml"]
+__all__ = ["DEEPEST", "LARGEST_FILE", "KeyPath", "YamlSource", "read_yaml"]
 
 LARGEST_FILE = 1 << 20
 """Bytes that a configuration may have; one with 10,000 topics stays below."""
 
-_DEEPEST = 32
+DEEPEST = 32
+"""Levels of keys and lists within each other."""
 _Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _PLAIN_TAGS = frozenset(
     {"!"} | {f"tag:yaml.org,2002:{name}" for name in ("map", "seq", "str", "int", "float", "bool", "null")}
@@ -173,8 +174,8 @@ class _Builder:
             self._tag(event.tag, line)
             if self._expects_key():
                 raise ConfigError("CFG002", "a key must be plain text", where=f"{self.name}:{line}")
-            if len(self._open) >= _DEEPEST:
-                raise ConfigError("CFG002", f"more than {_DEEPEST} levels", where=f"{self.name}:{line}")
+            if len(self._open) >= DEEPEST:
+                raise ConfigError("CFG002", f"more than {DEEPEST} levels", where=f"{self.name}:{line}")
             container: Any = {} if isinstance(event, yaml.MappingStartEvent) else []
             path = self._value(container, line)
             self._open.append(_Container(container, path))

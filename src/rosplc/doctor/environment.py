@@ -52,7 +52,8 @@ def values(environment: Mapping[str, str], wish: Wish | None) -> Iterator[Findin
     wrong = []
     if wish is None or not wish.ros1:
         number = environment.get("ROS_DOMAIN_ID", "")
-        if number and not (number.isascii() and number.isdigit() and len(number) < 10 and int(number) <= _MAX_DOMAIN):
+        digits = number.isascii() and number.isdigit() and len(number) < 10
+        if number and not (digits and int(number) <= _MAX_DOMAIN):
             wrong.append(("ROS_DOMAIN_ID", number, f"a number from 0 to {_MAX_DOMAIN}"))
         local = environment.get("ROS_LOCALHOST_ONLY", "")
         if local not in ("", "0", "1"):

@@ -12,9 +12,9 @@ from pathlib import Path
 
 from rosplc.shm.header import layout_id_text
 
-__all__ = ["Block", "Generated", "read_generated"]
+__all__ = ["LARGEST_FILE", "Block", "Generated", "read_generated"]
 
-_LARGEST = 4 << 20
+LARGEST_FILE = 4 << 20
 _INSTANCE = re.compile(r"^ +\w+ : (\w+)\('((?:[^'$]|\$.)*)'(?:, '(?:[^'$]|\$.)*')?\);", re.MULTILINE)
 _IDS = re.compile(
     r"Begin(?:Read|Write)\(udiLayoutLo := 16#([0-9A-F]{8}), udiLayoutHi := 16#([0-9A-F]{8}), "
@@ -107,7 +107,7 @@ def _block_file(folder: Path, name: str) -> Path:
 def _text(path: Path) -> str:
     try:
         with path.open("rb") as file:
-            content = file.read(_LARGEST)
+            content = file.read(LARGEST_FILE)
     except OSError as error:
         raise ValueError(f"{path} cannot be read: {error.strerror}") from error
     return content.decode("ascii", "replace").replace("\r\n", "\n")

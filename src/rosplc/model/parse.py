@@ -73,16 +73,16 @@ def check_names(message: MessageType) -> None:
     They become identifiers of generated code, and that is no place for anything else.
 
     Raises:
-        MessageTypeError: TYP001 for the type's name, TYP002 for a field's.
+        MessageTypeError: TYP001 for the type's name, TYP002 for a field's or constant's.
     """
     if full_name(message.name) != message.name:
         raise MessageTypeError("TYP001", f"{message.name!r} is no full name such as geometry_msgs/msg/Twist")
     seen: set[str] = set()
-    for field in message.fields:
-        if not _NAME.match(field.name) or len(field.name) > MAX_NAME or field.name in seen:
-            what = "is defined twice" if field.name in seen else "is no name of a field"
-            raise MessageTypeError("TYP002", f"{field.name[:80]!r} {what}", where=message.name)
-        seen.add(field.name)
+    for item in (*message.fields, *message.constants):
+        if not _NAME.match(item.name) or len(item.name) > MAX_NAME or item.name in seen:
+            what = "is defined twice" if item.name in seen else "is no name of a field or constant"
+            raise MessageTypeError("TYP002", f"{item.name[:80]!r} {what}", where=message.name)
+        seen.add(item.name)
 
 
 def parse_definition(

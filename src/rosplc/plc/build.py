@@ -36,11 +36,19 @@ from rosplc.plc.project import Dut, Gvl, PlcProject, Pou, VarBlock, Variable
 from rosplc.plc.types import DutBuilder, Renaming
 from rosplc.plc.values import initial_value
 
-__all__ = ["PlcTask", "PlcTopic", "ProjectOptions", "build_project", "build_type_library"]
+__all__ = [
+    "LONGEST_TOPIC",
+    "MOST_TASKS",
+    "PlcTask",
+    "PlcTopic",
+    "ProjectOptions",
+    "build_project",
+    "build_type_library",
+]
 
 _LARGE_DUT = 64 * 1024
-_MOST_TASKS = 16  # as many as RosPlc_State.axMayOpen has elements
-_LONGEST_TOPIC = 255  # ASCII characters: FB_Init of RosPlc_Channel takes a STRING(255)
+MOST_TASKS = 16  # as many as RosPlc_State.axMayOpen has elements
+LONGEST_TOPIC = 255  # ASCII characters: FB_Init of RosPlc_Channel takes a STRING(255)
 _TOPIC = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+\Z")
 _TASK = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,63}\Z")
 _PREFIX = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,31}\Z")
@@ -181,7 +189,7 @@ def build_type_library(
 
 
 def _check_tasks(tasks: Sequence[PlcTask]) -> None:
-    if len(tasks) > _MOST_TASKS:
+    if len(tasks) > MOST_TASKS:
         raise GenerationError("PLC003", f"the topics use {len(tasks)} tasks", where="tasks")
     seen: dict[str, str] = {}
     for task in tasks:
@@ -194,9 +202,9 @@ def _check_tasks(tasks: Sequence[PlcTask]) -> None:
 def _check_topics(topics: Sequence[PlcTopic]) -> None:
     for topic in topics:
         # CODESYS would cut the literal off without a word, and the block look for another object.
-        if len(topic.topic) > _LONGEST_TOPIC:
+        if len(topic.topic) > LONGEST_TOPIC:
             what = f"the name has {len(topic.topic)} characters"
-            raise GenerationError("PLC006", what, where=topic.topic[: 2 * _LONGEST_TOPIC])
+            raise GenerationError("PLC006", what, where=topic.topic[: 2 * LONGEST_TOPIC])
         _check_name(_TOPIC, topic.topic, "topics")
         if topic.classic is not None:
             check_classic(topic.topic, topic.classic)

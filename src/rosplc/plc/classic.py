@@ -19,15 +19,15 @@ from rosplc.plc.project import Dut, Gvl, Method, Pou, VarBlock, Variable
 from rosplc.plc.types import DutBuilder
 
 __all__ = [
-    "CLASSIC_NAMES", "LIBRARY", "Classic", "check_classic", "classic_arguments", "classic_objects",
-    "classic_read_block", "classic_wait", "classic_write_block",
+    "CLASSIC_NAMES", "LIBRARY", "LONGEST_NAME", "Classic", "check_classic", "classic_arguments",
+    "classic_objects", "classic_read_block", "classic_wait", "classic_write_block",
 ]  # fmt: skip
 
 CLASSIC_NAMES = ("RosPlc_ClassicState", "RosPlc_Classic", "RosPlc_ClassicReader", "RosPlc_ClassicWriter")
 """Names that no generated object may take, whether or not a project has classic topics."""
 
 LIBRARY = "SysSemProcess"
-_LONGEST_NAME = 80  # characters: SysShm and SysSemProcess take a STRING
+LONGEST_NAME = 80  # characters: SysShm and SysSemProcess take a STRING
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def check_classic(topic: str, classic: Classic) -> None:
     """Raise what makes a name impossible: GenerationError PLC007."""
     for name in (classic.name, classic.semaphore):
         plain = all("!" <= char <= "~" and char != "/" for char in name)
-        if len(name) > _LONGEST_NAME or not plain or not classic.name:
+        if len(name) > LONGEST_NAME or not plain or not classic.name:
             raise GenerationError("PLC007", f"{name!r} is none", where=topic)
 
 

@@ -120,7 +120,7 @@ def _write(folder: Path, files: dict[str, bytes], known: dict[str, str]) -> Deli
         {"comment": "Hashes of generated files; rosplc generate keeps edited ones.", "files": hashes}
     )
     manifest = folder / MANIFEST
-    if not manifest.is_file() or manifest.read_text(encoding="utf-8") != text:
+    if not manifest.is_file() or manifest.read_bytes() != text.encode():
         manifest.write_text(text, encoding="utf-8")
     return Delivery(tuple(written), tuple(unchanged), tuple(removed))
 

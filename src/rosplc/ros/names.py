@@ -11,10 +11,17 @@ from collections.abc import Mapping
 
 from rosplc.errors import BackendError
 
-__all__ = ["join", "resolve_topic", "validate_namespace", "validate_node_name", "validate_topic"]
+__all__ = [
+    "LONGEST_NAME",
+    "join",
+    "resolve_topic",
+    "validate_namespace",
+    "validate_node_name",
+    "validate_topic",
+]
 
 _TOKEN = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
-_LONGEST = 247  # RMW_TOPIC_MAX_NAME_LENGTH: 255 less the prefixes of the middleware
+LONGEST_NAME = 247  # RMW_TOPIC_MAX_NAME_LENGTH: 255 less the prefixes of the middleware
 
 
 def _refuse(kind: str, name: object, why: str) -> BackendError:
@@ -24,8 +31,8 @@ def _refuse(kind: str, name: object, why: str) -> BackendError:
 def _check(kind: str, name: str) -> None:
     if not isinstance(name, str) or not name.startswith("/"):
         raise _refuse(kind, name, "a full name starts with /")
-    if len(name) > _LONGEST:
-        raise _refuse(kind, name, f"it has {len(name)} characters, {_LONGEST} are the most")
+    if len(name) > LONGEST_NAME:
+        raise _refuse(kind, name, f"it has {len(name)} characters, {LONGEST_NAME} are the most")
     for token in name[1:].split("/"):
         if not token:
             raise _refuse(kind, name, "a / stands at its end, or two stand together")

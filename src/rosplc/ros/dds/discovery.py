@@ -17,6 +17,8 @@ from rosplc.harmless import one_line
 __all__ = [
     "ANNOUNCEMENT",
     "ANNOUNCEMENT_TOPIC",
+    "LONGEST_NAME",
+    "MOST_CLAIMED",
     "NodeEntities",
     "decode_announcement",
     "encode_announcement",
@@ -27,8 +29,8 @@ ANNOUNCEMENT_TOPIC = "ros_discovery_info"
 ANNOUNCEMENT = "rmw_dds_common/msg/ParticipantEntitiesInfo"
 
 _HEADER = b"\x00\x01\x00\x00"  # plain CDR, little-endian
-_LONGEST = 1 << 20  # of nodes or gids that a peer may claim; far above any real graph
-_LONGEST_NAME = 256  # the bound in rmw_dds_common/msg/NodeEntitiesInfo
+MOST_CLAIMED = 1 << 20  # of nodes or gids that a peer may claim; far above any real graph
+LONGEST_NAME = 256  # the bound in rmw_dds_common/msg/NodeEntitiesInfo
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,13 +105,13 @@ def decode_announcement(data: bytes, size: int) -> tuple[bytes, tuple[NodeEntiti
     def count() -> int:
         take(-at % 4)
         (number,) = struct.unpack(order, take(4))
-        if number > _LONGEST:
+        if number > MOST_CLAIMED:
             raise ValueError("too long")
         return int(number)
 
     def text() -> str:
         data = take(count()).rstrip(b"\0")
-        if len(data) > _LONGEST_NAME:
+        if len(data) > LONGEST_NAME:
             raise ValueError("a name is too long")
         return data.decode(errors="replace")
 

@@ -37,12 +37,12 @@ from rosplc.ros.dds.discovery import (
 )
 from rosplc.ros.dds.idl import IdlTypes
 
-__all__ = ["AnnouncementTypes", "Announcer"]
+__all__ = ["MOST_PARTICIPANTS", "AnnouncementTypes", "Announcer"]
 
 _logger = logging.getLogger("rosplc.ros.dds")
 
 _QOS = Qos(durability="transient_local", depth=1)
-_MOST_PARTICIPANTS = 10_000  # anybody may announce in the name of participants that there are not
+MOST_PARTICIPANTS = 10_000  # anybody may announce in the name of participants that there are not
 _READ_QOS = Qos(durability="transient_local", depth=1000)  # one instance for all participants: no keys
 
 
@@ -160,7 +160,7 @@ class Announcer:
                 continue
             with self._lock:
                 self._forget(guid)
-                if len(self._others) >= _MOST_PARTICIPANTS:
+                if len(self._others) >= MOST_PARTICIPANTS:
                     continue
                 self._others[guid] = nodes
                 for node in nodes:

@@ -27,7 +27,16 @@ from rosplc.ros.rospy.handshake import (
 from rosplc.ros.rospy.master import RefusedError, UnreachableError, call, proxy
 from rosplc.ros.rospy.reasons import mismatch
 
-__all__ = ["Incoming", "Link", "RospySubscription", "WireType", "handshake", "raw_class", "request"]
+__all__ = [
+    "LARGEST_MESSAGE",
+    "Incoming",
+    "Link",
+    "RospySubscription",
+    "WireType",
+    "handshake",
+    "raw_class",
+    "request",
+]
 
 _logger = logging.getLogger("rosplc.ros.rospy")
 
@@ -35,7 +44,7 @@ _TIMEOUT_S = 5.0
 _RETRY_NS = 1_000_000_000  # after a lost connection; doubled with each attempt that fails
 _SLOWEST_NS = 8_000_000_000
 _REFUSED_NS = 60_000_000_000  # a publisher with another type logs each attempt
-_LARGEST = 1 << 30  # a length beyond this is no message but a stream out of step
+LARGEST_MESSAGE = 1 << 30  # a length beyond this is no message but a stream out of step
 _READ = 65536
 
 
@@ -113,7 +122,7 @@ class _Protocol(TransportProtocol):  # type: ignore[misc]
         with b.getbuffer() as view:
             while end - position >= 4:
                 length = int.from_bytes(view[position : position + 4], "little")
-                if length > _LARGEST:
+                if length > LARGEST_MESSAGE:
                     raise TransportError(f"a message of {length} bytes is announced")
                 if end - position - 4 < length:
                     break

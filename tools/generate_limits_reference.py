@@ -1,0 +1,176 @@
+"""Write docs/reference/limits.md from the limits in the code; ``--verify`` only compares."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+from dataclasses import dataclass
+from pathlib import Path
+
+PAGE = Path(__file__).resolve().parent.parent / "docs" / "reference" / "limits.md"
+
+
+@dataclass(frozen=True)
+class Limit:
+    """One limit.
+
+    Attributes:
+        what: What it limits, in words.
+        module: Where the number stands.
+        name: Under which name.
+        unit: Its unit.
+        beyond: What happens beyond it: an error's code, or words.
+    """
+
+    what: str
+    module: str
+    name: str
+    unit: str
+    beyond: str
+
+    @property
+    def value(self) -> int:
+        """The number, as the code has it."""
+        return int(getattr(importlib.import_module(self.module), self.name))
+
+
+TABLE = """\
+Configuration:
+    size of the file | bridge.yaml_source.LARGEST_FILE | bytes | CFG001
+    levels of nesting | bridge.yaml_source.DEEPEST | levels | CFG002
+    errors reported at once | bridge.problems.MOST_ERRORS | errors | the first of them
+    topics | bridge.settings.MOST_TOPICS | topics | CFG004
+    tasks | bridge.settings.MOST_TASKS | tasks | CFG004
+    folders of messages, addresses of Zenoh | bridge.settings.MOST_PATHS | each | CFG004
+    names in `ros.remap` | bridge.settings.MOST_REMAPPINGS | names | CFG004
+    name of a topic or namespace | bridge.settings.LONGEST_NAME | characters | CFG004
+    name of a message type | bridge.settings.LONGEST_TYPE | characters | CFG004
+    path or address | bridge.settings.LONGEST_TEXT | characters | CFG004
+    capacity of a string | layout.limits.MAX_STRING | bytes | LAY001
+    capacity of a sequence | layout.limits.MAX_SEQUENCE | elements | LAY001
+Message definitions:
+    text of one definition, with the types that it needs | model.parse.MAX_TEXT | bytes | TYP007
+    fields and constants in it | model.parse.MAX_FIELDS | fields | TYP007
+    name of a type | model.parse.MAX_NAME | characters | TYP001
+    types within types | model.store.MAX_DEPTH | levels | TYP007
+    `.msg` files below one folder | model.folders.MAX_FILES | files | TYP008
+    files of any kind below it | model.folders.MAX_ENTRIES | files | TYP008
+    fields of one record, those of inner types counted | layout.compute.MAX_ITEMS | fields | LAY003
+    size of one record | layout.compute.MAX_RECORD | bytes | LAY003
+    sequences within sequences | codec.ops.MAX_LOOPS | levels | TYP007
+Objects in shared memory:
+    name of an object | shm.names.MAX_NAME | characters | shortened with a hash
+    size of an object | shm.constants.MAX_OBJECT_SIZE | bytes | SHM108
+    size of a record | shm.constants.MAX_RECORD_SIZE | bytes | SHM108
+    self-description | shm.constants.MAX_DESCRIPTION_SIZE | bytes | SHM108
+    slots | shm.constants.MAX_SLOTS | slots | SHM108
+    readers that can be seen | shm.constants.READER_LINES | readers | the others are not seen
+    attempts to take a message again | shm.constants.MAX_RETRIES | attempts | the last good message is kept
+    promise of a beat | shm.constants.MAX_BEAT_MS | ms | counts as that much
+ROS:
+    name of a topic | ros.names.LONGEST_NAME | characters | ROS005
+    peers that a reason names | ros.words.MOST_REASONS | peers | the others are counted
+    text about one peer | ros.words.LONGEST_REASON | characters | cut off
+    different reasons in the log | ros.words.MOST_REMEMBERED | reasons | no more are logged
+ROS over DDS:
+    name of a node in an announcement | ros.dds.discovery.LONGEST_NAME | bytes | refused
+    nodes or endpoints that it may claim | ros.dds.discovery.MOST_CLAIMED | each | refused
+    participants whose announcements are kept | ros.dds.graph.MOST_PARTICIPANTS | participants | not kept
+    domain | ros.dds.config.MAX_DOMAIN |  | ROS010
+ROS over Zenoh:
+    liveliness token | ros.zenoh.tokens.LONGEST_TOKEN | characters | refused, counted
+    tokens that are kept | ros.zenoh.graph.MOST_TOKENS | tokens | refused, counted
+    configuration file of Zenoh's | ros.zenoh.config.LARGEST_FILE | bytes | ROS013, ROS010
+ROS 1:
+    connection header | ros.rospy.handshake.MOST_HEADER | bytes | connection closed
+    message | ros.rospy.inbound.LARGEST_MESSAGE | bytes | connection closed
+    answer of a node or master | ros.rospy.master.MOST_ANSWER | bytes | counts as no answer
+    call of the node's interface | ros.rospy.slave.MOST_REQUEST | bytes | HTTP 413
+    callers at once | ros.rospy.slave.MOST_CALLERS | connections | connection closed
+    subscribers whose header is waited for | ros.rospy.slave.MOST_GREETINGS | connections | connection closed
+PLC code:
+    tasks | plc.build.MOST_TASKS | tasks | PLC003
+    name of a topic | plc.build.LONGEST_TOPIC | characters | PLC006
+    name of a classic memory or semaphore | plc.classic.LONGEST_NAME | characters | PLC007
+    list of generated files | plc.delivery.LARGEST_MANIFEST | bytes | PLC001
+    generated file that the doctor reads | doctor.generated.LARGEST_FILE | bytes | cut off
+Recordings, watching, the page:
+    what a chunk of a recording may unpack to | recorder.mcap_read.MAX_CHUNK | bytes | REC003
+    channels that are watched | monitor.watch.MAX_CHANNELS | channels | the others are not shown
+    record that is watched | monitor.watch.MAX_RECORD | bytes | not shown
+    messages that one page may open | web.wants.MAX_MESSAGES | messages | WEB009
+    fields that one page may plot | web.wants.MAX_PLOTS | fields | WEB009
+    path of a field | web.paths.MAX_PATH | characters | WEB009
+Errors:
+    each text of an error | errors.LONGEST_TEXT | characters | its middle is left out
+"""
+"""Title, then lines: what | where in ``rosplc`` | unit | what happens beyond it."""
+
+
+def groups() -> dict[str, list[Limit]]:
+    """Return the limits by their title."""
+    found: dict[str, list[Limit]] = {}
+    for line in TABLE.splitlines():
+        if not line.startswith(" "):
+            found[line.rstrip(":")] = []
+            continue
+        what, place, unit, beyond = (part.strip() for part in line.split("|"))
+        module, _, name = place.rpartition(".")
+        found[list(found)[-1]].append(Limit(what, f"rosplc.{module}", name, unit, beyond))
+    return found
+
+
+HEAD = """\
+# Limits
+
+<!-- Generated by tools/generate_limits_reference.py from the numbers in the code. -->
+
+Everything that comes from outside has a bound: files, messages, definitions, names, peers. What exceeds it is
+refused with [an error](errors.md) or counted; nothing grows without end.
+[Hostile input](../explanation/hostile-input.md) says who may send what, and how this is tried.
+
+A process that is fed by many sources at once needs memory for all of them: the bounds are for each. Memory as a
+whole is for the system to bound, as systemd does with `MemoryMax=`.
+"""
+
+
+def page() -> str:
+    """Return the page's text."""
+    parts = [HEAD]
+    for title, limits in groups().items():
+        rows = ["| what | at most | beyond | in `rosplc.…` |", "| --- | ---: | --- | --- |"]
+        for limit in limits:
+            place = f"{limit.module.removeprefix('rosplc.')}.{limit.name}"
+            rows.append(f"| {limit.what} | {_number(limit)} | {_beyond(limit.beyond)} | `{place}` |")
+        table = "\n".join(rows)
+        parts.append(f"## {title}\n\n{table}\n")
+    return "\n".join(parts)
+
+
+def _number(limit: Limit) -> str:
+    value = limit.value
+    if limit.unit == "bytes" and value >= 1 << 20 and value % (1 << 20) == 0:
+        return f"{value >> 20} MiB"
+    return f"{value:,} {limit.unit}".rstrip()
+
+
+def _beyond(text: str) -> str:
+    codes = [word for word in text.split(", ") if len(word) == 6 and word[3:].isdigit()]
+    return ", ".join(f"[{code}](errors.md#{code.lower()})" for code in codes) or text
+
+
+def main() -> int:
+    """Write the page, or with ``--verify`` say whether it is up to date."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--verify", action="store_true", help="only say whether the page is up to date")
+    if parser.parse_args().verify:
+        if PAGE.exists() and PAGE.read_text(encoding="utf-8") == page():
+            return 0
+        print(f"{PAGE.name} is not what the code says; run `make reference`")
+        return 1
+    PAGE.write_text(page(), encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
