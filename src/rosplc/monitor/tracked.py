@@ -6,14 +6,13 @@ import os
 from collections.abc import Iterable
 from pathlib import Path
 
-from rosplc._core._native import distance
 from rosplc.errors import ChannelError
 from rosplc.monitor.expected import Expectation
 from rosplc.monitor.judge import Signs, judge
 from rosplc.monitor.peers import Peers
 from rosplc.monitor.picture import ChannelView, ReaderView
 from rosplc.monitor.rate import Rate
-from rosplc.shm import Attached, Direction, ReaderState, Snapshot
+from rosplc.shm import Attached, Direction, ReaderState, Snapshot, distance
 from rosplc.shm.constants import SLOT_HEADER, STAMP_SYSTEM, UNKNOWN
 from rosplc.shm.files import open_plain_file
 from rosplc.shm.header import channel_error

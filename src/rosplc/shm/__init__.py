@@ -6,7 +6,7 @@ bytes; what a record means is the business of :mod:`rosplc.layout` and :mod:`ros
 
 from __future__ import annotations
 
-from rosplc._core._native import Reader, Region, SlotInfo, Writer
+from rosplc._core._native import Reader, Region, SlotInfo, Writer, distance
 from rosplc.shm.attach import Attached, attach
 from rosplc.shm.claims import ReaderClaim, WriterClaim
 from rosplc.shm.constants import Direction
@@ -35,4 +35,5 @@ __all__ = [
     "WriterClaim",
     "WriterState",
     "attach",
+    "distance",
 ]
