@@ -78,7 +78,8 @@ def check_names(message: MessageType) -> None:
     if full_name(message.name) != message.name:
         raise MessageTypeError("TYP001", f"{message.name!r} is no full name such as geometry_msgs/msg/Twist")
     seen: set[str] = set()
-    for item in (*message.fields, *message.constants):
+    items: list[Field | Constant] = [*message.fields, *message.constants]
+    for item in items:
         if not _NAME.match(item.name) or len(item.name) > MAX_NAME or item.name in seen:
             what = "is defined twice" if item.name in seen else "is no name of a field or constant"
             raise MessageTypeError("TYP002", f"{item.name[:80]!r} {what}", where=message.name)
