@@ -79,7 +79,7 @@ class Restart(Fault):
 
     def inflict(self, cell: Cell, dice: random.Random) -> None:
         if not cell.parts[self.part].terminate():
-            raise AssertionError(f"{self.part} did not end within 15 s of SIGTERM")
+            raise AssertionError(f"{self.part} did not end within a minute of SIGTERM")
         status = cell.parts[self.part].status
         if status and self.part != "hub":
             raise AssertionError(f"{self.part} ended with status {status} after SIGTERM")

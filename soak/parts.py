@@ -136,7 +136,7 @@ class Part:
         if self._process is not None:
             self._process.wait()
 
-    def terminate(self, seconds: float = 15.0) -> bool:
+    def terminate(self, seconds: float = 60.0) -> bool:
         """Ask it to end; return whether it did in time, else it is killed."""
         self.send(signal.SIGTERM)
         if self._process is None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import signal
 import sys
-import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -34,22 +33,32 @@ def _open(kind: str, name: str, where: str) -> tuple[Backend, TypeStore]:
     return open_backend(kind, store, name, domain=domain, options=options), store
 
 
-def _until_told() -> threading.Event:
-    stop = threading.Event()
-    signal.signal(signal.SIGTERM, lambda *_: stop.set())
-    return stop
+class _UntilTold:
+    """Whether SIGTERM has come. No Event: set by a handler just when its thread begins to wait, it hangs."""
+
+    def __init__(self) -> None:
+        self.told = False
+        signal.signal(signal.SIGTERM, self._tell)
+
+    def _tell(self, *_: object) -> None:
+        self.told = True
+
+    def wait(self, seconds: float) -> bool:
+        """Sleep; return whether it is time to end."""
+        time.sleep(seconds)
+        return self.told
 
 
 def publish(ledger: Ledger, generation: int, kind: str, where: str, topics: list[str]) -> None:
     """Publish until told to stop, each topic a hundred times a second, or as often as ordered."""
-    stop = _until_told()
+    stop = _UntilTold()
     backend, store = _open(kind, "soak_publisher", where)
     codec = wire_codec(store)
     publishers = {
         ALL.index(topic): backend.advertise(topic, TYPE, _RELIABLE) for topic in topics if towards_plc(topic)
     }
     due, number = time.monotonic(), 0
-    while not stop.is_set():
+    while not stop.told:
         number += 1
         for index, publisher in publishers.items():
             record = codec.layout.pack({"data": fill(index, generation, number)})
@@ -64,7 +73,7 @@ def publish(ledger: Ledger, generation: int, kind: str, where: str, topics: list
 
 def subscribe(ledger: Ledger, kind: str, where: str, topics: list[str]) -> None:
     """Judge what comes, and pass on what the bridge says of itself."""
-    stop = _until_told()
+    stop = _UntilTold()
     backend, store = _open(kind, "soak_subscriber", where)
     codec = wire_codec(store)
 

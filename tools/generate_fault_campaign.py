@@ -44,9 +44,8 @@ def body(runs: list[dict[str, Any]]) -> list[str]:
     lines = [
         f"{rounds:,} rounds, {sum(run['messages'] for run in runs):,} messages, "
         f"{len(violations)} violations. {machine['processor']}, {machine['cores']} cores, "
-        f"Linux {machine['kernel']}, Python {machine['python']}; {versions}; ended {machine['ended']} UTC. "
-        "The cells ran side by side, niced, on a machine that did other work as well: its load average "
-        "stands in the table, and the times are longer than on a quiet one.",
+        f"Linux {machine['kernel']}, Python {machine['python']}; {versions}; "
+        f"ended {runs[-1]['machine']['ended']} UTC.",
         "",
         *run_table(runs),
         "",
@@ -64,9 +63,9 @@ def body(runs: list[dict[str, Any]]) -> list[str]:
         "",
         "### What each process held",
         "",
-        f"{processes(runs):,} processes lived and died. Of each part of each cell the longest life: medians "
-        "of its first and its last quarter, for memory of its second half, when it has settled. A rise "
-        "counts as a leak by Mann's and Kendall's test for a trend, and by a size: "
+        f"{processes(runs):,} processes lived to the end of a round. Of each part of each cell the longest "
+        "life: medians of its first and its last quarter, for memory of its second half, when it has "
+        "settled. A rise counts as a leak by Mann's and Kendall's test for a trend, and by a size: "
         f"{len(leaks) or 'none'} did.",
         "",
         *trend_table(runs),

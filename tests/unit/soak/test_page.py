@@ -1,0 +1,28 @@
+"""The page of the fault campaign shows what the runs beside it gave."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[3]
+PAGE = ROOT / "docs" / "explanation" / "fault-campaign.md"
+IMAGES = ROOT / "docs" / "images" / "soak"
+
+
+def test_the_page_is_what_its_runs_give() -> None:
+    """No figure on the page was typed by hand: rendering the runs again gives the same text."""
+    command = [sys.executable, str(ROOT / "tools" / "generate_fault_campaign.py"), "--verify"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_each_run_is_drawn() -> None:
+    """Each run has its figure, and each figure that is there is shown."""
+    runs = json.loads((IMAGES / "runs.json").read_text())
+    shown = set(re.findall(r"\]\(\.\./images/soak/(\S+\.svg)\)", PAGE.read_text()))
+    assert shown == {path.name for path in IMAGES.glob("*.svg")}
+    assert len(shown) == len(runs) + 1
