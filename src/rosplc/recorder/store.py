@@ -227,10 +227,11 @@ class FileStore:
                 channel.metadata.get("topic_type_hash", ""),
                 counts[number],
             )
-            for number, channel in sorted(self._channels.items())
+            for number, channel in sorted(dict(self._channels).items())
             if number in counts
         ]
-        information = bag_information(files, topics, self._distro)
+        distros = (one.metadata.get("rosplc.distro", "") for one in list(self._channels.values()))
+        information = bag_information(files, topics, self._distro or next(distros, ""))
         return to_yaml(information if whole else information["rosbag2_bagfile_information"])
 
     def _write_metadata(self) -> None:
