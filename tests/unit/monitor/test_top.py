@@ -9,6 +9,8 @@ import pytest
 
 pytest.importorskip("textual")
 
+from textual import events
+
 from rosplc.monitor import Expected, Watch
 from rosplc.monitor.terminal import TopApp
 from rosplc.monitor.terminal.message import MessageScreen
@@ -249,3 +251,18 @@ def test_a_tiny_terminal_does_not_end_it(channels, top):
         await pilot.pause(0.3)
 
     top((20, 6), drive)
+
+
+def test_what_is_typed_in_one_piece_arrives(channels, top):
+    """A slash and words that come at once, as over a slow line, filter; a slash among them is a letter."""
+    channels("/robot1/pose")
+    channels("/robot2/pose")
+
+    async def drive(app, pilot):
+        await until(app, pilot, shows("/robot1/pose"))
+        for key in "/t2/pose":
+            event = events.Key("slash" if key == "/" else key, key)
+            app.post_message(event)
+        await until(app, pilot, shows("1 of 2", "only: t2/pose"))
+
+    top((80, 24), drive)

@@ -52,7 +52,7 @@ class OverviewScreen(Screen[None]):
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("s", "sort", "Sort"),
         Binding("r", "reverse", "Reverse", show=False),
-        Binding("slash", "filter", "Filter", key_display="/"),
+        Binding("slash", "filter", "Filter", key_display="/", priority=True),
         Binding("w", "wrong", "Wrong"),
         Binding("p", "app.pause", "Pause"),
         Binding("question_mark,f1", "app.help", "Help", key_display="?"),
@@ -120,7 +120,8 @@ class OverviewScreen(Screen[None]):
             text.append("PAUSED  ", LEVEL_STYLES[Level.WARN])
         if self._order.wrong or self._order.words:
             text.append(f"only: {one_line(self._order.words) or 'wrong'}  ", LEVEL_STYLES[Level.WARN])
-        text.append(", ".join(_bridge(bridge) for bridge in picture.bridges), "not bold")
+        bridges = sorted(picture.bridges, key=lambda bridge: bridge.alive is True)
+        text.append(", ".join(_bridge(bridge) for bridge in bridges), "not bold")
         for note in picture.notes:
             text.append(f"  {note}", LEVEL_STYLES[Level.WARN])
         self.query_one("#head", Static).update(text, layout=False)
@@ -182,11 +183,18 @@ class OverviewScreen(Screen[None]):
         """Show only what is wrong, or everything again."""
         self._reorder(replace(self._order, wrong=not self._order.wrong))
 
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        """Let a slash be a letter while words are typed."""
+        return action != "filter" or not isinstance(self.focused, Input)
+
     def action_filter(self) -> None:
-        """Ask for words."""
+        """Ask for words.
+
+        With a binding of priority and without waiting, so that "/pose" works in one piece, too: what follows
+        the slash must find the field.
+        """
         field = self.query_one(Input)
         field.display = True
-        # At once, and not when there is time: over a slow line "/pose" arrives in one piece.
         self.set_focus(field)
 
     def action_all(self) -> None:
