@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 from pathlib import Path
+from xmlrpc.server import SimpleXMLRPCRequestHandler, SimpleXMLRPCServer
 
 import pytest
 
@@ -24,6 +25,7 @@ from rosplc.ros.rospy import handshake  # noqa: E402
 from rosplc.ros.rospy.address import read_address  # noqa: E402
 from rosplc.ros.rospy.debian import find  # noqa: E402
 from rosplc.ros.rospy.inbound import Incoming, RospySubscription, raw_class  # noqa: E402
+from rosplc.ros.rospy.master import Master  # noqa: E402
 from rosplc.ros.rospy.reasons import mismatch  # noqa: E402
 
 NOETIC = TypeStore.bundled("noetic")
@@ -248,3 +250,26 @@ def test_messages_beyond_the_depth_give_way_and_are_counted() -> None:
     topic.deliver([bytes([number]) for number in range(10)])
     assert got == [b"\7", b"\x08", b"\x09"]
     assert (subscription.status().received, subscription.status().dropped) == (3, 7)
+
+
+# -- the master
+
+
+def test_large_graphs_are_read_call_after_call() -> None:
+    """An answer that Python's servers would compress is read, and so is the next on the same connection."""
+
+    class Handler(SimpleXMLRPCRequestHandler):
+        protocol_version = "HTTP/1.1"  # as rosmaster's: the connection is kept
+
+    rows = [[f"/topic{number}", ["/node"]] for number in range(500)]
+    with SimpleXMLRPCServer(("127.0.0.1", 0), Handler, logRequests=False) as server:
+        server.register_function(lambda _caller: (1, "", [rows, [], []]), "getSystemState")
+        server.register_function(lambda _caller: (1, "", []), "getTopicTypes")
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        master = Master(f"http://127.0.0.1:{server.server_address[1]}", "/caller")
+        try:
+            for _ in range(3):
+                assert len(master.state().publishers) == 500
+        finally:
+            master.close()
+            server.shutdown()

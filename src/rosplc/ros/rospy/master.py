@@ -28,7 +28,9 @@ class RefusedError(Exception):
 
 
 class _Transport(xmlrpc.client.Transport):
-    """The standard one knows no timeout, and takes answers of any size."""
+    """The standard one knows no timeout, takes answers of any size, and asks for compressed ones."""
+
+    accept_gzip_encoding = False  # a few bytes would become any number of them
 
     def __init__(self, timeout_s: float) -> None:
         super().__init__()
