@@ -73,8 +73,7 @@ def feeder(order: dict[str, Any]) -> None:
 
     paced(0.001, orders, turn)
     say(sent=number, seconds=time.monotonic() - began)
-    for channel, _, _ in owned:
-        channel.retire()
+    threading.Event().wait()  # the channels stay until their reader has read them
 
 
 def page(order: dict[str, Any]) -> None:

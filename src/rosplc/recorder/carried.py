@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 
+from rosplc._core._native import distance
 from rosplc.codec import Codec, Wire
 from rosplc.described import layout_of
 from rosplc.monitor.tracked import open_object
@@ -13,8 +14,12 @@ from rosplc.recorder.mcap_write import ChannelInfo
 from rosplc.recorder.rosbag2 import qos_text
 from rosplc.ros import DEFAULT, LATCHED, Qos
 from rosplc.shm import Description, Direction, Reader
+from rosplc.shm.constants import WRITER_LINE
 
 __all__ = ["CarriedChannel", "channel_info"]
+
+_NO_COUNT = 1 << 24
+"""A distance beyond this is that to a head which somebody scribbled."""
 
 
 class CarriedChannel:
@@ -67,6 +72,14 @@ class CarriedChannel:
     def still_there(self) -> bool:
         """Return whether the name still leads to this object."""
         return self._attached.still_there()
+
+    def untaken(self) -> int:
+        """Return how many messages the object holds that the reader has not taken."""
+        head = self._attached.region.word(WRITER_LINE["head"])
+        if not head or not (self.reader.last or self.since_creation):
+            return 0
+        count = distance(self.reader.last, head, self.slots)
+        return count if count < _NO_COUNT else 0
 
     def close(self) -> None:
         """Let go of the object."""

@@ -205,6 +205,8 @@ class Inlet:
             self._group.remove(entry.index)
             del self._by_index[entry.index]
         entry.note_losses()
+        # A retired object gives nothing out any more, also what was not taken yet.
+        entry.count.lost += entry.carried.untaken()
         entry.carried.close()
 
     def _run(self) -> None:
@@ -222,9 +224,6 @@ class Inlet:
             if not last:
                 rest = self._flush_ns - (time.monotonic_ns() - since) if batch else _LONGEST_WAIT_NS
                 self._group.wait(_TICK_NS, max(0, min(_LONGEST_WAIT_NS, rest)))
-            while self._jobs:
-                self._jobs.popleft()()
-            self._ready.set()
             messages, faults = self._group.take()
             if messages:
                 if not batch:
@@ -236,6 +235,10 @@ class Inlet:
                     entry.broken = True  # retired or damaged: look_after opens the name again
                 else:
                     entry.count.refused += 1
+            # Behind the taking: what an object that is let go of still held has been taken.
+            while self._jobs:
+                self._jobs.popleft()()
+            self._ready.set()
             full = len(batch.data) >= self._chunk_bytes or time.monotonic_ns() - since >= self._flush_ns
             if batch and (full or last):
                 self._put(batch)

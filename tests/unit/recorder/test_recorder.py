@@ -107,6 +107,18 @@ def test_channels_come_and_go(shm_namespace: Namespace, tmp_path: Path) -> None:
     assert summary is not None and len(summary.channels) == 2
 
 
+def test_what_a_retired_channel_still_held_is_lost(shm_namespace: Namespace, tmp_path: Path) -> None:
+    """A channel that is retired before everything was taken gives no more; what it held is counted."""
+    feed = Feed(shm_namespace, "/a", slots=4096)
+    with recording(shm_namespace, tmp_path / "r") as recorder:
+        feed.number(1)
+        until(lambda: received(recorder) == 1, recorder)
+        for number in range(2, 1001):
+            feed.number(number)
+        feed.channel.retire()
+        until(lambda: read_count(recorder) == 1000, recorder)
+
+
 def test_what_came_before_a_new_channel_was_found_is_lost(shm_namespace: Namespace, tmp_path: Path) -> None:
     """A channel that is made while recording counts from its first message, taken or not."""
     with recording(shm_namespace, tmp_path / "r") as recorder:
