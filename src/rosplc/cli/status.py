@@ -93,6 +93,7 @@ def _print(picture: Picture) -> None:
     for bridge in picture.bridges:
         alive = "alive" if bridge.alive else "dead" if bridge.pid else "ended"
         process = f", process {bridge.pid}" if bridge.pid else ""
+        alive += f" ({bridge.process})" if bridge.process else ""
         say(f"bridge {bridge.name}, prefix {bridge.prefix}{process}: {alive}, {bridge.channels} channels")
     say()
     several = len({view.prefix for view in picture.channels}) > 1

@@ -76,6 +76,7 @@ def bridge_events(
         who = f"bridge {bridge.name}" + (f", process {bridge.pid}," if bridge.pid else "")
         if bridge.alive is False and earlier.alive:
             words = f"{who} " + ("does not beat any more" if bridge.pid else "has ended")
+            words += f": {bridge.process}" if bridge.process else ""
             yield Event(
                 time_ns,
                 "bridge-gone",

@@ -134,6 +134,7 @@ class BridgeView:
         name: Its name.
         pid: Its process, as it wrote it; 0 if it has ended.
         alive: Whether it beats; None before that can be known.
+        process: How its process stands, in words, if it does not beat; empty otherwise.
         channels: How many channels it has.
         worst: The worst state among them.
     """
@@ -144,6 +145,7 @@ class BridgeView:
     alive: bool | None
     channels: int
     worst: State
+    process: str = ""
 
     def as_json(self) -> dict[str, Any]:
         """Return plain data."""

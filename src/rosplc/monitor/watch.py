@@ -19,6 +19,7 @@ from rosplc.monitor.events import bridge_events, channel_events
 from rosplc.monitor.expected import Expected
 from rosplc.monitor.message import Message, message_of
 from rosplc.monitor.picture import BridgeView, ChannelView, Event, Picture
+from rosplc.monitor.process import process_words
 from rosplc.monitor.states import State
 from rosplc.monitor.tracked import Tracked, open_object
 from rosplc.shm import Attached, Namespace, Reader
@@ -295,15 +296,18 @@ def _bridges(views: tuple[ChannelView, ...]) -> tuple[BridgeView, ...]:
             groups.setdefault((view.prefix, view.bridge), []).append(view)
     bridges = []
     for (prefix, name), group in sorted(groups.items()):
-        alive = [view.bridge_alive for view in group]
+        beats = [view.bridge_alive for view in group]
+        alive = True if True in beats else None if None in beats else False
+        pid = max(view.bridge_pid for view in group)
         bridges.append(
             BridgeView(
                 prefix=prefix,
                 name=name,
-                pid=max(view.bridge_pid for view in group),
-                alive=True if True in alive else None if None in alive else False,
+                pid=pid,
+                alive=alive,
                 channels=len(group),
                 worst=max((view.state for view in group), key=lambda state: state.severity),
+                process=process_words(pid) if alive is False and pid else "",
             )
         )
     return tuple(bridges)

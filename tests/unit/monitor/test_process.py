@@ -1,0 +1,50 @@
+"""What is said of a process that should be a bridge's."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from rosplc.monitor.process import process_words
+
+
+def test_a_bridge_is_there_stopped_ended_or_gone():
+    """A real process in each state, under its own name."""
+    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)  # rosplc"])
+    try:
+        assert process_words(child.pid) == "that process is there, but hangs"
+        child.send_signal(signal.SIGSTOP)
+        _wait_for(child.pid, "that process is stopped (SIGSTOP)")
+    finally:
+        child.kill()
+    _wait_for(child.pid, "that process has ended")
+    child.wait()
+    assert process_words(child.pid) == "there is no such process here"
+
+
+def _wait_for(pid, words):
+    end = time.monotonic() + 60
+    while process_words(pid) != words:
+        assert time.monotonic() < end, process_words(pid)
+        time.sleep(0.01)
+
+
+@pytest.mark.parametrize(
+    ("stat", "command", "words"),
+    [
+        ("7 (a) b) S 1", b"/usr/bin/rosplc\0run\0", "that process is there, but hangs"),
+        ("7 (vim) S 1", b"vim\0", "that number is another program's"),
+        ("", b"", ""),
+    ],
+)
+def test_names_and_numbers_may_be_anything(tmp_path, stat, command, words):
+    """A name with parentheses, a number that went to another program, a file without content."""
+    (tmp_path / "7").mkdir()
+    (tmp_path / "7" / "stat").write_text(stat)
+    (tmp_path / "7" / "cmdline").write_bytes(command)
+    assert process_words(7, tmp_path) == words
+    assert process_words(8, tmp_path) == "there is no such process here"
