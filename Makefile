@@ -105,6 +105,10 @@ wheel: $(VENV)/.installed $(VENV)/.core ## build dist/rosplc-*.whl
 	@$(VENV)/bin/python -m pip wheel --quiet --no-deps --no-build-isolation --wheel-dir dist .
 	@ls -1 dist/*.whl
 
+.PHONY: deb
+deb: $(VENV)/.installed ## build dist/rosplc_*.deb, for this release of Debian or Ubuntu
+	@$(VENV)/bin/python -m deploy.deb
+
 .PHONY: clean
 clean: ## remove everything that make created, .venv included
 	rm -rf $(VENV) build dist site .cache .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

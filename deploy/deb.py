@@ -18,10 +18,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from deploy.board import ARCHITECTURES, Board
 from deploy.run import DeployError, run
 from deploy.wheel import PIP, ROOT, build_wheel, project_version
 
-__all__ = ["EXTRAS", "Target", "debian_version", "install_into", "main", "make_environment", "pack"]
+__all__ = [
+    "EXTRAS", "Target", "build_for_board", "build_here", "debian_version", "install_into", "main",
+    "make_environment", "pack", "pack_board",
+]  # fmt: skip
 
 EXTRAS = ("zenoh", "views")
 """What the package has beside the base: the way into ROS that every architecture has, and the views."""
@@ -187,6 +191,49 @@ def _write_documents(folder: Path) -> None:
     (folder / "changelog.gz").write_bytes(gzip.compress(changes, mtime=0))
 
 
+def build_for_board(folder: Path, name: str, suite: str) -> Path:
+    """Build the package for a board, in that board's Debian.
+
+    Args:
+        folder: Gets the package.
+        name: The board's architecture: a key of :data:`deploy.board.ARCHITECTURES`.
+        suite: The board's release of Debian.
+
+    Returns:
+        The package.
+
+    Raises:
+        DeployError: A step failed, or something is missing.
+    """
+    with tempfile.TemporaryDirectory(prefix="rosplc-deb-") as work:
+        board = Board(Path(work) / "board", ARCHITECTURES[name])
+        print(f"[1/3] fetching Debian {suite} for {name}", flush=True)
+        board.make(suite)
+        print("[2/3] building and installing rosplc and what it needs there", flush=True)
+        board.install(Path(work) / "wheels")
+        print("[3/3] packing", flush=True)
+        return pack_board(board, Path(work) / "stage", folder, project_version())
+
+
+def pack_board(board: Board, stage: Path, folder: Path, version: str) -> Path:
+    """Make a package of what is installed on a board.
+
+    Args:
+        board: The board, with rosplc installed.
+        stage: A folder that does not exist yet.
+        folder: Gets the package.
+        version: rosplc's version.
+
+    Returns:
+        The package.
+    """
+    os.umask(0o022)
+    shutil.copytree(board.root / _HOME, stage / _HOME, symlinks=True)
+    minor = board.python_version()[1]
+    target = Target(board.architecture.name, minor, board.libc(), board.architecture.debian)
+    return pack(stage, folder, version, target)
+
+
 def build_here(folder: Path, extras: Sequence[str] = EXTRAS) -> Path:
     """Build the package for this machine.
 
@@ -220,10 +267,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m deploy.deb", description=__doc__)
     parser.add_argument("--out", type=Path, default=ROOT / "dist", help="where it goes (default: dist)")
     parser.add_argument("--extras", default=",".join(EXTRAS), help="comma-separated (default: %(default)s)")
+    parser.add_argument(
+        "--board", choices=sorted(ARCHITECTURES), help="build for this, in an emulated Debian"
+    )
+    parser.add_argument("--suite", default="bookworm", help="the board's Debian (default: %(default)s)")
     options = parser.parse_args(arguments)
     extras = tuple(word for word in options.extras.split(",") if word)
     try:
-        print(build_here(options.out.absolute(), extras))
+        folder = options.out.absolute()
+        if options.board:
+            print(build_for_board(folder, options.board, options.suite))
+        else:
+            print(build_here(folder, extras))
     except DeployError as error:
         print(f"deploy: {error}", file=sys.stderr)
         return 1

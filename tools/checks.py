@@ -109,7 +109,7 @@ def lint(outcome: Outcome) -> None:
 def types(outcome: Outcome) -> None:
     """Check the types of the package and of the project's own tools."""
     step(outcome, "mypy --strict", [str(BIN / "mypy")])
-    step(outcome, "mypy --strict tools", [str(BIN / "mypy"), "conftest.py", "tools", "soak", "fuzz"])
+    step(outcome, "mypy --strict tools", [str(BIN / "mypy"), "conftest.py", "tools", "soak", "fuzz", "deploy"])
 
 
 def tests(outcome: Outcome) -> None:

@@ -13,7 +13,8 @@ from pathlib import Path
 import pytest
 
 from deploy.deb import Target, debian_version, install_into, make_environment, pack
-from deploy.wheel import build_wheel, project_version
+from deploy.run import run
+from deploy.wheel import PIP, build_wheel, project_version
 from rosplc.shm import Namespace
 from tests.deploy.machine import Machine, need_namespaces
 
@@ -60,8 +61,15 @@ def packages(tmp_path_factory: pytest.TempPathFactory) -> Packages:
     folder = tmp_path_factory.mktemp("deb")
     target, stage = Target.here(), folder / "stage"
     make_environment(stage)
-    # Without extras, to be quick: the base has every kind of file that they have.
-    install_into(stage, build_wheel(folder / "now"), ())
+    # Without extras, to be quick: the base has every kind of file that they have. And without the index,
+    # from a folder of wheels, as on a machine without a network.
+    wheel, wheels = build_wheel(folder / "now"), folder / "wheels"
+    python = stage / "opt/rosplc/bin/python"
+    run([*PIP, "--python", python, "download", "--quiet", "--only-binary=:all:", "--dest", wheels, wheel])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PIP_NO_INDEX", "1")
+        patch.setenv("PIP_FIND_LINKS", str(wheels))
+        install_into(stage, wheel, ())
     now = pack(stage, folder, project_version(), target)
     install_into(stage, build_wheel(folder / "newer", version=NEWER), (), alone=True)
     return Packages(now, pack(stage, folder, NEWER, target))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 import sys
 import zipfile
@@ -11,6 +10,7 @@ from pathlib import Path
 import pytest
 
 import rosplc
+from deploy.wheel import build_wheel
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -24,18 +24,9 @@ def run(*command: str, cwd: Path) -> str:
 
 
 def build(folder: Path) -> Path:
-    """Build a wheel from a copy, so that nothing that lies about in the tree gets into it."""
     # `make setup` installs it; an environment of one's own may have an older one, or none.
     pytest.importorskip("setuptools", minversion="77")
-    source = folder / "source"
-    unwanted = shutil.ignore_patterns("*.so", "*.o", "__pycache__", "*.egg-info")
-    shutil.copytree(ROOT / "src", source / "src", ignore=unwanted)
-    for name in ("pyproject.toml", "setup.py", "README.md", "LICENSE"):
-        shutil.copy(ROOT / name, source / name)
-    pip = (sys.executable, "-m", "pip", "--disable-pip-version-check")
-    run(*pip, "wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", str(folder), ".", cwd=source)
-    (wheel,) = folder.glob("*.whl")
-    return wheel
+    return build_wheel(folder)
 
 
 def test_wheel_holds_package_types_and_core(tmp_path: Path) -> None:
