@@ -14,6 +14,9 @@ VERIFY_MINUTES ?=
 SOAK_MINUTES ?= 4
 SOAK_OPTIONS ?=
 
+# What `make example` is told.
+EXAMPLE_OPTIONS ?=
+
 # Seconds for each target of `make fuzz`, and what else it is told.
 FUZZ_SECONDS ?= 60
 FUZZ_OPTIONS ?=
@@ -43,6 +46,10 @@ setup: $(VENV)/.installed $(VENV)/.core ## create .venv and install rosplc into 
 .PHONY: demo
 demo: $(VENV)/.core ## show the main job: ROS topics to a (virtual) PLC and back
 	@if [ -t 1 ]; then $(VENV)/bin/rosplc demo; else $(VENV)/bin/rosplc demo --duration 20s; fi
+
+.PHONY: example
+example: $(VENV)/.core ## run the assembly cell: robot, bridge and PLC, broken on the way; EXAMPLE_OPTIONS="--plc st --web"
+	@$(VENV)/bin/python -m examples.assembly_cell $(EXAMPLE_OPTIONS)
 
 .PHONY: test
 test: $(VENV)/.installed $(VENV)/.core ## lint, types and all tests of ordinary length (about 10 minutes)

@@ -82,7 +82,7 @@ def _rows(project: Project, plan: TopicPlan, names: tuple[str, str] | None) -> l
     rows.append(("takes", f"{how}; PLC task {plan.task}{_cycle_words(project, plan)}"))
     if names is not None:
         verb = "read" if plan.direction == 1 else "written"
-        rows.append(("in the PLC", f"{verb} with {names[0]}, a {names[1]}"))
+        rows.append(("in the PLC", f"{verb} with {names[0]} (block {names[1]})"))
     rows.append(("QoS", f"{_qos_words(plan)} ({qos})"))
     rows += [("", words) for words in _qos_meaning(plan)]
     rows += [("stale after", stale), ("when silent", when_silent(project, plan))]

@@ -29,22 +29,29 @@ def report(kind: str, **facts: Any) -> None:
 
 
 class Orders:
-    """The parent's orders as events: ``go``, ``drain`` and ``stop``.
+    """The parent's orders as events: ``go``, ``drain``, ``stop``, and others that are named.
 
     Constructing it makes the process deaf to Ctrl-C, which a terminal sends to the whole
     group: the parent decides what ends when.
+
+    Args:
+        others: More orders.
+
+    Attributes:
+        others: The event of each of them.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *others: str) -> None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         signal.signal(signal.SIGTERM, lambda *_: self.stop.set())
         self.go = threading.Event()
         self.drain = threading.Event()
         self.stop = threading.Event()
+        self.others = {word: threading.Event() for word in others}
         threading.Thread(target=self._listen, name="orders", daemon=True).start()
 
     def _listen(self) -> None:
-        events = {"go": self.go, "drain": self.drain, "stop": self.stop}
+        events = {"go": self.go, "drain": self.drain, "stop": self.stop, **self.others}
         for line in sys.stdin:
             event = events.get(line.strip())
             if event is not None:

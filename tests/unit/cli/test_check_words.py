@@ -44,7 +44,7 @@ def test_the_plc_program_finds_its_block_by_the_name_that_is_told(tmp_path: Path
         gvl, _, instance = found["instance"].partition(".")
         assert f"{instance} : {found['block']}(" in sources[gvl], topic
         assert found["block"] in sources
-        assert f"with {found['instance']}, a {found['block']}" in output
+        assert f"with {found['instance']} (block {found['block']})" in output
 
 
 def test_what_generate_would_refuse_is_a_warning(tmp_path: Path) -> None:
