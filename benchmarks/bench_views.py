@@ -6,7 +6,8 @@ The bridge carries 20 topics x 1 kHz, half of them each way, over DDS. In every 
 seconds, and so does none: what is compared are the bridge's share of a core and the time from the PLC's
 publication to a bare DDS subscriber, as ratios to the same round without a view. Then, without bridge and
 ROS, channels are filled at growing rates while a recorder takes them into a file on this machine's
-temporary folder: which share of the messages it lost, and what it cost.
+temporary folder: which share of the messages it lost, and what it cost. Last, where Chromium and the
+packages of the tests are installed, the page of `rosplc web` with 200 channels (benchmarks/web_page.py).
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ RATE = 1000
 ROUND_S = 5.0
 SETTLE_S = 3.0
 PINGS = 100  # a second
-RATES = (500, 1000, 2000, 4000, 8000)
+RATES = (1000, 4000, 8000, 16000, 32000)
 DEPTHS = (4, 16, 64, 256)
 
 
@@ -184,6 +185,18 @@ def rates(
     return [measure.table(title, "% lost", "the recorder looks every 1 ms; nobody else reads", rows, facts)]
 
 
+def page(rounds: int) -> list[dict[str, Any]]:
+    """Measure the page in a browser; nothing where there is none."""
+    try:
+        from benchmarks import web_page
+    except ImportError:
+        return []
+    tables: list[dict[str, Any]] = []
+    if Path(web_page.CHROMIUM).exists():
+        tables = web_page.run(rounds)["tables"]
+    return tables
+
+
 def run(
     rounds: int,
     topics: int = TOPICS,
@@ -192,10 +205,13 @@ def run(
     settle: float = SETTLE_S,
     steps: tuple[int, ...] = RATES,
     depths: tuple[int, ...] = DEPTHS,
+    browser: bool = True,
 ) -> dict[str, Any]:
     """Measure in ``rounds`` rounds; returns a :func:`measure.report`."""
     before = measure.environment()
     tables = views(rounds, topics, rate, seconds, settle) + rates(rounds, topics, steps, depths, seconds)
+    if browser:
+        tables += page(rounds)
     return measure.report(tables, before)
 
 

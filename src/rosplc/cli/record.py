@@ -14,6 +14,7 @@ from rosplc.cli.guard import guarded, print_json
 from rosplc.cli.progress import ProgressLine
 from rosplc.cli.text import columns, in_bytes, say, warn
 from rosplc.cli.watching import Directory
+from rosplc.doctor.words import plural
 
 if TYPE_CHECKING:
     from rosplc.recorder import Order, Recorder, Result
@@ -264,8 +265,8 @@ def _repair(file: Path, output: Path | None, *, as_json: bool, quiet: bool) -> N
         return
     say(f"{file}: {done.problem or 'nothing is wrong with it'}")
     if done.damaged:
-        say(f"{done.damaged} parts in between could not be read, and are left out")
-    say(f"{done.path}: {done.messages} messages of {len(done.topics)} topics saved")
+        say(f"{plural(done.damaged, 'part')} in between could not be read: left out")
+    say(f"{done.path}: {plural(done.messages, 'message')} of {plural(len(done.topics), 'topic')} saved")
 
 
 def _begin(recorder: Recorder, order: Order, *, quiet: bool) -> None:
@@ -279,7 +280,7 @@ def _begin(recorder: Recorder, order: Order, *, quiet: bool) -> None:
         _hint(order)
     if quiet:
         return
-    what = f"{len(topics)} topic{'' if len(topics) == 1 else 's'}"
+    what = plural(len(topics), "topic")
     if order.keep_ns:
         warn(f"keeping the last {order.keep_ns / 1e9:g} s of {what}; triggers: {', '.join(order.triggers)}")
     else:
@@ -298,8 +299,9 @@ def _progress(recorder: Recorder) -> str:
     now = recorder.progress()
     held = f", holds {now.span_ns / 1e9:.0f} s" if recorder.order.keep_ns else ""
     return (
-        f"{now.seconds:.0f} s: {now.received} messages of {now.topics} topics, {now.lost} lost, "
-        f"{in_bytes(now.size)}{held}" + (f", {now.files} files" if now.files else "")
+        f"{now.seconds:.0f} s: {plural(now.received, 'message')} of {plural(now.topics, 'topic')}, "
+        f"{now.lost} lost, {in_bytes(now.size)}{held}"
+        + (f", {plural(now.files, 'file')}" if now.files else "")
     )
 
 
@@ -308,14 +310,15 @@ def _report(order: Order, recorder: Recorder, result: Result, *, as_json: bool) 
         print_json(_document(result, recorder))
         return
     lost = f"{result.lost} lost" if result.lost else "none lost"
-    say(f"{result.received} messages of {len(result.topics)} topics in {result.seconds:.1f} s, {lost}")
+    what = f"{plural(result.received, 'message')} of {plural(len(result.topics), 'topic')}"
+    say(f"{what} in {result.seconds:.1f} s, {lost}")
     rows = [
         (name, one.type_name, one.received, one.lost + one.refused) for name, one in result.topics.items()
     ]
     for text in columns(rows, header=("topic", "type", "messages", "lost"), indent=2):
         say(text)
     for file in result.files:
-        say(f"{file.path}: {sum(file.counts.values())} messages, {in_bytes(file.size)}")
+        say(f"{file.path}: {plural(sum(file.counts.values()), 'message')}, {in_bytes(file.size)}")
     if order.keep_ns:
         for reason in result.saves:
             say(f"saved because of {reason}")

@@ -13,6 +13,7 @@ from rosplc.cli.progress import ProgressLine
 from rosplc.cli.record import duration
 from rosplc.cli.text import columns, say, warn
 from rosplc.cli.watching import Directory
+from rosplc.doctor.words import plural
 
 if TYPE_CHECKING:
     from rosplc.recorder.replay import Player, ReplayOrder
@@ -226,7 +227,7 @@ def _play(
     def progress() -> str:
         sent = sum(count.sent for count in target.counts.values())
         again = f", round {player.rounds}" if order.loop else ""
-        return f"{player.position_ns / 1e9:.1f} of {length:.1f} s: {sent} messages sent{again}"
+        return f"{player.position_ns / 1e9:.1f} of {length:.1f} s: {plural(sent, 'message')} sent{again}"
 
     try:
         with stop_on_signals(lambda _: None) as stop:
@@ -266,8 +267,8 @@ def _report(player: Player, target: Target, *, as_json: bool) -> None:
         )
     else:
         say(
-            f"{sent} messages of {len(counts)} topics sent"
-            + (f" in {player.rounds} rounds" if player.order.loop else "")
+            f"{plural(sent, 'message')} of {plural(len(counts), 'topic')} sent"
+            + (f" in {plural(player.rounds, 'round')}" if player.order.loop else "")
         )
         rows = [(name, one.sent, one.refused, one.lost) for name, one in counts.items()]
         for text in columns(rows, header=("topic", "sent", "refused", "lost"), indent=2):
@@ -278,7 +279,7 @@ def _report(player: Player, target: Target, *, as_json: bool) -> None:
         if player.order.speed:
             say(f"the latest message was {player.latest_ns / 1e6:.1f} ms late")
         if player.disordered:
-            warn(f"{player.disordered} messages lie out of order in the file; they were sent at once")
+            warn(f"{plural(player.disordered, 'message')} out of order in the file; sent at once")
     if any(one.refused or one.lost for one in counts.values()) or not sent:
         raise typer.Exit(EXIT_FAILURE)
 

@@ -166,7 +166,9 @@ def test_the_real_time_benchmark() -> None:
 @pytest.mark.verify(minutes=0.7)
 def test_the_views_benchmark() -> None:
     """Each view runs beside a busy bridge, and a recorder accounts for every message at each rate."""
-    report = bench_views.run(1, topics=2, rate=100, seconds=1.0, settle=0.5, steps=(200,), depths=(4,))
+    report = bench_views.run(
+        1, topics=2, rate=100, seconds=1.0, settle=0.5, steps=(200,), depths=(4,), browser=False
+    )
     found = rows(report)
     for name in ("rosplc top", "rosplc web, a page", "rosplc record"):
         assert {f"bridge, beside {name}", f"{name} itself"} <= set(found["2 topics x 100 Hz: CPU"])

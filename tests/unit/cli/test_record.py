@@ -98,7 +98,7 @@ def test_record_list_and_replay(shm_namespace: Namespace, tmp_path: Path) -> Non
     assert json.loads(played.stdout)["topics"]["/b"]["sent"] == count
     with attach(shm_namespace, "/b") as attached:
         assert attached.snapshot().writer.head == count
-    assert f"{count} messages of 1 topics sent" in rosplc(*replay).stdout
+    assert f"{count} messages of 1 topic sent" in rosplc(*replay).stdout
 
 
 def test_ctrl_c_ends_a_recording(shm_namespace: Namespace, tmp_path: Path) -> None:
@@ -110,7 +110,7 @@ def test_ctrl_c_ends_a_recording(shm_namespace: Namespace, tmp_path: Path) -> No
         time.sleep(0.5)
         child.send_signal(signal.SIGINT)
         report, _ = child.communicate(timeout=60)
-    assert child.returncode == 0 and "messages of 1 topics" in report
+    assert child.returncode == 0 and "messages of 1 topic" in report
     assert (out / "metadata.yaml").exists() and not list(tmp_path.glob("**/*.tmp"))
     assert json.loads(rosplc("replay", out, "--list", "--json").stdout)["notes"] == []
 
