@@ -19,8 +19,8 @@ CACHE = _HERE.parent / ".cache/fuzz"
 
 MOST_BYTES = 300_000
 """What the corpora in the repository may have together."""
-_MOST_OF_ONE = 14_000
-_MOST_FILES = 48
+_MOST_OF_ONE = 18_000
+_MOST_FILES = 80
 
 
 def inputs(name: str) -> list[Path]:

@@ -13,7 +13,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from fuzz.build import Unbuildable, build, plans_and_seeds
+from fuzz.build import Unbuildable, build, plans_and_seeds, seeds
 from fuzz.corpus import inputs
 from fuzz.targets import TARGETS, load, missing
 from fuzz.worker import limit_memory
@@ -58,6 +58,9 @@ def replay_native(name: str, folder: Path, core: Path | None = None) -> tuple[in
     plans = folder / "plans"
     plans_and_seeds(plans)
     paths = inputs(name)
+    for number, data in enumerate(seeds(name, plans)):
+        paths.append(folder / f"{name}-seed-{number}")
+        paths[-1].write_bytes(data)
     done = subprocess.run(
         [str(program), *map(str, paths)],
         env={**os.environ, "ROSPLC_FUZZ_PLANS": str(plans)},

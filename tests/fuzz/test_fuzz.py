@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from fuzz.build import CORE, Unbuildable
 from fuzz.corpus import CORPUS, MOST_BYTES
+from fuzz.replay import replay_native
 from fuzz.targets import TARGETS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -50,13 +53,14 @@ def test_the_corpus_is_small() -> None:
     assert {path.name for path in CORPUS.iterdir() if path.is_dir()} == set(TARGETS)
 
 
-@pytest.mark.verify(minutes=4)
-@pytest.mark.timeout(1500)
+@pytest.mark.verify(minutes=3)
+@pytest.mark.timeout(3600)
 def test_the_fuzzers_find_nothing(tmp_path: Path) -> None:
     """Each fuzzer runs for some seconds from the corpus on, reaches every type, and finds nothing."""
     report = tmp_path / "report.json"
-    seconds = str(max(5, 180 // len(TARGETS)))
-    run("fuzz", "--seconds", seconds, "--cache", str(tmp_path / "cache"), "--json", str(report))
+    seconds = str(max(5, 120 // len(TARGETS)))
+    cache = str(tmp_path / "cache")
+    run("fuzz", "--seconds", seconds, "--jobs", "2", "--cache", cache, "--json", str(report))
     facts = json.loads(report.read_text())
     assert facts["findings"] == 0
     for one in facts["targets"]:
@@ -65,3 +69,48 @@ def test_the_fuzzers_find_nothing(tmp_path: Path) -> None:
         assert one["executions"] > 0, one["name"]
     codec = next(one for one in facts["targets"] if one["name"] == "codec")
     assert "skipped" in codec or codec["types_reached"] == codec["types"] > 800
+
+
+DEFECTS = {
+    "a count that is not clamped": (
+        "plan_encode.h",
+        "            if (count > op->n)\n                count = op->n;\n",
+        "",
+        "codec",
+    ),
+    "a length that is not compared": (
+        "plan_decode.h",
+        "if (at > d->size || bytes > d->size - at) {",
+        "if (at > d->size) {",
+        "codec",
+    ),
+    "a slot count that is believed anew": (
+        "channel_region.h",
+        "size_t index = sequence & (r->geometry.slot_count - 1u);",
+        "size_t index = sequence & (ch_load(&r->header->identity.slot_count) * 2 - 1u);",
+        "channel",
+    ),
+    "a take without its second look": (
+        "channel_reader.h",
+        "while (t->attempts <= CH_MAX_RETRIES) {",
+        "while (t->attempts <= CH_MAX_RETRIES + 9) {",
+        "channel",
+    ),
+}
+
+
+@pytest.mark.verify(minutes=1)
+@pytest.mark.parametrize("defect", DEFECTS)
+def test_a_defect_would_be_found(tmp_path: Path, defect: str) -> None:
+    """The corpus alone finds a defect that is put into the C core on purpose."""
+    file, sound, broken, target = DEFECTS[defect]
+    core = tmp_path / "core"
+    shutil.copytree(CORE, core, ignore=shutil.ignore_patterns("*.so", "__pycache__"))
+    text = (core / file).read_text()
+    assert text.count(sound) == 1
+    (core / file).write_text(text.replace(sound, broken))
+    try:
+        with pytest.raises(AssertionError, match=r"AddressSanitizer|FAILED"):
+            replay_native(target, tmp_path, core)
+    except Unbuildable as error:
+        pytest.skip(str(error))

@@ -110,10 +110,9 @@ def session_config(options: Mapping[str, object], environment: Mapping[str, str]
     for path, text in _overrides(environment.get(_OVERRIDE, "")):
         try:
             config.insert_json5(path, text)
-        except zenoh.ZError as error:
-            raise BackendError(
-                "ROS010", f"{_OVERRIDE} sets {path}={text}: {words(error)}", where=_OVERRIDE
-            ) from error
+        except (zenoh.ZError, UnicodeError) as error:  # a variable may hold bytes that are no text
+            what = f"{_OVERRIDE} sets {path}={text}: {words(error)}"
+            raise BackendError("ROS010", what, where=_OVERRIDE) from error
     mode = json.loads(config.get_json("mode"))
     mode = mode if isinstance(mode, str) else "peer"
     if mode == "client":
