@@ -29,7 +29,7 @@ TICK = 0.005
 
 @dataclass(frozen=True)
 class Source:
-    """A topic towards the PLC: its type, its rate, and what it says at a time in seconds."""
+    """A topic towards the PLC: its type, its rate (0: one message), and what it says at a time in seconds."""
 
     type: str
     hz: float
@@ -133,6 +133,7 @@ SOURCES = {
     "/agv/battery": Source("sensor_msgs/msg/BatteryState", 2, battery),
     "/agv/scan": Source("sensor_msgs/msg/LaserScan", 10, scan, {"ranges": BEAMS, "intensities": 1}),
     "/spindle/temperature": Source("sensor_msgs/msg/Temperature", 4, temperature),
+    "/vision/part_pose": Source("geometry_msgs/msg/PoseStamped", 0, pose),
     "/press/door_open": Source("std_msgs/msg/Bool", 5, lambda at: {"data": at % 20 < 5}, read=False),
 }
 
@@ -166,13 +167,15 @@ def bridge(prefix: str, count: int, stopped: threading.Event) -> None:
     ]
     print("ready", flush=True)
     # Spread, so that not all of one rate are due in one moment.
-    due = [time.monotonic() + random.random() / source.hz for source, _ in writers]
+    due = [time.monotonic() + random.random() / max(source.hz, 1) for source, _ in writers]
+    for _, writer in writers:
+        writer._writer.set_sources(1)  # as a bridge says that a robot is there
     while not stopped.wait(TICK):
         now, wall = time.monotonic(), time.time()
         for index, (source, writer) in enumerate(writers):
             if now >= due[index]:
                 writer.write(source.message(wall))
-                due[index] = max(due[index] + 1 / source.hz, now)
+                due[index] = max(due[index] + 1 / source.hz, now) if source.hz else math.inf
         for reader in taken:
             reader.read()
 

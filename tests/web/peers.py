@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from contextlib import asynccontextmanager
@@ -12,7 +13,7 @@ from rosplc.layout import Layout, compute_layout
 from rosplc.model import TypeStore
 from rosplc.shm import Description, Direction, Namespace, OwnedChannel
 
-__all__ = ["TOKEN", "WATCHDOG", "end", "layout_of", "open_typed", "page_socket", "start_role"]
+__all__ = ["TOKEN", "WATCHDOG", "Served", "end", "layout_of", "open_typed", "page_socket", "start_role"]
 
 TOKEN = "a-token-of-the-tests"
 WATCHDOG = 60.0
@@ -25,7 +26,11 @@ def layout_of(type_name: str) -> Layout:
 
 
 def open_typed(
-    namespace: Namespace, topic: str, type_name: str, direction: Direction = Direction.TO_PLC
+    namespace: Namespace,
+    topic: str,
+    type_name: str,
+    direction: Direction = Direction.TO_PLC,
+    bridge: str = "cell",
 ) -> OwnedChannel:
     """Own a channel of a bundled type, as a bridge does."""
     layout = layout_of(type_name)
@@ -36,7 +41,7 @@ def open_typed(
         direction=direction,
         limits=layout.limits.to_dict(),
         layout_id=layout.layout_id,
-        bridge="cell",
+        bridge=bridge,
         definition=layout.store.definition_text(layout.type_name),
     )
     return OwnedChannel.open(namespace, description, record_size=layout.size)
@@ -50,6 +55,34 @@ async def page_socket(client: Any, wants: dict[str, Any] | None = None) -> Any:
         await socket.send_json({"wants": wants or {}})
         assert "hello" in await socket.receive_json()
         yield socket
+
+
+class Served:
+    """A ``rosplc web`` of its own process; the same port again after :meth:`restart`."""
+
+    def __init__(self, prefix: str, *arguments: str) -> None:
+        self._arguments = ["--prefix", prefix, *arguments]
+        self.url, self.token, self._port = "", "", "0"
+        self.process = self._start()
+
+    def _start(self) -> subprocess.Popen[str]:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "rosplc", "web", "--json", "--port", self._port, *self._arguments],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+            cwd=_ROOT,
+        )
+        assert process.stdout is not None
+        said = json.loads(process.stdout.readline())
+        self.url, self.token = said["url"], said["token"]
+        self._port = self.url.rstrip("/").rpartition(":")[2]
+        return process
+
+    def restart(self) -> None:
+        """Kill it, and start it again at the same address."""
+        end(self.process)
+        self.process = self._start()
 
 
 def start_role(role: str, prefix: str, count: int = 0) -> subprocess.Popen[str]:

@@ -25,7 +25,7 @@ EPILOG = """Examples:
 
 rosplc web  —  open the address that it prints, on this machine
 
-ssh -L 8480:localhost:8480 MACHINE  —  then the same address shows MACHINE's page, on another one
+ssh -t -L 8480:localhost:8480 MACHINE rosplc web  —  the page of another machine, at the same address here
 
 rosplc web --config rosplc.yaml  —  with what a configuration expects of its topics, and its classic topics
 

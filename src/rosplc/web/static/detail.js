@@ -71,7 +71,7 @@ export function channelDetail(id, plots) {
     const noun = toPlc ? "publisher" : "subscriber";
     const ros = showStation("ros", "ROS", peers === null ? "not counted" : peers === 1 ? `1 ${noun}` : `${peers} ${noun}s`, peers === null ? null : peers > 0);
     const bridge = showStation("bridge", "Bridge", channel.bridge ? `${channel.bridge}${channel.bridge_pid ? `, process ${channel.bridge_pid}` : ""}` : "none", channel.bridge_alive);
-    const tasks = channel.readers.filter((reader) => toPlc || reader.index > 0).map((reader) => reader.task || `process ${reader.pid}`);
+    const tasks = channel.readers.filter((reader) => reader.alive !== false && (toPlc || reader.index > 0)).map((reader) => reader.task || `process ${reader.pid}`);
     const plc = showStation("plc", "PLC", toPlc ? (tasks.length ? `read by ${tasks.join(", ")}` : "nobody reads") : channel.plc_alive ? "writes" : "nobody writes", channel.plc_alive);
     const order = toPlc ? [ros, bridge, plc] : [plc, bridge, ros];
     if (order.some((station, index) => path.children[index] !== station)) fill(path, order);

@@ -6,6 +6,7 @@ import { profile } from "./profile.js";
 
 const FIRST = 16;
 const MORE = 256;
+const STEADY_MS = 1500; // what changes more often than this says nothing by changing
 const NUMBERS = new Set(["integer", "float", "bool"]);
 
 /** Make the tree of a type. `plots` knows which fields are plotted: `has(path)`, `toggle(path)`. */
@@ -56,13 +57,16 @@ function leaf(form, label, path, rows, plots, read) {
   const button = NUMBERS.has(form.kind) ? plotButton(path, plots) : null;
   row.append(button ?? el("span"));
   let before;
+  let changedMs = 0;
   rows.push({
     update(values) {
       const item = read(values);
       if (item === before) return;
       setText(shown, form.kind === "string" && item !== undefined ? `“${item}”` : text(item, form.type));
-      if (before !== undefined) flash(shown);
+      const now = performance.now();
+      if (before !== undefined && now - changedMs > STEADY_MS) flash(shown);
       before = item;
+      changedMs = now;
     },
     showPlot: button?.show,
   });
