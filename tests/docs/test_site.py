@@ -132,8 +132,8 @@ def test_every_link_and_anchor_of_the_site_leads_somewhere(site: Path, pages: di
 def test_the_site_fetches_nothing_from_elsewhere(site: Path, pages: dict[str, Page]) -> None:
     """It works where there is no way out, and tells nobody that it is read."""
     fetched = {link for page in pages.values() for link in page.fetched}
-    styles = "".join(path.read_text(encoding="utf-8") for path in site.rglob("*.css"))
-    fetched |= set(re.findall(r"(?:url\(|@import )[\"']?([^\"')]+)", styles))
+    drawn = [path.read_text(encoding="utf-8") for path in site.rglob("*") if path.suffix in (".css", ".svg")]
+    fetched |= set(re.findall(r"(?:url\(|@import |<image [^>]*href=\")[\"']?([^\"')]+)", "".join(drawn)))
     assert [link for link in sorted(fetched) if re.match("(https?:)?//", link)] == []
 
 
