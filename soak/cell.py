@@ -17,7 +17,7 @@ from rosplc.shm import Namespace
 from soak.ledger import GENERATIONS, Ledger
 from soak.nursery import Nursery
 from soak.parts import Part
-from soak.pattern import ALL, CAPACITY, CLASSIC, OUT, TOPICS, TYPE, towards_plc
+from soak.pattern import ALL, CAPACITY, CLASSIC, ROS_DEPTH, TOPICS, TYPE, towards_plc
 from soak.st import build_program
 
 __all__ = ["Cell", "Extra", "WatchdogError"]
@@ -168,12 +168,18 @@ class Cell:
                 how = f"classic: {{name: {self.classic_name(topic)}, recover_after: {RECOVER_AFTER_S}s}}"
             else:
                 how = f"every: {'true' if topic.endswith(('/in', '/out')) else 'false'}, depth: 64"
-            if self.backend == "rospy" and topic in OUT:
-                # In ROS 1 whoever comes gets what is latched, asked for or not: an old message once more.
-                how += ", qos: {durability: volatile}"
+            if "qos" not in self.options[topic]:
+                how += f", qos: {{{self._qos(topic)}}}"
             rest = f"{how}{limits}{self.options[topic]}"
             lines.append(f"  {topic}: {{type: {TYPE}, to: {way}, {rest}}}")
         return lines
+
+    def _qos(self, topic: str) -> str:
+        if towards_plc(topic):
+            return f"depth: {ROS_DEPTH}"
+        # Towards ROS the default is latched, and what is latched is kept in memory: a flood's seconds of it.
+        # In ROS 1 whoever comes gets what is latched, asked for or not: an old message once more.
+        return f"depth: {ROS_DEPTH // 5}" + (", durability: volatile" if self.backend == "rospy" else "")
 
     def classic_name(self, topic: str) -> str:
         """Return the name of a classic topic's memory."""

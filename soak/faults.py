@@ -143,6 +143,20 @@ class Flood(Fault):
         cell.ledger.control["flood"] = 1
 
 
+class StopInFlood(Fault):
+    """The bridge stands still while ten times as much comes from both sides."""
+
+    name = "stop bridge in a flood"
+    accounted = TOPICS
+
+    def inflict(self, cell: Cell, dice: random.Random) -> None:
+        cell.ledger.control["flood"] = 10
+        cell.parts["bridge"].send(signal.SIGSTOP)
+        time.sleep(dice.uniform(0.5, 2.0))
+        cell.parts["bridge"].send(signal.SIGCONT)
+        cell.ledger.control["flood"] = 1
+
+
 class Hang(Fault):
     """A subscriber that is stopped while ten times as much comes as it is used to."""
 
@@ -193,18 +207,30 @@ class Full(Fault):
         return "" if cell.private else "needs a /dev/shm of its own: root, and mount namespaces"
 
     def inflict(self, cell: Cell, dice: random.Random) -> None:
-        before = cell.said("SHM117")
         filler = SHM / "filler"
         try:
-            with filler.open("wb") as file, contextlib.suppress(OSError):
-                leave = 16384 if self._nearly else 0
-                room = os.statvfs(SHM)
-                os.posix_fallocate(file.fileno(), 0, room.f_bavail * room.f_frsize - leave)
-            # What is removed stays mapped, and its memory in use: there is really no room.
-            cell.remove([cell.namespace.object_name(topic) for topic in TOPICS])
-            cell.wait(lambda: cell.said("SHM117") > before, "the bridge says that there is no room")
+            # What was removed in the rounds before may still be mapped, and give its room back only now: the
+            # objects are then made again without a word, and it has to be filled up and tried once more.
+            cell.wait(lambda: self._filled_up(cell, filler), "the bridge says that there is no room")
         finally:
             filler.unlink(missing_ok=True)
+
+    def _filled_up(self, cell: Cell, filler: Path) -> bool:
+        leave = 16384 if self._nearly else 0
+        before = cell.said("SHM117")
+        with filler.open("ab") as file, contextlib.suppress(OSError):
+            room = os.statvfs(SHM)
+            free = room.f_bavail * room.f_frsize - leave
+            if free > 0:
+                os.posix_fallocate(file.fileno(), file.tell(), free)
+        # What is removed stays mapped, and its memory in use: there is really no room.
+        cell.remove([cell.namespace.object_name(topic) for topic in TOPICS])
+        channels = {cell.namespace.object_name(topic) for topic in TOPICS}
+        cell.wait(
+            lambda: cell.said("SHM117") > before or channels <= cell.objects(),
+            "the bridge sees what was removed",
+        )
+        return cell.said("SHM117") > before
 
 
 class Limit(Fault):
@@ -304,11 +330,11 @@ class Reload(Fault):
         for number in dice.sample(range(8), dice.randint(0, 3)):
             extra[f"/soak/extra{number}"] = _entry(dice)
         # The two topics that are not accounted for change, too: in manner, or in their layout.
-        manner = dice.choice((", qos: {depth: 500}", ", rate_limit: 1ms", ", stale_after: 3s", ""))
+        manner = dice.choice((", qos: {depth: 30000}", ", rate_limit: 1ms", ", stale_after: 3s", ""))
         layout = f", limits: {{data: {CAPACITY + dice.randint(0, 8)}}}"
         cell.options["/soak/in_newest"] = manner
         # Structured Text is compiled for one layout: there the manner changes alone.
-        cell.options["/soak/out_newest"] = layout if cell.plc == "python" else manner.replace("500", "50")
+        cell.options["/soak/out_newest"] = layout if cell.plc == "python" else manner.replace("30000", "5000")
         cell.write_config()
         cell.hang_up("has reloaded its configuration")
         cell.wait(lambda: cell.objects() == cell.expected_objects(), "objects are those of the new file")
@@ -359,6 +385,7 @@ FAULTS: tuple[Fault, ...] = (
     KillTwo(),
     KillBesideStopped(),
     Flood(),
+    StopInFlood(),
     Hang(),
     Remove(everything=False),
     Remove(everything=True),

@@ -17,8 +17,8 @@ from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 
 __all__ = [
-    "ALL", "CAPACITY", "CLASSIC", "IN", "OUT", "TOPICS", "TYPE", "Stamp", "fill", "read", "towards_plc",
-    "wire_codec",
+    "ALL", "CAPACITY", "CLASSIC", "IN", "OUT", "ROS_DEPTH", "TOPICS", "TYPE", "Stamp", "fill", "read",
+    "towards_plc", "wire_codec",
 ]  # fmt: skip
 
 TYPE = "std_msgs/msg/UInt32MultiArray"
@@ -31,6 +31,8 @@ CLASSIC = ("/soak/classic_in", "/soak/classic_out")
 ALL = (*TOPICS, *CLASSIC)
 """A topic's place in here is its number in patterns and in the ledger."""
 CAPACITY = 256
+ROS_DEPTH = 20_000
+"""Messages that wait in ROS. DDS counts none that it overwrites, so its history must outlast a flood."""
 _LONGEST, _SHORTEST = 240, 8
 _STEP = np.arange(CAPACITY + 64, dtype=np.uint32) * np.uint32(0x9E3779B1)
 

@@ -13,12 +13,12 @@ from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.ros import Backend, Qos, open_backend
 from soak.ledger import Ledger
-from soak.pattern import ALL, TOPICS, TYPE, fill, towards_plc, wire_codec
+from soak.pattern import ALL, ROS_DEPTH, TOPICS, TYPE, fill, towards_plc, wire_codec
 
 __all__ = ["main"]
 
 _PERIOD_S = 0.01
-_RELIABLE = Qos(reliability="reliable", durability="volatile", depth=1000)
+_RELIABLE = Qos(reliability="reliable", durability="volatile", depth=ROS_DEPTH)
 _DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 
 
