@@ -189,6 +189,7 @@ def _order(
         )
     if keep is None and (trigger or after is not None):
         raise typer.BadParameter("it needs --keep", param_hint="--trigger" if trigger else "--after")
+    selection = Selection(tuple(topics), tuple(exclude))
     namespace, expected, qos, distro = Namespace(prefix or "rosplc", directory), None, {}, ""
     if config is not None:
         project = load_project(config)
@@ -196,6 +197,9 @@ def _order(
             namespace = project.namespace
         expected, distro = expected_of(project), project.config.settings.ros.distro
         qos = {plan.topic: plan.qos for plan in project.topics}
+        for plan in project.topics:
+            if plan.classic is not None and plan.topic in selection:
+                warn(f"{plan.topic} is a classic topic, which has no channel: it is not recorded")
     if output is not None:
         base = base_of(output)
     else:
@@ -203,7 +207,7 @@ def _order(
     return Order(
         namespace=namespace,
         base=base,
-        selection=Selection(tuple(topics), tuple(exclude)),
+        selection=selection,
         split=Split(size(split_size, "--split-size"), duration(split_time, "--split-time")),
         bag=bag,
         compression=chosen,

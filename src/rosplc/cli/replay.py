@@ -284,6 +284,13 @@ def _report(player: Player, target: Target, *, as_json: bool) -> None:
         raise typer.Exit(EXIT_FAILURE)
 
 
+def _when(time_ns: int) -> str:
+    try:
+        return datetime.fromtimestamp(time_ns / 1e9).astimezone().isoformat(" ", "seconds")
+    except (OverflowError, ValueError, OSError):
+        return f"{time_ns} ns"  # no time of any calendar
+
+
 def _list(file: Path, source: Source, *, as_json: bool) -> None:
     seconds = max(0, source.end_ns - source.start_ns) / 1e9 if source.topics else 0.0
     if as_json:
@@ -306,8 +313,7 @@ def _list(file: Path, source: Source, *, as_json: bool) -> None:
             }
         )
         return
-    when = datetime.fromtimestamp(source.start_ns / 1e9).astimezone().isoformat(" ", "seconds")
-    say(f"{file}: {seconds:.1f} s from {when}")
+    say(f"{file}: {seconds:.1f} s from {_when(source.start_ns)}")
     ways = {"to_plc": "→ PLC", "to_ros": "→ ROS", "": ""}
     rows = [
         (name, one.type_name, one.count, ways[one.direction]) for name, one in sorted(source.topics.items())

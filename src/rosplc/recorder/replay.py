@@ -14,6 +14,8 @@ from rosplc.recorder.target import Target
 
 __all__ = ["Player", "ReplayOrder", "chosen_topics"]
 
+_NO_TIME = 2**63 - 1
+"""DDS and ROS count ns since 1970 in signed 64 bits; the largest number means none."""
 _NAP_S = 0.2
 """How long at most before it is looked whether to stop."""
 
@@ -146,7 +148,8 @@ class Player:
                 look()
                 if stopped(0.0):
                     return False
-            stamp = message.publish_ns if order.stamps == "original" else time.time_ns()
+            original = order.stamps == "original" and 0 < message.publish_ns < _NO_TIME
+            stamp = message.publish_ns if original else time.time_ns()
             for new in names[message.topic]:
                 self.target.send(new, message.data, stamp)
         return base >= 0

@@ -129,6 +129,17 @@ def test_sighup_saves_a_ring_buffer(shm_namespace: Namespace, tmp_path: Path) ->
     assert child.returncode == 0 and document["saves"] == ["SIGHUP"] and len(document["files"]) == 1
 
 
+def test_a_classic_topic_is_named(shm_namespace: Namespace, tmp_path: Path) -> None:
+    """What a configuration has and a recorder cannot take is said."""
+    config = tmp_path / "rosplc.yaml"
+    config.write_text(
+        f"bridge: b\nprefix: {shm_namespace.prefix}\n"
+        "topics: {/old: {type: std_msgs/msg/Bool, to: plc, classic: true}}\n"
+    )
+    said = rosplc("record", "--config", config, "-o", tmp_path / "r", "--duration", "10ms", code=1)
+    assert "/old is a classic topic" in said.stderr
+
+
 def test_repairing(shm_namespace: Namespace, tmp_path: Path) -> None:
     """A file that was cut is saved beside it, and what was wrong is said."""
     out = tmp_path / "r.mcap"
