@@ -122,9 +122,12 @@ def _figures(view: ChannelView) -> tuple[str, str, str, str]:
 
 
 def _follow(watch: Watch, *, as_json: bool) -> None:
+    from rosplc.monitor.events import grouped
+
     while True:
         time.sleep(_FOLLOW_SECONDS)
-        for event in watch.look().events:
+        events = watch.look().events
+        for event in events if as_json else grouped(events):
             typer.echo(json.dumps(event.as_json())) if as_json else say(_line(event))
 
 

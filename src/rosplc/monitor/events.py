@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 
 from rosplc.levels import Level
 from rosplc.monitor.picture import BridgeView, ChannelView, Event
 from rosplc.monitor.states import State
 
-__all__ = ["bridge_events", "channel_events"]
+__all__ = ["bridge_events", "channel_events", "grouped"]
 
 _SILENCE = (State.STALE, State.SILENT)
 
@@ -88,6 +89,21 @@ def bridge_events(
             )
         elif bridge.alive and earlier.alive is False:
             yield Event(time_ns, "bridge-back", Level.OK, "", bridge.prefix, "", f"{who} beats again")
+
+
+def grouped(events: Iterable[Event]) -> list[Event]:
+    """Return events with the same words at the same look as one: a bridge that starts has many channels.
+
+    Returns:
+        The events in order, ``topic`` of those that stand for several as ``/a and 3 more``.
+    """
+    groups: dict[tuple[int, str, str, str], list[Event]] = {}
+    for event in events:
+        groups.setdefault((event.time_ns, event.kind, event.prefix, event.words), []).append(event)
+    return [
+        replace(group[0], topic=f"{group[0].topic} and {len(group) - 1} more") if len(group) > 1 else group[0]
+        for group in groups.values()
+    ]
 
 
 def _event(time_ns: int, kind: str, view: ChannelView, words: str, level: Level = Level.OK) -> Event:

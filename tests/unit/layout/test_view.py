@@ -134,3 +134,18 @@ def test_multiarray_elements_by_indices() -> None:
     wrong = layout.view(layout.pack({"layout": {"dim": dim}, "data": list(range(10))}))
     with pytest.raises(LayoutError, match="element 11 of 10"):
         multiarray_index(wrong, 1, 2, 0)
+
+
+def test_an_excerpt_has_the_first_elements_and_knows_the_length() -> None:
+    """Arrays, sequences, and those inside elements are cut; what is short is whole, a plain list."""
+    record = STATE.pack(VALUE)
+    found = STATE.excerpt(record, 2)
+    assert (found["position"], found["position"].length) == ([1.0, 2.0], 3)
+    assert type(found["name"]) is list
+    assert STATE.excerpt(record, 3) == STATE.to_dict(record)
+    array = compute_layout(JAZZY, "std_msgs/UInt8MultiArray", Limits(sequence=4))
+    inner = array.excerpt(array.pack({"layout": {"dim": [{"label": "a"}, {"label": "b"}]}}), 1)
+    assert inner["layout"]["dim"] == [{"label": "a", "size": 0, "stride": 0}]
+    assert inner["layout"]["dim"].length == 2
+    with pytest.raises(LayoutError):
+        STATE.excerpt(b"short", 1)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from rosplc.monitor import State, numbers
+from rosplc.levels import Level
+from rosplc.monitor import Event, State, numbers
 from rosplc.monitor.cells import MARKS, age_text, count_text, rate_text
+from rosplc.monitor.events import grouped
 from rosplc.monitor.rate import Rate
 
 
@@ -88,3 +90,12 @@ def test_numbers_have_paths():
         "e": 1.0,
         "f[0].g": 2.0,
     }
+
+
+def test_events_of_one_look_with_the_same_words_are_one_line():
+    """Twenty channels that appear take one line; another time or other words another."""
+    several = [
+        Event(1, "appeared", Level.OK, f"c{n}", "p", f"/t{n}", "the channel appeared") for n in range(20)
+    ]
+    late = Event(2, "appeared", Level.OK, "d", "p", "/d", "the channel appeared")
+    assert [event.topic for event in grouped([*several, late])] == ["/t0 and 19 more", "/d"]

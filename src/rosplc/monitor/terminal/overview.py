@@ -16,6 +16,7 @@ from textual.widgets import Footer, Input, Static
 
 from rosplc.harmless import one_line
 from rosplc.levels import Level
+from rosplc.monitor.events import grouped
 from rosplc.monitor.picture import BridgeView, ChannelView, Event, Picture
 from rosplc.monitor.terminal.order import Order
 from rosplc.monitor.terminal.style import LEVEL_STYLES, event_line, plain
@@ -143,7 +144,7 @@ class OverviewScreen(Screen[None]):
         lines = int(box.styles.height.value) if box.styles.height is not None else 0
         if not lines:
             return
-        newest = self._events[-lines:][::-1]
+        newest = grouped(self._events)[-lines:][::-1]
         text = Text("\n", no_wrap=True, overflow="ellipsis").join(
             event_line(event, f" {datetime.fromtimestamp(event.time_ns / 1e9):%H:%M:%S}") for event in newest
         )
