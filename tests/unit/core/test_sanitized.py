@@ -1,0 +1,73 @@
+"""The extension itself, not only the headers below it, under sanitizers: as Python programs use it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[3]
+FLAGS = [
+    "-std=gnu11",
+    "-g",
+    "-O1",
+    "-fPIC",
+    "-shared",
+    "-fsanitize=address,undefined",
+    "-fno-sanitize-recover=all",
+]
+TESTS = (
+    "tests/unit/core/test_native_channel.py",
+    "tests/unit/core/test_group.py",
+    "tests/crash/test_scribbled_object.py",
+    "tests/unit/codec/test_codec.py",
+)
+
+
+@pytest.mark.verify(minutes=1.5)
+@pytest.mark.timeout(1500)
+def test_the_extension_under_sanitizers(tmp_path: Path) -> None:
+    """Tests that call every function of the extension, hostile objects among them, find no bad access."""
+    if shutil.which("gcc") is None:
+        pytest.skip("Debian package gcc is missing")
+    package = tmp_path / "rosplc"
+    shutil.copytree(ROOT / "src/rosplc", package, ignore=shutil.ignore_patterns("*.so", "__pycache__"))
+    include = sysconfig.get_paths()["include"]
+    if not Path(include, "Python.h").exists():
+        pytest.skip("Debian package python3-dev is missing")
+    limited = ["-DPy_LIMITED_API=0x030B0000"] if sys.version_info >= (3, 11) else []
+    library = package / "_core/_native.abi3.so"
+    sources = sorted(str(path) for path in (package / "_core").glob("*.c"))
+    subprocess.run(["gcc", *FLAGS, *limited, f"-I{include}", *sources, "-o", str(library)], check=True)
+    runtime = subprocess.run(
+        ["gcc", "-print-file-name=libasan.so"], capture_output=True, text=True, check=True
+    ).stdout.strip()
+    environment = {
+        **os.environ,
+        "LD_PRELOAD": str(Path(runtime).resolve()),
+        "ASAN_OPTIONS": "detect_leaks=0",  # the interpreter frees little at its end
+        "PYTHONMALLOC": "malloc",  # or the sanitizer would see one arena instead of objects
+        "PYTHONPATH": str(tmp_path),
+        "ROSPLC_REPORT": "",
+    }
+    program = "import rosplc._core._native as n; print(n.__file__)"
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True, cwd=tmp_path)
+    assert done.stdout.strip() == str(library)
+    options = ["-q", "-x", "-m", "not verify and not serial", "-p", "no:cacheprovider", "-p", "no:xdist"]
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", *options, *TESTS],
+        env=environment,
+        capture_output=True,
+        text=True,
+        errors="replace",
+        cwd=ROOT,
+        check=False,
+    )
+    assert done.returncode == 0, (done.stdout + done.stderr)[-6000:]
+    assert " passed" in done.stdout
