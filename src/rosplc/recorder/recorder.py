@@ -80,7 +80,7 @@ class Progress:
     Attributes:
         seconds: How long it has run.
         topics: Topics that are, or were, recorded.
-        received: Messages taken.
+        received: Messages taken and kept.
         lost: Messages missed.
         size: Bytes on the disk, or in the ring buffer.
         span_ns: What the ring buffer holds; 0 without one.
@@ -102,8 +102,8 @@ class TopicResult:
 
     Attributes:
         type_name: Its type.
-        received: Messages taken.
-        lost: Messages missed: overwritten before they were read, or dropped before the disk.
+        received: Messages taken and kept.
+        lost: Messages missed: overwritten before they were read, or dropped because the disk did not keep up.
         refused: Messages taken that could not be encoded.
     """
 
@@ -135,7 +135,7 @@ class Result:
 
     @property
     def received(self) -> int:
-        """Messages taken, of all topics."""
+        """Messages taken and kept, of all topics."""
         return sum(topic.received for topic in self.topics.values())
 
     @property
@@ -256,12 +256,13 @@ class Recorder:
     def progress(self) -> Progress:
         """Return how it stands."""
         counts = list(self.inlet.counts.values())
+        dropped = sum(self._dropped().values())
         store, ring = self._store, self._ring
         return Progress(
             seconds=time.monotonic() - self._began,
             topics=len(counts),
-            received=sum(count.received for count in counts),
-            lost=sum(count.lost + count.refused for count in counts) + sum(self._dropped().values()),
+            received=sum(count.received for count in counts) - dropped,
+            lost=sum(count.lost + count.refused for count in counts) + dropped,
             size=store.size if store is not None else ring.size if ring is not None else 0,
             span_ns=0 if ring is None else ring.span_ns,
             files=len(self._files) if store is None else len(store.written),
@@ -391,7 +392,10 @@ class Recorder:
         dropped = self._dropped()
         return {
             topic: TopicResult(
-                count.type_name, count.received, count.lost + dropped.get(topic, 0), count.refused
+                count.type_name,
+                count.received - dropped.get(topic, 0),
+                count.lost + dropped.get(topic, 0),
+                count.refused,
             )
             for topic, count in sorted(self.inlet.counts.copy().items())
         }
