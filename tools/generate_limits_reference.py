@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
 import importlib
 from dataclasses import dataclass
-from pathlib import Path
 
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "reference" / "limits.md"
+from generated_page import REFERENCE, write_or_verify
+
+PAGE = REFERENCE / "limits.md"
 
 
 @dataclass(frozen=True)
@@ -129,8 +129,8 @@ Everything that comes from outside has a bound: files, messages, definitions, na
 refused with [an error](errors.md) or counted; nothing grows without end.
 [Hostile input](../explanation/hostile-input.md) says who may send what, and how this is tried.
 
-A process that is fed by many sources at once needs memory for all of them: the bounds are for each. Memory as a
-whole is for the system to bound, as systemd does with `MemoryMax=`.
+A process that is fed by many sources at once needs memory for all of them: the bounds are for each. Memory
+as a whole is for the system to bound, as systemd does with `MemoryMax=`.
 """
 
 
@@ -160,16 +160,8 @@ def _beyond(text: str) -> str:
 
 
 def main() -> int:
-    """Write the page, or with ``--verify`` say whether it is up to date."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--verify", action="store_true", help="only say whether the page is up to date")
-    if parser.parse_args().verify:
-        if PAGE.exists() and PAGE.read_text(encoding="utf-8") == page():
-            return 0
-        print(f"{PAGE.name} is not what the code says; run `make reference`")
-        return 1
-    PAGE.write_text(page(), encoding="utf-8")
-    return 0
+    """Write the page, or compare it."""
+    return write_or_verify(PAGE, page(), __doc__)
 
 
 if __name__ == "__main__":
