@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Iterator
 from datetime import datetime
 from typing import TYPE_CHECKING, Annotated
 
@@ -38,6 +39,7 @@ _LEAST_SECONDS = 1.0
 _MOST_SECONDS = 31.0
 """A beat is never promised for more than ten seconds, and three are waited for."""
 _FOLLOW_SECONDS = 0.5
+_NAMED = 3
 
 
 @guarded
@@ -107,11 +109,22 @@ def _print(picture: Picture) -> None:
         say(line)
     if picture.wrong:
         say()
-    for view in picture.wrong:
-        code = f" [{view.code}]" if view.code else ""
-        say(f"{view.topic}: {view.state.value}: {view.words}{code}")
+    for line in _troubles(picture.wrong, several=several):
+        say(line)
     for note in picture.notes:
         say(note)
+
+
+def _troubles(wrong: tuple[ChannelView, ...], *, several: bool) -> Iterator[str]:
+    """Yield what is wrong, a line for all channels with which the same is."""
+    groups: dict[str, list[str]] = {}
+    for view in wrong:
+        code = f" [{view.code}]" if view.code else ""
+        name = f"{view.topic} ({view.prefix})" if several else view.topic
+        groups.setdefault(f"{view.state.value}: {view.words}{code}", []).append(name)
+    for words, names in groups.items():
+        more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+        yield f"{', '.join(names[:_NAMED])}{more}: {words}"
 
 
 def _figures(view: ChannelView) -> tuple[str, str, str, str]:
