@@ -94,14 +94,16 @@ def processes(runs: Iterable[Run]) -> int:
 def run_table(runs: Iterable[Run]) -> list[str]:
     """Return a Markdown table: one row per run, of compact form."""
     lines = [
-        "| cell | rounds | kinds of fault | messages | violations | minutes | seed | load: median, most |",
-        "| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |",
+        "| cell | seed | PLC and nodes | rounds | kinds of fault | messages | violations | minutes "
+        "| load: median, most |",
+        "| --- | ---: | --- | ---: | ---: | ---: | ---: | ---: | ---: |",
     ]
     for run in runs:
         load = f"{statistics.median(run['load']):.1f}, {max(run['load']):.1f}"
         lines.append(
-            f"| {cell_name(run)} | {len(run['rounds']):,} | {len(run['faults'])} | {run['messages']:,} "
-            f"| {len(run['violations'])} | {run['seconds'] / 60:.0f} | {run['seed']} | {load} |"
+            f"| {cell_name(run)} | {run['seed']} | {run['peers']} | {len(run['rounds']):,} "
+            f"| {len(run['faults'])} | {run['messages']:,} | {len(run['violations'])} "
+            f"| {run['seconds'] / 60:.0f} | {load} |"
         )
     return lines
 
@@ -148,29 +150,29 @@ def _seconds(value: float) -> str:
 
 
 def trend_table(runs: Iterable[Run]) -> list[str]:
-    """Return a Markdown table: the longest life of each part of each run, from begin to end."""
+    """Return a Markdown table: the longest life of each part of each kind of cell, from begin to end."""
     lines = [
         "| cell | process | rounds of its longest life | descriptors | threads | memory of its own "
         "| per 100 rounds |",
         "| --- | --- | ---: | ---: | ---: | ---: | ---: |",
     ]
+    longest: dict[tuple[str, str], dict[str, Mapping[str, Any]]] = {}
     for run in runs:
-        longest: dict[str, Mapping[str, Any]] = {}
+        lives: dict[tuple[str, int], dict[str, Mapping[str, Any]]] = {}
         for one in run["trends"]:
-            if (
-                one["quantity"] == "files"
-                and one["rounds"] > longest.get(one["part"], {"rounds": 0})["rounds"]
-            ):
-                longest[one["part"]] = one
-        for part, life in longest.items():
-            mine = {o["quantity"]: o for o in run["trends"] if o["part"] == part and o["pid"] == life["pid"]}
-            memory = mine["private_kb"]
-            lines.append(
-                f"| {cell_name(run)} | {part} | {life['rounds']} "
-                f"| {_change(mine['files'])} | {_change(mine['threads'])} "
-                f"| {memory['begin'] / 1024:.1f} → {memory['end'] / 1024:.1f} MiB "
-                f"| {100 * memory['slope']:+.0f} KiB |"
-            )
+            lives.setdefault((one["part"], one["pid"]), {})[one["quantity"]] = one
+        for (part, _), life in lives.items():
+            best = longest.get((cell_name(run), part))
+            if best is None or life["files"]["rounds"] > best["files"]["rounds"]:
+                longest[cell_name(run), part] = life
+    for (name, part), life in sorted(longest.items()):
+        memory = life["private_kb"]
+        lines.append(
+            f"| {name} | {part} | {life['files']['rounds']} "
+            f"| {_change(life['files'])} | {_change(life['threads'])} "
+            f"| {memory['begin'] / 1024:.1f} → {memory['end'] / 1024:.1f} MiB "
+            f"| {100 * memory['slope']:+.0f} KiB |"
+        )
     return lines
 
 

@@ -34,12 +34,22 @@ BEGIN = "<!-- figures: begin; written by tools/generate_fault_campaign.py -->"
 END = "<!-- figures: end -->"
 
 
+def drawn(runs: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Return, by the names of their figures, the longest run of each kind of cell."""
+    longest: dict[str, dict[str, Any]] = {}
+    for run in runs:
+        name = cell_name(run)
+        if name not in longest or len(run["rounds"]) > len(longest[name]["rounds"]):
+            longest[name] = run
+    return {f"cell-{number}.svg": run for number, run in enumerate(longest.values(), 1)}
+
+
 def body(runs: list[dict[str, Any]]) -> list[str]:
     """Return the lines between the marks."""
     machine = runs[0]["machine"]
     versions = ", ".join(f"{name} {machine[name]}" for name in ("rosplc", "cyclonedds", "eclipse-zenoh"))
     rounds = sum(len(run["rounds"]) for run in runs)
-    violations = [text for run in runs for text in run["violations"]]
+    violations = [f"seed {run['seed']}, {text}" for run in runs for text in run["violations"]]
     leaks = [one for run in runs for one in run["trends"] if one["leak"]]
     lines = [
         f"{rounds:,} rounds, {sum(run['messages'] for run in runs):,} messages, "
@@ -50,12 +60,14 @@ def body(runs: list[dict[str, Any]]) -> list[str]:
         *run_table(runs),
         "",
     ]
-    lines += [f"* {text}" for text in violations] + [""] * bool(violations)
+    if violations:
+        lines += ["What did not hold:", "", *(f"* {text}" for text in violations), ""]
     lines += [
         "### Recovery",
         "",
         "From the end of the fault until a message that was sent after it has come through on every topic. "
-        "For a death the end is the start of the new process.",
+        "For a death the end is the start of the new process. Only runs whose PLC and ROS nodes were "
+        "forked are in this table.",
         "",
         *recovery_table(runs),
         "",
@@ -63,19 +75,18 @@ def body(runs: list[dict[str, Any]]) -> list[str]:
         "",
         "### What each process held",
         "",
-        f"{processes(runs):,} processes lived to the end of a round. Of each part of each cell the longest "
-        "life: medians of its first and its last quarter, for memory of its second half, when it has "
-        "settled. A rise counts as a leak by Mann's and Kendall's test for a trend, and by a size: "
+        f"{processes(runs):,} processes lived to the end of a round. Of each part of each kind of cell the "
+        "longest life: medians of its first and its last quarter, for memory of its second half, when it has "
+        "settled; of the bridge's descriptors those that are no object's lock. A rise counts as a leak by "
+        "Mann's and Kendall's test for a trend, and by a size: "
         f"{len(leaks) or 'none'} did.",
         "",
         *trend_table(runs),
         "",
     ]
-    for index, run in enumerate(runs, 1):
-        lines += [
-            f"![{cell_name(run)}: memory and descriptors over the rounds](../images/soak/cell-{index}.svg)",
-            "",
-        ]
+    for name, run in drawn(runs).items():
+        text = f"{cell_name(run)}, seed {run['seed']}: memory and descriptors over the rounds"
+        lines += [f"![{text}](../images/soak/{name})", ""]
     return lines
 
 
@@ -105,8 +116,8 @@ def main() -> int:
     for old in IMAGES.glob("*.svg"):
         old.unlink()
     RUNS.write_text(json.dumps(runs, separators=(",", ":")) + "\n", encoding="utf-8")
-    for index, run in enumerate(runs, 1):
-        draw_series(run, IMAGES / f"cell-{index}.svg")
+    for name, run in drawn(runs).items():
+        draw_series(run, IMAGES / name)
     draw_recovery(runs, IMAGES / "recovery.svg")
     PAGE.write_text(page(runs), encoding="utf-8")
     return 0

@@ -41,5 +41,5 @@ def test_runs_of_one_kind_are_put_together() -> None:
 def test_violations_are_shown(violations: list[str], shown: str) -> None:
     """A run's row says how many rounds it had and how often something did not hold."""
     row = run_table([compact(run([1.0, 2.0], violations=violations))])[-1]
-    assert row.startswith("| DDS | 2 |")
+    assert row.startswith("| DDS | 5 | forked | 2 |")
     assert shown in row

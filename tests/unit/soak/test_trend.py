@@ -52,3 +52,12 @@ def test_only_one_life_that_is_long_enough_is_judged() -> None:
         sample["bridge"]["pid"] = 8 + n % 3
         samples.append(sample)
     assert trends(samples) == []
+
+
+def test_locks_of_topics_that_a_reload_adds_are_no_leak() -> None:
+    """The bridge holds a descriptor for each object; that there are more objects is no rise."""
+    samples = life(200, files=lambda n: 13 + 4 + n // 25)
+    assert leaks(samples) != []
+    for number, sample in enumerate(samples):
+        sample["objects"] = 2 * (4 + number // 25)
+    assert leaks(samples) == []
