@@ -225,7 +225,9 @@ def _print_message(
 
 
 def _remarks(flags: int, lost: int) -> str:
-    words = [word for bit, word in ((1, "first"), (2, "truncated"), (4, "substituted")) if flags & bit]
+    from rosplc.monitor.message import marks_of
+
+    words = list(marks_of(flags))
     if lost:
         words.append(f"{lost} lost before it")
     return f"  ({', '.join(words)})" if words else ""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections import deque
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console, Group
@@ -14,28 +13,13 @@ from rich.text import Text
 
 from rosplc.demo.messages import COMMAND, robot_topics
 from rosplc.demo.supervisor import Demo
+from rosplc.monitor.rate import Rate
 
 __all__ = ["LiveView", "ProgressLine"]
 
-_RATE_SECONDS = 2.0
 # Columns of the terminal from which on the table has room for everything; a narrow one must still
 # show topics and numbers whole, so it does without the types and what the counts tell anyway.
 _WIDE = 104
-
-
-class _Rate:
-    """Messages per second over the last two seconds, from a counter."""
-
-    def __init__(self) -> None:
-        self._seen: deque[tuple[float, int]] = deque()
-
-    def of(self, count: int) -> float:
-        now = time.monotonic()
-        self._seen.append((now, count))
-        while len(self._seen) > 2 and now - self._seen[0][0] > _RATE_SECONDS:
-            self._seen.popleft()
-        (then, before), (_, after) = self._seen[0], self._seen[-1]
-        return (after - before) / (now - then) if now > then else 0.0
 
 
 class ProgressLine:
@@ -67,7 +51,7 @@ class LiveView:
 
     def __init__(self, console: Console) -> None:
         self._live = Live(console=console, auto_refresh=False, transient=True)
-        self._rates: dict[str, _Rate] = {}
+        self._rates: dict[str, Rate] = {}
         self._drawn = 0.0
 
     def __enter__(self) -> LiveView:
@@ -135,7 +119,7 @@ class LiveView:
         topic, type_name, way = names
         received, lost = tally.get("received", 0), tally.get("missing", 0)
         row = [topic, type_name.rpartition("/")[2], way] if wide else [topic, way]
-        rate = self._rates.setdefault(topic, _Rate()).of(received)
+        rate = self._rates.setdefault(topic, Rate()).of(received, time.monotonic_ns()) or 0.0
         # The two ends report at different moments; what has arrived has been sent.
         sent = max(sent, received + lost)
         row += [str(sent), str(received), f"{rate:.0f}"]

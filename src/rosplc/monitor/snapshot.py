@@ -6,21 +6,18 @@ are mapped read-only.
 
 from __future__ import annotations
 
-import os
-import re
 import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from rosplc.errors import ChannelError
+from rosplc.monitor.objects import object_prefix, open_object
 from rosplc.shm import Attached, Direction, Namespace, Snapshot
-from rosplc.shm.files import open_plain_file
 from rosplc.shm.liveness import Liveness
 
 __all__ = ["ObjectState", "find_objects", "look"]
 
-_OBJECT = re.compile(r"([A-Za-z][A-Za-z0-9_-]{0,31})\.t\.(.+)")
 _LOOKS = 4
 
 
@@ -95,31 +92,22 @@ def find_objects(
     states: list[ObjectState] = []
     attached: list[tuple[ObjectState, Attached]] = []
     for name in names:
-        found = _OBJECT.fullmatch(name)
-        if found is None or (prefix is not None and found[1] != prefix):
+        found = object_prefix(name)
+        if found is None or prefix not in (None, found):
             continue
         path = str(Path(directory) / name)
-        topic = Namespace(found[1], directory).topic_of(name) or name
-        state = ObjectState(found[1], topic, path)
+        topic = Namespace(found, directory).topic_of(name) or name
+        state = ObjectState(found, topic, path)
         try:
-            attached.append((state, _open(path)))
+            attached.append((state, open_object(path)))
         except ChannelError as error:
-            states.append(ObjectState(found[1], topic, path, error=error.what, code=error.code))
+            states.append(ObjectState(found, topic, path, error=error.what, code=error.code))
     try:
         states += _watch(attached, seconds)
     finally:
         for _, each in attached:
             each.close()
     return sorted(states, key=lambda state: (state.prefix, state.topic))
-
-
-def _open(path: str) -> Attached:
-    # By file and not by topic: a shortened name does not give its topic away, its description does.
-    fd = open_plain_file(Path(path), os.O_RDONLY)
-    try:
-        return Attached(fd, path, None, None, None, False)
-    finally:
-        os.close(fd)
 
 
 class _Beats:

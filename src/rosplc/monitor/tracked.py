@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable
-from pathlib import Path
 
 from rosplc.errors import ChannelError
 from rosplc.monitor.expected import Expectation
@@ -14,29 +12,15 @@ from rosplc.monitor.picture import ChannelView, ReaderView
 from rosplc.monitor.rate import Rate
 from rosplc.shm import Attached, Direction, ReaderState, Snapshot, distance
 from rosplc.shm.constants import SLOT_HEADER, STAMP_SYSTEM, UNKNOWN
-from rosplc.shm.files import open_plain_file
 from rosplc.shm.header import channel_error
 from rosplc.shm.names import Namespace
 
-__all__ = ["Recently", "Tracked", "open_object"]
+__all__ = ["Recently", "Tracked"]
 
 _RECENT_NS = 10_000_000_000
 _DEBOUNCE_NS = 500_000_000
 _WRITER = -1
 _YEARS_NS = 10 * 365 * 86400 * 10**9
-
-
-def open_object(path: str) -> Attached:
-    """Map an object read-only, by its file: a shortened name does not give its topic away.
-
-    Raises:
-        ChannelError: As :func:`rosplc.shm.attach`.
-    """
-    fd = open_plain_file(Path(path), os.O_RDONLY)
-    try:
-        return Attached(fd, path, None, None, None, False)
-    finally:
-        os.close(fd)
 
 
 class Recently:

@@ -7,7 +7,6 @@ before. Objects that appear, vanish, are replaced or are damaged are ordinary, a
 from __future__ import annotations
 
 import os
-import re
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,10 +17,11 @@ from rosplc.monitor.classic_watch import ClassicWatch
 from rosplc.monitor.events import bridge_events, channel_events
 from rosplc.monitor.expected import Expected
 from rosplc.monitor.message import Message, message_of
+from rosplc.monitor.objects import object_prefix, open_object
 from rosplc.monitor.picture import BridgeView, ChannelView, Event, Picture
 from rosplc.monitor.process import process_words
 from rosplc.monitor.states import State
-from rosplc.monitor.tracked import Tracked, open_object
+from rosplc.monitor.tracked import Tracked
 from rosplc.shm import Attached, Namespace, Reader
 from rosplc.shm.header import channel_error
 
@@ -33,7 +33,6 @@ MAX_CHANNELS = 4096
 MAX_RECORD = 256 * 1024 * 1024
 """Bytes of a record above which its message is not decoded: a view is not worth that much memory."""
 
-_OBJECT = re.compile(r"([A-Za-z][A-Za-z0-9_-]{0,31})\.t\.(.+)", re.DOTALL)
 _RETRY_NS = 1_000_000_000
 
 
@@ -168,8 +167,8 @@ class Watch:
         try:
             with os.scandir(self._directory) as entries:
                 for entry in entries:
-                    match = _OBJECT.fullmatch(entry.name)
-                    if match is None or self._prefix not in (None, match[1]):
+                    prefix = object_prefix(entry.name)
+                    if prefix is None or self._prefix not in (None, prefix):
                         continue
                     if len(found) >= MAX_CHANNELS:
                         more += 1
@@ -178,7 +177,7 @@ class Watch:
                         status = entry.stat(follow_symlinks=False)
                     except OSError:
                         continue  # gone in between
-                    found[entry.name] = _File(entry.name, match[1], status.st_ino, status.st_size)
+                    found[entry.name] = _File(entry.name, prefix, status.st_ino, status.st_size)
         except OSError as error:
             raise channel_error(123, f"cannot list: {error.strerror}", self._directory) from error
         return found, ((f"{more} more objects are not looked at",) if more else ())

@@ -48,7 +48,7 @@ class MessageScreen(Screen[None]):
     MessageScreen ValueTree { height: 1fr; border: none; padding: 0; background: $background; }
     """
     BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("escape,q,left,backspace", "app.pop_screen", "Back", key_display="Esc"),
+        Binding("escape,q,backspace", "app.pop_screen", "Back", key_display="Esc"),
         Binding("p", "app.pause", "Pause"),
         Binding("question_mark,f1", "app.help", "Help", key_display="?"),
     ]

@@ -18,6 +18,7 @@ ELEMENTS = 64
 """So many elements of an array are shown."""
 
 _PREVIEW = 12
+_TEXT = 300
 
 
 class ValueTree(Tree[str]):
@@ -131,4 +132,6 @@ def _shown(value: Any) -> str:
         return "true" if value else "false"
     if isinstance(value, float):
         return f"{value:.6g}" if math.isfinite(value) else str(value)
-    return one_line(repr(value)) if isinstance(value, str) else str(value)
+    if isinstance(value, str):
+        return one_line(repr(value if len(value) <= _TEXT else value[:_TEXT] + "…"))
+    return str(value)
