@@ -9,7 +9,7 @@ from pathlib import Path
 from rosplc._core._native import distance
 from rosplc.codec import Codec, Wire
 from rosplc.described import layout_of
-from rosplc.monitor.tracked import open_object
+from rosplc.monitor.objects import open_object
 from rosplc.recorder.mcap_write import ChannelInfo
 from rosplc.recorder.rosbag2 import qos_text
 from rosplc.ros import DEFAULT, LATCHED, Qos
