@@ -40,6 +40,7 @@ def machine() -> dict[str, Any]:
     return {
         "processor": models[0] if models else platform.machine(),
         "cores": os.cpu_count(),
+        "nice": os.getpriority(os.PRIO_PROCESS, 0),
         "kernel": platform.release(),
         "python": platform.python_version(),
         "rosplc": rosplc.__version__,

@@ -94,15 +94,15 @@ def processes(runs: Iterable[Run]) -> int:
 def run_table(runs: Iterable[Run]) -> list[str]:
     """Return a Markdown table: one row per run, of compact form."""
     lines = [
-        "| cell | seed | PLC and nodes | rounds | kinds of fault | messages | violations | minutes "
+        "| cell | seed | nice | PLC and nodes | rounds | kinds of fault | messages | violations | minutes "
         "| load: median, most |",
-        "| --- | ---: | --- | ---: | ---: | ---: | ---: | ---: | ---: |",
+        "| --- | ---: | ---: | --- | ---: | ---: | ---: | ---: | ---: | ---: |",
     ]
     for run in runs:
         load = f"{statistics.median(run['load']):.1f}, {max(run['load']):.1f}"
         lines.append(
-            f"| {cell_name(run)} | {run['seed']} | {run['peers']} | {len(run['rounds']):,} "
-            f"| {len(run['faults'])} | {run['messages']:,} | {len(run['violations'])} "
+            f"| {cell_name(run)} | {run['seed']} | {run['machine']['nice']} | {run['peers']} "
+            f"| {len(run['rounds']):,} | {len(run['faults'])} | {run['messages']:,} | {len(run['violations'])} "
             f"| {run['seconds'] / 60:.0f} | {load} |"
         )
     return lines
@@ -142,7 +142,10 @@ def recovery_table(runs: Sequence[Run]) -> list[str]:
 
 def _kind(run: Run) -> str:
     short = {"dds": "DDS", "zenoh": "Zenoh", "rospy": "ROS 1"}[run["backend"]]
-    return f"{short}, Structured Text" if run["plc"] == "st" else short
+    if run["plc"] == "st":
+        short += ", Structured Text"
+    nice = run["machine"]["nice"]
+    return f"{short}, nice {nice}" if nice < 0 else short
 
 
 def _seconds(value: float) -> str:

@@ -42,7 +42,7 @@ def test_a_few_rounds(tmp_path: Path) -> None:
     assert found["messages"] > 100
 
 
-@pytest.mark.verify(minutes=2)
+@pytest.mark.verify(minutes=1.5)
 @pytest.mark.timeout(600)
 def test_all_faults(tmp_path: Path) -> None:
     """All kinds of fault in an order of their own: each is survived."""
@@ -52,7 +52,7 @@ def test_all_faults(tmp_path: Path) -> None:
     assert found["rounds"] >= 1
 
 
-@pytest.mark.verify(minutes=1)
+@pytest.mark.verify(minutes=0.5)
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("backend", ["zenoh", "rospy"])
 def test_with_a_router_or_a_master(tmp_path: Path, backend: str) -> None:
@@ -65,7 +65,7 @@ def test_with_a_router_or_a_master(tmp_path: Path, backend: str) -> None:
     assert found["messages"] > 100
 
 
-@pytest.mark.verify(minutes=1)
+@pytest.mark.verify(minutes=0.5)
 @pytest.mark.timeout(600)
 def test_with_structured_text_and_classic_topics(tmp_path: Path) -> None:
     """With generated Structured Text, executed, death inside a classic topic's lock is one of the faults."""
