@@ -102,8 +102,8 @@ def run_table(runs: Iterable[Run]) -> list[str]:
         load = f"{statistics.median(run['load']):.1f}, {max(run['load']):.1f}"
         lines.append(
             f"| {cell_name(run)} | {run['seed']} | {run['machine']['nice']} | {run['peers']} "
-            f"| {len(run['rounds']):,} | {len(run['faults'])} | {run['messages']:,} | {len(run['violations'])} "
-            f"| {run['seconds'] / 60:.0f} | {load} |"
+            f"| {len(run['rounds']):,} | {len(run['faults'])} | {run['messages']:,} "
+            f"| {len(run['violations'])} | {run['seconds'] / 60:.0f} | {load} |"
         )
     return lines
 
