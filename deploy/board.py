@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import shutil
 import sys
+import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,14 +20,25 @@ from deploy.wheel import PIP, build_wheel
 
 __all__ = ["ARCHITECTURES", "Architecture", "Board"]
 
-_PACKAGES = ("python3", "python3-venv", "python3-pip", "libpython3-dev", "passwd")
+_PACKAGES = ("python3", "python3-venv", "libpython3-dev")
 _HOME = Path("opt/rosplc")
 # Debian's alternatives are not configured where packages were only unpacked.
 _LIBRARIES = "/usr/lib/{0}/blas:/usr/lib/{0}/lapack"
+_OTHER_NAMES = {"python3-yaml": "PyYAML"}
+"""Debian's name of a package → PyPI's, where more than the prefix differs."""
+_ONLY_HERE = {"cyclonedds": "11.0"}
+"""What pyproject.toml asks for on x86-64 alone, with a version that it takes."""
+_COMMAND = """#!{home}/bin/python3
+import sys
+
+from rosplc.cli import main
+
+sys.exit(main())
+"""
 _ENTER = """
 set -e
 cd "$1"
-mkdir -p lib64 usr/lib/x86_64-linux-gnu dev proc etc/ssl/certs
+mkdir -p lib64 usr/lib/x86_64-linux-gnu dev proc
 # The emulator is this machine's program, and so are the libraries that it is linked with.
 [ -e lib64/ld-linux-x86-64.so.2 ] || cp -L /lib64/ld-linux-x86-64.so.2 lib64/
 touch "usr/bin/$2" etc/resolv.conf etc/hosts
@@ -34,8 +46,6 @@ mount --bind "/usr/bin/$2" "usr/bin/$2"
 mount --bind /usr/lib/x86_64-linux-gnu usr/lib/x86_64-linux-gnu
 mount --rbind /dev dev
 mount --rbind /proc proc
-# pip reaches its index from there as it does from here.
-mount --bind /etc/ssl/certs etc/ssl/certs
 for each in /etc/resolv.conf /etc/hosts; do mount --bind "$each" "${each#/}"; done
 root=$1; emulator=$2; shift 2
 exec chroot "$root" "/usr/bin/$emulator" "$@"
@@ -132,8 +142,8 @@ class Board:
 
     @property
     def environment(self) -> dict[str, str]:
-        """The environment that programs of the board run in, with this machine's settings of pip."""
-        kept = {key: value for key, value in os.environ.items() if key.startswith(("PIP_", "ROS_"))}
+        """The environment that programs of the board run in."""
+        kept = {key: value for key, value in os.environ.items() if key.startswith("ROS_")}
         libraries = _LIBRARIES.format(self.architecture.triplet)
         return {
             **kept,
@@ -171,16 +181,40 @@ class Board:
         for source in self.architecture.sources:
             command = (*PIP, "wheel", "--quiet", "--no-deps", "--no-build-isolation", "--no-binary", source)
             run([*command, "--wheel-dir", wheels, source], environment=environment)
-        inside = self.root / "tmp/wheels"
-        shutil.copytree(wheels, inside, dirs_exist_ok=True)
-        home = f"/{_HOME}"
-        if not (self.root / _HOME).exists():
-            self.run_plain("-m", "venv", "--without-pip", "--system-site-packages", home)
-        what = f"/tmp/wheels/{wheel.name}" + (f"[{','.join(extras)}]" if extras else "")
-        pip = ("-m", "pip", "--disable-pip-version-check", "install", "--quiet", "--no-compile")
-        self.run(*pip, "--only-binary=:all:", "--find-links=/tmp/wheels", what)
-        shutil.rmtree(inside)
+        # pip asks this machine, not the board, whether a condition such as platform_machine holds.
+        absent = {name: _placeholder(wheels, name, version) for name, version in _ONLY_HERE.items()}
+        for package in self.architecture.debian:
+            name = _OTHER_NAMES.get(package, package.removeprefix("python3-"))
+            found = next((self.root / "usr/lib/python3/dist-packages").glob(f"{name}-*-info"))
+            absent[name] = _placeholder(wheels, name, found.name.split("-")[1].rpartition(".")[0])
+        home = self.root / _HOME
+        if not home.exists():
+            self.run_plain("-m", "venv", "--without-pip", "--system-site-packages", f"/{_HOME}")
+        # This machine's pip chooses and unpacks, for the board; the board's own would take minutes.
+        packages = home / f"lib/python{'.'.join(map(str, self.python_version()))}/site-packages"
+        what = f"{wheel}[{','.join(extras)}]" if extras else str(wheel)
+        where: list[str | Path] = ["--target", packages, "--upgrade", "--find-links", wheels]
+        run([*PIP, "install", "--quiet", "--no-compile", *self._platform(), *where, what])
+        for name, placeholder in absent.items():
+            placeholder.unlink()
+            for path in packages.glob(f"{name}-*.dist-info"):
+                shutil.rmtree(path)
+        shutil.rmtree(packages / "bin", ignore_errors=True)
+        command_file = home / "bin/rosplc"
+        command_file.write_text(_COMMAND.format(home=f"/{_HOME}"), encoding="utf-8")
+        command_file.chmod(0o755)
         return wheel
+
+    def _platform(self) -> list[str]:
+        """Return pip's options that make it install for the board."""
+        minor, machine = self.python_version()[1], self.architecture.machine
+        libc = int(self.libc().split(".")[1])
+        tags = [f"manylinux_2_{number}_{machine}" for number in range(libc, 16, -1)]
+        options = ["--only-binary=:all:", "--implementation=cp", f"--python-version=3.{minor}"]
+        options += [f"--abi={abi}" for abi in (f"cp3{minor}", "abi3", "none")]
+        return options + [
+            f"--platform={tag}" for tag in (*tags, f"manylinux2014_{machine}", f"linux_{machine}")
+        ]
 
     def run_plain(self, *arguments: object) -> str:
         """Run the board's Python outside any environment, and return what it printed."""
@@ -220,3 +254,18 @@ class Board:
         """Return the version of the board's C library."""
         found = self.run_plain("-c", "import os; print(os.confstr('CS_GNU_LIBC_VERSION'))")
         return found.split()[-1]
+
+
+def _placeholder(folder: Path, name: str, version: str) -> Path:
+    """Write an empty wheel, for a package that pip must not look for, and return it."""
+    information = f"{name}-{version}.dist-info"
+    path = folder / f"{name}-{version}-py3-none-any.whl"
+    with zipfile.ZipFile(path, "w") as wheel:
+        wheel.writestr(
+            f"{information}/METADATA", f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n"
+        )
+        wheel.writestr(
+            f"{information}/WHEEL", "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
+        )
+        wheel.writestr(f"{information}/RECORD", "")
+    return path
