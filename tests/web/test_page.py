@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import secrets
-import shutil
 from collections.abc import Iterator
 from contextlib import ExitStack
 from typing import Any
@@ -12,26 +11,19 @@ from typing import Any
 import pytest
 
 from rosplc.shm import Direction, Namespace
-from tests.web.peers import WATCHDOG, Served, end, layout_of, open_typed, start_role
+from tests.browser import WATCHDOG_MS, chromium
+from tests.web.peers import Served, end, layout_of, open_typed, start_role
 
 pytestmark = [pytest.mark.xdist_group("chromium"), pytest.mark.timeout(600)]
 
-CHROMIUM = "/usr/bin/chromium"
-MILLISECONDS = WATCHDOG * 1000
 TABLET = {"width": 820, "height": 1180}
 
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     """Give a headless Chromium."""
-    if shutil.which(CHROMIUM) is None:
-        pytest.skip("Debian package chromium is missing")
-    from playwright.sync_api import expect, sync_playwright
-
-    expect.set_options(timeout=MILLISECONDS)
-    with sync_playwright() as driver:
-        # Its sandbox needs rights that a container's root does not give away.
-        yield driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+    with chromium() as started:
+        yield started
 
 
 class Machine:
@@ -75,7 +67,7 @@ class Pages:
     def open(self, url: str, **context: Any) -> Any:
         """Open a page in a browser profile of its own."""
         made = self._browser.new_context(**{"viewport": {"width": 1440, "height": 900}, **context})
-        made.set_default_timeout(MILLISECONDS)
+        made.set_default_timeout(WATCHDOG_MS)
         self._contexts.append(made)
         page = made.new_page()
         page.on("console", lambda said: said.type == "error" and self.complaints.append(said.text))
