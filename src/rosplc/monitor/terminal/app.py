@@ -6,7 +6,7 @@ from collections import deque
 from contextlib import suppress
 from typing import ClassVar
 
-from textual.app import App
+from textual.app import App, ScreenStackError
 from textual.binding import Binding, BindingType
 from textual.css.query import NoMatches
 
@@ -76,8 +76,8 @@ class TopApp(App[None]):
     def _show(self) -> None:
         if self._picture is None:
             return
-        # A look may come while a screen is being built or taken down, and then parts of it are missing.
-        with suppress(NoMatches):
+        # A look may come while a screen is being built or taken down: then parts of it are missing, or all.
+        with suppress(NoMatches, ScreenStackError):
             if isinstance(self.screen, OverviewScreen):
                 self.screen.show(self._picture, list(self._events))
             elif isinstance(self.screen, MessageScreen):
