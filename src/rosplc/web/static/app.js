@@ -60,7 +60,7 @@ function openChannels() {
   const latest = eventList(() => true, { limit: 60 });
   const side = el("section", { class: "panel side", "aria-labelledby": "latest-title" },
     el("div", { class: "panel-head" }, el("h2", { id: "latest-title" }, "Latest events")),
-    el("div", { class: "scroll", tabindex: "0", role: "region", "aria-labelledby": "latest-title" }, latest.root));
+    el("div", { class: "scroll", tabindex: "0", role: "group", "aria-labelledby": "latest-title" }, latest.root));
   const root = el("div", { class: "split" }, list.root, side);
   fill(main, root);
   store.on("channels", list.update, stop.signal);

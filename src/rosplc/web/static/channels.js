@@ -62,7 +62,7 @@ export function channelList(selected) {
       el("div", { class: "tiles", role: "group", "aria-label": "Show channels by state" }, [...tiles.values()].map((each) => each.root)),
       el("div", { class: "tools" }, search, worst),
     ),
-    el("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "List of channels" }, table, empty),
+    el("div", { class: "scroll", tabindex: "0", role: "group", "aria-label": "List of channels" }, table, empty),
   );
 
   function tile(tone, word) {

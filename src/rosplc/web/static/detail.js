@@ -31,7 +31,7 @@ export function channelDetail(id, plots) {
       el("a", { class: "button back", href: "#/channels" }, "‹ All channels"),
       el("div", { class: "title-line" }, title, state),
       type, words),
-    el("div", { class: "scroll", tabindex: "0", role: "region", "aria-labelledby": "detail-title" },
+    el("div", { class: "scroll", tabindex: "0", role: "group", "aria-labelledby": "detail-title" },
       path,
       el("div", { class: "figures" }, factList, el("div", { class: "figure-curve" }, el("span", { class: "fact-name" }, "Rate, last 2 minutes"), curve.root)),
       el("h3", {}, "Message"), about, body,

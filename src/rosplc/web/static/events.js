@@ -71,7 +71,7 @@ export function eventsView() {
   }, "Troubles only");
   const root = el("section", { class: "panel whole", "aria-labelledby": "events-title" },
     el("div", { class: "panel-head" }, el("h1", { id: "events-title" }, "Events"), el("p", { class: "words" }, "Newest first, since the server looks."), el("div", { class: "tools" }, search, only)),
-    el("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "List of events" }, list.root));
+    el("div", { class: "scroll", tabindex: "0", role: "group", "aria-label": "List of events" }, list.root));
   store.on("events", () => list.update(), stop.signal);
   store.on("hello", () => list.update(true), stop.signal);
   list.update();

@@ -82,7 +82,7 @@ export function plotsView(plots) {
   const area = el("div", { class: "lanes" });
   const root = el("section", { class: "panel whole", "aria-labelledby": "plots-title" },
     el("div", { class: "panel-head" }, el("h1", { id: "plots-title" }, "Plots"), el("div", { class: "tools" }, pause, windows, merge, clear)),
-    el("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Plots" }, area));
+    el("div", { class: "scroll", tabindex: "0", role: "group", "aria-label": "Plots" }, area));
 
   function setPaused(on) {
     paused = on ? Date.now() + store.clockOffset : null;
