@@ -80,6 +80,7 @@ format: $(VENV)/.installed ## let ruff format and sort imports
 reference: $(VENV)/.installed $(VENV)/.core ## write the generated pages and drawings of docs/ again
 	@$(VENV)/bin/python tools/draw_path.py
 	@$(VENV)/bin/python tools/draw_format.py
+	@$(VENV)/bin/python tools/draw_assembly_cell.py
 	@$(VENV)/bin/python tools/generate_error_reference.py
 	@$(VENV)/bin/python tools/generate_limits_reference.py
 	@$(VENV)/bin/python tools/generate_config_reference.py

@@ -57,7 +57,7 @@ def address(stream: IO[str]) -> str:
     text = ""
     for line in stream:
         text += line
-        if line.rstrip() == "}":
+        with contextlib.suppress(ValueError):
             return str(json.loads(text)["url"])
     return "it did not start"
 

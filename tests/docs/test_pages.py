@@ -124,7 +124,7 @@ def test_ellipsis_stands_for_any_text(expected: str, output: str, fits: bool) ->
     assert bool(pattern(expected).fullmatch(normal(output))) is fits
 
 
-@pytest.mark.parametrize("program", ["draw_path.py", "draw_format.py"])
+@pytest.mark.parametrize("program", ["draw_path.py", "draw_format.py", "draw_assembly_cell.py"])
 def test_pictures_are_what_their_programs_draw(program: str) -> None:
     """No picture was changed by hand, and none shows what the C core no longer does."""
     drawings = runpy.run_path(str(ROOT / "tools" / program))["DRAWINGS"]

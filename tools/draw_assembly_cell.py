@@ -1,0 +1,108 @@
+"""Write docs/images/assembly-cell.svg; with ``--web`` the page's picture of the running cell as well.
+
+    .venv/bin/python tools/draw_assembly_cell.py --web
+
+The second one takes Debian's Chromium: it starts the example and ``rosplc web``, and looks at them.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from drawing import IMAGES, box, picture, stroke, text, write
+
+ROOT = Path(__file__).resolve().parent.parent
+WIDTH, BOTTOM = 960, 452
+
+
+def channel(y: float, topic: str, what: str, *, to_plc: bool) -> list[str]:
+    """Return a topic's channel between bridge and PLC, with its arrows."""
+    ends = ((506, 540), (728, 766)) if to_plc else ((540, 506), (766, 728))
+    return [
+        box(542, y, 184, 44, "shm"),
+        text(634, y + 18, topic, "mono"),
+        text(634, y + 35, what, "small"),
+        *(stroke(f"M{begin:g} {y + 22:g}H{end:g}") for begin, end in ends),
+    ]
+
+
+def image() -> str:
+    """Return the whole picture."""
+    parts = [
+        box(20, 40, 210, 196) + text(125, 66, "robot", "bold") + text(125, 86, "a ROS 2 node", "small"),
+        box(38, 104, 174, 50, "good")
+        + text(125, 125, "takes a job once,")
+        + text(125, 143, "tells its number back", "small"),
+        box(38, 168, 174, 50, "good")
+        + text(125, 189, "knows what it has done")
+        + text(125, 207, "by serial numbers", "small"),
+        box(334, 40, 172, 196, "area")
+        + text(420, 66, "bridge", "bold")
+        + text(420, 86, "rosplc run", "small"),
+        text(420, 140, "may be killed at any", "small") + text(420, 156, "moment, and comes back", "small"),
+        text(634, 66, "/dev/shm", "bold"),
+        *channel(88, "/robot/state", "phase, done, placed …", to_plc=True),
+        *channel(140, "/robot/job", "number, what, serial", to_plc=False),
+        *channel(192, "/press/state", "stage, occupied …", to_plc=False),
+        box(768, 40, 172, 196) + text(854, 66, "PLC", "bold") + text(854, 86, "Structured Text", "small"),
+        box(784, 104, 140, 50, "busy")
+        + text(854, 125, "RosPlc_Handshake")
+        + text(854, 143, "asks once", "small"),
+        box(784, 168, 140, 50, "busy")
+        + text(854, 189, "looks, then acts")
+        + text(854, 207, "remembers nothing", "small"),
+        stroke("M232 110H332") + stroke("M332 162H232") + text(282, 102, "DDS", "small"),
+        # the machine
+        box(20, 286, 920, 142, "area")
+        + text(480, 310, "what is really there, and outlives them all", "bold"),
+        box(60, 332, 130, 68) + text(125, 360, "tray") + text(125, 380, "housings, springs", "small"),
+        box(334, 332, 172, 68, "full")
+        + text(420, 360, "the nest of the press", "on")
+        + text(420, 380, "one handle", "small on"),
+        box(614, 332, 140, 68) + text(684, 360, "press") + text(684, 380, "drives the pin in", "small"),
+        box(800, 332, 110, 68) + text(855, 360, "box") + text(855, 380, "finished handles", "small"),
+        stroke("M190 352H332") + text(262, 344, "1 place", "small"),
+        stroke("M614 366H508") + text(560, 358, "2 press", "small"),
+        stroke("M420 402V418H855V402") + text(640, 413, "3 remove", "small"),
+        stroke("M125 238V330") + text(166, 262, "its arm", "small"),
+        stroke("M854 238V262H684V330") + text(770, 256, "wires: sensors, cylinder", "small"),
+    ]
+    title = "A robot and a PLC share the nest of a press; jobs and states go through the bridge's channels."
+    return picture(title, 20, WIDTH, BOTTOM, parts)
+
+
+def shoot() -> None:
+    """Write what ``rosplc web`` shows of the running cell to docs/images/web/assembly-cell.png."""
+    from playwright.sync_api import sync_playwright
+
+    options = ["--handles", "1000", "--web", "--seed", "39"]  # that storm begins with bridge and PLC
+    command = [sys.executable, "-u", "-m", "examples.assembly_cell", *options]
+    cell = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
+    try:
+        assert cell.stdout is not None
+        url = next(line.split()[-1] for line in cell.stdout if line.startswith("in the browser: http"))
+        with sync_playwright() as driver:
+            browser = driver.chromium.launch(executable_path="/usr/bin/chromium", args=["--no-sandbox"])
+            page = browser.new_page(viewport={"width": 1360, "height": 760})
+            page.goto(url)
+            page.wait_for_selector("tr.channel")
+            for kind in ("bridge-back", "plc-back"):
+                page.wait_for_selector(f'[data-kind="{kind}"]', state="attached", timeout=240_000)
+            page.wait_for_selector("tr.channel >> text=ok")
+            time.sleep(1)
+            page.screenshot(path=IMAGES / "web/assembly-cell.png")
+            browser.close()
+    finally:
+        cell.terminate()
+        cell.wait()
+
+
+DRAWINGS = {"assembly-cell.svg": image}
+
+if __name__ == "__main__":
+    write(DRAWINGS)
+    if "--web" in sys.argv:
+        shoot()
