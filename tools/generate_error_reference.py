@@ -15,6 +15,7 @@ from rosplc.errors import (
     RecordingError,
     RosplcError,
     SetupError,
+    WebError,
 )
 
 PAGE = REFERENCE / "errors.md"
@@ -27,6 +28,7 @@ FAMILIES: tuple[tuple[str, type[RosplcError]], ...] = (
     ("The ROS side", BackendError),
     ("The PLC's code", GenerationError),
     ("Recordings", RecordingError),
+    ("The page in a browser", WebError),
     ("The machine", SetupError),
 )
 HEAD = """\

@@ -95,6 +95,12 @@ def test_reference_page_is_up_to_date() -> None:
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+def test_every_code_has_its_place_on_the_page() -> None:
+    """A family that the generator does not know would be left out in silence."""
+    page = (ROOT / "docs" / "reference" / "errors.md").read_text(encoding="utf-8")
+    assert set(re.findall(r"^### (\w+)$", page, re.MULTILINE)) == set(CODES)
+
+
 def test_every_code_named_in_the_sources_is_registered() -> None:
     """A misspelt code in a raise would otherwise only show when it is raised."""
     families = "|".join(FAMILIES)
