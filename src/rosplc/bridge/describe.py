@@ -25,7 +25,7 @@ def describe(plan: TopicPlan, *, distro: str, bridge: str) -> Description:
 
 
 def object_plan(project: Project, plan: TopicPlan) -> Identity:
-    """Return the geometry that the bridge's object for a topic will have; who made it, and when, is left open."""
+    """Return the geometry that the bridge's object for a topic will have; who made it is left open."""
     settings = project.config.settings
     description = describe(plan, distro=settings.ros.distro, bridge=settings.bridge)
     return Identity.plan(
