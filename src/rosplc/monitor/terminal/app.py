@@ -40,6 +40,7 @@ class TopApp(App[None]):
         self._events: deque[Event] = deque(maxlen=_EVENTS)
         self._picture: Picture | None = None
         self._paused = False
+        self._trouble = ""
         self._overview = OverviewScreen()
 
     def on_mount(self) -> None:
@@ -66,8 +67,11 @@ class TopApp(App[None]):
         try:
             picture = self._watch.look()
         except ChannelError as error:
-            self.notify(f"{error.what} [{error.code}]", severity="error", markup=False)
+            if self._trouble != error.what:
+                self._trouble = error.what
+                self.notify(f"{error.what} [{error.code}]", severity="error", markup=False)
             return
+        self._trouble = ""
         self._events.extend(picture.events)
         if not self._paused:
             self._picture = picture

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import time
+from contextlib import suppress
 from datetime import datetime
 from typing import TYPE_CHECKING, ClassVar
 
 from rich.text import Text
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
+from textual.css.query import NoMatches
 from textual.screen import Screen
 from textual.widgets import Footer, Static, Tree
 
@@ -83,7 +85,8 @@ class MessageScreen(Screen[None]):
         """Show the course of the number under the cursor."""
         if self._history.of(event.node.data or ""):
             self._path = event.node.data or ""
-            self._draw_course()
+            with suppress(NoMatches):  # the screen goes
+                self._draw_course()
 
     def show(self, picture: Picture) -> None:
         """Show a new look."""

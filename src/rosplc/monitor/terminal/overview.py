@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from datetime import datetime
 from typing import ClassVar
@@ -9,6 +10,7 @@ from typing import ClassVar
 from rich.text import Text
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
+from textual.css.query import NoMatches
 from textual.events import Resize
 from textual.message import Message
 from textual.screen import Screen
@@ -152,7 +154,8 @@ class OverviewScreen(Screen[None]):
 
     def on_channel_table_highlighted(self, event: ChannelTable.Highlighted) -> None:
         """Tell about the row under the cursor."""
-        self._details()
+        with suppress(NoMatches):  # the screen goes
+            self._details()
 
     def on_channel_table_opened(self, event: ChannelTable.Opened) -> None:
         """Open the row's message."""
