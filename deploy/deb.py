@@ -175,7 +175,7 @@ def pack(stage: Path, folder: Path, version: str, target: Target) -> Path:
     (control / "control").write_text(text.format(**fields), encoding="utf-8")
     folder.mkdir(parents=True, exist_ok=True)
     package = folder / f"rosplc_{debian_version(version)}_{target.architecture}.deb"
-    run(["dpkg-deb", "--root-owner-group", "-Zxz", "-z1", "--build", stage, package])
+    run(["dpkg-deb", "--root-owner-group", "-Zzstd", "-z9", "--build", stage, package])
     return package
 
 

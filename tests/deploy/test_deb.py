@@ -117,7 +117,7 @@ class Bridge:
 
 
 @pytest.mark.verify(minutes=2)
-@pytest.mark.timeout(900)
+@pytest.mark.timeout(1800)
 def test_life_of_a_package(
     packages: Packages, machine: Machine, tmp_path: Path, shm_namespace: Namespace
 ) -> None:
@@ -183,7 +183,7 @@ def test_life_of_a_package(
 
 
 @pytest.mark.verify(minutes=1)
-@pytest.mark.timeout(900)
+@pytest.mark.timeout(1800)
 def test_a_purge_takes_services_that_were_left(packages: Packages, machine: Machine) -> None:
     """Where no systemd runs, as in an image, a purge removes the services that are left, and nothing else."""
     machine.run("dpkg", "-i", packages.now)

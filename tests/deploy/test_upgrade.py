@@ -85,7 +85,7 @@ def account(cell: Cell, taken_before: int) -> int:
 
 
 @pytest.mark.verify(minutes=1)
-@pytest.mark.timeout(900)
+@pytest.mark.timeout(1800)
 def test_bridges_change_places_under_load(cell: Cell, versions: dict[str, Path]) -> None:
     """Forth and back: objects stay, the PLC goes on, nothing is torn or invented, and losses are counted."""
     become(cell, versions[project_version()])
