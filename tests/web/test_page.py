@@ -16,7 +16,12 @@ from tests.web.peers import Served, end, layout_of, open_typed, start_role
 
 pytestmark = [pytest.mark.xdist_group("chromium"), pytest.mark.timeout(600)]
 
-TABLET = {"width": 820, "height": 1180}
+TABLET, WIDE, PHONE = (
+    {"width": 820, "height": 1180},
+    {"width": 1180, "height": 820},
+    {"width": 390, "height": 844},
+)
+LONG = pytest.mark.verify(minutes=0.5)
 
 
 @pytest.fixture(scope="module")
@@ -277,7 +282,7 @@ def test_nothing_moves_where_less_motion_is_wanted(pages: Pages, machine: Machin
     assert page.evaluate("document.getAnimations().length") == 0
 
 
-@pytest.mark.parametrize("size", [TABLET, {"width": 1180, "height": 820}, {"width": 390, "height": 844}])
+@pytest.mark.parametrize("size", [TABLET, pytest.param(WIDE, marks=LONG), pytest.param(PHONE, marks=LONG)])
 def test_it_is_usable_by_touch(pages: Pages, machine: Machine, size: dict[str, int]) -> None:
     """On tablet and phone nothing lies beside the screen, and what is touched is 44 pixels high."""
     page = pages.open(machine.link("channels"), viewport=size, has_touch=True, is_mobile=True)
@@ -321,7 +326,7 @@ def test_the_keyboard_reaches_everything(pages: Pages, machine: Machine) -> None
     expect(link(page, "/agv/battery")).to_be_focused()
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("scheme", ["light", pytest.param("dark", marks=LONG)])
 def test_axe_finds_nothing(pages: Pages, machine: Machine, scheme: str) -> None:
     """Every view, with the form of a test message open, passes axe's rules in both colours."""
     from axe_playwright_python.sync_playwright import Axe
@@ -414,6 +419,7 @@ def test_names_from_memory_never_become_markup(pages: Pages, machine: Machine) -
         channel.retire()
 
 
+@LONG
 def test_the_page_asks_for_the_token_where_looking_needs_it(browser: Any, machine: Machine) -> None:
     """It is asked for, a wrong one is refused, the right one opens the page."""
     server = Served(machine.namespace.prefix, "--token-to-view")
