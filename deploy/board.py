@@ -8,6 +8,7 @@ Needs root, and the Debian packages mmdebstrap and qemu-user; for compiled parts
 from __future__ import annotations
 
 import os
+import platform
 import shutil
 import sys
 import zipfile
@@ -100,6 +101,8 @@ class Board:
     def __init__(self, root: Path, architecture: Architecture) -> None:
         self.root = root.absolute()
         self.architecture = architecture
+        if platform.machine() != "x86_64":
+            raise DeployError("boards are emulated on x86-64 only")
         if os.geteuid() != 0:
             raise DeployError("only root may enter another Debian's folder")
         for program, package in (

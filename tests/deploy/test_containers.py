@@ -205,6 +205,8 @@ def findings(output: str) -> dict[str, dict[str, Any]]:
     return {each["code"]: each for each in json.loads(output)["findings"] if each["level"] != "ok"}
 
 
+# Alone, as other tests' doctors would find this runtime too.
+@pytest.mark.serial
 def test_the_doctor_names_containers_that_share_nothing(cell: Cell, volume: Path) -> None:
     """With a /dev/shm each, the PLC's blocks wait with error 101, and the doctor says what is not shared."""
     contained(cell, "bridge", volume, network=True)
