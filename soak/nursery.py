@@ -92,19 +92,25 @@ class Nursery:
         self._socket.close()
         self._process.kill()
         self._process.wait()
+        _LIBC.prctl(_PR_SET_CHILD_SUBREAPER, 0)  # this process may be one of tests, which has other children
 
 
 def _serve(requests: socket.socket, campaign: int) -> None:
+    reading, writing = os.pipe()
     while order := requests.recv(_MOST):
         module, *arguments, log = json.loads(order)
         between = os.fork()
         if between == 0:
             child = os.fork()
             if child:
-                requests.sendall(str(child).encode())
+                os.write(writing, child.to_bytes(4, "little"))
                 os._exit(0)
+            os.close(reading)
+            os.close(writing)
             _become(requests, campaign, module, arguments, log)
+        # Only when the process between has ended is the child the campaign's, to be waited for.
         os.waitpid(between, 0)
+        requests.sendall(str(int.from_bytes(os.read(reading, 4), "little")).encode())
 
 
 def _become(requests: socket.socket, campaign: int, module: str, arguments: list[str], log: str) -> None:
