@@ -253,7 +253,11 @@ def _tell(
     table = []
     for entry in made.entries:
         seen = made.seen.get(entry.topic)
-        rate = "not listened to" if seen is None else f"{seen.messages} messages"
+        rate = (
+            "not listened to"
+            if seen is None
+            else f"{seen.messages} message{'s' if seen.messages != 1 else ''}"
+        )
         if seen is not None and seen.rate_hz:
             rate += f", {seen.rate_hz:.3g} Hz"
         arrow = "ROS → PLC" if entry.to == "plc" else "PLC → ROS"

@@ -30,6 +30,14 @@ _ANY = "*"
 _NAMELESS = "?"
 _UNREACHABLE = ("ROS014", "ROS016")
 _PAUSE_S = 0.1
+_DDS = ("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS", "ROS_LOCALHOST_ONLY", "CYCLONEDDS_URI")
+_LEADS_THERE = {
+    "dds": _DDS,
+    "rclpy": (*_DDS, "ROS_DISCOVERY_SERVER", "FASTRTPS_DEFAULT_PROFILES_FILE", "RMW_IMPLEMENTATION"),
+    "zenoh": ("ZENOH_SESSION_CONFIG_URI", "ZENOH_CONFIG_OVERRIDE"),
+    "rospy": ("ROS_MASTER_URI", "ROS_IP", "ROS_HOSTNAME"),
+}
+"""Environment variables that have no key in a configuration."""
 _SHOW_S = 1.0
 
 
@@ -105,7 +113,12 @@ class LiveRobot:
             and (domain := getattr(self._backend, "domain", 0))
         ):
             keys["domain"], why["domain"] = domain, "as ROS_DOMAIN_ID says here"
-        self.found = replace(self.found, why=why)
+        notes = self.found.notes
+        if present := [name for name in _LEADS_THERE.get(choice.name, ()) if os.environ.get(name)]:
+            words = f"{', '.join(present)} {'is' if len(present) == 1 else 'are'} set here"
+            more = "a bridge that is started elsewhere, such as a service, needs the same to get there."
+            notes = (*notes, f"{words}: {more}")
+        self.found = replace(self.found, why=why, notes=notes)
 
     def learn(self, topic: str, type_name: str) -> None:
         """Make sure that a topic's type is known; see :class:`~rosplc.init.found.Source`."""
