@@ -49,7 +49,7 @@ export function channelList(selected) {
       el("th", { scope: "col", class: "col-state" }, "State"),
       el("th", { scope: "col" }, "Topic"),
       el("th", { scope: "col", class: "col-way" }, "Way"),
-      el("th", { scope: "col", class: "num" }, "Rate ", el("small", {}, "1/s")),
+      el("th", { scope: "col", class: "num col-rate" }, "Rate ", el("small", {}, "1/s")),
       el("th", { scope: "col", class: "num" }, "Age"),
       el("th", { scope: "col", class: "num col-lost", title: "Messages that a reader missed; one that takes the newest alone misses by design" }, "Missed"),
       el("th", { scope: "col", class: "num col-refused" }, "Refused"),
