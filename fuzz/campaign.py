@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import shutil
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -65,7 +67,8 @@ class _Run:
         self._log = self._folder / "log"
         seeds = self._folder / "seeds"
         seeds.mkdir(exist_ok=True)
-        environment = dict(os.environ)
+        self._temporary = Path(tempfile.mkdtemp(prefix="fuzz-"))
+        environment = {**os.environ, "TMPDIR": str(self._temporary)}
         if TARGETS[name].module:
             found = list(load(name).seeds())
             new_counts(self._counts)
@@ -115,9 +118,11 @@ class _Run:
         """End it."""
         self._process.terminate()
         self._process.wait()
+        self._clean()
 
     def outcome(self) -> Outcome:
         """Return what it did."""
+        self._clean()
         new = sorted(str(path) for path in set(self._findings.iterdir()) - self._before)
         failed = self._process.returncode != 0
         if failed and not new:
@@ -131,6 +136,11 @@ class _Run:
             tuple(new) if failed else (),
             words=text[-6000:],
         )
+
+    def _clean(self) -> None:
+        """Remove what a fuzzer leaves behind: libFuzzer ends its process at once."""
+        Path(f"/dev/shm/sem.rosplc-fuzz-{self._process.pid}").unlink(missing_ok=True)
+        shutil.rmtree(self._temporary, ignore_errors=True)
 
 
 def run_all(

@@ -67,6 +67,12 @@ TARGETS: dict[str, Entry] = {
         ("rosplc.shm", "rosplc.described", "rosplc.api", "rosplc.monitor.snapshot", "rosplc.doctor.objects"),
         8192,
     ),
+    "classic": Entry(
+        "classic memories and semaphores that another program made",
+        "classic",
+        ("rosplc.shm", "rosplc.layout"),
+        1024,
+    ),
     "ros1": Entry(
         "ROS 1: connection headers, definitions in them, answers and calls of nodes and masters",
         "ros1",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Any, cast
@@ -17,6 +18,8 @@ from rosplc.ros.zenoh.qos import decode_qos, encode_qos
 from rosplc.ros.zenoh.tokens import Entity, gid_of, parse_token
 
 __all__ = ["check", "seeds"]
+
+logging.getLogger("rosplc.ros.zenoh").setLevel(logging.CRITICAL)  # it warns of what is fed here
 
 _OURS = Entity(
     0, "s", "0", "1", "MS", "/", "rosplc", "/cmd_vel", "geometry_msgs/msg/Twist", "RIHS01_x", Qos(depth=5)
