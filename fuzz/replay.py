@@ -20,7 +20,7 @@ from fuzz.worker import limit_memory
 
 __all__ = ["SECONDS", "replay"]
 
-SECONDS = 60
+SECONDS = 120
 """After so long an input counts as endless: generous, since the machine may have other work."""
 
 
@@ -67,7 +67,7 @@ def replay_native(name: str, folder: Path, core: Path | None = None) -> tuple[in
         capture_output=True,
         text=True,
         errors="replace",
-        timeout=SECONDS * 3,
+        timeout=SECONDS * 10,
         check=False,
     )
     assert done.returncode == 0, f"{name}: {done.stderr[-3000:]}"
