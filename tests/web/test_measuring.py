@@ -19,6 +19,3 @@ def test_the_pages_measurement_finds_every_channel_and_value() -> None:
     times, share = web_page.run(1, channels=20, updates=8)["tables"]
     assert [row["count"] > 0 and row["median"] > 0 for row in times["rows"]] == [True, True]
     assert len(share["rows"]) == 2
-        "server, no page",
-        "server, one page with a message open",
-    ]

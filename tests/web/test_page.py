@@ -145,6 +145,7 @@ def test_values_of_a_message_change_before_ones_eyes(pages: Pages, machine: Mach
     expect(page.locator(".path")).to_contain_text("read by MainTask")
 
 
+@LONG
 def test_a_long_array_is_a_curve_and_opens_in_parts(pages: Pages, machine: Machine) -> None:
     """96 distances: a curve in the row, the first ones below it, all of them on demand."""
     page = pages.open(machine.link("channels", "/agv/scan"))
@@ -273,6 +274,7 @@ def test_dark_and_light_follow_the_system_or_the_switch(pages: Pages, machine: M
     assert lightness(page) < 0.2
 
 
+@LONG
 def test_nothing_moves_where_less_motion_is_wanted(pages: Pages, machine: Machine) -> None:
     """No animation runs; values still change."""
     page = pages.open(machine.link("channels", "/robot1/tcp_pose"), reduced_motion="reduce")
@@ -377,6 +379,7 @@ def test_a_test_message_is_written_by_the_form(pages: Pages, machine: Machine) -
     expect(page.locator('[data-kind="written"]')).to_contain_text("wrote a test message")
 
 
+@LONG
 def test_a_refused_test_message_says_why(pages: Pages, machine: Machine) -> None:
     """A channel with a writer, and a wrong token, are refused in words."""
     page = pages.open(machine.link("channels", "/cell/state"))
