@@ -109,7 +109,8 @@ def lint(outcome: Outcome) -> None:
 def types(outcome: Outcome) -> None:
     """Check the types of the package and of the project's own tools."""
     step(outcome, "mypy --strict", [str(BIN / "mypy")])
-    step(outcome, "mypy --strict tools", [str(BIN / "mypy"), "conftest.py", "tools", "soak", "fuzz", "deploy"])
+    own = ["conftest.py", "tools", "soak", "fuzz", "deploy"]
+    step(outcome, "mypy --strict tools", [str(BIN / "mypy"), *own])
 
 
 def tests(outcome: Outcome) -> None:
