@@ -30,8 +30,9 @@ rosplc status --json | jq '.channels[] | select(.state != "ok") | .topic'
 rosplc status --follow  —  then what happens, line by line, until Ctrl-C
 
 It looks for about a second, and where nobody beats for three of the beats that are promised: three seconds,
-as a rule. It needs no configuration, no ROS and no right to write, and nobody notices it. The exit status is 0 only if there are channels and nothing is wrong
-with any of them, and 1 otherwise: it can guard a script. docs/howto/watch-channels.md explains each state.
+as a rule. It needs no configuration, no ROS and no right to write, and nobody notices it. The exit
+status is 0 only if there are channels and nothing is wrong with any of them, and 1 otherwise: it can
+guard a script. docs/howto/watch-channels.md explains each state.
 """
 
 _LOOK_SECONDS = 0.1
