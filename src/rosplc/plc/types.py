@@ -197,7 +197,7 @@ def _constant(constant: Constant) -> tuple[str, str] | None:
     if isinstance(constant.type, PrimitiveType):
         text = literal(constant.type.name, constant.value)
         return (IEC_TYPES[constant.type.name], text) if text is not None else None
-    length = min(max(1, len(str(constant.value).encode())), _MAX_STRING)
+    length = min(max(1, len(str(constant.value).encode("utf-8", "surrogateescape"))), _MAX_STRING)
     text = literal("string", constant.value)
     return (f"STRING({length})", text) if text is not None else None
 
