@@ -17,7 +17,7 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 FOLDER = ROOT / "docs/images/web"
-PREFIX = "cell1"
+PREFIX = "webdocs"
 DESK = {"width": 1360, "height": 850}
 TABLET = {"width": 820, "height": 1100}
 

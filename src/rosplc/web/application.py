@@ -164,7 +164,8 @@ async def _json(request: web.Request) -> dict[str, Any]:
     if request.content_type != "application/json":
         raise WebError("WEB009", "a message is sent as application/json")
     try:
-        data = json.loads(await request.text())
+        # The bytes, since text() would look up whatever charset the request names.
+        data = json.loads(await request.read())
     except (ValueError, RecursionError):
         data = None
     if not isinstance(data, dict):
