@@ -21,7 +21,7 @@ from rosplc.recorder.names import dated, free_name
 from rosplc.recorder.outlet import Outlet
 from rosplc.recorder.ring import Ring
 from rosplc.recorder.selection import Selection
-from rosplc.recorder.store import FileStore, Split, Written
+from rosplc.recorder.store import FileStore, Split, Written, try_place
 from rosplc.recorder.trigger import Fired, Triggers
 from rosplc.ros import Qos
 from rosplc.shm import Namespace
@@ -213,8 +213,12 @@ class Recorder:
 
         Raises:
             ChannelError: SHM123 if the directory cannot be listed.
-            RecordingError: REC005, a trigger's field does not exist.
+            RecordingError: REC005, a trigger's field does not exist; REC001 or REC002, what a ring buffer
+                would save cannot be written.
         """
+        if self._ring is not None:
+            # Not only when a trigger fires: what is in memory then would be lost.
+            try_place(self.order.base)
         self._outlet.start()
         try:
             self.inlet.start()

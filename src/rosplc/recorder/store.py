@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +13,7 @@ from rosplc.recorder.mcap_write import ChannelInfo, McapFile, SealedChunk
 from rosplc.recorder.names import file_name
 from rosplc.recorder.rosbag2 import RECORD_NAME, BagFile, BagTopic, bag_information, to_yaml
 
-__all__ = ["METADATA", "FileStore", "Split", "Written", "failure"]
+__all__ = ["METADATA", "FileStore", "Split", "Written", "failure", "try_place"]
 
 METADATA = "rosplc"
 """Name of the metadata record that tells what was lost."""
@@ -242,6 +243,20 @@ class FileStore:
             temporary.replace(path)
         except OSError as error:
             raise failure(error, path) from error
+
+
+def try_place(base: Path) -> None:
+    """Make the folder of a file that is written later, and try that a file can be created in it.
+
+    Raises:
+        RecordingError: REC001 or REC002, as it would be raised then.
+    """
+    try:
+        base.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=base.parent):
+            pass
+    except OSError as error:
+        raise failure(error, base.parent) from error
 
 
 def failure(error: OSError, path: Path) -> RecordingError:

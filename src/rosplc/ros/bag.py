@@ -34,6 +34,7 @@ _DAMAGE = (
     IndexError,
     TypeError,
     AssertionError,
+    OverflowError,
     MemoryError,
     EOFError,
 )

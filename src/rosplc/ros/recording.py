@@ -99,8 +99,8 @@ class Recording:
             self._target: Typestore = get_typestore(Stores[f"ROS2_{distro.upper()}"])
         except KeyError:
             raise MessageTypeError("TYP006", f"{distro!r} is not a bundled ROS 2 distribution") from None
-        self._reader = AnyReader([self.path])
         try:
+            self._reader = AnyReader([self.path])
             self._reader.open()
         except (AnyReaderError, Reader1Error, Reader2Error, TypesysError, OSError, ValueError) as error:
             what = f"recording cannot be read: {error}"

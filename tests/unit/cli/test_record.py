@@ -186,6 +186,11 @@ def test_what_is_refused_in_words(shm_namespace: Namespace, tmp_path: Path) -> N
     assert (tmp_path / "taken.mcap").read_text() == "mine"
     assert "REC003" in rosplc("replay", tmp_path / "taken.mcap", "--to", "plc", code=1).stderr
     assert "REC003" in rosplc("replay", tmp_path / "none.mcap", "--to", "plc", code=1).stderr
+    (tmp_path / "folder").mkdir()
+    assert "ROS006" in rosplc("replay", tmp_path / "folder", "--to", "plc", code=1).stderr
+    # A ring buffer says so at once, not when a trigger has fired.
+    unwritable = rosplc("record", *prefix, "--keep", "1s", "-o", tmp_path / "taken.mcap" / "x", code=1)
+    assert "REC001" in unwritable.stderr and "keeping" not in unwritable.stderr
     assert "REC005" in rosplc("record", *prefix, "--keep", "1s", "-t", "fault", code=1).stderr
     with talking(shm_namespace):
         rosplc("record", *prefix, "-o", tmp_path / "r", "--duration", "500ms")

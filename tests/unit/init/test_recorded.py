@@ -71,7 +71,8 @@ def test_damage_is_said(tmp_path: Path) -> None:
     """What is no recording is an error; one that was cut off never crashes the program."""
     (tmp_path / "no.bag").write_bytes(b"#ROSBAG V2.0\n")
     (tmp_path / "no.mcap").write_bytes(b"\x89MCAP0\r\n")
-    for name in ("no.bag", "no.mcap", "missing.bag", "missing"):
+    (tmp_path / "long.mcap").write_bytes(b"\x89MCAP0\r\n\x01" + b"\xff" * 7 + b"\x7f")
+    for name in ("no.bag", "no.mcap", "long.mcap", "missing.bag", "missing"):
         with pytest.raises(RosplcError, match="ROS006"):
             robot(tmp_path / name)
     write_recording(tmp_path / "turtle.bag", steps=50)
