@@ -208,6 +208,7 @@ def test_without_the_token_nothing_is_written(serving, shm_namespace, token: str
         (b'{"channel": "x", "layout": "y", "message": {}}', "application/json", 404, "WEB008"),
         (b'{"channel": "x", "layout": "y", "message": []}', "application/json", 400, "WEB009"),
         (b"\xff\xfe", "application/json", 400, "WEB009"),
+        (b"[]", "application/json; charset=nonsense", 400, "WEB009"),
     ],
 )
 def test_a_malformed_wish_is_an_error_and_no_traceback(serving, body, kind, status, code) -> None:
