@@ -34,7 +34,8 @@ def main() -> int:
     try:
         with cell, page(cell, wanted=options.web):
             result = cell.run()
-            view(cell)
+            if isinstance(view, View):
+                view(cell, last=True)
     except KeyboardInterrupt:
         return 130
     except RosplcError as error:

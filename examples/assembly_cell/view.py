@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 import time
 from typing import Any
@@ -28,17 +29,19 @@ class View:
         self._told: Any = None
         self._next = 0.0
 
-    def __call__(self, cell: Cell) -> None:
-        """Show the cell as it is now."""
+    def __call__(self, cell: Cell, *, last: bool = False) -> None:
+        """Show the cell as it is now; the last time, however soon after the one before."""
         if self._live:
-            if time.monotonic() >= self._next:
+            if last or time.monotonic() >= self._next:
                 self._next = time.monotonic() + _FRAME_S
                 self._draw(cell)
         else:
             self._tell(cell)
 
     def _draw(self, cell: Cell) -> None:
-        lines = picture(cell)
+        # A line that the terminal wraps would count as two on the way back up.
+        columns = shutil.get_terminal_size().columns
+        lines = [line if len(line) < columns else line[: columns - 2] + "…" for line in picture(cell)]
         out = f"\x1b[{self._drawn}F" if self._drawn else ""
         sys.stdout.write(out + "".join(f"\x1b[2K{line}\n" for line in lines))
         sys.stdout.flush()
