@@ -17,9 +17,10 @@ from rosplc.bridge.status import BridgeStatus
 from rosplc.bridge.topic import log
 from rosplc.errors import BackendError, RosplcError
 
-__all__ = ["News", "run_until_signal", "stop_on_signals"]
+__all__ = ["News", "pause", "run_until_signal", "stop_on_signals"]
 
 _SAME_SIGNAL_S = 0.2
+_LOOK_AGAIN_S = 0.1  # a signal's handler does not end a select early
 
 
 @contextmanager
@@ -66,6 +67,18 @@ def stop_on_signals(tell: Callable[[int], None] | None = None) -> Iterator[threa
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def pause(stop: threading.Event, seconds: float) -> bool:
+    """Wait until ``stop`` is set, for ``seconds`` at most; return whether it is.
+
+    For the main thread, where a signal's handler sets the event: in ``Event.wait`` it could interrupt the
+    moment in which that holds the event's lock, and wait for the lock in ``Event.set`` for ever.
+    """
+    end = time.monotonic() + seconds
+    while not stop.is_set() and (rest := end - time.monotonic()) > 0:
+        select.select([], [], [], min(rest, _LOOK_AGAIN_S))
+    return stop.is_set()
 
 
 def run_until_signal(

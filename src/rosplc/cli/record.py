@@ -223,7 +223,7 @@ def _order(
 
 
 def _record(order: Order, seconds: float, *, quiet: bool, as_json: bool) -> None:
-    from rosplc.bridge.run import stop_on_signals
+    from rosplc.bridge.run import pause, stop_on_signals
     from rosplc.errors import RecordingError
     from rosplc.recorder import Recorder, quick_process
 
@@ -240,7 +240,7 @@ def _record(order: Order, seconds: float, *, quiet: bool, as_json: bool) -> None
         end = time.monotonic() + seconds if seconds else None
         try:
             try:
-                while not stop.wait(_TURN_S) and (end is None or time.monotonic() < end):
+                while not pause(stop, _TURN_S) and (end is None or time.monotonic() < end):
                     recorder.look_after()
                     line.show(lambda: _progress(recorder))
             finally:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -216,7 +217,7 @@ def _play(
     quiet: bool,
     as_json: bool,
 ) -> None:
-    from rosplc.bridge.run import stop_on_signals
+    from rosplc.bridge.run import pause, stop_on_signals
     from rosplc.recorder.replay import Player
     from rosplc.recorder.target import wait_for_readers
 
@@ -231,7 +232,7 @@ def _play(
 
     try:
         with stop_on_signals(lambda _: None) as stop:
-            missing = wait_for_readers(target, patience, stop.wait)
+            missing = wait_for_readers(target, patience, partial(pause, stop))
             if missing and patience and not quiet:
                 warn(f"nobody takes {', '.join(missing)} yet; it begins all the same")
             if not quiet:
@@ -239,8 +240,8 @@ def _play(
                 kind = "the present time" if order.stamps == "now" else "their recorded time"
                 warn(f"playing {file}, {pace}; messages are stamped with {kind}")
             try:
-                player.play(stop.wait, lambda: line.show(progress))
-                stop.wait(target.linger_s)
+                player.play(partial(pause, stop), lambda: line.show(progress))
+                pause(stop, target.linger_s)
             finally:
                 line.clear()
     finally:

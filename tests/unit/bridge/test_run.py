@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from rosplc.bridge import Bridge, parse_config
-from rosplc.bridge.run import News, run_until_signal
+from rosplc.bridge.run import News, pause, run_until_signal, stop_on_signals
 from rosplc.errors import BackendError
 from rosplc.model import TypeStore
 from rosplc.ros.memory import open_backend
@@ -135,6 +135,16 @@ def test_a_signal_just_before_the_wait_is_not_lost() -> None:
             assert news.wait(0.01) == []
         finally:
             signal.signal(signal.SIGHUP, before)
+
+
+def test_a_pause_ends_with_a_signal_that_comes_while_the_events_lock_is_held() -> None:
+    """The handler sets the event in the thread that waits: that wait takes no lock of the event's."""
+    with stop_on_signals() as stop:
+        assert not pause(stop, 0.0)
+        with stop._cond:  # type: ignore[attr-defined]
+            assert not pause(stop, 0.01), "it does not need the lock"
+        threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGTERM)).start()
+        assert pause(stop, 60.0)
 
 
 def test_many_hang_ups_reload_once_more(run: object, config: Path, shm_namespace: Namespace) -> None:
