@@ -57,7 +57,8 @@ def _value(choices: Choices, kind: object) -> bool | int | float | str:
     if name == "bool":
         return choices.flag()
     if name.startswith("float"):
-        return choices.pick((0.0, -0.0, 1.5, 1e300, -1e-300, float("inf"), float("nan"), 0.1))
+        large = 1e300 if name == "float64" else 1e30  # the parser refuses what does not fit
+        return choices.pick((0.0, -0.0, 1.5, large, -1e-300, float("inf"), float("nan"), 0.1))
     return choices.pick((0, 1, 255, 128))
 
 
