@@ -17,3 +17,8 @@ def main() -> None:
         app(prog_name="rosplc")
     except KeyboardInterrupt:  # before a verb has begun, which takes over (guard.py)
         raise SystemExit(130) from None
+    except RuntimeError as error:
+        # Python before 3.12 wraps it so where it comes while a class is made, as imports do.
+        if isinstance(error.__cause__, KeyboardInterrupt):
+            raise SystemExit(130) from None
+        raise

@@ -15,6 +15,7 @@ import pytest
 import yaml
 
 import rosplc
+from rosplc.cli import main
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.shm import Description, Direction, OwnedChannel
@@ -94,6 +95,19 @@ def test_ctrl_c_ends_it_quietly(talker):
         child.send_signal(signal.SIGINT)
         _, err = child.communicate(timeout=60)
     assert (child.returncode, err) == (130, "")
+
+
+def test_ctrl_c_during_an_import_is_no_traceback(monkeypatch):
+    """Python before 3.12 wraps the interrupt where a class is being made; the status is 130 all the same."""
+
+    def importing(**_: object) -> None:
+        raise RuntimeError("Error calling __set_name__") from KeyboardInterrupt()
+
+    monkeypatch.setattr("rosplc.cli.streams.prepare_streams", lambda: None)
+    monkeypatch.setattr("rosplc.cli.app.app", importing)
+    with pytest.raises(SystemExit) as caught:
+        main()
+    assert caught.value.code == 130
 
 
 AS_NOBODY = """
