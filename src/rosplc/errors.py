@@ -261,7 +261,7 @@ _register("ROS016", "Zenoh router is not reachable", "Start one where ros.zenoh.
 _register("ROS017", "definition cannot be taken from the wire", "Start a publisher of the topic; `rostopic info TOPIC` shows who there is.")
 _register("ROS018", "ROS side does not answer", "See the log for what it hangs in; restart the bridge if it does not come back.")
 _register("ROS019", "backend does not carry this quality of service", "Remove deadline and lease from the topic's qos, or use the dds backend; stale_after needs neither.")
-_register("ROS020", "nothing was found in the ROS graph", "Start the robot's nodes, and see that domain (ROS_DOMAIN_ID), network and ROS version are theirs; in ROS 1 name --distro noetic.")
+_register("ROS020", "nothing was found in the ROS graph", "Start the robot's nodes, and see that domain (ROS_DOMAIN_ID), network (ROS_LOCALHOST_ONLY, too) and ROS version are theirs; in ROS 1 name --distro noetic.")
 
 _register("PLC001", "a generated file was edited", "Move your changes elsewhere and remove the file, or run again with --force.")
 _register("PLC002", "output folder cannot be written", "Check the path and the permissions.")
