@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Literal, Protocol
 
 from rosplc.init.definitions import Definitions
 from rosplc.init.meter import Length
@@ -25,6 +25,7 @@ class Topic:
         subscribers: Names of the nodes that subscribe to it.
         offered: The publishers' quality of service, each once.
         hashes: The type hashes that are announced, each once.
+        carried: Where a bridge took it when it was recorded: to the ``plc`` or to ``ros``; else empty.
     """
 
     name: str
@@ -33,6 +34,7 @@ class Topic:
     subscribers: tuple[str, ...] = ()
     offered: tuple[Qos, ...] = ()
     hashes: tuple[str, ...] = ()
+    carried: Literal["", "plc", "ros"] = ""
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,8 @@ class Seen:
         messages: How many there were.
         unreadable: How many more did not fit the type.
         seconds: How long was listened, or how long the recording is.
-        rate_hz: Messages a second from the first to the last; 0 with fewer than two.
+        rate_hz: Messages a second from the first to the last, without what was delivered at once when
+            the subscription began; 0 with fewer than two.
         longest_gap_s: The longest time between two.
         lengths: By field path: the lengths of its strings and sequences.
         trouble: Why nothing could be received, in words; empty if nothing spoke against it.

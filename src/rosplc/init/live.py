@@ -39,6 +39,8 @@ _LEADS_THERE = {
 }
 """Environment variables that have no key in a configuration."""
 _SHOW_S = 1.0
+_SETTLE_S = 1.0
+"""How long kept messages may take to be delivered; not more than a quarter of the listening."""
 
 
 def distro_here(backend: str, environment: Mapping[str, str]) -> tuple[str, str]:
@@ -170,10 +172,13 @@ class LiveRobot:
         with contextlib.ExitStack() as stack:
             subscriptions: dict[str, Any] = {}
             for topic, type_name in wanted.items():
-                sample = samples[topic] = Sample(Meter(self.definitions.store, type_name, version))
+                qos = self._qos(topic)
+                settle_s = min(_SETTLE_S, seconds / 4) if qos.durability == "transient_local" else 0.0
+                meter = Meter(self.definitions.store, type_name, version)
+                sample = samples[topic] = Sample(meter, int(settle_s * 1e9))
                 take = partial(_take, sample)
                 try:
-                    made = self._backend.subscribe(topic, type_name, self._qos(topic), take)
+                    made = self._backend.subscribe(topic, type_name, qos, take)
                 except RosplcError as error:
                     trouble[topic] = f"{error.what} [{error.code}]"
                     continue
