@@ -65,8 +65,10 @@ def draft(
             left_out[name] = f"{error.what}. {error.remedy}"
         else:
             known[name] = each
-    # What nobody publishes has nothing to be heard.
-    wanted = {name: each.type_name for name, each in known.items() if each.topic.publishers}
+    # What nobody publishes, and no bridge sent, has nothing to be heard.
+    wanted = {
+        name: each.type_name for name, each in known.items() if each.topic.publishers or each.topic.carried
+    }
     seen: dict[str, Seen] = {}
     if seconds > 0 and wanted:
         seen = source.listen(wanted, seconds, progress)

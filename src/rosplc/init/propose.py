@@ -102,8 +102,12 @@ def direction(topic: Topic) -> tuple[Literal["plc", "ros"], str]:
 
     What somebody publishes the PLC may read, and that disturbs nobody. What is only subscribed to waits
     for somebody who publishes it: the PLC can. Where both are there, a second publisher would fight with
-    the first, so the PLC listens unless it is told otherwise.
+    the first, so the PLC listens unless it is told otherwise. What a bridge carried when it was recorded
+    goes the same way again.
     """
+    if topic.carried:
+        did = "the PLC sent it" if topic.carried == "ros" else "it went to the PLC"
+        return topic.carried, f"{did} when it was recorded"
     readers, writers = _listed(topic.subscribers), _listed(topic.publishers)
     if topic.publishers and topic.subscribers:
         return "plc", f"{writers} publishes it for {readers}; the PLC listens in"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Literal
 
 from rosplc.errors import BackendError, MessageTypeError, RosplcError
 from rosplc.init.definitions import Definitions
@@ -13,6 +14,7 @@ from rosplc.init.meter import Meter
 from rosplc.init.sample import Sample
 from rosplc.model import DISTROS, TypeStore
 from rosplc.model.parse import full_name
+from rosplc.recorder.mcap_read import survey
 from rosplc.ros import ROS1
 from rosplc.ros.bag import Bag, BagTopic
 
@@ -20,6 +22,7 @@ __all__ = ["RecordedRobot"]
 
 _NEWEST = "jazzy"
 _UNNAMED = "unnamed"
+_WAYS: dict[str, Literal["plc", "ros"]] = {"to_plc": "plc", "to_ros": "ros"}
 
 
 class RecordedRobot:
@@ -41,6 +44,7 @@ class RecordedRobot:
         self._bag = Bag(path)
         try:
             self._recorded = self._bag.topics()
+            self._carried, self._carried_distro = _carried(path)
             chosen, why = self._distro(distro)
             self.definitions = Definitions(chosen, folders)
         except BaseException:
@@ -50,11 +54,16 @@ class RecordedRobot:
         for each in self._recorded:
             topics.setdefault(_absolute(each.name), []).append(each)
         self.found = Found(
-            topics={name: _topic(name, parts) for name, parts in sorted(topics.items())},
+            topics={
+                name: _topic(name, parts, self._carried.get(name, ""))
+                for name, parts in sorted(topics.items())
+            },
             where=f"the recording {path}",
             ros={**ros, "distro": chosen},
             why={"distro": why},
-            notes=(
+            notes=()
+            if self._carried.keys() >= topics.keys()
+            else (
                 "A recording tells who published, and not who subscribes: "
                 "what the PLC should send is named with --to-ros TOPIC=TYPE.",
             ),
@@ -74,6 +83,8 @@ class RecordedRobot:
             return ROS1, "the recording is of ROS 1"
         if self._bag.distro in DISTROS:
             return self._bag.distro, "the recording names it"
+        if self._carried_distro in DISTROS and self._carried_distro != ROS1:
+            return self._carried_distro, "the bridge that was recorded had it"
         others = [name for name in reversed(DISTROS) if name not in (ROS1, _NEWEST)]
         candidates = [_NEWEST, *others]
         misfits = {name: self._misfits(name) for name in candidates}
@@ -162,11 +173,28 @@ def _full(type_name: str) -> str:
         return type_name
 
 
-def _topic(name: str, parts: Sequence[BagTopic]) -> Topic:
+def _carried(path: Path) -> tuple[dict[str, Literal["plc", "ros"]], str]:
+    """Return what our own recorder wrote beside the messages: directions by topic, and the distribution."""
+    ways: dict[str, Literal["plc", "ros"]] = {}
+    distros: list[str] = []
+    for file in sorted(path.glob("*.mcap")) if path.is_dir() else [path] if path.suffix == ".mcap" else []:
+        try:
+            channels = survey(file).channels.values()
+        except RosplcError:
+            continue  # what can be read of it has been read
+        for channel in channels:
+            if (way := channel.metadata.get("rosplc.direction")) in _WAYS:
+                ways[_absolute(channel.topic)] = _WAYS[way]
+                distros.append(channel.metadata.get("rosplc.distro", ""))
+    return ways, distros[0] if len(set(distros)) == 1 else ""
+
+
+def _topic(name: str, parts: Sequence[BagTopic], carried: Literal["", "plc", "ros"]) -> Topic:
     publishers = {node for part in parts for node in part.publishers}
     return Topic(
         name=name,
         types=tuple(sorted({_full(part.type_name) for part in parts})),
-        publishers=tuple(sorted(publishers)) or (_UNNAMED,),
+        publishers=() if carried == "ros" else tuple(sorted(publishers)) or (_UNNAMED,),
         offered=tuple(dict.fromkeys(qos for part in parts for qos in part.offered)),
+        carried=carried,
     )

@@ -8,8 +8,11 @@ import pytest
 
 from rosplc.errors import RosplcError
 from rosplc.init import RecordedRobot, draft, parse_wish, save, select
+from rosplc.model import TypeStore
+from rosplc.shm import Direction, Namespace
 from tests.e2e.turtle_recording import write_recording
 from tests.unit.init.robots import JOINTS, PART, record
+from tests.unit.recorder.making import POSE, Feed, received, recording, until
 
 
 def robot(path: Path, distro: str | None = None, folders=()) -> RecordedRobot:
@@ -106,4 +109,40 @@ def test_types_of_a_recording_are_not_executed(tmp_path: Path) -> None:
     made, _ = drafted(source)
     assert [entry.topic for entry in made.entries] == ["/joint_states"]
     assert "TYP" not in made.left_out["/parts"] and made.left_out["/parts"]
+    source.close()
+
+
+@pytest.mark.parametrize("bag", [False, True])
+def test_our_own_recording_keeps_directions_and_distribution(
+    shm_namespace: Namespace, tmp_path: Path, bag: bool
+) -> None:
+    """What the PLC sent when it was recorded, it sends again; the distribution is the recorded bridge's."""
+    store = TypeStore.bundled("humble")
+    read = Feed(shm_namespace, "/read", store=store)
+    sent = Feed(shm_namespace, "/sent", store=store, direction=Direction.TO_ROS)
+    with recording(shm_namespace, tmp_path / "r", bag=bag) as recorder:
+        for number in range(12):
+            read.number(number + 1)
+            sent.number(number + 1)
+        until(lambda: received(recorder) == 24, recorder)
+        recorder.stop()
+    read.close()
+    sent.close()
+    source = robot(tmp_path / ("r" if bag else "r.mcap"))
+    made, _ = drafted(source)
+    source.close()
+    assert {(entry.topic, entry.type_name, entry.to) for entry in made.entries} == {
+        ("/read", POSE, "plc"),
+        ("/sent", POSE, "ros"),
+    }
+    assert made.seen["/sent"].messages == 12
+    assert all("Its publishers" not in text for entry in made.entries for text in entry.about)
+    assert (source.found.ros["distro"], source.found.notes) == ("humble", ())
+
+
+def test_other_recordings_tell_no_direction(tmp_path: Path) -> None:
+    """Of a recording that is not ours nobody knows who listened, and that is said."""
+    source = robot(record(tmp_path / "bag"))
+    assert {topic.carried for topic in source.found.topics.values()} == {""}
+    assert "--to-ros" in source.found.notes[0]
     source.close()
