@@ -279,6 +279,11 @@ def _begin(recorder: Recorder, order: Order, *, quiet: bool) -> None:
     topics = list(recorder.inlet.counts)
     for pattern in order.selection.without_match(topics):
         warn(f"there is no channel {pattern} yet; it is recorded when it comes")
+    for trigger, topic in recorder.idle_triggers().items():
+        if topic in order.selection:
+            warn(f"trigger {trigger!r}: there is no channel {topic} yet; it cannot fire before that comes")
+        else:
+            warn(f"trigger {trigger!r}: {topic} is not among the topics that are recorded; it cannot fire")
     if not topics:
         warn(f"there is no channel of prefix {order.namespace.prefix} yet; what comes is recorded")
         _hint(order)

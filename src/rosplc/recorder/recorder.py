@@ -257,6 +257,11 @@ class Recorder:
         """Save the ring buffer, as a trigger would; from any thread."""
         self._triggers.fire(time.time_ns(), reason)
 
+    def idle_triggers(self) -> dict[str, str]:
+        """Return the triggers on topics of which nothing is taken so far: text → topic."""
+        known = self.inlet.counts
+        return {one.text: one.topic for one in self._triggers.conditions if one.topic not in known}
+
     def progress(self) -> Progress:
         """Return how it stands."""
         counts = list(self.inlet.counts.values())
@@ -357,7 +362,6 @@ class Recorder:
             "trigger": json.dumps(reasons, ensure_ascii=False),
             "trigger_ns": json.dumps([one.time_ns for one in fired]),
         }
-        self._saves.append("; ".join(reasons))
 
         def write() -> None:
             try:
@@ -368,6 +372,7 @@ class Recorder:
                 finally:
                     store.finish()
                     self._files += store.written
+                self._saves.append("; ".join(reasons))
             except Exception as error:  # whoever waits for the recording is told
                 self._save_error = error
 

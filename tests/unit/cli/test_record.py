@@ -129,6 +129,17 @@ def test_sighup_saves_a_ring_buffer(shm_namespace: Namespace, tmp_path: Path) ->
     assert child.returncode == 0 and document["saves"] == ["SIGHUP"] and len(document["files"]) == 1
 
 
+def test_triggers_that_cannot_fire_are_named(shm_namespace: Namespace, tmp_path: Path) -> None:
+    """A trigger on a topic without a channel, or on one that is left out, is said at the start."""
+    keep = ("record", "--prefix", shm_namespace.prefix, "-o", tmp_path / "ring", "--keep", "1min")
+    more = ("-x", "/b", "-t", "/nosuch.x > 1", "-t", "/b.data", "-t", "/a.pose.position.x < 0")
+    with talking(shm_namespace):
+        said = rosplc(*keep, *more, "--duration", "100ms").stderr
+    assert "trigger '/nosuch.x > 1': there is no channel /nosuch yet" in said
+    assert "trigger '/b.data': /b is not among the topics" in said
+    assert "trigger '/a." not in said
+
+
 def test_a_classic_topic_is_named(shm_namespace: Namespace, tmp_path: Path) -> None:
     """What a configuration has and a recorder cannot take is said."""
     config = tmp_path / "rosplc.yaml"

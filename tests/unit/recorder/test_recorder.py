@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 from pathlib import Path
 
@@ -234,6 +235,38 @@ def test_no_more_files_than_asked_for(shm_namespace: Namespace, tmp_path: Path) 
         recorder.look_after()
         result = recorder.stop()
     assert (len(result.files), result.unsaved) == (1, 1)
+
+
+def test_a_save_that_failed_is_not_told_as_one(
+    shm_namespace: Namespace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A full disk when a trigger fires is an error, and the result names nothing as saved."""
+    feed = Feed(shm_namespace, "/a")
+    with recording(shm_namespace, tmp_path / "r", keep_ns=10**10, after_ns=3600 * 10**9) as recorder:
+        feed.number(1)
+        until(lambda: received(recorder) == 1, recorder)
+        recorder.trigger("by hand")
+
+        def full(*_: object) -> None:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+        monkeypatch.setattr("rosplc.recorder.mcap_write.McapFile.append", full)
+        with pytest.raises(RecordingError, match="REC002"):
+            recorder.stop()
+    feed.close()
+    assert result_of(recorder).saves == ()
+
+
+def test_triggers_without_a_channel_are_known(shm_namespace: Namespace, tmp_path: Path) -> None:
+    """A condition on a topic that nobody has is listed until its channel comes."""
+    feed = Feed(shm_namespace, "/a")
+    triggers = ("error", "/a.pose.position.x > 1", "/late.data")
+    with recording(shm_namespace, tmp_path / "r", keep_ns=10**10, triggers=triggers) as recorder:
+        assert recorder.idle_triggers() == {"/late.data": "/late"}
+        late = Feed(shm_namespace, "/late", "std_msgs/msg/Bool")
+        until(lambda: not recorder.idle_triggers(), recorder)
+    feed.close()
+    late.close()
 
 
 def chunk(size: int) -> SealedChunk:
