@@ -12,6 +12,7 @@ import typer
 from rosplc.cli.guard import finite, guarded, print_json
 from rosplc.cli.show_classic import classic_facts, classic_plans, list_classic, show_classic
 from rosplc.cli.text import columns, in_bytes, say, warn
+from rosplc.cli.watching import nothing_there
 from rosplc.errors import ChannelError
 
 if TYPE_CHECKING:
@@ -76,7 +77,7 @@ def command(
             print_json([state.to_dict() for state in states] + classic_facts(classic))
         else:
             if states or not classic:
-                _list(states)
+                _list(states, prefix, directory)
             list_classic(classic)
         return
     if plan := next((plan for plan in classic if plan.topic == topic), None):
@@ -123,9 +124,9 @@ def _with_classic_hint(error: ChannelError, topic: str) -> ChannelError:
     return ChannelError(error.code, what, where=error.where, remedy=remedy)
 
 
-def _list(states: list[ObjectState]) -> None:
+def _list(states: list[ObjectState], prefix: str | None, directory: str) -> None:
     if not states:
-        say("There are no channels on this machine. Start a bridge (rosplc run) or the demo (rosplc demo).")
+        say(nothing_there(prefix, directory))
         return
     rows = []
     for state in states:

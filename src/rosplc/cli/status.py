@@ -12,7 +12,7 @@ import typer
 
 from rosplc.cli.guard import EXIT_FAILURE, finite, guarded, print_json
 from rosplc.cli.text import columns, say
-from rosplc.cli.watching import Configs, Directory, Prefix, StaleAfter, open_watch
+from rosplc.cli.watching import Configs, Directory, Prefix, StaleAfter, nothing_there, open_watch
 
 if TYPE_CHECKING:
     from rosplc.monitor import ChannelView, Event, Picture, Watch
@@ -30,9 +30,10 @@ rosplc status --json | jq '.channels[] | select(.state != "ok") | .topic'
 rosplc status --follow  —  then what happens, line by line, until Ctrl-C
 
 It looks for about a second, and where nobody beats for three of the beats that are promised: three seconds,
-as a rule. It needs no configuration, no ROS and no right to write, and nobody notices it. The exit
-status is 0 only if there are channels and nothing is wrong with any of them, and 1 otherwise: it can
-guard a script. docs/howto/watch-channels.md explains each state.
+as a rule, and longer for a bridge that is starting. It needs no configuration, no ROS and no right to write,
+and nobody notices it. The exit status is 0 only if there are channels and nothing is wrong with any of them,
+and 1 otherwise: it can guard a script. In JSON, `worst` is null where there are no channels.
+docs/howto/watch-channels.md explains each state.
 """
 
 _LOOK_SECONDS = 0.1
@@ -62,7 +63,7 @@ def command(
         elif as_json:
             print_json(picture.as_json())
         else:
-            _print(picture)
+            _print(picture, prefix, directory)
         if follow:
             _follow(watch, as_json=as_json)
     if picture.wrong or not picture.channels:
@@ -87,14 +88,15 @@ def settled(watch: Watch) -> Picture:
         time.sleep(_LOOK_SECONDS)
 
 
-def _print(picture: Picture) -> None:
+def _print(picture: Picture, prefix: str | None, directory: str) -> None:
     from rosplc.monitor.cells import plc_text, state_text, way_text
 
     if not picture.channels:
-        say("There are no channels on this machine. Start a bridge (rosplc run) or the demo (rosplc demo).")
+        say(nothing_there(prefix, directory))
         return
     for bridge in picture.bridges:
         alive = "alive" if bridge.alive else "dead" if bridge.pid else "ended"
+        alive = "starting" if bridge.alive is None else alive
         process = f", process {bridge.pid}" if bridge.pid else ""
         alive += f" ({bridge.process})" if bridge.process else ""
         say(f"bridge {bridge.name}, prefix {bridge.prefix}{process}: {alive}, {bridge.channels} channels")

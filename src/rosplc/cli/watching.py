@@ -10,7 +10,7 @@ import typer
 if TYPE_CHECKING:
     from rosplc.monitor import Watch
 
-__all__ = ["Configs", "Directory", "Prefix", "StaleAfter", "open_watch"]
+__all__ = ["Configs", "Directory", "Prefix", "StaleAfter", "nothing_there", "open_watch"]
 
 Prefix = Annotated[
     str | None,
@@ -32,7 +32,23 @@ StaleAfter = Annotated[
         help="What is stale towards the PLC where no configuration says it, such as 500ms, or `never`.",
     ),
 ]
+_NAMED = 4
 Directory = Annotated[str, typer.Option(help="Where the objects stand.", hidden=True)]
+
+
+def nothing_there(prefix: str | None, directory: str) -> str:
+    """Return what to say where there are no channels, or none of the prefix that was asked for.
+
+    Raises:
+        ChannelError: SHM123 if the directory cannot be listed.
+    """
+    from rosplc.monitor import find_objects
+
+    others = sorted({state.prefix for state in find_objects(directory, seconds=0.0)}) if prefix else []
+    if not others:
+        return "There are no channels on this machine. Start a bridge (rosplc run) or the demo (rosplc demo)."
+    named = ", ".join(others[:_NAMED]) + (f" and {len(others) - _NAMED} more" if len(others) > _NAMED else "")
+    return f"There is no channel of prefix {prefix} on this machine; there are channels of prefix {named}."
 
 
 def open_watch(prefix: str | None, configs: list[Path] | None, stale_after: str, directory: str) -> Watch:

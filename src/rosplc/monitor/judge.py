@@ -16,6 +16,7 @@ class Signs:
 
     Attributes:
         to_plc: Whether messages go to the PLC.
+        bridge_starting: Whether the bridge has a claim, and is too young to be expected to beat.
         moving: Whether messages came over the last seconds.
         refused_lately: Whether messages were refused lately.
         lost_lately: Whether messages were lost lately where each one counts.
@@ -25,6 +26,7 @@ class Signs:
     to_plc: bool
     bridge_alive: bool | None
     bridge_pid: int
+    bridge_starting: bool
     plc_alive: bool | None
     plc_claimed: bool
     readers: tuple[ReaderView, ...]
@@ -48,6 +50,11 @@ def judge(signs: Signs) -> tuple[State, str]:
             tasks = ", ".join(reader.task or f"process {reader.pid}" for reader in signs.readers)
             return State.DEAD, f"the PLC task that reads it does not beat any more: {tasks}"
         return State.DEAD, "the PLC task that writes it does not beat any more"
+    if signs.bridge_starting:
+        return (
+            State.UNKNOWN,
+            f"the bridge is starting, and does not beat yet; it is process {signs.bridge_pid}",
+        )
     if signs.refused_lately:
         return State.REFUSED, "messages do not fit and are refused; the bridge's log says why"
     if signs.lost_lately:

@@ -15,10 +15,12 @@ class _Peer:
         self.beat_ms = beat_ms
         period = max(beat_ms, _LEAST_MS) if beat_ms else 0
         self._liveness = Liveness(period)
+        self.seen = False
         self._until_ns = now_ns + 3 * min(max(period, _LEAST_MS), 10_000) * 1_000_000
 
     def look(self, beat: int, count: int, now_ns: int) -> bool | None:
         if self._liveness.observe(beat, count, now_ns):
+            self.seen = True
             return True
         return None if now_ns < self._until_ns else False
 
@@ -47,3 +49,8 @@ class Peers:
         if known is None or known[0] != claim or known[1].beat_ms != beat_ms:
             known = self._known[key] = (claim, _Peer(beat_ms, now_ns))
         return known[1].look(beat, count, now_ns)
+
+    def seen(self, key: int) -> bool:
+        """Return whether the claimant of a line was seen alive, at some time since it claimed."""
+        known = self._known.get(key)
+        return known is not None and known[1].seen

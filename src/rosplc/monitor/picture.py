@@ -203,7 +203,7 @@ class Picture:
 
     @property
     def worst(self) -> State:
-        """The worst state among the channels."""
+        """The worst state among the channels; ``ok`` if there are none, which JSON gives as null."""
         return max((each.state for each in self.channels), key=lambda state: state.severity, default=State.OK)
 
     @property
@@ -220,7 +220,7 @@ class Picture:
         """Return plain data."""
         return {
             "time_ns": self.time_ns,
-            "worst": self.worst.value,
+            "worst": self.worst.value if self.channels else None,
             "channels": [each.as_json() for each in self.channels],
             "bridges": [each.as_json() for each in self.bridges],
             "events": [each.as_json() for each in self.events],

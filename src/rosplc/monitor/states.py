@@ -38,7 +38,7 @@ class State(enum.Enum):
     NO_PLC = "no PLC"
     """No PLC task reads it, or writes it."""
     UNKNOWN = "looking"
-    """Looked at for too short a time to say who is alive."""
+    """Looked at for too short a time to say who is alive; or the bridge is starting."""
     OK = "ok"
     """Nothing is wrong; perhaps nobody publishes, where that is allowed."""
 

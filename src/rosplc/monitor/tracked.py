@@ -9,6 +9,7 @@ from rosplc.monitor.expected import Expectation
 from rosplc.monitor.judge import Signs, judge
 from rosplc.monitor.peers import Peers
 from rosplc.monitor.picture import ChannelView, ReaderView
+from rosplc.monitor.process import is_starting
 from rosplc.monitor.rate import Rate
 from rosplc.shm import Attached, Direction, ReaderState, Snapshot, distance
 from rosplc.shm.constants import SLOT_HEADER, STAMP_SYSTEM, UNKNOWN
@@ -104,12 +105,20 @@ class Tracked:
         )
         readers = tuple(self._reader(line, now_ns) for line in snapshot.readers)
         bridge, plc = self._sides(writer_alive, readers)
+        bridge_pid = self._bridge_pid(snapshot)
+        starting = (
+            bridge is False
+            and not self._peers.seen(_WRITER if self._to_plc else 0)
+            and is_starting(bridge_pid)
+        )
+        bridge = None if starting else bridge
         lost = _most_lost(snapshot)
         rate = self._rate.of(self._count, now_ns)
         signs = Signs(
             to_plc=self._to_plc,
             bridge_alive=bridge,
-            bridge_pid=self._bridge_pid(snapshot),
+            bridge_pid=bridge_pid,
+            bridge_starting=starting,
             plc_alive=plc,
             plc_claimed=bool(readers) if self._to_plc else bool(writer.epoch),
             readers=readers,
@@ -138,7 +147,7 @@ class Tracked:
             lost=lost,
             refused=writer.refused,
             truncated=writer.truncated,
-            writer_alive=writer_alive,
+            writer_alive=bridge if self._to_plc else plc,
             reader_alive=plc if self._to_plc else bridge,
             bridge_alive=bridge,
             plc_alive=plc,

@@ -66,8 +66,9 @@ def test_json_is_the_picture(running):
     assert document["bridges"][0]["alive"] is True
 
 
-def test_what_is_wrong_is_said_in_words_and_ends_with_status_1(shm_namespace):
+def test_what_is_wrong_is_said_in_words_and_ends_with_status_1(shm_namespace, monkeypatch):
     """A dead bridge, a topic that is missing, an object that is none."""
+    monkeypatch.setattr("rosplc.monitor.tracked.is_starting", lambda pid: False)  # this process may be young
     side = Side(shm_namespace, "/n", layout_of("std_msgs/msg/Float64"), Direction.TO_PLC)
     shm_namespace.path("/broken").write_bytes(b"\x1b" * 600)
     output = rosplc("status", "--prefix", shm_namespace.prefix, code=1).output
@@ -91,10 +92,22 @@ def test_a_configuration_says_what_is_missing(tmp_path, shm_namespace):
     assert "/b: missing: there is no such memory" in output
 
 
-def test_a_machine_without_channels_ends_with_status_1(shm_namespace):
+def test_a_machine_without_channels_ends_with_status_1(shm_namespace, tmp_path):
     """Nothing to be seen is nothing to rely on."""
-    output = rosplc("status", "--prefix", shm_namespace.prefix, code=1).output
-    assert "There are no channels" in output
+    for asked in ((), ("--prefix", shm_namespace.prefix)):
+        output = rosplc("status", *asked, "--directory", tmp_path, code=1).output
+        assert "There are no channels on this machine" in output
+
+
+def test_a_prefix_without_channels_is_told_from_a_machine_without_any(running):
+    """Where others have channels, they are named; in JSON nothing is not called ok."""
+    for verb in ("status", "show"):
+        code = 1 if verb == "status" else 0
+        output = rosplc(verb, "--prefix", "nosuch", code=code).output
+        assert "There is no channel of prefix nosuch on this machine; there are channels of prefix" in output
+        assert "There are no channels" not in output
+    document = json.loads(rosplc("status", "--prefix", "nosuch", "--json", code=1).output)
+    assert (document["worst"], document["channels"]) == (None, [])
 
 
 @pytest.mark.parametrize("given", ["soon", "5", "-1s"])

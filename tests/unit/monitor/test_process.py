@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -9,7 +10,7 @@ import time
 
 import pytest
 
-from rosplc.monitor.process import process_words
+from rosplc.monitor.process import is_starting, process_words
 
 
 def test_a_bridge_is_there_stopped_ended_or_gone():
@@ -48,3 +49,30 @@ def test_names_and_numbers_may_be_anything(tmp_path, stat, command, words):
     (tmp_path / "7" / "cmdline").write_bytes(command)
     assert process_words(7, tmp_path) == words
     assert process_words(8, tmp_path) == "there is no such process here"
+
+
+@pytest.mark.parametrize(
+    ("state", "age_s", "starting"),
+    [("S", 2.0, True), ("S", 60.0, False), ("T", 2.0, False), ("Z", 2.0, False)],
+)
+def test_only_a_young_process_that_runs_is_starting(tmp_path, state, age_s, starting):
+    """Its start counts from the machine's start, in the kernel's ticks."""
+    ticks = int(1000.0 * os.sysconf("SC_CLK_TCK"))
+    (tmp_path / "7").mkdir()
+    (tmp_path / "7" / "stat").write_text(f"7 (rosplc) {state} {'0 ' * 18}{ticks} 0")
+    (tmp_path / "7" / "cmdline").write_bytes(b"/usr/bin/rosplc\0run\0")
+    assert is_starting(7, tmp_path, now_s=1000.0 + age_s) is starting
+    assert not is_starting(8, tmp_path, now_s=1000.0)
+    assert not is_starting(0, tmp_path, now_s=1000.0)
+
+
+def test_a_real_process_that_was_just_started_is_starting():
+    """The fields are those of this kernel."""
+    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)  # rosplc"])
+    try:
+        now_s = time.clock_gettime(time.CLOCK_BOOTTIME)
+        assert is_starting(child.pid, now_s=now_s)
+        assert not is_starting(child.pid, now_s=now_s + 60.0)
+    finally:
+        child.kill()
+        child.wait()

@@ -80,6 +80,27 @@ def test_a_bridge_that_was_killed_is_dead(cell):
     assert kinds.count("bridge-back") == 1
 
 
+@pytest.mark.parametrize("direction", Direction)
+def test_a_bridge_that_is_starting_is_told_from_a_dead_one(cell, monkeypatch, direction):
+    """A young process that holds a claim and never beat is starting; once it beat, it is alive, or dead."""
+    monkeypatch.setattr("rosplc.monitor.tracked.is_starting", lambda pid: pid == os.getpid())
+    side = cell.side("/n", direction=direction)
+    watch = cell.watch(expected=Expected(stale_after_ns=0))
+    watch.look()
+    picture, kinds = settle(cell, watch, looks=8)
+    assert (only(picture).state, picture.bridges[0].alive, kinds) == (State.UNKNOWN, None, [])
+    assert "is starting" in only(picture).words
+    picture, _ = settle(cell, watch, side)
+    assert picture.bridges[0].alive is True
+    picture, kinds = settle(cell, watch, looks=8)
+    assert (only(picture).state, kinds) == (State.DEAD, ["bridge-gone"])
+    monkeypatch.setattr("rosplc.monitor.tracked.is_starting", lambda pid: False)
+    other = cell.watch()
+    other.look()
+    picture, _ = settle(cell, other, looks=8)
+    assert only(picture).state is State.DEAD
+
+
 def test_a_bridge_that_ended_in_order_is_told_from_a_dead_one(cell):
     """Claims given back mean that nobody was killed."""
     side = cell.side("/n")
