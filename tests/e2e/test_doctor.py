@@ -52,6 +52,13 @@ def doctor(config: Path, code: Path | None = None) -> dict[str, list[Document]]:
     return found
 
 
+def of_machine(namespace: Namespace) -> list[Document]:
+    """Return what the doctor says of a prefix's bridges without a configuration."""
+    document = examine(Question(None, None, ros=False, variables=ENVIRONMENT)).to_dict()
+    marker = f"(prefix {namespace.prefix})"
+    return [f for f in document["findings"] if f["code"] == "DOC601" and marker in f["seen"]]
+
+
 def levels(found: dict[str, list[Document]], code: str) -> list[str]:
     return [finding["level"] for finding in found.get(code, [])]
 
@@ -173,7 +180,12 @@ def test_a_bridge_that_stands_still(
     bridges.append(Bridge(path, shm_namespace))
     bridges[-1].send(signal.SIGSTOP)
     assert "error" in levels(doctor(path), "DOC601")
+    (stands,) = of_machine(shm_namespace)
+    assert stands["level"] == "error" and "does not beat" in stands["seen"]
+    assert f"bridge cell (prefix {shm_namespace.prefix})" in stands["seen"]
+    assert "SIGSTOP" in stands["seen"]
     bridges[-1].send(signal.SIGCONT)
+    wait_for(lambda: [f["level"] for f in of_machine(shm_namespace)] == ["ok"], "the bridge to be fine again")
     wait_for(lambda: levels(doctor(path), "DOC601") == ["ok"], "the bridge to beat")
 
 

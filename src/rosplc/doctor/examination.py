@@ -44,8 +44,8 @@ from rosplc.ros import ROS1
 
 __all__ = ["examine"]
 
-_LOOK_S, _GLANCE_S = 3.5, 0.5
-"""How long to watch a configuration's objects for beats, and all of a machine's."""
+_LOOK_S = 3.5
+"""How long to watch objects for beats, at most: who beats ends it sooner."""
 
 
 def examine(question: Question, progress: Callable[[str], None] = lambda what: None) -> Report:
@@ -95,6 +95,8 @@ class _Examination:
         yield from self._network()
         if self._subject.project is not None and self._objects is not None:
             yield Probe("the running bridge", Area.LIVE, self._live)
+        elif self._objects is not None:
+            yield Probe("running bridges", Area.LIVE, lambda: live.bridges(self._objects or Objects()))
         if q.code is not None:
             yield Probe("generated PLC code", Area.CODE, self._generated, 20.0)
         if self._subject.project is not None and q.ros and self._subject.chosen != "memory":
@@ -194,7 +196,7 @@ class _Examination:
             self._subject.directory,
             held,
             prefix=self._subject.prefix,
-            seconds=_GLANCE_S if self._subject.project is None else _LOOK_S,
+            seconds=_LOOK_S,
         )
         return ()
 

@@ -98,7 +98,7 @@ _register("DOC517", _A, _W, "the bridge in the graph", "A bridge holds the confi
 _register("DOC518", _A, _N, "definitions that nobody announces", "The other side does not say which definition of the type it has (Humble, ROS 1), so only the name was compared.", "Nothing; the bridge's /diagnostics say what comes of it.")
 
 _A = Area.LIVE
-_register("DOC601", _A, _N, "a bridge that holds the configuration's topics", "No bridge runs, or it carries only a part of the topics.", "Start the bridge.")
+_register("DOC601", _A, _N, "a bridge that holds the configuration's topics", "No bridge runs, or it carries only a part of the topics; or, as an error, it holds them and does not beat. Without a configuration, every bridge of the machine is looked at, whatever its prefix.", "Start the bridge.")
 _register("DOC602", _A, _E, "layouts of the running bridge", "The objects have other layouts, directions or sizes than the configuration gives: the bridge runs on an older one.", "Restart the bridge with this configuration, and generate the PLC's code again.")
 _register("DOC603", _A, _W, "the PLC's task", "The bridge holds the object, and no task of a PLC beats in it.", "Start the PLC's program; if it runs, its block shows an error number (112: its code was generated for another layout).")
 _register("DOC604", _A, _E, "layouts that the running PLC expects", "The PLC's program was generated for another layout and refuses the topic (SHM112).", "Generate the PLC's code again, import it and download it.")

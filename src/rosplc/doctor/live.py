@@ -8,11 +8,12 @@ from dataclasses import dataclass
 from rosplc.bridge.resolve import TopicPlan
 from rosplc.doctor.finding import Finding, Level
 from rosplc.doctor.kinds import kind
-from rosplc.doctor.objects import Seen
+from rosplc.doctor.objects import Objects, Seen
 from rosplc.doctor.words import listed, plural
+from rosplc.monitor.process import is_starting, process_words
 from rosplc.shm import Direction
 
-__all__ = ["Carried", "beating", "holders", "layouts", "refusals"]
+__all__ = ["Carried", "beating", "bridges", "holders", "layouts", "refusals"]
 
 _NO_LAYOUT = "0" * 16
 
@@ -53,10 +54,39 @@ def holders(topics: Sequence[Carried], classic: Mapping[str, bool], config: str)
         yield kind("DOC601").found(
             f"a bridge runs, and does not hold {missing}", remedy, start, level=Level.WARNING
         )
-    silent = [each.plan.topic for each in topics if each.live and each.seen and not each.seen.bridge_beats]
+    silent = [
+        each.plan.topic
+        for each in topics
+        if each.live and each.seen and not each.seen.bridge_beats and not is_starting(each.seen.bridge_pid)
+    ]
     if silent:
         what = f"a bridge holds {listed(silent)}, and does not beat: it hangs, or was stopped"
         yield kind("DOC601").found(what, "Look at its log, and restart it.", level=Level.ERROR)
+
+
+def bridges(objects: Objects) -> Iterator[Finding]:
+    """Tell of every bridge that holds objects of this machine, whatever its prefix, whether it beats.
+
+    Args:
+        objects: What was found.
+    """
+    groups: dict[tuple[str, str], list[Seen]] = {}
+    for seen in objects.objects:
+        if seen.live and seen.description is not None:
+            groups.setdefault((seen.prefix, seen.description.bridge), []).append(seen)
+    for (prefix, name), held in sorted(groups.items()):
+        bridge, count = f"bridge {name} (prefix {prefix})", plural(len(held), "object")
+        silent = [seen for seen in held if not seen.bridge_beats]
+        pid = max((seen.bridge_pid for seen in silent), default=0)
+        if not silent:
+            yield kind("DOC601").fine(f"{bridge} beats in {count}")
+        elif is_starting(pid):
+            yield kind("DOC601").fine(f"{bridge} holds {count}, and is starting")
+        else:
+            words = process_words(pid) if pid else ""
+            what = f"{bridge} holds {listed(seen.topic for seen in silent)}, and does not beat"
+            what += f": process {pid}, {words}" if words else ": it hangs, or was stopped"
+            yield kind("DOC601").found(what, "Look at its log, and restart it.", level=Level.ERROR)
 
 
 def layouts(topics: Sequence[Carried]) -> Iterator[Finding]:

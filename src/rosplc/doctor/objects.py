@@ -68,6 +68,15 @@ class Seen:
         """Whether a bridge has it now; over containers only the beat can tell."""
         return bool(self.held) or self.bridge_beats
 
+    @property
+    def bridge_pid(self) -> int:
+        """The bridge's process, as it wrote it; 0 if it has no claim."""
+        if self.snapshot is None or self.identity is None:
+            return 0
+        if self.identity.direction is Direction.TO_PLC:
+            return self.snapshot.writer.pid if self.snapshot.writer.epoch else 0
+        return next((line.pid for line in self.snapshot.readers if line.index == 0 and line.claim), 0)
+
 
 @dataclass(frozen=True)
 class Objects:
