@@ -57,7 +57,9 @@ def command(
     duration: Annotated[
         str | None,
         typer.Option(
-            metavar="TIME", help="How long messages are sent, such as 20s; without it until Ctrl-C."
+            metavar="TIME",
+            help="How long messages are sent, such as 20s; without it until Ctrl-C, "
+            f"or for {_UNATTENDED:g}s where the output is no terminal.",
         ),
     ] = None,
     rate: Annotated[

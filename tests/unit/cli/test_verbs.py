@@ -6,6 +6,7 @@ import json
 import os
 
 import pytest
+import typer
 import yaml
 from typer.testing import CliRunner
 
@@ -358,3 +359,18 @@ def test_columns_align():
 def test_bytes_are_readable(count, text):
     """Sizes have the unit that fits."""
     assert in_bytes(count) == text
+
+
+def test_a_demo_without_a_terminal_ends_and_its_help_says_when(monkeypatch):
+    """Without --duration and without a terminal it runs for the time that the help names."""
+    given = []
+
+    def ends(plan, seconds, **how):
+        given.append(seconds)
+        raise typer.Exit(7)
+
+    monkeypatch.setattr("rosplc.cli.demo._run", ends)
+    assert CliRunner().invoke(app, ["demo"]).exit_code == 7
+    (seconds,) = given
+    words = " ".join(CliRunner().invoke(app, ["demo", "--help"]).output.replace("│", " ").split())
+    assert f"or for {seconds:g}s where the output is no terminal" in words
