@@ -431,9 +431,12 @@ def test_the_page_asks_for_the_token_where_looking_needs_it(browser: Any, machin
         page = made.open(server.url)
         expect(page.get_by_role("heading", name="A token is needed")).to_be_visible()
         assert page.locator("tr.channel").count() == 0
+        expect(page.get_by_text("token is needed")).to_have_count(1)
         for token in ("wrong", server.token):
             page.get_by_label("Token").fill(token)
             page.get_by_role("button", name="Open").click()
+            if token == "wrong":
+                expect(page.get_by_text("the token is not the right one")).to_be_visible()
         expect(link(page, "/agv/battery")).to_be_visible()
     finally:
         made.close()

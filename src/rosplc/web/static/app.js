@@ -8,7 +8,7 @@ import { announceEvents, eventList, eventsView } from "./events.js";
 import { Plots, plotsView } from "./plots.js";
 import { store } from "./store.js";
 import { startTheme } from "./theme.js";
-import { keep, takeFromAddress } from "./token.js";
+import { keep, takeFromAddress, token } from "./token.js";
 
 const byId = (id) => document.getElementById(id);
 const main = byId("main");
@@ -141,7 +141,8 @@ function refused(error) {
     reconnect();
   } },
   el("h1", {}, "A token is needed"),
-  el("p", {}, `${error.what}. ${error.remedy}`),
+  // That one is needed the heading says already; what is wrong with one that was given it does not.
+  el("p", {}, token() ? `${error.what}. ${error.remedy}` : error.remedy),
   el("div", { class: "form-row" }, el("label", { for: "view-token" }, "Token"), field, el("button", { class: "button primary", type: "submit" }, "Open")));
   view?.close();
   view = null;
