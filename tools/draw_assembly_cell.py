@@ -9,13 +9,16 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 from drawing import IMAGES, box, picture, stroke, text, write
 
 ROOT = Path(__file__).resolve().parent.parent
 WIDTH, BOTTOM = 960, 452
+_ALL_WELL = """() => {
+    const rows = [...document.querySelectorAll("tr.channel")];
+    return rows.length > 2 && rows.every((row) => /^\\s*ok\\b/.test(row.innerText));
+}"""
 
 
 def channel(y: float, topic: str, what: str, *, to_plc: bool) -> list[str]:
@@ -91,8 +94,8 @@ def shoot() -> None:
             page.wait_for_selector("tr.channel")
             for kind in ("bridge-back", "plc-back"):
                 page.wait_for_selector(f'[data-kind="{kind}"]', state="attached", timeout=240_000)
-            page.wait_for_selector("tr.channel >> text=ok")
-            time.sleep(1)
+            # Bridge and PLC fail again and again: what is shown is the work between.
+            page.wait_for_function(_ALL_WELL, timeout=240_000)
             page.screenshot(path=IMAGES / "web/assembly-cell.png")
             browser.close()
     finally:
