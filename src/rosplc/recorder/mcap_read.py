@@ -18,12 +18,13 @@ from typing import BinaryIO, cast
 
 import lz4.frame
 import zstandard
-from mcap.exceptions import McapError
+from mcap.exceptions import InvalidMagic, McapError
 from mcap.reader import SeekingReader
 from mcap.records import Channel, Chunk, Footer, Header, McapRecord, Message, Metadata, Schema, Statistics
 from mcap.stream_reader import StreamReader
 
 from rosplc.errors import RecordingError
+from rosplc.ros.plain_file import unreadable_kind
 
 __all__ = ["MAX_CHUNK", "FileMessage", "Part", "Survey", "read_part", "survey"]
 
@@ -34,6 +35,8 @@ _DAMAGE = (
     McapError, EOFError, struct.error, ValueError, KeyError, IndexError, OverflowError, TypeError,
     MemoryError, RuntimeError, zstandard.ZstdError,
 )  # fmt: skip
+_NO_MCAP = "Give an .mcap file; `rosplc replay` takes .bag and .db3 files as well, by their names."
+_HOPELESS = "Nothing of it can be saved: use another copy of it, or record again."
 _LOOSE = 1 << 20  # messages outside of chunks are read together in parts of about this size
 
 
@@ -129,6 +132,9 @@ def survey(path: Path, *, count: bool = False) -> Survey:
             behind its beginning is no error: ``complete`` is False.
     """
     found = Survey(path)
+    what, remedy = unreadable_kind(path, folder=False)
+    if what:
+        raise RecordingError("REC003", what, where=str(path), remedy=remedy)
     try:
         with path.open("rb") as file:
             size = path.stat().st_size
@@ -140,7 +146,7 @@ def survey(path: Path, *, count: bool = False) -> Survey:
             if count or not found.complete or not found.channels:
                 _look_inside(found)
     except OSError as error:
-        raise RecordingError("REC003", error.strerror or str(error), where=str(path)) from error
+        raise _failed(error, path) from error
     return found
 
 
@@ -156,7 +162,12 @@ def read_part(path: Path, part: Part) -> list[FileMessage]:
         what = f"damaged between bytes {part.offset} and {part.end}: {_words(error)}"
         raise RecordingError("REC003", what, where=str(path)) from error
     except OSError as error:
-        raise RecordingError("REC003", error.strerror or str(error), where=str(path)) from error
+        raise _failed(error, path) from error
+
+
+def _failed(error: OSError, path: Path) -> RecordingError:
+    what = error.strerror or str(error)
+    return RecordingError("REC003", what, where=str(path), remedy="Check permissions, and the disk it is on.")
 
 
 def _trust_summary(found: Survey, stream: _Bounded) -> bool:
@@ -174,7 +185,7 @@ def _trust_summary(found: Survey, stream: _Bounded) -> bool:
             return False
         metadata = list(reader.iter_metadata())
         profile = reader.get_header().profile
-    except _DAMAGE:
+    except (*_DAMAGE, OSError):  # a file shorter than a footer cannot be read from its end
         return False
     found.profile, found.metadata = profile, metadata
     found.schemas, found.channels = dict(summary.schemas), dict(summary.channels)
@@ -219,8 +230,12 @@ def _walk(found: Survey, stream: _Bounded) -> None:
     except _DAMAGE as error:
         found.complete = False
         if first:
-            what = f"this is no MCAP file: {_words(error)}"
-            raise RecordingError("REC003", what, where=str(found.path)) from error
+            begun = stream.tell() > 0 and not isinstance(error, InvalidMagic)
+            what = "it has no whole record" if begun else "this is no MCAP file"
+            remedy = _HOPELESS if begun else _NO_MCAP
+            raise RecordingError(
+                "REC003", f"{what}: {_words(error)}", where=str(found.path), remedy=remedy
+            ) from error
         found.problem = f"it ends, or is damaged, at byte {offset}: {_words(error)}"
     _close_loose(found, loose)
 

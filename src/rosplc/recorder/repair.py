@@ -87,7 +87,8 @@ def repair(source: Path, target: Path, look: Callable[[int], None] = lambda _: N
     if not file.messages:
         target.unlink()
         what = found.problem or "it has no messages"
-        raise RecordingError("REC003", f"nothing to save: {what}", where=str(source))
+        remedy = "No whole message is in it: use another copy of it, or record again."
+        raise RecordingError("REC003", f"nothing to save: {what}", where=str(source), remedy=remedy)
     return Repaired(target, file.messages, topics, found.problem, len(found.damaged))
 
 

@@ -13,6 +13,7 @@ from rosplc.errors import RecordingError
 from rosplc.recorder.mcap_read import FileMessage, Part, Survey, read_part, survey
 from rosplc.recorder.rosbag2 import qos_of_text
 from rosplc.ros import DEFAULT, Qos
+from rosplc.ros.plain_file import unreadable_kind
 
 __all__ = ["McapSource", "Source", "SourceMessage", "SourceTopic", "open_source"]
 
@@ -88,8 +89,9 @@ def open_source(path: Path, distro: str = "jazzy") -> Source:
         RecordingError: REC003, it cannot be read.
         BackendError: ROS006, the same for a recording of another kind than MCAP.
     """
-    if not path.exists():
-        raise RecordingError("REC003", "there is no such file", where=str(path), remedy="Check the path.")
+    what, remedy = unreadable_kind(path)
+    if what:
+        raise RecordingError("REC003", what, where=str(path), remedy=remedy)
     files = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
     if path.is_dir() and not files:
         return _BagSource(path, distro)

@@ -15,29 +15,17 @@ from typing import Any
 
 from rosbags.interfaces import ConnectionExtRosbag1, MessageDefinitionFormat
 from rosbags.rosbag1 import Reader as Reader1
-from rosbags.rosbag1 import ReaderError as Reader1Error
 from rosbags.rosbag2 import Reader as Reader2
-from rosbags.rosbag2 import ReaderError as Reader2Error
 
 from rosplc.errors import BackendError
+from rosplc.ros.plain_file import unreadable_kind
 from rosplc.ros.qos import Qos
 
-__all__ = ["Bag", "BagTopic"]
+__all__ = ["DAMAGE", "Bag", "BagTopic", "refuse_other_kinds"]
 
-# What the reader lets through when bytes of a file are not what they should be.
-_DAMAGE = (
-    Reader1Error,
-    Reader2Error,
-    OSError,
-    ValueError,
-    KeyError,
-    IndexError,
-    TypeError,
-    AssertionError,
-    OverflowError,
-    MemoryError,
-    EOFError,
-)
+# A closed list had holes: SQLite's wrapper and the decompressors below rosbags have errors of their own.
+DAMAGE = Exception
+"""What a reader lets through when bytes of a file are not what they should be: anything."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +49,17 @@ class BagTopic:
     count: int = 0
 
 
+def refuse_other_kinds(path: Path) -> None:
+    """Refuse what is neither a plain file nor a folder, before anything waits for it.
+
+    Raises:
+        BackendError: ROS006.
+    """
+    what, remedy = unreadable_kind(path)
+    if what:
+        raise BackendError("ROS006", f"recording cannot be read: {what}", where=str(path), remedy=remedy)
+
+
 class Bag:
     """A recording, open for reading; a context manager.
 
@@ -80,10 +79,11 @@ class Bag:
         self.path = Path(path)
         self.ros_version = 1 if self.path.suffix == ".bag" else 2
         self._reader: Any = None
+        refuse_other_kinds(self.path)
         try:
             reader: Any = Reader1(self.path) if self.ros_version == 1 else Reader2(self.path)
             reader.open()
-        except _DAMAGE as error:
+        except DAMAGE as error:
             raise self._unreadable(error) from error
         self._reader = reader
         self.distro = "noetic" if self.ros_version == 1 else str(reader.ros_distro or "")
@@ -128,7 +128,7 @@ class Bag:
         try:
             for connection, time_ns, data in self._reader.messages():
                 yield connection.topic, connection.msgtype, time_ns, bytes(data)
-        except _DAMAGE as error:
+        except DAMAGE as error:
             raise self._unreadable(error) from error
 
     def _unreadable(self, error: BaseException) -> BackendError:

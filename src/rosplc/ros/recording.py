@@ -22,15 +22,13 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from rosbags.highlevel import AnyReader, AnyReaderError
+from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection, Nodetype
-from rosbags.rosbag1 import ReaderError as Reader1Error
-from rosbags.rosbag2 import ReaderError as Reader2Error
-from rosbags.serde import SerdeError
-from rosbags.typesys import Stores, TypesysError, get_typestore
+from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from rosplc.errors import BackendError, MessageTypeError
+from rosplc.ros.bag import DAMAGE, refuse_other_kinds
 
 __all__ = ["RecordedMessage", "RecordedTopic", "Recording"]
 
@@ -74,6 +72,10 @@ class RecordedMessage:
     cdr: bytes
 
 
+def _words(error: BaseException) -> str:
+    return str(error).strip() or type(error).__name__
+
+
 def _element(kind: Nodetype, argument: Any) -> tuple[Nodetype, Any]:
     """Return what a field consists of: its elements' type for a list, else its own."""
     if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
@@ -99,19 +101,22 @@ class Recording:
             self._target: Typestore = get_typestore(Stores[f"ROS2_{distro.upper()}"])
         except KeyError:
             raise MessageTypeError("TYP006", f"{distro!r} is not a bundled ROS 2 distribution") from None
+        refuse_other_kinds(self.path)
+        self._open = False
+        self._notes: dict[str, list[str]] = {}
+        self._bundled = frozenset(self._target.fielddefs)
         try:
             self._reader = AnyReader([self.path])
             self._reader.open()
-        except (AnyReaderError, Reader1Error, Reader2Error, TypesysError, OSError, ValueError) as error:
-            what = f"recording cannot be read: {error}"
+            self._open = True
+            self._register_missing()
+            self._types = {c.topic: self._target_type(c.msgtype) for c in self._reader.connections}
+            for connection in self._reader.connections:
+                self._compare(connection.msgtype, self._types[connection.topic], "", connection.msgtype)
+        except DAMAGE as error:
+            self.close()
+            what = f"recording cannot be read: {_words(error)}"
             raise BackendError("ROS006", what, where=str(self.path)) from error
-        self._open = True
-        self._notes: dict[str, list[str]] = {}
-        self._bundled = frozenset(self._target.fielddefs)
-        self._register_missing()
-        self._types = {c.topic: self._target_type(c.msgtype) for c in self._reader.connections}
-        for connection in self._reader.connections:
-            self._compare(connection.msgtype, self._types[connection.topic], "", connection.msgtype)
 
     def __enter__(self) -> Recording:
         return self
@@ -171,8 +176,9 @@ class Recording:
         try:
             for connection, time_ns, raw in self._reader.messages(wanted) if wanted else ():
                 yield RecordedMessage(connection.topic, time_ns, self._to_cdr(connection, raw))
-        except (AnyReaderError, Reader1Error, Reader2Error, SerdeError, OSError) as error:
-            raise BackendError("ROS006", f"recording is damaged: {error}", where=str(self.path)) from error
+        except DAMAGE as error:
+            what = f"recording is damaged: {_words(error)}"
+            raise BackendError("ROS006", what, where=str(self.path)) from error
 
     def value(self, message: RecordedMessage) -> Any:
         """Decode a message with the rosbags library, for comparison with what arrived elsewhere."""

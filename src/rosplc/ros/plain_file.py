@@ -1,0 +1,35 @@
+"""Whether a path leads to what can be read as a recording: a pipe would be waited for without end."""
+
+from __future__ import annotations
+
+import stat
+from pathlib import Path
+
+__all__ = ["CHECK_PATH", "GIVE_FILE", "unreadable_kind"]
+
+CHECK_PATH = "Check the path."
+GIVE_FILE = "Give the file or folder of a recording; save what comes through a pipe in a file first."
+_OPENED = (".bag", ".db3", ".mcap", ".yaml", ".zstd")
+
+
+def unreadable_kind(path: Path, *, folder: bool = True) -> tuple[str, str]:
+    """Return why a path cannot be a recording, and what to do; two empty texts if it may be one.
+
+    Args:
+        path: A file or folder; a folder's files are looked at as well.
+        folder: Whether a folder may be one.
+    """
+    try:
+        mode = path.stat().st_mode
+        if stat.S_ISDIR(mode):
+            if not folder:
+                return "this is a folder", "Name one of its files."
+            for one in sorted(path.iterdir()):
+                if one.suffix in _OPENED and one.exists() and not (one.is_file() or one.is_dir()):
+                    return f"{one.name} in it is no plain file", GIVE_FILE
+            return "", ""
+    except FileNotFoundError:
+        return "there is no such file", CHECK_PATH
+    except (OSError, ValueError) as error:  # a name with a NUL is a ValueError
+        return getattr(error, "strerror", None) or str(error), "Check path and permissions."
+    return ("", "") if stat.S_ISREG(mode) else ("this is no plain file", GIVE_FILE)
