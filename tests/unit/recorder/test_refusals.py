@@ -98,10 +98,10 @@ def test_errors_of_libraries_below_become_ours(tmp_path: Path, monkeypatch: pyte
     class ForeignError(Exception):
         """As apsw.CorruptError: derived from nothing that is usual."""
 
-    def corrupt(*_: object) -> None:
+    def corrupt(*_: object, **__: object) -> None:
         raise ForeignError("database disk image is malformed")
 
-    monkeypatch.setattr("rosbags.rosbag2.Reader.messages", corrupt)
+    monkeypatch.setattr("rosbags.rosbag2.storage_sqlite3.Sqlite3Reader.messages", corrupt)
     for read in (replayed, scanned):
         with pytest.raises(RosplcError, match="ROS006") as caught:
             read(path)
