@@ -18,8 +18,10 @@ if TYPE_CHECKING:
         GenerationError,
         LayoutError,
         MessageTypeError,
+        RecordingError,
         RosplcError,
         SetupError,
+        WebError,
     )
     from rosplc.layout import RecordView
     from rosplc.monitor import ObjectState
@@ -38,9 +40,11 @@ __all__ = [
     "MessageTypeError",
     "ObjectState",
     "RecordView",
+    "RecordingError",
     "RosplcError",
     "SetupError",
     "SlotInfo",
+    "WebError",
     "__version__",
     "attach",
     "bind",
@@ -61,8 +65,10 @@ _HOME = {
     "GenerationError": "rosplc.errors",
     "LayoutError": "rosplc.errors",
     "MessageTypeError": "rosplc.errors",
+    "RecordingError": "rosplc.errors",
     "RosplcError": "rosplc.errors",
     "SetupError": "rosplc.errors",
+    "WebError": "rosplc.errors",
     "RecordView": "rosplc.layout",
     "ObjectState": "rosplc.monitor",
     "Direction": "rosplc.shm",

@@ -214,7 +214,9 @@ class Bridge:
                 self._exchange(project, changes)
             except Exception as error:
                 self._refused = _first_line(error)
-                log.error("the new configuration is refused, the one before goes on:\n%s", error)
+                log.error("the new configuration is refused, the one before goes on")
+                for problem in str(error).splitlines():  # a record of the log is one line
+                    log.error("%s", problem)
                 raise
             self._refused = ""
         log.info("bridge %s has reloaded its configuration: %s", self.settings.bridge, changes)

@@ -188,6 +188,7 @@ HOSTILE_TOKENS = (
     f"@ros2_lv/{DOMAIN}/a/0/1/MP/%/%/evil",
     f"@ros2_lv/{DOMAIN}/a/0/1/MP/%/%/evil/%data/{DDS}/{HASH}/::",
     f"@ros2_lv/{DOMAIN}/a/0/1/MP/%/%/evil/%data/{DDS}/{HASH}/9:9:9,x",
+    f"@ros2_lv/{DOMAIN}/a/0/1/MP/%/%/evil/%data/{DDS}/{HASH}/::,{'9' * 1500}:,:,:,,",
     f"@ros2_lv/{DOMAIN}/a/0/1/MP/%/%/evil/%data/{DDS}/{HASH}/::,{'9' * 5000}:,:,:,,",
     f"@ros2_lv/{DOMAIN}/a/0/1/MS/%/%/evil/%data/{'T' * 5000}/{HASH}/::,1:,:,:,,",
     f"@ros2_lv/{DOMAIN}/a/0/1/MS/%/%1/e vil/%da ta/{DDS}/{HASH}/::,1:,:,:,,",
@@ -208,7 +209,7 @@ def test_hostile_tokens_are_refused(
         for key in HOSTILE_TOKENS:
             raw.token(key)
         raw.show("MP", "/data")
-        # One token says a depth of five thousand digits: it is taken as the largest there is.
+        # One token says a depth of fifteen hundred digits: it is taken as the largest there is.
         wait_for(lambda: subscription.matched == 2)
         wait_for(lambda: node.tokens.malformed >= len(HOSTILE_TOKENS) - 1)  # type: ignore[attr-defined]
     assert node.graph().nodes == ("/raw",)
