@@ -28,6 +28,7 @@ COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 MISSING_PACKAGE = re.compile(r"Debian package (\S+) is missing")
 NOT_REACHED = "not reached within the time given"
 NO_TESTS = 5  # pytest's exit status when a selection is empty
+WORKERS = 3  # two cores are enough: most tests wait for another process most of the time
 
 
 @dataclass
@@ -115,7 +116,7 @@ def types(outcome: Outcome) -> None:
 
 def tests(outcome: Outcome) -> None:
     """Run the tests of ordinary length, those marked serial alone."""
-    run_pytest(outcome, "tests", "not verify and not serial", workers=2)
+    run_pytest(outcome, "tests", "not verify and not serial", workers=WORKERS)
     run_pytest(outcome, "tests, one at a time", "serial and not verify", may_be_empty=True)
 
 
