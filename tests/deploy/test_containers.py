@@ -133,7 +133,7 @@ def test_liveness_crosses_containers(volume: Path, tmp_path: Path) -> None:
 
 
 SHARE = """
-import os, sys, time
+import ctypes, os, sys, time
 from rosplc.shm import Namespace
 from rosplc.shm import OwnedChannel
 from tests.channels import describe, pattern
@@ -142,6 +142,7 @@ role, prefix, user, group, groups = sys.argv[1], sys.argv[2], *map(int, sys.argv
 os.setgroups([groups] if groups else [])
 os.setgid(group)
 os.setuid(user)
+ctypes.CDLL(None).prctl(1, 9)  # PR_SET_PDEATHSIG, which another user's id has cleared
 if role == "bridge":
     channel = OwnedChannel.open(Namespace(prefix), describe("/in"), record_size=64, gid=groups)
     writer = channel.writer()
