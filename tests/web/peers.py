@@ -9,20 +9,14 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
-from rosplc.layout import Layout, compute_layout
-from rosplc.model import TypeStore
-from rosplc.shm import Description, Direction, Namespace, OwnedChannel
+from rosplc.shm import Direction, Namespace, OwnedChannel
+from tests.channels import describe_typed, layout_of
 
 __all__ = ["TOKEN", "WATCHDOG", "Served", "end", "layout_of", "open_typed", "page_socket", "start_role"]
 
 TOKEN = "a-token-of-the-tests"
 WATCHDOG = 60.0
 _ROOT = Path(__file__).resolve().parents[2]
-
-
-def layout_of(type_name: str) -> Layout:
-    """Return a bundled type's layout."""
-    return compute_layout(TypeStore.bundled("jazzy"), type_name)
 
 
 def open_typed(
@@ -34,16 +28,7 @@ def open_typed(
 ) -> OwnedChannel:
     """Own a channel of a bundled type, as a bridge does."""
     layout = layout_of(type_name)
-    description = Description(
-        topic=topic,
-        type=layout.type_name,
-        distro="jazzy",
-        direction=direction,
-        limits=layout.limits.to_dict(),
-        layout_id=layout.layout_id,
-        bridge=bridge,
-        definition=layout.store.definition_text(layout.type_name),
-    )
+    description = describe_typed(layout, topic, direction, bridge)
     return OwnedChannel.open(namespace, description, record_size=layout.size)
 
 

@@ -14,18 +14,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from typer.testing import CliRunner
 
-from rosplc.cli.app import app
 from rosplc.shm import Namespace, attach
+from tests.command import rosplc
 from tests.unit.recorder.making import Feed, read_from_the_front
-
-
-def rosplc(*arguments: object, code: int = 0) -> Any:
-    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
-    assert result.exit_code == code, result.output
-    assert "Traceback" not in result.output
-    return result
 
 
 @contextmanager

@@ -10,18 +10,10 @@ import sys
 import threading
 
 import pytest
-from typer.testing import CliRunner
 
-from rosplc.cli.app import app
 from rosplc.shm import Direction, attach
 from tests.channels import Side, layout_of, until
-
-
-def rosplc(*arguments, code=0):
-    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
-    assert result.exit_code == code, result.output
-    assert "Traceback" not in result.output
-    return result
+from tests.command import rosplc
 
 
 @pytest.fixture

@@ -18,16 +18,10 @@ from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.ros import BACKENDS, INSTALL
 from rosplc.shm import Description, Direction, OwnedChannel
+from tests.command import rosplc
 
 STORE = TypeStore.bundled("jazzy")
 TWIST = "geometry_msgs/msg/Twist"
-
-
-def rosplc(*arguments, code=0):
-    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
-    assert result.exit_code == code, result.output
-    assert "Traceback" not in result.output
-    return result
 
 
 @pytest.fixture

@@ -6,15 +6,14 @@ import json
 
 import pytest
 import yaml
-from typer.testing import CliRunner
 
 from rosplc.bridge.describe import object_size
 from rosplc.bridge.resolve import load_project
-from rosplc.cli.app import app
 from rosplc.layout import Limits
 from rosplc.model import TypeStore
 from rosplc.plc.delivery import MANIFEST
 from rosplc.shm import Description, Direction, Namespace, OwnedChannel, attach
+from tests.command import rosplc
 from tests.unit.plc.projects import layout
 
 TOPICS = {
@@ -25,11 +24,8 @@ TOPICS = {
 TASKS = {"Fast": {"interval": "2ms", "priority": 1}, "Slow": {"interval": "500ms"}}
 
 
-def rosplc(*arguments, code=0):
-    result = CliRunner().invoke(app, ["generate", *map(str, arguments)])
-    assert result.exit_code == code, result.output
-    assert "Traceback" not in result.output
-    return result.output
+def generate(*arguments, code=0):
+    return rosplc("generate", *arguments, code=code).output
 
 
 @pytest.fixture
@@ -49,7 +45,7 @@ def files(folder):
 
 def test_a_configuration_becomes_a_folder(config, tmp_path):
     """All deliveries, with what the configuration says in them."""
-    output = rosplc(config(), "--out", tmp_path / "plc")
+    output = generate(config(), "--out", tmp_path / "plc")
     found = files(tmp_path / "plc")
     assert {
         "rosplc.xml",
@@ -69,7 +65,7 @@ def test_a_configuration_becomes_a_folder(config, tmp_path):
 
 def test_the_slowest_task_sets_the_beat(config, tmp_path):
     """A block promises to be called at least that often, so three scans of the slowest task."""
-    rosplc(config(), "--out", tmp_path / "plc")
+    generate(config(), "--out", tmp_path / "plc")
     assert "udiBeatMs : UDINT := 1500" in (tmp_path / "plc/st/Base/RosPlc_Settings.st").read_text()
 
 
@@ -87,23 +83,23 @@ def test_the_map_size_is_the_size_of_the_bridges_object(config, tmp_path, shm_na
         channel = attach(shm_namespace, "/joints")
         assert abs(channel.identity.object_size - size) <= 64  # the bridge's own name is in the text
         channel.close()
-    rosplc(path, "--out", tmp_path / "plc")
+    generate(path, "--out", tmp_path / "plc")
     assert f"udiMapSize := {size}" in (tmp_path / "plc/st/SharedMemory_Read.st").read_text()
     assert isinstance(shm_namespace, Namespace)
 
 
 def test_the_order_of_topics_and_tasks_in_the_file_does_not_matter(config, tmp_path):
     """Whoever sorts the file gets the same bytes."""
-    rosplc(config(), "--out", tmp_path / "a")
+    generate(config(), "--out", tmp_path / "a")
     topics = {name: {"task": "Fast", **topic} for name, topic in reversed(TOPICS.items())}
-    rosplc(config(topics, dict(reversed(TASKS.items())), name="turned.yaml"), "--out", tmp_path / "b")
+    generate(config(topics, dict(reversed(TASKS.items())), name="turned.yaml"), "--out", tmp_path / "b")
     assert files(tmp_path / "a") == files(tmp_path / "b")
 
 
 def test_a_second_run_says_that_nothing_changed(config, tmp_path):
     """JSON for programs: the same facts as the text."""
-    first = json.loads(rosplc(config(), "--out", tmp_path / "plc", "--json"))
-    second = json.loads(rosplc(config(), "--out", tmp_path / "plc", "--json"))
+    first = json.loads(generate(config(), "--out", tmp_path / "plc", "--json"))
+    second = json.loads(generate(config(), "--out", tmp_path / "plc", "--json"))
     assert sorted(first["written"]) == sorted(second["unchanged"])
     assert (second["written"], second["removed"]) == ([], [])
     assert first["folder"] == str(tmp_path / "plc")
@@ -112,23 +108,23 @@ def test_a_second_run_says_that_nothing_changed(config, tmp_path):
 
 def test_a_removed_topic_takes_its_files_with_it(config, tmp_path):
     """What is no longer configured is no longer delivered."""
-    rosplc(config(), "--out", tmp_path / "plc")
+    generate(config(), "--out", tmp_path / "plc")
     less = {name: topic for name, topic in TOPICS.items() if name != "/joints"}
-    facts = json.loads(rosplc(config(less), "--out", tmp_path / "plc", "--json"))
+    facts = json.loads(generate(config(less), "--out", tmp_path / "plc", "--json"))
     assert "st/Blocks/sensor_msgs_JointState_Read.st" in facts["removed"]
     assert not (tmp_path / "plc/st/Blocks/sensor_msgs_JointState_Read.st").exists()
 
 
 def test_an_edited_file_is_named_and_force_overwrites_it(config, tmp_path):
     """Exit status 1 with PLC001, and the work is still there."""
-    rosplc(config(), "--out", tmp_path / "plc")
+    generate(config(), "--out", tmp_path / "plc")
     edited = tmp_path / "plc/st/ROS_Read.st"
     edited.write_text("// mine\n")
-    output = rosplc(config(), "--out", tmp_path / "plc", code=1)
+    output = generate(config(), "--out", tmp_path / "plc", code=1)
     assert "PLC001" in output
     assert "st/ROS_Read.st" in output
     assert edited.read_text() == "// mine\n"
-    rosplc(config(), "--out", tmp_path / "plc", "--force")
+    generate(config(), "--out", tmp_path / "plc", "--force")
     assert "VAR_GLOBAL" in edited.read_text()
 
 
@@ -139,14 +135,14 @@ def test_targets_and_fences(config, tmp_path):
         ("arm", ("--target", "arm"), "FALSE"),
         ("fenced", ("--target", "arm", "--fences"), "TRUE"),
     ):
-        rosplc(config(), "--out", tmp_path / name, *options)
+        generate(config(), "--out", tmp_path / name, *options)
         assert f"xFenced : BOOL := {fenced}" in (tmp_path / name / "st/Base/RosPlc_Settings.st").read_text()
-    assert "x86, arm" in rosplc(config(), "--target", "sparc", code=2)
+    assert "x86, arm" in generate(config(), "--target", "sparc", code=2)
 
 
 def test_pins_are_an_option(config, tmp_path):
     """Ladder users get a pin per field."""
-    rosplc(config(), "--out", tmp_path / "plc", "--pins")
+    generate(config(), "--out", tmp_path / "plc", "--pins")
     assert (
         "pin_pose : geometry_msgs_Pose;"
         in (tmp_path / "plc/st/Blocks/geometry_msgs_PoseStamped_Read.st").read_text()
@@ -155,7 +151,7 @@ def test_pins_are_an_option(config, tmp_path):
 
 def test_every_type_of_a_distribution(tmp_path):
     """Both blocks of each type, without topics and tasks."""
-    facts = json.loads(rosplc("--all-types", "humble", "--out", tmp_path / "plc", "--json"))
+    facts = json.loads(generate("--all-types", "humble", "--out", tmp_path / "plc", "--json"))
     blocks = {path for path in facts["written"] if path.startswith("st/Blocks/")}
     assert len(blocks) == 2 * len(TypeStore.bundled("humble").names())
     assert not [path for path in facts["written"] if "SharedMemory_" in path]
@@ -173,7 +169,7 @@ def test_every_type_of_a_distribution(tmp_path):
 def test_a_call_that_makes_no_sense_says_why(arguments, code, said, tmp_path, monkeypatch):
     """A word on what is wrong, and nothing written."""
     monkeypatch.chdir(tmp_path)
-    assert said in rosplc(*arguments, code=code)
+    assert said in generate(*arguments, code=code)
     assert not (tmp_path / "plc").exists()
 
 
@@ -194,7 +190,7 @@ def test_a_mistake_in_a_definition_shows_file_and_line(config, tmp_path, text, s
     folder.mkdir(parents=True)
     (folder / "Broken.msg").write_text(text)
     topics = {"/broken": {"type": "cell_msgs/msg/Broken", "to": "plc"}}
-    output = rosplc(config(topics, types={"paths": ["./msg"]}), "--out", tmp_path / "plc", code=2)
+    output = generate(config(topics, types={"paths": ["./msg"]}), "--out", tmp_path / "plc", code=2)
     assert said in output.replace("\n", "")
     assert not (tmp_path / "plc").exists()
 
@@ -203,7 +199,7 @@ def test_too_many_tasks_are_refused(config, tmp_path):
     """The blocks serve 16 tasks; the number in use is named."""
     tasks = {f"T{n}": {} for n in range(17)}
     topics = {f"/t{n}": {"type": "std_msgs/msg/Bool", "to": "plc", "task": f"T{n}"} for n in range(17)}
-    output = rosplc(config(topics, tasks), "--out", tmp_path / "plc", code=1)
+    output = generate(config(topics, tasks), "--out", tmp_path / "plc", code=1)
     assert "PLC003" in output
     assert "17 tasks" in output
 
@@ -212,7 +208,7 @@ def test_tasks_that_differ_by_case_only_are_refused(config, tmp_path):
     """CODESYS would make one task of them."""
     tasks = {"fast": {}, "Fast": {"interval": "1ms"}}
     topics = {f"/{n}": {"type": "std_msgs/msg/Bool", "to": "plc", "task": n} for n in tasks}
-    output = rosplc(config(topics, tasks), "--out", tmp_path / "plc", code=1)
+    output = generate(config(topics, tasks), "--out", tmp_path / "plc", code=1)
     assert "PLC005" in output
     assert "fast and Fast" in output
 
@@ -220,7 +216,7 @@ def test_tasks_that_differ_by_case_only_are_refused(config, tmp_path):
 def test_a_large_message_is_warned_of_with_its_size(config, tmp_path):
     """The number of bytes stands in the output and in NOTES.txt."""
     image = {"type": "sensor_msgs/msg/Image", "to": "plc", "limits": {"data": 1_000_000}}
-    output = rosplc(config({"/image": image}), "--out", tmp_path / "plc")
+    output = generate(config({"/image": image}), "--out", tmp_path / "plc")
     size = layout("sensor_msgs/msg/Image", Limits(fields={"data": 1_000_000})).size
     assert str(size) in output
     assert str(size) in (tmp_path / "plc/NOTES.txt").read_text()
@@ -229,4 +225,4 @@ def test_a_large_message_is_warned_of_with_its_size(config, tmp_path):
 def test_an_output_folder_that_cannot_be_made(config, tmp_path):
     """PLC002 with the reason."""
     (tmp_path / "plc").write_text("a file\n")
-    assert "PLC002" in rosplc(config(), "--out", tmp_path / "plc", code=1)
+    assert "PLC002" in generate(config(), "--out", tmp_path / "plc", code=1)
