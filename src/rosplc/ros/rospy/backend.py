@@ -259,7 +259,8 @@ class RospyBackend:
             if now - since > _SETTLE_NS:
                 text += f"; it may not be able to reach {self.uri}: set ROS_IP or ROS_HOSTNAME"
             found.append(("", text))
-        for key in [k for k in self._missed if k[0] == outgoing.topic and k[1] not in absent]:
+        # A copy, in one step: several threads may ask at once.
+        for key in [k for k in tuple(self._missed) if k[0] == outgoing.topic and k[1] not in absent]:
             self._missed.pop(key, None)
         return found
 
