@@ -15,8 +15,11 @@ from rosplc.monitor.process import is_starting, process_words
 
 def test_a_bridge_is_there_stopped_ended_or_gone():
     """A real process in each state, under its own name."""
-    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)  # rosplc"])
+    program = "import time; print(flush=True); time.sleep(600)  # rosplc"
+    child = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE)
     try:
+        assert child.stdout is not None
+        child.stdout.readline()  # while a process becomes another program, it has no command line
         assert process_words(child.pid) == "that process is there, but hangs"
         child.send_signal(signal.SIGSTOP)
         _wait_for(child.pid, "that process is stopped (SIGSTOP)")
@@ -68,11 +71,14 @@ def test_only_a_young_process_that_runs_is_starting(tmp_path, state, age_s, star
 
 def test_a_real_process_that_was_just_started_is_starting():
     """The fields are those of this kernel."""
-    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)  # rosplc"])
+    program = "import time; print(flush=True); time.sleep(600)  # rosplc"
+    child = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE)
     try:
+        assert child.stdout is not None
+        child.stdout.readline()  # while a process becomes another program, it has no command line
         now_s = time.clock_gettime(time.CLOCK_BOOTTIME)
         assert is_starting(child.pid, now_s=now_s)
         assert not is_starting(child.pid, now_s=now_s + 60.0)
     finally:
         child.kill()
-        child.wait()
+        child.communicate()
