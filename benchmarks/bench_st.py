@@ -25,11 +25,12 @@ if __name__ == "__main__":
 
 from benchmarks import measure
 from benchmarks.bench_channel import CORE, HERE, native
+from rosplc.described import description_of
 from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.plc.build import PlcTask, PlcTopic, build_project
 from rosplc.plc.st_text import object_text
-from rosplc.shm import Description, Direction, Namespace, OwnedChannel
+from rosplc.shm import Direction, Namespace, OwnedChannel
 from verification.st.translator import translate
 
 RUNTIME = HERE.parent / "verification" / "st" / "runtime"
@@ -103,11 +104,7 @@ def objects_of(namespace: Namespace, index: int, layout: Layout) -> Iterator[lis
             ("out", Direction.TO_ROS),
             ("own", Direction.TO_ROS),
         ):
-            about = Description(
-                topic=f"/{verb}{index}", type=layout.type_name, distro=layout.store.distro,
-                direction=direction, limits=layout.limits.to_dict(), layout_id=layout.layout_id,
-                bridge="bench", definition=layout.store.definition_text(layout.type_name),
-            )  # fmt: skip
+            about = description_of(layout, f"/{verb}{index}", direction, bridge="bench")
             channel = OwnedChannel.open(namespace, about, record_size=layout.size, slots=SLOTS)
             stack.callback(channel.close)
             names.append(channel.path.name)

@@ -28,9 +28,10 @@ from typing import Any
 
 from benchmarks.load_peers import STRING, TYPE, Orders, names, paced, patterns, say
 from benchmarks.processes import Peer
+from rosplc.described import description_of
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
-from rosplc.shm import Description, Direction, Namespace, OwnedChannel
+from rosplc.shm import Direction, Namespace, OwnedChannel
 
 __all__ = ["VIEWS", "View", "recorder", "view"]
 
@@ -44,16 +45,7 @@ def feeder(order: dict[str, Any]) -> None:
     orders = Orders()
     owned = []
     for index, topic in enumerate(names("in", order["topics"])):
-        description = Description(
-            topic=topic,
-            type=TYPE,
-            distro="jazzy",
-            direction=Direction.TO_PLC,
-            limits=layout.limits.to_dict(),
-            layout_id=layout.layout_id,
-            bridge="feeder",
-            definition=layout.store.definition_text(TYPE),
-        )
+        description = description_of(layout, topic, Direction.TO_PLC, bridge="feeder")
         channel = OwnedChannel.open(
             Namespace(order["prefix"]), description, record_size=layout.size, slots=order["slots"]
         )

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from rosplc.described import description_of
 from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.shm import Description, Direction, Namespace, OwnedChannel
@@ -17,7 +18,6 @@ __all__ = [
     "STORE",
     "Side",
     "describe",
-    "describe_typed",
     "is_torn",
     "layout_of",
     "open_channel",
@@ -97,20 +97,6 @@ def layout_of(type_name: str, **limits: Any) -> Layout:
     return compute_layout(STORE, type_name, Limits(**limits))
 
 
-def describe_typed(layout: Layout, topic: str, direction: Direction, bridge: str) -> Description:
-    """Return what a bridge writes into the header of a topic of a bundled type."""
-    return Description(
-        topic=topic,
-        type=layout.type_name,
-        distro="jazzy",
-        direction=direction,
-        limits=layout.limits.to_dict(),
-        layout_id=layout.layout_id,
-        bridge=bridge,
-        definition=STORE.definition_text(layout.type_name),
-    )
-
-
 class Side:
     """A bridge's hand on one topic of a bundled type."""
 
@@ -126,7 +112,7 @@ class Side:
         beat_ms: int = 50,
     ) -> None:
         self.namespace, self.topic, self.layout = namespace, topic, layout
-        description = describe_typed(layout, topic, direction, bridge)
+        description = description_of(layout, topic, direction, bridge=bridge)
         self.channel = OwnedChannel.open(namespace, description, record_size=layout.size, slots=slots)
         if direction is Direction.TO_PLC:
             self.writer = self.channel.writer(beat_ms=beat_ms)

@@ -14,6 +14,7 @@ from fuzz.scratch import emptied
 from rosplc import api
 from rosplc.cli.show import lines_of
 from rosplc.cli.text import harmless
+from rosplc.described import description_of
 from rosplc.doctor.objects import look_at_objects
 from rosplc.errors import ChannelError, LayoutError, RosplcError
 from rosplc.layout import Limits, compute_layout
@@ -21,7 +22,7 @@ from rosplc.layout.view import plain
 from rosplc.model import TypeStore
 from rosplc.monitor import find_objects
 from rosplc.monitor.watch import Watch
-from rosplc.shm import Description, Direction
+from rosplc.shm import Direction
 from rosplc.shm.header import Identity
 
 __all__ = ["check", "seeds"]
@@ -109,16 +110,7 @@ def seeds() -> Iterator[bytes]:
     store = TypeStore.bundled("jazzy")
     for name in ("std_msgs/msg/String", "geometry_msgs/msg/Twist", "sensor_msgs/msg/JointState"):
         layout = compute_layout(store, name, Limits(20, 3))
-        description = Description(
-            topic="/fuzz",
-            type=name,
-            distro="jazzy",
-            direction=Direction.TO_ROS,
-            limits=layout.limits.to_dict(),
-            layout_id=layout.layout_id,
-            bridge="fuzz",
-            definition=store.definition_text(name),
-        )
+        description = description_of(layout, "/fuzz", Direction.TO_ROS, bridge="fuzz")
         slot = struct.pack("<8I", 1, layout.size, 1, 0, 5, 0, 1, 0).ljust(64, b"\0") + layout.pack({})
         stride = -(-len(slot) // 64) * 64
         for how in (1, 3, 3 | 8):

@@ -1,4 +1,4 @@
-"""The layout that a channel's self-description gives.
+"""The layout that a channel's self-description gives, and the self-description of a layout.
 
 A tool that knows only the object can decode it: the description carries the type, its
 definition and the limits, and the layout computed from them must have the layout id that
@@ -13,9 +13,33 @@ from functools import lru_cache
 from rosplc.errors import ChannelError, RosplcError
 from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
-from rosplc.shm import Attached, Description
+from rosplc.shm import Attached, Description, Direction
 
-__all__ = ["described_layout", "layout_of"]
+__all__ = ["described_layout", "description_of", "layout_of"]
+
+
+def description_of(
+    layout: Layout, topic: str, direction: Direction, *, bridge: str, distro: str = ""
+) -> Description:
+    """Return what an object for messages of a layout says of itself (``spec/shm-format.md``, section 6).
+
+    Args:
+        layout: The layout of its records.
+        topic: The topic's full name.
+        direction: Which way its messages go.
+        bridge: The name of whoever makes the object.
+        distro: The ROS distribution of the type's definition; that of the layout's types if empty.
+    """
+    return Description(
+        topic=topic,
+        type=layout.type_name,
+        distro=distro or layout.store.distro,
+        direction=direction,
+        limits=layout.limits.to_dict(),
+        layout_id=layout.layout_id,
+        bridge=bridge,
+        definition=layout.store.definition_text(layout.type_name),
+    )
 
 
 def described_layout(description: Description, *, where: str = "") -> Layout:

@@ -9,8 +9,9 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
+from rosplc.described import description_of
 from rosplc.shm import Direction, Namespace, OwnedChannel
-from tests.channels import describe_typed, layout_of
+from tests.channels import layout_of
 
 __all__ = ["TOKEN", "WATCHDOG", "Served", "end", "layout_of", "open_typed", "page_socket", "start_role"]
 
@@ -28,7 +29,7 @@ def open_typed(
 ) -> OwnedChannel:
     """Own a channel of a bundled type, as a bridge does."""
     layout = layout_of(type_name)
-    description = describe_typed(layout, topic, direction, bridge)
+    description = description_of(layout, topic, direction, bridge=bridge)
     return OwnedChannel.open(namespace, description, record_size=layout.size)
 
 

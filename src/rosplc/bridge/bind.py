@@ -19,6 +19,7 @@ from rosplc._core._native import Fault
 from rosplc.bridge.beats import BEAT_MS, Beats
 from rosplc.bridge.message_class import definition_of, deserialize, type_name_of
 from rosplc.codec import Codec, Wire
+from rosplc.described import description_of
 from rosplc.errors import ChannelError
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import DISTROS, TypeStore
@@ -88,16 +89,7 @@ def bind(
     if type_name not in store and definition:
         store = store.with_definition(type_name, definition)
     layout = compute_layout(store, type_name, _limits(limits))
-    description = Description(
-        topic=topic,
-        type=layout.type_name,
-        distro=chosen,
-        direction=_DIRECTIONS[direction],
-        limits=layout.limits.to_dict(),
-        layout_id=layout.layout_id,
-        bridge=name,
-        definition=store.definition_text(layout.type_name),
-    )
+    description = description_of(layout, topic, _DIRECTIONS[direction], bridge=name, distro=chosen)
     codec = Codec(layout, Wire.ROS1 if store.ros_version == 1 else Wire.CDR)
 
     def open_channel() -> OwnedChannel:

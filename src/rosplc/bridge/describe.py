@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from rosplc.bridge.resolve import Project, TopicPlan
+from rosplc.described import description_of
 from rosplc.shm import Description
 from rosplc.shm.header import Identity
 
@@ -11,17 +12,7 @@ __all__ = ["describe", "object_plan", "object_size"]
 
 def describe(plan: TopicPlan, *, distro: str, bridge: str) -> Description:
     """Return the self-description of a topic's object (spec/shm-format.md, section 6)."""
-    layout = plan.layout
-    return Description(
-        topic=plan.topic,
-        type=plan.type_name,
-        distro=distro,
-        direction=plan.direction,
-        limits=layout.limits.to_dict(),
-        layout_id=layout.layout_id,
-        bridge=bridge,
-        definition=layout.store.definition_text(plan.type_name),
-    )
+    return description_of(plan.layout, plan.topic, plan.direction, bridge=bridge, distro=distro)
 
 
 def object_plan(project: Project, plan: TopicPlan) -> Identity:

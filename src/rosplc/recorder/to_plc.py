@@ -13,6 +13,7 @@ from rosplc.bridge.describe import describe
 from rosplc.bridge.owner import group_id, user_id
 from rosplc.bridge.resolve import Project
 from rosplc.codec import Codec, Wire
+from rosplc.described import description_of
 from rosplc.errors import ChannelError, CodecError, RecordingError, RosplcError
 from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
@@ -135,15 +136,8 @@ class PlcTarget:
             break
         else:
             layout = compute_layout(store, topic.type_name)
-        description = Description(
-            topic=name,
-            type=layout.type_name,
-            distro=topic.distro or distro,
-            direction=Direction.TO_PLC,
-            limits=layout.limits.to_dict(),
-            layout_id=layout.layout_id,
-            bridge="replay",
-            definition=store.definition_text(layout.type_name),
+        description = description_of(
+            layout, name, Direction.TO_PLC, bridge="replay", distro=topic.distro or distro
         )
         return _Plan(description, layout, there.slots or topic.slots or _SLOTS, owner=there.owner)
 

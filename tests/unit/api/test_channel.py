@@ -9,6 +9,7 @@ import pytest
 
 import rosplc
 from rosplc import ChannelError, Direction, LayoutError
+from rosplc.described import description_of
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.shm import Description, OwnedChannel
@@ -22,16 +23,7 @@ class Bridge:
 
     def __init__(self, namespace, topic, type_name, direction, *, slots=8, limits=None):
         self.layout = compute_layout(STORE, type_name, limits or Limits())
-        description = Description(
-            topic=topic,
-            type=type_name,
-            distro="jazzy",
-            direction=direction,
-            limits=self.layout.limits.to_dict(),
-            layout_id=self.layout.layout_id,
-            bridge="test",
-            definition=STORE.definition_text(type_name),
-        )
+        description = description_of(self.layout, topic, direction, bridge="test")
         self.channel = OwnedChannel.open(namespace, description, record_size=self.layout.size, slots=slots)
         if direction is Direction.TO_PLC:
             self.writer = self.channel.writer(beat_ms=100)

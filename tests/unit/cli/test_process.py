@@ -16,9 +16,10 @@ import yaml
 
 import rosplc
 from rosplc.cli import main
+from rosplc.described import description_of
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
-from rosplc.shm import Description, Direction, OwnedChannel
+from rosplc.shm import Direction, OwnedChannel
 
 STORE = TypeStore.bundled("jazzy")
 
@@ -43,16 +44,7 @@ def process(*arguments, **settings):
 def talker(shm_namespace):
     """A bridge that publishes numbers all the time."""
     layout = compute_layout(STORE, "std_msgs/msg/Int32", Limits())
-    description = Description(
-        topic="/n",
-        type=layout.type_name,
-        distro="jazzy",
-        direction=Direction.TO_PLC,
-        limits=layout.limits.to_dict(),
-        layout_id=layout.layout_id,
-        bridge="cell",
-        definition=STORE.definition_text(layout.type_name),
-    )
+    description = description_of(layout, "/n", Direction.TO_PLC, bridge="cell")
     stop = threading.Event()
     with OwnedChannel.open(shm_namespace, description, record_size=layout.size, slots=64) as channel:
         writer = channel.writer()

@@ -14,10 +14,11 @@ from rosplc._version import __version__
 from rosplc.cli.app import app
 from rosplc.cli.demo import parse_duration
 from rosplc.cli.text import columns, in_bytes
+from rosplc.described import description_of
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.ros import BACKENDS, INSTALL
-from rosplc.shm import Description, Direction, OwnedChannel
+from rosplc.shm import Direction, OwnedChannel
 from tests.command import rosplc
 
 STORE = TypeStore.bundled("jazzy")
@@ -30,16 +31,7 @@ def channel(shm_namespace):
 
     def make(topic, type_name=TWIST, limits=None):
         layout = compute_layout(STORE, type_name, limits or Limits())
-        description = Description(
-            topic=topic,
-            type=type_name,
-            distro="jazzy",
-            direction=Direction.TO_PLC,
-            limits=layout.limits.to_dict(),
-            layout_id=layout.layout_id,
-            bridge="cell",
-            definition=STORE.definition_text(type_name),
-        )
+        description = description_of(layout, topic, Direction.TO_PLC, bridge="cell")
         owned = OwnedChannel.open(shm_namespace, description, record_size=layout.size, slots=16)
         made.append(owned)
         return owned.writer(), layout

@@ -6,27 +6,19 @@ import os
 
 import pytest
 
+from rosplc.described import description_of
 from rosplc.errors import ChannelError
 from rosplc.layout import compute_layout
 from rosplc.model import TypeStore
 from rosplc.monitor import find_objects
-from rosplc.shm import Description, Direction, Namespace, OwnedChannel
+from rosplc.shm import Direction, Namespace, OwnedChannel
 
 
 @pytest.fixture
 def channel(shm_namespace):
     store = TypeStore.bundled("jazzy")
     layout = compute_layout(store, "std_msgs/msg/Int32")
-    description = Description(
-        topic="/n",
-        type=layout.type_name,
-        distro="jazzy",
-        direction=Direction.TO_PLC,
-        limits=layout.limits.to_dict(),
-        layout_id=layout.layout_id,
-        bridge="cell",
-        definition=store.definition_text(layout.type_name),
-    )
+    description = description_of(layout, "/n", Direction.TO_PLC, bridge="cell")
     with OwnedChannel.open(shm_namespace, description, record_size=layout.size) as channel:
         yield channel
 

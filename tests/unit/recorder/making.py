@@ -11,10 +11,11 @@ from typing import Any
 from mcap.exceptions import EndOfFile, McapError
 from mcap.reader import NonSeekingReader
 
+from rosplc.described import description_of
 from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.recorder import Order, Recorder, Result
-from rosplc.shm import Description, Direction, Namespace, OwnedChannel, Writer, attach
+from rosplc.shm import Direction, Namespace, OwnedChannel, Writer, attach
 
 POSE = "geometry_msgs/msg/PoseStamped"
 
@@ -38,16 +39,7 @@ class Feed:
         self.topic = topic
         self.channel = OwnedChannel.open(
             namespace,
-            Description(
-                topic=topic,
-                type=self.layout.type_name,
-                distro=store.distro,
-                direction=direction,
-                limits=self.layout.limits.to_dict(),
-                layout_id=self.layout.layout_id,
-                bridge="test",
-                definition=store.definition_text(self.layout.type_name),
-            ),
+            description_of(self.layout, topic, direction, bridge="test"),
             record_size=self.layout.size,
             slots=slots,
         )

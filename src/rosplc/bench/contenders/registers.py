@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 
+from rosplc.described import description_of
 from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.shm import Description, Direction
@@ -25,14 +26,4 @@ def layout() -> Layout:
 
 def describe(topic: str, direction: Direction) -> Description:
     """Return the self-description of one of the two objects."""
-    record = layout()
-    return Description(
-        topic=topic,
-        type=record.type_name,
-        distro=record.store.distro,
-        direction=direction,
-        limits=record.limits.to_dict(),
-        layout_id=record.layout_id,
-        bridge="bench",
-        definition=record.store.definition_text(record.type_name),
-    )
+    return description_of(layout(), topic, direction, bridge="bench")
