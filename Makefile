@@ -17,6 +17,9 @@ SOAK_OPTIONS ?=
 # What `make example` is told.
 EXAMPLE_OPTIONS ?=
 
+# What `make deb` is told.
+DEB_OPTIONS ?=
+
 # Seconds for each target of `make fuzz`, and what else it is told.
 FUZZ_SECONDS ?= 60
 FUZZ_OPTIONS ?=
@@ -33,7 +36,7 @@ help: ## list the targets
 $(VENV)/.base: pyproject.toml setup.py tools/setup.sh
 	@tools/setup.sh base
 
-$(VENV)/.installed: pyproject.toml setup.py tools/setup.sh
+$(VENV)/.installed: pyproject.toml tests/st/pyproject.toml setup.py tools/setup.sh
 	@tools/setup.sh install
 
 $(VENV)/.core: $(VENV)/.base $(CORE_SOURCES)
@@ -101,11 +104,11 @@ bench: $(VENV)/.installed $(VENV)/.core ## the developers' measurements in bench
 
 .PHONY: soak
 soak: $(VENV)/.installed $(VENV)/.core ## the fault campaign, all kinds of cell at once; SOAK_MINUTES=60 SOAK_OPTIONS="--seed 7"
-	@$(VENV)/bin/python -m soak --mix .cache/soak --minutes $(SOAK_MINUTES) $(SOAK_OPTIONS)
+	@$(VENV)/bin/python -m tests.soak --mix .cache/soak --minutes $(SOAK_MINUTES) $(SOAK_OPTIONS)
 
 .PHONY: fuzz
 fuzz: $(VENV)/.installed $(VENV)/.core ## hostile input for every reader; FUZZ_SECONDS=600 for each, FUZZ_OPTIONS="--page"
-	@$(VENV)/bin/python -m fuzz --seconds $(FUZZ_SECONDS) --jobs 2 $(FUZZ_OPTIONS)
+	@$(VENV)/bin/python -m tests.fuzz --seconds $(FUZZ_SECONDS) --jobs 2 $(FUZZ_OPTIONS)
 
 .PHONY: wheel
 wheel: $(VENV)/.installed $(VENV)/.core ## build dist/rosplc-*.whl
@@ -114,8 +117,8 @@ wheel: $(VENV)/.installed $(VENV)/.core ## build dist/rosplc-*.whl
 	@ls -1 dist/*.whl
 
 .PHONY: deb
-deb: $(VENV)/.installed ## build dist/rosplc_*.deb, for this release of Debian or Ubuntu
-	@$(VENV)/bin/python -m deploy.deb
+deb: $(VENV)/.installed ## build dist/rosplc_*.deb, for this release of Debian or Ubuntu; DEB_OPTIONS="--board armhf"
+	@PYTHONPATH=packaging $(VENV)/bin/python -m deploy.deb $(DEB_OPTIONS)
 
 .PHONY: clean
 clean: ## remove everything that make created, .venv included

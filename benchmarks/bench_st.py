@@ -2,7 +2,7 @@
 
 usage: python benchmarks/bench_st.py [--rounds N] [--json]
 
-The generated text is translated to C (verification/st) and compiled with the same options as the core. A
+The generated text is translated to C (tests/st/rosplc_st) and compiled with the same options as the core. A
 cycle of Read takes one message in order, a cycle of Write publishes one; both look at the object's state
 and beat. What is compared is the text's rules and copies, not a PLC: CODESYS' compiler makes other code of
 it. Needs gcc and blark.
@@ -31,9 +31,9 @@ from rosplc.model import TypeStore
 from rosplc.plc.build import PlcTask, PlcTopic, build_project
 from rosplc.plc.st_text import object_text
 from rosplc.shm import Direction, Namespace, OwnedChannel
-from verification.st.translator import translate
+from rosplc_st.translator import translate
 
-RUNTIME = HERE.parent / "verification" / "st" / "runtime"
+RUNTIME = HERE.parent / "tests" / "st" / "rosplc_st" / "runtime"
 SLOTS = 32
 TASK = "Bench"
 

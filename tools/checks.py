@@ -110,7 +110,7 @@ def lint(outcome: Outcome) -> None:
 def types(outcome: Outcome) -> None:
     """Check the types of the package and of the project's own tools."""
     step(outcome, "mypy --strict", [str(BIN / "mypy")])
-    own = ["conftest.py", "tools", "soak", "fuzz", "deploy"]
+    own = ["conftest.py", "tools", "tests/soak", "tests/fuzz", "packaging/deploy"]
     step(outcome, "mypy --strict tools", [str(BIN / "mypy"), *own])
 
 

@@ -124,7 +124,7 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
     config.nav = [
         {"Start": "index.md"},
         *({titles[section]: navigation(section)} for section in SECTIONS),
-        {"Project": [place(path) for path in (*PROJECT, "examples", "vectors")]},
+        {"Project": [place(path) for path in (*PROJECT, "examples", "spec/vectors")]},
     ]
     return config
 
@@ -139,7 +139,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add what pages link to beyond docs/, and what that links to in turn."""
     _sources.clear()
     waiting = [DOCS + file.src_uri for file in files.documentation_pages()]
-    waiting += [*PROJECT, "examples", "vectors"]
+    waiting += [*PROJECT, "examples", "spec/vectors"]
     while waiting:
         path = waiting.pop()
         page = place(path)

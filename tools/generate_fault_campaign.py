@@ -1,4 +1,4 @@
-"""Write the figures in docs/explanation/fault-campaign.md from the JSON of ``python -m soak``.
+"""Write the figures in docs/explanation/fault-campaign.md from the JSON of ``python -m tests.soak``.
 
 usage: python tools/generate_fault_campaign.py [RUN.json ...] [--verify]
 
@@ -17,8 +17,8 @@ from typing import Any
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
-from soak.draw import draw_recovery, draw_series  # noqa: E402
-from soak.results import (  # noqa: E402
+from tests.soak.draw import draw_recovery, draw_series  # noqa: E402
+from tests.soak.results import (  # noqa: E402
     cell_name,
     compact,
     processes,

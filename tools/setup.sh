@@ -65,7 +65,7 @@ run_pip() {
     fail "pip failed; all of its output is in $LOG"
 }
 
-# install EXTRAS WORDS
+# install EXTRAS WORDS [PIP ARGUMENTS]
 install() {
     say "[1/4] looking for gcc, Python.h and venv"
     check
@@ -84,7 +84,7 @@ install() {
     # In the environment itself, so that a changed C source is rebuilt without the network.
     run_pip 'setuptools>=77'
     say "[4/4] installing rosplc and what ${2} (some minutes on a slow line)"
-    run_pip --no-build-isolation -e ".$1"
+    run_pip --no-build-isolation -e ".$1" "${@:3}"
     touch "$VENV/.base" "$VENV/.core"
     say "ready: $VENV/bin/rosplc"
 }
@@ -103,7 +103,7 @@ core() {
 case "${1:-install}" in
 base) install "" "it needs to run" ;;
 install)
-    install "[dev]" "its tests need, about 150 MB"
+    install "[dev]" "its tests need, about 150 MB" -e tests/st
     touch "$VENV/.installed"
     ;;
 core) core ;;

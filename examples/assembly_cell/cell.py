@@ -290,6 +290,6 @@ def generate(config: Path, folder: Path) -> Path:
     made = plc_project(project, ProjectOptions())
     write_files(folder, project_files(made, [plan.layout for plan in project.topics], "assembly"))
     shutil.copytree(HERE / "st", folder / "st" / "Programs")
-    from verification.st.run_project import load_texts
+    from rosplc_st.run_project import load_texts
 
     return Path(translator.build(load_texts(folder)).path)

@@ -1,6 +1,6 @@
 """The press's program in Structured Text: the generated project and ``st/PLC_PRG.st``, translated and run.
 
-No CODESYS is involved; the translator belongs to the checkout (verification/st).
+No CODESYS is involved; the translator belongs to the checkout (tests/st/rosplc_st).
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any
 from examples.assembly_cell.image import PlcSide
 from examples.assembly_cell.plc_host import serve
 from rosplc.demo.st.checkout import find_translator
-from verification.st.run_project import load_texts
+from rosplc_st.run_project import load_texts
 
 __all__ = ["PROGRAMS", "Program"]
 

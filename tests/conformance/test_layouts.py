@@ -14,7 +14,7 @@ import pytest
 from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
 
-VECTORS = Path(__file__).parents[2] / "vectors"
+VECTORS = Path(__file__).parents[2] / "spec" / "vectors"
 FILES = sorted((VECTORS / "layouts").glob("*.json"))
 
 

@@ -1,4 +1,4 @@
-"""Names of objects and sequence arithmetic agree with vectors/names.json and vectors/sequences.json."""
+"""Names of objects and sequence arithmetic agree with names.json and sequences.json in spec/vectors."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ sys.path.insert(0, str(ROOT / "spec" / "model"))
 
 import sequences as model  # noqa: E402  (spec/model is no package)
 
-NAMES: dict[str, Any] = json.loads((ROOT / "vectors/names.json").read_text("utf-8"))
-SEQUENCES: dict[str, Any] = json.loads((ROOT / "vectors/sequences.json").read_text("utf-8"))
+NAMES: dict[str, Any] = json.loads((ROOT / "spec/vectors/names.json").read_text("utf-8"))
+SEQUENCES: dict[str, Any] = json.loads((ROOT / "spec/vectors/sequences.json").read_text("utf-8"))
 
 
 @pytest.mark.parametrize("case", NAMES["valid"], ids=lambda case: f"{case['prefix']}{case['topic']}")

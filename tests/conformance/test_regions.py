@@ -17,7 +17,7 @@ from rosplc.errors import ChannelError
 from rosplc.shm import Attached, Direction, Namespace, Reader, attach
 from tests.region_reader import Refused, StaticReader, open_object
 
-VECTORS = Path(__file__).parents[2] / "vectors"
+VECTORS = Path(__file__).parents[2] / "spec" / "vectors"
 TOPIC = "/v"
 
 

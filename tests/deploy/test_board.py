@@ -14,8 +14,8 @@ from deploy.deb import pack_board
 from deploy.guest import ENVIRONMENT, guest_memory
 from deploy.run import DeployError, run
 from deploy.wheel import project_version
-from soak.cell import Cell
-from soak.parts import Part
+from tests.soak.cell import Cell
+from tests.soak.parts import Part
 
 ARM = (1, 40)
 """Word size and processor that a program's file states (ELF, EI_CLASS and e_machine)."""

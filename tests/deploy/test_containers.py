@@ -17,10 +17,10 @@ from typing import Any
 import pytest
 
 from rosplc.shm import Namespace, attach
-from soak.cell import Cell
-from soak.pattern import IN
 from tests.deploy.containers import WATCHDOG_S, Contained, contain
 from tests.deploy.machine import need_namespaces
+from tests.soak.cell import Cell
+from tests.soak.pattern import IN
 
 ROOT = Path(__file__).resolve().parents[2]
 GROUP = 54_323

@@ -13,8 +13,8 @@ import pytest
 from deploy.run import run
 from deploy.wheel import PIP, build_wheel, project_version
 from rosplc.shm import attach
-from soak.cell import Cell
-from soak.pattern import OUT, TOPICS
+from tests.soak.cell import Cell
+from tests.soak.pattern import OUT, TOPICS
 
 NEWER = "99.0"
 WATCHDOG_S = 120.0

@@ -61,7 +61,7 @@ def test_the_wheels_follow_the_command_and_stop_without_it(tmp_path: Path, shm_n
         speeds.append(number.layout.view(number.decode(payload)).data)
 
     tasks = ["--task", "10ms", "SharedMemory_Read", "PLC_PRG", "SharedMemory_Write"]
-    command = [sys.executable, "-m", "verification.st.run_project", str(tmp_path / "plc" / "st"), *tasks]
+    command = [sys.executable, "-m", "rosplc_st.run_project", str(tmp_path / "plc" / "st"), *tasks]
     with bridge:
         robot.subscribe("/wheel_speed", "std_msgs/msg/Float64", DEFAULT, on_speed)
         cmd_vel = robot.advertise("/cmd_vel", "geometry_msgs/msg/Twist", DEFAULT)

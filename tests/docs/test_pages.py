@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 TEXTS = sorted(
     [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md"]
-    + [path for folder in ("docs", "spec", "vectors", "examples") for path in (ROOT / folder).rglob("*.md")]
+    + [path for folder in ("docs", "spec", "examples") for path in (ROOT / folder).rglob("*.md")]
 )
 
 

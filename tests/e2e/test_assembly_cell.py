@@ -213,7 +213,7 @@ def machine(tmp_path_factory: pytest.TempPathFactory):
     (folder / "rosplc.yaml").write_text(text)
     shutil.copytree(HERE / "msg", folder / "msg")
     generate(folder / "rosplc.yaml", folder / "plc")
-    from verification.st.run_project import load_texts
+    from rosplc_st.run_project import load_texts
 
     translator = find_translator()
     loaded = translator.machine(translator.build(load_texts(folder / "plc")))

@@ -17,7 +17,7 @@ def campaign(folder: Path, *options: str) -> dict[str, Any]:
     """Run a campaign; return what it found. Its order of faults is printed, and can be repeated."""
     report = folder / "report.json"
     done = subprocess.run(
-        [sys.executable, "-m", "soak", "--json", str(report), *options],
+        [sys.executable, "-m", "tests.soak", "--json", str(report), *options],
         cwd=ROOT,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,

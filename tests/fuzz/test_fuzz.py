@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from fuzz.build import CORE, Unbuildable
-from fuzz.corpus import CORPUS, MOST_BYTES
-from fuzz.replay import replay_native
-from fuzz.targets import TARGETS
+from tests.fuzz.build import CORE, Unbuildable
+from tests.fuzz.corpus import CORPUS, MOST_BYTES
+from tests.fuzz.replay import replay_native
+from tests.fuzz.targets import TARGETS
 
 ROOT = Path(__file__).resolve().parents[2]
 NATIVE = [name for name, entry in TARGETS.items() if not entry.module]
@@ -45,7 +45,7 @@ def run(*arguments: str) -> str:
 @pytest.mark.timeout(1800)
 def test_known_inputs_are_refused_or_accepted(names: list[str]) -> None:
     """Seeds, corpus and everything that once was a defect end in a result or in an error of rosplc's."""
-    said = run("fuzz.replay", *names)
+    said = run("tests.fuzz.replay", *names)
     assert len(said.splitlines()) == len(names)
 
 
@@ -63,7 +63,7 @@ def test_the_fuzzers_find_nothing(tmp_path: Path) -> None:
     report = tmp_path / "report.json"
     seconds = str(max(5, 120 // len(TARGETS)))
     cache = str(tmp_path / "cache")
-    run("fuzz", "--seconds", seconds, "--jobs", "2", "--cache", cache, "--json", str(report))
+    run("tests.fuzz", "--seconds", seconds, "--jobs", "2", "--cache", cache, "--json", str(report))
     facts = json.loads(report.read_text())
     assert facts["findings"] == 0
     for one in facts["targets"]:

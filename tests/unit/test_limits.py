@@ -200,7 +200,7 @@ def objects(patch: pytest.MonkeyPatch, folder: Path) -> None:
     not_planned("slot_count", slots=2 * constants.MAX_SLOTS)
     not_planned("description_size", description_size=constants.MAX_DESCRIPTION_SIZE + 1)
     not_planned("object_size", record_size=constants.MAX_RECORD_SIZE)
-    # The same sums hold for what others made: tests/conformance/test_regions.py, fuzz/targets/object.py.
+    # The same sums hold for what others made: conformance/test_regions.py, fuzz/targets/object.py.
 
 
 @beyond("shm.constants.READER_LINES", "shm.constants.MAX_RETRIES", "shm.constants.MAX_BEAT_MS")
@@ -214,7 +214,7 @@ def channels(patch: pytest.MonkeyPatch, folder: Path) -> None:
     peer = Liveness(2**32 - 1)
     assert [peer.observe(beat, 0, 0) for beat in (1, 2)] == [False, True]
     assert not peer.observe(2, 0, 3 * constants.MAX_BEAT_MS * 1_000_000)
-    # Retries: tests/unit/core/channel_test.c and fuzz/native/channel_fuzz.c count them.
+    # Retries: tests/unit/core/channel_test.c and tests/fuzz/native/channel_fuzz.c count them.
 
 
 @beyond("ros.names.LONGEST_NAME")

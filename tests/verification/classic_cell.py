@@ -17,9 +17,9 @@ from typing import Any
 from rosplc.layout import Limits
 from rosplc.plc.build import PlcTask, PlcTopic, ProjectOptions, build_project
 from rosplc.plc.classic import Classic
+from rosplc_st.build import ARMHF, Build, Toolchain, build
+from rosplc_st.machine import LibraryMachine, Machine, ProcessMachine
 from tests.verification.plc_cell import READ, TARGETS, WRITE, layout_of, need_armhf, project_texts, store
-from verification.st.build import ARMHF, Build, Toolchain, build
-from verification.st.machine import LibraryMachine, Machine, ProcessMachine
 
 __all__ = ["TOPICS", "TWIST", "ClassicCell", "Peer", "classic_build", "classic_target", "record"]
 

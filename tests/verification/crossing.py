@@ -17,10 +17,10 @@ from rosplc.layout.nodes import ArrayNode, Node, PaddingNode, ScalarNode, Sequen
 from rosplc.plc.build import build_type_library
 from rosplc.plc.project import Dut, PlcProject
 from rosplc.shm import Direction, Namespace, OwnedChannel
+from rosplc_st.build import Toolchain, build
+from rosplc_st.machine import LibraryMachine, Machine, ProcessMachine
+from rosplc_st.translator import Options
 from tests.verification.plc_cell import describe, project_texts, store
-from verification.st.build import Toolchain, build
-from verification.st.machine import LibraryMachine, Machine, ProcessMachine
-from verification.st.translator import Options
 
 __all__ = ["Crossing", "check_layout", "random_record"]
 

@@ -19,9 +19,9 @@ from rosplc.plc.build import PlcTask, PlcTopic, ProjectOptions, build_project
 from rosplc.plc.project import PlcProject
 from rosplc.plc.st_text import object_text
 from rosplc.shm import Description, Direction, Namespace, OwnedChannel
-from verification.st.build import ARMHF, Build, Toolchain, build
-from verification.st.machine import LibraryMachine, Machine, ProcessMachine
-from verification.st.translator import Options
+from rosplc_st.build import ARMHF, Build, Toolchain, build
+from rosplc_st.machine import LibraryMachine, Machine, ProcessMachine
+from rosplc_st.translator import Options
 
 __all__ = [
     "READ", "TARGETS", "WRITE", "Cell", "cell_build", "cell_texts", "describe", "layout_of", "need_armhf",

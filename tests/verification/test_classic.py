@@ -16,9 +16,9 @@ if shutil.which("gcc") is None:
 from rosplc.layout import Limits
 from rosplc.plc.build import PlcTask, PlcTopic, build_project
 from rosplc.plc.classic import Classic
+from rosplc_st.build import build
 from tests.verification.classic_cell import JOINTS, TOPICS, ClassicCell, Peer, classic_target, record
 from tests.verification.plc_cell import TARGETS, WRITE, layout_of, project_texts, store
-from verification.st.build import build
 
 
 @pytest.fixture

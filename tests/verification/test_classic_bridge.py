@@ -19,10 +19,10 @@ from rosplc.bridge import Bridge, parse_config
 from rosplc.codec import Codec, Wire
 from rosplc.ros import Publisher, Qos
 from rosplc.ros.memory import open_backend
+from rosplc_st.machine import ProcessMachine
 from tests.verification.classic_cell import TWIST, ClassicCell, record
 from tests.verification.plc_cell import READ, WRITE, layout_of, store
 from tests.verification.test_classic_crash import stop_inside
-from verification.st.machine import ProcessMachine
 
 DOMAIN = 47
 WATCHDOG_S = 30.0

@@ -14,9 +14,9 @@ pytest.importorskip("blark")
 if shutil.which("gcc") is None:
     pytest.skip("Debian package gcc is missing", allow_module_level=True)
 
+from rosplc_st.machine import LibraryMachine, ProcessMachine
 from tests.verification.classic_cell import TOPICS, ClassicCell, record
 from tests.verification.plc_cell import READ, WRITE
-from verification.st.machine import LibraryMachine, ProcessMachine
 
 
 @pytest.fixture

@@ -18,8 +18,8 @@ if shutil.which("gcc") is None:
 
 from rosplc.shm import attach
 from rosplc.shm.constants import WRITER_LINE
+from rosplc_st.machine import LibraryMachine, ProcessMachine
 from tests.verification.plc_cell import READ, WRITE, Cell, cell_build, pattern
-from verification.st.machine import LibraryMachine, ProcessMachine
 
 _ROOT = Path(__file__).resolve().parents[2]
 

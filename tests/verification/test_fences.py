@@ -14,8 +14,8 @@ if shutil.which("gcc") is None:
 
 from rosplc.shm import OwnedChannel
 from rosplc.shm.constants import WRITER_LINE
+from rosplc_st.machine import LibraryMachine
 from tests.verification.plc_cell import READ, WRITE, Cell, pattern, target
-from verification.st.machine import LibraryMachine
 
 
 @pytest.fixture

@@ -18,10 +18,10 @@ if shutil.which("gcc") is None:
 
 from rosplc.plc.build import build_type_library
 from rosplc.plc.helpers import HELPER_NAMES
+from rosplc_st.build import Build, build
+from rosplc_st.machine import LibraryMachine
+from rosplc_st.translator import Options
 from tests.verification.plc_cell import project_texts, store
-from verification.st.build import Build, build
-from verification.st.machine import LibraryMachine
-from verification.st.translator import Options
 
 TIMES = """PROGRAM Times
 VAR

@@ -34,7 +34,7 @@ def test_project_runs_as_a_process(tmp_path: Path) -> None:
         channel = cell.channel("/out")
         reader = channel.reader()
         plc = subprocess.Popen(
-            [sys.executable, "-m", "verification.st.run_project", str(tmp_path),
+            [sys.executable, "-m", "rosplc_st.run_project", str(tmp_path),
              "--directory", str(cell.folder),
              "--task", "2ms", "SharedMemory_Read", "Echo", "SharedMemory_Write"],
             stdout=subprocess.PIPE, text=True, cwd=_ROOT,
@@ -59,7 +59,7 @@ def test_what_cannot_run_is_said(tmp_path: Path) -> None:
     """A folder without programs, or with text that CODESYS would refuse, is an error with its place."""
     (tmp_path / "P.st").write_text("PROGRAM P\nVAR\n    a : INT;\nEND_VAR\na := b;\nEND_PROGRAM\n")
     done = subprocess.run(
-        [sys.executable, "-m", "verification.st.run_project", str(tmp_path)],
+        [sys.executable, "-m", "rosplc_st.run_project", str(tmp_path)],
         capture_output=True, text=True, cwd=_ROOT, check=False,
     )  # fmt: skip
     assert done.returncode == 1

@@ -16,9 +16,9 @@ if shutil.which("gcc") is None:
 
 from rosplc.layout import Limits
 from rosplc.plc.build import PlcTask, PlcTopic, ProjectOptions, build_project
+from rosplc_st.build import ARMHF, build
+from rosplc_st.machine import LibraryMachine, Machine, ProcessMachine
 from tests.verification.plc_cell import READ, TARGETS, layout_of, need_armhf, project_texts, store
-from verification.st.build import ARMHF, build
-from verification.st.machine import LibraryMachine, Machine, ProcessMachine
 
 SMALL = Limits(string=20, sequence=4)
 VALUES: dict[str, tuple[str, dict[str, Any]]] = {

@@ -20,9 +20,9 @@ if shutil.which("gcc") is None:
 from rosplc.layout import Layout, compute_layout
 from rosplc.plc.build import PlcTask, PlcTopic, build_project
 from rosplc.shm import Direction
+from rosplc_st.build import Build, Toolchain, build
+from rosplc_st.machine import ProcessMachine
 from tests.verification.plc_cell import Cell, project_texts, store
-from verification.st.build import Build, Toolchain, build
-from verification.st.machine import ProcessMachine
 
 _ROOT = Path(__file__).resolve().parents[2]
 _TYPE = "test_msgs/msg/Block"

@@ -14,9 +14,9 @@ pytest.importorskip("blark")
 if shutil.which("gcc") is None:
     pytest.skip("Debian package gcc is missing", allow_module_level=True)
 
-from verification.st.build import build
-from verification.st.machine import LibraryMachine
-from verification.st.translator import Options, TranslationError, translate
+from rosplc_st.build import build
+from rosplc_st.machine import LibraryMachine
+from rosplc_st.translator import Options, TranslationError, translate
 
 # name: (declarations, statements, {variable: value}); every variable gets the case's own prefix, for `_`.
 CASES: dict[str, tuple[str, str, dict[str, Any]]] = {

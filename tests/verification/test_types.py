@@ -11,10 +11,10 @@ if shutil.which("gcc") is None:
     pytest.skip("Debian package gcc is missing", allow_module_level=True)
 
 from rosplc.layout import Limits
+from rosplc_st.build import ARMHF
+from rosplc_st.translator import Options
 from tests.verification.crossing import Crossing
 from tests.verification.plc_cell import layout_of, need_armhf, store
-from verification.st.build import ARMHF
-from verification.st.translator import Options
 
 LIMITS = Limits(string=20, sequence=3)
 SAMPLE = (

@@ -16,11 +16,11 @@ pytest.importorskip("blark")
 if shutil.which("gcc") is None:
     pytest.skip("Debian package gcc is missing", allow_module_level=True)
 
+from rosplc_st.build import Build
+from rosplc_st.machine import Machine
 from tests.verification.plc_cell import Cell, cell_texts, target
-from verification.st.build import Build
-from verification.st.machine import Machine
 
-VECTORS = Path(__file__).parents[2] / "vectors"
+VECTORS = Path(__file__).parents[2] / "spec" / "vectors"
 FOLDERS = ("regions", "hostile")
 PROBE = "Probes.probe"
 # How a Read block is made one of the vectors' type: any layout, given at run time, 12 bytes.

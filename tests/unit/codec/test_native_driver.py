@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[3]
-FLAGS = ["-std=gnu11", "-Wall", "-Wextra", "-Werror", f"-I{ROOT}/src/rosplc/_core", f"-I{ROOT}/fuzz/native"]
+INCLUDES = [f"-I{ROOT}/src/rosplc/_core", f"-I{ROOT}/tests/fuzz/native"]
+FLAGS = ["-std=gnu11", "-Wall", "-Wextra", "-Werror", *INCLUDES]
 SANITIZE = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 MACHINES = {
     "arm-linux-gnueabihf-gcc": ("gcc-arm-linux-gnueabihf", "qemu-arm"),
@@ -26,7 +27,7 @@ def need(program: str, package: str) -> None:
 @pytest.fixture(scope="module")
 def plans(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("plans") / "plans"
-    command = [sys.executable, "-m", "fuzz.export_plans", str(path)]
+    command = [sys.executable, "-m", "tests.fuzz.export_plans", str(path)]
     subprocess.run(command, check=True, timeout=120, cwd=ROOT)
     return path
 
@@ -36,7 +37,7 @@ def drive(
 ) -> str:
     """Build the driver, run it, and return what it prints."""
     subprocess.run(
-        [*compiler, *FLAGS, str(ROOT / "fuzz/native/plan_driver.c"), "-o", str(program)], check=True
+        [*compiler, *FLAGS, str(ROOT / "tests/fuzz/native/plan_driver.c"), "-o", str(program)], check=True
     )
     command = [*emulator, str(program), str(plans), str(rounds)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -18,7 +18,7 @@ from rosplc.shm import Namespace
 from tests.doubles.ros2 import double, installed
 from tests.interop.graphs import wait_for
 
-PACKAGE = Path(__file__).parents[3] / "ros2" / "rosplc_bridge"
+PACKAGE = Path(__file__).parents[3] / "packaging" / "ros2" / "rosplc_bridge"
 INT32 = "std_msgs/msg/Int32"
 
 pytestmark = [

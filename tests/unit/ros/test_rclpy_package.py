@@ -19,7 +19,7 @@ from rosplc import __version__
 from rosplc.bridge import load_project
 from tests.doubles.ros2 import double
 
-PACKAGE = Path(__file__).parents[3] / "ros2" / "rosplc_bridge"
+PACKAGE = Path(__file__).parents[3] / "packaging" / "ros2" / "rosplc_bridge"
 
 
 @pytest.mark.timeout(180)

@@ -6,8 +6,8 @@ from itertools import islice
 from types import SimpleNamespace
 from typing import Any
 
-from soak.campaign import Campaign
-from soak.faults import FAULTS
+from tests.soak.campaign import Campaign
+from tests.soak.faults import FAULTS
 
 
 def test_a_seed_repeats_the_order() -> None:

@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 
-from soak.checks import Checker
-from soak.faults import Fault
-from soak.parts import Usage
-from soak.pattern import TOPICS
+from tests.soak.checks import Checker
+from tests.soak.faults import Fault
+from tests.soak.parts import Usage
+from tests.soak.pattern import TOPICS
 
 
 class Part:

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from soak.ledger import Ledger
-from soak.pattern import fill, read
+from tests.soak.ledger import Ledger
+from tests.soak.pattern import fill, read
 
 
 @pytest.fixture

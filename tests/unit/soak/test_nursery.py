@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from soak.ledger import Ledger
-from soak.nursery import Nursery
-from soak.parts import Part
+from tests.soak.ledger import Ledger
+from tests.soak.nursery import Nursery
+from tests.soak.parts import Part
 
 pytestmark = pytest.mark.timeout(120)
 
@@ -22,8 +22,8 @@ def plc(tmp_path: Path) -> Iterator[Part]:
     """Give a PLC that finds no bridge, started from a nursery."""
     Ledger(tmp_path / "ledger", create=True)
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[3])}
-    nursery = Nursery(environment, "memory", ["soak.plc"])
-    command = ["python", "-m", "soak.plc", str(tmp_path / "ledger"), "1", "nobody"]
+    nursery = Nursery(environment, "memory", ["tests.soak.plc"])
+    command = ["python", "-m", "tests.soak.plc", str(tmp_path / "ledger"), "1", "nobody"]
     part = Part("plc", lambda: command, environment, tmp_path / "plc.log", nursery)
     yield part
     part.kill()
@@ -56,7 +56,7 @@ def test_each_start_is_a_process_of_its_own(plc: Part, tmp_path: Path) -> None:
 def test_what_fails_is_logged(plc: Part, tmp_path: Path) -> None:
     """An error ends the process with status 1, and its trace stands in the log."""
     part = plc
-    part._command = lambda: ["python", "-m", "soak.plc", str(tmp_path / "nowhere"), "1", "nobody"]
+    part._command = lambda: ["python", "-m", "tests.soak.plc", str(tmp_path / "nowhere"), "1", "nobody"]
     part.start()
     while part.alive:
         time.sleep(0.01)

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from soak.results import compact, percentile, recovery_table, run_table
+from tests.soak.results import compact, percentile, recovery_table, run_table
 
 
 def run(recoveries: list[float], **more: Any) -> dict[str, Any]:

@@ -3,7 +3,7 @@
  *
  *   st_host B FOLDER
  *
- * Compiled together with the translated program and verification/st/runtime of a checkout.
+ * Compiled together with the translated program and tests/st/rosplc_st/runtime of a checkout.
  */
 #include "exchange.h"
 #include "st_runtime.h"

@@ -7,7 +7,6 @@ out of what rosplc depends on.
 from __future__ import annotations
 
 import hashlib
-import importlib
 from pathlib import Path
 
 from rosplc.bench.arrangements import CYCLIC, TWO_CORES
@@ -61,14 +60,15 @@ def _texts() -> dict[str, str]:
 def _compile(translator: Translator, cache: Path) -> Path:
     """Return the PLC as a program; what the text becomes in C is kept beside it."""
     texts = _texts()
-    runtime = translator.root / "verification" / "st" / "runtime"
-    package = translator.root / "verification" / "st" / "translator"
+    runtime = translator.root / "tests" / "st" / "rosplc_st" / "runtime"
+    package = translator.root / "tests" / "st" / "rosplc_st" / "translator"
     digest = hashlib.sha256(repr(sorted(texts.items())).encode())
     for path in sorted(package.glob("*.py")):
         digest.update(path.read_bytes())
     source = cache / f"plc-{digest.hexdigest()[:16]}.c"
     if not source.is_file():
-        translate = importlib.import_module("verification.st.translator").translate
+        from rosplc_st.translator import translate
+
         cache.mkdir(parents=True, exist_ok=True)
         made = source.with_suffix(".new")
         made.write_text(translate(texts).code, encoding="utf-8")

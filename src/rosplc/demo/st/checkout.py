@@ -1,8 +1,7 @@
-"""Find the translator, which belongs to the checkout of the sources and not to the package."""
+"""Find the translator: ``rosplc_st``, a development package of the checkout, never installed with rosplc."""
 
 from __future__ import annotations
 
-import importlib
 import importlib.util
 import shutil
 import sys
@@ -43,12 +42,14 @@ class Translator:
             GenerationError: PLC004, a text cannot be translated.
             SetupError: SYS001, gcc does not compile it.
         """
-        source = _module("translator.source")
+        from rosplc_st.build import build
+        from rosplc_st.translator.source import TranslationError, parse_texts
+
         try:
             # Parsing takes the time; what it found stays in memory for the build.
-            source.parse_texts(texts, progress=on_parsed)
-            return _module("build").build(texts)
-        except source.TranslationError as error:
+            parse_texts(texts, progress=on_parsed)
+            return build(texts)
+        except TranslationError as error:
             where = f"{error.file}.st:{error.line}"
             raise GenerationError("PLC004", str(error.what), where=where) from error
         except RuntimeError as error:
@@ -60,7 +61,9 @@ class Translator:
 
     def machine(self, built: Any) -> Any:
         """Load a built program into this process, by the machine's own clock."""
-        machine = _module("machine").LibraryMachine(built)
+        from rosplc_st.machine import LibraryMachine
+
+        machine = LibraryMachine(built)
         machine.option("real_clock")
         return machine
 
@@ -72,7 +75,7 @@ def find_translator() -> Translator:
         SetupError: SYS001, there is none, or what it needs is missing; the remedy says how to get it.
     """
     root = Path(rosplc.__file__).resolve().parents[2]
-    if not (root / "verification" / "st" / "build.py").is_file():
+    if not (root / "tests" / "st" / "pyproject.toml").is_file():
         raise SetupError(
             "SYS001",
             "the translator for Structured Text is missing; it is no part of the installed package",
@@ -82,17 +85,10 @@ def find_translator() -> Translator:
         )
     if shutil.which("gcc") is None:
         raise SetupError("SYS001", "gcc is missing", remedy="sudo apt-get install gcc libc6-dev")
-    if importlib.util.find_spec("blark") is None:
+    if importlib.util.find_spec("rosplc_st") is None or importlib.util.find_spec("blark") is None:
         raise SetupError(
             "SYS001",
-            "the Python package blark is missing, which parses Structured Text",
-            remedy=f"{sys.executable} -m pip install -e '{root}[test]'",
+            "the Python package rosplc-st is missing, which translates Structured Text",
+            remedy=f"{sys.executable} -m pip install -e '{root / 'tests' / 'st'}'",
         )
-    if str(root) not in sys.path:
-        sys.path.append(str(root))
     return Translator(root)
-
-
-def _module(name: str) -> Any:
-    # By name: nothing in the package may depend on what the package does not contain.
-    return importlib.import_module(f"verification.st.{name}")

@@ -1,0 +1,71 @@
+"""A wheel of this checkout, for this machine or for another architecture."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+from deploy.run import run
+
+__all__ = ["PIP", "ROOT", "build_wheel", "copy_source", "project_version"]
+
+ROOT = Path(__file__).resolve().parents[2]
+PIP = (sys.executable, "-m", "pip", "--disable-pip-version-check")
+_UNWANTED = shutil.ignore_patterns("*.so", "*.o", "__pycache__", "*.egg-info")
+_VERSION = re.compile(r'(?m)^__version__ = "([^"]+)"$')
+
+
+def project_version(source: Path = ROOT) -> str:
+    """Return the version of a source tree, without importing it."""
+    found = _VERSION.search((source / "src/rosplc/_version.py").read_text(encoding="utf-8"))
+    assert found is not None
+    return found[1]
+
+
+def copy_source(target: Path, version: str | None = None) -> Path:
+    """Copy what a wheel is built from, so that nothing that lies about in the tree gets into it.
+
+    Args:
+        target: A folder that does not exist yet.
+        version: The version that the copy gets; None keeps it.
+
+    Returns:
+        The folder.
+    """
+    shutil.copytree(ROOT / "src", target / "src", ignore=_UNWANTED)
+    for name in ("pyproject.toml", "setup.py", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, target / name)
+    if version is not None:
+        path = target / "src/rosplc/_version.py"
+        path.write_text(
+            _VERSION.sub(f'__version__ = "{version}"', path.read_text(encoding="utf-8")), encoding="utf-8"
+        )
+    return target
+
+
+def build_wheel(
+    folder: Path, *, version: str | None = None, environment: Mapping[str, str] | None = None
+) -> Path:
+    """Build a wheel.
+
+    Args:
+        folder: Gets the wheel, and a copy of the sources; made if it does not exist.
+        version: Another version than the checkout's, to try an upgrade.
+        environment: The build's environment: what makes a compiler build for another machine.
+
+    Returns:
+        The wheel.
+
+    Raises:
+        DeployError: The build failed.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    source = copy_source(folder / "source", version)
+    command = (*PIP, "wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", str(folder), ".")
+    run(command, cwd=source, environment=environment)
+    shutil.rmtree(source)
+    (wheel,) = folder.glob("rosplc-*.whl")
+    return wheel

@@ -1,0 +1,68 @@
+"""What other participants say over DDS: announcements of nodes, type names, user data, QoS in words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from rosplc.ros.dds.discovery import LONGEST_NAME, NodeEntities, decode_announcement, encode_announcement
+from rosplc.ros.dds.idl import dds_topic, dds_type_name, ros_topic, ros_type_name
+from rosplc.ros.dds.peers import _TYPE_HASH, Peer, describe, explain
+from rosplc.ros.qos import Qos
+from tests.fuzz.choices import Choices
+
+__all__ = ["check", "seeds"]
+
+
+def _announcement(choices: Choices) -> None:
+    size = 24 if choices.flag() else 16
+    data = choices.rest()
+    try:
+        participant, nodes = decode_announcement(data, size)
+    except ValueError as error:
+        assert len(str(error)) < 200
+        return
+    assert len(participant) == 16
+    assert sum(len(node.readers) + len(node.writers) for node in nodes) * 16 <= len(data)
+    for node in nodes:
+        assert node.full_name.startswith("/"), node
+        assert len(node.full_name) <= 2 + 2 * 4 * 256  # a byte takes four characters at most
+        assert node.full_name.isprintable()
+    names = [name.encode() for node in nodes for name in (node.namespace, node.name)]
+    if max(map(len, names), default=0) <= LONGEST_NAME:  # what was no UTF-8 has become longer
+        again = decode_announcement(encode_announcement(participant, nodes, size), size)
+        assert again == (participant, nodes)
+
+
+def _peer(choices: Choices) -> None:
+    topic, kind, name = choices.text(), choices.text(), choices.text()
+    found = _TYPE_HASH.search(choices.part())
+    type_hash = found.group(1).decode() if found else ""
+    qos = Qos("best_effort" if choices.flag() else "reliable", "volatile", 1)
+    peer = Peer(bytes(16), 1, bytes(16), choices.flag(), topic, kind, qos, (choices.text(),), type_hash)
+    words = explain(peer, name, "std_msgs/msg/String", "RIHS01_" + "0" * 64, Qos(), choices.flag())
+    describe(peer, name)
+    assert words is None or words[0] in ("ROS003", "ROS004")
+    own = ros_topic(topic)
+    assert own is None or dds_topic(own) == topic
+    if ros_type_name(kind) != kind and kind.split("::")[1] == "msg":
+        assert dds_type_name(ros_type_name(kind)) == kind
+
+
+def check(data: bytes) -> None:
+    """Whatever they say is refused with ValueError, or has names that can be shown."""
+    choices = Choices(data)
+    if choices.below(2):
+        _peer(choices)
+    else:
+        _announcement(choices)
+
+
+def seeds() -> Iterator[bytes]:
+    """Announcements of both sizes of an id, and a peer."""
+    nodes = (NodeEntities("/", "talker", (bytes(16),), (b"\1" * 16,)), NodeEntities("/robot1", "listener"))
+    yield b"\0\0" + encode_announcement(b"\2" * 16, nodes, 16)
+    yield b"\0\1" + encode_announcement(b"\2" * 16, nodes, 24)
+    hashed = b"typehash=RIHS01_" + b"1" * 64 + b";"
+    yield b"\1" + b"\xff".join(
+        (b"rt/chatter", b"std_msgs::msg::dds_::String_", b"/talker", hashed, b"\1\1why", b"\0")
+    )

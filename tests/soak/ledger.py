@@ -1,0 +1,120 @@
+"""Counters in a mapped file: what was written stays, however its writer ends."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tests.soak.pattern import ALL, IN, TOPICS, Stamp, read
+
+__all__ = ["GENERATIONS", "Ledger"]
+
+GENERATIONS = 1 << 16
+_COUNTERS = ("received", "missing", "torn", "invented", "disordered", "generation", "number", "block_lost")
+_BRIDGE = ("received", "published", "skipped", "lost", "refused")
+
+
+class Ledger:
+    """What was sent and received, by whom and as which.
+
+    Each number is written by one process and read by the campaign.
+
+    Args:
+        path: The file.
+        create: Make it, zeroed.
+
+    Attributes:
+        announced: ``[generation, topic]``: the highest number that a sender was about to send.
+        seen: ``[generation, topic]``: the highest number that arrived.
+        counters: Per topic, at the receiving end.
+        bridge: Per topic, what ``/diagnostics`` says.
+        control: Orders and signs of life.
+    """
+
+    def __init__(self, path: Path, *, create: bool = False) -> None:
+        kind = np.dtype(
+            [
+                ("announced", np.uint32, (GENERATIONS, len(ALL))),
+                ("seen", np.uint32, (GENERATIONS, len(ALL))),
+                ("counters", [(name, np.int64) for name in _COUNTERS], (len(ALL),)),
+                ("bridge", [(name, np.int64) for name in _BRIDGE], (len(TOPICS),)),
+                (
+                    "control",
+                    [
+                        ("flood", np.int64),
+                        ("diagnostics", np.int64),
+                        ("stamp_ns", np.int64),
+                        ("plc_scans", np.int64),
+                        ("publisher_turns", np.int64),
+                        ("publisher_clock_ns", np.int64),
+                        ("stop_inside", np.int64),
+                        ("online_change", np.int64),
+                        ("reopen", np.int64),
+                        ("dropped", np.int64, (len(TOPICS),)),
+                    ],
+                ),
+            ]
+        )
+        self._map: Any = np.memmap(path, kind, "w+" if create else "r+", shape=(1,))
+        self.announced: npt.NDArray[np.uint32] = self._map["announced"][0]
+        self.seen: npt.NDArray[np.uint32] = self._map["seen"][0]
+        self.counters: Any = self._map["counters"][0]
+        self.bridge: Any = self._map["bridge"][0]
+        self.control: Any = self._map["control"][0]
+
+    def announce(self, topic: int, generation: int, number: int) -> None:
+        """Note that a message is about to be sent: before it is, so that no crash comes between."""
+        self.announced[generation, topic] = number
+
+    def take(self, topic: int, data: Any) -> None:
+        """Judge a message that arrived, and count it."""
+        count = self.counters[topic]
+        count["received"] += 1
+        stamp = read(topic, data)
+        if stamp is None:
+            self._wrong("torn", topic, f"{len(data)} words: {list(data[:4])} …")
+            return
+        if not self._was_sent(topic, stamp):
+            self._wrong("invented", topic, str(stamp))
+            return
+        before = int(self.seen[stamp.generation, topic])
+        if stamp.number <= before:
+            self._wrong("disordered", topic, f"{stamp} after {before}")
+            return
+        if before:
+            count["missing"] += stamp.number - before - 1
+        self.seen[stamp.generation, topic] = stamp.number
+        count["generation"], count["number"] = stamp.generation, stamp.number
+
+    def _wrong(self, kind: str, topic: int, what: str) -> None:
+        self.counters[topic][kind] += 1
+        print(f"{time.time():.3f} {ALL[topic]}: {kind}: {what}", flush=True)
+
+    def _was_sent(self, topic: int, stamp: Stamp) -> bool:
+        if not 0 < stamp.generation < GENERATIONS:
+            return False
+        return 0 < stamp.number <= int(self.announced[stamp.generation, topic])
+
+    def arrived(self, topic: int) -> tuple[int, int]:
+        """Return generation and number of the newest message that arrived."""
+        count = self.counters[topic]
+        return int(count["generation"]), int(count["number"])
+
+    def violations(self) -> dict[str, int]:
+        """Return how many messages were torn, invented, or came twice or in another order."""
+        return {kind: int(self.counters[kind].sum()) for kind in ("torn", "invented", "disordered")}
+
+    def losses(self) -> list[tuple[int, int]]:
+        """Return per topic of TOPICS what is missing at the receiving end, and what somebody has counted."""
+        found = []
+        for topic in range(len(TOPICS)):
+            count, bridge = self.counters[topic], self.bridge[topic]
+            counted = int(bridge["lost"] + bridge["refused"] + bridge["skipped"])
+            # The PLC counts what the bridge overwrote before it looked, the ROS side what it dropped.
+            counted += int(count["block_lost"] if topic < len(IN) else self.control["dropped"][topic])
+            found.append((int(count["missing"]), counted))
+        return found
