@@ -26,7 +26,8 @@ if __name__ == "__main__":
 
 from benchmarks import measure
 from benchmarks.processes import Peer
-from rosplc.bridge import Bridge, parse_config, resolve
+from rosplc.bridge import Bridge
+from rosplc.config import parse_config, resolve
 from rosplc.ros import DEFAULT
 from rosplc.ros.memory import open_backend
 

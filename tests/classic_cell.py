@@ -18,9 +18,10 @@ from typing import Any
 
 import pytest
 
-from rosplc.bridge import Bridge, parse_config, resolve
+from rosplc.bridge import Bridge
 from rosplc.bridge.status import ClassicStatus, TopicStatus
 from rosplc.codec import Codec, Wire
+from rosplc.config import parse_config, resolve
 from rosplc.ros import DEFAULT, PRESETS
 from rosplc.ros.memory import open_backend
 

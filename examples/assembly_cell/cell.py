@@ -279,11 +279,11 @@ class Cell:
 
 def generate(config: Path, folder: Path) -> Path:
     """Write the PLC project of a configuration with the cell's programs; return what was translated."""
-    from rosplc.bridge.resolve import load_project
-    from rosplc.cli.generate import plc_project
+    from rosplc.config.resolve import load_project
     from rosplc.demo.st.checkout import find_translator
     from rosplc.plc.build import ProjectOptions
     from rosplc.plc.delivery import project_files, write_files
+    from rosplc.plc.from_config import plc_project
 
     translator = find_translator()
     project = load_project(config)

@@ -16,8 +16,9 @@ pytest.importorskip("blark")
 if shutil.which("gcc") is None:
     pytest.skip("Debian package gcc is missing", allow_module_level=True)
 
-from rosplc.bridge import Bridge, load_config
+from rosplc.bridge import Bridge
 from rosplc.codec import Codec, Wire
+from rosplc.config import load_config
 from rosplc.ros import DEFAULT, open_backend
 from rosplc.shm import Namespace
 from tests.docs.pages import blocks

@@ -20,8 +20,7 @@ pytest.importorskip("blark")
 if shutil.which("gcc") is None:
     pytest.skip("Debian package gcc is missing", allow_module_level=True)
 
-from rosplc.bridge.resolve import load_project
-from rosplc.cli.generate import plc_project
+from rosplc.config.resolve import load_project
 from rosplc.demo.messages import COMMAND, command, open_command
 from rosplc.demo.plan import Plan
 from rosplc.demo.st.checkout import find_translator
@@ -32,6 +31,7 @@ from rosplc.errors import GenerationError
 from rosplc.layout import compute_layout
 from rosplc.model import TypeStore
 from rosplc.plc.build import ProjectOptions
+from rosplc.plc.from_config import plc_project
 from tests.e2e.test_demo import alive, demo, objects, prefix_of, processes, wait_until
 
 # One worker translates first, the others' share would be the same texts again. With nothing in the

@@ -14,9 +14,9 @@ from pathlib import Path
 import pytest
 
 import rosplc
-from rosplc.bridge.config import read_config
 from rosplc.bridge.engine import Bridge
 from rosplc.codec import Codec, Wire
+from rosplc.config.file import read_config
 from rosplc.ros import DEFAULT, open_backend
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"

@@ -9,8 +9,8 @@ from pathlib import Path
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rosplc.bridge import load_project
 from rosplc.cli.check_facts import facts
+from rosplc.config import load_project
 from rosplc.errors import RosplcError
 from rosplc.init import Definitions, Found, Length, Seen, Topic, Wish, draft, save, select
 from rosplc.layout.compute import limit_paths

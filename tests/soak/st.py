@@ -10,12 +10,12 @@ import pickle
 from pathlib import Path
 from typing import Any
 
-from rosplc.bridge.resolve import Project, load_project
-from rosplc.cli.generate import plc_project
+from rosplc.config.resolve import Project, load_project
 from rosplc.demo.st.checkout import find_translator
 from rosplc.demo.st.process import Word
 from rosplc.layout import Layout
 from rosplc.plc.build import ProjectOptions
+from rosplc.plc.from_config import plc_project
 from rosplc.plc.instances import instance_names
 from rosplc.plc.project import Dut, Gvl, Pou
 from rosplc.plc.st_text import object_text

@@ -17,12 +17,12 @@ from typing import Any
 
 import pytest
 
-from rosplc.bridge import problems, settings, yaml_source
-from rosplc.bridge.config import Config, parse_config
-from rosplc.bridge.problems import ConfigErrors, Problems
 from rosplc.codec import Wire
 from rosplc.codec.compile import compile_plan
 from rosplc.codec.ops import MAX_LOOPS
+from rosplc.config import problems, settings, yaml_source
+from rosplc.config.file import Config, parse_config
+from rosplc.config.problems import ConfigErrors, Problems
 from rosplc.errors import LONGEST_TEXT, RosplcError
 from rosplc.layout import Limits, compute_layout
 from rosplc.layout import compute as layout_compute

@@ -15,8 +15,9 @@ pytest.importorskip("blark")
 if shutil.which("gcc") is None:
     pytest.skip("Debian package gcc is missing", allow_module_level=True)
 
-from rosplc.bridge import Bridge, parse_config
+from rosplc.bridge import Bridge
 from rosplc.codec import Codec, Wire
+from rosplc.config import parse_config
 from rosplc.ros import Publisher, Qos
 from rosplc.ros.memory import open_backend
 from rosplc_st.machine import ProcessMachine

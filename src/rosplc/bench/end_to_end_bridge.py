@@ -160,7 +160,7 @@ def opcua(node: Node, port: int, stop: threading.Event, ready: Callable[[], None
 def rosplc(plan: dict[str, Any]) -> None:
     """Run rosplc's own bridge, which carries all types at once."""
     from rosplc.bridge.engine import Bridge
-    from rosplc.bridge.resolve import load_project
+    from rosplc.config.resolve import load_project
 
     with Bridge(load_project(Path(plan["configuration"]))):
         say(ready=True)

@@ -1,12 +1,12 @@
-"""A configuration file becomes a running bridge between ROS and the channels."""
+"""A running bridge between ROS and the channels."""
 
 from __future__ import annotations
 
+import warnings
+from typing import Any
+
 from rosplc.bridge.bind import Binding, bind
-from rosplc.bridge.config import Config, json_schema, parse_config, read_config
 from rosplc.bridge.engine import Bridge
-from rosplc.bridge.problems import ConfigErrors
-from rosplc.bridge.resolve import Project, TopicPlan, load_config, load_project, resolve
 from rosplc.bridge.run import run_until_signal
 from rosplc.bridge.status import BridgeStatus, Level, TopicStatus
 
@@ -14,18 +14,23 @@ __all__ = [
     "Binding",
     "Bridge",
     "BridgeStatus",
-    "Config",
-    "ConfigErrors",
     "Level",
-    "Project",
-    "TopicPlan",
     "TopicStatus",
     "bind",
-    "json_schema",
-    "load_config",
-    "load_project",
-    "parse_config",
-    "read_config",
-    "resolve",
     "run_until_signal",
 ]
+
+_MOVED = (
+    "Config", "ConfigErrors", "Project", "TopicPlan", "json_schema", "load_config", "load_project",
+    "parse_config", "read_config", "resolve",
+)  # fmt: skip
+
+
+def __getattr__(name: str) -> Any:
+    # Until 0.3: the configuration was part of this package.
+    if name in _MOVED:
+        from rosplc import config
+
+        warnings.warn(f"rosplc.bridge.{name} is now rosplc.config.{name}", DeprecationWarning, stacklevel=2)
+        return getattr(config, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -10,10 +10,10 @@ from rosplc._core._native import Fault
 from rosplc.bridge.classic import ClassicCarrier
 from rosplc.bridge.classic_to_plc import ClassicToPlc
 from rosplc.bridge.classic_to_ros import ClassicToRos
-from rosplc.bridge.resolve import TopicPlan
 from rosplc.bridge.to_plc import ToPlc
 from rosplc.bridge.to_ros import Pump, ToRos
 from rosplc.bridge.topic import Surroundings, Topic, log
+from rosplc.config.resolve import TopicPlan
 from rosplc.errors import ChannelError
 from rosplc.shm import Direction
 

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from rosplc.bridge.problems import Problems
-from rosplc.bridge.resolve import Project, TopicPlan
+from rosplc.config.problems import Problems
+from rosplc.config.resolve import Project, TopicPlan
 from rosplc.errors import ConfigError
 
 __all__ = ["Changes", "compare"]

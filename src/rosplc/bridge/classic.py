@@ -13,12 +13,12 @@ import time
 from collections import deque
 from typing import Protocol
 
-from rosplc.bridge.classic_plan import ClassicPlan
 from rosplc.bridge.order import Order
-from rosplc.bridge.quantities import format_duration
-from rosplc.bridge.resolve import TopicPlan
 from rosplc.bridge.status import ClassicStatus
 from rosplc.bridge.topic import Surroundings, Topic, log
+from rosplc.config.classic_plan import ClassicPlan
+from rosplc.config.quantities import format_duration
+from rosplc.config.resolve import TopicPlan
 from rosplc.errors import ChannelError
 from rosplc.shm import Direction
 from rosplc.shm.classic import ClassicObject, Entry

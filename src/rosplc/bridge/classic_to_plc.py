@@ -9,11 +9,11 @@ from dataclasses import dataclass
 
 from rosplc._core._native import Fault
 from rosplc.bridge.classic import ClassicSide
-from rosplc.bridge.resolve import TopicPlan
 from rosplc.bridge.status import ClassicStatus
 from rosplc.bridge.to_plc import ToPlc
 from rosplc.bridge.topic import Surroundings
 from rosplc.codec import TRUNCATED
+from rosplc.config.resolve import TopicPlan
 from rosplc.errors import ChannelError
 from rosplc.shm.classic import Entry
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from rosplc.bridge.classic import ClassicSide
-from rosplc.bridge.resolve import TopicPlan
 from rosplc.bridge.status import ClassicStatus
 from rosplc.bridge.to_ros import ToRos
 from rosplc.bridge.topic import Surroundings
+from rosplc.config.resolve import TopicPlan
 from rosplc.errors import ChannelError
 from rosplc.shm.classic import Entry
 

@@ -13,10 +13,8 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 
-from rosplc.bridge.access import open_doors
 from rosplc.bridge.carriers import Carriers
 from rosplc.bridge.changes import Changes, compare
-from rosplc.bridge.config import Config, read_config
 from rosplc.bridge.diagnostics import Diagnostics
 from rosplc.bridge.keeper import Keeper, Observer
 from rosplc.bridge.leftovers import retire_leftovers
@@ -24,11 +22,13 @@ from rosplc.bridge.live_types import LiveTypes
 from rosplc.bridge.owner import group_id, user_id
 from rosplc.bridge.realtime import Realtime, contention
 from rosplc.bridge.reload import exchange
-from rosplc.bridge.resolve import Project, resolve
 from rosplc.bridge.ros_side import RosSide
 from rosplc.bridge.status import BridgeStatus
 from rosplc.bridge.to_plc import ToPlc
 from rosplc.bridge.topic import Surroundings, Topic, log
+from rosplc.config.access import open_doors
+from rosplc.config.file import Config, read_config
+from rosplc.config.resolve import Project, resolve
 from rosplc.errors import RosplcError
 from rosplc.ros import Backend, Choice, RosArguments, ended_for_good
 

@@ -10,9 +10,9 @@ from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
 from rosplc.bridge.engine import Bridge
-from rosplc.bridge.resolve import load_project
 from rosplc.bridge.run import run_until_signal
 from rosplc.bridge.status import BridgeStatus, Level
+from rosplc.config.resolve import load_project
 from rosplc.harmless import log_to_stderr
 from rosplc.ros import RosArguments
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from rosplc.bridge.owner import group_id, user_id
-from rosplc.bridge.resolve import Project
 from rosplc.bridge.topic import log
+from rosplc.config.resolve import Project
 from rosplc.errors import ChannelError
 from rosplc.shm import Direction, OwnedChannel, attach
 from rosplc.shm.lock import NameLock

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from rosplc.bridge.resolve import TopicPlan
+from rosplc.config.resolve import TopicPlan
 from rosplc.model import TypeStore
 from rosplc.model.types import MessageType
 

@@ -13,8 +13,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from rosplc.bridge.engine import Bridge
-from rosplc.bridge.resolve import Project, load_project
 from rosplc.bridge.status import BridgeStatus
+from rosplc.config.resolve import Project, load_project
 from rosplc.model import TypeStore
 from rosplc.ros.backend import Backend
 from rosplc.ros.gated import GatedBackend

@@ -5,7 +5,7 @@ from __future__ import annotations
 import grp
 import pwd
 
-from rosplc.bridge.config import Config
+from rosplc.config.file import Config
 from rosplc.errors import ConfigError
 
 __all__ = ["group_id", "user_id"]

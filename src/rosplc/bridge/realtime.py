@@ -15,7 +15,7 @@ import resource
 import threading
 from types import TracebackType
 
-from rosplc.bridge.config import Config
+from rosplc.config.file import Config
 from rosplc.errors import SetupError
 
 __all__ = ["HIGHEST_TASK_PRIORITY", "LOWEST_TASK_PRIORITY", "Realtime", "contention"]

@@ -12,8 +12,8 @@ from collections.abc import Callable, Collection, Iterable
 
 from rosplc.bridge.carriers import Carriers
 from rosplc.bridge.changes import Changes
-from rosplc.bridge.resolve import TopicPlan
 from rosplc.bridge.topic import Topic, log
+from rosplc.config.resolve import TopicPlan
 from rosplc.errors import BackendError, RosplcError
 from rosplc.ros import Backend
 from rosplc.shm import Namespace

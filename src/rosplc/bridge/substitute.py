@@ -9,10 +9,10 @@ from __future__ import annotations
 import logging
 from contextlib import suppress
 
-from rosplc.bridge.quantities import format_duration
-from rosplc.bridge.resolve import TopicPlan
-from rosplc.bridge.stale_plan import flag_topic
 from rosplc.codec import Codec
+from rosplc.config.quantities import format_duration
+from rosplc.config.resolve import TopicPlan
+from rosplc.config.stale_plan import flag_topic
 from rosplc.errors import RosplcError
 from rosplc.layout import compute_layout
 from rosplc.ros import Backend, Publisher, Qos

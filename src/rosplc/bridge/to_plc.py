@@ -9,9 +9,9 @@ from contextlib import suppress
 
 from rosplc._core._native import Fault
 from rosplc.bridge.gate import Gate
-from rosplc.bridge.resolve import TopicPlan
 from rosplc.bridge.topic import Surroundings, Topic, log
 from rosplc.codec import TRUNCATED
+from rosplc.config.resolve import TopicPlan
 from rosplc.errors import ChannelError
 from rosplc.ros import Backend, EndpointStatus, Subscription
 from rosplc.shm import OwnedChannel, Region, Writer

@@ -12,10 +12,10 @@ from rosplc._core._native import Fault, Group
 from rosplc.bridge.gate import Gate
 from rosplc.bridge.grace import GRACE_NS, Grace
 from rosplc.bridge.order import Order
-from rosplc.bridge.resolve import TopicPlan
 from rosplc.bridge.substitute import Substitute
 from rosplc.bridge.topic import Surroundings, Topic, log
 from rosplc.codec import TRUNCATED
+from rosplc.config.resolve import TopicPlan
 from rosplc.errors import ChannelError, RosplcError
 from rosplc.ros import Backend, EndpointStatus, Publisher
 from rosplc.shm import OwnedChannel, Reader, Region

@@ -7,11 +7,11 @@ import time
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 
-from rosplc.bridge.describe import describe
 from rosplc.bridge.repeats import QUIET_NS, RepeatedWarnings
-from rosplc.bridge.resolve import TopicPlan
 from rosplc.bridge.status import ClassicStatus, TopicStatus
 from rosplc.codec import Codec, Wire
+from rosplc.config.objects import describe
+from rosplc.config.resolve import TopicPlan
 from rosplc.errors import BackendError, ChannelError, RosplcError
 from rosplc.ros import Backend, EndpointStatus
 from rosplc.shm import Liveness, Namespace, OwnedChannel, Region

@@ -33,15 +33,15 @@ def command(
 ) -> None:
     """Explain a configuration in plain words: what is carried, which way, how, and who may open it."""
     if schema:
-        from rosplc.bridge.config import json_schema
+        from rosplc.config.file import json_schema
 
         print_json(json_schema())
         return
     if config is None:
         raise typer.BadParameter("name a configuration file, or ask for --schema", param_hint="CONFIG")
-    from rosplc.bridge.resolve import load_project
     from rosplc.cli.check_facts import facts
     from rosplc.cli.check_words import explain
+    from rosplc.config.resolve import load_project
 
     project = load_project(config)
     if as_json:

@@ -12,8 +12,8 @@ from rosplc.cli.text import in_bytes
 from rosplc.errors import GenerationError, RosplcError
 
 if TYPE_CHECKING:
-    from rosplc.bridge.classic_plan import ClassicPlan
-    from rosplc.bridge.resolve import Project, TopicPlan
+    from rosplc.config.classic_plan import ClassicPlan
+    from rosplc.config.resolve import Project, TopicPlan
     from rosplc.ros import Choice
 
 __all__ = ["access", "chosen_backend", "facts", "memory", "plc_names", "warnings", "when_silent"]
@@ -63,8 +63,8 @@ def chosen_backend(project: Project) -> Choice | RosplcError:
 
 def plc_names(project: Project) -> dict[str, tuple[str, str]] | GenerationError:
     """Return instance and function block of each topic in the generated code, or why there is none."""
-    from rosplc.cli.generate import plc_project
     from rosplc.plc.build import ProjectOptions
+    from rosplc.plc.from_config import plc_project
     from rosplc.plc.instances import instance_names
     from rosplc.plc.programs import READ_GVL, WRITE_GVL
 
@@ -118,7 +118,7 @@ def memory(project: Project, plan: TopicPlan) -> dict[str, int]:
             "object_bytes": plan.layout.size,
             "semaphore_bytes": lock,
         }
-    from rosplc.bridge.describe import object_plan
+    from rosplc.config.objects import object_plan
 
     made = object_plan(project, plan)
     return {
@@ -171,7 +171,7 @@ def _topic_facts(project: Project, plan: TopicPlan, names: dict[str, tuple[str, 
 
 
 def _stale_facts(plan: TopicPlan) -> dict[str, Any]:
-    from rosplc.bridge.stale_plan import flag_topic
+    from rosplc.config.stale_plan import flag_topic
 
     safe = plan.on_stale
     substituted = safe.action == "substitute"
@@ -195,8 +195,8 @@ def _classic_facts(plan: ClassicPlan) -> dict[str, Any]:
 
 def when_silent(project: Project, plan: TopicPlan) -> str:
     """Say in plain words what happens while the topic's source says nothing."""
-    from rosplc.bridge.quantities import format_duration
-    from rosplc.bridge.stale_plan import flag_topic
+    from rosplc.config.quantities import format_duration
+    from rosplc.config.stale_plan import flag_topic
 
     safe, after = plan.on_stale, format_duration(plan.stale_after_ns)
     if plan.direction == 1:
@@ -231,8 +231,8 @@ def _shown(value: Mapping[str, Any]) -> str:
 
 def warnings(project: Project) -> list[str]:
     """Return what is allowed but probably not meant."""
-    from rosplc.bridge.access import open_doors
     from rosplc.bridge.realtime import contention
+    from rosplc.config.access import open_doors
     from rosplc.ros import INSTALL
     from rosplc.ros.choice import why_not_installed
 

@@ -10,8 +10,8 @@ from rosplc.cli.text import columns, in_bytes, say
 from rosplc.errors import RosplcError
 
 if TYPE_CHECKING:
-    from rosplc.bridge.classic_plan import ClassicPlan
-    from rosplc.bridge.resolve import Project, TopicPlan
+    from rosplc.config.classic_plan import ClassicPlan
+    from rosplc.config.resolve import Project, TopicPlan
 
 __all__ = ["explain"]
 
@@ -104,7 +104,7 @@ def _memory_words(project: Project, plan: TopicPlan) -> str:
 
 
 def _cycle_words(project: Project, plan: TopicPlan) -> str:
-    from rosplc.bridge.quantities import format_duration
+    from rosplc.config.quantities import format_duration
 
     task = project.tasks[plan.task]
     return f", every {format_duration(task.interval_ns)}" if task.kind == "cyclic" else ", freewheeling"
@@ -152,7 +152,7 @@ def _total(project: Project) -> Iterator[str]:
 
 
 def _classic_rows(plan: TopicPlan, classic: ClassicPlan) -> list[tuple[str, str]]:
-    from rosplc.bridge.quantities import format_duration
+    from rosplc.config.quantities import format_duration
 
     lock = "none: a record may be read while it is written"
     if classic.semaphore:
@@ -175,7 +175,7 @@ def _sieve(plan: TopicPlan) -> str:
 
 
 def _qos_words(plan: TopicPlan) -> str:
-    from rosplc.bridge.quantities import format_duration
+    from rosplc.config.quantities import format_duration
 
     qos = plan.qos
     words = [qos.reliability, qos.durability, f"depth {qos.depth}"]

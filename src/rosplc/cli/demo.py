@@ -121,11 +121,11 @@ def parse_duration(text: str) -> float:
 @contextlib.contextmanager
 def _structured_text(plan: Plan) -> Iterator[Path]:
     """Give a folder with the PLC project in Structured Text, compiled by the time it is given."""
-    from rosplc.bridge.resolve import load_project
-    from rosplc.cli.generate import plc_project
+    from rosplc.config.resolve import load_project
     from rosplc.demo.st.checkout import find_translator
     from rosplc.demo.st.sources import CONFIGURATION, read_texts, write_configuration, write_texts
     from rosplc.plc.build import ProjectOptions
+    from rosplc.plc.from_config import plc_project
 
     translator = find_translator()
     with tempfile.TemporaryDirectory(prefix="rosplc-demo-st-") as name:

@@ -17,7 +17,7 @@ from rosplc.cli.text import harmless
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from rosplc.bridge import Project
+    from rosplc.config import Project
     from rosplc.doctor import Finding, Report
 
 __all__ = ["EPILOG", "command", "generated"]
@@ -91,9 +91,9 @@ def command(
 
 def generated(project: Project, fenced: bool, pins: bool) -> Mapping[str, bytes]:
     """Return what would be generated for a project: path below the folder → content."""
-    from rosplc.cli.generate import plc_project
     from rosplc.plc.build import ProjectOptions
     from rosplc.plc.delivery import project_files
+    from rosplc.plc.from_config import plc_project
 
     return project_files(plc_project(project, ProjectOptions(fenced=fenced, pins=pins)), [], "rosplc")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -11,12 +11,11 @@ from rosplc.cli.guard import guarded, print_json
 from rosplc.cli.text import say
 
 if TYPE_CHECKING:
-    from rosplc.bridge.resolve import Project, TopicPlan
     from rosplc.layout import Layout
-    from rosplc.plc.build import PlcTask, PlcTopic, ProjectOptions
+    from rosplc.plc.build import ProjectOptions
     from rosplc.plc.project import PlcProject
 
-__all__ = ["EPILOG", "command", "plc_project"]
+__all__ = ["EPILOG", "command"]
 
 EPILOG = """Examples:
 
@@ -97,79 +96,12 @@ def command(
 
 
 def _from_config(config: Path, options: ProjectOptions) -> tuple[PlcProject, list[Layout]]:
-    from rosplc.bridge.resolve import load_project
+    from rosplc.config.resolve import load_project
+    from rosplc.plc.from_config import plc_project
 
     project = load_project(config)
     topics = sorted(project.topics, key=lambda plan: plan.topic)  # as the PLC's objects are ordered
     return plc_project(project, options), [plan.layout for plan in topics]
-
-
-def plc_project(project: Project, options: ProjectOptions) -> PlcProject:
-    """Return the PLC project of a configuration.
-
-    Raises:
-        GenerationError: PLC003, more tasks are used than the blocks serve.
-    """
-    from dataclasses import replace
-
-    from rosplc.plc.build import build_project
-
-    topics, tasks = _topics(project), _tasks(project)
-    slowest = max((task.interval_ns for task in tasks), default=0)
-    settings = project.config.settings
-    chosen = replace(
-        options, prefix=settings.prefix, beat_ms=max(options.beat_ms, -(-slowest * 3 // 1_000_000))
-    )
-    return build_project(project.store, topics, tasks, chosen)
-
-
-def _topics(project: Project) -> list[PlcTopic]:
-    from rosplc.bridge.describe import object_size
-    from rosplc.plc.build import PlcTopic
-    from rosplc.plc.classic import Classic
-    from rosplc.shm import Direction
-
-    return [
-        PlcTopic(
-            topic=plan.topic,
-            layout=plan.layout,
-            direction="read" if plan.direction == Direction.TO_PLC else "write",
-            task=plan.task,
-            object_size=object_size(project, plan) if plan.classic is None else 0,
-            stale_after_ns=plan.stale_after_ns,
-            on_stale=_on_stale(plan),
-            safe=plan.on_stale.value if plan.on_stale.action == "value" else None,
-            in_order=plan.every,
-            latched=plan.latched if plan.classic is None else plan.classic.retained,
-            classic=None
-            if plan.classic is None
-            else Classic(plan.classic.name, plan.classic.semaphore, plan.classic.wait_ns),
-        )
-        for plan in project.topics
-    ]
-
-
-def _on_stale(plan: TopicPlan) -> Literal["hold", "zero", "value"]:
-    action = plan.on_stale.action
-    return "hold" if action == "stop" or action == "substitute" else action
-
-
-def _tasks(project: Project) -> list[PlcTask]:
-    from rosplc.plc.build import PlcTask
-
-    used = {plan.task for plan in project.topics}
-    return [
-        PlcTask(
-            name=name,
-            interval_ns=task.interval_ns,
-            priority=task.priority,
-            kind=task.kind,
-            watchdog_ns=task.watchdog_ns or 0,
-            watchdog_sensitivity=task.watchdog_sensitivity,
-        )
-        for name, task in project.config.settings.tasks.items()
-        if name in used
-    ]
 
 
 def _from_distro(distro: str, options: ProjectOptions) -> tuple[PlcProject, list[Layout]]:

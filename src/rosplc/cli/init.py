@@ -105,8 +105,8 @@ def command(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON; nothing is asked.")] = False,
 ) -> None:
     """Look at a robot or a recording, and write a commented configuration."""
-    from rosplc.bridge import Config
     from rosplc.cli.init_ask import ask_topics, on_terminal
+    from rosplc.config import Config
     from rosplc.init import draft, refuse_to_overwrite, save, select
 
     # What the backends warn of is part of the outcome, or of the error that ends this.
@@ -178,7 +178,7 @@ def _select(
 
 
 def _seconds(text: str, option: str) -> float:
-    from rosplc.bridge.quantities import parse_duration
+    from rosplc.config.quantities import parse_duration
 
     if text.strip() in ("0", "0s"):
         return 0.0

@@ -139,14 +139,14 @@ def command(
 
 def duration(text: str | None, option: str) -> int:
     """Return an option's duration in ns; 0 if it was not given."""
-    from rosplc.bridge.quantities import parse_duration
+    from rosplc.config.quantities import parse_duration
 
     return _quantity(parse_duration, text, option)
 
 
 def size(text: str | None, option: str) -> int:
     """Return an option's bytes; 0 if it was not given."""
-    from rosplc.bridge.quantities import parse_size
+    from rosplc.config.quantities import parse_size
 
     return _quantity(parse_size, text, option)
 
@@ -176,8 +176,8 @@ def _order(
     most_files: int,
     directory: str,
 ) -> Order:
-    from rosplc.bridge.resolve import load_project
-    from rosplc.expected import expected_of
+    from rosplc.config.resolve import load_project
+    from rosplc.monitor.expected import expected_of
     from rosplc.recorder import COMPRESSIONS, Order, Selection, Split
     from rosplc.recorder.names import base_of, dated, free_name
     from rosplc.shm import Namespace

@@ -187,7 +187,7 @@ def _notes(topics: dict[str, SourceTopic]) -> list[str]:
 def _plc_target(
     topics: dict[str, SourceTopic], prefix: str | None, config: Path | None, directory: str, distro: str
 ) -> Target:
-    from rosplc.bridge.resolve import load_project
+    from rosplc.config.resolve import load_project
     from rosplc.recorder.to_plc import PlcTarget
     from rosplc.shm import Namespace
 

@@ -14,7 +14,7 @@ from rosplc.cli.text import columns, say, warn
 from rosplc.errors import ChannelError
 
 if TYPE_CHECKING:
-    from rosplc.bridge.resolve import TopicPlan
+    from rosplc.config.resolve import TopicPlan
     from rosplc.monitor.classic import ClassicState
 
 __all__ = ["classic_facts", "classic_plans", "list_classic", "show_classic"]
@@ -22,7 +22,7 @@ __all__ = ["classic_facts", "classic_plans", "list_classic", "show_classic"]
 
 def classic_plans(config: Path) -> list[TopicPlan]:
     """Return the classic topics of a configuration. Raises ConfigErrors."""
-    from rosplc.bridge.resolve import load_project
+    from rosplc.config.resolve import load_project
 
     return [plan for plan in load_project(config).topics if plan.classic is not None]
 

@@ -61,9 +61,9 @@ def open_watch(prefix: str | None, configs: list[Path] | None, stale_after: str,
     """
     from dataclasses import replace
 
-    from rosplc.bridge.quantities import parse_stale
-    from rosplc.expected import expected_by
+    from rosplc.config.quantities import parse_stale
     from rosplc.monitor import Watch
+    from rosplc.monitor.expected import expected_by
 
     try:
         limit = parse_stale(stale_after)

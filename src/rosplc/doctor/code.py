@@ -6,7 +6,7 @@ import difflib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from rosplc.bridge.resolve import TopicPlan
+from rosplc.config.resolve import TopicPlan
 from rosplc.doctor.finding import Finding
 from rosplc.doctor.generated import Block, Generated
 from rosplc.doctor.kinds import kind

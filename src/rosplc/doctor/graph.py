@@ -11,7 +11,7 @@ import difflib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
-from rosplc.bridge.resolve import TopicPlan
+from rosplc.config.resolve import TopicPlan
 from rosplc.doctor.finding import Finding, Level
 from rosplc.doctor.kinds import kind
 from rosplc.doctor.words import listed, plural

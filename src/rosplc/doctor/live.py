@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from rosplc.bridge.resolve import TopicPlan
+from rosplc.config.resolve import TopicPlan
 from rosplc.doctor.finding import Finding, Level
 from rosplc.doctor.kinds import kind
 from rosplc.doctor.objects import Objects, Seen

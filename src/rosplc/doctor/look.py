@@ -14,8 +14,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from rosplc.bridge import Project, load_project
 from rosplc.bridge.ros_side import RosSide, choose_backend
+from rosplc.config import Project, load_project
 from rosplc.doctor.graph import Graph
 from rosplc.errors import BackendError, RosplcError
 from rosplc.ros import ROS1, EndpointInfo, GraphInfo, Qos, open_backend, settled_graph

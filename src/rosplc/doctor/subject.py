@@ -7,9 +7,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from rosplc.bridge import Project, TopicPlan
-from rosplc.bridge.describe import object_size
 from rosplc.bridge.owner import group_id, user_id
+from rosplc.config import Project, TopicPlan
+from rosplc.config.objects import object_size
 from rosplc.doctor.environment import Wish
 from rosplc.doctor.leftovers import concerned
 from rosplc.doctor.objects import Objects

@@ -11,9 +11,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from rosplc.bridge import Config
 from rosplc.bridge.live_types import LiveTypes
 from rosplc.bridge.ros_side import RosSide
+from rosplc.config import Config
 from rosplc.errors import BackendError, MessageTypeError, RosplcError
 from rosplc.init.definitions import Definitions
 from rosplc.init.found import Found, Seen, Topic

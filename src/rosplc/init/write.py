@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from rosplc._version import __version__
-from rosplc.bridge import Project, parse_config, resolve
+from rosplc.config import Project, parse_config, resolve
 from rosplc.errors import ConfigError
 from rosplc.harmless import one_line
 from rosplc.init.found import Found

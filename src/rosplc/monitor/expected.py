@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 
+from rosplc.config.resolve import Project, load_project
 from rosplc.layout import Layout
 from rosplc.shm import Direction
 
-__all__ = ["ClassicTopic", "Expectation", "Expected", "default_expectation"]
+__all__ = ["ClassicTopic", "Expectation", "Expected", "default_expectation", "expected_by", "expected_of"]
 
 _STALE_TO_PLC_NS = 1_000_000_000
 
@@ -72,3 +74,35 @@ class Expected:
 def default_expectation(direction: Direction, stale_after_ns: int = _STALE_TO_PLC_NS) -> Expectation:
     """Return what a configuration says that says nothing: 1 s towards the PLC, never towards ROS."""
     return Expectation(stale_after_ns if direction is Direction.TO_PLC else 0, configured=False)
+
+
+def expected_by(files: Iterable[Path]) -> Expected:
+    """Read configurations and return what they say together; of none, what holds without any.
+
+    Raises:
+        ConfigErrors: A file is wrong.
+    """
+    topics: dict[tuple[str, str], Expectation] = {}
+    classic: list[tuple[str, ClassicTopic]] = []
+    for file in files:
+        found = expected_of(load_project(file))
+        topics.update(found.topics)
+        classic += found.classic
+    return Expected(topics, tuple(classic))
+
+
+def expected_of(project: Project) -> Expected:
+    """Return what a resolved configuration says."""
+    prefix = project.namespace.prefix
+    topics: dict[tuple[str, str], Expectation] = {}
+    classic: list[tuple[str, ClassicTopic]] = []
+    for plan in project.topics:
+        if plan.classic is None:
+            topics[prefix, plan.topic] = Expectation(plan.stale_after_ns, in_order=plan.every)
+            continue
+        names = plan.classic
+        topic = ClassicTopic(
+            plan.topic, plan.direction, names.name, names.semaphore, plan.layout, plan.stale_after_ns
+        )
+        classic.append((prefix, topic))
+    return Expected(topics, tuple(classic))

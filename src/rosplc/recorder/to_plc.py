@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from rosplc.bridge.bind import Binding
-from rosplc.bridge.describe import describe
 from rosplc.bridge.owner import group_id, user_id
-from rosplc.bridge.resolve import Project
 from rosplc.codec import Codec, Wire
+from rosplc.config.objects import describe
+from rosplc.config.resolve import Project
 from rosplc.described import description_of
 from rosplc.errors import ChannelError, CodecError, RecordingError, RosplcError
 from rosplc.layout import Layout, Limits, compute_layout

@@ -8,9 +8,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-from rosplc.bridge.access import open_doors
-from rosplc.bridge.config import Config, read_config
 from rosplc.bridge.realtime import contention
+from rosplc.config.access import open_doors
+from rosplc.config.file import Config, read_config
 from rosplc.errors import SetupError
 from rosplc.service.unit import Plan
 

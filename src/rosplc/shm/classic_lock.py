@@ -51,7 +51,7 @@ class ClassicLock:
 
     Args:
         name: Without a slash and without ``sem.``.
-        recover_after_ns: See :class:`rosplc.bridge.classic_plan.ClassicPlan`.
+        recover_after_ns: See :class:`rosplc.config.classic_plan.ClassicPlan`.
         mode: Permission bits of a new one.
         uid: Owner of a new one; None for this process's.
         gid: Group of a new one; None for this process's.

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from rosplc.bridge import Bridge, parse_config, resolve
+from rosplc.bridge import Bridge
+from rosplc.config import parse_config, resolve
 from rosplc.ros import DEFAULT
 from rosplc.ros.memory import open_backend
 from tests.classic_cell import CACHE, Program, build_plc, remove, wait_for

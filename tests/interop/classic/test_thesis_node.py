@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from rosplc.bridge import Bridge, parse_config
+from rosplc.bridge import Bridge
+from rosplc.config import parse_config
 from rosplc.model import TypeStore
 from rosplc.ros import DEFAULT
 from rosplc.ros.memory import MemoryBackend, open_backend

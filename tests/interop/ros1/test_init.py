@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from rosplc.bridge import load_project
 from rosplc.cli.app import app
+from rosplc.config import load_project
 from rosplc.ros import LATCHED, Qos
 from tests.interop.ros1.graph import Graph, lend
 from tests.interop.ros1.test_peers import PART, part_defines, string

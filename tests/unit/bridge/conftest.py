@@ -9,8 +9,9 @@ from typing import Any
 
 import pytest
 
-from rosplc.bridge import Bridge, parse_config
+from rosplc.bridge import Bridge
 from rosplc.codec import Codec, Wire
+from rosplc.config import parse_config
 from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.ros import Publisher, Qos

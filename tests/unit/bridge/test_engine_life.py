@@ -11,11 +11,12 @@ from typing import Any
 import pytest
 
 from rosplc._core._native import Fault
-from rosplc.bridge import Bridge, Level, parse_config, read_config, resolve
+from rosplc.bridge import Bridge, Level
 from rosplc.bridge.keeper import Keeper
 from rosplc.bridge.to_plc import ToPlc
 from rosplc.bridge.to_ros import ToRos
 from rosplc.bridge.topic import Surroundings
+from rosplc.config import parse_config, read_config, resolve
 from rosplc.errors import BackendError, ChannelError, ConfigError
 from rosplc.ros import LATCHED, Qos
 from rosplc.ros.memory import MemoryBackend, MemoryPublisher, MemorySubscription, open_backend

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from rosplc.bridge import Level, parse_config, resolve
+from rosplc.bridge import Level
 from rosplc.bridge.to_plc import ToPlc
 from rosplc.bridge.topic import Surroundings
+from rosplc.config import parse_config, resolve
 from rosplc.ros import Qos
 from rosplc.shm import Namespace
 from rosplc.shm.constants import FLAG_FIRST

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rosplc.bridge.depth import Demand, least_slots, usual_slots
 from rosplc.bridge.gate import Gate
-from rosplc.bridge.quantities import format_duration, parse_duration, parse_mode, parse_rate
 from rosplc.bridge.repeats import QUIET_NS, RepeatedWarnings
 from rosplc.bridge.status import BridgeStatus, Level, TopicStatus, format_age
+from rosplc.config.depth import Demand, least_slots, usual_slots
+from rosplc.config.quantities import format_duration, parse_duration, parse_mode, parse_rate
 from rosplc.shm import Direction
 
 MS = 1_000_000

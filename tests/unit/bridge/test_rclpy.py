@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 import rosplc
-from rosplc.bridge import Bridge, read_config
+from rosplc.bridge import Bridge
+from rosplc.config import read_config
 from rosplc.model import TypeStore
 from rosplc.ros import Qos, RosArguments, open_backend
 from rosplc.shm import Namespace

@@ -15,12 +15,12 @@ from typing import Any
 
 import pytest
 
-from rosplc.bridge.access import open_doors
-from rosplc.bridge.config import Config
 from rosplc.bridge.engine import Bridge
 from rosplc.bridge.realtime import Realtime, contention
-from rosplc.bridge.resolve import resolve
 from rosplc.cli.check_facts import warnings
+from rosplc.config.access import open_doors
+from rosplc.config.file import Config
+from rosplc.config.resolve import resolve
 from rosplc.errors import RosplcError, SetupError
 from rosplc.shm import Namespace
 
@@ -232,7 +232,7 @@ def test_garbage(shm_namespace: Namespace, setting: str) -> None:
 
 def test_off_in_yaml_is_a_word() -> None:
     """``gc: off`` is no boolean, as it would be to many readers of YAML."""
-    from rosplc.bridge.config import parse_config
+    from rosplc.config.file import parse_config
 
     assert parse_config("realtime: {gc: off}").settings.realtime.gc == "off"
 

@@ -9,7 +9,8 @@ from typing import Any
 
 import pytest
 
-from rosplc.bridge import Bridge, ConfigErrors, parse_config, read_config
+from rosplc.bridge import Bridge
+from rosplc.config import ConfigErrors, parse_config, read_config
 from rosplc.errors import BackendError, ChannelError
 from rosplc.ros import Qos
 from rosplc.ros.memory import MemoryBackend, open_backend

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from rosplc.bridge import Bridge, ConfigErrors, parse_config, resolve
+from rosplc.bridge import Bridge
 from rosplc.bridge.ros_side import RosSide, choose_backend
+from rosplc.config import ConfigErrors, parse_config, resolve
 from rosplc.errors import BackendError
 from rosplc.ros import Remapping, RosArguments
 from rosplc.ros.memory import MemoryBackend

@@ -13,8 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from rosplc.bridge import Bridge, parse_config
+from rosplc.bridge import Bridge
 from rosplc.bridge.run import News, pause, run_until_signal, stop_on_signals
+from rosplc.config import parse_config
 from rosplc.errors import BackendError
 from rosplc.model import TypeStore
 from rosplc.ros.memory import open_backend
@@ -23,7 +24,8 @@ from tests.unit.bridge.conftest import wait_for
 
 PROGRAM = """
 import logging, sys
-from rosplc.bridge import Bridge, read_config, run_until_signal
+from rosplc.bridge import Bridge, run_until_signal
+from rosplc.config import read_config
 logging.basicConfig(level=logging.INFO, stream=sys.stderr)
 run_until_signal(Bridge(read_config(sys.argv[1])))
 print("left cleanly")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from rosplc.bridge import parse_config, resolve
 from rosplc.cli.check_facts import facts
+from rosplc.config import parse_config, resolve
 
 INT = "std_msgs/msg/Int32"
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from rosplc.bridge import parse_config, resolve
 from rosplc.cli.app import app
 from rosplc.cli.check_facts import facts
+from rosplc.config import parse_config, resolve
 
 INT = "std_msgs/msg/Int32"
 

@@ -123,7 +123,7 @@ def test_check_explains(config):
 def test_the_stated_memory_is_what_an_object_takes(config, tmp_path):
     """What check says about memory is to the byte what the bridge then allocates, and adds up."""
     from rosplc.bridge.engine import Bridge
-    from rosplc.bridge.resolve import load_project
+    from rosplc.config.resolve import load_project
 
     path = config(shm={"directory": str(tmp_path)}, ros={"backend": "memory"})
     facts = json.loads(rosplc("check", path, "--json").output)

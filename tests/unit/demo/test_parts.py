@@ -172,8 +172,8 @@ def test_a_plan_survives_its_json():
 
 def test_the_plan_is_a_valid_configuration():
     """The bridge accepts what the plan writes, at both ends of its range."""
-    from rosplc.bridge.config import Config
-    from rosplc.bridge.resolve import resolve
+    from rosplc.config.file import Config
+    from rosplc.config.resolve import resolve
 
     for rate, topics in ((1.0, 1), (1000.0, 32)):
         project = resolve(

@@ -595,9 +595,9 @@ def _generated(topics: str = TOPICS, *, now: str = "", prefix: str = "") -> Look
 
 
 def _write_code(stage: Stage, topics: str, *, fenced: bool = True):
-    from rosplc.cli.generate import plc_project
     from rosplc.plc.build import ProjectOptions
     from rosplc.plc.delivery import project_files, write_files
+    from rosplc.plc.from_config import plc_project
 
     project = stage.project(topics)
     files = project_files(plc_project(project, ProjectOptions(fenced=fenced)), [], "rosplc")

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from rosplc.bridge import Project, parse_config, resolve
+from rosplc.config import Project, parse_config, resolve
 from rosplc.doctor import Finding, Level
 from rosplc.shm import Namespace
 

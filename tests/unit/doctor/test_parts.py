@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pytest
 
-from rosplc.cli.generate import plc_project
 from rosplc.doctor import Area, Level, Question, Report, examination
 from rosplc.doctor.generated import read_generated
 from rosplc.doctor.graph import Graph, judge_graph
@@ -26,6 +25,7 @@ from rosplc.doctor.rights import File, may_use, rights, runtimes, same_memory
 from rosplc.errors import BackendError
 from rosplc.plc.build import ProjectOptions
 from rosplc.plc.delivery import project_files, write_files
+from rosplc.plc.from_config import plc_project
 from rosplc.ros import EndpointInfo, GraphInfo, Qos, memory
 from rosplc.shm import Namespace
 from tests.unit.doctor.stage import OTHER_MOUNT, Stage, problems

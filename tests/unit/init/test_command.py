@@ -16,9 +16,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from rosplc.bridge import load_project
 from rosplc.cli.app import app
 from rosplc.cli.check_facts import facts
+from rosplc.config import load_project
 from rosplc.demo.domain import FreeDomain
 from tests.unit.init.robots import PART, PART_TEXTS, Robot, record
 

@@ -7,8 +7,8 @@ import json
 import pytest
 import yaml
 
-from rosplc.bridge.describe import object_size
-from rosplc.bridge.resolve import load_project
+from rosplc.config.objects import object_size
+from rosplc.config.resolve import load_project
 from rosplc.layout import Limits
 from rosplc.model import TypeStore
 from rosplc.plc.delivery import MANIFEST

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from rosplc.bridge.resolve import load_project
+from rosplc.config.resolve import load_project
 from rosplc.errors import ChannelError, RecordingError
 from rosplc.layout import Limits
 from rosplc.model import TypeStore

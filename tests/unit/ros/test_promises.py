@@ -11,8 +11,8 @@ import pytest
 
 pytest.importorskip("cyclonedds", exc_type=ImportError)
 
-from rosplc.bridge import ConfigErrors, parse_config, resolve
 from rosplc.bridge.engine import Bridge
+from rosplc.config import ConfigErrors, parse_config, resolve
 from rosplc.errors import BackendError
 from rosplc.model import TypeStore
 from rosplc.ros import Qos, incompatibility

@@ -16,7 +16,7 @@ import pytest
 from lxml import etree
 
 from rosplc import __version__
-from rosplc.bridge import load_project
+from rosplc.config import load_project
 from tests.doubles.ros2 import double
 
 PACKAGE = Path(__file__).parents[3] / "packaging" / "ros2" / "rosplc_bridge"

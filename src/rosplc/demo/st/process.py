@@ -13,7 +13,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from rosplc.bridge.resolve import load_project
+from rosplc.config.resolve import load_project
 from rosplc.demo.messages import COMMAND, robot_topics
 from rosplc.demo.pipe import Orders, report
 from rosplc.demo.plan import Plan

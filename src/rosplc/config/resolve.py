@@ -9,14 +9,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from rosplc.bridge.classic_plan import ClassicPlan, classic_name, classic_plan, passes_changes_only
-from rosplc.bridge.config import Config, read_config
-from rosplc.bridge.depth import Demand, least_slots, usual_slots
-from rosplc.bridge.problems import Problems, relocated
-from rosplc.bridge.quantities import format_duration
-from rosplc.bridge.ros_side import check_ros
-from rosplc.bridge.settings import TaskSettings, TopicSettings
-from rosplc.bridge.stale_plan import StalePlan, stale_plan
+from rosplc.config.classic_plan import ClassicPlan, classic_name, classic_plan, passes_changes_only
+from rosplc.config.depth import Demand, least_slots, usual_slots
+from rosplc.config.file import Config, read_config
+from rosplc.config.problems import Problems, relocated
+from rosplc.config.quantities import format_duration
+from rosplc.config.ros_section import check_ros
+from rosplc.config.settings import TaskSettings, TopicSettings
+from rosplc.config.stale_plan import StalePlan, stale_plan
 from rosplc.errors import ConfigError, LayoutError, RosplcError
 from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore

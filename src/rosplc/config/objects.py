@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rosplc.bridge.resolve import Project, TopicPlan
+from rosplc.config.resolve import Project, TopicPlan
 from rosplc.described import description_of
 from rosplc.shm import Description
 from rosplc.shm.header import Identity

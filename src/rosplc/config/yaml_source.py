@@ -15,7 +15,7 @@ from typing import Any
 
 import yaml
 
-from rosplc.bridge.problems import Problems
+from rosplc.config.problems import Problems
 from rosplc.errors import ConfigError
 from rosplc.harmless import one_line
 

@@ -10,9 +10,9 @@ from typing import Any, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
-from rosplc.bridge.problems import Problems, did_you_mean
-from rosplc.bridge.settings import Settings
-from rosplc.bridge.yaml_source import KeyPath, YamlSource, read_yaml
+from rosplc.config.problems import Problems, did_you_mean
+from rosplc.config.settings import Settings
+from rosplc.config.yaml_source import KeyPath, YamlSource, read_yaml
 from rosplc.errors import ConfigError
 
 __all__ = ["Config", "json_schema", "parse_config", "read_config"]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from rosplc.bridge.config import Config
-from rosplc.bridge.settings import TopicSettings
+from rosplc.config.file import Config
+from rosplc.config.settings import TopicSettings
 from rosplc.errors import ConfigError
 from rosplc.shm.names import MAX_NAME
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from rosplc.bridge import ConfigErrors, load_config, load_project, parse_config, resolve
-from rosplc.bridge.resolve import Project
+from rosplc.config import ConfigErrors, load_config, load_project, parse_config, resolve
+from rosplc.config.resolve import Project
 from rosplc.ros import Qos
 from rosplc.shm import Direction
 

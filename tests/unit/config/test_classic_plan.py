@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from rosplc.bridge import ConfigErrors, parse_config, resolve
-from rosplc.bridge.classic_plan import ClassicPlan, classic_name
-from rosplc.bridge.resolve import TopicPlan
+from rosplc.config import ConfigErrors, parse_config, resolve
+from rosplc.config.classic_plan import ClassicPlan, classic_name
+from rosplc.config.resolve import TopicPlan
 
 
 def plan(entry: str, more: str = "", topic: str = "/cmd_vel") -> TopicPlan:

@@ -8,9 +8,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from rosplc.bridge.config import Config
-from rosplc.bridge.quantities import format_duration, parse_duration
-from rosplc.bridge.settings import OnStaleSettings, TopicSettings
+from rosplc.config.file import Config
+from rosplc.config.quantities import format_duration, parse_duration
+from rosplc.config.settings import OnStaleSettings, TopicSettings
 from rosplc.errors import ConfigError, LayoutError
 from rosplc.layout import Layout
 

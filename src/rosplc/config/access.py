@@ -5,7 +5,7 @@ from __future__ import annotations
 import stat
 from pathlib import Path
 
-from rosplc.bridge.config import Config
+from rosplc.config.file import Config
 
 __all__ = ["open_doors"]
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from rosplc.bridge import ConfigErrors, parse_config, resolve
-from rosplc.bridge.stale_plan import StalePlan
+from rosplc.config import ConfigErrors, parse_config, resolve
+from rosplc.config.stale_plan import StalePlan
 
 TWIST = "geometry_msgs/msg/Twist"
 

@@ -15,10 +15,10 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rosplc.bridge import yaml_source
-from rosplc.bridge.config import Config, json_schema, parse_config, read_config
-from rosplc.bridge.problems import ConfigErrors
-from rosplc.bridge.yaml_source import LARGEST_FILE
+from rosplc.config import yaml_source
+from rosplc.config.file import Config, json_schema, parse_config, read_config
+from rosplc.config.problems import ConfigErrors
+from rosplc.config.yaml_source import LARGEST_FILE
 from rosplc.errors import ConfigError
 
 TOOL = Path(__file__).parents[3] / "tools" / "generate_config_reference.py"
