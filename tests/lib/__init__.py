@@ -1,0 +1,1 @@
+"""What unit tests, end-to-end tests, soak, fuzz and benchmarks share."""
