@@ -1,11 +1,11 @@
-"""Text from others, before a terminal or a log sees it."""
+"""Text for people: made harmless for terminals and logs, numbers with units, names shortened."""
 
 from __future__ import annotations
 
 import logging
 import sys
 
-__all__ = ["harmless", "log_to_stderr", "one_line"]
+__all__ = ["harmless", "in_bytes", "log_to_stderr", "one_line", "plural", "shorten"]
 
 
 def harmless(text: str) -> str:
@@ -20,6 +20,28 @@ def harmless(text: str) -> str:
 def one_line(text: str) -> str:
     """Return text made harmless, its line ends written out too."""
     return harmless(text).replace("\n", "\\n")
+
+
+def plural(count: int, noun: str) -> str:
+    """Return a number with its noun: 1 topic, 2 topics, 3 libraries."""
+    if count == 1:
+        return f"1 {noun}"
+    return f"{count} {noun[:-1]}ies" if noun.endswith("ry") else f"{count} {noun}s"
+
+
+def shorten(text: str, width: int) -> str:
+    """Return text of at most ``width`` characters, the middle of a longer one replaced by an ellipsis."""
+    if len(text) <= width:
+        return text
+    head = (width - 1) // 3
+    return f"{text[:head]}…{text[len(text) - (width - 1 - head) :]}"
+
+
+def in_bytes(count: int) -> str:
+    """Return a number of bytes with a fitting unit, as people read it."""
+    if count < 1024:
+        return plural(count, "byte")
+    return f"{count / 1024:.1f} KiB" if count < 1024**2 else f"{count / 1024**2:.1f} MiB"
 
 
 class _Formatter(logging.Formatter):

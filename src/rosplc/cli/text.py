@@ -1,54 +1,136 @@
-"""Plain-text output that reads well in a terminal, a pipe and a log: aligned columns, no colours."""
+"""Plain text that reads well in a terminal, a pipe and a log: aligned columns, no colours.
+
+On a terminal, tables and sentences fit its width: sentences are wrapped between words, names are
+shortened in the middle. In a pipe or a file each line is as long as its content.
+"""
 
 from __future__ import annotations
 
+import shutil
+import sys
+import textwrap
 from collections.abc import Iterable, Sequence
 
 import typer
 
-from rosplc.harmless import harmless
+from rosplc.harmless import harmless, in_bytes, plural, shorten
 
-__all__ = ["columns", "harmless", "in_bytes", "say", "warn"]
+__all__ = [
+    "columns",
+    "harmless",
+    "in_bytes",
+    "plural",
+    "say",
+    "shorten",
+    "table",
+    "terminal_width",
+    "warn",
+    "wrap",
+]
+
+_GAP = 2
+_LEAST = 12
+"""Characters that a column of names or sentences keeps at least."""
+_LEAST_WIDTH = 40
+
+
+def terminal_width() -> int | None:
+    """Return the width that stdout has as a terminal; None for a pipe or a file."""
+    if not sys.stdout.isatty():
+        return None
+    return max(_LEAST_WIDTH, shutil.get_terminal_size().columns)
 
 
 def say(text: str = "") -> None:
-    """Print text on stdout, made harmless."""
-    typer.echo(harmless(text))
+    """Print text on stdout, made harmless and wrapped between words."""
+    typer.echo(wrap(harmless(text), terminal_width()))
 
 
 def warn(text: str) -> None:
-    """Print text on stderr, made harmless."""
-    typer.echo(harmless(text), err=True)
+    """Print text on stderr, made harmless and wrapped between words."""
+    typer.echo(wrap(harmless(text), terminal_width() if sys.stderr.isatty() else None), err=True)
 
 
-def columns(rows: Iterable[Sequence[object]], *, header: Sequence[str] = (), indent: int = 0) -> list[str]:
-    """Return rows as aligned lines; numbers stand to the right, the last column is not padded."""
-    table = [[str(cell) for cell in row] for row in rows]
-    if not table:
+def wrap(text: str, width: int | None) -> str:
+    """Return text with each line wrapped between words; continued lines are indented as their line is."""
+    if width is None:
+        return text
+    lines: list[str] = []
+    for line in text.split("\n"):
+        indent = line[: len(line) - len(line.lstrip())]
+        lines += _wrapped(line, width, indent) if len(line) > width else [line]
+    return "\n".join(lines)
+
+
+def _wrapped(text: str, width: int, indent: str = "") -> list[str]:
+    return textwrap.wrap(
+        text, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+    ) or [""]
+
+
+def table(rows: Iterable[Sequence[object]], *, header: Sequence[str] = (), indent: int = 0) -> None:
+    """Print rows as aligned columns that fit the terminal."""
+    for line in columns(rows, header=header, indent=indent):
+        typer.echo(harmless(line))
+
+
+def columns(
+    rows: Iterable[Sequence[object]],
+    *,
+    header: Sequence[str] = (),
+    indent: int = 0,
+    width: int | None = None,
+) -> list[str]:
+    """Return rows as aligned lines; numbers are aligned to the right, the last column is not padded.
+
+    Args:
+        rows: The cells, as many in each row.
+        header: A title for each column.
+        indent: Blanks before each line.
+        width: Characters that a line may have; None takes the terminal's, and none in a pipe.
+    """
+    cells = [[str(cell) for cell in row] for row in rows]
+    if not cells:
         return []
-    numeric = [all(_is_number(row[column]) for row in table) for column in range(len(table[0]))]
+    numeric = [all(_is_number(row[column]) for row in cells) for column in range(len(cells[0]))]
     if header:
-        table.insert(0, list(header))
-    widths = [max(len(row[column]) for row in table) for column in range(len(table[0]))]
+        cells.insert(0, list(header))
+    natural = [max(len(row[column]) for row in cells) for column in range(len(cells[0]))]
+    limit = width or terminal_width()
+    widths = natural if limit is None else _fitted(cells, natural, numeric, limit - indent)
     lines = []
-    for row in table:
-        cells = [
-            cell.rjust(width) if right else cell.ljust(width)
-            for cell, width, right in zip(row, widths, numeric, strict=True)
-        ]
-        lines.append((" " * indent + "  ".join(cells)).rstrip())
+    for row in cells:
+        folded = [_folded(cell, size) for cell, size in zip(row, widths, strict=True)]
+        for number in range(max(map(len, folded))):
+            parts = [column[number] if number < len(column) else "" for column in folded]
+            padded = [
+                part.rjust(size) if right else part.ljust(size)
+                for part, size, right in zip(parts, widths, numeric, strict=True)
+            ]
+            lines.append((" " * indent + (" " * _GAP).join(padded)).rstrip())
     return lines
+
+
+def _fitted(cells: list[list[str]], natural: list[int], numeric: list[bool], limit: int) -> list[int]:
+    """Return the columns' widths, the widest narrowed until a line fits or nothing can be narrowed."""
+    widths = list(natural)
+    least = [size if right else min(size, _LEAST) for size, right in zip(natural, numeric, strict=True)]
+    excess = sum(widths) + _GAP * (len(widths) - 1) - limit
+    while excess > 0:
+        column = max(range(len(widths)), key=lambda each: widths[each] - least[each])
+        if widths[column] <= least[column]:
+            break
+        widths[column] -= 1
+        excess -= 1
+    return widths
+
+
+def _folded(cell: str, width: int) -> list[str]:
+    """Return a cell as lines of at most ``width``: sentences wrapped, names shortened in the middle."""
+    if len(cell) <= width:
+        return [cell]
+    return [shorten(line, width) for line in _wrapped(cell, width)]
 
 
 def _is_number(text: str) -> bool:
     return text.replace(".", "", 1).isdigit()
-
-
-def in_bytes(count: int) -> str:
-    """Return a number of bytes with a fitting unit, as people read it."""
-    size = float(count)
-    for unit in ("bytes", "KiB", "MiB"):
-        if size < 1024 or unit == "MiB":
-            return f"{count} bytes" if unit == "bytes" else f"{size:.1f} {unit}"
-        size /= 1024
-    raise AssertionError  # the loop returns

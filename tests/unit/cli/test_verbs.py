@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from rosplc._version import __version__
 from rosplc.cli.app import app
 from rosplc.cli.demo import parse_duration
-from rosplc.cli.text import columns, in_bytes
+from rosplc.cli.text import columns
 from rosplc.described import description_of
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
@@ -337,14 +337,6 @@ def test_columns_align():
         "bb  10  y",
     ]
     assert columns([], header=("n",)) == []
-
-
-@pytest.mark.parametrize(
-    ("count", "text"), [(0, "0 bytes"), (1023, "1023 bytes"), (1536, "1.5 KiB"), (3 << 30, "3072.0 MiB")]
-)
-def test_bytes_are_readable(count, text):
-    """Sizes have the unit that fits."""
-    assert in_bytes(count) == text
 
 
 def test_a_demo_without_a_terminal_ends_and_its_help_says_when(monkeypatch):
