@@ -81,6 +81,7 @@ format: $(VENV)/.installed ## let ruff format and sort imports
 
 .PHONY: reference
 reference: $(VENV)/.installed $(VENV)/.core ## write the generated pages and drawings of docs/ again
+	@$(VENV)/bin/python tools/generate_format.py
 	@$(VENV)/bin/python tools/draw_path.py
 	@$(VENV)/bin/python tools/draw_format.py
 	@$(VENV)/bin/python tools/draw_assembly_cell.py

@@ -1,20 +1,23 @@
-"""The numbers of spec/shm-format.md, for whoever generates, draws or reads an object.
+"""The numbers of spec/shm-format.md; generated from spec/format.toml by tools/generate_format.py.
 
-Offsets are running sums over the words in the order of the drawing; the assertions tie the
-sums to the totals of the spec. Nothing here touches an operating system.
+Offsets are in bytes: of IDENTITY and WRITER_LINE from the object's start, else from the line's.
 """
 
 from __future__ import annotations
 
 import enum
-from itertools import accumulate
 from typing import Final
 
 __all__ = [
     "CHANGING_WORDS",
+    "CRC_POLYNOMIAL",
+    "DISCONTINUITY",
+    "FEATURES_KNOWN",
     "FLAG_FIRST",
     "FLAG_SUBSTITUTED",
     "FLAG_TRUNCATED",
+    "FNV_OFFSET",
+    "FNV_PRIME",
     "FORMAT",
     "HEADER_SIZE",
     "IDENTITY",
@@ -24,14 +27,21 @@ __all__ = [
     "MAGIC",
     "MAX_BEAT_MS",
     "MAX_DESCRIPTION_SIZE",
+    "MAX_NAME",
     "MAX_OBJECT_SIZE",
     "MAX_RECORD_SIZE",
     "MAX_RETRIES",
     "MAX_SLOTS",
+    "MIN_SILENT_MS",
     "MIN_SLOTS",
+    "NAME_KEPT",
     "READER_LINE",
     "READER_LINES",
     "READER_LINES_OFFSET",
+    "RULE_DELAYED",
+    "RULE_FENCES",
+    "SILENT_BEATS",
+    "SILENT_MS",
     "SLOT_HEADER",
     "SLOT_HEADER_SIZE",
     "STAMP_NONE",
@@ -42,10 +52,131 @@ __all__ = [
     "STATE_RETIRED",
     "UNKNOWN",
     "VERSION",
+    "WINDOW_DELAYED",
+    "WINDOW_FENCES",
     "WRITER_LINE",
     "Direction",
+    "ErrorNumber",
     "reader_line",
 ]
+
+FORMAT: Final = "rosplc 1.0"
+MAGIC: Final = 0x434C5052  # the bytes RPLC
+VERSION: Final = 0x00010000  # major * 65536 + minor
+LINE_SIZE: Final = 64  # bytes of a cache line
+HEADER_SIZE: Final = 512  # bytes before the self-description
+SLOT_HEADER_SIZE: Final = 64  # bytes before each record
+READER_LINES: Final = 4  # reader lines of an object
+FEATURES_KNOWN: Final = 0  # bits of features_required that this version knows
+STATE_LIVE: Final = 1  # state: in use
+STATE_RETIRED: Final = 2  # state: replaced or removed; open the name again
+KIND_TOPIC: Final = 1  # kind: a topic's channel
+MIN_SLOTS: Final = 4  # smallest slot_count
+MAX_SLOTS: Final = 65536  # largest slot_count
+MAX_RECORD_SIZE: Final = 0x40000000  # largest record_size in bytes
+MAX_DESCRIPTION_SIZE: Final = 0x00100000  # largest description_size in bytes
+MAX_OBJECT_SIZE: Final = 0x7FFFFFFF  # largest object_size in bytes
+RULE_FENCES: Final = 1  # writer_rule: the fences of section 7.2 are in force
+RULE_DELAYED: Final = 2  # writer_rule: the delayed rule of section 7.4
+WINDOW_FENCES: Final = 2  # M12: a message is accepted up to slot_count minus this behind head
+WINDOW_DELAYED: Final = 3  # M23: the same under the delayed rule
+FLAG_FIRST: Final = 1  # flags: first after the writer started or its source was silent
+FLAG_TRUNCATED: Final = 2  # flags: something was cut off
+FLAG_SUBSTITUTED: Final = 4  # flags: not a message of the source
+STAMP_NONE: Final = 0  # stamp_clock: no time stamp
+STAMP_SYSTEM: Final = 1  # stamp_clock: system clock (UTC)
+STAMP_ROS: Final = 2  # stamp_clock: ROS time
+STAMP_PLC: Final = 3  # stamp_clock: the PLC's clock
+UNKNOWN: Final = 0xFFFFFFFF  # sources, sinks: not counted
+DISCONTINUITY: Final = 0x80000000  # from this distance on two sequences belong to no common stream
+MAX_RETRIES: Final = 3  # M12: repeated attempts of one call
+MAX_BEAT_MS: Final = 10000  # a longer promised beat counts as this many ms
+SILENT_BEATS: Final = 3  # M6, M21: promised beats that may be missed
+MIN_SILENT_MS: Final = 100  # M6: shortest silence that frees a claim, in ms
+SILENT_MS: Final = 1000  # M6: the same where no beat is promised, in ms
+MAX_NAME: Final = 80  # characters of an object's name
+NAME_KEPT: Final = 71  # characters kept of a longer name, before ~ and its hash
+FNV_OFFSET: Final = 0x811C9DC5  # FNV-1a, 32 bits: start
+FNV_PRIME: Final = 0x01000193  # FNV-1a, 32 bits: factor
+CRC_POLYNOMIAL: Final = 0xEDB88320  # CRC-32 (ISO-HDLC), reflected
+IDENTITY_SIZE: Final = 2 * LINE_SIZE
+READER_LINES_OFFSET: Final = IDENTITY_SIZE + LINE_SIZE
+CHANGING_WORDS: Final = (HEADER_SIZE - IDENTITY_SIZE) // 4
+"""Control words from the writer's line to the end of the header."""
+
+IDENTITY: Final = {
+    "magic": 0,
+    "version": 4,
+    "header_size": 8,
+    "state": 12,
+    "features_required": 16,
+    "features_optional": 20,
+    "kind": 24,
+    "direction": 28,
+    "slot_count": 32,
+    "slot_stride": 36,
+    "slot_header_size": 40,
+    "record_size": 44,
+    "slots_offset": 48,
+    "object_size": 52,
+    "description_offset": 56,
+    "description_size": 60,
+    "layout_id_lo": 64,
+    "layout_id_hi": 68,
+    "generation": 72,
+    "bridge_id": 76,
+    "creator_pid": 92,
+    "created_lo": 96,
+    "created_hi": 100,
+    "reader_lines": 104,
+    "identity_crc": 108,
+    "reserved": 112,
+}
+
+WRITER_LINE: Final = {
+    "head": 128,
+    "writer_epoch": 132,
+    "writer_beat": 136,
+    "writer_beat_ms": 140,
+    "refused": 144,
+    "truncated": 148,
+    "writer_rule": 152,
+    "sources": 156,
+    "writer_pid": 160,
+    "writer_error": 164,
+    "reserved": 168,
+}
+
+READER_LINE: Final = {
+    "claim": 0,
+    "beat": 4,
+    "beat_ms": 8,
+    "taken": 12,
+    "layout_lo": 16,
+    "layout_hi": 20,
+    "lost": 24,
+    "retries": 28,
+    "generation": 32,
+    "error": 36,
+    "sinks": 40,
+    "pid": 44,
+    "task": 48,
+}
+
+SLOT_HEADER: Final = {
+    "sequence": 0,
+    "length": 4,
+    "flags": 8,
+    "status": 12,
+    "stamp_lo": 16,
+    "stamp_hi": 20,
+    "stamp_clock": 24,
+    "checksum": 28,
+    "correlation_lo": 32,
+    "correlation_hi": 36,
+    "client": 40,
+    "reserved": 56,
+}
 
 
 class Direction(enum.IntEnum):
@@ -60,99 +191,42 @@ class Direction(enum.IntEnum):
         return self.name.lower()
 
 
-FORMAT: Final = "rosplc 1.0"
-MAGIC: Final = 0x434C5052
-VERSION: Final = 0x00010000
-STATE_LIVE: Final = 1
-STATE_RETIRED: Final = 2
-KIND_TOPIC: Final = 1
-LINE_SIZE: Final = 64
-READER_LINES: Final = 4
-MIN_SLOTS: Final = 4
-MAX_SLOTS: Final = 65536
-MAX_RECORD_SIZE: Final = 2**30
-MAX_DESCRIPTION_SIZE: Final = 2**20
-MAX_OBJECT_SIZE: Final = 2**31 - 1
-MAX_RETRIES: Final = 3
-MAX_BEAT_MS: Final = 10_000
-"""A longer promise counts as this much, lest a damaged word block a claim for days."""
+class ErrorNumber(enum.IntEnum):
+    """The numbers of section 9; number 101 is the error code SHM101."""
 
-FLAG_FIRST: Final = 1
-FLAG_TRUNCATED: Final = 2
-FLAG_SUBSTITUTED: Final = 4
-STAMP_NONE: Final = 0
-STAMP_SYSTEM: Final = 1
-STAMP_ROS: Final = 2
-STAMP_PLC: Final = 3
-UNKNOWN: Final = 0xFFFFFFFF
-"""The number of sources or sinks where nobody counts them."""
-
-
-def _offsets(start: int, total: int, *words: tuple[str, int]) -> dict[str, int]:
-    """Name each word's offset; a word comes with its size in bytes."""
-    sums = list(accumulate((size for _, size in words), initial=start))
-    if sums[-1] != start + total:  # pragma: no cover - found at import
-        raise AssertionError(f"the words end at {sums[-1]}, not at {start + total}")
-    return {name: offset for (name, _), offset in zip(words, sums, strict=False)}
-
-
-def _words(*names: str) -> list[tuple[str, int]]:
-    return [(name, 4) for name in names]
-
-
-# Lines 0 and 1.
-IDENTITY_SIZE: Final = 2 * LINE_SIZE
-IDENTITY: Final = _offsets(
-    0,
-    IDENTITY_SIZE,
-    *_words("magic", "version", "header_size", "state"),
-    *_words("features_required", "features_optional", "kind", "direction"),
-    *_words("slot_count", "slot_stride", "slot_header_size", "record_size"),
-    *_words("slots_offset", "object_size", "description_offset", "description_size"),
-    *_words("layout_id_lo", "layout_id_hi", "generation"),
-    ("bridge_id", 16),
-    *_words("creator_pid", "created_lo", "created_hi", "reader_lines", "identity_crc"),
-    ("reserved", 16),
-)
-
-# Line 2.
-WRITER_LINE: Final = _offsets(
-    IDENTITY_SIZE,
-    LINE_SIZE,
-    *_words("head", "writer_epoch", "writer_beat", "writer_beat_ms"),
-    *_words("refused", "truncated", "writer_rule", "sources", "writer_pid", "writer_error"),
-    ("reserved", 24),
-)
-
-# Lines 3 to 6; these offsets are from the start of a line.
-READER_LINES_OFFSET: Final = IDENTITY_SIZE + LINE_SIZE
-READER_LINE: Final = _offsets(
-    0,
-    LINE_SIZE,
-    *_words("claim", "beat", "beat_ms", "taken", "layout_lo", "layout_hi"),
-    *_words("lost", "retries", "generation", "error", "sinks", "pid"),
-    ("task", 16),
-)
-
-# Line 7 is reserved.
-HEADER_SIZE: Final = READER_LINES_OFFSET + (READER_LINES + 1) * LINE_SIZE
-
-# From the start of a slot.
-SLOT_HEADER_SIZE: Final = LINE_SIZE
-SLOT_HEADER: Final = _offsets(
-    0,
-    SLOT_HEADER_SIZE,
-    *_words("sequence", "length", "flags", "status", "stamp_lo", "stamp_hi", "stamp_clock", "checksum"),
-    *_words("correlation_lo", "correlation_hi"),
-    ("client", 16),
-    ("reserved", 8),
-)
-
-CHANGING_WORDS: Final = (HEADER_SIZE - IDENTITY_SIZE) // 4
-"""Control words from the writer's line to the end of the header."""
-
-if HEADER_SIZE != 512:  # pragma: no cover - found at import
-    raise AssertionError("the header of version 1.0 has 512 bytes")
+    NO_OBJECT = 101
+    NO_PERMISSION = 102
+    TOO_SMALL = 103
+    NOT_ROSPLC = 104
+    VERSION = 105
+    FEATURES = 106
+    IDENTITY = 107
+    GEOMETRY = 108
+    TRUNCATED = 109
+    DIRECTION = 110
+    RETIRED = 111
+    LAYOUT = 112
+    DESCRIPTION = 113
+    CLAIMED = 114
+    CLAIM_LOST = 115
+    OTHER_BRIDGE = 116
+    NO_ROOM = 117
+    NAME = 118
+    OTHER_USER = 119
+    REPLACED = 120
+    NOT_PLAIN_FILE = 121
+    READ_ONLY = 122
+    DIRECTORY = 123
+    REENTERED = 124
+    PEER_SILENT = 125
+    HANDSHAKE_TIMEOUT = 126
+    LOCK_TIMEOUT = 127
+    SEMAPHORE = 128
+    MEMORY_TOO_SMALL = 129
+    MEMORY_SIZE = 130
+    LOCK_FREED = 131
+    SEMAPHORE_COUNT = 132
+    SEMAPHORE_WORD_SIZE = 133
 
 
 def reader_line(index: int) -> int:

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import re
 import struct
+import subprocess
+import sys
 import zlib
+from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from rosplc._core._native import check_identity, distance, next_sequence
-from rosplc.errors import ChannelError
+from rosplc.errors import CODES, ChannelError
 from rosplc.shm import Direction, Identity
-from rosplc.shm.constants import HEADER_SIZE, IDENTITY, READER_LINE, SLOT_HEADER, WRITER_LINE, reader_line
+from rosplc.shm.constants import HEADER_SIZE, IDENTITY, READER_LINE, SLOT_HEADER, WRITER_LINE, ErrorNumber
 from rosplc.shm.header import layout_id_text, layout_id_words
+
+ROOT = Path(__file__).resolve().parents[3]
 
 
 def _identity(**changes: object) -> Identity:
@@ -51,12 +57,33 @@ def _signed(image: bytes, word: str, value: int) -> bytes:
     return changed[:108] + struct.pack("<I", crc) + changed[112:]
 
 
-def test_offsets_are_those_of_the_spec() -> None:
-    """A few offsets written out, so that no running sum can drift."""
-    assert (IDENTITY["state"], IDENTITY["layout_id_lo"], IDENTITY["identity_crc"]) == (12, 64, 108)
-    assert (WRITER_LINE["head"], WRITER_LINE["writer_error"]) == (128, 164)
-    assert (reader_line(0), reader_line(3), READER_LINE["taken"], READER_LINE["task"]) == (192, 384, 12, 48)
-    assert (SLOT_HEADER["stamp_clock"], SLOT_HEADER["client"]) == (24, 40)
+def test_generated_numbers_are_up_to_date() -> None:
+    """The C header and the Python module are what the generator writes from spec/format.toml."""
+    command = [sys.executable, str(ROOT / "tools" / "generate_format.py"), "--verify"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_offsets_are_those_of_the_specification() -> None:
+    """Every row of the specification's tables of words has the offset that the code uses."""
+    text = (ROOT / "spec" / "shm-format.md").read_text(encoding="utf-8")
+    for start, end, table in (
+        ("## 2.", "## 3.", IDENTITY),
+        ("## 3.", "## 4.", WRITER_LINE),
+        ("## 4.", "## 5.", READER_LINE),
+        ("## 5.", "## 6.", SLOT_HEADER),
+    ):
+        section = text[text.index(start) : text.index(end)]
+        found: dict[str, int] = {}
+        for offset, cell in re.findall(r"^\| \+?(\d+) \| ([^|]+) \|", section, re.MULTILINE):
+            for place, name in enumerate(re.findall(r"[a-z_]+", re.sub(r"\[\d+\]", "", cell))):
+                found[name] = int(offset) + 4 * place
+        assert found == table
+
+
+def test_error_numbers_are_the_registered_codes() -> None:
+    """Every number of section 9 has a code, and every code a number."""
+    assert {f"SHM{number:d}" for number in ErrorNumber} == {code for code in CODES if code.startswith("SHM")}
 
 
 def test_round_trip() -> None:

@@ -1,0 +1,246 @@
+/* The numbers of spec/shm-format.md. tools/generate_format.py makes this of spec/format.toml. */
+#ifndef ROSPLC_NUMBERS_H
+#define ROSPLC_NUMBERS_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#define ROSPLC_MAGIC 0x434C5052u /* the bytes RPLC */
+#define ROSPLC_VERSION 0x00010000u /* major * 65536 + minor */
+#define ROSPLC_LINE_SIZE 64u /* bytes of a cache line */
+#define ROSPLC_HEADER_SIZE 512u /* bytes before the self-description */
+#define ROSPLC_SLOT_HEADER_SIZE 64u /* bytes before each record */
+#define ROSPLC_READER_LINES 4u /* reader lines of an object */
+#define ROSPLC_FEATURES_KNOWN 0u /* bits of features_required that this version knows */
+#define ROSPLC_STATE_LIVE 1u /* state: in use */
+#define ROSPLC_STATE_RETIRED 2u /* state: replaced or removed; open the name again */
+#define ROSPLC_KIND_TOPIC 1u /* kind: a topic's channel */
+#define ROSPLC_TO_PLC 1u /* direction: towards the PLC */
+#define ROSPLC_TO_ROS 2u /* direction: towards ROS */
+#define ROSPLC_MIN_SLOTS 4u /* smallest slot_count */
+#define ROSPLC_MAX_SLOTS 65536u /* largest slot_count */
+#define ROSPLC_MAX_RECORD_SIZE 0x40000000u /* largest record_size in bytes */
+#define ROSPLC_MAX_DESCRIPTION_SIZE 0x00100000u /* largest description_size in bytes */
+#define ROSPLC_MAX_OBJECT_SIZE 0x7FFFFFFFu /* largest object_size in bytes */
+#define ROSPLC_RULE_FENCES 1u /* writer_rule: the fences of section 7.2 are in force */
+#define ROSPLC_RULE_DELAYED 2u /* writer_rule: the delayed rule of section 7.4 */
+#define ROSPLC_WINDOW_FENCES 2u /* M12: a message is accepted up to slot_count minus this behind head */
+#define ROSPLC_WINDOW_DELAYED 3u /* M23: the same under the delayed rule */
+#define ROSPLC_FLAG_FIRST 1u /* flags: first after the writer started or its source was silent */
+#define ROSPLC_FLAG_TRUNCATED 2u /* flags: something was cut off */
+#define ROSPLC_FLAG_SUBSTITUTED 4u /* flags: not a message of the source */
+#define ROSPLC_STAMP_NONE 0u /* stamp_clock: no time stamp */
+#define ROSPLC_STAMP_SYSTEM 1u /* stamp_clock: system clock (UTC) */
+#define ROSPLC_STAMP_ROS 2u /* stamp_clock: ROS time */
+#define ROSPLC_STAMP_PLC 3u /* stamp_clock: the PLC's clock */
+#define ROSPLC_UNKNOWN 0xFFFFFFFFu /* sources, sinks: not counted */
+#define ROSPLC_DISCONTINUITY 0x80000000u /* from this distance on two sequences belong to no common stream */
+#define ROSPLC_MAX_RETRIES 3u /* M12: repeated attempts of one call */
+#define ROSPLC_MAX_BEAT_MS 10000u /* a longer promised beat counts as this many ms */
+#define ROSPLC_SILENT_BEATS 3u /* M6, M21: promised beats that may be missed */
+#define ROSPLC_MIN_SILENT_MS 100u /* M6: shortest silence that frees a claim, in ms */
+#define ROSPLC_SILENT_MS 1000u /* M6: the same where no beat is promised, in ms */
+#define ROSPLC_MAX_NAME 80u /* characters of an object's name */
+#define ROSPLC_NAME_KEPT 71u /* characters kept of a longer name, before ~ and its hash */
+#define ROSPLC_FNV_OFFSET 0x811C9DC5u /* FNV-1a, 32 bits: start */
+#define ROSPLC_FNV_PRIME 0x01000193u /* FNV-1a, 32 bits: factor */
+#define ROSPLC_CRC_POLYNOMIAL 0xEDB88320u /* CRC-32 (ISO-HDLC), reflected */
+
+/* Section 9: what functions that may fail return. */
+typedef enum {
+    ROSPLC_OK = 0,
+    ROSPLC_ERROR_NO_OBJECT = 101, /* object does not exist */
+    ROSPLC_ERROR_NO_PERMISSION = 102, /* no permission to open the object */
+    ROSPLC_ERROR_TOO_SMALL = 103, /* object is smaller than a header */
+    ROSPLC_ERROR_NOT_ROSPLC = 104, /* not a rosplc object */
+    ROSPLC_ERROR_VERSION = 105, /* format version is not supported */
+    ROSPLC_ERROR_FEATURES = 106, /* object requires features that this side lacks */
+    ROSPLC_ERROR_IDENTITY = 107, /* identity is damaged */
+    ROSPLC_ERROR_GEOMETRY = 108, /* geometry is not consistent */
+    ROSPLC_ERROR_TRUNCATED = 109, /* object is smaller than it says */
+    ROSPLC_ERROR_DIRECTION = 110, /* wrong kind or direction */
+    ROSPLC_ERROR_RETIRED = 111, /* object is retired */
+    ROSPLC_ERROR_LAYOUT = 112, /* layout differs */
+    ROSPLC_ERROR_DESCRIPTION = 113, /* self-description cannot be read */
+    ROSPLC_ERROR_CLAIMED = 114, /* another writer holds the claim */
+    ROSPLC_ERROR_CLAIM_LOST = 115, /* writer's claim was taken over */
+    ROSPLC_ERROR_OTHER_BRIDGE = 116, /* another bridge holds this name */
+    ROSPLC_ERROR_NO_ROOM = 117, /* not enough room in shared memory */
+    ROSPLC_ERROR_NAME = 118, /* name is not valid */
+    ROSPLC_ERROR_OTHER_USER = 119, /* object belongs to another user */
+    ROSPLC_ERROR_REPLACED = 120, /* name leads to another object */
+    ROSPLC_ERROR_NOT_PLAIN_FILE = 121, /* not a plain file */
+    ROSPLC_ERROR_READ_ONLY = 122, /* this side maps the object read-only */
+    ROSPLC_ERROR_DIRECTORY = 123, /* shared memory directory cannot be used */
+    ROSPLC_ERROR_REENTERED = 124, /* function block was called by two tasks at once */
+    ROSPLC_ERROR_PEER_SILENT = 125, /* peer is silent */
+    ROSPLC_ERROR_HANDSHAKE_TIMEOUT = 126, /* handshake took too long */
+    ROSPLC_ERROR_LOCK_TIMEOUT = 127, /* the lock was not free in time */
+    ROSPLC_ERROR_SEMAPHORE = 128, /* the semaphore cannot be opened */
+    ROSPLC_ERROR_MEMORY_TOO_SMALL = 129, /* classic memory is smaller than the record */
+    ROSPLC_ERROR_MEMORY_SIZE = 130, /* classic memory has an odd size */
+    ROSPLC_ERROR_LOCK_FREED = 131, /* a lock that nobody alive held was freed */
+    ROSPLC_ERROR_SEMAPHORE_COUNT = 132, /* a semaphore let in more than one */
+    ROSPLC_ERROR_SEMAPHORE_WORD_SIZE = 133, /* semaphore of programs of another word size */
+} rosplc_error;
+
+typedef struct {
+    uint32_t magic;
+    uint32_t version;
+    uint32_t header_size;
+    uint32_t state;
+    uint32_t features_required;
+    uint32_t features_optional;
+    uint32_t kind;
+    uint32_t direction;
+    uint32_t slot_count;
+    uint32_t slot_stride;
+    uint32_t slot_header_size;
+    uint32_t record_size;
+    uint32_t slots_offset;
+    uint32_t object_size;
+    uint32_t description_offset;
+    uint32_t description_size;
+    uint32_t layout_id_lo;
+    uint32_t layout_id_hi;
+    uint32_t generation;
+    uint32_t bridge_id[4];
+    uint32_t creator_pid;
+    uint32_t created_lo;
+    uint32_t created_hi;
+    uint32_t reader_lines;
+    uint32_t identity_crc;
+    uint32_t reserved[4];
+} rosplc_identity;
+
+typedef struct {
+    uint32_t head;
+    uint32_t writer_epoch;
+    uint32_t writer_beat;
+    uint32_t writer_beat_ms;
+    uint32_t refused;
+    uint32_t truncated;
+    uint32_t writer_rule;
+    uint32_t sources;
+    uint32_t writer_pid;
+    uint32_t writer_error;
+    uint32_t reserved[6];
+} rosplc_writer_line;
+
+typedef struct {
+    uint32_t claim;
+    uint32_t beat;
+    uint32_t beat_ms;
+    uint32_t taken;
+    uint32_t layout_lo;
+    uint32_t layout_hi;
+    uint32_t lost;
+    uint32_t retries;
+    uint32_t generation;
+    uint32_t error;
+    uint32_t sinks;
+    uint32_t pid;
+    uint8_t task[16];
+} rosplc_reader_line;
+
+typedef struct {
+    uint32_t sequence;
+    uint32_t length;
+    uint32_t flags;
+    uint32_t status;
+    uint32_t stamp_lo;
+    uint32_t stamp_hi;
+    uint32_t stamp_clock;
+    uint32_t checksum;
+    uint32_t correlation_lo;
+    uint32_t correlation_hi;
+    uint32_t client[4];
+    uint32_t reserved[2];
+} rosplc_slot_header;
+
+typedef struct {
+    rosplc_identity identity;
+    rosplc_writer_line writer;
+    rosplc_reader_line reader[ROSPLC_READER_LINES];
+    uint32_t reserved[16];
+} rosplc_header;
+
+#ifdef __cplusplus
+#define ROSPLC_STATIC_ASSERT static_assert
+#else
+#define ROSPLC_STATIC_ASSERT _Static_assert
+#endif
+#define ROSPLC_AT(type, member, offset) \
+    ROSPLC_STATIC_ASSERT(offsetof(type, member) == (offset), #type "." #member " has moved")
+ROSPLC_AT(rosplc_identity, magic, 0);
+ROSPLC_AT(rosplc_identity, version, 4);
+ROSPLC_AT(rosplc_identity, header_size, 8);
+ROSPLC_AT(rosplc_identity, state, 12);
+ROSPLC_AT(rosplc_identity, features_required, 16);
+ROSPLC_AT(rosplc_identity, features_optional, 20);
+ROSPLC_AT(rosplc_identity, kind, 24);
+ROSPLC_AT(rosplc_identity, direction, 28);
+ROSPLC_AT(rosplc_identity, slot_count, 32);
+ROSPLC_AT(rosplc_identity, slot_stride, 36);
+ROSPLC_AT(rosplc_identity, slot_header_size, 40);
+ROSPLC_AT(rosplc_identity, record_size, 44);
+ROSPLC_AT(rosplc_identity, slots_offset, 48);
+ROSPLC_AT(rosplc_identity, object_size, 52);
+ROSPLC_AT(rosplc_identity, description_offset, 56);
+ROSPLC_AT(rosplc_identity, description_size, 60);
+ROSPLC_AT(rosplc_identity, layout_id_lo, 64);
+ROSPLC_AT(rosplc_identity, layout_id_hi, 68);
+ROSPLC_AT(rosplc_identity, generation, 72);
+ROSPLC_AT(rosplc_identity, bridge_id, 76);
+ROSPLC_AT(rosplc_identity, creator_pid, 92);
+ROSPLC_AT(rosplc_identity, created_lo, 96);
+ROSPLC_AT(rosplc_identity, created_hi, 100);
+ROSPLC_AT(rosplc_identity, reader_lines, 104);
+ROSPLC_AT(rosplc_identity, identity_crc, 108);
+ROSPLC_AT(rosplc_identity, reserved, 112);
+ROSPLC_STATIC_ASSERT(sizeof(rosplc_identity) == 128, "rosplc_identity has 128 bytes");
+ROSPLC_AT(rosplc_writer_line, head, 0);
+ROSPLC_AT(rosplc_writer_line, writer_epoch, 4);
+ROSPLC_AT(rosplc_writer_line, writer_beat, 8);
+ROSPLC_AT(rosplc_writer_line, writer_beat_ms, 12);
+ROSPLC_AT(rosplc_writer_line, refused, 16);
+ROSPLC_AT(rosplc_writer_line, truncated, 20);
+ROSPLC_AT(rosplc_writer_line, writer_rule, 24);
+ROSPLC_AT(rosplc_writer_line, sources, 28);
+ROSPLC_AT(rosplc_writer_line, writer_pid, 32);
+ROSPLC_AT(rosplc_writer_line, writer_error, 36);
+ROSPLC_AT(rosplc_writer_line, reserved, 40);
+ROSPLC_STATIC_ASSERT(sizeof(rosplc_writer_line) == 64, "rosplc_writer_line has 64 bytes");
+ROSPLC_AT(rosplc_reader_line, claim, 0);
+ROSPLC_AT(rosplc_reader_line, beat, 4);
+ROSPLC_AT(rosplc_reader_line, beat_ms, 8);
+ROSPLC_AT(rosplc_reader_line, taken, 12);
+ROSPLC_AT(rosplc_reader_line, layout_lo, 16);
+ROSPLC_AT(rosplc_reader_line, layout_hi, 20);
+ROSPLC_AT(rosplc_reader_line, lost, 24);
+ROSPLC_AT(rosplc_reader_line, retries, 28);
+ROSPLC_AT(rosplc_reader_line, generation, 32);
+ROSPLC_AT(rosplc_reader_line, error, 36);
+ROSPLC_AT(rosplc_reader_line, sinks, 40);
+ROSPLC_AT(rosplc_reader_line, pid, 44);
+ROSPLC_AT(rosplc_reader_line, task, 48);
+ROSPLC_STATIC_ASSERT(sizeof(rosplc_reader_line) == 64, "rosplc_reader_line has 64 bytes");
+ROSPLC_AT(rosplc_slot_header, sequence, 0);
+ROSPLC_AT(rosplc_slot_header, length, 4);
+ROSPLC_AT(rosplc_slot_header, flags, 8);
+ROSPLC_AT(rosplc_slot_header, status, 12);
+ROSPLC_AT(rosplc_slot_header, stamp_lo, 16);
+ROSPLC_AT(rosplc_slot_header, stamp_hi, 20);
+ROSPLC_AT(rosplc_slot_header, stamp_clock, 24);
+ROSPLC_AT(rosplc_slot_header, checksum, 28);
+ROSPLC_AT(rosplc_slot_header, correlation_lo, 32);
+ROSPLC_AT(rosplc_slot_header, correlation_hi, 36);
+ROSPLC_AT(rosplc_slot_header, client, 40);
+ROSPLC_AT(rosplc_slot_header, reserved, 56);
+ROSPLC_STATIC_ASSERT(sizeof(rosplc_slot_header) == 64, "rosplc_slot_header has 64 bytes");
+ROSPLC_AT(rosplc_header, writer, 128);
+ROSPLC_AT(rosplc_header, reader, 192);
+ROSPLC_AT(rosplc_header, reserved, 448);
+ROSPLC_STATIC_ASSERT(sizeof(rosplc_header) == ROSPLC_HEADER_SIZE, "the header has eight lines");
+
+#endif

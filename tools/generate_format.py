@@ -1,0 +1,186 @@
+"""Write the numbers of spec/format.toml for C and Python; ``--verify`` only compares.
+
+The C header ``rosplc/numbers.h`` gets constants, error numbers and the lines' structs; the Python module
+``rosplc.shm.constants`` constants, error numbers and the words' offsets.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from generated_page import write_or_verify
+from rosplc.errors import CODES
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib  # pytest's
+
+ROOT = Path(__file__).resolve().parent.parent
+HEADER = ROOT / "src/rosplc/include/rosplc/numbers.h"
+MODULE = ROOT / "src/rosplc/shm/constants.py"
+TABLE: dict[str, Any] = tomllib.loads((ROOT / "spec/format.toml").read_text(encoding="utf-8"))
+SIZES = {"identity": 128, "writer_line": 64, "reader_line": 64, "slot_header": 64}
+
+
+class Word(NamedTuple):
+    """One member of a line: ``count`` elements of ``width`` bytes, ``offset`` bytes from the line's start."""
+
+    name: str
+    offset: int
+    count: int
+    width: int
+
+
+def words(line: str) -> list[Word]:
+    """Return the words of a line, which fill it."""
+    found: list[Word] = []
+    at = 0
+    for text in TABLE["words"][line]:
+        match = re.fullmatch(r"(\w+)(?:\[(\d+)\]|:(\d+))?", text)
+        assert match, text
+        count = int(match[2] or match[3] or 1)
+        found.append(Word(match[1], at, count, 1 if match[3] else 4))
+        at += count * found[-1].width
+    assert at == SIZES[line], f"{line} ends at {at}"
+    return found
+
+
+def header() -> str:
+    """Return the C header's text."""
+    lines = [
+        "/* The numbers of spec/shm-format.md. tools/generate_format.py makes this of spec/format.toml. */",
+        "#ifndef ROSPLC_NUMBERS_H",
+        "#define ROSPLC_NUMBERS_H",
+        "",
+        "#include <stddef.h>",
+        "#include <stdint.h>",
+        "",
+    ]
+    lines += [
+        f"#define ROSPLC_{name} {value}u /* {meaning} */"
+        for name, (value, meaning) in TABLE["constants"].items()
+    ]
+    lines += [
+        "",
+        "/* Section 9: what functions that may fail return. */",
+        "typedef enum {",
+        "    ROSPLC_OK = 0,",
+    ]
+    lines += [
+        f"    ROSPLC_ERROR_{name} = {number}, /* {CODES[f'SHM{number}'].title} */"
+        for name, number in TABLE["errors"].items()
+    ]
+    lines += ["} rosplc_error;", ""]
+    for line in TABLE["words"]:
+        lines.append("typedef struct {")
+        for word in words(line):
+            kind = "uint8_t" if word.width == 1 else "uint32_t"
+            lines.append(f"    {kind} {word.name}{f'[{word.count}]' if word.count > 1 else ''};")
+        lines += [f"}} rosplc_{line};", ""]
+    lines += [
+        "typedef struct {",
+        "    rosplc_identity identity;",
+        "    rosplc_writer_line writer;",
+        "    rosplc_reader_line reader[ROSPLC_READER_LINES];",
+        "    uint32_t reserved[16];",
+        "} rosplc_header;",
+        "",
+        "#ifdef __cplusplus",
+        "#define ROSPLC_STATIC_ASSERT static_assert",
+        "#else",
+        "#define ROSPLC_STATIC_ASSERT _Static_assert",
+        "#endif",
+        "#define ROSPLC_AT(type, member, offset) \\",
+        '    ROSPLC_STATIC_ASSERT(offsetof(type, member) == (offset), #type "." #member " has moved")',
+    ]
+    for line, size in SIZES.items():
+        lines += [f"ROSPLC_AT(rosplc_{line}, {word.name}, {word.offset});" for word in words(line)]
+        lines.append(
+            f'ROSPLC_STATIC_ASSERT(sizeof(rosplc_{line}) == {size}, "rosplc_{line} has {size} bytes");'
+        )
+    lines += [
+        "ROSPLC_AT(rosplc_header, writer, 128);",
+        "ROSPLC_AT(rosplc_header, reader, 192);",
+        "ROSPLC_AT(rosplc_header, reserved, 448);",
+        'ROSPLC_STATIC_ASSERT(sizeof(rosplc_header) == ROSPLC_HEADER_SIZE, "the header has eight lines");',
+        "",
+        "#endif",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def module() -> str:
+    """Return the Python module's text."""
+    constants = TABLE["constants"]
+    names = [name for name in constants if name not in ("TO_PLC", "TO_ROS")]
+    lines_of_words = [line.upper() for line in TABLE["words"]]
+    extra = ["CHANGING_WORDS", "FORMAT", "IDENTITY_SIZE", "READER_LINES_OFFSET"]
+    exported = [*sorted([*names, *extra, *lines_of_words]), "Direction", "ErrorNumber", "reader_line"]
+    lines = [
+        '"""The numbers of spec/shm-format.md; generated from spec/format.toml by tools/generate_format.py.',
+        "",
+        "Offsets are in bytes: of IDENTITY and WRITER_LINE from the object's start, else from the line's.",
+        '"""',
+        "",
+        "from __future__ import annotations",
+        "",
+        "import enum",
+        "from typing import Final",
+        "",
+        "__all__ = [",
+        *(f'    "{name}",' for name in exported),
+        "]",
+        "",
+        'FORMAT: Final = "rosplc 1.0"',
+    ]
+    lines += [f"{name}: Final = {constants[name][0]}  # {constants[name][1]}" for name in names]
+    lines += [
+        "IDENTITY_SIZE: Final = 2 * LINE_SIZE",
+        "READER_LINES_OFFSET: Final = IDENTITY_SIZE + LINE_SIZE",
+        "CHANGING_WORDS: Final = (HEADER_SIZE - IDENTITY_SIZE) // 4",
+        '"""Control words from the writer\'s line to the end of the header."""',
+        "",
+    ]
+    for line in TABLE["words"]:
+        start = SIZES["identity"] if line == "writer_line" else 0
+        lines.append(f"{line.upper()}: Final = {{")
+        lines += [f'    "{word.name}": {start + word.offset},' for word in words(line)]
+        lines += ["}", ""]
+    lines += [
+        "",
+        "class Direction(enum.IntEnum):",
+        '    """Which way a channel carries messages."""',
+        "",
+        f"    TO_PLC = {constants['TO_PLC'][0]}",
+        f"    TO_ROS = {constants['TO_ROS'][0]}",
+        "",
+        "    @property",
+        "    def word(self) -> str:",
+        '        """The word that self-descriptions use: ``"to_plc"`` or ``"to_ros"``."""',
+        "        return self.name.lower()",
+        "",
+        "",
+        "class ErrorNumber(enum.IntEnum):",
+        '    """The numbers of section 9; number 101 is the error code SHM101."""',
+        "",
+        *(f"    {name} = {number}" for name, number in TABLE["errors"].items()),
+        "",
+        "",
+        "def reader_line(index: int) -> int:",
+        '    """Return the offset of reader line ``index``, 0 to 3."""',
+        "    if not 0 <= index < READER_LINES:",
+        '        raise IndexError(f"there is no reader line {index}")',
+        "    return READER_LINES_OFFSET + index * LINE_SIZE",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    outcomes = [
+        write_or_verify(path, text, __doc__) for path, text in ((HEADER, header()), (MODULE, module()))
+    ]
+    raise SystemExit(max(outcomes))
