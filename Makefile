@@ -94,6 +94,10 @@ reference: $(VENV)/.installed $(VENV)/.core ## write the generated pages and dra
 	@$(VENV)/bin/python tools/generate_doctor_reference.py
 	@$(VENV)/bin/python tools/generate_comparison.py
 
+.PHONY: count
+count: $(VENV)/.base ## print how large the repository is, per package
+	@$(VENV)/bin/python tools/count_lines.py
+
 .PHONY: site
 site: $(VENV)/.installed $(VENV)/.core ## build the documentation as a site in site/; a broken link is an error
 	@NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --quiet
