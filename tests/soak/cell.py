@@ -65,7 +65,7 @@ class Cell:
         self.ledger = Ledger(folder / "ledger", create=True)
         self.extra = Extra()
         self.options = dict.fromkeys(ALL, "")
-        self.config = folder / "tests.soak.yaml"
+        self.config = folder / "soak.yaml"
         self._plc_config, self._plc_built = folder / "plc.yaml", folder / "plc.built"
         self._generations = 0
         self._sender = {"publisher": 0, "plc": 0}
