@@ -37,8 +37,9 @@ All derive from `RosplcError` and have `code`, `what`, `where` and `remedy`. Wha
 # Package → what stands before its names, and the names; () for all that it exports.
 PACKAGES: dict[str, tuple[str, tuple[str, ...]]] = {
     "rosplc": (
-        "Channels for any program on the machine. It needs neither ROS nor a configuration, since an object\n"
-        "in shared memory describes itself, and importing it loads no middleware.",
+        "Channels for any program on the machine: they need neither ROS nor a configuration, since an\n"
+        "object in shared memory describes itself. Configurations, loaded, checked and turned into PLC\n"
+        "code. Importing rosplc loads no middleware.",
         (
             "attach",
             "Channel",
@@ -46,6 +47,12 @@ PACKAGES: dict[str, tuple[str, tuple[str, ...]]] = {
             "ObjectState",
             "bind",
             "Binding",
+            "load_project",
+            "Project",
+            "ConfigErrors",
+            "check",
+            "generate",
+            "Delivery",
             "RecordView",
             "SlotInfo",
             "Direction",

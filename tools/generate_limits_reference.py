@@ -36,16 +36,16 @@ class Limit:
 
 TABLE = """\
 Configuration:
-    size of the file | bridge.yaml_source.LARGEST_FILE | bytes | CFG001
-    levels of nesting | bridge.yaml_source.DEEPEST | levels | CFG002
-    errors reported at once | bridge.problems.MOST_ERRORS | errors | the first of them
-    topics | bridge.settings.MOST_TOPICS | topics | CFG004
-    tasks | bridge.settings.MOST_TASKS | tasks | CFG004
-    folders of messages, addresses of Zenoh | bridge.settings.MOST_PATHS | each | CFG004
-    names in `ros.remap` | bridge.settings.MOST_REMAPPINGS | names | CFG004
-    name of a topic or namespace | bridge.settings.LONGEST_NAME | characters | CFG004
-    name of a message type | bridge.settings.LONGEST_TYPE | characters | CFG004
-    path or address | bridge.settings.LONGEST_TEXT | characters | CFG004
+    size of the file | config.yaml_source.LARGEST_FILE | bytes | CFG001
+    levels of nesting | config.yaml_source.DEEPEST | levels | CFG002
+    errors reported at once | config.problems.MOST_ERRORS | errors | the first of them
+    topics | config.settings.MOST_TOPICS | topics | CFG004
+    tasks | config.settings.MOST_TASKS | tasks | CFG004
+    folders of messages, addresses of Zenoh | config.settings.MOST_PATHS | each | CFG004
+    names in `ros.remap` | config.settings.MOST_REMAPPINGS | names | CFG004
+    name of a topic or namespace | config.settings.LONGEST_NAME | characters | CFG004
+    name of a message type | config.settings.LONGEST_TYPE | characters | CFG004
+    path or address | config.settings.LONGEST_TEXT | characters | CFG004
     capacity of a string | layout.limits.MAX_STRING | bytes | LAY001
     capacity of a sequence | layout.limits.MAX_SEQUENCE | elements | LAY001
 Message definitions:

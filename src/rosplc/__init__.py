@@ -10,6 +10,7 @@ from rosplc._version import __version__
 if TYPE_CHECKING:
     from rosplc.api import Channel, attach, topics
     from rosplc.bridge.bind import Binding, bind
+    from rosplc.config import ConfigErrors, Project, load_project
     from rosplc.errors import (
         BackendError,
         ChannelError,
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     )
     from rosplc.layout import RecordView
     from rosplc.monitor import ObjectState
+    from rosplc.project import Delivery, check, generate
     from rosplc.shm import Direction, SlotInfo
 
 __all__ = [
@@ -34,11 +36,14 @@ __all__ = [
     "ChannelError",
     "CodecError",
     "ConfigError",
+    "ConfigErrors",
+    "Delivery",
     "Direction",
     "GenerationError",
     "LayoutError",
     "MessageTypeError",
     "ObjectState",
+    "Project",
     "RecordView",
     "RecordingError",
     "RosplcError",
@@ -48,6 +53,9 @@ __all__ = [
     "__version__",
     "attach",
     "bind",
+    "check",
+    "generate",
+    "load_project",
     "topics",
 ]
 
@@ -58,6 +66,9 @@ _HOME = {
     "topics": "rosplc.api",
     "Binding": "rosplc.bridge.bind",
     "bind": "rosplc.bridge.bind",
+    "ConfigErrors": "rosplc.config",
+    "Project": "rosplc.config",
+    "load_project": "rosplc.config",
     "BackendError": "rosplc.errors",
     "ChannelError": "rosplc.errors",
     "CodecError": "rosplc.errors",
@@ -71,6 +82,9 @@ _HOME = {
     "WebError": "rosplc.errors",
     "RecordView": "rosplc.layout",
     "ObjectState": "rosplc.monitor",
+    "Delivery": "rosplc.project",
+    "check": "rosplc.project",
+    "generate": "rosplc.project",
     "Direction": "rosplc.shm",
     "SlotInfo": "rosplc.shm",
 }

@@ -15,7 +15,6 @@ from typing import Any
 
 import pytest
 
-from rosplc.cli.doctor import generated
 from rosplc.doctor import Question, examine
 from rosplc.model import TypeStore
 from rosplc.ros import Qos, open_backend
@@ -44,7 +43,7 @@ def rosplc(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 def doctor(config: Path, code: Path | None = None) -> dict[str, list[Document]]:
     """Return findings by code, as JSON has them."""
-    document = examine(Question(config, code, variables=ENVIRONMENT, generate=generated)).to_dict()
+    document = examine(Question(config, code, variables=ENVIRONMENT)).to_dict()
     found: dict[str, list[Document]] = {}
     for finding in document["findings"]:
         found.setdefault(finding["code"], []).append(finding)

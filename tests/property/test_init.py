@@ -9,12 +9,12 @@ from pathlib import Path
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rosplc.cli.check_facts import facts
 from rosplc.config import load_project
 from rosplc.errors import RosplcError
 from rosplc.init import Definitions, Found, Length, Seen, Topic, Wish, draft, save, select
 from rosplc.layout.compute import limit_paths
 from rosplc.model import DISTROS
+from rosplc.project import check
 from rosplc.ros import LATCHED, SENSOR_DATA, Qos
 from tests.codec_types import BOUNDED, HARD_TYPES
 
@@ -101,7 +101,7 @@ def test_whatever_is_found_the_file_loads_and_checks_clean(robot, to, data) -> N
             assert (plan.layout.size, plan.type_name) == (entry.record_bytes, entry.type_name)
             assert dict(plan.layout.limits.fields) == {limit.path: limit.capacity for limit in entry.limits}
             assert set(entry.settings) or not plan.latched or entry.to == "ros"
-        wrong = [text for text in facts(project)["warnings"] if "a record has" not in text]
+        wrong = [text for text in check(project)["warnings"] if "a record has" not in text]
         assert [
             text for text in wrong if "all objects together" not in text and "names no topics" not in text
         ] == []

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import sys
 import textwrap
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,10 +16,9 @@ from rosplc.cli.text import harmless
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from rosplc.config import Project
     from rosplc.doctor import Finding, Report
 
-__all__ = ["EPILOG", "command", "generated"]
+__all__ = ["EPILOG", "command"]
 
 EPILOG = """Examples:
 
@@ -67,9 +65,7 @@ def command(
 
     from rosplc.doctor import Question, examine
 
-    question = Question(
-        config, plc, plc_user or "", ros, seconds, variables=dict(os.environ), generate=generated
-    )
+    question = Question(config, plc, plc_user or "", ros, seconds, variables=dict(os.environ))
     status = Console(stderr=True).status("looking") if sys.stderr.isatty() and not as_json else None
     if status is None:
         report = examine(question)
@@ -87,15 +83,6 @@ def command(
         raise typer.Exit(EXIT_CONFIG)
     if report.worst.word == "error":
         raise typer.Exit(EXIT_FAILURE)
-
-
-def generated(project: Project, fenced: bool, pins: bool) -> Mapping[str, bytes]:
-    """Return what would be generated for a project: path below the folder → content."""
-    from rosplc.plc.build import ProjectOptions
-    from rosplc.plc.delivery import project_files
-    from rosplc.plc.from_config import plc_project
-
-    return project_files(plc_project(project, ProjectOptions(fenced=fenced, pins=pins)), [], "rosplc")
 
 
 def _show(report: Report, console: Console, *, everything: bool) -> None:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import logging
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from rosplc.cli.guard import guarded
+from rosplc.cli.options import ConfigFile, config_file
 from rosplc.cli.ros_arguments import given_to
 
 __all__ = ["EPILOG", "command"]
@@ -41,7 +41,7 @@ _LEVELS = {
 @guarded
 def command(
     context: typer.Context,
-    config: Annotated[Path, typer.Argument(help="The configuration file, such as rosplc.yaml.")],
+    config: ConfigFile = None,
     status: Annotated[
         float,
         typer.Option(
@@ -60,4 +60,10 @@ def command(
     level = logging.DEBUG if verbose else logging.WARNING if quiet else logging.INFO
     if arguments.log_level is not None and not (verbose or quiet):
         level = _LEVELS[arguments.log_level]
-    run_bridge(config, status_seconds=status or None, level=level, arguments=arguments, supervised=supervised)
+    run_bridge(
+        config_file(config),
+        status_seconds=status or None,
+        level=level,
+        arguments=arguments,
+        supervised=supervised,
+    )

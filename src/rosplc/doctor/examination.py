@@ -40,6 +40,7 @@ from rosplc.doctor.report import Report
 from rosplc.doctor.subject import Question, Subject
 from rosplc.doctor.words import user_name
 from rosplc.errors import RosplcError
+from rosplc.project import expected_files
 from rosplc.ros import ROS1
 
 __all__ = ["examine"]
@@ -358,12 +359,10 @@ class _Examination:
     def _regenerated(
         self, project: Project, folder: Path, found: Generated, command: str
     ) -> tuple[list[Finding], dict[str, str]]:
-        if self._q.generate is None:
-            return [], {}
         top = folder if (folder / "st").is_dir() else folder.parent
         result: tuple[list[Finding], dict[str, str]] = ([], {})
         for pins in (False, True):
-            result = code.files(top, self._q.generate(project, found.fenced, pins), command)
+            result = code.files(top, expected_files(project, found.fenced, pins), command)
             if not any(each.level for each in result[0]):
                 break
         return result

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -33,8 +33,6 @@ class Question:
         root: Where ``proc``, ``sys``, ``etc`` and ``run`` stand.
         directory: Where objects lie without a configuration.
         variables: The environment variables.
-        generate: Returns what would be generated for a project: path → content; its arguments are
-            whether the code is fenced, and whether it has pins.
     """
 
     config: Path | None = None
@@ -45,7 +43,6 @@ class Question:
     root: Path = Path("/")
     directory: Path = Path("/dev/shm")
     variables: Mapping[str, str] = field(default_factory=lambda: dict(os.environ))
-    generate: Callable[[Project, bool, bool], Mapping[str, bytes]] | None = None
 
 
 class Subject:

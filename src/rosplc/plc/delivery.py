@@ -38,11 +38,13 @@ class Delivery:
         written: New or changed files.
         unchanged: Files that were already as they should be.
         removed: Files of a former generation that are no longer generated.
+        notes: What the generator has to tell about the project.
     """
 
     written: tuple[str, ...]
     unchanged: tuple[str, ...]
     removed: tuple[str, ...]
+    notes: tuple[str, ...] = ()
 
 
 def project_files(project: PlcProject, layouts: list[Layout], name: str) -> dict[str, bytes]:
@@ -102,6 +104,8 @@ def _write(folder: Path, files: dict[str, bytes], known: dict[str, str]) -> Deli
     written, unchanged, removed = [], [], []
     for path, content in sorted(files.items()):
         target = folder / path
+        for link in _links(folder, path):  # only with force: otherwise they count as edited
+            link.unlink()
         if target.is_file() and target.read_bytes() == content:
             unchanged.append(path)
             continue
@@ -148,11 +152,20 @@ def _is_below(folder: Path, path: str) -> bool:
     return top in (folder / path).parent.resolve().joinpath("file").parents
 
 
+def _links(folder: Path, path: str) -> list[Path]:
+    """Return the symbolic links on the way from the folder to a file: writing would follow them."""
+    steps = [folder / path, *(folder / parent for parent in Path(path).parents if parent.name)]
+    return [step for step in steps if step.is_symlink()]
+
+
 def _edited(folder: Path, files: dict[str, bytes], known: dict[str, str]) -> list[str]:
-    """Return files that exist with neither the old generation's nor the new one's content."""
+    """Return files with neither the old generation's nor the new one's content, and links in their place."""
     result = []
     for path in sorted({*files, *known}):
         target = folder / path
+        if path in files and _links(folder, path):
+            result.append(path)
+            continue
         if not target.is_file():
             continue
         content = target.read_bytes()

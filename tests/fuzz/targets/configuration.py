@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from functools import cache
 from typing import Any, cast
 
-from rosplc.cli.check_facts import facts
 from rosplc.cli.guard import finite
 from rosplc.config.file import parse_config
 from rosplc.config.resolve import resolve
@@ -14,6 +13,7 @@ from rosplc.errors import RosplcError
 from rosplc.plc import base
 from rosplc.plc.build import ProjectOptions
 from rosplc.plc.from_config import plc_project
+from rosplc.project import check as facts
 from tests.fuzz.oracle import refusals
 from tests.fuzz.plc_oracle import check_project
 from tests.fuzz.scratch import emptied

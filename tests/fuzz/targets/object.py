@@ -10,10 +10,10 @@ from pathlib import Path
 
 from rosplc import api
 from rosplc.cli.show import lines_of
-from rosplc.cli.text import harmless
 from rosplc.described import description_of
 from rosplc.doctor.objects import look_at_objects
 from rosplc.errors import ChannelError, LayoutError, RosplcError
+from rosplc.harmless import harmless
 from rosplc.layout import Limits, compute_layout
 from rosplc.layout.view import plain
 from rosplc.model import TypeStore

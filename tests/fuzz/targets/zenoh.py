@@ -9,7 +9,7 @@ from typing import Any, cast
 
 import zenoh
 
-from rosplc.cli.text import harmless
+from rosplc.harmless import harmless
 from rosplc.ros.qos import Qos
 from rosplc.ros.zenoh import attachment, endpoint
 from rosplc.ros.zenoh.graph import TokenTable, explain, fits

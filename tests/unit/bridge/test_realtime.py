@@ -17,11 +17,11 @@ import pytest
 
 from rosplc.bridge.engine import Bridge
 from rosplc.bridge.realtime import Realtime, contention
-from rosplc.cli.check_facts import warnings
 from rosplc.config.access import open_doors
 from rosplc.config.file import Config
 from rosplc.config.resolve import resolve
 from rosplc.errors import RosplcError, SetupError
+from rosplc.project import warnings
 from rosplc.shm import Namespace
 
 FIFO = {"policy": "fifo", "priority": 3}

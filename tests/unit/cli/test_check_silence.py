@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from rosplc.cli.check_facts import facts
 from rosplc.config import parse_config, resolve
+from rosplc.project import check
 
 INT = "std_msgs/msg/Int32"
 
@@ -42,7 +42,7 @@ INT = "std_msgs/msg/Int32"
 def test_each_topic_says_what_happens_when_its_source_is_silent(entry: str, words: str) -> None:
     """One sentence per topic, without a word that only a programmer knows."""
     project = resolve(parse_config(f"ros: {{backend: memory}}\ntopics:\n  /a: {{type: {INT}, {entry}}}\n"))
-    made = facts(project)
+    made = check(project)
     assert made["topics"]["/a"]["when_silent"] == words
     assert len(made["warnings"]) == ("classic" in entry)
 
@@ -51,7 +51,7 @@ def test_programs_get_the_same_as_data() -> None:
     """Action, value, period and flag stand in the JSON, too."""
     entry = "to: ros, stale_after: 2s, on_stale: {value: {data: -1}, period: 5Hz}"
     project = resolve(parse_config(f"ros: {{backend: memory}}\ntopics:\n  /a: {{type: {INT}, {entry}}}\n"))
-    assert facts(project)["topics"]["/a"]["on_stale"] == {
+    assert check(project)["topics"]["/a"]["on_stale"] == {
         "action": "substitute",
         "value": {"data": -1},
         "period_ms": 200.0,

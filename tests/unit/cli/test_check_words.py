@@ -8,8 +8,9 @@ import pytest
 from typer.testing import CliRunner
 
 from rosplc.cli.app import app
-from rosplc.cli.check_facts import facts
 from rosplc.config import parse_config, resolve
+from rosplc.project import check
+from tests.command import rosplc
 
 INT = "std_msgs/msg/Int32"
 
@@ -17,13 +18,13 @@ INT = "std_msgs/msg/Int32"
 def explained(folder: Path, text: str) -> str:
     path = folder / "rosplc.yaml"
     path.write_text(text)
-    result = CliRunner().invoke(app, ["check", str(path)])
+    result = CliRunner().invoke(app, ["check", "-v", str(path)])
     assert result.exit_code == 0, result.output
     return result.output
 
 
 def made(text: str):
-    return facts(resolve(parse_config(text)))
+    return check(resolve(parse_config(text)))
 
 
 def test_the_plc_program_finds_its_block_by_the_name_that_is_told(tmp_path: Path) -> None:
@@ -102,6 +103,49 @@ def test_memory_adds_up_and_is_split_by_direction(tmp_path: Path) -> None:
     )
     output = explained(tmp_path, text)
     assert "4 slots × 128 = " in output
-    assert "Shared memory in all: " in output and "towards the PLC, " in output
+    assert "Shared memory in total: " in output and "towards the PLC, " in output
     classic = made(f"ros: {{backend: memory}}\ntopics:\n  /a: {{type: {INT}, to: plc, classic: true}}\n")
     assert classic["topics"]["/a"]["memory"]["object_bytes"] == 4
+
+
+def test_a_large_configuration_is_a_screen(tmp_path: Path) -> None:
+    """Without -v at most 24 lines are printed, and the last of the cut table names the option."""
+    path = tmp_path / "rosplc.yaml"
+    topics = "".join(f"  /topic{n}: {{type: std_msgs/msg/String, to: plc}}\n" for n in range(60))
+    path.write_text(f"ros: {{backend: memory}}\ntopics:\n{topics}")
+    output = rosplc("check", path).output
+    assert len(output.splitlines()) <= 24
+    assert "/topic0 " in output and "/topic59" not in output
+    assert "rosplc check -v prints every topic" in output
+    assert "/topic59" in rosplc("check", "-v", path).output
+
+
+def test_the_effective_limit_of_each_field_is_printed(tmp_path: Path) -> None:
+    """Default, configured and nested capacities are listed with the field's path."""
+    path = tmp_path / "rosplc.yaml"
+    path.write_text(
+        "ros: {backend: memory}\ntopics:\n"
+        "  /j: {type: sensor_msgs/msg/JointState, to: plc, limits: {name: 6}}\n"
+    )
+    assert "header.frame_id 80, name 6, name[] 80, position 16" in rosplc("check", path).output
+    assert made(path.read_text())["topics"]["/j"]["limits"]["name"] == 6
+
+
+def test_another_ros_distribution_in_the_environment_is_a_warning(tmp_path: Path, monkeypatch) -> None:
+    """ROS_DISTRO that differs from the configuration is reported, the same one is not."""
+    text = "ros: {backend: memory}\ntopics: {/a: {type: std_msgs/msg/Int32, to: plc}}\n"
+    monkeypatch.setenv("ROS_DISTRO", "jazzy")
+    assert "ROS_DISTRO" not in explained(tmp_path, text)
+    monkeypatch.setenv("ROS_DISTRO", "humble")
+    assert "ROS_DISTRO is humble, but ros.distro is jazzy" in explained(tmp_path, text)
+
+
+def test_the_configuration_in_this_folder_is_the_default(tmp_path: Path, monkeypatch) -> None:
+    """`check` and `generate` without a file take ./rosplc.yaml."""
+    monkeypatch.chdir(tmp_path)
+    Path("rosplc.yaml").write_text(
+        "ros: {backend: memory}\ntopics: {/a: {type: std_msgs/msg/Int32, to: plc}}\n"
+    )
+    assert "rosplc.yaml is valid" in rosplc("check").output
+    assert "files written" in rosplc("generate").output
+    assert Path("plc/rosplc.xml").is_file()

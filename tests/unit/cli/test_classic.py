@@ -44,7 +44,7 @@ def run(*arguments: object) -> tuple[int, str, str]:
 
 def test_check_explains_memory_and_lock(config: Path, name: str) -> None:
     """Names, waits and what a message is stand in the explanation, and in JSON."""
-    code, out, _ = run("check", config)
+    code, out, _ = run("check", "-v", config)
     assert code == 0
     assert f"memory {name} with the bare record" in out
     assert f"semaphore {name}, tried for 5ms, freed when it is held for 1s" in out

@@ -109,7 +109,7 @@ def test_types_shows_constants_and_defaults(tmp_path):
 
 def test_check_explains(config):
     """Direction, type, sizes and memory of every topic are told, and which defaults apply."""
-    output = rosplc("check", config()).output
+    output = rosplc("check", "--verbose", config()).output
     assert "is valid" in output
     assert "/cmd_vel  ROS → PLC  geometry_msgs/msg/Twist" in output
     assert "/joint_states  PLC → ROS" in output
@@ -260,7 +260,7 @@ BAD = {
     "limit of zero": (["types", "std_msgs/String", "--limits", "data=0"], 1, "LAY001"),
     "missing file": (["check", "/nowhere/rosplc.yaml"], 2, "CFG001"),
     "run without its file": (["run", "/nowhere/rosplc.yaml"], 2, "CFG001"),
-    "check without a file": (["check"], 2, "name a configuration file"),
+    "check without a file": (["check"], 2, "this folder has no rosplc.yaml"),
     "a topic that does not exist": (["show", "/no/such/topic"], 1, "SHM101"),
     "a topic that cannot exist": (["show", "no slash"], 1, "SHM118"),
     "a prefix that cannot exist": (["show", "/a", "--prefix", "1"], 1, "SHM118"),

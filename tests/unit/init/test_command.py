@@ -17,9 +17,9 @@ import pytest
 from typer.testing import CliRunner
 
 from rosplc.cli.app import app
-from rosplc.cli.check_facts import facts
 from rosplc.config import load_project
 from rosplc.demo.domain import FreeDomain
+from rosplc.project import check
 from tests.unit.init.robots import PART, PART_TEXTS, Robot, record
 
 pytestmark = pytest.mark.timeout(180)
@@ -66,7 +66,7 @@ def test_everything_is_written_checked_and_explained(memory: tuple[str, ...], he
     plan = project.topic("/joint_states")
     assert (plan.qos.reliability, plan.layout.limits.fields["name"]) == ("best_effort", 6)
     assert project.topic("/mode").latched
-    assert facts(project)["warnings"] == []
+    assert check(project)["warnings"] == []
     assert f"Left out: /parts: {PART} is unknown" in output
     assert "--types" in output
     for words in ("rosplc check rosplc.yaml", "rosplc run rosplc.yaml", "rosplc generate rosplc.yaml"):

@@ -204,3 +204,17 @@ def test_names_up_to_the_limits_of_ros_have_files(tmp_path):
     assert all(len(Path(path).name) <= 255 for path in files)
     assert len(write_files(tmp_path / "plc", files).written) == len(files)
     assert sum(path.startswith("st/") for path in files) == len(made.duts) + len(made.gvls) + len(made.pous)
+
+
+@pytest.mark.parametrize("name", ["rosplc.xml", "st"])
+def test_links_are_not_followed(tmp_path, name):
+    """A link in the output folder, dangling too, is refused, and replaced with force."""
+    folder, outside = tmp_path / "plc", tmp_path / "outside"
+    folder.mkdir()
+    (folder / name).symlink_to(outside)
+    files = {"rosplc.xml": b"<x/>", "st/a.st": b"a"}
+    with pytest.raises(GenerationError) as caught:
+        write_files(folder, files)
+    assert caught.value.code == "PLC001" and not outside.exists()
+    write_files(folder, files, force=True)
+    assert not outside.exists() and (folder / "st/a.st").read_bytes() == b"a"

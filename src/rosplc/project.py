@@ -1,31 +1,67 @@
-"""What a configuration leads to, as plain data, and what in it is probably not meant."""
+"""A configuration without a running bridge: its consequences, what looks unintended in it, its PLC code."""
 
 from __future__ import annotations
 
 import grp
+import json
 import os
 import pwd
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal
 
-from rosplc.cli.text import in_bytes
+from rosplc.bridge.realtime import contention
+from rosplc.bridge.ros_side import choose_backend
+from rosplc.config.access import open_doors
+from rosplc.config.classic_plan import ClassicPlan
+from rosplc.config.objects import object_plan
+from rosplc.config.quantities import format_duration
+from rosplc.config.resolve import Project, TopicPlan, load_project
+from rosplc.config.stale_plan import flag_topic
 from rosplc.errors import GenerationError, RosplcError
+from rosplc.harmless import in_bytes
+from rosplc.layout import Layout, SequenceNode, StringNode, compute_layout
+from rosplc.model import TypeStore
+from rosplc.plc.build import ProjectOptions, build_type_library
+from rosplc.plc.delivery import Delivery, project_files, write_files
+from rosplc.plc.from_config import plc_project
+from rosplc.plc.instances import instance_names
+from rosplc.plc.programs import READ_GVL, WRITE_GVL
+from rosplc.plc.project import PlcProject
+from rosplc.ros import INSTALL, Choice
+from rosplc.ros.choice import why_not_installed
 
-if TYPE_CHECKING:
-    from rosplc.config.classic_plan import ClassicPlan
-    from rosplc.config.resolve import Project, TopicPlan
-    from rosplc.ros import Choice
+__all__ = [
+    "Delivery",
+    "access",
+    "capacities",
+    "check",
+    "chosen_backend",
+    "expected_files",
+    "generate",
+    "generate_types",
+    "memory",
+    "plc_names",
+    "warnings",
+    "when_silent",
+]
 
-__all__ = ["access", "chosen_backend", "facts", "memory", "plc_names", "warnings", "when_silent"]
-
-_PAGE = 4096
 _SEMAPHORE = 32
 _LARGE_RECORD = 64 * 1024
 _MUCH_MEMORY = 32 * 1024 * 1024
 
 
-def facts(project: Project) -> dict[str, Any]:
-    """Return what a configuration leads to, as plain data."""
+def check(config: Path | str | Project) -> dict[str, Any]:
+    """Return what a configuration leads to: what `rosplc check --json` prints.
+
+    Args:
+        config: The file, or what :func:`load_project` made of it.
+
+    Raises:
+        ConfigErrors: Everything that is wrong, each with file, line and key.
+    """
+    project = config if isinstance(config, Project) else load_project(config)
     settings = project.config.settings
     chosen = chosen_backend(project)
     names = plc_names(project)
@@ -53,8 +89,6 @@ def facts(project: Project) -> dict[str, Any]:
 
 def chosen_backend(project: Project) -> Choice | RosplcError:
     """Return the backend that the configuration leads to on this machine, or why there is none."""
-    from rosplc.bridge.ros_side import choose_backend
-
     try:
         return choose_backend(project.config)
     except RosplcError as error:
@@ -63,11 +97,6 @@ def chosen_backend(project: Project) -> Choice | RosplcError:
 
 def plc_names(project: Project) -> dict[str, tuple[str, str]] | GenerationError:
     """Return instance and function block of each topic in the generated code, or why there is none."""
-    from rosplc.plc.build import ProjectOptions
-    from rosplc.plc.from_config import plc_project
-    from rosplc.plc.instances import instance_names
-    from rosplc.plc.programs import READ_GVL, WRITE_GVL
-
     try:
         made = plc_project(project, ProjectOptions())
     except GenerationError as error:
@@ -86,6 +115,61 @@ def plc_names(project: Project) -> dict[str, tuple[str, str]] | GenerationError:
     return found
 
 
+def generate(
+    config: Path | str | Project,
+    folder: Path | str = "plc",
+    *,
+    target: Literal["x86", "arm"] = "x86",
+    fences: bool = False,
+    pins: bool = False,
+    force: bool = False,
+) -> Delivery:
+    """Write the PLC's half of a configuration: Structured Text, PLCopenXML, import script, C header.
+
+    Args:
+        config: The file, or what :func:`load_project` made of it.
+        folder: The output folder; created where it is missing.
+        target: The PLC's processor.
+        fences: On ``"arm"``: the device enables the MemoryBarrier library.
+        pins: Give blocks a pin per top-level field, for Ladder and Function Blocks.
+        force: Overwrite files that were edited.
+
+    Raises:
+        ConfigErrors: The configuration is wrong.
+        GenerationError: The code cannot be generated, or a file was edited (PLC001).
+    """
+    project = config if isinstance(config, Project) else load_project(config)
+    made = plc_project(project, ProjectOptions(fenced=target == "x86" or fences, pins=pins))
+    topics = sorted(project.topics, key=lambda plan: plan.topic)  # as the PLC's objects are ordered
+    return _deliver(made, [plan.layout for plan in topics], folder, force=force)
+
+
+def generate_types(
+    distro: str,
+    folder: Path | str = "plc",
+    *,
+    target: Literal["x86", "arm"] = "x86",
+    fences: bool = False,
+    pins: bool = False,
+    force: bool = False,
+) -> Delivery:
+    """Write both blocks of every message type of a distribution; arguments and errors as :func:`generate`."""
+    store = TypeStore.bundled(distro)
+    layouts = [compute_layout(store, name) for name in store.names()]
+    options = ProjectOptions(fenced=target == "x86" or fences, pins=pins)
+    return _deliver(build_type_library(store, layouts, options), layouts, folder, force=force)
+
+
+def _deliver(project: PlcProject, layouts: list[Layout], folder: Path | str, *, force: bool) -> Delivery:
+    delivery = write_files(Path(folder), project_files(project, layouts, "rosplc"), force=force)
+    return replace(delivery, notes=tuple(project.notes))
+
+
+def expected_files(project: Project, fenced: bool, pins: bool) -> Mapping[str, bytes]:
+    """Return what would be generated for a project: path below the folder → content."""
+    return project_files(plc_project(project, ProjectOptions(fenced=fenced, pins=pins)), [], "rosplc")
+
+
 def access(project: Project) -> dict[str, Any]:
     """Return who may open the objects: mode, owner and group, as far as this machine knows them."""
     shm = project.config.settings.shm
@@ -96,11 +180,11 @@ def access(project: Project) -> dict[str, Any]:
     }
 
 
-def _name(given: str | int | None, look_up: Any) -> str | None:
+def _name(given: str | int | None, look_up: Callable[[int], str]) -> str | None:
     if not isinstance(given, int):
         return given
     try:
-        return str(look_up(given))
+        return look_up(given)
     except KeyError:
         return str(given)
 
@@ -118,8 +202,6 @@ def memory(project: Project, plan: TopicPlan) -> dict[str, int]:
             "object_bytes": plan.layout.size,
             "semaphore_bytes": lock,
         }
-    from rosplc.config.objects import object_plan
-
     made = object_plan(project, plan)
     return {
         "memory_bytes": _pages(made.object_size),
@@ -132,7 +214,7 @@ def memory(project: Project, plan: TopicPlan) -> dict[str, int]:
 
 
 def _pages(count: int) -> int:
-    page = os.sysconf("SC_PAGESIZE") if hasattr(os, "sysconf") else _PAGE
+    page = os.sysconf("SC_PAGESIZE")
     return -(-count // page) * page
 
 
@@ -149,6 +231,7 @@ def _topic_facts(project: Project, plan: TopicPlan, names: dict[str, tuple[str, 
         "block": block,
         "layout_id": plan.layout.layout_id,
         "record_bytes": plan.layout.size,
+        "limits": capacities(plan.layout),
         "slots": plan.slots,
         "memory_bytes": parts["memory_bytes"],
         "memory": parts,
@@ -170,9 +253,16 @@ def _topic_facts(project: Project, plan: TopicPlan, names: dict[str, tuple[str, 
     }
 
 
-def _stale_facts(plan: TopicPlan) -> dict[str, Any]:
-    from rosplc.config.stale_plan import flag_topic
+def capacities(layout: Layout) -> dict[str, int]:
+    """Return the effective capacity of every string (bytes) and sequence (elements) by its path."""
+    return {
+        path: node.capacity
+        for path, _, node in layout.fields()
+        if isinstance(node, StringNode | SequenceNode)
+    }
 
+
+def _stale_facts(plan: TopicPlan) -> dict[str, Any]:
     safe = plan.on_stale
     substituted = safe.action == "substitute"
     return {
@@ -195,9 +285,6 @@ def _classic_facts(plan: ClassicPlan) -> dict[str, Any]:
 
 def when_silent(project: Project, plan: TopicPlan) -> str:
     """Say in plain words what happens while the topic's source says nothing."""
-    from rosplc.config.quantities import format_duration
-    from rosplc.config.stale_plan import flag_topic
-
     safe, after = plan.on_stale, format_duration(plan.stale_after_ns)
     if plan.direction == 1:
         if not plan.stale_after_ns:
@@ -223,19 +310,12 @@ def when_silent(project: Project, plan: TopicPlan) -> str:
 
 def _shown(value: Mapping[str, Any]) -> str:
     """Return a message's fields as a configuration writes them, shortened."""
-    import json
-
     text = json.dumps(value, ensure_ascii=False)
     return "the type's initial message" if not value else text if len(text) <= 60 else text[:57] + "…"
 
 
 def warnings(project: Project) -> list[str]:
     """Return what is allowed but probably not meant."""
-    from rosplc.bridge.realtime import contention
-    from rosplc.config.access import open_doors
-    from rosplc.ros import INSTALL
-    from rosplc.ros.choice import why_not_installed
-
     found = []
     if isinstance(chosen := chosen_backend(project), RosplcError):
         found.append(f"on this machine the bridge would not start: {chosen.what}. {chosen.remedy}")
@@ -243,6 +323,11 @@ def warnings(project: Project) -> list[str]:
         found.append(
             f"on this machine the bridge would not start: the package of backend {chosen.name} is not "
             f"installed: {missing}. For {chosen.name}: {INSTALL.get(chosen.name, 'a complete rosplc')}."
+        )
+    if (here := os.environ.get("ROS_DISTRO")) and here != project.config.settings.ros.distro:
+        found.append(
+            f"ROS_DISTRO is {here}, but ros.distro is {project.config.settings.ros.distro}: message "
+            "definitions may differ. Set ros.distro to the installed distribution, unless this is meant."
         )
     found += [*open_doors(project.config), *contention(project.config)]
     if isinstance(names := plc_names(project), RosplcError):

@@ -1,0 +1,40 @@
+"""Options that several verbs have, declared once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rosplc.errors import ConfigError
+
+__all__ = ["AsJson", "ConfigFile", "config_file", "default_config"]
+
+_DEFAULT = Path("rosplc.yaml")
+
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+ConfigFile = Annotated[
+    Path | None, typer.Argument(help="The configuration file; rosplc.yaml in this folder by default.")
+]
+
+
+def default_config() -> Path | None:
+    """Return ./rosplc.yaml if there is one."""
+    return _DEFAULT if _DEFAULT.is_file() else None
+
+
+def config_file(given: Path | None) -> Path:
+    """Return the configuration to use: what was given, else ./rosplc.yaml.
+
+    Raises:
+        ConfigError: CFG001, none was given and there is no rosplc.yaml here.
+    """
+    if given is None and default_config() is None:
+        raise ConfigError(
+            "CFG001",
+            "no configuration was named, and this folder has no rosplc.yaml",
+            where=str(Path.cwd()),
+            remedy="Name the file, or write one with `rosplc init`.",
+        )
+    return given or _DEFAULT
