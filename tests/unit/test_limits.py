@@ -83,7 +83,7 @@ def beyond(*limits: str) -> Callable[[Any], Any]:
     return register
 
 
-@beyond("bridge.yaml_source.LARGEST_FILE", "bridge.yaml_source.DEEPEST")
+@beyond("config.yaml_source.LARGEST_FILE", "config.yaml_source.DEEPEST")
 def files_and_nesting(patch: pytest.MonkeyPatch, folder: Path) -> None:
     long = folder / "long.yaml"
     long.write_bytes(b"#" * (yaml_source.LARGEST_FILE + 1))
@@ -91,7 +91,7 @@ def files_and_nesting(patch: pytest.MonkeyPatch, folder: Path) -> None:
     refused("CFG002", yaml("[" * (yaml_source.DEEPEST + 1)), str(yaml_source.DEEPEST))
 
 
-@beyond("bridge.problems.MOST_ERRORS")
+@beyond("config.problems.MOST_ERRORS")
 def errors_at_once(patch: pytest.MonkeyPatch, folder: Path) -> None:
     with pytest.raises(ConfigErrors) as caught:
         parse_config("".join(f"wrong{number}: 1\n" for number in range(2 * problems.MOST_ERRORS)))
@@ -99,10 +99,10 @@ def errors_at_once(patch: pytest.MonkeyPatch, folder: Path) -> None:
 
 
 @beyond(
-    "bridge.settings.MOST_TOPICS",
-    "bridge.settings.MOST_TASKS",
-    "bridge.settings.MOST_PATHS",
-    "bridge.settings.MOST_REMAPPINGS",
+    "config.settings.MOST_TOPICS",
+    "config.settings.MOST_TASKS",
+    "config.settings.MOST_PATHS",
+    "config.settings.MOST_REMAPPINGS",
 )
 def many_keys(patch: pytest.MonkeyPatch, folder: Path) -> None:
     topics = {f"/t{number}": {"type": "a/B", "to": "plc"} for number in range(settings.MOST_TOPICS + 1)}
@@ -117,7 +117,7 @@ def many_keys(patch: pytest.MonkeyPatch, folder: Path) -> None:
     refused("CFG004", lambda: Config.from_dict({"ros": {"remap": remap}}), str(settings.MOST_REMAPPINGS))
 
 
-@beyond("bridge.settings.LONGEST_NAME", "bridge.settings.LONGEST_TYPE", "bridge.settings.LONGEST_TEXT")
+@beyond("config.settings.LONGEST_NAME", "config.settings.LONGEST_TYPE", "config.settings.LONGEST_TEXT")
 def long_names(patch: pytest.MonkeyPatch, folder: Path) -> None:
     name = "/" + "a" * settings.LONGEST_NAME
     assert parse_config(f"topics: {{{name[:-1]}: {TOPIC}}}")
