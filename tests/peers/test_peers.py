@@ -1,0 +1,174 @@
+"""What 0.1.0 made goes on working: a program over its C headers, and the PLC code that it generated."""
+
+from __future__ import annotations
+
+import secrets
+import shutil
+import signal
+import struct
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from rosplc.codec import Codec, Wire
+from rosplc.layout import Limits, compute_layout
+from rosplc.model import TypeStore
+from rosplc.ros import DEFAULT, open_backend
+from rosplc.shm import Direction, Namespace, OwnedChannel, attach
+from tests.peers.release import environment, old_release
+from tests.verification.plc_cell import describe
+
+if shutil.which("gcc") is None:
+    pytest.skip("Debian package gcc is missing", allow_module_level=True)
+
+ROOT = Path(__file__).resolve().parents[2]
+HERE = Path(__file__).parent
+TYPE = "geometry_msgs/msg/Vector3"
+STORE = TypeStore.bundled("jazzy")
+LAYOUT = compute_layout(STORE, TYPE, Limits())
+WATCHDOG_S = 60.0
+NO_BRIDGE = 125
+
+
+def wait_for(condition: Callable[[], object], what: str) -> None:
+    """Wait until something holds."""
+    deadline = time.monotonic() + WATCHDOG_S
+    while not condition():
+        assert time.monotonic() < deadline, f"waited for {WATCHDOG_S:.0f} s: {what}"
+        time.sleep(0.001)
+
+
+def test_a_program_over_the_old_c_headers(tmp_path: Path) -> None:
+    """It takes every message of today's writer in order, and today's reader takes every one of its own."""
+    program = tmp_path / "echo"
+    headers = old_release() / "rosplc" / "_core"
+    flags = ["-std=gnu11", "-O2", "-Wall", "-Werror", f"-I{headers}"]
+    subprocess.run(["gcc", *flags, str(HERE / "echo.c"), "-o", str(program)], check=True)
+    namespace = Namespace(f"peers{secrets.token_hex(4)}", "/dev/shm")
+    into, out = (
+        OwnedChannel.open(namespace, describe(topic, LAYOUT, direction), record_size=LAYOUT.size)
+        for topic, direction in (("/in", Direction.TO_PLC), ("/out", Direction.TO_ROS))
+    )
+    with into, out:
+        writer, reader, record = into.writer(), out.reader(), bytearray(LAYOUT.size)
+        command = [str(program), into.path, out.path]
+        with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as peer:
+            assert peer.stdin is not None and peer.stdout is not None
+            assert peer.stdout.readline() == "ready\n"
+            for number in range(1, 1001):
+                sent = bytes(LAYOUT.pack({"x": float(number), "y": -float(number), "z": 0.5}))
+                writer.publish(sent)
+                wait_for(lambda: reader.next(record), "the message comes back")
+                assert record == sent
+            peer.stdin.close()
+            assert peer.stdout.read() == "lost 0\n"
+        assert peer.returncode == 0
+
+
+PASS = """PROGRAM Pass
+ROS_Write.out.msg := ROS_Read.in.msg;
+ROS_Write.out.xEnable := ROS_Read.in.xNew;
+END_PROGRAM
+"""
+
+
+class Plc(threading.Thread):
+    """The project that 0.1.0 generated, translated and scanned; it sends back what comes.
+
+    Attributes:
+        errors: Every error number that a block has shown since both were ready.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(daemon=True)
+        from rosplc_st.build import Toolchain, build
+        from rosplc_st.machine import LibraryMachine
+        from rosplc_st.run_project import load_texts
+
+        texts = load_texts(folder) | {"Pass": PASS}
+        self.machine = LibraryMachine(build(texts, None, Toolchain(flags=("-O1",))))
+        self.machine.option("real_clock")
+        self.errors: set[int] = set()
+        self.ready = self.ending = False
+
+    def run(self) -> None:
+        """Scan every 2 ms."""
+        self.machine.start()
+        while not self.ending:
+            for program in ("SharedMemory_Read", "Pass", "SharedMemory_Write"):
+                self.machine.scan(program, step=0)
+            shown = {self.machine.get(f"{block}.udiError") for block in ("ROS_Read.in", "ROS_Write.out")}
+            self.ready = self.ready or (shown == {0} and self.machine.get("ROS_Write.out.xReady"))
+            if self.ready:
+                self.errors |= shown
+            time.sleep(0.002)
+
+
+def test_bridges_change_places_under_an_old_project(tmp_path: Path) -> None:
+    """0.1.0, today's, and 0.1.0 again: the PLC's side sees a pause; nothing is torn, repeated or invented."""
+    pytest.importorskip("blark")
+    pytest.importorskip("cyclonedds")
+    prefix, domain = f"peers{secrets.token_hex(4)}", str(secrets.randbelow(90) + 10)
+    place = {"ROS_DOMAIN_ID": domain, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    config = tmp_path / "rosplc.yaml"
+    config.write_text(
+        f"bridge: peers\nprefix: {prefix}\nros: {{distro: jazzy, backend: dds}}\ntopics:\n"
+        f"  /in: {{type: {TYPE}, to: plc, stale_after: 500ms}}\n  /out: {{type: {TYPE}, to: ros}}\n"
+    )
+    old, new = environment(), {**environment(), "PYTHONPATH": str(ROOT / "src")}
+    generate = [sys.executable, "-m", "rosplc", "generate", str(config), "--out", str(tmp_path / "plc")]
+    subprocess.run(generate, env=old, check=True, capture_output=True)
+    plc = Plc(tmp_path / "plc" / "st")
+    node = open_backend("dds", STORE, "peers", domain=int(domain), environment=place)
+    codec, came = Codec(LAYOUT, Wire.CDR), []
+
+    def receive(payload: bytes, *_: object) -> None:
+        came.append(struct.unpack("<3d", bytes(payload)[4:28]))
+
+    subscription = node.subscribe("/out", TYPE, DEFAULT, receive)
+    publisher = node.advertise("/in", TYPE, DEFAULT)
+    sent = 0
+
+    def flow() -> None:
+        """Send until some more of what was sent since has come back."""
+        nonlocal sent
+        first, deadline = sent, time.monotonic() + WATCHDOG_S
+        while not came or came[-1][0] < first + 50:
+            assert time.monotonic() < deadline, "messages flow"
+            sent += 1
+            record = LAYOUT.pack({"x": float(sent), "y": -float(sent), "z": 0.5})
+            publisher.write(codec.encode(record), time.time_ns())
+            time.sleep(0.004)
+
+    plc.start()
+    generations = []
+    try:
+        for release in (old, new, old):
+            with (tmp_path / "bridge.log").open("a") as log:
+                command = [sys.executable, "-m", "rosplc", "run", str(config), "--status", "0"]
+                bridge = subprocess.Popen(command, env={**release, **place}, stdout=log, stderr=log)
+            try:
+                flow()
+                with attach(Namespace(prefix), "/in") as channel:
+                    generations.append(channel.identity.generation)
+            finally:
+                bridge.send_signal(signal.SIGTERM)
+                assert bridge.wait(WATCHDOG_S) == 0, (tmp_path / "bridge.log").read_text()
+    finally:
+        plc.ending = True
+        plc.join(WATCHDOG_S)
+        publisher.close()
+        subscription.close()
+        node.close()
+        for file in Path("/dev/shm").glob(f"{prefix}.*"):
+            file.unlink()
+    assert len(set(generations)) == 1  # adopted, not replaced
+    assert plc.errors <= {0, NO_BRIDGE}
+    numbers = [x for x, _, _ in came]
+    assert numbers == sorted(set(numbers)) and numbers[-1] <= sent
+    assert all((y, z) == (-x, 0.5) for x, y, z in came)
