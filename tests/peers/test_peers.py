@@ -70,6 +70,18 @@ def test_a_program_over_the_old_c_headers(tmp_path: Path) -> None:
         assert peer.returncode == 0
 
 
+@pytest.mark.parametrize("distro", ["humble", "jazzy", "noetic"])
+def test_data_types_are_those_of_the_old_release(distro: str, tmp_path: Path) -> None:
+    """For every bundled type of a distribution the data unit types are the same text, to the byte."""
+    for name, place in (("old", environment()), ("new", {**environment(), "PYTHONPATH": str(ROOT / "src")})):
+        command = [sys.executable, "-m", "rosplc", "generate", "--all-types", distro, "--out", name]
+        subprocess.run(command, cwd=tmp_path, env=place, check=True, capture_output=True)
+    types = {path.name: path.read_bytes() for path in (tmp_path / "old/st/Types").iterdir()}
+    now = {path.name: path.read_bytes() for path in (tmp_path / "new/st/Types").iterdir()}
+    assert len(types) > 50
+    assert {name: now.get(name) for name in types} == types
+
+
 PASS = """PROGRAM Pass
 ROS_Write.out.msg := ROS_Read.in.msg;
 ROS_Write.out.xEnable := ROS_Read.in.xNew;
