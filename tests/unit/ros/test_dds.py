@@ -6,6 +6,7 @@ import logging
 import struct
 import subprocess
 import sys
+import threading
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,14 +16,17 @@ import pytest
 
 pytest.importorskip("cyclonedds", reason="no wheel of cyclonedds for this machine")
 
+from cyclonedds.topic import Topic
 from rosbags.typesys import Stores, get_typestore
 
 from rosplc.errors import BackendError
 from rosplc.model import DISTROS, TypeStore
 from rosplc.ros import Qos
+from rosplc.ros.dds import domain as domain_module
 from rosplc.ros.dds.config import check_peers, domain_config, domain_id
 from rosplc.ros.dds.discovery import (
     ANNOUNCEMENT,
+    ANNOUNCEMENT_TOPIC,
     NodeEntities,
     decode_announcement,
     encode_announcement,
@@ -326,3 +330,49 @@ def test_two_backends_share_a_domain(graph: Graph) -> None:
     assert publisher.write(string("still here"))
     two.close()
     assert graph.node("three").advertise("/chatter", STRING, Qos()).write(string("again"))
+
+
+def test_topic_is_created_once(graph: Graph, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A topic stays open with its type: creating it while types are removed crashes the library."""
+    created: list[str] = []
+
+    def create(participant: Any, name: str, data_type: Any) -> Any:
+        created.append(name)
+        return Topic(participant, name, data_type)
+
+    monkeypatch.setattr(domain_module, "Topic", create)
+    node = graph.node("one")
+    for _ in range(3):
+        node.subscribe("/chatter", STRING, Qos(), lambda *_: None).close()
+        node.advertise("/chatter", STRING, Qos()).close()
+    assert created == [ANNOUNCEMENT_TOPIC, "rt/chatter"]
+
+
+def test_types_are_removed_under_the_lock_of_topic_creation(
+    graph: Graph, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """While one node leaves, another one creates no topic."""
+    one, other = graph.node("one"), graph.node("other")
+    one.advertise("/chatter", STRING, Qos())
+    deleting = threading.Event()
+    delete = domain_module.native.delete
+
+    def slowly(entity: Any) -> None:
+        if isinstance(entity, Topic):
+            deleting.set()
+            assert not created.is_set()
+        delete(entity)
+
+    created = threading.Event()
+    monkeypatch.setattr(domain_module.native, "delete", slowly)
+
+    def create() -> None:
+        deleting.wait()
+        other.advertise("/other", STRING, Qos())
+        created.set()
+
+    thread = threading.Thread(target=create)
+    thread.start()
+    one.close()
+    thread.join()
+    assert created.is_set()

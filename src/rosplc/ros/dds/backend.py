@@ -17,7 +17,6 @@ from cyclonedds.qos import Policy
 from cyclonedds.qos import Qos as DdsQos
 from cyclonedds.sub import DataReader
 from cyclonedds.sub import Subscriber as SubscriberGroup
-from cyclonedds.topic import Topic
 
 from rosplc.errors import BackendError
 from rosplc.ros.backend import EndpointInfo, EndpointStatus, GraphInfo, OnMessage, Qos, TypeSource
@@ -126,8 +125,15 @@ class DdsBackend:
         guid: bytes = self._participant.guid.bytes
         self._publishers = PublisherGroup(self._participant)
         self._subscribers = SubscriberGroup(self._participant)
+        self._topics = domains.Topics(self._participant)
         self._announcer = Announcer(
-            self._participant, guid, self._namespace, self._node_name, self._store.distro, dds_qos
+            self._participant,
+            self._topics,
+            guid,
+            self._namespace,
+            self._node_name,
+            self._store.distro,
+            dds_qos,
         )
         self._peers = PeerTable(self._participant, guid)
         self._waitset = native.WaitSet(self._participant._ref)
@@ -165,8 +171,7 @@ class DdsBackend:
         name = self._store[type_name].name
         type_hash = self._store.type_hash(name) if self._hashes else ""
         try:
-            dds = Topic(self._participant, dds_topic(full), self._types[name])
-            entity = kind(group(), dds, dds_qos(qos, type_hash))
+            entity = kind(group(), self._topics(dds_topic(full), self._types[name]), dds_qos(qos, type_hash))
         except DDSException as error:
             raise native.refusal(f"cannot open {full} as {name}", error) from error
         return entity, (full, name, type_hash, qos)
@@ -336,6 +341,7 @@ class DdsBackend:
             endpoint.close()
         self._announcer.close()
         self._waitset.close()
+        self._topics.close()
         for entity in (*self._peers.readers, self._publishers, self._subscribers, self._participant):
             native.delete(entity)
         domains.leave(self.domain)

@@ -9,12 +9,46 @@ from typing import Any
 
 from cyclonedds.core import DDSException
 from cyclonedds.domain import Domain
+from cyclonedds.topic import Topic
 
 from rosplc.ros.dds import native
 
-__all__ = ["enter", "leave"]
+__all__ = ["TYPES", "Topics", "enter", "leave"]
 
 _logger = logging.getLogger("rosplc.ros.dds")
+
+
+TYPES = threading.RLock()
+"""Held while types come and go.
+
+Creating a topic, the wheel walks the type library without the library's lock (cyclonedds 11.0.1; the report
+is tests/interop/upstream/cyclonedds_types.md): whatever removes a type at that moment ends the process.
+"""
+
+
+class Topics:
+    """A participant's topics: opened once and kept, so that no type is removed while the participant lives.
+
+    Args:
+        participant: The wheel's participant.
+    """
+
+    def __init__(self, participant: Any) -> None:
+        self._participant = participant
+        self._open: dict[tuple[str, Any], Any] = {}
+
+    def __call__(self, name: str, data_type: Any) -> Any:
+        """Return the topic of this name and type; DDSException if the library refuses it."""
+        with TYPES:
+            if (name, data_type) not in self._open:
+                self._open[name, data_type] = Topic(self._participant, name, data_type)
+            return self._open[name, data_type]
+
+    def close(self) -> None:
+        """Delete the topics."""
+        with TYPES:
+            while self._open:
+                native.delete(self._open.popitem()[1])
 
 
 @dataclass
@@ -34,7 +68,7 @@ def enter(number: int, config: str) -> None:
     Raises:
         BackendError: ROS002 if the library refuses the configuration.
     """
-    with _lock:
+    with _lock, TYPES:
         if (entry := _domains.get(number)) is not None:
             entry.users += 1
             if entry.config != config:
@@ -56,7 +90,7 @@ def enter(number: int, config: str) -> None:
 
 def leave(number: int) -> None:
     """Give a domain up; the last one deletes it."""
-    with _lock:
+    with _lock, TYPES:
         entry = _domains.get(number)
         if entry is None:
             return

@@ -14,7 +14,6 @@ from typing import Any
 from cyclonedds._clayer import ddspy_take, ddspy_write
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
-from cyclonedds.topic import Topic
 
 from rosplc.model.types import (
     ArrayType,
@@ -91,6 +90,7 @@ class Announcer:
 
     Args:
         participant: The wheel's participant.
+        topics: Opens its topics.
         guid: Its 16-byte id.
         namespace: The node's namespace.
         name: The node's base name.
@@ -101,6 +101,7 @@ class Announcer:
     def __init__(
         self,
         participant: Any,
+        topics: Callable[[str, Any], Any],
         guid: bytes,
         namespace: str,
         name: str,
@@ -117,9 +118,9 @@ class Announcer:
         self._names: dict[bytes, str] = {}
         types = AnnouncementTypes(distro)
         type_hash = types.type_hash(ANNOUNCEMENT)
-        self._topic = Topic(participant, ANNOUNCEMENT_TOPIC, IdlTypes(types)[ANNOUNCEMENT])
-        self._writer = DataWriter(participant, self._topic, qos_of(_QOS, type_hash))
-        self._reader = DataReader(participant, self._topic, qos_of(_READ_QOS, type_hash))
+        topic = topics(ANNOUNCEMENT_TOPIC, IdlTypes(types)[ANNOUNCEMENT])
+        self._writer = DataWriter(participant, topic, qos_of(_QOS, type_hash))
+        self._reader = DataReader(participant, topic, qos_of(_READ_QOS, type_hash))
         self.reader: int = self._reader._ref
         self.announce()
 
@@ -190,5 +191,5 @@ class Announcer:
     def close(self) -> None:
         """Say that the node has gone, and delete the entities."""
         self.announce(leaving=True)
-        for entity in (self._writer, self._reader, self._topic):
+        for entity in (self._writer, self._reader):
             native.delete(entity)
