@@ -17,6 +17,9 @@ class ExternalShutdownException(Exception):
 
 
 class Executor:
+    def _take_subscription(self, sub: Any) -> Any:
+        return _take(sub)
+
     def __init__(self, *, context: Any = None) -> None:
         if context is None:
             from rclpy.utilities import get_default_context
@@ -114,7 +117,7 @@ class SingleThreadedExecutor(Executor):
             for subscription in list(node.subscriptions):
                 waits = subscription.handle.endpoint.waiting
                 if waits and subscription.callback_group.can_execute(subscription):
-                    return _guarded(subscription, lambda s=subscription: _take(s))  # type: ignore[misc]
+                    return _handled(subscription, self._take_subscription)
         return None
 
 
@@ -138,17 +141,31 @@ def _guarded(entity: Any, work: Callable[[], None]) -> Callable[[], None]:
     return run
 
 
-def _take(subscription: Any) -> None:
+def _handled(entity: Any, take: Callable[[Any], Any]) -> Callable[[], None]:
+    """As ``_make_handler``: what a take raises leaves the callback group occupied."""
+
+    def run() -> None:
+        if entity.callback_group.beginning_execution(entity):
+            call = take(entity)
+            try:
+                if call is not None:
+                    call()
+            finally:
+                entity.callback_group.ending_execution(entity)
+
+    return run
+
+
+def _take(subscription: Any) -> Callable[[], None] | None:
     try:
         with subscription.handle:
             taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
     except InvalidHandle:
         if HUMBLE:  # there the executor does not expect it
             raise
-        return
+        return None
     if taken is None:
-        return
+        return None
     if HUMBLE or subscription._callback_type.name == "MessageOnly":
-        subscription.callback(taken[0])
-    else:
-        subscription.callback(*taken)
+        return lambda: subscription.callback(taken[0])
+    return lambda: subscription.callback(*taken)

@@ -22,6 +22,7 @@ from rclpy.exceptions import (
 )
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
+from rclpy.qos import discovered
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo, TopicEndpointTypeEnum
 
@@ -43,7 +44,10 @@ class _Handle(Destroyable):
     def take_message(self, pymsg_type: Any, raw: bool) -> Any:
         assert raw, "the double hands over raw bytes only"
         with _graph.changed:
-            return self.endpoint.waiting.popleft() if self.endpoint.waiting else None
+            taken = self.endpoint.waiting.popleft() if self.endpoint.waiting else None
+        if taken is not None and not taken[0]:  # as rmw_cyclonedds, which makes no room for nothing
+            raise RCLError("failed to take raw message from subscription")
+        return taken
 
 
 class Node:
@@ -391,7 +395,7 @@ def _info(endpoint: _graph.Endpoint) -> TopicEndpointInfo:
             TopicEndpointTypeEnum.PUBLISHER if endpoint.publishes else TopicEndpointTypeEnum.SUBSCRIPTION
         ),
         "endpoint_gid": list(endpoint.number.to_bytes(16, "little")),
-        "qos_profile": endpoint.profile,
+        "qos_profile": discovered(endpoint.profile),
     }
     if not HUMBLE:
         from rclpy.type_hash import TypeHash

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 from enum import IntEnum
 from typing import Any
+
+from rclpy.duration import Duration, Infinite
 
 
 class QoSPolicyKind(IntEnum):
@@ -72,7 +75,8 @@ class QoSProfile:
         self.depth = kwargs.get("depth", 10)
         self.reliability = ReliabilityPolicy(kwargs.get("reliability", 1))
         self.durability = DurabilityPolicy(kwargs.get("durability", 2))
-        self.deadline = kwargs.get("deadline", 0)  # ns here; a rclpy.duration.Duration there
+        self.deadline = kwargs.get("deadline", Duration())
+        self.liveliness_lease_duration = kwargs.get("liveliness_lease_duration", Duration())
         self.liveliness = LivelinessPolicy(kwargs.get("liveliness", 1))
 
 
@@ -80,6 +84,15 @@ class QoSCompatibility(IntEnum):
     OK = 0
     WARNING = 1
     ERROR = 2
+
+
+def discovered(profile: QoSProfile) -> QoSProfile:
+    """Return a profile as discovery shows it: what is unspecified is infinite."""
+    shown = copy.copy(profile)
+    for name in ("deadline", "liveliness_lease_duration"):
+        if not getattr(shown, name).nanoseconds:
+            setattr(shown, name, Infinite)
+    return shown
 
 
 def _excluding(offered: QoSProfile, wanted: QoSProfile) -> tuple[str, str]:
@@ -94,7 +107,8 @@ def _excluding(offered: QoSProfile, wanted: QoSProfile) -> tuple[str, str]:
         and wanted.durability == DurabilityPolicy.TRANSIENT_LOCAL
     ):
         return "DURABILITY", "ERROR: Volatile publisher and transient local subscription;"
-    if wanted.deadline and (not offered.deadline or offered.deadline > wanted.deadline):
+    offers, wants = offered.deadline.nanoseconds, wanted.deadline.nanoseconds
+    if wants and (not offers or offers > wants):  # infinite is no exception there: an own profile has 0
         return "DEADLINE", "ERROR: Subscription has a deadline, but publisher does not;"
     if wanted.liveliness > offered.liveliness:
         return "LIVELINESS", (

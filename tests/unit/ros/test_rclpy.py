@@ -340,7 +340,7 @@ def test_waiting_messages_are_taken_at_once(machine: Machine) -> None:
     taken = []
     executors = importlib.import_module("rclpy.executors")
     original = executors._take
-    executors._take = lambda subscription: (taken.append(1), original(subscription))
+    executors._take = lambda subscription: taken.append(1) or original(subscription)
     hold.set()
     wait_for(lambda: len(got) == 300)
     executors._take = original
@@ -396,15 +396,45 @@ def test_misfit_is_logged_once_with_its_reason(machine: Machine, caplog: pytest.
     assert subscription.status().code == "ROS004"
 
 
-def test_other_obstacles_come_in_the_middlewares_words(machine: Machine) -> None:
-    """A deadline, which the bridge has no setting for, is explained as the middleware does it."""
-    qos = importlib.import_module("rclpy.qos")
-    native = machine.native("picky")
-    profile = qos.QoSProfile(depth=1, deadline=1000)
-    native.create_subscription(message_class(STRING), "/chatter", lambda _: None, profile, raw=True)
-    publisher = machine.node("talker").advertise("/chatter", STRING, Qos())
-    assert publisher.status().code == "ROS004"
-    assert "Subscription has a deadline" in publisher.status().reason
+@pytest.mark.parametrize(
+    ("wish", "words"),
+    [
+        ({"deadline": 1_000_000}, "the subscriber wants a deadline of 1 ms"),
+        ({"liveliness_lease_duration": 2_000_000}, "the subscriber wants a liveliness lease of 2 ms"),
+        ({"liveliness": 3}, "the subscriber wants manual liveliness"),
+        ({}, ""),
+    ],
+)
+def test_promises_that_keep_a_peer_away_are_named(machine: Machine, wish: dict[str, int], words: str) -> None:
+    """What discovery shows as infinite is no wish; a deadline, a lease and manual liveliness are."""
+    qos, duration = importlib.import_module("rclpy.qos"), importlib.import_module("rclpy.duration").Duration
+    wishes = {
+        name: value if name == "liveliness" else duration(nanoseconds=value) for name, value in wish.items()
+    }
+    profile = qos.QoSProfile(depth=1, **wishes)
+    machine.native("peer").create_subscription(
+        message_class(STRING), "/chatter", lambda _: None, profile, raw=True
+    )
+    status = machine.node("talker").advertise("/chatter", STRING, Qos()).status()
+    assert status.code == ("ROS004" if words else "")
+    assert words in status.reason
+
+
+@pytest.mark.parametrize("payload", [b"", b"\0", b"\0\7\0\0"])
+def test_message_that_is_none_does_not_stop_the_others(machine: Machine, payload: bytes) -> None:
+    """Bytes that are no CDR are counted, even those that the middleware's take fails on."""
+    got: list[bytes] = []
+    subscription = machine.node("listener").subscribe("/a", STRING, Qos(), lambda p, _: got.append(p))
+    publisher = machine.native("peer").create_publisher(
+        message_class(STRING), "/a", importlib.import_module("rclpy.qos").QoSProfile(depth=10)
+    )
+    for each in (payload, string("x"), payload, payload, string("y")):
+        publisher.publish(each)
+    wait_for(lambda: len(got) == 2)
+    assert got == [string("x"), string("y")]
+    status = subscription.status()
+    assert (status.received, status.rejected) == (2, 3)
+    assert "were none that a ROS 2 node sends" in status.reason
 
 
 def test_match_that_nothing_explains_is_told_after_a_while(

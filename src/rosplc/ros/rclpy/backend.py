@@ -24,7 +24,7 @@ from rosplc.ros.rclpy.options import domain_of, read_options
 from rosplc.ros.rclpy.parameters import show
 from rosplc.ros.rclpy.peers import Peer, explain, read_peers
 from rosplc.ros.rclpy.qos import profile
-from rosplc.ros.rclpy.spin import OwnNode
+from rosplc.ros.rclpy.spin import OwnNode, guard_takes
 from rosplc.ros.words import Said, listed
 
 __all__ = ["RclpyBackend", "from_node", "open_backend"]
@@ -72,6 +72,7 @@ class RclpyBackend:
         self._endpoints: list[RclpyEndpoint] = []
         self._short: dict[RclpyEndpoint, int] = {}
         self._said = Said()
+        self._guarded: Any = None  # the executor whose takes are
 
     # -- endpoints
 
@@ -118,6 +119,9 @@ class RclpyBackend:
             if self._closed:
                 raise BackendError("ROS009", f"node {self.node} has left the graph")
             try:
+                if (executor := self._node.executor) is not None and executor is not self._guarded:
+                    self._guarded = executor
+                    guard_takes(executor, self._refuse)
                 endpoint.entity = create(make, endpoint, self._look)
                 endpoint.topic = endpoint.entity.topic_name  # after the node's own remapping rules
             except RosplcError:
@@ -125,6 +129,13 @@ class RclpyBackend:
             except Exception as error:
                 raise refusal(f"cannot open {endpoint.topic} as {endpoint.type_name}", error) from error
             self._endpoints.append(endpoint)
+
+    def _refuse(self, entity: object, error: Exception) -> None:
+        for endpoint in tuple(self._endpoints):
+            if endpoint.entity is entity and isinstance(endpoint, RclpySubscription):
+                endpoint.refuse(error)
+                return
+        _logger.warning("a message could not be taken: %s", error)
 
     def _forget(self, endpoint: RclpyEndpoint) -> None:
         with self._lock:

@@ -84,6 +84,8 @@ class _Endpoint:
     def status(self) -> EndpointStatus:
         """Return the present state."""
         code, reason = ("ROS009", "closed") if self.closed else self._diagnose(self)  # type: ignore[arg-type]
+        if self._rejected and not reason and self.direction == "in":
+            reason = f"{self._rejected} messages on {self.topic} were none that a ROS 2 node sends"
         return EndpointStatus(
             self.topic, self.type_name, self.direction, self.matched, self._messages, self.lost,
             self._rejected, self._failed, self._last_ns, reason, code,
@@ -136,13 +138,25 @@ class RclpySubscription(_Endpoint):
                         taken = entity.handle.take_message(entity.msg_type, True)
                 except InvalidHandle:
                     return
+                except Exception as error:
+                    self.refuse(error)
+                    continue
                 if taken is None:
                     return
                 # All stamps of a topic are of one kind, though these messages would have theirs.
                 self._deliver(taken[0], taken[1]["source_timestamp"] if stamped else 0)
 
+    def refuse(self, error: object) -> None:
+        """Count a message that no ROS 2 node sends."""
+        self._rejected += 1
+        level = logging.WARNING if self._rejected == 1 else logging.DEBUG
+        _logger.log(level, "%s: a message was refused: %s", self.topic, error)
+
     def _deliver(self, payload: bytes, stamp_ns: int) -> None:
         if self.closed:
+            return
+        if len(payload) < 4 or payload[0] != 0 or payload[1] > 1:
+            self.refuse("it has no header of plain CDR")
             return
         now = time.time_ns()
         self._messages += 1

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_check_compatible
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 
 from rosplc.ros.qos import Qos, incompatibility
 
 __all__ = ["obstacle", "profile", "settings"]
+
+_INFINITE_NS = 2**31 * 10**9  # DDS's infinite seconds; what middlewares make of it in rmw is longer
 
 
 def profile(qos: Qos) -> Any:
@@ -27,14 +29,26 @@ def settings(found: Any) -> Qos:
     best_effort = found.reliability == ReliabilityPolicy.BEST_EFFORT
     transient = found.durability == DurabilityPolicy.TRANSIENT_LOCAL
     return Qos(
-        "best_effort" if best_effort else "reliable", "transient_local" if transient else "volatile", 1
+        "best_effort" if best_effort else "reliable",
+        "transient_local" if transient else "volatile",
+        1,
+        deadline_ns=_bounded(found.deadline),
+        lease_ns=_bounded(found.liveliness_lease_duration),
     )
 
 
+def _bounded(duration: Any) -> int:
+    """Return a duration in ns; 0 if it is infinite (as discovery shows it) or unspecified (as here)."""
+    ns = int(duration.nanoseconds)
+    return ns if 0 < ns < _INFINITE_NS else 0
+
+
 def obstacle(offered: Any, requested: Any) -> str | None:
-    """Return in words why a publisher's profile does not serve a subscription's, or None if it does."""
-    if words := incompatibility(settings(offered), settings(requested)):
-        return words
-    compatible, reason = qos_check_compatible(offered, requested)
-    # Deadline and liveliness: the bridge has no such settings, so the middleware's words serve.
-    return str(reason).strip() if compatible.name == "ERROR" else None
+    """Return in words why a publisher's profile does not serve a subscription's, or None if it does.
+
+    Not rclpy's own ``qos_check_compatible``: it takes unspecified durations for shorter ones than infinite.
+    """
+    words = incompatibility(settings(offered), settings(requested))
+    if requested.liveliness == LivelinessPolicy.MANUAL_BY_TOPIC != offered.liveliness:
+        words = "; ".join(filter(None, (words, "the subscriber wants manual liveliness")))
+    return words

@@ -17,9 +17,36 @@ from rclpy.exceptions import InvalidHandle
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 
-__all__ = ["OwnNode"]
+__all__ = ["OwnNode", "guard_takes"]
 
 _logger = logging.getLogger("rosplc.ros.rclpy")
+
+
+def guard_takes(executor: Any, refused: Callable[[Any, Exception], None]) -> None:
+    """Keep a message that cannot be taken from ending all deliveries.
+
+    An empty serialized message makes the middleware's take raise (rmw_cyclonedds). rclpy's executors then
+    never release the subscription and its callback group, which is that of all our subscriptions.
+
+    Args:
+        executor: An executor of rclpy.
+        refused: Called with the subscription and the error.
+    """
+    take = executor._take_subscription
+    if hasattr(take, "refused"):
+        take.refused.append(refused)
+        return
+
+    def guarded(subscription: Any) -> Any:
+        try:
+            return take(subscription)
+        except Exception as error:
+            for each in guarded.refused:  # type: ignore[attr-defined]
+                each(subscription, error)
+            return None
+
+    guarded.refused = [refused]  # type: ignore[attr-defined]
+    executor._take_subscription = guarded
 
 
 class OwnNode:
