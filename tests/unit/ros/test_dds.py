@@ -376,3 +376,23 @@ def test_types_are_removed_under_the_lock_of_topic_creation(
     one.close()
     thread.join()
     assert created.is_set()
+
+
+def test_large_messages_name_the_receive_buffer(
+    graph: Graph, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A message beyond a default receive buffer is sent, and the log warns once."""
+    monkeypatch.setattr("rosplc.ros.dds.endpoint.receive_buffer", lambda: 1000)
+    publisher = graph.node("node").advertise("/chatter", STRING, Qos())
+    publisher.write(string("x" * 500))
+    assert "net.core.rmem_default" not in caplog.text
+    for _ in range(2):
+        publisher.write(string("x" * 1500))
+    assert caplog.text.count("net.core.rmem_default, 1000 bytes") == 1
+
+
+def test_repetitions_fit_into_a_default_receive_buffer() -> None:
+    """Cyclone takes a peer's buffer to be as large as its own; Fast DDS has the system's default."""
+    domain = parsed({})
+    assert domain.findtext("Internal/BurstSize/MaxRexmit") == "64KiB"
+    assert domain.findtext("Internal/MaxQueuedRexmitBytes") == "16MB"

@@ -9,11 +9,12 @@ from __future__ import annotations
 import os
 import socket
 from collections.abc import Mapping
+from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 from rosplc.errors import BackendError
 
-__all__ = ["MAX_DOMAIN", "check_peers", "domain_config", "domain_id"]
+__all__ = ["MAX_DOMAIN", "check_peers", "domain_config", "domain_id", "receive_buffer"]
 
 MAX_DOMAIN = 232  # above, port numbers exceed 65535 (DDSI-RTPS 2.2, 9.6.1.1)
 
@@ -27,6 +28,15 @@ _PARTICIPANTS = (
 # and whatever has a sequence or an array would not match. Definitions are compared by ROS's own
 # type hash instead (peers.py).
 _COMPATIBILITY = "<Compatibility><IgnoreTypeInformation>1.15,1.16</IgnoreTypeInformation></Compatibility>"
+
+# A burst must fit into a subscriber's receive buffer, by default 212,992 bytes on Linux with Fast DDS, whose
+# size Cyclone takes to be its own. So repetitions go out in small bursts, and soon; the queue for them
+# holds a large message.
+_REPETITION = (
+    "<Internal><BurstSize><MaxRexmit>64KiB</MaxRexmit></BurstSize>"
+    "<MaxQueuedRexmitBytes>16MB</MaxQueuedRexmitBytes><MaxQueuedRexmitMessages>20000</MaxQueuedRexmitMessages>"
+    '<HeartbeatInterval max="100ms">20ms</HeartbeatInterval></Internal>'
+)
 
 _RANGES = ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT")
 
@@ -44,6 +54,14 @@ def domain_id(domain: int | None, environment: Mapping[str, str]) -> int:
             "ROS010", f"{source} is {text[:80]!r}; it is a number from 0 to {MAX_DOMAIN}", where=source
         )
     return int(text)
+
+
+def receive_buffer() -> int:
+    """Return the bytes that a socket here holds unless it asks for more; 0 if unknown."""
+    try:
+        return int(Path("/proc/sys/net/core/rmem_default").read_text())
+    except (OSError, ValueError):
+        return 0
 
 
 def _discovery_range(environment: Mapping[str, str]) -> str:
@@ -108,7 +126,7 @@ def domain_config(environment: Mapping[str, str], distro: str, extra: str = "") 
         '<CycloneDDS><Domain id="any">'
         + (f"<General>{general}</General>" if general else "")
         + (f"<Discovery>{discovery}</Discovery>" if discovery else "")
-        + f"{_COMPATIBILITY}{extra}</Domain></CycloneDDS>"
+        + f"{_COMPATIBILITY}{_REPETITION}{extra}</Domain></CycloneDDS>"
     )
     users = environment.get("CYCLONEDDS_URI", "").strip()
     if not users.isascii():

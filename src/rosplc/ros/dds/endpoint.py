@@ -6,6 +6,7 @@ The hot paths are :meth:`DdsSubscription.take` and :meth:`DdsPublisher.write`.
 from __future__ import annotations
 
 import logging
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -16,6 +17,7 @@ from cyclonedds._clayer import ddspy_take, ddspy_write, ddspy_write_ts
 from rosplc.errors import BackendError
 from rosplc.ros.backend import EndpointStatus, OnMessage, Qos
 from rosplc.ros.dds import native
+from rosplc.ros.dds.config import receive_buffer
 from rosplc.ros.dds.idl import dds_topic
 from rosplc.ros.dds.log import library_log
 
@@ -203,6 +205,18 @@ class DdsPublisher(_Endpoint):
         super().__init__(*arguments)
         self._dropped = 0
         self._rejected = 0
+        self._large = receive_buffer() or sys.maxsize
+
+    def _warn_large(self, size: int) -> None:
+        _logger.warning(
+            "%s: a message of %d bytes does not fit into a default receive buffer (net.core.rmem_default, %d "
+            "bytes): subscribers on Fast DDS lose parts of it; best_effort ones lose the message. "
+            "Raise net.core.rmem_default on their machines, or let them subscribe reliable",
+            self.topic,
+            size,
+            self._large,
+        )
+        self._large = sys.maxsize
 
     def write(self, payload: bytes, stamp_ns: int | None = None) -> bool:
         """Send one message; see :meth:`rosplc.ros.backend.Publisher.write`."""
@@ -210,6 +224,8 @@ class DdsPublisher(_Endpoint):
         # The C layer looks at the header without asking whether there is one.
         if size < 4 or payload[0] != 0 or payload[1] > 1:
             raise self._refused("it has no header of plain CDR")
+        if size > self._large:
+            self._warn_large(size)
         if size & 3:
             payload = bytes(payload) + _PADDING[-size & 3]
         with self._lock:
