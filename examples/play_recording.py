@@ -10,18 +10,27 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from dataclasses import replace
+from pathlib import Path
 
 from rosplc.errors import RosplcError
-from rosplc.model import TypeStore
-from rosplc.ros import open_backend
+from rosplc.recorder.replay import Player, ReplayOrder
+from rosplc.recorder.source import open_source
+from rosplc.recorder.target import wait_for_readers
+from rosplc.recorder.to_ros import RosTarget
 from rosplc.ros.backend import Qos
-from rosplc.ros.recording import Recording
+
+
+def stopped(seconds: float) -> bool:
+    """Wait; nothing but Ctrl-C ends this program early."""
+    time.sleep(seconds)
+    return False
 
 
 def main() -> int:
     """Play the recording that the command line names."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("file", help="the recording: a .bag, or the folder of a ROS 2 recording")
+    parser.add_argument("file", type=Path, help="the recording: a .bag, or the folder of a ROS 2 recording")
     parser.add_argument("--distro", default="jazzy", help="whose message definitions hold on the wire")
     parser.add_argument("--speed", type=float, default=1.0, help="1 is as recorded, 0 as fast as possible")
     parser.add_argument("--topic", action="append", default=[], help="only this topic (may be repeated)")
@@ -31,39 +40,23 @@ def main() -> int:
     parser.add_argument("--linger", type=float, default=2.0, help="seconds to stay after the last message")
     arguments = parser.parse_args()
 
-    with Recording(arguments.file, arguments.distro) as recording:
-        topics = {n: t for n, t in recording.topics.items() if not arguments.topic or n in arguments.topic}
-        store = TypeStore.bundled(arguments.distro)
-        for topic in topics.values():
-            for note in topic.notes:
-                print(f"{topic.name}: {note}")
-            if not topic.bundled:
-                store = store.with_definition(topic.type_name, topic.definition)
-                print(f"{topic.name}: {topic.type_name} is defined by the recording")
-        backend = open_backend("dds", store, "player")
-        qos = Qos(reliability="reliable", durability="transient_local", depth=1000)
-        publishers = {name: backend.advertise(name, topic.type_name, qos) for name, topic in topics.items()}
-        deadline = time.monotonic() + arguments.wait
-        while not all(p.matched for p in publishers.values()):
-            if time.monotonic() > deadline:
-                missing = ", ".join(name for name, p in publishers.items() if not p.matched)
-                print(f"nobody subscribes to {missing}", file=sys.stderr)
-                return 1
-            time.sleep(0.02)
-        start_wall, start_recorded, count = time.monotonic(), None, 0
-        for message in recording.messages():
-            if message.topic not in publishers:
-                continue
-            if start_recorded is None:
-                start_recorded = message.time_ns
-            if arguments.speed > 0:
-                due = start_wall + (message.time_ns - start_recorded) / 1e9 / arguments.speed
-                time.sleep(max(0.0, due - time.monotonic()))
-            publishers[message.topic].write(message.cdr, message.time_ns)
-            count += 1
-        time.sleep(arguments.linger)
-        backend.close()
-    print(f"played {count} messages on {len(publishers)} topics")
+    source = open_source(arguments.file, arguments.distro)
+    qos = Qos(reliability="reliable", durability="transient_local", depth=1000)
+    topics = {
+        name: replace(topic, qos=qos)
+        for name, topic in source.topics.items()
+        if not arguments.topic or name in arguments.topic
+    }
+    target = RosTarget(topics, backend="dds", distro=arguments.distro)
+    print("\n".join(target.notes))
+    if missing := wait_for_readers(target, arguments.wait, stopped):
+        print(f"nobody subscribes to {', '.join(missing)}", file=sys.stderr)
+        return 1
+    Player(source, target, topics, ReplayOrder(speed=arguments.speed, stamps="original")).play(stopped)
+    time.sleep(arguments.linger)
+    target.close()
+    source.close()
+    print(f"played {sum(one.sent for one in target.counts.values())} messages on {len(topics)} topics")
     return 0
 
 

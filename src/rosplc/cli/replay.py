@@ -124,13 +124,16 @@ def command(
         selection = Selection(tuple(topic or ()), tuple(exclude or ()))
         topics, remarks = chosen_topics(source, selection, renames, to_plc=to == "plc")
         if not quiet:
-            for text in (*source.notes, *remarks, *_notes(topics)):
+            for text in (*source.notes, *remarks):
                 warn(text)
-        chosen = _distro(distro, topics)
+        chosen = "noetic" if distro is None and backend == "rospy" else _distro(distro, topics)
         if to == "plc":
             target = _plc_target(topics, prefix, config, directory, chosen)
         else:
             target = _ros_target(topics, backend, chosen)
+        if not quiet:
+            for text in target.notes:
+                warn(text)
         _play(file, source, target, topics, order, patience, quiet=quiet, as_json=as_json)
     finally:
         source.close()
@@ -173,15 +176,12 @@ def _distro(given: str | None, topics: dict[str, SourceTopic] | None) -> str:
         if given not in DISTROS:
             raise typer.BadParameter(f"{given!r} is none of {', '.join(DISTROS)}", param_hint="--distro")
         return given
-    recorded = {topic.distro for topic in (topics or {}).values() if topic.distro in DISTROS}
+    # A ROS 1 bag is most often wanted in ROS 2: what it goes to decides.
+    recorded = {one.distro for one in (topics or {}).values() if one.distro in DISTROS and not one.ros1}
     if len(recorded) == 1:
         return recorded.pop()
     environment = os.environ.get("ROS_DISTRO", "")
-    return environment if environment in DISTROS and environment != "noetic" else "jazzy"
-
-
-def _notes(topics: dict[str, SourceTopic]) -> list[str]:
-    return [f"{topic.name}: {note}" for topic in topics.values() for note in topic.notes]
+    return environment if environment in DISTROS else "jazzy"
 
 
 def _plc_target(
@@ -314,7 +314,10 @@ def _list(file: Path, source: Source, *, as_json: bool) -> None:
             }
         )
         return
-    say(f"{file}: {seconds:.1f} s from {_when(source.start_ns)}")
+    if source.end_ns:
+        say(f"{file}: {seconds:.1f} s from {_when(source.start_ns)}")
+    else:
+        say(f"{file}: no messages")
     ways = {"to_plc": "→ PLC", "to_ros": "→ ROS", "": ""}
     rows = [
         (name, one.type_name, one.count, ways[one.direction]) for name, one in sorted(source.topics.items())

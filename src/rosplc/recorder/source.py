@@ -1,18 +1,20 @@
-"""What can be replayed: our own recordings, those of rosbag2, and ROS 1 bags, all as CDR in order of time."""
+"""What can be replayed: our own recordings, those of rosbag2, and ROS 1 bags, in order of time."""
 
 from __future__ import annotations
 
 import heapq
 import json
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
-from rosplc.errors import RecordingError
+from rosplc.errors import RecordingError, RosplcError
+from rosplc.model import DISTROS, TypeStore
 from rosplc.recorder.mcap_read import FileMessage, Part, Survey, read_part, survey
 from rosplc.recorder.rosbag2 import qos_of_text
 from rosplc.ros import DEFAULT, Qos
+from rosplc.ros.bag import Bag
 from rosplc.ros.plain_file import unreadable_kind
 
 __all__ = ["McapSource", "Source", "SourceMessage", "SourceTopic", "open_source"]
@@ -35,7 +37,7 @@ class SourceTopic:
         limits: The channel's limits, as a self-description has them; None if there was no channel.
         slots: The channel's slots; 0 if there was none.
         distro: The distribution that its definition comes from; empty if unknown.
-        notes: What was mapped or dropped on the way, in words.
+        ros1: Whether its messages are in ROS 1's serialization; else in CDR.
     """
 
     name: str
@@ -47,12 +49,34 @@ class SourceTopic:
     limits: Mapping[str, Any] | None = None
     slots: int = 0
     distro: str = ""
-    notes: tuple[str, ...] = ()
+    ros1: bool = False
+
+    def types(self, distro: str = "jazzy") -> TypeStore:
+        """Return a store that has the topic's type, as it was recorded.
+
+        Args:
+            distro: Whose types hold where the recording has neither definition nor distribution.
+
+        Raises:
+            RecordingError: REC007, there is no definition of it, or one that cannot be used.
+        """
+        try:
+            if self.definition is not None:
+                return TypeStore.from_definition(
+                    self.type_name, self.definition, distro=self.distro or distro
+                )
+            store = TypeStore.bundled(self.distro or distro)
+            store[self.type_name]
+        except RosplcError as error:
+            raise RecordingError(
+                "REC007", f"its type cannot be used: {error.what} [{error.code}]", where=self.name
+            ) from error
+        return store
 
 
 @dataclass(frozen=True, slots=True)
 class SourceMessage:
-    """A message: when it was recorded and when its source sent it (ns since 1970), and its CDR."""
+    """A message: when it was recorded and when its source sent it (ns since 1970), and its bytes."""
 
     topic: str
     log_ns: int
@@ -83,7 +107,7 @@ def open_source(path: Path, distro: str = "jazzy") -> Source:
 
     Args:
         path: An ``.mcap`` or ``.bag`` file, or the folder of a ROS 2 recording.
-        distro: Into whose types a ROS 1 recording is translated.
+        distro: Whose types hold where the file has no definitions and names no distribution.
 
     Raises:
         RecordingError: REC003, it cannot be read.
@@ -213,42 +237,50 @@ class _Run:
         return SourceMessage(self._names[one.channel], one.log_ns, one.publish_ns, one.data)
 
 
-@dataclass
 class _BagSource:
     """A recording that rosbags reads: ROS 1 bags, and rosbag2's SQLite."""
 
-    path: Path
-    distro: str
-    topics: dict[str, SourceTopic] = field(default_factory=dict)
-    unusable: dict[str, str] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-    start_ns: int = 0
-    end_ns: int = 2**63 - 1
-
-    def __post_init__(self) -> None:
-        from rosplc.ros.recording import Recording
-
-        self._recording = Recording(self.path, self.distro)
-        for name, topic in self._recording.topics.items():
-            self.topics[name] = SourceTopic(
+    def __init__(self, path: Path, distro: str) -> None:
+        self._bag = Bag(path)
+        self.topics: dict[str, SourceTopic] = {}
+        self.unusable: dict[str, str] = {}
+        self.notes: tuple[str, ...] = ()
+        self.start_ns, self.end_ns = self._bag.span()
+        self._names: dict[str, str] = {}
+        ros1 = self._bag.ros_version == 1
+        known = TypeStore.bundled(self._bag.distro if self._bag.distro in DISTROS else distro)
+        for topic in self._bag.topics():
+            # ROS 1 records a relative name as the node wrote it.
+            name = topic.name if topic.name.startswith("/") else f"/{topic.name}"
+            before = self.topics.get(name)
+            new = SourceTopic(
                 name,
                 topic.type_name,
-                definition=None if topic.bundled else self._recording.definition(name),
-                count=topic.count,
-                distro=self.distro,
-                notes=topic.notes,
+                definition=topic.definition or None,
+                count=topic.count + (before.count if before else 0),
+                distro=known.distro,
+                ros1=ros1,
             )
-        self.start_ns, self.end_ns = self._recording.start_ns, self._recording.end_ns
+            self.topics[name] = new
+            self._names[topic.name] = name
+            if topic.several or (before and replace(before, count=new.count) != new):
+                self.unusable[name] = "it was recorded with two different types or definitions"
+            elif not topic.definition and topic.type_name not in known:
+                self.unusable[name] = (
+                    f"the file has no definition of {topic.type_name}, which is unknown in {known.distro} "
+                    "too (--distro chooses another distribution)"
+                )
 
     def messages(self, topics: Collection[str], start_ns: int, end_ns: int) -> Iterator[SourceMessage]:
         """Yield the messages of these topics."""
-        for one in self._recording.messages(topics):
-            if start_ns <= one.time_ns <= end_ns:
-                yield SourceMessage(one.topic, one.time_ns, one.time_ns, one.cdr)
+        wanted = [recorded for recorded, name in self._names.items() if name in topics]
+        for recorded, _, time_ns, data in self._bag.messages(wanted):
+            if start_ns <= time_ns <= end_ns:
+                yield SourceMessage(self._names[recorded], time_ns, time_ns, data)
 
     def close(self) -> None:
         """Close the file."""
-        self._recording.close()
+        self._bag.close()
 
 
 def _topic(name: str, type_name: str, schema: bytes, metadata: Mapping[str, str], count: int) -> SourceTopic:

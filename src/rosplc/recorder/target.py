@@ -27,10 +27,12 @@ class Target(Protocol):
 
     Attributes:
         counts: Topic → what became of its messages.
+        notes: What is converted, dropped or left zero on the way.
         linger_s: How long to stay after the last message, in seconds.
     """
 
     counts: dict[str, TopicCount]
+    notes: list[str]
     linger_s: float
 
     def send(self, topic: str, data: bytes, stamp_ns: int) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import stat
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,10 +14,11 @@ from rosplc.bridge.owner import group_id, user_id
 from rosplc.codec import Codec, Wire
 from rosplc.config.objects import describe
 from rosplc.config.resolve import Project
-from rosplc.described import description_of
+from rosplc.described import description_of, layout_of
 from rosplc.errors import ChannelError, CodecError, RecordingError, RosplcError
 from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
+from rosplc.recorder.convert import Conversion, renamed, with_types_of
 from rosplc.recorder.source import SourceTopic
 from rosplc.recorder.target import TopicCount
 from rosplc.shm import Description, Direction, Namespace, OwnedChannel, attach
@@ -55,6 +57,8 @@ class PlcTarget:
         self.linger_s = 0.0
         self._namespace = namespace
         self._bindings: dict[str, Binding] = {}
+        self._conversions: dict[str, Conversion] = {}
+        self.notes: list[str] = []
         self.counts = {name: TopicCount() for name in topics}
         self._before: dict[str, tuple[tuple[int, int], ...]] = {}
         try:
@@ -72,7 +76,7 @@ class PlcTarget:
         """Write a message into the channel; one that does not fit its limits is refused and counted."""
         count = self.counts[topic]
         try:
-            self._bindings[topic].write(data, stamp_ns=stamp_ns)
+            self._bindings[topic].write(self._conversions[topic](data), stamp_ns=stamp_ns)
         except CodecError as error:
             count.refused += 1
             count.reason = count.reason or f"{error.where}: {error.what} [{error.code}]"
@@ -106,74 +110,71 @@ class PlcTarget:
         return tuple((line.beat, line.taken) if line.claim else (0, 0) for line in lines)
 
     def _plan(self, name: str, topic: SourceTopic, project: Project | None, distro: str) -> _Plan:
+        own = topic.types(distro)
+        for plan in () if project is None else project.topics:
+            if plan.topic == name and plan.classic is None:
+                assert project is not None
+                self._convert(name, topic, own, plan.layout, plan.direction, "the configuration")
+                settings = project.config.settings
+                description = describe(plan, distro=settings.ros.distro, bridge=settings.bridge)
+                owner = {
+                    "mode": settings.shm.mode,
+                    "uid": user_id(project.config),
+                    "gid": group_id(project.config),
+                }
+                return _Plan(description, plan.layout, plan.slots, plan.truncate, owner)
         there = self._there(name)
-        if project is not None:
-            for plan in project.topics:
-                if plan.topic == name and plan.classic is None:
-                    self._refuse_other(name, topic, plan.type_name, plan.direction, "the configuration")
-                    settings = project.config.settings
-                    description = describe(plan, distro=settings.ros.distro, bridge=settings.bridge)
-                    owner = {
-                        "mode": settings.shm.mode,
-                        "uid": user_id(project.config),
-                        "gid": group_id(project.config),
-                    }
-                    return _Plan(description, plan.layout, plan.slots, plan.truncate, owner)
-        if there.description is not None:
-            self._refuse_other(
-                name, topic, there.description.type, there.description.direction, "the channel that is there"
+        if there is not None:
+            self._convert(
+                name, topic, own, there.layout, there.description.direction, "the channel that is there"
             )
-        store = _definition_store(topic, topic.distro or distro)
-        for limits in (there.limits, topic.limits):
-            if limits is None:
-                continue
-            try:
-                layout = compute_layout(store, topic.type_name, Limits.from_dict(dict(limits)))
-            except RosplcError:
-                continue  # they belong to another definition of the type, or were made up
-            if there.description is not None and there.description.layout_id == layout.layout_id:
-                return _Plan(there.description, layout, there.slots, owner=there.owner)
-            break
-        else:
-            layout = compute_layout(store, topic.type_name)
-        description = description_of(
-            layout, name, Direction.TO_PLC, bridge="replay", distro=topic.distro or distro
-        )
-        return _Plan(description, layout, there.slots or topic.slots or _SLOTS, owner=there.owner)
+            return there
+        # A ROS 1 bag becomes a channel of the distribution's types, all else one of its own.
+        store = with_types_of(TypeStore.bundled(distro), own, topic.type_name) if topic.ros1 else own
+        layout = _layout(store, renamed(topic.type_name, store), topic.limits)
+        self._convert(name, topic, own, layout, Direction.TO_PLC, "")
+        description = description_of(layout, name, Direction.TO_PLC, bridge="replay")
+        return _Plan(description, layout, topic.slots or _SLOTS)
 
-    def _refuse_other(
-        self, name: str, topic: SourceTopic, type_name: str, direction: Direction, who: str
+    def _convert(
+        self,
+        name: str,
+        topic: SourceTopic,
+        own: TypeStore,
+        layout: Layout,
+        direction: Direction,
+        who: str,
     ) -> None:
+        """Note how a topic's messages become those of a channel.
+
+        Raises:
+            RecordingError: REC007, the PLC writes the channel, or it has messages of another type.
+        """
         if direction is not Direction.TO_PLC:
             raise RecordingError(
                 "REC007",
-                f"{who} says that the PLC writes it",
+                f"according to {who}, the PLC writes it",
                 where=name,
                 remedy=f"Leave it out with --exclude {name}, or rename it with --rename {name}:=/other.",
             )
-        if type_name != topic.type_name:
-            what = f"{who} has {type_name}, and it was recorded as {topic.type_name}"
+        if layout.type_name != renamed(topic.type_name, layout.store):
+            what = f"{who} has {layout.type_name}, and it was recorded as {topic.type_name}"
             raise RecordingError("REC007", what, where=name)
+        self._conversions[name] = conversion = Conversion(
+            own, topic.type_name, layout.store, layout.type_name, from_ros1=topic.ros1, where=name
+        )
+        self.notes += [f"{name}: {note}" for note in conversion.notes]
 
-    def _there(self, name: str) -> _There:
+    def _there(self, name: str) -> _Plan | None:
+        """Return the channel that a bridge left; None if there is none, or one that is to be replaced."""
         try:
             with attach(self._namespace, name) as attached:
-                description = attached.description
                 status = Path(attached.path).stat()
                 owner = {"mode": stat.S_IMODE(status.st_mode), "uid": status.st_uid, "gid": status.st_gid}
-                return _There(description, description.limits, attached.identity.slot_count, owner)
+                slots = attached.identity.slot_count
+                return _Plan(attached.description, layout_of(attached), slots, owner=owner)
         except (ChannelError, OSError):
-            return _There()  # none, or one that is about to be replaced
-
-
-@dataclass(frozen=True)
-class _There:
-    """The object that stands at a name already."""
-
-    description: Description | None = None
-    limits: Mapping[str, Any] | None = None
-    slots: int = 0
-    owner: Mapping[str, Any] = field(default_factory=dict)
+            return None
 
 
 @dataclass(frozen=True)
@@ -203,19 +204,8 @@ class _Plan:
         )
 
 
-def _definition_store(topic: SourceTopic, distro: str) -> TypeStore:
-    """Return a store that has the topic's type, as it was recorded.
-
-    Raises:
-        RecordingError: REC007, there is no definition of it, or one that cannot be used.
-    """
-    try:
-        if topic.definition is not None:
-            return TypeStore.from_definition(topic.type_name, topic.definition, distro=distro)
-        store = TypeStore.bundled(distro)
-        store[topic.type_name]
-    except RosplcError as error:
-        raise RecordingError(
-            "REC007", f"its type cannot be used: {error.what} [{error.code}]", where=topic.name
-        ) from error
-    return store
+def _layout(store: TypeStore, type_name: str, limits: Mapping[str, Any] | None) -> Layout:
+    if limits is not None:
+        with suppress(RosplcError):  # limits of another definition of the type, or made up
+            return compute_layout(store, type_name, Limits.from_dict(dict(limits)))
+    return compute_layout(store, type_name)

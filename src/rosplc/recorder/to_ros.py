@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from rosplc.codec import Codec, Wire
-from rosplc.errors import RecordingError, RosplcError
-from rosplc.layout import Limits, compute_layout
+from rosplc.errors import RosplcError
 from rosplc.model import TypeStore
+from rosplc.recorder.convert import Conversion, renamed, with_types_of
 from rosplc.recorder.source import SourceTopic
 from rosplc.recorder.target import TopicCount
 from rosplc.ros import ROS1, Backend, Publisher, open_backend
@@ -28,7 +27,7 @@ class RosTarget:
         join: Opens the backend; for tests.
 
     Raises:
-        RecordingError: REC007, the recording's definition of a type differs from the distribution's.
+        RecordingError: REC007, the recording's definition of a type does not agree with the distribution's.
         BackendError: ROS001, ROS002 …
     """
 
@@ -43,29 +42,24 @@ class RosTarget:
     ) -> None:
         self.linger_s = _LINGER_S
         self.counts = {name: TopicCount() for name in topics}
+        self.notes: list[str] = []
         store = TypeStore.bundled(distro)
-        for topic in topics.values():
-            try:
-                if topic.definition is not None:
-                    store = store.with_definition(topic.type_name, topic.definition)
-                store[topic.type_name]
-            except RosplcError as error:
-                raise RecordingError(
-                    "REC007",
-                    f"its type cannot be used: {error.what} [{error.code}]",
-                    where=topic.name,
-                    remedy="Name the distribution that it was recorded with (--distro), or leave it out.",
-                ) from error
-        # Towards ROS 1 messages are written anew, which takes a layout that they fit.
-        self._codecs: dict[str, tuple[Codec, Codec]] = {}
-        if distro == ROS1:
-            for name, topic in topics.items():
-                self._codecs[name] = _to_ros1(store, topic)
+        self._conversions: dict[str, Conversion] = {}
+        for name, topic in topics.items():
+            own = topic.types(distro)
+            store = with_types_of(store, own, topic.type_name)
+            self._conversions[name] = conversion = Conversion(
+                own, topic.type_name, store, renamed(topic.type_name, store),
+                from_ros1=topic.ros1, to_ros1=distro == ROS1, where=name,
+            )  # fmt: skip
+            self.notes += [f"{name}: {note}" for note in conversion.notes]
         self.backend = join(backend, store, "rosplc_replay", domain=domain)
         self._publishers: dict[str, Publisher] = {}
         try:
             for name, topic in topics.items():
-                self._publishers[name] = self.backend.advertise(name, topic.type_name, topic.qos)
+                self._publishers[name] = self.backend.advertise(
+                    name, renamed(topic.type_name, store), topic.qos
+                )
         except BaseException:
             self.backend.close()
             raise
@@ -74,10 +68,7 @@ class RosTarget:
         """Publish a message; one that a subscriber has no room for is counted as lost."""
         count = self.counts[topic]
         try:
-            if topic in self._codecs:
-                read, write = self._codecs[topic]
-                data = write.encode(read.decode(data))
-            sent = self._publishers[topic].write(data, stamp_ns)
+            sent = self._publishers[topic].write(self._conversions[topic](data), stamp_ns)
         except RosplcError as error:
             count.refused += 1
             count.reason = count.reason or f"{error.what} [{error.code}]"
@@ -95,9 +86,3 @@ class RosTarget:
     def close(self) -> None:
         """Leave the graph."""
         self.backend.close()
-
-
-def _to_ros1(store: TypeStore, topic: SourceTopic) -> tuple[Codec, Codec]:
-    limits = Limits.from_dict(dict(topic.limits)) if topic.limits is not None else Limits(4096, 4096)
-    layout = compute_layout(store, topic.type_name, limits)
-    return Codec(layout, Wire.CDR), Codec(layout, Wire.ROS1)

@@ -1,21 +1,23 @@
-"""A ROS 1 or ROS 2 recording as it stands in the file: topics, definitions as text, messages as bytes.
+"""A ROS 1 or ROS 2 recording as the file has it: topics, definitions as text, messages as bytes.
 
 Nothing of a definition is executed and no message is decoded here, so a recording of unknown origin
-may be read. :mod:`rosplc.ros.recording` translates messages between the two ROS worlds, and trusts
-the file for that.
+may be read.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+import apsw
 from rosbags.interfaces import ConnectionExtRosbag1, MessageDefinitionFormat
 from rosbags.rosbag1 import Reader as Reader1
 from rosbags.rosbag2 import Reader as Reader2
+from rosbags.typesys import Stores, get_types_from_idl, get_typestore
 
 from rosplc.errors import BackendError
 from rosplc.ros.plain_file import unreadable_kind
@@ -36,6 +38,7 @@ class BagTopic:
         name: The topic, as the file has it.
         type_name: ``package/msg/Name``, as the file has it.
         definition: The ``.msg`` text, with every type that it needs; empty where the file has none.
+        several: Whether it was recorded with further definitions of the same type.
         publishers: Names of the nodes that published it, where the file tells.
         offered: The publishers' quality of service, where the file tells.
         count: Messages recorded.
@@ -44,6 +47,7 @@ class BagTopic:
     name: str
     type_name: str
     definition: str = ""
+    several: bool = False
     publishers: tuple[str, ...] = ()
     offered: tuple[Qos, ...] = ()
     count: int = 0
@@ -82,7 +86,8 @@ class Bag:
         refuse_other_kinds(self.path)
         try:
             reader: Any = Reader1(self.path) if self.ros_version == 1 else Reader2(self.path)
-            reader.open()
+            with _without_unknown_definitions():
+                reader.open()
         except DAMAGE as error:
             raise self._unreadable(error) from error
         self._reader = reader
@@ -108,25 +113,36 @@ class Bag:
         for connection in self._reader.connections:
             key = (str(connection.topic), str(connection.msgtype))
             before = found.get(key, BagTopic(*key))
-            is_text = connection.msgdef.format is MessageDefinitionFormat.MSG
+            definition = _definition(connection)
             node, offered = _publisher(connection.ext)
             found[key] = BagTopic(
                 *key,
-                definition=before.definition or (connection.msgdef.data if is_text else ""),
+                definition=before.definition or definition,
+                several=before.several or bool(before.definition and definition != before.definition),
                 publishers=tuple(sorted({*before.publishers, *node})),
                 offered=tuple(dict.fromkeys((*before.offered, *offered))),
                 count=before.count + (connection.msgcount or 0),
             )
         return tuple(found[key] for key in sorted(found))
 
-    def messages(self) -> Iterator[tuple[str, str, int, bytes]]:
+    def span(self) -> tuple[int, int]:
+        """Return when the first and the last message were recorded (ns since 1970); 0 without a message."""
+        if not self._reader.message_count:
+            return 0, 0
+        return int(self._reader.start_time), int(self._reader.end_time)
+
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[tuple[str, str, int, bytes]]:
         """Yield topic, type, time (ns since 1970) and bytes of every message, in their order.
+
+        Args:
+            topics: Only those of these topics; None for all.
 
         Raises:
             BackendError: ROS006, the file is damaged.
         """
+        wanted = [one for one in self._reader.connections if topics is None or one.topic in topics]
         try:
-            for connection, time_ns, data in self._reader.messages():
+            for connection, time_ns, data in self._reader.messages(wanted) if wanted else ():
                 yield connection.topic, connection.msgtype, time_ns, bytes(data)
         except DAMAGE as error:
             raise self._unreadable(error) from error
@@ -134,6 +150,39 @@ class Bag:
     def _unreadable(self, error: BaseException) -> BackendError:
         what = str(error).strip() or type(error).__name__
         return BackendError("ROS006", f"recording cannot be read: {what}", where=str(self.path))
+
+
+@contextmanager
+def _without_unknown_definitions() -> Iterator[None]:
+    """Hide from rosbags the types whose definition rosbag2 did not find: it would refuse the whole file."""
+
+    def row(cursor: apsw.Cursor, found: tuple[Any, ...]) -> tuple[Any, ...] | None:
+        is_definition = len(found) == 4 and cursor.description[1][0] == "encoding"
+        return None if is_definition and found[1] not in ("ros2msg", "ros2idl") else found
+
+    def hook(connection: apsw.Connection) -> None:
+        connection.row_trace = row
+
+    apsw.connection_hooks.append(hook)
+    try:
+        yield
+    finally:
+        apsw.connection_hooks.remove(hook)
+
+
+def _definition(connection: Any) -> str:
+    """Return a connection's definition as ``.msg`` text; empty where the file has none that can be used."""
+    form, text = connection.msgdef.format, str(connection.msgdef.data)
+    if form is not MessageDefinitionFormat.IDL:
+        return text if form is MessageDefinitionFormat.MSG else ""
+    store = get_typestore(Stores.EMPTY)
+    try:
+        for part in text.split("=" * 80 + "\n"):
+            idl = part.partition("\n")[2] if part.startswith("IDL:") else part
+            store.fielddefs.update(get_types_from_idl(idl))
+        return store.generate_msgdef(connection.msgtype, ros_version=2)[0]
+    except DAMAGE:
+        return ""
 
 
 def _publisher(ext: Any) -> tuple[tuple[str, ...], tuple[Qos, ...]]:
