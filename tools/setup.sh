@@ -101,7 +101,7 @@ core() {
 }
 
 case "${1:-install}" in
-base) install "" "it needs to run" ;;
+base) install "[views]" "it needs to run" ;;
 install)
     install "[dev]" "its tests need, about 150 MB" -e tests/st
     touch "$VENV/.installed"

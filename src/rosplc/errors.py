@@ -230,7 +230,7 @@ _register("SHM133", "semaphore of programs of another word size", "A 32-bit and 
 _register("CFG001", "file cannot be read", "Check the path and the permissions.")
 _register("CFG002", "not valid YAML", "Correct the named line; indentation and colons are the usual causes.")
 _register("CFG003", "unknown key", "Check the spelling; `rosplc check --schema` prints every key.")
-_register("CFG004", "value is not valid", "Correct the value; docs/reference/configuration.md says what each key takes.")
+_register("CFG004", "value is not valid", "Correct the value; `rosplc check --schema` lists what each key takes.")
 _register("CFG005", "key is missing", "Add the named key.")
 _register("CFG006", "topic is configured twice", "A topic has one direction: keep one entry.")
 _register("CFG007", "two topics lead to one object name", "Rename one of the topics, or use a second bridge with another prefix.")
@@ -284,6 +284,7 @@ _register("SYS009", "a program of the comparison does not compile", "See the com
 _register("SYS010", "real-time setting is not permitted", "Run the bridge as a service (rosplc service install), or raise the limits rtprio and memlock; without `realtime:` none is needed.")
 _register("SYS011", "service cannot be installed", "Run it as root (sudo), or look with --dry-run; --root writes into another folder.")
 _register("SYS012", "terminal cannot show this", "Use a terminal (with ssh: -t) of a common kind, such as TERM=xterm-256color; `rosplc status` prints the same once, for scripts.")
+_register("SYS013", "process may not be signalled", "Run the command as the user of the process, or with sudo.")
 
 _register("REC001", "recording cannot be written", "Check path and permissions, or choose another place with --output.")
 _register("REC002", "disk is full", "Free space or record elsewhere; what was recorded until then is in the file, and readable.")

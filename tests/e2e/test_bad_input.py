@@ -171,7 +171,9 @@ def test_configuration_edited_while_running(config: Callable[..., Path], run: Ca
     bridge = run(path)
     bridge.says("carries 2 topics")
     path.write_text("topics: [")
-    assert "SIGHUP or a restart of the bridge applies it" in bridge.says("configuration changed on disk")
+    assert "`rosplc reload` or a restart of the bridge applies it" in bridge.says(
+        "configuration changed on disk"
+    )
     assert bridge.stop() == 0
 
 

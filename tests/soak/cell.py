@@ -186,10 +186,10 @@ class Cell:
         return f"{self.prefix}_{topic.rpartition('_')[2]}"
 
     def hang_up(self, words: str) -> None:
-        """Send SIGHUP to the bridge, and wait until it has logged these words."""
+        """Tell the bridge to reload, and wait until it has logged these words."""
         before = self.said(words)
-        self.parts["bridge"].send(signal.SIGHUP)
-        self.wait(lambda: self.said(words) > before, f"the bridge says {words!r} after SIGHUP")
+        self.parts["bridge"].send(signal.SIGUSR1)
+        self.wait(lambda: self.said(words) > before, f"the bridge says {words!r} after the reload")
 
     def said(self, words: str) -> int:
         """Return how often the bridge has logged some words since the round began."""

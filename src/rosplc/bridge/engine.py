@@ -35,7 +35,7 @@ from rosplc.ros import Backend, Choice, RosArguments, ended_for_good
 __all__ = ["Bridge"]
 
 _STUCK_NS = 5_000_000_000
-_APPLY = "SIGHUP or a restart of the bridge applies it"
+_APPLY = "`rosplc reload` or a restart of the bridge applies it"
 
 
 class Bridge:

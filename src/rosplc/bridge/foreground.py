@@ -30,7 +30,7 @@ def run_bridge(
     arguments: RosArguments | None = None,
     supervised: Callable[[Bridge], AbstractContextManager[object]] = nullcontext,
 ) -> None:
-    """Run a bridge until SIGINT or SIGTERM; a second one ends the process at once, SIGHUP reloads the file.
+    """Run a bridge until SIGINT or SIGTERM; a second one ends the process at once, SIGUSR1 reloads the file.
 
     Args:
         config: The configuration file.

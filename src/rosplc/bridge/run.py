@@ -17,7 +17,7 @@ from rosplc.bridge.status import BridgeStatus
 from rosplc.bridge.topic import log
 from rosplc.errors import BackendError, RosplcError
 
-__all__ = ["News", "pause", "run_until_signal", "stop_on_signals"]
+__all__ = ["News", "on_terminal", "pause", "run_until_signal", "stop_on_signals"]
 
 _SAME_SIGNAL_S = 0.2
 _LOOK_AGAIN_S = 0.1  # a signal's handler does not end a select early
@@ -25,15 +25,15 @@ _LOOK_AGAIN_S = 0.1  # a signal's handler does not end a select early
 
 @contextmanager
 def stop_on_signals(tell: Callable[[int], None] | None = None) -> Iterator[threading.Event]:
-    """Give an event that SIGTERM and SIGINT set; for the main thread.
+    """Give an event that SIGTERM, SIGINT and a closed terminal (SIGHUP) set; for the main thread.
 
     A second one ends the process at once, unless it follows within a fifth of a second: timeout(1)
-    and launch tools send each signal to the process and to its group. A signal that the parent
-    process ignores (nohup) stays ignored.
+    and launch tools send each signal to the process and to its group. SIGHUP stays ignored where the
+    parent process ignores it (nohup); without a terminal it is passed to ``tell``, as SIGUSR1 always is.
 
     Args:
-        tell: Called, from the signal's handler, with the number of each signal; without it SIGHUP is
-            logged and otherwise ignored.
+        tell: Called, from the signal's handler, with the number of each signal; without it SIGUSR1, and
+            SIGHUP without a terminal, are logged and otherwise ignored.
     """
     event = threading.Event()
 
@@ -54,19 +54,32 @@ def stop_on_signals(tell: Callable[[int], None] | None = None) -> Iterator[threa
         if tell is not None:
             tell(number)
         else:
-            log.warning("SIGHUP is ignored; restart the bridge to apply a changed configuration")
+            log.warning("the signal is ignored; restart the bridge to apply a changed configuration")
 
-    wanted = {signal.SIGTERM: leave, signal.SIGINT: leave, signal.SIGHUP: hang_up}
-    before = {
-        number: signal.signal(number, handler)
-        for number, handler in wanted.items()
-        if signal.getsignal(number) is not signal.SIG_IGN
+    wanted = {
+        signal.SIGTERM: leave,
+        # A shell without job control ignores SIGINT for what it starts with &, and `kill -INT` should work.
+        signal.SIGINT: leave,
+        signal.SIGHUP: leave if on_terminal() else hang_up,
+        signal.SIGUSR1: hang_up,
     }
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+        del wanted[signal.SIGHUP]
+    before = {number: signal.signal(number, handler) for number, handler in wanted.items()}
     try:
         yield event
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def on_terminal() -> bool:
+    """Return whether this process belongs to a terminal, which sends SIGHUP when it is closed."""
+    try:
+        os.close(os.open("/dev/tty", os.O_RDONLY | os.O_NOCTTY | os.O_CLOEXEC))
+    except OSError:
+        return False
+    return True
 
 
 def pause(stop: threading.Event, seconds: float) -> bool:
@@ -84,7 +97,9 @@ def pause(stop: threading.Event, seconds: float) -> bool:
 def run_until_signal(
     bridge: Bridge, report: Callable[[BridgeStatus], None] | None = None, seconds: float | None = None
 ) -> None:
-    """Run a bridge until SIGTERM or SIGINT comes (:func:`stop_on_signals`); SIGHUP reloads its file.
+    """Run a bridge until SIGTERM or SIGINT comes (:func:`stop_on_signals`); SIGUSR1 reloads its file.
+
+    Without a terminal SIGHUP reloads it, too, as service managers expect; with one it ends the bridge.
 
     Args:
         bridge: The bridge.
@@ -106,7 +121,7 @@ def run_until_signal(
                 for item in items:
                     if isinstance(item, str):
                         raise BackendError("ROS015", item)
-                    if item == signal.SIGHUP:
+                    if item in (signal.SIGHUP, signal.SIGUSR1) and not stop.is_set():
                         _reload(bridge)
 
 
@@ -155,7 +170,7 @@ class News:
 
 def _reload(bridge: Bridge) -> None:
     if bridge.config.path is None:
-        log.warning("SIGHUP is ignored: this configuration comes from no file")
+        log.warning("nothing is reloaded: this configuration comes from no file")
         return
     try:
         bridge.reload()

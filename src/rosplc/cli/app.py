@@ -1,4 +1,4 @@
-"""The command's frame: which verbs there are, and what stands around them."""
+"""The command's frame: its verbs, in the groups in which --help lists them."""
 
 from __future__ import annotations
 
@@ -10,11 +10,14 @@ from rosplc._version import __version__
 from rosplc.cli import (
     bench,
     check,
+    clean,
     demo,
     doctor,
+    explain,
     generate,
     init,
     record,
+    reload,
     replay,
     run,
     service,
@@ -32,34 +35,27 @@ _EXAMPLES = """Examples:
 
 rosplc demo  —  see it work, without a robot and without a PLC
 
-rosplc types geometry_msgs/Twist  —  how a ROS type looks in the PLC
+rosplc init  —  write rosplc.yaml from a running robot
 
-rosplc init  —  from a robot that is there to a configuration
+rosplc check  —  explain rosplc.yaml
 
-rosplc check rosplc.yaml  —  what a configuration means, in plain words
+rosplc generate --out plc  —  write the PLC code
 
-rosplc generate rosplc.yaml  —  the PLC half, for CODESYS
-
-rosplc run rosplc.yaml  —  carry the topics of a configuration
-
-rosplc show /cmd_vel  —  what stands in a topic's shared memory now
+rosplc run  —  run the bridge
 
 rosplc status  —  every channel on this machine, and whether anything is wrong
 
-rosplc web  —  all channels in a browser, live
+rosplc doctor  —  problems of machine and configuration, with fixes
 
-rosplc record -o shift.mcap  —  what all channels carry, for Foxglove, PlotJuggler and `ros2 bag`
-
-rosplc top  —  the same live in the terminal, with the values of each message
-
-rosplc replay shift.mcap --to plc  —  a PLC program, tested with yesterday's line
-
-rosplc service install cell1  —  start /etc/rosplc/cell1.yaml with the machine
-
-rosplc doctor rosplc.yaml  —  what is wrong on this machine, and what to do about it
-
-rosplc bench  —  Modbus, OPC UA and shared memory compared on this machine
+`rosplc VERB --help` explains a verb; `rosplc explain CODE` an error.
 """
+
+_VERBS = {
+    "Set up": {"demo": demo, "init": init, "check": check, "generate": generate, "types": types},
+    "Run": {"run": run, "reload": reload, "service": service, "clean": clean},
+    "Watch": {"status": status, "show": show, "top": top, "web": web, "record": record, "replay": replay},
+    "Diagnose": {"doctor": doctor, "explain": explain, "bench": bench},
+}
 
 app = typer.Typer(
     help="Carry ROS topics to and from a soft-PLC (CODESYS) on this machine, through shared memory.",
@@ -70,24 +66,14 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-for _name, _verb in (
-    ("init", init),
-    ("run", run),
-    ("record", record),
-    ("replay", replay),
-    ("service", service),
-    ("check", check),
-    ("show", show),
-    ("status", status),
-    ("top", top),
-    ("web", web),
-    ("types", types),
-    ("generate", generate),
-    ("demo", demo),
-    ("bench", bench),
-    ("doctor", doctor),
-):
-    app.command(_name, epilog=_verb.EPILOG, cls=RosCommand if _verb is run else None)(_verb.command)
+for _group, _members in _VERBS.items():
+    for _name, _verb in _members.items():
+        app.command(
+            _name,
+            epilog=_verb.EPILOG,
+            cls=RosCommand if _verb is run else None,
+            rich_help_panel=_group,
+        )(_verb.command)
 
 
 def _print_version(wanted: bool) -> None:
@@ -106,7 +92,7 @@ def _options(
     """Carry ROS topics to and from a soft-PLC (CODESYS) on this machine, through shared memory."""
 
 
-@app.command("version")
+@app.command("version", rich_help_panel="Diagnose")
 def _version() -> None:
     """Print the version of rosplc and of the shared-memory format."""
     typer.echo(f"rosplc {__version__}, shared-memory format 1.0")

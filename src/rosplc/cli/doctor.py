@@ -31,7 +31,7 @@ rosplc doctor rosplc.yaml --plc generated  —  and whether the PLC's code fits
 rosplc doctor rosplc.yaml --json | jq '.findings[] | select(.level == "error")'
 
 It needs no root, no ROS and no PLC, and changes nothing. The exit status is 1 if there is an error among
-what it finds, 2 if the configuration itself is wrong. docs/reference/doctor.md explains each code.
+what it finds, 2 if the configuration itself is wrong. `rosplc explain CODE` explains a code.
 """
 
 _STYLES = {"error": "bold red", "warning": "bold yellow", "note": "cyan", "ok": "green"}

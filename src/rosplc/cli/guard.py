@@ -12,6 +12,7 @@ from typing import Any, NoReturn, ParamSpec
 
 import typer
 
+from rosplc.cli.text import warn
 from rosplc.errors import ConfigError, RosplcError, SetupError
 from rosplc.harmless import harmless
 
@@ -116,16 +117,19 @@ def _report(error: RosplcError, *, as_json: bool) -> NoReturn:
             document["errors"] = [each.to_dict() for each in errors]
         sys.stderr.write(json.dumps(document) + "\n")
     else:
-        sys.stderr.write(harmless("\n".join(_in_words(each) for each in errors)) + "\n")
+        warn("\n".join(_in_words(each) for each in errors))
     status = EXIT_CONFIG if isinstance(error, ConfigError) else EXIT_FAILURE
     raise typer.Exit(EXIT_ENDED if error.code == "ROS015" else status) from None
 
 
 def _in_words(error: RosplcError) -> str:
+    from rosplc.doctor.packages import pip_here
+
     lines = [f"rosplc: error {error.code}: {error.what}"]
     if error.where:
         lines.append(f"  where:  {error.where}")
-    lines.append(f"  remedy: {error.remedy}")
+    remedy = pip_here(error.remedy) if "pip install" in error.remedy else error.remedy
+    lines.append(f"  remedy: {remedy}")
     return "\n".join(lines)
 
 

@@ -9,7 +9,7 @@ import typer
 
 from rosplc.errors import ConfigError
 
-__all__ = ["AsJson", "ConfigFile", "config_file", "default_config"]
+__all__ = ["AsJson", "ConfigFile", "Directory", "config_file", "default_config"]
 
 _DEFAULT = Path("rosplc.yaml")
 
@@ -17,6 +17,7 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 ConfigFile = Annotated[
     Path | None, typer.Argument(help="The configuration file; rosplc.yaml in this folder by default.")
 ]
+Directory = Annotated[str, typer.Option(help="Where the objects are.", hidden=True)]
 
 
 def default_config() -> Path | None:

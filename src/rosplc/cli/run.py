@@ -15,17 +15,17 @@ __all__ = ["EPILOG", "command"]
 
 EPILOG = """Examples:
 
-rosplc run rosplc.yaml  —  carry the topics; Ctrl-C or SIGTERM ends it
+rosplc run  —  carry the topics of rosplc.yaml; Ctrl-C or SIGTERM ends it
 
 rosplc run rosplc.yaml --status 2  —  with a status line every two seconds
 
 rosplc run rosplc.yaml --ros-args -r __ns:=/robot1 -r /cmd_vel:=/base/cmd_vel  —  ROS arguments, as every
 ROS program takes them; in ROS 1 `__ns:=/robot1 /cmd_vel:=/base/cmd_vel`
 
-SIGHUP reads the file again and applies what has changed; a file that is wrong changes nothing.
+`rosplc reload` applies a changed file; a file that is wrong changes nothing. Closing the terminal ends the bridge.
 
-The objects in shared memory stay when it ends: a PLC that runs on keeps its last values, and
-the next start goes on with them.
+The objects in shared memory stay when it ends: a running PLC keeps its last values, and the next start
+takes them over. `rosplc clean` removes them.
 """
 
 

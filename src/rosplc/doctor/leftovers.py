@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import stat
 from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
@@ -9,7 +10,7 @@ from pathlib import Path
 from rosplc.doctor.finding import Finding, Level
 from rosplc.doctor.kinds import kind
 from rosplc.doctor.objects import Objects, Seen
-from rosplc.doctor.words import listed, plural, remove, user_name
+from rosplc.doctor.words import listed, plural, user_name
 from rosplc.shm.constants import STATE_RETIRED
 
 __all__ = ["concerned", "leftovers", "ownership", "soundness"]
@@ -56,12 +57,12 @@ def leftovers(objects: Objects, prefix: str | None, configured: Collection[Path]
         yield kind("DOC003").found(text)
     if left:
         what = f"no bridge holds {plural(len(left), 'object')}: {listed(map(_from, left))}"
-        yield kind("DOC205").found(what, command=_sweep(left, objects))
+        yield kind("DOC205").found(what, command=_clean(left, objects))
     else:
         yield kind("DOC205").fine("a bridge holds every object that is there")
     if strangers:
         what = f"not in the configuration, and held by nobody: {listed(map(_from, strangers))}"
-        yield kind("DOC206").found(what, command=remove(each.path for each in strangers))
+        yield kind("DOC206").found(what, command=_clean(strangers, objects))
     else:
         yield kind("DOC206").fine("no object is left of topics that the configuration does not have")
     if retired:
@@ -72,18 +73,16 @@ def leftovers(objects: Objects, prefix: str | None, configured: Collection[Path]
     yield from _lock_files(objects, prefix)
 
 
-def _sweep(left: Sequence[Seen], objects: Objects) -> str:
-    """Return the command that removes objects; whole prefixes where nobody has any other of theirs."""
-    gone = {seen.path for seen in left}
-    whole = {
-        prefix
-        for prefix in {seen.prefix for seen in left}
-        if all(seen.path in gone for seen in objects.objects if seen.prefix == prefix)
-    }
-    folder = left[0].path.parent
-    patterns = [f"{folder}/{prefix}.[tln].*" for prefix in sorted(whole)]
-    rest = [seen.path for seen in left if seen.prefix not in whole]
-    return " ".join([remove(rest) if rest else "rm", *patterns])
+def _clean(gone: Sequence[Seen], objects: Objects, *, root: bool = False) -> str:
+    """Return the commands that remove objects: by prefix, by topic where a prefix has others, too."""
+    paths = {seen.path for seen in gone}
+    commands = []
+    for prefix in sorted({seen.prefix for seen in gone}):
+        topics = [seen.topic for seen in gone if seen.prefix == prefix]
+        whole = all(seen.path in paths for seen in objects.objects if seen.prefix == prefix)
+        chosen = "" if whole else "".join(f" --topic {shlex.quote(topic)}" for topic in topics)
+        commands.append(f"{'sudo ' if root else ''}rosplc clean --prefix {prefix}{chosen}")
+    return " && ".join(commands)
 
 
 def _from(seen: Seen) -> str:
@@ -102,7 +101,7 @@ def _temporaries(objects: Objects, prefix: str | None) -> Iterator[Finding]:
     ]
     if left:
         what = f"{plural(len(left), 'temporary', 'temporaries')} of a bridge that was killed"
-        yield kind("DOC207").found(what, command=remove(left))
+        yield kind("DOC207").found(what, command=f"rosplc clean --prefix {left[0].name.partition('.n.')[0]}")
     else:
         yield kind("DOC207").fine("no temporaries are left")
 
@@ -162,7 +161,7 @@ def ownership(
     if others:
         names = {user_name(seen.status.st_uid) for seen in others}
         what = f"{listed(sorted(names))} owns {listed(seen.topic for seen in others)}"
-        yield kind("DOC209").found(what, command=remove((s.path for s in others), root=not root))
+        yield kind("DOC209").found(what, command=_clean(others, objects, root=not root))
     else:
         yield kind("DOC209").fine("no object of another user is in the way")
     open_ = [seen for seen in files if stat.S_IMODE(seen.status.st_mode) & 0o006]

@@ -146,9 +146,7 @@ def beating(topics: Sequence[Carried]) -> Iterator[Finding]:
             elif line.error:
                 refused = True
                 what = f"{each.plan.topic}: task {line.task or line.pid} reports error SHM{line.error:03d}"
-                yield kind("DOC604").found(
-                    what, f"docs/reference/errors.md says what SHM{line.error:03d} means."
-                )
+                yield kind("DOC604").found(what, f"`rosplc explain SHM{line.error:03d}` explains it.")
     if live and not refused:
         yield kind("DOC604").fine("no PLC task expects another layout")
 

@@ -133,7 +133,7 @@ def logout(
     else:
         yield kind("DOC106").found(
             f"RemoveIPC=yes ({where}), and {user} is an ordinary user",
-            "Run the bridge as a system user (docs/howto/keep-a-bridge-running.md), or let this one linger.",
+            "Run the bridge as a system user (`rosplc service install`), or let this one linger.",
             f"sudo loginctl enable-linger {user}",
         )
 

@@ -10,7 +10,8 @@ import os
 import re
 import stat
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import cast
@@ -20,15 +21,15 @@ from rosplc.shm import Description, Direction, Identity, Namespace, ReaderState,
 from rosplc.shm.constants import HEADER_SIZE
 from rosplc.shm.files import open_plain_file
 
-__all__ = ["Held", "Objects", "Seen", "held_files", "is_held", "look_at_objects"]
+__all__ = ["Held", "Objects", "Seen", "held_files", "is_held", "lock_holders", "look_at_objects"]
 
 _NAME = re.compile(r"([A-Za-z][A-Za-z0-9_-]{0,31})\.([tln])\.(.+)")
 _PAUSE_S = 0.05
 _LEAST_S, _LEAST_UNHELD_S, _MOST_S = 2.0, 0.5, 3.5
 """Who promises to beat ten times a second may still not get to it on a machine with other work."""
 
-Held = frozenset[tuple[int, int, int]]
-"""Files that somebody holds a lock on: device's major and minor number, inode."""
+Held = Mapping[tuple[int, int, int], int]
+"""Locked files (device's major and minor number, inode) → the process that holds the lock."""
 
 
 @dataclass(frozen=True)
@@ -114,18 +115,32 @@ class _Image:
 
 
 def held_files(proc: Path) -> Held | None:
-    """Return the files that processes hold an flock on; None if the kernel does not tell."""
+    """Return the files that processes hold an flock on; None if the kernel does not show them."""
     try:
         text = (proc / "locks").read_text(encoding="utf-8", errors="replace")
     except OSError:
         return None
-    found = set()
+    found = {}
     for line in text.splitlines():
         words = line.split()
         if len(words) >= 6 and words[1] == "FLOCK":
             major, minor, inode = words[5].split(":")
-            found.add((int(major, 16), int(minor, 16), int(inode)))
-    return frozenset(found)
+            found[int(major, 16), int(minor, 16), int(inode)] = int(words[4])
+    return found
+
+
+def lock_holders(directory: Path, prefix: str, held: Held) -> list[int]:
+    """Return the processes that hold the names of a prefix; those of other PID namespaces are left out."""
+    pids = set()
+    for path in directory.glob(f"{prefix}.l.*"):
+        with suppress(OSError):
+            pids.add(held.get(_key(path), 0))
+    return sorted(pid for pid in pids if pid > 0)
+
+
+def _key(path: Path) -> tuple[int, int, int]:
+    status = path.lstat()
+    return os.major(status.st_dev), os.minor(status.st_dev), status.st_ino
 
 
 def is_held(path: Path, held: Held | None) -> bool | None:
@@ -133,10 +148,9 @@ def is_held(path: Path, held: Held | None) -> bool | None:
     if held is None:
         return None
     try:
-        status = path.lstat()
+        return _key(path) in held
     except OSError:
         return False
-    return (os.major(status.st_dev), os.minor(status.st_dev), status.st_ino) in held
 
 
 @dataclass

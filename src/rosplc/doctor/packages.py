@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import json
+import re
+import shlex
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from importlib.metadata import PackageNotFoundError, requires, version
+from importlib.metadata import PackageNotFoundError, distribution, requires, version
+from pathlib import Path
+from urllib.parse import unquote, urlparse
 
 from rosplc.doctor.finding import Finding, Level
 from rosplc.doctor.kinds import kind
@@ -12,7 +18,7 @@ from rosplc.errors import RosplcError
 from rosplc.ros import BACKENDS, INSTALL
 from rosplc.ros.choice import choose, why_not_installed
 
-__all__ = ["backend", "needed", "packages", "wheels"]
+__all__ = ["backend", "needed", "packages", "pip_here", "wheels"]
 
 _OPTIONAL = ("cyclonedds", "eclipse-zenoh")
 _DDS_MACHINES = ("x86_64",)
@@ -59,7 +65,7 @@ def packages(
             missing.append(name)
     if missing:
         seen = f"not installed: {', '.join(missing)}"
-        yield kind("DOC110").found(seen, command=f"pip install {' '.join(missing)}")
+        yield kind("DOC110").found(seen, command=pip_here(f"pip install {' '.join(missing)}"))
     yield kind("DOC110").fine(f"rosplc {release}, Python {python}, {', '.join(found) or 'nothing else'}")
 
 
@@ -78,9 +84,7 @@ def wheels(machine: str, python: tuple[int, int]) -> Iterator[Finding]:
     if machine not in _ZENOH_MACHINES:
         missing.append(f"eclipse-zenoh has none for {machine}")
     if missing:
-        remedy = (
-            "Use an installed ROS 2 (backend rclpy), Zenoh, or build the package (docs/howto/use-rclpy.md)."
-        )
+        remedy = "Use an installed ROS 2 (backend rclpy), Zenoh, or build the package."
         yield kind("DOC111").found(f"wheels on PyPI: {'; '.join(missing)}", remedy)
     else:
         yield kind("DOC111").fine("PyPI has a wheel of cyclonedds and of eclipse-zenoh for this machine")
@@ -122,3 +126,22 @@ def backend(
     yield kind("DOC112").fine(
         f"backend auto is {choice.name}, because {choice.why}; usable: {', '.join(usable)}"
     )
+
+
+def pip_here(text: str) -> str:
+    """Return a remedy with the pip, and the source of rosplc, that this installation uses.
+
+    Args:
+        text: Any text; ``pip install`` and ``'rosplc[EXTRA]'`` in it are replaced.
+    """
+    here = Path(sys.executable).parent / "pip"
+    pip = shlex.quote(str(here)) if here.exists() else f"{shlex.quote(sys.executable)} -m pip"
+    text = re.sub(r"(?<![\w/-])pip install", lambda _: f"{pip} install", text)
+    try:
+        origin = json.loads(distribution("rosplc").read_text("direct_url.json") or "{}")
+    except (PackageNotFoundError, ValueError):
+        return text
+    if not origin.get("dir_info", {}).get("editable"):
+        return text
+    folder = unquote(urlparse(origin["url"]).path)
+    return re.sub(r"'rosplc(\[\w+\])'", lambda found: f"-e {shlex.quote(folder + found[1])}", text)

@@ -36,7 +36,7 @@ def configuration(
     """
     lines = [
         *_comment(f"Written by rosplc {__version__} init{f', {date}' if date else ''}, from {found.where}."),
-        *_comment("Every key stands in docs/reference/configuration.md; `rosplc check` explains this file."),
+        *_comment("`rosplc check --schema` lists every key; `rosplc check` explains this file."),
         "",
         f"bridge: {_value(bridge)}",
         "",

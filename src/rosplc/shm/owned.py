@@ -41,7 +41,7 @@ from rosplc.shm.names import Namespace
 from rosplc.shm.snapshot import Snapshot
 from rosplc.shm.who import describe_status, user_name
 
-__all__ = ["OwnedChannel"]
+__all__ = ["OwnedChannel", "retire_file"]
 
 _LOOKS = 100
 
@@ -295,7 +295,7 @@ def _adopt(
         reason = _difference(fd, description, wanted, owner, str(path))
         if not reason:
             return fd, None
-        _retire_file(fd)
+        retire_file(fd)
     except BaseException:
         os.close(fd)
         raise
@@ -366,7 +366,7 @@ def _word(fd: int, offset: int) -> int:
     return int.from_bytes(os.pread(fd, 4, offset), "little")
 
 
-def _retire_file(fd: int) -> None:
+def retire_file(fd: int) -> None:
     """Set an object to RETIRED in place, before another takes its name (M19)."""
     first, size = read_header(fd)
     # Of LIVE and RETIRED only one byte differs, so this is one access whatever the kernel copies with.

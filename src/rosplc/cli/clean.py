@@ -1,0 +1,139 @@
+"""``rosplc clean``: remove objects in shared memory that no bridge holds."""
+
+from __future__ import annotations
+
+import os
+import re
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rosplc.cli.guard import EXIT_FAILURE, guarded, print_json
+from rosplc.cli.options import AsJson, ConfigFile, Directory, default_config
+from rosplc.cli.text import plural, say
+from rosplc.errors import ChannelError
+
+if TYPE_CHECKING:
+    from rosplc.shm import Namespace
+
+__all__ = ["EPILOG", "command"]
+
+EPILOG = """Examples:
+
+rosplc clean  —  what the bridge of rosplc.yaml in this folder, or of the default prefix, has left behind
+
+rosplc clean --prefix line3 --dry-run  —  show what would be removed
+
+rosplc clean --topic /old_topic  —  this topic alone
+
+What a running bridge holds, and files that are no objects of rosplc, are left alone. A PLC that is attached
+notices, and attaches again once a bridge has made a new object; the last values are gone.
+"""
+
+
+@guarded
+def command(
+    config: ConfigFile = None,
+    prefix: Annotated[
+        str | None, typer.Option(metavar="NAME", help="The `prefix:`, in place of a configuration.")
+    ] = None,
+    topic: Annotated[
+        list[str] | None, typer.Option("--topic", metavar="TOPIC", help="Only this topic; may be repeated.")
+    ] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Show what would be removed.")] = False,
+    directory: Directory = "/dev/shm",
+    as_json: AsJson = False,
+) -> None:
+    """Remove the objects of a prefix that no bridge holds: channels, locks and temporaries."""
+    from rosplc.shm import Namespace
+
+    if prefix is None and (file := config or default_config()) is not None:
+        from rosplc.config.file import read_config
+
+        settings = read_config(file).settings
+        prefix, directory = settings.prefix, settings.shm.directory
+    namespace = Namespace(prefix or "rosplc", directory)
+    removed, kept = _clean(namespace, topic or [], dry_run=dry_run)
+    if as_json:
+        print_json({"removed": removed, "kept": kept, "done": not dry_run})
+    else:
+        for name in removed:
+            say(f"{'would remove' if dry_run else 'removed'} {name}")
+        for name, why in kept.items():
+            say(f"kept {name}: {why}")
+        say(f"{plural(len(removed), 'file')} of prefix {namespace.prefix}, {plural(len(kept), 'name')} kept")
+    if any(code in why for why in kept.values() for code in ("SHM102", "SHM119")):
+        raise typer.Exit(EXIT_FAILURE)
+
+
+def _clean(namespace: Namespace, topics: list[str], *, dry_run: bool) -> tuple[list[str], dict[str, str]]:
+    """Remove the files of names that no bridge holds; return these, and name → why it is kept."""
+    folder = Path(namespace.directory)
+    pattern = re.compile(re.escape(namespace.prefix) + r"\.([tln])\.(.+?)(?:\.[0-9a-f]{8})?", re.DOTALL)
+    wanted = {namespace.path(topic).name.partition(".t.")[2] for topic in topics}
+    files: dict[str, list[Path]] = {}
+    try:
+        listing = sorted(folder.iterdir())
+    except OSError as error:
+        raise ChannelError("SHM123", f"cannot list: {error.strerror}", where=str(folder)) from error
+    for path in listing:
+        found = pattern.fullmatch(path.name)
+        if found is None:
+            continue
+        # Only a temporary has a suffix of its own behind the topic's name.
+        key = found[2] if found[1] == "n" else path.name.partition(f".{found[1]}.")[2]
+        if not wanted or key in wanted:
+            files.setdefault(key, []).append(path)
+    removed: list[str] = []
+    kept: dict[str, str] = {}
+    for key, paths in files.items():
+        try:
+            removed += _remove(folder / f"{namespace.prefix}.l.{key}", paths, dry_run=dry_run)
+        except ChannelError as error:
+            kept[f"{namespace.prefix}.t.{key}"] = f"{error.what} [{error.code}]"
+    return removed, kept
+
+
+def _remove(lock_file: Path, paths: list[Path], *, dry_run: bool) -> list[str]:
+    """Remove the files of one name under its lock, the lock's file last.
+
+    Raises:
+        ChannelError: SHM116 while a bridge holds it; SHM104, SHM119, SHM121 for what is somebody else's.
+    """
+    from rosplc.monitor.objects import open_object
+    from rosplc.shm.lock import NameLock
+
+    existed = lock_file.exists()
+    lock = NameLock(lock_file, mode=lock_file.stat().st_mode if existed else 0o600)
+    try:
+        names = []
+        for path in sorted(paths, key=lambda path: path == lock_file):
+            if ".t." in path.name and not lock.held_an_object:
+                open_object(str(path)).close()  # anything else at this name is not ours to remove
+            if not dry_run:
+                if ".t." in path.name:
+                    _retire(path)
+                path.unlink(missing_ok=True)
+            names.append(str(path))
+        if not dry_run or not existed:
+            lock_file.unlink(missing_ok=True)
+    except OSError as error:
+        raise ChannelError("SHM102", f"cannot remove: {error.strerror}", where=str(lock_file)) from error
+    finally:
+        lock.release()
+    return names
+
+
+def _retire(path: Path) -> None:
+    """Tell whoever has the object mapped to leave it."""
+    from rosplc.shm.files import open_plain_file
+    from rosplc.shm.owned import retire_file
+
+    with suppress(ChannelError):
+        fd = open_plain_file(path, os.O_RDWR)
+        try:
+            retire_file(fd)
+        finally:
+            os.close(fd)

@@ -1,0 +1,70 @@
+"""``rosplc explain``: what a code of an error or a finding means, and what to do."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from typing import Annotated
+
+import typer
+
+from rosplc.cli.guard import guarded, print_json
+from rosplc.cli.options import AsJson
+from rosplc.cli.text import say, table
+from rosplc.errors import CODES
+
+__all__ = ["EPILOG", "command"]
+
+EPILOG = """Examples:
+
+rosplc explain SHM112  —  an error of the command or of the log
+
+rosplc explain 112  —  the same as a number in `udiError` of a PLC block
+
+rosplc explain DOC603  —  a finding of `rosplc doctor`
+
+rosplc explain  —  every code in a line
+"""
+
+
+@guarded
+def command(
+    code: Annotated[
+        str | None, typer.Argument(help="A code such as SHM112 or DOC603, or an error number of a PLC block.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Explain an error code: what it means, and what to do."""
+    known = _known()
+    if code is None:
+        if as_json:
+            print_json(list(known.values()))
+        else:
+            table((entry["code"], entry["title"]) for entry in known.values())
+        return
+    wanted = f"SHM{code}" if re.fullmatch(r"\d{3}", code) else code.upper()
+    if wanted not in known:
+        near = difflib.get_close_matches(wanted, known, 1)
+        hint = f"; did you mean {near[0]}?" if near else "; `rosplc explain` lists all codes"
+        raise typer.BadParameter(f"there is no code {code!r}{hint}", param_hint="CODE")
+    entry = known[wanted]
+    if as_json:
+        print_json(entry)
+        return
+    say(f"{entry['code']}: {entry['title']}")
+    if entry["meaning"]:
+        say(f"  meaning: {entry['meaning']}")
+    say(f"  remedy:  {entry['remedy']}")
+
+
+def _known() -> dict[str, dict[str, str]]:
+    """Return code → what is known of it, of errors and findings."""
+    from rosplc.doctor import KINDS
+
+    known = {
+        code: {"code": code, "title": info.title, "meaning": "", "remedy": info.remedy}
+        for code, info in CODES.items()
+    }
+    for code, kind in KINDS.items():
+        known[code] = {"code": code, "title": kind.title, "meaning": kind.meaning, "remedy": kind.remedy}
+    return known

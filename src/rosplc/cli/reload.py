@@ -1,0 +1,65 @@
+"""``rosplc reload``: tell a running bridge to read its configuration again."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rosplc.cli.guard import guarded
+from rosplc.cli.options import ConfigFile, Directory, config_file, default_config
+from rosplc.cli.text import say
+from rosplc.errors import ChannelError, SetupError
+
+__all__ = ["EPILOG", "command"]
+
+EPILOG = """Examples:
+
+rosplc reload  —  the bridge of rosplc.yaml in this folder
+
+rosplc reload cell1.yaml  —  check this file, then tell its bridge to read it again
+
+rosplc reload --prefix line3  —  the bridge with this `prefix:`
+
+A file that is wrong changes nothing. The bridge's log has the outcome. For a service: systemctl reload.
+"""
+
+
+@guarded
+def command(
+    config: ConfigFile = None,
+    prefix: Annotated[
+        str | None, typer.Option(metavar="NAME", help="The bridge's `prefix:`, in place of a configuration.")
+    ] = None,
+    directory: Directory = "/dev/shm",
+) -> None:
+    """Tell a running bridge to apply its changed configuration, without stopping it."""
+    from rosplc.doctor.objects import held_files, lock_holders
+
+    if prefix is None:
+        from rosplc.config.resolve import load_project
+
+        settings = load_project(config_file(config or default_config())).config.settings
+        prefix, directory = settings.prefix, settings.shm.directory
+    pids = lock_holders(Path(directory), prefix, held_files(Path("/proc")) or {})
+    if not pids:
+        raise ChannelError(
+            "SHM101",
+            f"no bridge with the prefix {prefix} runs on this machine",
+            where=directory,
+            remedy="Start it with `rosplc run`; `rosplc status` lists the bridges of this machine. One in a "
+            "container is reloaded inside that container.",
+        )
+    for pid in pids:
+        try:
+            os.kill(pid, signal.SIGUSR1)
+        except PermissionError as error:
+            raise SetupError(
+                "SYS013",
+                f"this user may not signal the bridge, process {pid}",
+                remedy="Run it as the bridge's user or with sudo; for a service: systemctl reload.",
+            ) from error
+        say(f"The bridge of prefix {prefix} (process {pid}) reads its configuration again; see its log.")
