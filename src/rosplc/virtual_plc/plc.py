@@ -74,10 +74,10 @@ class VirtualPlc:
                 raise TimeoutError(f"task {task.name}: the scan in progress exceeds the watchdog")
 
     def run(self, duration: float | None = None) -> None:
-        """Start, run for ``duration`` seconds (None: until interrupted or halted), and stop.
+        """Start, run for ``duration`` seconds (None: until Ctrl-C, or a task halts), and stop.
 
         Raises:
-            BaseException: What halted a task; KeyboardInterrupt passes through.
+            BaseException: What halted a task; with a duration KeyboardInterrupt, too.
         """
         end = None if duration is None else time.monotonic() + duration
         self.start()
@@ -86,6 +86,9 @@ class VirtualPlc:
                 self.check()
                 rest = 0.05 if end is None else min(0.05, end - time.monotonic())
                 time.sleep(max(0.0, rest))
+        except KeyboardInterrupt:
+            if duration is not None:
+                raise
         finally:
             self.stop()
         self.check()

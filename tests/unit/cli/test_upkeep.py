@@ -32,9 +32,8 @@ def wait_for(happened: Callable[[], bool], what: str) -> None:
 @pytest.fixture
 def config(tmp_path: Path, shm_namespace: Namespace) -> Path:
     path = tmp_path / "rosplc.yaml"
-    path.write_text(
-        f"prefix: {shm_namespace.prefix}\nros: {{backend: memory}}\ntopics:\n  /a: {{type: {INT}, to: plc}}\n"
-    )
+    topics = f"topics:\n  /a: {{type: {INT}, to: plc}}\n"
+    path.write_text(f"prefix: {shm_namespace.prefix}\nros: {{backend: memory}}\n{topics}")
     return path
 
 
