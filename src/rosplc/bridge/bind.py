@@ -6,21 +6,21 @@ object, decides when to write and when to read, and publishes or subscribes itse
 
 from __future__ import annotations
 
+import importlib
 import logging
 import os
 import threading
 import time
+import weakref
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal, Protocol
 
 from rosplc._core._native import Fault
-from rosplc.bridge.beats import BEAT_MS, Beats
-from rosplc.bridge.message_class import definition_of, deserialize, type_name_of
 from rosplc.codec import Codec, Wire
 from rosplc.described import description_of
-from rosplc.errors import ChannelError
+from rosplc.errors import ChannelError, MessageTypeError
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import DISTROS, TypeStore
 from rosplc.shm import Description, Direction, Namespace, OwnedChannel, Reader, Writer
@@ -29,6 +29,8 @@ __all__ = ["Binding", "bind"]
 
 _log = logging.getLogger("rosplc.bind")
 _LOOK_NS = 1_000_000_000
+BEAT_MS = 100
+"""The beat that is promised and kept, in milliseconds."""
 _DIRECTIONS = {"to_plc": Direction.TO_PLC, "to_ros": Direction.TO_ROS}
 
 
@@ -316,3 +318,89 @@ def _be_heard() -> None:
         _log.setLevel(logging.INFO)
     if not _log.hasHandlers():
         _log.addHandler(logging.StreamHandler())
+
+
+def definition_of(message_class: type | None) -> str | None:
+    """Return the definition that a class of rospy carries, None for all others."""
+    text = getattr(message_class, "_full_text", None)
+    return text if isinstance(text, str) else None
+
+
+def type_name_of(message_class: type) -> str:
+    """Return the type name of a message class of rospy, rosbags or rclpy.
+
+    Raises:
+        MessageTypeError: TYP001, it is no message class.
+    """
+    for attribute in ("_type", "__msgtype__"):
+        if isinstance(name := getattr(message_class, attribute, None), str):
+            return name
+    package, *rest = message_class.__module__.split(".")
+    if not rest or rest[0] != "msg":
+        raise MessageTypeError(
+            "TYP001",
+            f"{message_class.__name__} is no message class",
+            remedy="Give the class of rclpy or rospy, or the type's name.",
+        )
+    return f"{package}/msg/{message_class.__name__}"
+
+
+def deserialize(message_class: type, data: bytes) -> Any:
+    """Return an object of a class of rospy or rclpy."""
+    if hasattr(message_class, "deserialize"):  # rospy
+        return message_class().deserialize(data)
+    return importlib.import_module("rclpy.serialization").deserialize_message(data, message_class)
+
+
+class Beating(Protocol):
+    """What can be kept alive."""
+
+    @property
+    def closed(self) -> bool:
+        """Whether it needs no beat any more."""
+
+    def beat(self) -> None:
+        """Show that it lives."""
+
+
+class Beats:
+    """The thread and its members; it ends when the last member has gone."""
+
+    _all: ClassVar[weakref.WeakSet[Beating]] = weakref.WeakSet()
+    _lock = threading.Lock()
+    _running = False
+
+    @classmethod
+    def add(cls, member: Beating) -> None:
+        """Beat for a member until it is closed or nobody refers to it any more."""
+        with cls._lock:
+            cls._all.add(member)
+            if not cls._running:
+                cls._running = True
+                threading.Thread(target=cls._run, name="rosplc-beats", daemon=True).start()
+
+    @classmethod
+    def _run(cls) -> None:
+        while True:
+            time.sleep(BEAT_MS / 1e3)
+            with cls._lock:
+                members = [member for member in cls._all if not member.closed]
+                if not members:
+                    cls._running = False
+                    return
+            for member in members:
+                try:
+                    member.beat()
+                except (ChannelError, ValueError):
+                    continue  # write() and read() report it to whoever can act
+            del members, member  # or this thread would keep alive what nobody else refers to
+
+    @classmethod
+    def _forked(cls) -> None:
+        # Threads stay with the parent, and so does what it owns (rosplc.shm.owned).
+        cls._lock = threading.Lock()
+        cls._all = weakref.WeakSet()
+        cls._running = False
+
+
+os.register_at_fork(after_in_child=Beats._forked)

@@ -1,7 +1,7 @@
-"""What both directions of a classic topic share, and the thread that carries them.
+"""Ports over classic memory, a bare record guarded by a named semaphore: spec/classic-mode.md.
 
-One thread per direction looks after all classic topics of it and never waits for a lock: a topic
-whose lock is taken is tried again a moment later, so that one that is held delays no other.
+One thread per direction serves all of them and never waits for a lock: a port whose lock is taken is tried
+again a moment later, so that one that is held delays no other.
 """
 
 from __future__ import annotations
@@ -9,64 +9,63 @@ from __future__ import annotations
 import logging
 import random
 import threading
-import time
-from collections import deque
-from typing import Protocol
+from dataclasses import dataclass
 
-from rosplc.bridge.order import Order
+from rosplc._core._native import Fault
+from rosplc.bridge.port import Context, PortStatus, Side, Waiting, log
 from rosplc.bridge.status import ClassicStatus
-from rosplc.bridge.topic import Surroundings, Topic, log
-from rosplc.config.classic_plan import ClassicPlan
 from rosplc.config.quantities import format_duration
-from rosplc.config.resolve import TopicPlan
 from rosplc.errors import ChannelError
 from rosplc.shm import Direction
 from rosplc.shm.classic import ClassicObject, Entry
 
-__all__ = ["LOOK_NS", "Carried", "ClassicCarrier", "ClassicSide"]
+__all__ = ["ClassicPort", "ClassicPorts", "ClassicToPlc", "ClassicToRos"]
 
 LOOK_NS = 50_000_000
 """How often names and lock are looked at while nothing else leads there."""
 _AGAIN_NS = 100_000
 """Time between two attempts within ``wait``."""
+_PERIOD_NS = 1_000_000
+"""Time between two attempts to write once ``wait`` is over."""
 _RETURN_NS = 10_000_000_000
 """How long after a recovery the lock is looked at often: a holder that was only slow leaves it again."""
 _SETTLING_NS = 300_000_000
 """How long objects may be half made before that is a problem: their makers make them in steps."""
+_LAZY_POLL_NS = 10_000_000
+_ALERT_NS = 10_000_000_000
 
 
-class ClassicSide:
-    """The object of a classic topic with its state; used by the carrier's thread alone.
+class ClassicPort:
+    """The memory of a classic stream with its lock; used by one thread.
 
     Args:
-        plan: The topic's plan, with ``classic`` set.
-        around: What the bridge's topics share.
-        topic: Whose notes are written.
-
-    Attributes:
-        object: The memory with its lock.
-        timeouts: Attempts to take the lock that did not succeed in time.
-        fresh: Whether the memory appeared while this side was watching its name.
-        same: Whether the memory is that of the attachment before: the semaphore alone was replaced.
-        abandoned: Whether the lock that was replaced was taken when it was left.
+        side: The stream; its plan has ``classic`` set.
+        context: What the bridge's streams share.
     """
 
-    def __init__(self, plan: TopicPlan, around: Surroundings, topic: Topic) -> None:
-        assert plan.classic is not None
-        self.plan: ClassicPlan = plan.classic
-        self.timeouts = 0
-        self.fresh = self.same = self.abandoned = False
-        self.object = ClassicObject(
-            self.plan.name,
-            self.plan.semaphore,
-            plan.layout.size,
-            write=plan.direction is Direction.TO_PLC,
-            recover_after_ns=self.plan.recover_after_ns,
-            mode=around.mode,
-            uid=around.uid,
-            gid=around.gid,
+    adopted = True  # other programs use the memory too: it is never retired
+
+    def __init__(self, side: Side, context: Context) -> None:
+        classic = side.plan.classic
+        assert classic is not None
+        self.side = side
+        self._classic = classic
+        self._clock = context.clock
+        self._started_ns = context.clock.monotonic_ns()
+        self._object = ClassicObject(
+            classic.name,
+            classic.semaphore,
+            side.plan.layout.size,
+            write=side.plan.direction is Direction.TO_PLC,
+            recover_after_ns=classic.recover_after_ns,
+            mode=context.mode,
+            uid=context.uid,
+            gid=context.gid,
         )
-        self._topic = topic
+        self._timeouts = 0  # attempts to take the lock that did not succeed in time
+        self._fresh = False  # the memory appeared while its name was watched
+        self._same = False  # the memory is that of the attachment before: the semaphore alone was replaced
+        self._abandoned = False  # the lock that was replaced was taken when it was left
         self._watched = False
         self._identity: tuple[int, int] | None = None
         self._retry_ns = 0
@@ -79,228 +78,427 @@ class ClassicSide:
     @property
     def attached(self) -> bool:
         """Whether there is an object to carry to or from."""
-        return self.object.memory is not None
+        return self._object.memory is not None
 
     def open(self) -> None:
         """Keep other bridges away, and attach if that is possible already.
 
         Raises:
             ChannelError: SHM116 if another bridge has the memory; and what keeps a lock file from
-                being made. That the memory itself cannot be used is a problem of the topic alone.
+                being made. That the memory itself cannot be used is a problem of the stream alone.
         """
-        self.object.claim()
-        self._attach(time.monotonic_ns())
+        self._object.claim()
+        self._attach(self._clock.monotonic_ns())
+        self._attached()
 
     def close(self) -> None:
-        """Leave memory and semaphore as they stand."""
-        self.object.close()
+        """Leave memory and semaphore with their last state."""
+        self._object.close()
 
-    def tend(self, now_ns: int) -> tuple[bool, bool]:
-        """Attach, notice a replacement, judge the lock.
+    retire = close
 
-        Returns:
-            Whether another object is attached now; whether the lock was freed for a dead holder.
-        """
+    def beat(self) -> None:
+        """There is no beat in such a memory."""
+
+    def tell(self, matched: int) -> None:
+        """There is no room for the number of peers in such a memory."""
+
+    def check(self, now_ns: int) -> bool:
+        """Return whether another bridge has taken the memory; everything else is seen to by :meth:`turn`."""
+        return not self.owned()
+
+    def owned(self) -> bool:
+        """Return whether the lock file is still this bridge's."""
+        return self._object.owned()
+
+    def retained(self) -> tuple[bytes, int, int] | None:
+        """Return None: with ``latched`` the image that is found is a message as any other."""
+        return None
+
+    def put(self, data: bytes, stamp_ns: int, flags: int, now_ns: int) -> None:
+        """Refuse: the direction is the other one."""
+        raise ChannelError("SHM110", "only the PLC writes towards ROS", where=self.side.plan.topic)
+
+    def turn(self, now_ns: int) -> int:
+        """Do what is due; return when the next turn is wanted."""
+        try:
+            return self._turn(now_ns)
+        except (ChannelError, OSError, ValueError) as error:
+            self._fail(now_ns, error)
+            return self._next_ns(now_ns)
+
+    def status(self, now_ns: int) -> PortStatus:
+        """Return what can be known of memory and lock: there is no beat in them."""
+        memory, lock = self._object.memory, self._object.lock
+        held = lock.held_since_ns if lock is not None else None
+        classic = ClassicStatus(
+            memory=self._classic.name,
+            semaphore=self._classic.semaphore,
+            bytes=memory.size if memory is not None else 0,
+            attached=memory is not None,
+            held_ns=0 if held is None else max(0, now_ns - held),
+            timeouts=self._timeouts,
+            recovered=self._object.recovered,
+            mended=self._object.mended,
+        )
+        return PortStatus(skipped=self._skipped(), classic=classic)
+
+    def _skipped(self) -> int:
+        return 0
+
+    def loss(self, count: int) -> str:
+        """Describe why messages were lost, and what helps."""
+        raise NotImplementedError
+
+    def _turn(self, now_ns: int) -> int:
+        """As :meth:`turn`; errors let go of the object."""
+        raise NotImplementedError
+
+    def _attached(self) -> None:
+        """Another object has been attached, or a lock."""
+        raise NotImplementedError
+
+    def _tend(self, now_ns: int) -> bool:
+        """Attach, follow a replacement, judge the lock; return whether it was freed for a dead holder."""
         if not self.attached:
-            return (now_ns >= self._retry_ns and self._attach(now_ns)), False
+            if now_ns >= self._retry_ns and self._attach(now_ns):
+                self._attached()
+            return False
         if now_ns < self._look_ns:
-            return False, False
+            return False
         self._look_ns = _next_look(now_ns)
-        if not self.object.in_place():
-            return self.follow(now_ns), False
-        entry = self.object.look(now_ns)
+        if not self._object.in_place():
+            self._follow(now_ns)
+            return False
+        entry = self._object.look(now_ns)
         self._judge(entry, now_ns)
-        return False, entry is Entry.RECOVERED
+        return entry is Entry.RECOVERED
 
-    def follow(self, now_ns: int) -> bool:
-        """Attach to what the names lead to now; return whether there is something."""
-        lock = self.object.lock
-        self.abandoned = lock is not None and lock.value == 0
-        log.info("%s: memory or semaphore %s was replaced", self._topic.plan.topic, self.plan.name)
-        return self._attach(now_ns)
+    def _follow(self, now_ns: int) -> None:
+        """Attach to what the names lead to now."""
+        lock = self._object.lock
+        self._abandoned = lock is not None and lock.value == 0
+        log.info("%s: memory or semaphore %s was replaced", self.side.plan.topic, self._classic.name)
+        if self._attach(now_ns):
+            self._attached()
 
-    def fail(self, now_ns: int, error: ChannelError | OSError | ValueError) -> None:
+    def _fail(self, now_ns: int, error: ChannelError | OSError | ValueError) -> None:
         """Let go of an object that cannot be used, and try again in a moment."""
-        self.object.detach()
+        self._object.detach()
         self._retry_ns = now_ns + LOOK_NS
         if self._failing_since_ns is None:
             self._failing_since_ns = now_ns
         if now_ns - self._failing_since_ns >= _SETTLING_NS or not isinstance(error, ChannelError):
-            self._topic.fail(now_ns, error)
+            self.side.fail(now_ns, error)
 
-    def enter(self, now_ns: int, *, alive: bool = False) -> Entry:
+    def _enter(self, now_ns: int, *, alive: bool = False) -> Entry:
         """Try to take the lock; BUSY is counted once ``wait`` is over."""
-        entry = self.object.enter(now_ns, alive=alive)
+        entry = self._object.enter(now_ns, alive=alive)
         self._judge(entry, now_ns)
         if entry is Entry.ENTERED:
             self._trying_since_ns = None
         elif entry is Entry.BUSY:
             if self._trying_since_ns is None:
                 self._trying_since_ns = now_ns
-            elif self._trying_since_ns >= 0 and now_ns - self._trying_since_ns >= self.plan.wait_ns:
+            elif self._trying_since_ns >= 0 and now_ns - self._trying_since_ns >= self._classic.wait_ns:
                 self._trying_since_ns = -1  # counted: from now on seldom
-                self.timeouts += 1
-                words = f"the lock was not free within {format_duration(self.plan.wait_ns)}"
-                self._topic.note(now_ns, words, "SHM127")
+                self._timeouts += 1
+                words = f"the lock was not free within {format_duration(self._classic.wait_ns)}"
+                self.side.note(now_ns, words, "SHM127")
         return entry
 
-    def again_ns(self, now_ns: int, period_ns: int) -> int:
+    def _again_ns(self, now_ns: int, period_ns: int) -> int:
         """Return when to try the lock again: soon within ``wait``, then with the period."""
         # Never in step with a PLC's cycle: looks that always fall into its turn would see a dead holder.
         if self._trying_since_ns is not None and self._trying_since_ns < 0:
             return now_ns + period_ns // 2 + random.randrange(period_ns)
         return now_ns + _AGAIN_NS // 2 + random.randrange(_AGAIN_NS)
 
-    def next_ns(self, now_ns: int) -> int:
-        """Return when :meth:`tend` wants to be called again."""
+    def _next_ns(self, now_ns: int) -> int:
+        """Return when :meth:`_tend` wants to be called again."""
         if not self.attached:
             return self._retry_ns
-        lock = self.object.lock
+        lock = self._object.lock
         if lock is not None and (lock.held_since_ns is not None or now_ns < self._often_until_ns):
             # Taken at the last look: look often, since a holder is called dead by many looks alone.
             self._look_ns = min(self._look_ns, now_ns + random.randrange(1_000_000, 3_000_000))
         return self._look_ns
 
-    def status(self, now_ns: int) -> ClassicStatus:
-        """Return what can be known of memory and lock; from any thread."""
-        memory, lock = self.object.memory, self.object.lock
-        held = lock.held_since_ns if lock is not None else None
-        return ClassicStatus(
-            memory=self.plan.name,
-            semaphore=self.plan.semaphore,
-            bytes=memory.size if memory is not None else 0,
-            attached=memory is not None,
-            held_ns=0 if held is None else max(0, now_ns - held),
-            timeouts=self.timeouts,
-            recovered=self.object.recovered,
-            mended=self.object.mended,
-        )
-
     def _attach(self, now_ns: int) -> bool:
         before = self._identity
         try:
-            self.object.attach()
+            self._object.attach()
         except (ChannelError, OSError, ValueError) as error:
-            self.fail(now_ns, error)
+            self._fail(now_ns, error)
             self._watched = self._watched or getattr(error, "code", "") == "SHM129"
             return False
         self._failing_since_ns = None
-        memory, lock = self.object.memory, self.object.lock
+        memory, lock = self._object.memory, self._object.lock
         assert memory is not None
         self._identity = memory.identity
-        self.same = memory.identity == before
-        self.fresh = memory.created or self._watched
+        self._same = memory.identity == before
+        self._fresh = memory.created or self._watched
         self._watched = True
         self._look_ns = _next_look(now_ns)
-        self._topic.problem = ""
+        self.side.problem = ""
         if memory.odd_size:
             words = f"the memory has {memory.size} bytes, the record {memory.record_size}"
-            self._topic.note(now_ns, words, "SHM130")
+            self.side.note(now_ns, words, "SHM130")
         made = [kind for kind, thing in (("memory", memory), ("semaphore", lock)) if thing and thing.created]
-        level = logging.INFO if self.object.attachments == 1 else logging.DEBUG
+        level = logging.INFO if self._object.attachments == 1 else logging.DEBUG
         how = f"{' and '.join(made)} made here" if made else "made by the other side"
-        log.log(level, "%s: attached to %s (%s)", self._topic.plan.topic, self.plan.name, how)
+        log.log(level, "%s: attached to %s (%s)", self.side.plan.topic, self._classic.name, how)
         return True
 
     def _judge(self, entry: Entry, now_ns: int) -> None:
         if entry is Entry.RECOVERED:
             self._often_until_ns = now_ns + _RETURN_NS
             words = (
-                f"semaphore {self.plan.semaphore} was locked for "
-                f"{format_duration(self.plan.recover_after_ns)} without a sign of life and has been freed: "
-                "its holder died inside, or it was created locked"
+                f"semaphore {self._classic.semaphore} was locked for "
+                f"{format_duration(self._classic.recover_after_ns)} without a sign of life and has been "
+                "freed: its holder died inside, or it was created locked"
             )
-            self._topic.note(now_ns, words, "SHM131")
-        if self.object.mended > self._mended:
-            self._mended = self.object.mended
-            words = f"semaphore {self.plan.semaphore} let in more than one; corrected"
-            self._topic.note(now_ns, words, "SHM132")
+            self.side.note(now_ns, words, "SHM131")
+        if self._object.mended > self._mended:
+            self._mended = self._object.mended
+            words = f"semaphore {self._classic.semaphore} let in more than one; corrected"
+            self.side.note(now_ns, words, "SHM132")
 
 
 def _next_look(now_ns: int) -> int:
-    # On one grid all topics share a wake-up: looks are most of what quiet topics cost.
+    # On one grid all ports share a wake-up: looks are most of what quiet streams cost.
     return now_ns - now_ns % LOOK_NS + LOOK_NS
 
 
-class Carried(Protocol):
-    """A classic topic as the carrier sees it."""
-
-    plan: TopicPlan
-
-    def turn(self, now_ns: int) -> int:
-        """Do what is due; return when the next turn is wanted."""
-        ...
+@dataclass(frozen=True)
+class _Ready:
+    data: bytes
+    record: bytes
+    flags: int
 
 
-class ClassicCarrier:
-    """The thread of the classic topics of one direction.
+class ClassicToPlc(ClassicPort):
+    """A memory that the bridge writes: the newest message, under the lock."""
+
+    def __init__(self, side: Side, context: Context, wake: Waiting) -> None:
+        super().__init__(side, context)
+        self._waiting = wake
+        self._pending: bytes | None = None  # as it came
+        self._pending_lock = threading.Lock()
+        self._ready: _Ready | None = None  # converted, waiting for the lock
+        self._last: bytes | None = None  # what was written
+        self._late = False  # what waits could not be written in time
+        self._replaced = 0
+        self._try_at_ns = 0
+
+    def put(self, data: bytes, stamp_ns: int, flags: int, now_ns: int) -> None:
+        """Have a message written soon; the newest alone waits."""
+        with self._pending_lock:
+            if self._pending is not None:
+                self._superseded()
+            self._pending = data
+        self._waiting.wake()
+
+    def loss(self, count: int) -> str:
+        """Describe why messages were lost."""
+        return f"{count} messages were lost: the lock was not free, or there was no memory"
+
+    def _skipped(self) -> int:
+        return self._replaced
+
+    def _turn(self, now_ns: int) -> int:
+        self._tend(now_ns)
+        due = self._next_ns(now_ns)
+        if not self.attached:
+            self._late = True
+            return due
+        if now_ns >= self._try_at_ns and self._fetch(now_ns):
+            self._try_at_ns = self._try(now_ns)
+        waiting = self._ready is not None or self._pending is not None
+        return min(due, self._try_at_ns) if waiting else due
+
+    def _fail(self, now_ns: int, error: ChannelError | OSError | ValueError) -> None:
+        super()._fail(now_ns, error)
+        self._late = True
+
+    def _fetch(self, now_ns: int) -> bool:
+        """Convert the newest message before the lock is taken; return whether something is to be written."""
+        with self._pending_lock:
+            data, self._pending = self._pending, None
+        if data is None:
+            return self._ready is not None
+        try:
+            record, cut = self.side.codec.plan.decode(data, self.side.plan.truncate)
+        except Fault as fault:
+            self.side.refuse(fault, now_ns)
+            return self._ready is not None
+        if self._ready is not None:
+            self._superseded()
+        self._ready = _Ready(data, record, cut)
+        return True
+
+    def _try(self, now_ns: int) -> int:
+        ready = self._ready
+        assert ready is not None
+        if self._enter(now_ns) is not Entry.ENTERED:
+            self._late = True
+            return self._again_ns(now_ns, _PERIOD_NS)
+        try:
+            if not self.owned():  # resumed after a stop: what waited here is older than what is there now
+                self._ready = None
+                self.side.counters.lost += 1
+                return now_ns
+            self._object.write(ready.record)
+        finally:
+            self._object.leave()
+        if not self._object.in_place():
+            # Written into an object that nobody finds any more: once again into its successor.
+            self._follow(now_ns)
+            return now_ns
+        self._ready, self._late = None, False
+        self._last = ready.record
+        if ready.data:
+            self.side.delivered(ready.data, ready.flags)
+        else:
+            self.side.counters.published += 1
+        return now_ns
+
+    def _superseded(self) -> None:
+        if self._late:
+            self.side.counters.lost += 1
+        else:
+            self._replaced += 1
+
+    def _attached(self) -> None:
+        last, self._last = self._last, None
+        self._try_at_ns = 0
+        self.side.renewed()
+        if not self._same and self.side.plan.retained and self._ready is None and last is not None:
+            self._ready = _Ready(b"", last, 0)
+
+
+class ClassicToRos(ClassicPort):
+    """A memory that the bridge reads: a changed image is a message."""
+
+    def __init__(self, side: Side, context: Context) -> None:
+        super().__init__(side, context)
+        self._poll_ns = self._classic.poll_ns
+        self._poll_at_ns = 0
+        self._image: bytes | None = None  # None: what is in the memory is not known yet
+        self._seen = b""
+        self._distrusted: bytes | None = None
+        self._message_ns = self._started_ns
+
+    def loss(self, count: int) -> str:
+        """Describe why messages were lost."""
+        return f"{count} messages were lost: not taken by ROS, or perhaps half written by one that died"
+
+    def _turn(self, now_ns: int) -> int:
+        if self._tend(now_ns):
+            self._distrust()
+        if not self.attached:
+            return self._next_ns(now_ns)
+        if now_ns >= self._poll_at_ns:
+            self._poll_at_ns = self._look(now_ns)
+        return min(self._poll_at_ns, self._next_ns(now_ns))
+
+    def _look(self, now_ns: int) -> int:
+        peeked = self._object.peek()
+        if peeked == self._image and self.side.plan.on_change:
+            return self._next_poll(now_ns)
+        moved, self._seen = peeked != self._seen, peeked
+        entry = self._enter(now_ns, alive=moved)
+        if entry is Entry.RECOVERED:
+            self._distrust()
+        if entry is not Entry.ENTERED:
+            return self._again_ns(now_ns, self._poll_ns)
+        try:
+            image = self._object.read()
+        finally:
+            self._object.leave()
+        if not self._object.in_place():
+            # Replaced meanwhile: its writer may have held another lock than this one.
+            self._follow(now_ns)
+            return now_ns
+        if image is None:
+            return self._again_ns(now_ns, self._poll_ns)
+        self._take(image, now_ns)
+        return self._next_poll(now_ns)
+
+    def _take(self, image: bytes, now_ns: int) -> None:
+        before, self._image = self._image, image
+        if image == self._distrusted:
+            return
+        self._distrusted = None
+        if self.side.plan.on_change:
+            if before is None and not self.side.plan.retained:
+                return  # what was there before does not tell when it was written
+            if image == before or (before is None and not any(image)):
+                return
+        self._message_ns = now_ns
+        self.side.receive(self.side.codec.encode(image), 0, 0, 0)
+
+    def _attached(self) -> None:
+        """Know nothing of another object, but that a new one began with zeros."""
+        self._poll_at_ns = 0
+        if not self._same:
+            self._image = bytes(self.side.plan.layout.size) if self._fresh else None
+            self._seen, self._distrusted = b"", None
+        elif self._abandoned:
+            self._distrust()  # the semaphore may have been replaced for one that died inside the old
+
+    def _distrust(self) -> None:
+        """Take what is there now for read: its writer may have died half-way; the next change counts."""
+        image = self._object.peek()
+        if self._image is not None and image != self._image:
+            self.side.counters.lost += 1
+        self._image = self._distrusted = image
+
+    def _next_poll(self, now_ns: int) -> int:
+        period = self._poll_ns
+        if self.side.plan.on_change and now_ns - self._message_ns > _ALERT_NS:
+            period = max(period, _LAZY_POLL_NS)
+        # On one grid all ports share a wake-up.
+        return now_ns - now_ns % period + period
+
+
+class ClassicPorts(Waiting):
+    """The classic ports of one direction.
 
     Args:
-        name: The thread's name.
-
-    Attributes:
-        busy_since_ns: When it began the turn that runs; 0 while it waits.
+        context: What the bridge's streams share.
+        direction: The direction.
     """
 
-    def __init__(self, name: str) -> None:
-        self.busy_since_ns = 0
-        self._topics: tuple[Carried, ...] = ()
-        self._wake = threading.Event()
-        self._orders: deque[Order] = deque()
-        self._stopping = False
-        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+    def __init__(self, context: Context, direction: Direction) -> None:
+        super().__init__(context.clock)
+        self._context = context
+        self._direction = direction
+        self._ports: list[ClassicPort] = []
 
-    def start(self, topics: tuple[Carried, ...]) -> None:
-        """Begin to carry; without topics there is no thread until some come."""
-        self._topics = topics
-        if topics:
-            self._thread.start()
+    def make(self, side: Side) -> ClassicPort:
+        """Return the port of a stream."""
+        if self._direction is Direction.TO_PLC:
+            return ClassicToPlc(side, self._context, self)
+        return ClassicToRos(side, self._context)
 
-    def replace(self, topics: tuple[Carried, ...]) -> bool:
-        """Carry these topics from now on; from any thread but its own.
+    def add(self, port: ClassicPort) -> None:
+        """Serve an open port."""
+        self._ports.append(port)
 
-        Returns:
-            False if the thread hangs in the ROS side; nothing has changed then. Otherwise it touches
-            the others no more.
-        """
-        if not self._thread.is_alive():
-            self.start(topics)
-            return True
-        order = Order(lambda: setattr(self, "_topics", topics))
-        self._orders.append(order)
-        self.wake()
-        return order.wait()
+    def remove(self, port: ClassicPort) -> None:
+        """Serve it no more."""
+        if port in self._ports:
+            self._ports.remove(port)
 
-    def wake(self) -> None:
-        """Something is to be carried: look again; from any thread."""
-        self._wake.set()
-
-    def stop(self, timeout: float = 5.0) -> bool:
-        """End; return whether the thread ended in time."""
-        self._stopping = True
-        self._wake.set()
-        if self._thread.is_alive():
-            self._thread.join(timeout)
-        return not self._thread.is_alive()
-
-    def _run(self) -> None:
-        while not self._stopping:
-            self._wake.clear()
-            while self._orders:
-                self._orders.popleft()()
-            self.busy_since_ns = time.monotonic_ns()
-            due = self.busy_since_ns + LOOK_NS
-            for topic in self._topics:
-                due = min(due, self._turn(topic))
-            self.busy_since_ns = 0
-            wait = due - time.monotonic_ns()
-            if wait > 0:
-                self._wake.wait(wait / 1e9)
-
-    def _turn(self, topic: Carried) -> int:
-        now = time.monotonic_ns()
-        try:
-            return topic.turn(now)
-        except Exception:  # one topic's trouble is no other's
-            log.exception("%s: carrying failed; it goes on", topic.plan.topic)
-            return now + LOOK_NS
+    def take(self, now_ns: int) -> tuple[int | None, list[ClassicPort]]:
+        """Give each port its turn."""
+        due = None
+        for port in self._ports:
+            try:
+                wanted = port.turn(self._context.clock.monotonic_ns())
+            except Exception:  # one stream's trouble is no other's
+                log.exception("%s: carrying failed; it continues", port.side.plan.topic)
+                wanted = now_ns + LOOK_NS
+            due = wanted if due is None else min(due, wanted)
+        return due, []

@@ -1,4 +1,4 @@
-"""What the bridge says on ``/diagnostics``: one status for itself and one per topic.
+"""What the bridge publishes on ``/diagnostics``: one status for itself and one per topic.
 
 The message is built like any other: packed into a record of a generous layout, then encoded.
 Statuses are packed one by one, so that those that have not changed are packed once.
@@ -6,11 +6,11 @@ Statuses are packed one by one, so that those that have not changed are packed o
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from typing import Any
 
 from rosplc.bridge.status import BridgeStatus, TopicStatus, format_age
+from rosplc.clock import SYSTEM, Clock
 from rosplc.codec import Codec, Wire
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
@@ -34,9 +34,11 @@ class Diagnostics:
     Args:
         store: Where the message type comes from.
         backend: The ROS side.
+        clock: Time.
     """
 
-    def __init__(self, store: TypeStore, backend: Backend) -> None:
+    def __init__(self, store: TypeStore, backend: Backend, clock: Clock = SYSTEM) -> None:
+        self._clock = clock
         fields = {"status": _PER_MESSAGE, "status[].values": _VALUES}
         self._layout = compute_layout(store, TYPE, Limits(string=_TEXT, sequence=_VALUES, fields=fields))
         self._codec = Codec(self._layout, Wire.ROS1 if store.ros_version == 1 else Wire.CDR)
@@ -53,7 +55,7 @@ class Diagnostics:
         Raises:
             RosplcError: The middleware refused.
         """
-        now = time.time_ns()
+        now = self._clock.time_ns()
         entries = diagnostic_statuses(status)
         for at in range(0, len(entries), _PER_MESSAGE):
             self._publisher.write(self._message(entries[at : at + _PER_MESSAGE], now), now)

@@ -1,41 +1,40 @@
 """The running bridge: opens everything or nothing, carries, looks after itself, leaves cleanly.
 
-Threads: the backend's own call :class:`ToPlc`; the pump carries towards ROS; the keeper beats and
-looks after the objects; the observer asks the ROS side and reports. Classic topics have a thread for each
-direction. An error in one topic stops no other, and a ROS side that hangs stops no beat.
+Threads: the backend's own call :class:`~rosplc.bridge.stream.ToPlc`; one carrier for each kind of port and
+direction serves the ports; the keeper beats and looks after the objects; the observer asks the ROS side and
+reports. An error in one topic stops no other, and a ROS side that hangs stops no beat.
 """
 
 from __future__ import annotations
 
 import secrets
 import threading
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import ExitStack
 
-from rosplc.bridge.carriers import Carriers
-from rosplc.bridge.changes import Changes, compare
+from rosplc.bridge.carrier import Carriers
 from rosplc.bridge.diagnostics import Diagnostics
 from rosplc.bridge.keeper import Keeper, Observer
-from rosplc.bridge.leftovers import retire_leftovers
-from rosplc.bridge.live_types import LiveTypes
-from rosplc.bridge.owner import group_id, user_id
+from rosplc.bridge.leftovers import check_names, retire_leftovers
+from rosplc.bridge.port import Context, log
 from rosplc.bridge.realtime import Realtime, contention
-from rosplc.bridge.reload import exchange
-from rosplc.bridge.ros_side import RosSide
+from rosplc.bridge.reload import Changes, Exchange, compare
+from rosplc.bridge.ros_side import LiveTypes, RosSide
 from rosplc.bridge.status import BridgeStatus
-from rosplc.bridge.to_plc import ToPlc
-from rosplc.bridge.topic import Surroundings, Topic, log
-from rosplc.config.access import open_doors
+from rosplc.bridge.stream import Stream
+from rosplc.clock import SYSTEM, Clock
+from rosplc.config.access import group_id, open_doors, user_id
 from rosplc.config.file import Config, read_config
 from rosplc.config.resolve import Project, resolve
-from rosplc.errors import RosplcError
+from rosplc.errors import ChannelError, RosplcError
 from rosplc.ros import Backend, Choice, RosArguments, ended_for_good
 
 __all__ = ["Bridge"]
 
 _STUCK_NS = 5_000_000_000
 _APPLY = "`rosplc reload` or a restart of the bridge applies it"
+_FOREIGN = ("SHM103", "SHM104", "SHM119", "SHM121")
+"""Something of a stranger's is at an object's name: that topic is not carried, and looked at again later."""
 
 
 class Bridge:
@@ -45,6 +44,7 @@ class Bridge:
         config: A configuration, or one that is resolved already.
         backend: The ROS side; by default the configuration's is opened, and closed again at the end.
         arguments: ROS arguments of the command line, for a backend that is opened.
+        clock: Time.
 
     Attributes:
         on_ended: Called once, with the reason, if the ROS side ends for good; the bridge itself only
@@ -60,7 +60,9 @@ class Bridge:
         backend: Backend | None = None,
         *,
         arguments: RosArguments | None = None,
+        clock: Clock = SYSTEM,
     ) -> None:
+        self._clock = clock
         self.project = config if isinstance(config, Project) else resolve(config)
         self.config = self.project.config
         self.settings = self.config.settings
@@ -69,7 +71,7 @@ class Bridge:
         self._ros = RosSide(self.config, arguments or RosArguments())
         self._choice: Choice | None = None
         self._types = LiveTypes(self.project.store)
-        self._topics: tuple[Topic, ...] = ()
+        self._streams: tuple[Stream, ...] = ()
         self._carriers: Carriers | None = None
         self.on_ended: Callable[[str], None] | None = None
         self._ended = ""
@@ -98,13 +100,13 @@ class Bridge:
             self._start(stack)
             self._open = stack.pop_all()
         self._realtime.settled()
-        self._started_ns = time.monotonic_ns()
-        adopted = sum(topic.channel is not None and topic.channel.adopted for topic in self._topics)
+        self._started_ns = self._clock.monotonic_ns()
+        adopted = sum(stream.plan.classic is None and stream.port.adopted for stream in self._streams)
         assert self.backend is not None
         log.info(
             "bridge %s carries %d topics over %s (prefix %s, %d objects adopted)",
             self.settings.bridge,
-            len(self._topics),
+            len(self._streams),
             self.backend.name,
             self.settings.prefix,
             adopted,
@@ -115,7 +117,7 @@ class Bridge:
         self._warnings = (*open_doors(self.config), *contention(self.config))
         for text in self._warnings:
             log.warning("%s", text)
-        around = Surroundings(
+        context = Context(
             namespace=self.project.namespace,
             bridge=settings.bridge,
             bridge_id=secrets.token_bytes(16),
@@ -125,34 +127,36 @@ class Bridge:
             gid=group_id(self.config),
             beat_ns=settings.beat_ns,
             debounce_ns=settings.diagnostics.debounce_ns,
+            clock=self._clock,
         )
-        keeper = self._keeper = Keeper(settings.beat_ns, self.beat, self.check, self.flush)
-        retire_leftovers(self.project)
-        carriers = self._carriers = Carriers(around, settings.tick_ns, keeper.due)
-        self._topics = tuple(carriers.make(plan) for plan in self.project.topics)
-        stack.callback(self._close_topics)
-        for topic in self._topics:
-            topic.open()
+        keeper = self._keeper = Keeper(settings.beat_ns, self.beat, self.check, self._clock)
+        check_names(self.project)
         if self.backend is None:
             self.backend, self._choice = self._ros.open(self._types)
             stack.callback(self._close_backend)
+        check_types(self.backend, {plan.type_name for plan in self.project.topics})
+        # Until here nothing in shared memory has been touched.
+        retire_leftovers(self.project)
+        carriers = self._carriers = Carriers(context, settings.tick_ns)
+        self._streams = tuple(carriers.make(plan) for plan in self.project.topics)
+        stack.callback(self._close_ports)
+        for stream in self._streams:
+            self._open_port(stream)
         self._types.use(self.project.topics)
-        stack.callback(self._leave_topics)
-        for topic in self._topics:
-            topic.join(self.backend)
+        stack.callback(self._disconnect)
+        for stream in self._streams:
+            stream.connect(self.backend)
         publish = None
         if settings.diagnostics.enabled:
-            diagnostics = Diagnostics(self.project.store, self.backend)
+            diagnostics = Diagnostics(self.project.store, self.backend, self._clock)
             stack.callback(diagnostics.close)
             publish = diagnostics.publish
-        stack.callback(carriers.stop_pump)
-        stack.callback(carriers.stop_classic_to_plc)
-        stack.callback(carriers.stop_classic_to_ros)
-        carriers.start(self._topics)
+        stack.callback(carriers.stop)
+        carriers.replace((), self._streams)
         keeper.start()
         stack.callback(keeper.stop)
         self._realtime.rest()
-        observer = Observer(settings.diagnostics.period_ns, self.ask, self.status, publish)
+        observer = Observer(settings.diagnostics.period_ns, self.ask, self.status, publish, self._clock)
         observer.start()
         stack.callback(observer.stop)
 
@@ -161,13 +165,21 @@ class Bridge:
             self.backend.close()
             self.backend = None
 
-    def _close_topics(self) -> None:
-        for topic in reversed(self._topics):
-            topic.close()
+    def _open_port(self, stream: Stream) -> None:
+        try:
+            stream.port.open()
+        except ChannelError as error:
+            if error.code not in _FOREIGN:
+                raise
+            stream.fail(self._clock.monotonic_ns(), error)
 
-    def _leave_topics(self) -> None:
-        for topic in reversed(self._topics):
-            topic.leave()
+    def _close_ports(self) -> None:
+        for stream in reversed(self._streams):
+            stream.port.close()
+
+    def _disconnect(self) -> None:
+        for stream in reversed(self._streams):
+            stream.disconnect()
 
     def stop(self) -> None:
         """Stop carrying; objects stay, with their last state, for the PLC and the next bridge."""
@@ -227,24 +239,25 @@ class Bridge:
         assert self._carriers is not None
         before, self._types.store = self._types.store, project.store
         try:
-            topics = exchange(
+            streams = Exchange(
                 changes,
-                self._topics,
-                carriers=self._carriers,
-                backend=self.backend,
-                namespace=project.namespace,
-                show=self._show,
-            )
+                self._streams,
+                self._carriers,
+                self.backend,
+                project.namespace,
+                self._clock,
+                self._show,
+            ).run()
         except BaseException:
             self._types.store = before
             raise
         order = [plan.topic for plan in project.topics]
-        self._topics = tuple(sorted(topics, key=lambda topic: order.index(topic.plan.topic)))
+        self._streams = tuple(sorted(streams, key=lambda stream: order.index(stream.plan.topic)))
         self._types.use(project.topics)
         self.project, self.config, self.settings = project, project.config, project.config.settings
 
-    def _show(self, topics: tuple[Topic, ...]) -> None:
-        self._topics = topics
+    def _show(self, streams: tuple[Stream, ...]) -> None:
+        self._streams = streams
 
     def run(self, stop: threading.Event) -> None:
         """Start, carry until ``stop`` is set, and stop.
@@ -267,7 +280,7 @@ class Bridge:
 
     def status(self) -> BridgeStatus:
         """Return how bridge and topics stand."""
-        now = time.monotonic_ns()
+        now = self._clock.monotonic_ns()
         notes = list(self._warnings)
         if self._config_changed:
             notes.append(f"configuration changed on disk; {_APPLY}")
@@ -285,7 +298,7 @@ class Bridge:
             backend_why=str(self._choice) if self._choice is not None else "",
             running=bool(self._started_ns),
             uptime_ns=now - self._started_ns if self._started_ns else 0,
-            topics=tuple(topic.status(now) for topic in self._topics),
+            topics=tuple(stream.status(now) for stream in self._streams),
             config_changed=self._config_changed,
             notes=tuple(notes),
         )
@@ -296,7 +309,7 @@ class Bridge:
         Args:
             longest_ns: How long a round may take; several seconds.
         """
-        carriers, keeper, now = self._carriers, self._keeper, time.monotonic_ns()
+        carriers, keeper, now = self._carriers, self._keeper, self._clock.monotonic_ns()
         if not self._started_ns or carriers is None or keeper is None:
             return "it is not started"
         if now - keeper.turned_ns > longest_ns:
@@ -310,8 +323,8 @@ class Bridge:
 
     def beat(self) -> None:
         """Beat on all lines."""
-        for topic in self._topics:
-            topic.beat()
+        for stream in self._streams:
+            stream.port.beat()
 
     def check(self, now_ns: int) -> None:
         """Look after objects, peers and the configuration's file."""
@@ -326,41 +339,30 @@ class Bridge:
         carriers = self._carriers
         if carriers is None:
             return
-        for topic in self._topics:
+        for stream in self._streams:
             try:
-                if topic.check(now_ns):
-                    carriers.reopen(topic, now_ns)
+                if stream.check(now_ns):
+                    carriers.reopen(stream)
             except Exception as error:  # one topic's trouble is no other's
-                log.exception("%s: the check failed", topic.plan.topic)
-                topic.fail(now_ns, error)
+                log.exception("%s: the check failed", stream.plan.topic)
+                stream.fail(now_ns, error)
         if not self._config_changed and self._file_state() != self._file_seen:
             log.warning("%s: configuration changed on disk; %s", self.config.path, _APPLY)
             self._config_changed = True
 
     def ask(self, now_ns: int) -> None:
         """Ask the ROS side how each topic stands; this may hang when it does."""
-        for topic in self._topics:
+        for stream in self._streams:
             try:
-                topic.ask(now_ns)
+                stream.ask(now_ns)
             except (RosplcError, ValueError) as error:  # an object or endpoint just closed
-                log.debug("%s: %s", topic.plan.topic, error)
+                log.debug("%s: %s", stream.plan.topic, error)
         ended = ended_for_good(self.backend)
         if ended and not self._ended:
             self._ended = ended
             log.error("%s; nothing is carried any more [ROS015]", ended)
             if self.on_ended is not None:
                 self.on_ended(ended)
-
-    def flush(self, now_ns: int) -> int | None:
-        """Send what waited for its time; return when the next is due."""
-        next_ns: int | None = None
-        for topic in self._topics:
-            if isinstance(topic, ToPlc) and topic.due_ns is not None:
-                topic.flush(now_ns)
-                due = topic.due_ns
-                if due is not None:
-                    next_ns = due if next_ns is None else min(next_ns, due)
-        return next_ns
 
     def _file_state(self) -> tuple[int, int, int] | None:
         path = self.config.path
@@ -376,3 +378,10 @@ class Bridge:
 def _first_line(error: Exception) -> str:
     lines = str(error).splitlines() or [type(error).__name__]
     return lines[0] + (f" (and {len(lines) - 1} more)" if len(lines) > 1 else "")
+
+
+def check_types(backend: Backend, names: Collection[str]) -> None:
+    """Have a backend that can tell find out whether it carries these types. Raises as the backend does."""
+    if (check := getattr(backend, "check", None)) is not None:
+        for name in sorted(names):
+            check(name)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable
 
+from rosplc.bridge.port import log
 from rosplc.bridge.status import BridgeStatus
-from rosplc.bridge.topic import log
+from rosplc.clock import Clock
 from rosplc.errors import RosplcError
 
 __all__ = ["Keeper", "Observer"]
@@ -19,7 +19,8 @@ _PATIENCE_S = 5.0
 class _Thread:
     """A thread that can be asked to stop, and whose work may fail without ending it."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, clock: Clock) -> None:
+        self._clock = clock
         self._wake = threading.Event()
         self._stopping = False
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
@@ -49,56 +50,38 @@ class _Thread:
 
 
 class Keeper(_Thread):
-    """Beats, checks once a second, and sends messages that waited for their time.
+    """Beats, and checks once a second.
 
     Args:
         beat_ns: Time between two beats.
         beat: Beats on all lines.
         check: Looks after the objects; gets the time.
-        flush: Sends what is due; gets the time and returns when it is wanted next.
+        clock: Time.
 
     Attributes:
         turned_ns: When it last began a round, at least one a second.
     """
 
     def __init__(
-        self,
-        beat_ns: int,
-        beat: Callable[[], None],
-        check: Callable[[int], None],
-        flush: Callable[[int], int | None],
+        self, beat_ns: int, beat: Callable[[], None], check: Callable[[int], None], clock: Clock
     ) -> None:
-        super().__init__("rosplc-keeper")
+        super().__init__("rosplc-keeper", clock)
         self._beat_ns = beat_ns
-        self._beat, self._check, self._flush = beat, check, flush
-        self._due_ns: int | None = None
-        self.turned_ns = time.monotonic_ns()
-
-    def due(self, _when_ns: int) -> None:
-        """A message waits for its time: look again; from any thread."""
-        self._wake.set()
+        self._beat, self._check = beat, check
+        self.turned_ns = clock.monotonic_ns()
 
     def _run(self) -> None:
-        beat_at = check_at = time.monotonic_ns()
+        beat_at = check_at = self._clock.monotonic_ns()
         while not self._stopping:
-            self.turned_ns = now = time.monotonic_ns()
+            self.turned_ns = now = self._clock.monotonic_ns()
             if now >= beat_at:
                 self._guard("beating", self._beat)
                 # A machine that was suspended owes no beats.
                 beat_at = max(beat_at + self._beat_ns, now)
             if now >= check_at:
-                self._guard("checking", lambda: self._check(time.monotonic_ns()))
+                self._guard("checking", lambda: self._check(self._clock.monotonic_ns()))
                 check_at = now + _CHECK_NS
-            self._due_ns = None
-            self._guard("sending what waited", self._send)
-            next_at = min(beat_at, check_at)
-            if self._due_ns is not None:
-                next_at = min(next_at, self._due_ns)
-            self._wake.wait(max(0, next_at - time.monotonic_ns()) / 1e9)
-            self._wake.clear()
-
-    def _send(self) -> None:
-        self._due_ns = self._flush(time.monotonic_ns())
+            self._clock.wait(self._wake, min(beat_at, check_at) - self._clock.monotonic_ns())
 
 
 class Observer(_Thread):
@@ -108,7 +91,8 @@ class Observer(_Thread):
         period_ns: Time between two publications.
         ask: Asks how the topics stand; gets the time.
         status: Returns the bridge's status.
-        publish: Sends it; None where nobody wants it.
+        publish: Sends it; None where it is not wanted.
+        clock: Time.
     """
 
     def __init__(
@@ -117,21 +101,22 @@ class Observer(_Thread):
         ask: Callable[[int], None],
         status: Callable[[], BridgeStatus],
         publish: Callable[[BridgeStatus], None] | None,
+        clock: Clock,
     ) -> None:
-        super().__init__("rosplc-observer")
+        super().__init__("rosplc-observer", clock)
         self._period_ns = period_ns
         self._ask, self._status, self._publish = ask, status, publish
 
     def _run(self) -> None:
-        ask_at = time.monotonic_ns()
+        ask_at = self._clock.monotonic_ns()
         report_at = ask_at + self._period_ns
         while not self._stopping:
-            now = time.monotonic_ns()
+            now = self._clock.monotonic_ns()
             if now >= ask_at:
-                self._guard("asking ROS", lambda: self._ask(time.monotonic_ns()))
+                self._guard("asking ROS", lambda: self._ask(self._clock.monotonic_ns()))
                 ask_at = now + _CHECK_NS
             if now >= report_at:
                 if (publish := self._publish) is not None:
                     self._guard("reporting", lambda publish=publish: publish(self._status()))  # type: ignore[misc]
                 report_at = now + self._period_ns
-            self._wake.wait(max(0, min(ask_at, report_at) - time.monotonic_ns()) / 1e9)
+            self._clock.wait(self._wake, min(ask_at, report_at) - self._clock.monotonic_ns())

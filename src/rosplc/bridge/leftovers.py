@@ -2,36 +2,48 @@
 
 from __future__ import annotations
 
-from rosplc.bridge.owner import group_id, user_id
-from rosplc.bridge.topic import log
+from contextlib import suppress
+from pathlib import Path
+
+from rosplc.bridge.port import log
+from rosplc.config.access import group_id, user_id
 from rosplc.config.resolve import Project
 from rosplc.errors import ChannelError
 from rosplc.shm import Direction, OwnedChannel, attach
 from rosplc.shm.lock import NameLock
 
-__all__ = ["retire_leftovers"]
+__all__ = ["check_names", "retire_leftovers"]
+
+
+def check_names(project: Project) -> None:
+    """Try every configured name's lock: if another process holds one, nothing is disturbed.
+
+    Raises:
+        ChannelError: SHM116, or what keeps all locks from being taken.
+    """
+    namespace, mode, uid = project.namespace, project.config.settings.shm.mode, user_id(project.config)
+    for plan in project.topics:
+        if plan.classic is not None:
+            continue
+        path = namespace.lock_path(plan.topic)
+        try:
+            NameLock(path, mode=mode, uid=uid).release()
+        except ChannelError as error:
+            if error.code in ("SHM119", "SHM121"):
+                continue  # a stranger's: a problem of this topic alone
+            if error.code != "SHM116":
+                raise
+            what = f"{_holder(project, plan.topic, path)} holds {plan.topic}"
+            raise ChannelError("SHM116", what, where=error.where) from None
 
 
 def retire_leftovers(project: Project) -> None:
     """Retire objects of topics that have left this bridge's configuration (spec, section 8.7).
 
-    Every configured name's lock is tried first: if another bridge holds one, nothing is
-    disturbed. Objects of other bridges, by the name in their self-description, are left alone.
-
-    Raises:
-        ChannelError: SHM116, or what else keeps a lock from being taken.
+    Objects of other bridges, by the name in their self-description, are left alone.
     """
-    namespace, mode, uid = project.namespace, project.config.settings.shm.mode, user_id(project.config)
-    channels = [plan for plan in project.topics if plan.classic is None]
-    for plan in channels:
-        try:
-            NameLock(namespace.lock_path(plan.topic), mode=mode, uid=uid).release()
-        except ChannelError as error:
-            if error.code != "SHM116":
-                raise
-            what = f"{_holder(project, plan.topic)} holds {plan.topic}"
-            raise ChannelError("SHM116", what, where=error.where) from None
-    kept = {namespace.object_name(plan.topic) for plan in channels}
+    namespace = project.namespace
+    kept = {namespace.object_name(plan.topic) for plan in project.topics if plan.classic is None}
     for name in namespace.topics():
         topic = namespace.topic_of(name)
         if topic is None or name in kept:
@@ -42,16 +54,38 @@ def retire_leftovers(project: Project) -> None:
             log.debug("%s is left alone: %s", name, error)
 
 
-def _holder(project: Project, topic: str) -> str:
-    """Say who holds a name, as far as its object tells."""
+def _holder(project: Project, topic: str, lock: Path) -> str:
+    """Describe who holds a name's lock, as far as the kernel and the object tell."""
+    held = _locked_by(lock)
     try:
         with attach(project.namespace, topic) as found:
             state = found.snapshot()
             to_plc = found.identity.direction is Direction.TO_PLC
             pid = state.writer.pid if to_plc else state.readers[0].pid
-            return f"bridge {found.description.bridge}, process {pid},"
+            # A container shows other numbers: without the kernel's word the object's is believed.
+            if held in (None, pid):
+                return f"bridge {found.description.bridge}, process {pid},"
     except (ChannelError, OSError):
-        return "another bridge"
+        pass
+    if held is None:
+        return "another process"
+    name = ""
+    with suppress(OSError):
+        name = Path(f"/proc/{held}/comm").read_text(encoding="utf-8", errors="replace").strip()
+    return f"process {held}{f' ({name})' if name else ''}, which has not opened its object,"
+
+
+def _locked_by(path: Path) -> int | None:
+    """Return the process that holds a file's lock, by /proc/locks; None if that does not tell."""
+    try:
+        inode = path.stat().st_ino
+        for line in Path("/proc/locks").read_text(encoding="ascii").splitlines():
+            fields = line.split()
+            if fields[1:2] == ["FLOCK"] and fields[5].rpartition(":")[2] == str(inode):
+                return int(fields[4]) if int(fields[4]) > 0 else None
+    except (OSError, ValueError, IndexError):
+        pass
+    return None
 
 
 def _retire(project: Project, topic: str) -> None:

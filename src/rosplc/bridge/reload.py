@@ -1,70 +1,153 @@
 """Another configuration for a running bridge: all of it takes effect, or nothing does.
 
 What can be wrong is found before anything is touched, as far as it can be known: the file, its types
-and sizes, keys that cannot change. New topics are then opened beside those that run; only when they
-stand are the others let go of. What fails later is undone: the topics are opened again as they were.
+and sizes, keys that cannot change. New streams are then opened beside those that run; only when they
+are open are the others let go of. What fails later is undone: the streams are opened again as before.
 """
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
 
-from rosplc.bridge.carriers import Carriers
-from rosplc.bridge.changes import Changes
-from rosplc.bridge.topic import Topic, log
-from rosplc.config.resolve import TopicPlan
-from rosplc.errors import BackendError, RosplcError
+from rosplc.bridge.carrier import Carriers
+from rosplc.bridge.port import log
+from rosplc.bridge.stream import Stream
+from rosplc.clock import Clock
+from rosplc.config.problems import Problems
+from rosplc.config.resolve import Project, TopicPlan
+from rosplc.errors import BackendError, ConfigError, RosplcError
 from rosplc.ros import Backend
 from rosplc.shm import Namespace
 
-__all__ = ["exchange"]
+__all__ = ["Changes", "Exchange", "compare"]
+
+_MAY_CHANGE = frozenset({"topics", "limits", "types", "tasks"})
 
 
-def exchange(
-    changes: Changes,
-    running: tuple[Topic, ...],
-    *,
-    carriers: Carriers,
-    backend: Backend,
-    namespace: Namespace,
-    show: Callable[[tuple[Topic, ...]], None],
-) -> tuple[Topic, ...]:
-    """Carry other topics; those that are kept are not touched.
+@dataclass(frozen=True)
+class Changes:
+    """A new configuration's topics, beside those that are carried.
+
+    Attributes:
+        added: New topics.
+        removed: Topics that are no more.
+        changed: Topics that are carried otherwise, old and new.
+        kept: Topics of which nothing changes.
+    """
+
+    added: tuple[TopicPlan, ...] = ()
+    removed: tuple[TopicPlan, ...] = ()
+    changed: tuple[tuple[TopicPlan, TopicPlan], ...] = ()
+    kept: tuple[TopicPlan, ...] = ()
+
+    def __bool__(self) -> bool:
+        return bool(self.added or self.removed or self.changed)
+
+    def __str__(self) -> str:
+        named = (
+            ("added", self.added),
+            ("removed", self.removed),
+            ("changed", tuple(new for _, new in self.changed)),
+        )
+        parts = [f"{word} {', '.join(plan.topic for plan in plans)}" for word, plans in named if plans]
+        return "; ".join([*parts, f"{len(self.kept)} topics stay as they are"])
+
+
+def compare(old: Project, new: Project, used: Mapping[str, str]) -> Changes:
+    """Return what changes.
+
+    Args:
+        old: What runs.
+        new: What should.
+        used: Definitions by type name that the ROS side has been given.
+
+    Raises:
+        ConfigErrors: CFG012, for each key that cannot change while the bridge runs, and for each type
+            with another definition.
+    """
+    problems = Problems()
+    _refuse_fixed(old, new, problems)
+    _refuse_redefined(new, used, problems)
+    problems.check()
+    before = {plan.topic: plan for plan in old.topics}
+    after = {plan.topic: plan for plan in new.topics}
+    both = [(before[topic], plan) for topic, plan in after.items() if topic in before]
+    return Changes(
+        added=tuple(plan for topic, plan in after.items() if topic not in before),
+        removed=tuple(plan for topic, plan in before.items() if topic not in after),
+        changed=tuple((was, now) for was, now in both if was != now),
+        kept=tuple(was for was, now in both if was == now),
+    )
+
+
+def _refuse_fixed(old: Project, new: Project, problems: Problems) -> None:
+    was, now = (p.config.settings.model_dump(mode="json", by_alias=True) for p in (old, new))
+    source = new.config.source
+    for key in sorted(set(was) - _MAY_CHANGE):
+        for path in _differing((key,), was[key], now[key]):
+            what = f"it was {_written(old, path)} and would be {_written(new, path)}"
+            problems.add(ConfigError("CFG012", what, where=source.place(path)), source.line(path))
+
+
+def _differing(path: tuple[str, ...], was: Any, now: Any) -> list[tuple[str, ...]]:
+    if was == now:
+        return []
+    if isinstance(was, dict) and isinstance(now, dict) and was.keys() == now.keys():
+        return [found for key in was for found in _differing((*path, key), was[key], now[key])]
+    return [path]
+
+
+def _written(project: Project, path: tuple[str, ...]) -> str:
+    data: Any = project.config.source.data
+    for key in path:
+        if not isinstance(data, dict) or key not in data:
+            return "the default"
+        data = data[key]
+    return "a group of keys" if isinstance(data, (dict, list)) else repr(data)
+
+
+def _refuse_redefined(new: Project, used: Mapping[str, str], problems: Problems) -> None:
+    # A middleware keeps a type's first definition for as long as the node lives.
+    for plan in new.topics:
+        known = used.get(plan.type_name)
+        if known is not None and known != new.store.definition_text(plan.type_name):
+            key = ("topics", plan.topic, "type")
+            source = new.config.source
+            what = f"the definition of {plan.type_name} is another than the one in use"
+            problems.add(ConfigError("CFG012", what, where=source.place(key)), source.line(key))
+
+
+class Exchange:
+    """Carry other streams; those that are kept are not touched.
 
     Args:
         changes: What is to change.
-        running: The topics that are carried.
+        running: The streams that are carried.
         carriers: What carries them.
         backend: The ROS side.
         namespace: The names of the objects.
-        show: Takes the topics that are open at each moment, so that they beat.
-
-    Returns:
-        The topics that are carried now.
-
-    Raises:
-        RosplcError: Something is in the way (SHM116, SHM117, ROS002 …); the topics from before are
-            carried again.
+        clock: Time.
+        show: Takes the streams that are open at each moment, so that they beat.
     """
-    return _Exchange(changes, running, carriers, backend, namespace, show).run()
 
-
-class _Exchange:
     def __init__(
         self,
         changes: Changes,
-        running: tuple[Topic, ...],
+        running: tuple[Stream, ...],
         carriers: Carriers,
         backend: Backend,
         namespace: Namespace,
-        show: Callable[[tuple[Topic, ...]], None],
+        clock: Clock,
+        show: Callable[[tuple[Stream, ...]], None],
     ) -> None:
         self._changes = changes
         self._running = running
         self._carriers = carriers
         self._backend = backend
         self._namespace = namespace
+        self._clock = clock
         self._show = show
         # A channel that becomes classic leaves its object, like a topic that is no more.
         became = {
@@ -72,12 +155,18 @@ class _Exchange:
         }
         self._retiring = {plan.topic for plan in changes.removed} | became
         left = self._retiring | {was.topic for was, _ in changes.changed}
-        self._leaving = tuple(topic for topic in running if topic.plan.topic in left)
-        self._kept = tuple(topic for topic in running if topic.plan.topic not in left)
-        self._new: list[Topic] = []
+        self._leaving = tuple(stream for stream in running if stream.plan.topic in left)
+        self._kept = tuple(stream for stream in running if stream.plan.topic not in left)
+        self._new: list[Stream] = []
 
-    def run(self) -> tuple[Topic, ...]:
-        taken = {self._name(topic.plan) for topic in self._leaving}
+    def run(self) -> tuple[Stream, ...]:
+        """Return the streams that are carried now.
+
+        Raises:
+            RosplcError: Something is in the way (SHM116, SHM117, ROS002 …); the streams from before are
+                carried again.
+        """
+        taken = {self._name(stream.plan) for stream in self._leaving}
         first = [plan for plan in self._changes.added if self._name(plan) not in taken]
         rest = [plan for plan in self._changes.added if self._name(plan) in taken]
         rest += [now for _, now in self._changes.changed]
@@ -91,63 +180,67 @@ class _Exchange:
             raise
         begun = tuple(self._new)
         try:
-            for topic in self._leaving:
-                topic.leave()
+            for stream in self._leaving:
+                stream.disconnect()
                 # A name that is given up stays held until all has succeeded, unless another needs it.
-                if self._name(topic.plan) in needed or topic.plan.topic not in self._retiring:
-                    topic.close()
+                if self._name(stream.plan) in needed or stream.plan.topic not in self._retiring:
+                    stream.port.close()
             self._open(rest)
             self._replace((), self._new[len(begun) :])
         except BaseException:
             self._restore(begun)
             raise
-        for topic in self._leaving:
-            if topic.plan.topic in self._retiring:
-                _retire(topic)
+        for stream in self._leaving:
+            if stream.plan.topic in self._retiring:
+                _retire(stream)
         return (*self._kept, *self._new)
 
     def _open(self, plans: Iterable[TopicPlan]) -> None:
         for plan in plans:
-            topic = self._carriers.make(plan)
-            topic.open()
-            self._new.append(topic)
-            topic.join(self._backend)
+            stream = self._carriers.make(plan)
+            stream.port.open()
+            self._new.append(stream)
+            stream.connect(self._backend)
             self._show((*self._running, *self._new))
 
-    def _replace(self, leaving: Collection[Topic], coming: Collection[Topic]) -> None:
+    def _replace(self, leaving: Collection[Stream], coming: Collection[Stream]) -> None:
         if not self._carriers.replace(leaving, coming):
             raise BackendError("ROS018", "the ROS side does not return from publishing")
 
     def _drop_new(self) -> None:
         """Let go of what was opened; an object that this made is nobody's."""
-        adopted = {topic for topic in self._new if topic.channel is not None and topic.channel.adopted}
-        for topic in self._new:
-            topic.leave()
-            if topic in adopted:
-                topic.close()
+        adopted = {stream for stream in self._new if stream.port.adopted}
+        for stream in self._new:
+            stream.disconnect()
+            if stream in adopted:
+                stream.port.close()
             else:
-                _retire(topic)
+                _retire(stream)
 
-    def _restore(self, begun: tuple[Topic, ...]) -> None:
+    def _restore(self, begun: tuple[Stream, ...]) -> None:
         """Carry what was carried before, after something went wrong half-way."""
         self._carriers.replace(begun, ())
         self._drop_new()
         again = []
-        for topic in self._leaving:
-            topic.close()
-            old = self._carriers.make(topic.plan)
+        for stream in self._leaving:
+            stream.port.close()
+            renewed = self._carriers.make(stream.plan)
             try:
-                old.open()
+                renewed.port.open()
             except (RosplcError, OSError) as error:
-                old.fail(time.monotonic_ns(), error)  # as after a removed object: the next check opens it
+                renewed.fail(
+                    self._clock.monotonic_ns(), error
+                )  # as after a removed object: the next check opens it
             try:
-                old.join(self._backend)
+                renewed.connect(self._backend)
             except RosplcError as error:
-                log.error("%s: %s; restart the bridge", topic.plan.topic, error)
-            again.append(old)
+                log.error("%s: %s; restart the bridge", stream.plan.topic, error)
+            again.append(renewed)
         self._carriers.replace((), again)
-        order = [topic.plan.topic for topic in self._running]
-        self._running = tuple(sorted((*self._kept, *again), key=lambda topic: order.index(topic.plan.topic)))
+        order = [stream.plan.topic for stream in self._running]
+        self._running = tuple(
+            sorted((*self._kept, *again), key=lambda stream: order.index(stream.plan.topic))
+        )
         self._show(self._running)
 
     def _name(self, plan: TopicPlan) -> str:
@@ -156,8 +249,8 @@ class _Exchange:
         return self._namespace.object_name(plan.topic)
 
 
-def _retire(topic: Topic) -> None:
+def _retire(stream: Stream) -> None:
     try:
-        topic.retire()
+        stream.port.retire()
     except (RosplcError, OSError, ValueError) as error:
-        log.warning("%s: its object could not be retired: %s", topic.plan.topic, error)
+        log.warning("%s: its object could not be retired: %s", stream.plan.topic, error)

@@ -13,8 +13,8 @@ from contextlib import contextmanager, suppress
 from types import FrameType
 
 from rosplc.bridge.engine import Bridge
+from rosplc.bridge.port import log
 from rosplc.bridge.status import BridgeStatus
-from rosplc.bridge.topic import log
 from rosplc.errors import BackendError, RosplcError
 
 __all__ = ["News", "on_terminal", "pause", "run_until_signal", "stop_on_signals"]

@@ -23,9 +23,6 @@ class ClassicPlan:
         recover_after_ns: How long the lock must be held, without any sign of life, before its
             holder counts as dead.
         poll_ns: Towards ROS: time between two looks at the memory.
-        retained: What is older than the attachment counts too: towards ROS the image that stands in
-            the memory when the bridge starts is a message; towards the PLC the last message is written
-            into a memory that took the other's place.
     """
 
     name: str
@@ -33,7 +30,6 @@ class ClassicPlan:
     wait_ns: int
     recover_after_ns: int
     poll_ns: int = 1_000_000
-    retained: bool = False
 
 
 def classic_name(topic: str) -> str:
@@ -83,8 +79,4 @@ def classic_plan(config: Config, topic: str, entry: TopicSettings, task: str) ->
         wait_ns=asked.wait_ns,
         recover_after_ns=asked.recover_after_ns,
         poll_ns=poll,
-        # Only where it is asked for: towards ROS every topic is latched by default.
-        retained=bool(entry.latched)
-        or entry.qos.durability == "transient_local"
-        or entry.qos.preset == "latched",
     )

@@ -43,7 +43,9 @@ class TopicPlan:
         qos: Quality of service on the ROS side.
         slots: Slots of the object, a power of two.
         every: Every message counts, in order; otherwise the newest alone.
-        latched: A retained message counts as new for whoever comes later.
+        latched: A retained message counts as new for peers that come later.
+        retained: As ``latched``, and asked for in the file: what is older than the bridge counts too. A
+            restart publishes it again; in classic memory it is a message.
         task: Name of the PLC task.
         min_interval_ns: Shortest time between two messages passed on; 0 for no limit.
         stale_after_ns: Age at which the last message counts as stale; 0 for never.
@@ -62,6 +64,7 @@ class TopicPlan:
     slots: int = 4
     every: bool = False
     latched: bool = False
+    retained: bool = False
     task: str = ""
     min_interval_ns: int = 0
     stale_after_ns: int = 0
@@ -229,6 +232,10 @@ def _plan(config: Config, topic: str, entry: TopicSettings, task: str, layout: L
         slots=slots,
         every=every,
         latched=qos.durability == "transient_local",
+        # Only where it is asked for: towards ROS every topic is latched by default.
+        retained=bool(entry.latched)
+        or entry.qos.durability == "transient_local"
+        or entry.qos.preset == "latched",
         task=task,
         min_interval_ns=entry.rate_limit_ns or 0,
         stale_after_ns=stale,

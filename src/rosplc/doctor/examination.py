@@ -13,9 +13,9 @@ from contextlib import suppress
 from pathlib import Path
 
 from rosplc._version import __version__
-from rosplc.bridge.owner import group_id, user_id
 from rosplc.bridge.ros_side import choose_backend
 from rosplc.config import ConfigErrors, Project, load_project
+from rosplc.config.access import group_id, user_id
 from rosplc.doctor import (
     classic,
     code,

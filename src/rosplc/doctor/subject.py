@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from rosplc.bridge.owner import group_id, user_id
 from rosplc.config import Project, TopicPlan
+from rosplc.config.access import group_id, user_id
 from rosplc.config.objects import object_size
 from rosplc.doctor.environment import Wish
 from rosplc.doctor.leftovers import concerned

@@ -11,8 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from rosplc.bridge.live_types import LiveTypes
-from rosplc.bridge.ros_side import RosSide
+from rosplc.bridge.ros_side import LiveTypes, RosSide
 from rosplc.config import Config
 from rosplc.errors import BackendError, MessageTypeError, RosplcError
 from rosplc.init.definitions import Definitions

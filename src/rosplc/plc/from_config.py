@@ -42,7 +42,7 @@ def _topics(project: Project) -> list[PlcTopic]:
             on_stale=_on_stale(plan),
             safe=plan.on_stale.value if plan.on_stale.action == "value" else None,
             in_order=plan.every,
-            latched=plan.latched if plan.classic is None else plan.classic.retained,
+            latched=plan.latched if plan.classic is None else plan.retained,
             classic=None
             if plan.classic is None
             else Classic(plan.classic.name, plan.classic.semaphore, plan.classic.wait_ns),

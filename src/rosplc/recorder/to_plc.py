@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from rosplc.bridge.bind import Binding
-from rosplc.bridge.owner import group_id, user_id
 from rosplc.codec import Codec, Wire
+from rosplc.config.access import group_id, user_id
 from rosplc.config.objects import describe
 from rosplc.config.resolve import Project
 from rosplc.described import description_of, layout_of

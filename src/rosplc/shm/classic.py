@@ -94,6 +94,10 @@ class ClassicObject:
         path = self._directory / f"rosplc.classic.{self.name}"
         self._claim = NameLock(path, mode=self._rights.mode, uid=self._rights.uid, gid=self._rights.gid)
 
+    def owned(self) -> bool:
+        """Return whether the claim of :meth:`claim` still holds."""
+        return self._claim is not None and self._claim.still_there()
+
     def attach(self) -> None:
         """Open memory and semaphore, and make what is missing.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import time
 from pathlib import Path
 
 from rosplc.errors import ChannelError
@@ -19,7 +20,11 @@ class NameLock:
 
     The kernel drops it when the process dies, however that happens. The file itself stays: a
     removed lock file would let two bridges hold "the" lock. Its size is one bit of memory: 1 once an
-    object of a bridge has stood at the name, 0 before and after that was retired.
+    object of a bridge has stood at the name, 0 before and after that was retired. Its time of change is
+    when a holder was last seen.
+
+    Attributes:
+        unheld_ns: For how long nothing had held the lock before, ns; 0 where that is not known.
 
     Args:
         path: The lock file.
@@ -35,6 +40,7 @@ class NameLock:
 
     def __init__(self, path: Path, *, mode: int, uid: int | None = None, gid: int | None = None) -> None:
         self.path = path
+        self.unheld_ns = 0
         self._fd = -1
         while True:
             fd = _open_or_create(path)
@@ -54,6 +60,9 @@ class NameLock:
         try:
             self._refuse_foreign(uid)
             self._share(mode & 0o666, gid)
+            status = os.fstat(self._fd)
+            if status.st_size:  # an object has been there, and so has a holder
+                self.unheld_ns = max(0, time.time_ns() - status.st_mtime_ns)
         except OSError as error:
             self.release()
             what = f"cannot give the lock file to group {gid}: {error.strerror}"
@@ -92,6 +101,11 @@ class NameLock:
             return False
         mine = os.fstat(self._fd)
         return same_file(self.path, mine.st_dev, mine.st_ino)
+
+    def show(self) -> None:
+        """Note in the file's time stamp that the lock is held now; about once a second."""
+        if self._fd >= 0:
+            os.utime(self._fd)
 
     def release(self) -> None:
         """Let go; a second call does nothing."""

@@ -59,6 +59,7 @@ class OwnedChannel:
         adopted: Whether an object was found and kept.
         generation: The object's generation.
         replaced_reason: Why an object that was found was not kept; empty if there was none, or it was.
+        unowned_ns: For how long no process held the name before this one, ns, as far as the lock file tells.
     """
 
     def __init__(
@@ -77,6 +78,7 @@ class OwnedChannel:
         self.adopted = replaced_reason is None
         self.replaced_reason = replaced_reason or ""
         self.generation = self.identity.generation
+        self.unowned_ns = lock.unheld_ns
         self._lock = lock
         self._first = first[:IDENTITY_SIZE]
         status = os.fstat(fd)
@@ -196,8 +198,10 @@ class OwnedChannel:
     def still_there(self) -> bool:
         """Return whether names lead to this object and its lock, and its identity is undamaged.
 
-        If not, close this one and open the name again: the object is then created anew.
+        If not, close this one and open the name again: the object is then created again. To be called
+        about once a second: it also notes, for the next owner, that the name is held.
         """
+        self._lock.show()
         return (
             same_file(self.path, *self._file)
             and self._lock.still_there()
@@ -224,6 +228,7 @@ class OwnedChannel:
         """Give claims and lock back and leave the object with its last state; a second call does nothing."""
         for user in self._users:
             user.release()
+        self._lock.show()
         self._abandon()
 
     def _abandon(self) -> None:

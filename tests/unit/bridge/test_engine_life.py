@@ -12,10 +12,10 @@ import pytest
 
 from rosplc._core._native import Fault
 from rosplc.bridge import Bridge, Level
-from rosplc.bridge.keeper import Keeper
-from rosplc.bridge.to_plc import ToPlc
-from rosplc.bridge.to_ros import ToRos
-from rosplc.bridge.topic import Surroundings
+from rosplc.bridge.carrier import Carriers
+from rosplc.bridge.channel import ChannelPort, ChannelsToRos
+from rosplc.bridge.port import Context
+from rosplc.bridge.stream import ToPlc, ToRos
 from rosplc.config import parse_config, read_config, resolve
 from rosplc.errors import BackendError, ChannelError, ConfigError
 from rosplc.ros import LATCHED, Qos
@@ -51,7 +51,7 @@ def test_a_restart_adopts_and_goes_on(cell: Cell) -> None:
     outgoing.write({"data": 11})
     outgoing.write({"data": 12})
     bridge = cell.start(topics)
-    assert all(topic.channel is not None and topic.channel.adopted for topic in bridge._topics)
+    assert all(stream.port.adopted for stream in bridge._streams)
     wait_for(lambda: len(messages) == 3)
     publisher.write(wire(INT, {"data": 2}))
     assert wait_for(incoming.read) == {"data": 2}
@@ -181,11 +181,9 @@ def test_a_message_into_a_retired_object_is_noticed_at_once(cell: Cell, topic: s
 def test_a_record_that_cannot_be_encoded_is_refused(cell: Cell) -> None:
     """A fault of the encoder is counted and explained like any other."""
     bridge = cell.start(BOTH)
-    topic = bridge._topics[1]
-    assert isinstance(topic, ToRos)
-    assert topic.on_fault(Fault(9, 0xFFFFFFFF, 3, 4), time.monotonic_ns()) is False
+    bridge._streams[1].refuse(Fault(9, 0xFFFFFFFF, 3, 4), time.monotonic_ns())
     status = bridge.status().topic("/out")
-    assert (status.received, status.refused, status.published) == (1, 1, 0)
+    assert (status.refused, status.published) == (1, 0)
     assert status.code == "COD009"
 
 
@@ -216,9 +214,11 @@ def test_an_object_that_cannot_be_made_is_tried_again(
 def test_an_object_reopened_during_its_check_is_no_problem(
     cell: Cell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The pump may open an object again while the keeper looks after it; no error stays behind."""
+    """The carrier may open an object again while the keeper looks after it; no error stays behind."""
     bridge = cell.start(f"  /out: {{type: {INT}, to: ros}}\n")
-    (topic,) = bridge._topics
+    (stream,) = bridge._streams
+    port = stream.port
+    assert isinstance(port, ChannelPort)
     look = OwnedChannel.still_there
     done: list[OwnedChannel] = []
 
@@ -226,36 +226,24 @@ def test_an_object_reopened_during_its_check_is_no_problem(
         found = look(channel)
         if not done:
             done.append(channel)
-            topic.channel = None  # as the pump does first
+            port.channel = None  # as the carrier does first
         return found
 
     monkeypatch.setattr(OwnedChannel, "still_there", still_there)
     wait_for(lambda: done)
-    topic.channel = done[0]
+    port.channel = done[0]
     time.sleep(1.5)  # a check more
-    assert not topic.problem
+    assert not stream.problem
 
 
 def test_a_beat_into_an_object_just_closed_costs_no_other(cell: Cell) -> None:
     """Whatever is closed at the moment of a beat, the other topics beat."""
     bridge = cell.start(BOTH)
-    for topic in bridge._topics:
-        assert topic.channel is not None
-        topic.channel.region.close()
+    for stream in bridge._streams:
+        assert isinstance(stream.port, ChannelPort)
+        assert stream.port.channel is not None
+        stream.port.channel.region.close()
     bridge.beat()
-
-
-def test_an_unforeseen_error_in_sending_does_not_end_the_beats() -> None:
-    """The keeper survives whatever a message that waited for its time brings about."""
-    beats = []
-
-    def flush(_now_ns: int) -> None:
-        raise TypeError("a defect")
-
-    keeper = Keeper(10_000_000, lambda: beats.append(1), lambda _now_ns: None, flush)
-    keeper.start()
-    wait_for(lambda: len(beats) > 2)
-    keeper.stop()
 
 
 def test_a_failed_start_leaves_nothing_open(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -302,16 +290,16 @@ def test_an_unforeseen_error_costs_no_other_message(cell: Cell, monkeypatch: pyt
     """Messages that were taken together with one that fails are sent all the same."""
     bridge = cell.start(f"  /a: {{type: {INT}, to: ros, depth: 64}}\n", more="tick: 200ms")
     messages = cell.listen("/a", INT)
-    on_message = ToRos.on_message
+    receive = ToRos.receive
     fails = [True]
 
     def once(self: ToRos, *arguments: Any) -> None:
         if fails:
             fails.clear()
             raise ZeroDivisionError
-        on_message(self, *arguments)
+        receive(self, *arguments)
 
-    monkeypatch.setattr(ToRos, "on_message", once)
+    monkeypatch.setattr(ToRos, "receive", once)
     plc = cell.plc("/a")
     for number in range(5):
         plc.write({"data": number})
@@ -321,21 +309,24 @@ def test_an_unforeseen_error_costs_no_other_message(cell: Cell, monkeypatch: pyt
 
 
 def test_a_quiet_bridge_wakes_seldom_and_becomes_alert(cell: Cell) -> None:
-    """Without a living writer the pump ticks slowly; a message or a beat brings the configured tick back."""
+    """Without a living writer the carrier ticks slowly; a message or a beat ends that."""
     bridge = cell.start(BOTH)
-    pump = bridge._carriers and bridge._carriers._pump
-    assert pump is not None
-    assert pump._tick(time.monotonic_ns()) == 10_000_000
+    stream = bridge._streams[1]
+    assert bridge._carriers is not None
+    assert isinstance(stream.port, ChannelPort)
+    ports = bridge._carriers.of(stream.plan).ports
+    assert isinstance(ports, ChannelsToRos)
+    assert ports.tick(time.monotonic_ns()) == 10_000_000
     messages = cell.listen("/out", INT)
     plc = cell.plc("/out")
     plc.write({"data": 1})
     wait_for(lambda: messages)
     now = time.monotonic_ns()
-    assert pump._tick(now) == 1_000_000
-    bridge._topics[1].peer_alive = False
-    assert pump._tick(now + 10**11) == 10_000_000
-    bridge._topics[1].peer_alive = True
-    assert pump._tick(now + 10**11) == 1_000_000
+    assert ports.tick(now) == 1_000_000
+    stream.port.peer_alive = False
+    assert ports.tick(now + 10**11) == 10_000_000
+    stream.port.peer_alive = True
+    assert ports.tick(now + 10**11) == 1_000_000
 
 
 def test_both_sides_know_how_many_stand_behind(cell: Cell) -> None:
@@ -387,7 +378,7 @@ def test_the_bridge_beats_while_ros_hangs(cell: Cell, monkeypatch: pytest.Monkey
         time.sleep(1.1)  # the observer hangs too
         before = outgoing.attached.snapshot().readers[0].beat
         wait_for(lambda: outgoing.attached.snapshot().readers[0].beat >= before + 3)
-        bridge._topics[0].on_message(wire(INT, {"data": 2}), 0)  # type: ignore[attr-defined]
+        bridge._streams[0].on_message(wire(INT, {"data": 2}), 0)  # type: ignore[attr-defined]
         assert wait_for(incoming.read) == {"data": 2}
     monkeypatch.setattr("rosplc.bridge.engine._STUCK_NS", 1)
     assert "has not returned from publishing" in bridge.status().judgement[1]
@@ -498,9 +489,10 @@ def test_ros_1_messages(shm_namespace: Namespace) -> None:
     """With noetic's definitions the same object is filled from ROS 1's serialization."""
     head = f"prefix: {shm_namespace.prefix}\nros: {{distro: noetic}}\n"
     project = resolve(parse_config(head + f"topics: {{/in: {{type: {STRING}, to: plc}}}}\n"))
-    around = Surroundings(project.namespace, "cell", bytes(16), "noetic")
-    topic = ToPlc(project.topics[0], around, lambda _: None)
-    topic.open()
+    context = Context(project.namespace, "cell", bytes(16), "noetic")
+    topic = Carriers(context, 1_000_000).make(project.topics[0])
+    assert isinstance(topic, ToPlc)
+    topic.port.open()
     topic.on_message(b"\x02\0\0\0hi", 1)
     with attach(shm_namespace, "/in") as found:
         record = bytearray(project.topics[0].layout.size)
@@ -509,4 +501,4 @@ def test_ros_1_messages(shm_namespace: Namespace) -> None:
         assert found.description.distro == "noetic"
     topic.on_message(wire(STRING, {"data": "no"}), 1)
     assert (topic.counters.published, topic.counters.refused) == (1, 1)
-    topic.close()
+    topic.port.close()

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from rosplc.bridge import Level
-from rosplc.bridge.to_plc import ToPlc
-from rosplc.bridge.topic import Surroundings
+from rosplc.bridge.carrier import Carriers
+from rosplc.bridge.port import Context
+from rosplc.bridge.stream import ToPlc
 from rosplc.config import parse_config, resolve
 from rosplc.ros import Qos
 from rosplc.shm import Namespace
 from rosplc.shm.constants import FLAG_FIRST
+from tests.lib.clock import SteppedClock
 from tests.unit.bridge.conftest import INT, Cell, PlcTopic, numbers, unwire, wait_for, wire
 
 BOOL = "std_msgs/msg/Bool"
@@ -132,15 +134,17 @@ def test_the_first_message_of_another_publisher_is_marked(cell: Cell) -> None:
 def test_one_late_message_changes_no_level(shm_namespace: Namespace) -> None:
     """Silence is reported once it outlasts stale_after and the debounce, and is over as slowly."""
     (plan,) = resolve(parse_config(f"topics:\n  /in: {{type: {INT}, to: plc, stale_after: 200ms}}\n")).topics
-    around = Surroundings(shm_namespace, "cell", bytes(16), "jazzy", debounce_ns=1000 * MS)
-    topic = ToPlc(plan, around, lambda _: None)
-    start = topic._started_ns
+    clock = SteppedClock()
+    context = Context(shm_namespace, "cell", bytes(16), "jazzy", debounce_ns=1000 * MS, clock=clock)
+    stream = Carriers(context, MS).make(plan)
+    assert isinstance(stream, ToPlc)
     seen = []
     for at in range(0, 6000, 100):
         # On time, once late, on time, silent for two seconds, on time, once late, on time.
         if not (1000 < at <= 1400 or 2000 < at < 4000 or 4300 < at <= 4700):
-            topic._hear(start + at * MS)
-        status = topic.status(start + at * MS + 1)
+            stream.on_message(b"", 0)
+        status = stream.status(clock.advance(ns=1))
+        clock.advance(ns=100 * MS - 1)
         if not seen or seen[-1][1:] != (status.stale, status.silent):
             seen.append((at, status.stale, status.silent))
     assert seen == [
@@ -154,7 +158,7 @@ def test_one_late_message_changes_no_level(shm_namespace: Namespace) -> None:
         (4800, False, True),
         (5800, False, False),  # a second after it began to speak without a gap
     ]
-    assert topic.counters.recovered == 3
+    assert stream.counters.recovered == 3
 
 
 def test_a_plc_that_stopped_is_an_error_and_one_that_never_ran_is_not(cell: Cell) -> None:

@@ -1,16 +1,14 @@
-"""The small parts of the bridge: rate gate, repeated warnings, slot arithmetic, ages, quantities."""
+"""The small parts of the bridge: repeated warnings, slot arithmetic, ages, quantities."""
 
 from __future__ import annotations
 
 import logging
-from itertools import pairwise
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rosplc.bridge.gate import Gate
-from rosplc.bridge.repeats import QUIET_NS, RepeatedWarnings
+from rosplc.bridge.port import QUIET_NS, RepeatedWarnings
 from rosplc.bridge.status import BridgeStatus, Level, TopicStatus, format_age
 from rosplc.config.depth import Demand, least_slots, usual_slots
 from rosplc.config.quantities import format_duration, parse_duration, parse_mode, parse_rate
@@ -18,45 +16,6 @@ from rosplc.shm import Direction
 
 MS = 1_000_000
 SECOND = 1000 * MS
-
-
-def test_gate_lets_one_through_per_interval() -> None:
-    """The first goes at once, the newest of those in between when its time has come."""
-    gate: Gate[str] = Gate(100)
-    assert gate.offer("a", 1000) == "a"
-    assert gate.offer("b", 1010) is None
-    assert gate.offer("c", 1020) is None
-    assert (gate.due_ns, gate.replaced) == (1100, 1)
-    assert gate.flush(1099) is None
-    assert gate.flush(1100) == "c"
-    assert gate.flush(1300) is None
-    assert gate.offer("d", 1150) is None
-    assert gate.offer("e", 1200) == "e"
-    assert (gate.due_ns, gate.replaced) == (None, 2)
-
-
-@given(st.lists(st.tuples(st.integers(0, 40), st.booleans()), max_size=60))
-def test_gate_keeps_the_last_item_and_the_interval(steps: list[tuple[int, bool]]) -> None:
-    """Whatever the times: nothing is passed on early, in wrong order or twice, and the last one arrives."""
-    gate: Gate[int] = Gate(100)
-    now, offered = 0, 0
-    passed: list[tuple[int, int]] = []
-    for delay, offer in steps:
-        now += delay
-        if offer:
-            offered += 1
-            item = gate.offer(offered, now)
-        else:
-            item = gate.flush(now)
-        if item is not None:
-            passed.append((now, item))
-    if (rest := gate.flush(now + 100)) is not None:
-        passed.append((now + 100, rest))
-    items = [item for _, item in passed]
-    assert items == sorted(set(items))
-    assert items[-1:] == ([offered] if offered else [])
-    assert all(later - earlier >= 100 for (earlier, _), (later, _) in pairwise(passed))
-    assert len(items) + gate.replaced == offered
 
 
 def test_repeated_warnings_are_held_back_and_counted(caplog: pytest.LogCaptureFixture) -> None:

@@ -40,8 +40,8 @@ def test_a_hanging_keeper_is_noticed(cell: Cell, monkeypatch: pytest.MonkeyPatch
     """The thread that beats counts too."""
     bridge = cell.start(BOTH)
     go_on = threading.Event()
-    for topic in bridge._topics:
-        monkeypatch.setattr(topic, "check", lambda *_: go_on.wait(60) and False)
+    for stream in bridge._streams:
+        monkeypatch.setattr(stream, "check", lambda *_: go_on.wait(60) and False)
     wait_for(lambda: "that beats stands still" in bridge.stuck(SHORT_NS))
     go_on.set()
     wait_for(lambda: "that beats" not in bridge.stuck(2_000_000_000))

@@ -1,0 +1,280 @@
+"""The threads that carry: one for the ports of each kind and direction."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable, Collection, Iterable
+from typing import Any
+
+from rosplc.bridge.channel import ChannelsToPlc, ChannelsToRos
+from rosplc.bridge.classic import ClassicPorts
+from rosplc.bridge.port import Context, Ports, log
+from rosplc.bridge.stream import Stream, ToPlc, ToRos
+from rosplc.clock import Clock
+from rosplc.config.resolve import TopicPlan
+from rosplc.shm import Direction
+
+__all__ = ["Carrier", "Carriers", "Job"]
+
+_HANGS = "the ROS side does not return from publishing; the bridge leaves it behind"
+_PATIENCE_S = 5.0
+
+
+class Job:
+    """A piece of work, done by the thread that calls it, unless its giver has taken it back before.
+
+    Args:
+        work: What is to be done; it must not wait for anything.
+    """
+
+    def __init__(self, work: Callable[[], None]) -> None:
+        self._work = work
+        self._claim = threading.Lock()
+        self._done = threading.Event()
+        self._error: Exception | None = None
+
+    def __call__(self) -> None:
+        """Do the work, if it is still wanted."""
+        if not self._claim.acquire(blocking=False):
+            return
+        try:
+            self._work()
+        except Exception as error:  # it is the giver's, not this thread's
+            self._error = error
+        self._done.set()
+
+    def wait(self, timeout: float = _PATIENCE_S) -> bool:
+        """Wait until it is done; False if it was not begun within ``timeout`` seconds: it is then taken back.
+
+        Raises:
+            Exception: What the work raised.
+        """
+        if not self._done.wait(timeout) and self._claim.acquire(blocking=False):
+            return False
+        self._done.wait()  # begun, and it waits for nothing
+        if self._error is not None:
+            raise self._error
+        return True
+
+
+class Carrier:
+    """The thread of all streams over one kind of port in one direction; without streams there is none.
+
+    Args:
+        name: The thread's name.
+        ports: The ports.
+        clock: Time.
+
+    Attributes:
+        ports: As given.
+        busy_since_ns: When it began to pass on what it holds; 0 while it waits for news.
+        turned_ns: When it last began a round.
+    """
+
+    def __init__(self, name: str, ports: Ports[Any], clock: Clock) -> None:
+        self.ports = ports
+        self.busy_since_ns = 0
+        self.turned_ns = clock.monotonic_ns()
+        self._name = name
+        self._clock = clock
+        self._streams: tuple[Stream, ...] = ()
+        self._holding: tuple[Stream, ...] = ()  # those with stages that may hold something back
+        self._due_ns: int | None = None  # of the ports
+        self._jobs: deque[Callable[[], None]] = deque()
+        self._reopening: set[Stream] = set()
+        self._stopping = False
+        self._thread: threading.Thread | None = None
+
+    @property
+    def running(self) -> bool:
+        """Whether there is a thread."""
+        return self._thread is not None
+
+    def _start(self) -> None:
+        self._thread = threading.Thread(target=self._run, name=self._name, daemon=True)
+        self._thread.start()
+
+    def stop(self) -> bool:
+        """End, and pass on what waits; return whether the thread ended in time."""
+        self._stopping = True
+        self.ports.wake()
+        if self._thread is not None:
+            self._thread.join(_PATIENCE_S)
+            if self._thread.is_alive():
+                return False
+        for stream in self._streams:
+            stream.finish(self._clock.monotonic_ns())
+        return True
+
+    def reopen(self, stream: Stream) -> None:
+        """Have a stream's port opened again; from any thread."""
+        if stream not in self._reopening:
+            self._reopening.add(stream)
+            self._jobs.append(lambda: self._reopen(stream))
+            self.ports.wake()
+
+    def replace(self, leaving: Collection[Stream], coming: Collection[Stream]) -> bool:
+        """Carry other streams from now on; from any thread but its own.
+
+        Args:
+            leaving: Streams to let go of, after a last look at what is new; the caller may close them.
+            coming: Streams to carry as well; they are connected.
+
+        Returns:
+            False if the thread hangs in the ROS side; nothing has changed then.
+        """
+        if self._thread is None:
+            self._replace(leaving, coming)
+            if self._streams:
+                self._start()
+            return True
+        job = Job(lambda: self._replace(leaving, coming))
+        self._jobs.append(job)
+        self.ports.wake()
+        return job.wait()
+
+    def _replace(self, leaving: Collection[Stream], coming: Collection[Stream]) -> None:
+        for stream in leaving:
+            self.ports.remove(stream.port)
+        self._streams = (*(stream for stream in self._streams if stream not in leaving), *coming)
+        for stream in coming:
+            if not stream.problem:
+                self.ports.add(stream.port)
+        self._holding = tuple(stream for stream in self._streams if stream.hold.stages)
+        self._due_ns = self._clock.monotonic_ns()
+
+    def _reopen(self, stream: Stream) -> None:
+        self._reopening.discard(stream)
+        if stream not in self._streams:
+            return  # it has left meanwhile, and its name with it
+        self.ports.remove(stream.port)
+        if stream.reopen(self._clock.monotonic_ns()):
+            self.ports.add(stream.port)
+            self._due_ns = self._clock.monotonic_ns()
+
+    def _run(self) -> None:
+        while not self._stopping:
+            try:
+                self._turn()
+            except Exception:
+                log.exception("carrying messages failed; it continues")
+                self._clock.sleep(100_000_000)
+
+    def _turn(self) -> None:
+        self.turned_ns = self._clock.monotonic_ns()
+        self.ports.poll(self._due())
+        if self._stopping:
+            return
+        now = self._clock.monotonic_ns()
+        self.busy_since_ns = now
+        self._due_ns, again = self.ports.take(now)
+        if self._holding:
+            self._flush()
+        self.busy_since_ns = 0
+        for port in again:
+            self._reopen(port.side)
+        # After a look at what is new, so that a stream that leaves leaves nothing behind.
+        while self._jobs:
+            self._jobs.popleft()()
+
+    def _due(self) -> int | None:
+        due = self._due_ns
+        for stream in self._holding:
+            wanted = stream.hold.due_ns
+            if wanted is not None and (due is None or wanted < due):
+                due = wanted
+        return due
+
+    def _flush(self) -> None:
+        over = False
+        for stream in self._holding:
+            due, now = stream.hold.due_ns, self._clock.monotonic_ns()
+            if due is not None and due <= now:
+                stream.flush(now)
+                over = over or not stream.hold.stages
+        if over:
+            self._holding = tuple(stream for stream in self._holding if stream.hold.stages)
+
+
+class Carriers:
+    """All carriers of a bridge, and which of them carries a stream.
+
+    Args:
+        context: What the bridge's streams share.
+        tick_ns: How often to look for messages from the PLC.
+    """
+
+    def __init__(self, context: Context, tick_ns: int) -> None:
+        self._context = context
+        kinds: dict[tuple[bool, Direction], tuple[str, Ports[Any]]] = {
+            # Those that a ROS side may hang come first: nothing has changed then.
+            (True, Direction.TO_ROS): ("rosplc-classic-to-ros", ClassicPorts(context, Direction.TO_ROS)),
+            (False, Direction.TO_ROS): ("rosplc-to-ros", ChannelsToRos(context, tick_ns)),
+            (True, Direction.TO_PLC): ("rosplc-classic-to-plc", ClassicPorts(context, Direction.TO_PLC)),
+            (False, Direction.TO_PLC): ("rosplc-to-plc", ChannelsToPlc(context)),
+        }
+        self._carriers = {kind: Carrier(name, ports, context.clock) for kind, (name, ports) in kinds.items()}
+
+    def of(self, plan: TopicPlan) -> Carrier:
+        """Return the carrier of a plan's streams."""
+        return self._carriers[plan.classic is not None, plan.direction]
+
+    def make(self, plan: TopicPlan) -> Stream:
+        """Return the stream of a plan; nothing is opened yet."""
+        carrier = self.of(plan)
+        if plan.direction is Direction.TO_PLC:
+            return ToPlc(plan, self._context, carrier.ports, carrier.ports.wake)
+        return ToRos(plan, self._context, carrier.ports)
+
+    def _to_ros(self) -> Iterable[Carrier]:
+        return (one for (_, way), one in self._carriers.items() if way is Direction.TO_ROS and one.running)
+
+    @property
+    def busy_since_ns(self) -> int:
+        """Since when a thread has been publishing what it holds; 0 if none is."""
+        return min((since for one in self._to_ros() if (since := one.busy_since_ns)), default=0)
+
+    @property
+    def turned_ns(self) -> int:
+        """When the thread of the channels towards ROS last began a round."""
+        carrier = self._carriers[False, Direction.TO_ROS]
+        return carrier.turned_ns if carrier.running else self._context.clock.monotonic_ns()
+
+    def reopen(self, stream: Stream) -> None:
+        """Have a stream's port opened again, by the thread that may."""
+        self.of(stream.plan).reopen(stream)
+
+    def replace(self, leaving: Collection[Stream], coming: Collection[Stream]) -> bool:
+        """Carry other streams from now on; what the leaving ones still held has been passed on.
+
+        Args:
+            leaving: Streams to let go of; their endpoints and ports are still open.
+            coming: Streams to carry as well; they are open and connected.
+
+        Returns:
+            False if the ROS side hangs; nothing has changed then.
+        """
+        now = self._context.clock.monotonic_ns()
+        for stream in coming:
+            stream.begin(now)
+        done: list[tuple[Carrier, list[Stream], list[Stream]]] = []
+        for carrier in self._carriers.values():
+            theirs = [stream for stream in leaving if self.of(stream.plan) is carrier]
+            new = [stream for stream in coming if self.of(stream.plan) is carrier]
+            if not theirs and not new:
+                continue
+            if not carrier.replace(theirs, new):
+                for other, old, begun in done:
+                    other.replace(begun, old)
+                return False
+            done.append((carrier, theirs, new))
+        for stream in leaving:
+            stream.finish(self._context.clock.monotonic_ns())
+        return True
+
+    def stop(self) -> None:
+        """End all threads; what waits for a subscriber or its time is passed on."""
+        for carrier in self._carriers.values():
+            if not carrier.stop():
+                log.error(_HANGS)

@@ -1,0 +1,384 @@
+"""Ports over the shared-memory channel: spec/shm-format.md."""
+
+from __future__ import annotations
+
+import logging
+from abc import ABC, abstractmethod
+from contextlib import suppress
+
+from rosplc._core._native import Fault, Group, Reader, Writer, distance
+from rosplc.bridge.port import Context, PortStatus, Side, Waiting, log
+from rosplc.config.objects import describe
+from rosplc.errors import ChannelError
+from rosplc.shm import Liveness, OwnedChannel, Region
+from rosplc.shm.constants import LINE_SIZE, READER_LINES, READER_LINES_OFFSET, WRITER_LINE
+
+__all__ = ["ChannelPort", "ChannelsToPlc", "ChannelsToRos", "PortToPlc", "PortToRos"]
+
+_IN_ORDER = 1
+_LINE_WORDS = LINE_SIZE // 4
+_LONGEST_WAIT_NS = 200_000_000
+_LAZY_TICK_NS = 10_000_000
+"""The tick while no PLC writes anything: the wake-ups are what an idle bridge costs."""
+_ALERT_NS = 10_000_000_000
+"""How long after a message the configured tick holds, whether a writer beats or not."""
+
+
+class ChannelPort(ABC):
+    """One channel that this bridge owns.
+
+    Args:
+        side: The stream.
+        context: What the bridge's streams share.
+
+    Attributes:
+        channel: The object; None while there is none.
+    """
+
+    def __init__(self, side: Side, context: Context) -> None:
+        self.side = side
+        self.channel: OwnedChannel | None = None
+        self.adopted = False
+        self._context = context
+        self._alive: dict[int, tuple[int, Liveness]] = {}
+        self.peer_alive = False
+        self._peer_gone_ns: int | None = None
+        self._tasks: tuple[str, ...] = ()
+
+    def open(self) -> None:
+        """Create or adopt the object. Raises as :meth:`OwnedChannel.open`."""
+        plan, context = self.side.plan, self._context
+        channel = OwnedChannel.open(
+            context.namespace,
+            describe(plan, distro=context.distro, bridge=context.bridge),
+            record_size=plan.layout.size,
+            slots=plan.slots,
+            mode=context.mode,
+            uid=context.uid,
+            gid=context.gid,
+            bridge_id=context.bridge_id,
+        )
+        try:
+            self._claim(channel)
+        except BaseException:
+            channel.close()
+            raise
+        self.channel, self.adopted = channel, channel.adopted
+        self._alive.clear()
+        if channel.replaced_reason:
+            # With an error's code it was damaged or something else's, and not just of an older configuration.
+            level = logging.WARNING if channel.replaced_reason.endswith("]") else logging.INFO
+            log.log(level, "%s: the object was replaced: %s", plan.topic, channel.replaced_reason)
+
+    def close(self) -> None:
+        """Leave the object with its last state."""
+        channel, self.channel = self.channel, None
+        self._unclaim()
+        if channel is not None:
+            channel.close()
+
+    def retire(self) -> None:
+        """Give the object up: its users are told, and its name is free."""
+        channel = self.channel
+        self._unclaim()
+        if channel is not None:
+            channel.retire()
+        self.close()
+
+    @abstractmethod
+    def _claim(self, channel: OwnedChannel) -> None:
+        """Claim what this side claims of an object."""
+
+    @abstractmethod
+    def _unclaim(self) -> None:
+        """Stop using the object."""
+
+    def check(self, now_ns: int) -> bool:
+        """Look after object and peer; return whether it must be opened again."""
+        channel = self.channel  # another thread may open it again meanwhile
+        if channel is None:
+            return True
+        if not channel.still_there():
+            self.side.note(now_ns, "the object was removed or replaced; it is created again", "SHM120")
+            return True
+        alive = self._observe(channel.region, now_ns)
+        if alive:
+            self._peer_gone_ns = None
+        elif self.peer_alive:
+            self._peer_gone_ns = now_ns
+        self.peer_alive = alive
+        return False
+
+    @abstractmethod
+    def _observe(self, region: Region, now_ns: int) -> bool:
+        """Return whether the PLC's side beats.
+
+        Only the words needed are read: with 200 topics, whole snapshots would cost half a percent
+        of a core.
+        """
+
+    def _lives(self, key: int, beat: int, beat_ms: int, count: int, now_ns: int) -> bool:
+        known = self._alive.get(key)
+        if known is None or known[0] != beat_ms:
+            known = self._alive[key] = (beat_ms, Liveness(beat_ms))
+        return known[1].observe(beat, count, now_ns)
+
+    def put(self, data: bytes, stamp_ns: int, flags: int, now_ns: int) -> None:
+        """Refuse: the direction is the other one."""
+        raise ChannelError("SHM110", "only the PLC writes towards ROS", where=self.side.plan.topic)
+
+    def owned(self) -> bool:
+        """Return True: what this bridge writes carries its claim."""
+        return True
+
+    def retained(self) -> tuple[bytes, int, int] | None:
+        """Return None."""
+        return None
+
+    def _lost(self) -> int:
+        return 0
+
+    def loss(self, count: int) -> str:
+        """Describe why messages were lost, and what helps."""
+        return f"{count} messages were lost on the way in; raise qos: {{depth: …}} if they come in bursts"
+
+    def status(self, now_ns: int) -> PortStatus:
+        """Return what is known of the PLC."""
+        lost, every = self._lost(), self.side.plan.every
+        return PortStatus(
+            self.peer_alive, self._peer_gone_ns, self._tasks, lost if every else 0, 0 if every else lost
+        )
+
+
+class PortToPlc(ChannelPort):
+    """A channel that the bridge writes."""
+
+    def __init__(self, side: Side, context: Context) -> None:
+        super().__init__(side, context)
+        self.writer: Writer | None = None
+
+    def _claim(self, channel: OwnedChannel) -> None:
+        self.writer = channel.writer(self._context.beat_ms)
+        self.side.renewed()
+
+    def _unclaim(self) -> None:
+        self.writer = None
+
+    def beat(self) -> None:
+        """Show that the writer lives."""
+        if (writer := self.writer) is not None:
+            with suppress(ValueError):  # closed at this moment
+                writer.beat()
+
+    def check(self, now_ns: int) -> bool:
+        """Look after the object; a writer that failed means that it must be opened again."""
+        return super().check(now_ns) or self.writer is None
+
+    def put(self, data: bytes, stamp_ns: int, flags: int, now_ns: int) -> None:
+        """Convert a message straight into its slot."""
+        writer, side = self.writer, self.side
+        if writer is None:
+            side.counters.lost += 1
+            return
+        try:
+            _, cut = writer.publish_wire(
+                side.codec.plan,
+                data,
+                truncate=side.plan.truncate,
+                stamp_ns=stamp_ns,
+                stamp_clock=1 if stamp_ns else 0,
+                flags=flags,
+            )
+        except Fault as fault:
+            side.refuse(fault, now_ns)
+        except (ChannelError, ValueError) as error:
+            # Retired, damaged, claimed or just closed: the next check opens the name again.
+            side.counters.lost += 1
+            side.renewed()
+            if self.writer is writer:
+                self.writer = None
+                side.fail(now_ns, error)
+        else:
+            side.delivered(data, cut)
+
+    def _observe(self, region: Region, now_ns: int) -> bool:
+        words = region.words(READER_LINES_OFFSET, READER_LINES * _LINE_WORDS)
+        tasks = []
+        for at in range(0, len(words), _LINE_WORDS):
+            claim, beat, beat_ms, taken = words[at : at + 4]
+            if claim and self._lives(at, beat, beat_ms, taken, now_ns):
+                name = b"".join(word.to_bytes(4, "little") for word in words[at + 12 : at + 16])
+                tasks.append(name.split(b"\0")[0].decode("utf-8", "replace"))
+        self._tasks = tuple(tasks)
+        return bool(tasks)
+
+    def tell(self, matched: int) -> None:
+        """Show the PLC how many publishers there are."""
+        if (writer := self.writer) is not None:
+            writer.set_sources(matched)
+
+
+class PortToRos(ChannelPort):
+    """A channel that the bridge reads."""
+
+    def __init__(self, side: Side, context: Context) -> None:
+        super().__init__(side, context)
+        self.reader: Reader | None = None
+        self._lost_before = 0  # by readers that are no more
+        self._retained = False
+        self._missed = 0  # while no bridge was running
+        self._down_ns = 0
+
+    def _claim(self, channel: OwnedChannel) -> None:
+        reader = channel.reader(self._context.beat_ms)
+        head = channel.region.word(WRITER_LINE["head"])
+        ahead = distance(reader.last, head, channel.identity.slot_count) if head and reader.last else 0
+        self._retained = channel.adopted and bool(head) and not ahead
+        self._missed = max(0, ahead - (channel.identity.slot_count - 1)) if channel.adopted else 0
+        self._down_ns = channel.unowned_ns
+        self.reader = reader
+
+    def _unclaim(self) -> None:
+        reader, self.reader = self.reader, None
+        if reader is not None:
+            self._lost_before += reader.lost
+
+    def beat(self) -> None:
+        """Show that the reader lives."""
+        if (reader := self.reader) is not None:
+            with suppress(ValueError):  # closed at this moment: the carrier opens it again
+                reader.beat()
+
+    def check(self, now_ns: int) -> bool:
+        """Look after the object; a reader that lost its line to another bridge must be opened again."""
+        return super().check(now_ns) or not self.owned()
+
+    def owned(self) -> bool:
+        """Return whether the line is still this reader's: another bridge's claim is seen at once."""
+        reader = self.reader
+        return reader is not None and reader.line is not None
+
+    def retained(self) -> tuple[bytes, int, int] | None:
+        """Return the message that the object holds if an earlier bridge has taken it."""
+        if not self._retained or self.reader is None:
+            return None
+        found = self.reader.peek_wire(self.side.codec.plan)
+        return None if found is None else (found[0], found[1].stamp_ns, found[1].stamp_clock)
+
+    def _observe(self, region: Region, now_ns: int) -> bool:
+        head, epoch, beat, beat_ms = region.words(WRITER_LINE["head"], 4)
+        alive = self._lives(0, beat, beat_ms, head, now_ns)
+        return bool(epoch) and alive
+
+    def tell(self, matched: int) -> None:
+        """Show the PLC how many subscribers there are."""
+        if (reader := self.reader) is not None:
+            reader.set_sinks(matched)
+
+    def _lost(self) -> int:
+        reader = self.reader
+        return self._lost_before + (0 if reader is None else reader.lost)
+
+    def loss(self, count: int) -> str:
+        """Describe why messages were lost; those of the time without a bridge are told apart, once."""
+        missed, self._missed = min(self._missed, count), 0
+        depth = f"raise depth: (now {self.side.plan.slots} slots)"
+        lost = f"{count - missed} messages were lost on the way out; {depth}"
+        if not missed:
+            return lost
+        down = f"no bridge was running for {self._down_ns / 1e9:.3g} s: {missed} messages were not carried"
+        return down if missed == count else f"{down}; {lost}"
+
+
+class ChannelsToPlc(Waiting):
+    """The channels that the bridge writes: whoever has a message writes it at once."""
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(context.clock)
+        self._context = context
+
+    def make(self, side: Side) -> PortToPlc:
+        """Return the port of a stream."""
+        return PortToPlc(side, self._context)
+
+    def add(self, port: PortToPlc) -> None:
+        """Nothing has to be polled."""
+
+    def remove(self, port: PortToPlc) -> None:
+        """Nothing had to be polled."""
+
+    def take(self, now_ns: int) -> tuple[int | None, list[PortToPlc]]:
+        """Nothing is taken."""
+        return None, []
+
+
+class ChannelsToRos:
+    """The channels that the bridge reads, with one native call per tick for all of them.
+
+    Args:
+        context: What the bridge's streams share.
+        tick_ns: How often to look.
+    """
+
+    def __init__(self, context: Context, tick_ns: int) -> None:
+        self._context = context
+        self._now = context.clock.monotonic_ns
+        self._tick_ns = tick_ns
+        self._group = Group()
+        self._ports: dict[int, PortToRos] = {}
+        self._alert_until_ns = 0
+
+    def make(self, side: Side) -> PortToRos:
+        """Return the port of a stream."""
+        return PortToRos(side, self._context)
+
+    def add(self, port: PortToRos) -> None:
+        """Look for messages of an open port."""
+        if port.reader is not None:
+            plan = port.side.plan
+            mode = _IN_ORDER if plan.every else 0
+            self._ports[self._group.add_reader(port.reader, port.side.codec.plan, mode, plan.slots)] = port
+
+    def remove(self, port: PortToRos) -> None:
+        """Look no more."""
+        for index in [index for index, known in self._ports.items() if known is port]:
+            self._group.remove(index)
+            del self._ports[index]
+
+    def poll(self, due_ns: int | None) -> None:
+        """Sleep until there is news, looked for at each tick."""
+        now = self._now()
+        patience = _LONGEST_WAIT_NS if due_ns is None else max(0, min(_LONGEST_WAIT_NS, due_ns - now))
+        self._group.wait(self.tick(now), patience)
+
+    def tick(self, now_ns: int) -> int:
+        """Return the time between two looks: longer while no PLC writes."""
+        if now_ns < self._alert_until_ns or any(port.peer_alive for port in self._ports.values()):
+            return self._tick_ns
+        return max(self._tick_ns, _LAZY_TICK_NS if self._ports else _LONGEST_WAIT_NS)
+
+    def wake(self) -> None:
+        """End the sleep."""
+        self._group.wake()
+
+    def take(self, now_ns: int) -> tuple[int | None, list[PortToRos]]:
+        """Take what is new from all channels in one call, and pass it on."""
+        messages, faults = self._group.take()
+        ports = self._ports
+        if messages:
+            self._alert_until_ns = now_ns + _ALERT_NS
+        for index, data, _sequence, flags, stamp_ns, stamp_clock in messages:
+            try:
+                ports[index].side.receive(data, flags, stamp_ns, stamp_clock)
+            except Exception:  # what was taken for the other streams must still be sent
+                log.exception("%s: passing on a message failed", ports[index].side.plan.topic)
+        again = []
+        for index, fault in faults:
+            port = ports[index]
+            if isinstance(fault, Fault):
+                port.side.counters.received += 1
+                port.side.refuse(fault, now_ns)
+            else:
+                port.side.fail(now_ns, fault)
+                again.append(port)
+        return None, again

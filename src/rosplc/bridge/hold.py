@@ -1,0 +1,317 @@
+"""What may hold a message back on its way: one pipeline of stages, and one clock of the source's silence.
+
+A message passes the stages in order. A stage lets it through, drops it, or keeps it until a time
+(``due_ns``); what it kept continues from the next stage on when it is flushed.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+__all__ = ["GRACE_NS", "Grace", "Hold", "Item", "OnChange", "RateLimiter", "Silence", "Stage", "Substitute"]
+
+Item = tuple[bytes, int]
+"""A message's wire bytes and its stamp, ns since 1970."""
+
+GRACE_NS = 1_000_000_000
+"""How long after the start messages towards ROS may wait for the first subscriber."""
+
+_LOOK_NS = 5_000_000
+
+
+class Silence:
+    """Since when a source has been silent, and whether that is to be reported.
+
+    Args:
+        limit_ns: Age at which the last message counts as stale; 0 for never.
+        debounce_ns: How long silence must last beyond that before it is reported, and how long its end.
+        now_ns: The monotonic time from which on the source is expected to send.
+
+    Attributes:
+        last_ns: When the last message came in; None before the first.
+    """
+
+    def __init__(self, limit_ns: int, debounce_ns: int, now_ns: int) -> None:
+        self.last_ns: int | None = None
+        self._since_ns = now_ns
+        self._limit_ns = limit_ns
+        self._debounce_ns = debounce_ns
+        self._settled_ns = 0  # when a silence that was reported counts as over
+
+    def heard(self, now_ns: int) -> bool:
+        """Note that a message came in; return whether its source was stale before it."""
+        gap, limit = now_ns - self._since_ns, self._limit_ns
+        self.last_ns = self._since_ns = now_ns
+        if not limit or gap <= limit:
+            return False
+        if gap > limit + self._debounce_ns or now_ns < self._settled_ns:
+            self._settled_ns = now_ns + self._debounce_ns
+        return True
+
+    @property
+    def due_ns(self) -> int:
+        """When the source becomes stale if no message comes before."""
+        return self._since_ns + self._limit_ns
+
+    def stale(self, now_ns: int) -> bool:
+        """Return whether the last message is older than the limit."""
+        return bool(self._limit_ns) and now_ns > self.due_ns
+
+    def reported(self, now_ns: int) -> bool:
+        """Return the same as it is reported: debounced."""
+        return bool(self._limit_ns) and (
+            now_ns > self.due_ns + self._debounce_ns or now_ns < self._settled_ns
+        )
+
+    def age_ns(self, now_ns: int) -> int | None:
+        """Return the time since the last message; None before the first."""
+        return None if self.last_ns is None else max(0, now_ns - self.last_ns)
+
+
+class Stage(Protocol):
+    """One reason to hold messages back.
+
+    Attributes:
+        skipped: Messages that were held back for good, on purpose.
+        over: Whether the stage has become useless and can be left out from now on.
+    """
+
+    skipped: int
+    over: bool
+
+    @property
+    def due_ns(self) -> int | None:
+        """When :meth:`flush` wants to be called; None if nothing waits."""
+
+    def offer(self, item: Item, now_ns: int) -> Sequence[Item]:
+        """Take a message; return what may continue now."""
+
+    def flush(self, now_ns: int, *, anyway: bool = False) -> Sequence[Item]:
+        """Return what waited and may continue now, or with ``anyway`` all of it."""
+
+
+class Hold:
+    """The stages of one stream; the caller locks where several threads use it.
+
+    Args:
+        stages: In the order in which messages pass them.
+        send: Takes what passed them all, and the time.
+    """
+
+    def __init__(self, stages: Sequence[Stage], send: Callable[[bytes, int, int], None]) -> None:
+        self.stages = list(stages)
+        self._send = send
+        self._skipped = 0  # of stages that are over
+
+    @property
+    def due_ns(self) -> int | None:
+        """When :meth:`flush` is wanted; None if nothing waits."""
+        return min((stage.due_ns for stage in self.stages if stage.due_ns is not None), default=None)
+
+    @property
+    def skipped(self) -> int:
+        """Messages held back on purpose."""
+        return self._skipped + sum(stage.skipped for stage in self.stages)
+
+    def offer(self, item: Item, now_ns: int) -> None:
+        """Send a message, or hold it back."""
+        self._pass(0, [item], now_ns)
+
+    def flush(self, now_ns: int, *, anyway: bool = False) -> None:
+        """Send what waited for its time, or with ``anyway`` all that waits."""
+        if self.stages and isinstance(last := self.stages[-1], Substitute) and last.due_ns <= now_ns:
+            anyway = True  # what the PLC sent comes before what takes its place
+        for number, stage in enumerate(self.stages):
+            due = stage.due_ns
+            if anyway or (due is not None and due <= now_ns):
+                self._pass(number + 1, stage.flush(now_ns, anyway=anyway), now_ns)
+        over = [stage for stage in self.stages if stage.over]
+        if over:
+            self._skipped += sum(stage.skipped for stage in over)
+            self.stages = [stage for stage in self.stages if not stage.over]
+
+    def _pass(self, start: int, items: Sequence[Item], now_ns: int) -> None:
+        for stage in self.stages[start:]:
+            items = [passed for item in items for passed in stage.offer(item, now_ns)]
+        for data, stamp_ns in items:
+            self._send(data, stamp_ns, now_ns)
+
+    def forget(self) -> None:
+        """The receiver does not have the last message: the same again is news to it."""
+        for stage in self.stages:
+            if isinstance(stage, OnChange):
+                stage.last = None
+
+
+class OnChange:
+    """Lets a message through if it differs from the one before.
+
+    Args:
+        key: What is compared; None where a message cannot be: it is let through.
+    """
+
+    def __init__(self, key: Callable[[bytes], bytes | None] = lambda data: data) -> None:
+        self.due_ns: int | None = None
+        self.skipped = 0
+        self.over = False
+        self.last: bytes | None = None
+        self._key = key
+
+    def offer(self, item: Item, now_ns: int) -> Sequence[Item]:
+        """Take a message; return it if it is news."""
+        key = self._key(item[0])
+        if key is not None:
+            if key == self.last:
+                self.skipped += 1
+                return ()
+            self.last = key
+        return (item,)
+
+    def flush(self, now_ns: int, *, anyway: bool = False) -> Sequence[Item]:
+        """Nothing waits here."""
+        return ()
+
+
+class RateLimiter:
+    """Lets one message through per interval; in between the newest waits, and the last is never dropped.
+
+    Args:
+        interval_ns: Shortest time between two messages.
+    """
+
+    def __init__(self, interval_ns: int) -> None:
+        self.due_ns: int | None = None
+        self.skipped = 0
+        self.over = False
+        self._interval_ns = interval_ns
+        self._open_ns: int | None = None
+        self._waiting: Item | None = None
+
+    def offer(self, item: Item, now_ns: int) -> Sequence[Item]:
+        """Return the message if it may go now, else keep it."""
+        if self._waiting is not None:
+            self.skipped += 1
+        if self._open_ns is None or now_ns >= self._open_ns:
+            self.due_ns = self._waiting = None
+            self._open_ns = now_ns + self._interval_ns
+            return (item,)
+        self._waiting, self.due_ns = item, self._open_ns
+        return ()
+
+    def flush(self, now_ns: int, *, anyway: bool = False) -> Sequence[Item]:
+        """Return the message that waits, if its time has come."""
+        item = self._waiting
+        if item is None or self.due_ns is None or (now_ns < self.due_ns and not anyway):
+            return ()
+        self._waiting = self.due_ns = None
+        self._open_ns = now_ns + self._interval_ns
+        return (item,)
+
+
+class Grace:
+    """The first moment of a topic towards ROS: what comes before any subscriber is there waits, briefly.
+
+    A PLC writes while the bridge is down; the bridge starts and finds the message at once, but its
+    subscribers need some hundred milliseconds to find the bridge. A volatile subscriber would miss
+    what was sent before that.
+
+    Args:
+        until_ns: When the time is over.
+        most: How many messages may wait; with 1 the newest alone.
+        matched: Whether there is a subscriber; asked only while something waits.
+    """
+
+    def __init__(self, until_ns: int, most: int, matched: Callable[[], bool]) -> None:
+        self.due_ns: int | None = until_ns
+        self.skipped = 0
+        self.over = False
+        self._until_ns = until_ns
+        self._most = most
+        self._matched = matched
+        self._held: deque[Item] = deque()
+
+    def offer(self, item: Item, now_ns: int) -> Sequence[Item]:
+        """Keep a message; or return all, where the wait is over or no more may wait."""
+        full = len(self._held) == self._most
+        if (full and self._most > 1) or self._ends(now_ns):
+            self.due_ns = now_ns  # to be left out
+            return (*self._release(), item)
+        if full:
+            self._held.clear()
+            self.skipped += 1
+        self._held.append(item)
+        self.due_ns = min(now_ns + _LOOK_NS, self._until_ns)
+        return ()
+
+    def flush(self, now_ns: int, *, anyway: bool = False) -> Sequence[Item]:
+        """Return what waited, if it may go now or should go anyway."""
+        if not anyway and not self._ends(now_ns):
+            self.due_ns = min(now_ns + _LOOK_NS, self._until_ns) if self._held else self._until_ns
+            return ()
+        self.due_ns = None
+        return self._release()
+
+    def _release(self) -> Sequence[Item]:
+        self.over = True
+        items = tuple(self._held)
+        self._held.clear()
+        return items
+
+    def _ends(self, now_ns: int) -> bool:
+        return self.over or now_ns >= self._until_ns or self._matched()
+
+
+class Substitute:
+    """Publishes a message of the configuration's at a steady rate while the PLC is silent.
+
+    Args:
+        silence: The source's.
+        period_ns: Time between two substitutes.
+        publish: Sends one; gets the time.
+        changed: Called when substitutes begin (True) or end, before the first of the others is sent.
+
+    Attributes:
+        active: Whether the PLC is silent, and substitutes are published.
+    """
+
+    def __init__(
+        self,
+        silence: Silence,
+        period_ns: int,
+        publish: Callable[[int], None],
+        changed: Callable[[bool], None],
+    ) -> None:
+        self.active = False
+        self.skipped = 0
+        self.over = False
+        self._silence = silence
+        self._period_ns = period_ns
+        self._publish, self._changed = publish, changed
+        self._next_ns = 0
+
+    @property
+    def due_ns(self) -> int:
+        """When the next substitute is due, if the PLC stays silent."""
+        return max(self._silence.due_ns, self._next_ns)
+
+    def offer(self, item: Item, now_ns: int) -> Sequence[Item]:
+        """The PLC has sent a message: substitutes end before it is published."""
+        if self.active:
+            self.active = False
+            self._changed(False)
+        return (item,)
+
+    def flush(self, now_ns: int, *, anyway: bool = False) -> Sequence[Item]:
+        """Publish a substitute if one is due."""
+        due = self.due_ns
+        if now_ns < due:
+            return ()
+        if not self.active:
+            self.active = True
+            self._changed(True)
+        # A bridge that was stopped owes no substitutes.
+        self._next_ns = max(due + self._period_ns, now_ns)
+        self._publish(now_ns)
+        return ()

@@ -1,0 +1,261 @@
+"""The PLC's side of a stream: what carrying asks of a transport, and what it offers to one.
+
+A transport is two classes: a :class:`Port` for one stream, and :class:`Ports` for all of a kind in one
+direction, which one thread polls and takes from with one call per tick. The shared-memory channel
+(:mod:`rosplc.bridge.channel`) and classic memory (:mod:`rosplc.bridge.classic`) are two of them.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Hashable
+from dataclasses import dataclass, field
+from typing import Protocol, TypeVar
+
+from rosplc._core._native import Fault
+from rosplc.bridge.status import ClassicStatus
+from rosplc.clock import SYSTEM, Clock
+from rosplc.codec import Codec
+from rosplc.config.resolve import TopicPlan
+from rosplc.shm import Namespace
+
+__all__ = ["Context", "Counters", "Port", "PortStatus", "Ports", "RepeatedWarnings", "Side", "Waiting", "log"]
+
+log = logging.getLogger("rosplc.bridge")
+
+QUIET_NS = 10_000_000_000
+"""Time between two log lines of one kind."""
+_MOST_KINDS = 1000
+
+
+class RepeatedWarnings:
+    """Logs the first warning of a kind at once, then one every ten seconds with a count.
+
+    Kinds are hashable, such as ``(topic, code)``.
+    """
+
+    def __init__(self, logger: logging.Logger) -> None:
+        self._logger = logger
+        self._seen: dict[Hashable, tuple[int, int]] = {}
+
+    def warn(self, kind: Hashable, now_ns: int, text: str) -> None:
+        """Log ``text``, or count it if its kind was logged within the last ten seconds."""
+        last, held = self._seen.get(kind, (None, 0))
+        if last is not None and now_ns - last < QUIET_NS:
+            self._seen[kind] = (last, held + 1)
+            return
+        if len(self._seen) >= _MOST_KINDS:
+            self._seen.clear()
+        self._seen[kind] = (now_ns, 0)
+        self._logger.warning("%s%s", text, f" ({held} more since the last such line)" if held else "")
+
+
+@dataclass(frozen=True)
+class Context:
+    """What the streams of one bridge have in common.
+
+    Attributes:
+        namespace: The names of the objects.
+        bridge: The bridge's name.
+        bridge_id: 16 random bytes, drawn at start.
+        distro: The ROS distribution.
+        mode: Permission bits of the objects.
+        uid: Their owner; None for this process's.
+        gid: Their group; None for this process's.
+        beat_ns: The beat that is promised.
+        debounce_ns: How long silence must last beyond what a topic allows before it is reported, and how long
+            its end.
+        clock: Time.
+        warnings: Where repeated warnings go.
+    """
+
+    namespace: Namespace
+    bridge: str
+    bridge_id: bytes
+    distro: str
+    mode: int = 0o660
+    uid: int | None = None
+    gid: int | None = None
+    beat_ns: int = 100_000_000
+    debounce_ns: int = 500_000_000
+    clock: Clock = SYSTEM
+    warnings: RepeatedWarnings = field(default_factory=lambda: RepeatedWarnings(log))
+
+    @property
+    def beat_ms(self) -> int:
+        """The promised beat in milliseconds."""
+        return max(1, self.beat_ns // 1_000_000)
+
+
+@dataclass
+class Counters:
+    """Messages of one stream; each number is written by one thread."""
+
+    received: int = 0
+    published: int = 0
+    lost: int = 0
+    refused: int = 0
+    truncated: int = 0
+    substituted: int = 0
+    recovered: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class PortStatus:
+    """What a port knows of the PLC and its memory.
+
+    Attributes:
+        peer_alive: Whether the PLC's side beats; None where that cannot be known.
+        peer_gone_ns: When the PLC's side, having been there, was missed first (monotonic); None if it is
+            there, or never was.
+        tasks: Names of the PLC's reading tasks.
+        lost: Messages that the PLC overwrote before they were taken, every one of which counted.
+        skipped: Messages that a newer one replaced on purpose.
+        classic: Memory and lock of classic mode.
+    """
+
+    peer_alive: bool | None = None
+    peer_gone_ns: int | None = None
+    tasks: tuple[str, ...] = ()
+    lost: int = 0
+    skipped: int = 0
+    classic: ClassicStatus | None = None
+
+
+class Side(Protocol):
+    """What a port may ask of its stream.
+
+    Attributes:
+        plan: What to carry, and how.
+        codec: Wire bytes to record and back.
+        counters: What was counted since the start.
+        problem: Why the stream cannot be carried at present; empty if it is.
+    """
+
+    plan: TopicPlan
+    codec: Codec
+    counters: Counters
+    problem: str
+
+    def receive(self, data: bytes, flags: int, stamp_ns: int, stamp_clock: int) -> None:
+        """Take a message from the PLC, encoded."""
+
+    def delivered(self, data: bytes, flags: int) -> None:
+        """A message has reached the PLC; ``flags`` are those of its conversion."""
+
+    def refuse(self, fault: Fault, now_ns: int) -> None:
+        """Count and explain a message that cannot be converted."""
+
+    def note(self, now_ns: int, words: str, code: str = "") -> None:
+        """Remember and log what went wrong."""
+
+    def fail(self, now_ns: int, error: Exception) -> None:
+        """Remember an error that keeps the stream from being carried."""
+
+    def renewed(self) -> None:
+        """Another object is open, or none: the PLC does not have the last message any more."""
+
+
+class Port(Protocol):
+    """The PLC's side of one stream.
+
+    Attributes:
+        adopted: Whether :meth:`open` found an object and kept it; never asked before that.
+    """
+
+    adopted: bool
+
+    @property
+    def side(self) -> Side:
+        """The stream."""
+
+    def open(self) -> None:
+        """Create or adopt the object, and claim it.
+
+        Raises:
+            ChannelError: It cannot be had (SHM116 if another bridge holds its name).
+        """
+
+    def close(self) -> None:
+        """Leave the object with its last state; harmless twice."""
+
+    def retire(self) -> None:
+        """Give the object up, so that its users are told and its name is free; and close."""
+
+    def beat(self) -> None:
+        """Show that this side lives; from any thread."""
+
+    def check(self, now_ns: int) -> bool:
+        """Look after object and peer, about once a second; return whether it must be opened again.
+
+        Raises:
+            ChannelError: The object cannot be used any more.
+        """
+
+    def put(self, data: bytes, stamp_ns: int, flags: int, now_ns: int) -> None:
+        """Convert a message and give it to the PLC, now or soon; every outcome is told to the stream."""
+
+    def owned(self) -> bool:
+        """Return whether this bridge still is the one that carries the object; towards ROS."""
+
+    def retained(self) -> tuple[bytes, int, int] | None:
+        """Return the PLC's last message, if an earlier bridge took it: bytes, stamp and its clock."""
+
+    def tell(self, matched: int) -> None:
+        """Show the PLC how many ROS peers there are."""
+
+    def loss(self, count: int) -> str:
+        """Describe why messages were lost, and what helps."""
+
+    def status(self, now_ns: int) -> PortStatus:
+        """Return what is known of the PLC; from any thread."""
+
+
+_P = TypeVar("_P", bound=Port)
+
+
+class Ports(Protocol[_P]):
+    """All ports of one kind in one direction; except for :meth:`wake`, used by one thread at a time."""
+
+    def make(self, side: Side) -> _P:
+        """Return the port of a stream; nothing is opened yet."""
+
+    def add(self, port: _P) -> None:
+        """Serve an open port from now on."""
+
+    def remove(self, port: _P) -> None:
+        """Serve a port no more; harmless if it is not served."""
+
+    def poll(self, due_ns: int | None) -> None:
+        """Sleep until there is news, until a point in monotonic time, or until :meth:`wake`."""
+
+    def wake(self) -> None:
+        """Make :meth:`poll` return soon; from any thread."""
+
+    def take(self, now_ns: int) -> tuple[int | None, list[_P]]:
+        """Take what is new from all ports, and pass it on; write what waits.
+
+        Returns:
+            When the next call is due at the latest, None if nothing waits; and ports that must be opened
+            again.
+        """
+
+
+class Waiting:
+    """The sleep of ports that nothing but time and :meth:`wake` ends."""
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._event = threading.Event()
+
+    def poll(self, due_ns: int | None) -> None:
+        """Sleep until a point in time or :meth:`wake`."""
+        wait = None if due_ns is None else due_ns - self._clock.monotonic_ns()
+        if wait is None or wait > 0:
+            self._clock.wait(self._event, wait)
+        self._event.clear()
+
+    def wake(self) -> None:
+        """End the sleep; from any thread."""
+        self._event.set()
