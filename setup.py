@@ -17,7 +17,8 @@ setup(
         Extension(
             "rosplc._core._native",
             sources=[f"src/rosplc/_core/{name}" for name in SOURCES],
-            depends=sorted(map(str, Path("src/rosplc/_core").glob("*.h"))),
+            include_dirs=["src/rosplc/include"],
+            depends=sorted(map(str, Path("src/rosplc").glob("**/*.h"))),
             define_macros=[("Py_LIMITED_API", "0x030B0000")] if ABI3 else [],
             extra_compile_args=["-std=gnu11", "-O2", "-Wall", "-Wextra", "-fvisibility=hidden"],
             py_limited_api=ABI3,

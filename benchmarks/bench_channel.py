@@ -30,7 +30,7 @@ from benchmarks import measure
 from rosplc.shm import Description, Direction, Namespace, OwnedChannel, Reader
 
 HERE = Path(__file__).resolve().parent
-CORE = HERE.parent / "src" / "rosplc" / "_core"
+CORE = HERE.parent / "src" / "rosplc" / "include"
 SIZES = {"200 B": (200, 4000), "4 KiB": (4096, 2000), "64 KiB": (65536, 250), "1 MiB": (1 << 20, 25)}
 SLOTS = 4
 EXCHANGED = 200

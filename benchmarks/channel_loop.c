@@ -22,22 +22,22 @@
 
 static void operations(const char *path, long batch)
 {
-    ch_region region = open_object(path);
+    rosplc_region region = open_object(path);
     uint32_t size = region.geometry.record_size, slots = region.geometry.slot_count;
     size_t stride = region.geometry.slot_stride;
     uint8_t *record = zeroed(size), *out = zeroed(size), *buffers = zeroed(slots * stride);
-    ch_writer writer;
-    ch_reader reader;
+    rosplc_writer writer;
+    rosplc_reader reader;
     char line[16];
     claim(&writer, &region);
-    ch_reader_observe(&reader, &region, writer.head);
+    rosplc_reader_observe(&reader, &region, writer.head);
     for (uint32_t i = 0; i < size; i++)
         record[i] = (uint8_t)i;
     while (fgets(line, sizeof line, stdin)) {
         double a, b, c, d, e;
         a = now_ns();
         for (long i = 0; i < batch; i++) {
-            memcpy(buffers + (size_t)(i & (slots - 1)) * stride + CH_SLOT_HEADER_SIZE, record, size);
+            memcpy(buffers + (size_t)(i & (slots - 1)) * stride + ROSPLC_SLOT_HEADER_SIZE, record, size);
             used(buffers);
         }
         b = now_ns();
@@ -45,9 +45,9 @@ static void operations(const char *path, long batch)
             publish(&writer, record, size);
         c = now_ns();
         for (long i = 0; i < batch; i++) {
-            memcpy(buffers + (size_t)(i & (slots - 1)) * stride + CH_SLOT_HEADER_SIZE, record, size);
+            memcpy(buffers + (size_t)(i & (slots - 1)) * stride + ROSPLC_SLOT_HEADER_SIZE, record, size);
             used(buffers);
-            memcpy(out, buffers + (size_t)(i & (slots - 1)) * stride + CH_SLOT_HEADER_SIZE, size);
+            memcpy(out, buffers + (size_t)(i & (slots - 1)) * stride + ROSPLC_SLOT_HEADER_SIZE, size);
             used(out);
         }
         d = now_ns();
@@ -62,7 +62,7 @@ static void operations(const char *path, long batch)
                (b - a) / (double)batch, (c - b) / (double)batch, (d - c) / (double)batch, (e - d) / (double)batch);
         fflush(stdout);
     }
-    ch_writer_release(&writer);
+    rosplc_writer_release(&writer);
 }
 
 /* ---------------------------------------------------------------- there and back between two processes */
@@ -86,9 +86,9 @@ static void receive_bare(mailbox *box, uint32_t number, uint8_t *out, uint32_t s
     memcpy(out, box->bytes, size);
 }
 
-static void receive(ch_reader *reader, uint8_t *out, uint32_t size)
+static void receive(rosplc_reader *reader, uint8_t *out, uint32_t size)
 {
-    while (!ch_reader_news(reader) || !take(reader, out, size))
+    while (!rosplc_reader_news(reader) || !take(reader, out, size))
         relax();
 }
 
@@ -119,14 +119,14 @@ static int wrong(const uint8_t *record, uint32_t size, uint8_t expected)
 
 static void exchange(const char *path_a, const char *path_b, long batch, int core_a, int core_b)
 {
-    ch_region forth = open_object(path_a), back = open_object(path_b);
+    rosplc_region forth = open_object(path_a), back = open_object(path_b);
     uint32_t size = forth.geometry.record_size, number = 0;
     size_t room = sizeof(mailbox) + (size + 127u) / 64u * 64u;
     mailbox *boxes[2];
     uint8_t *record = zeroed(size), *out = zeroed(size);
     volatile uint32_t *order = zeroed(64); /* how often the child is to answer; odd: over the channel */
-    ch_writer writer;
-    ch_reader reader;
+    rosplc_writer writer;
+    rosplc_reader reader;
     char line[16];
     pid_t child;
     boxes[0] = zeroed(room);
@@ -139,8 +139,8 @@ static void exchange(const char *path_a, const char *path_b, long batch, int cor
         record = zeroed(size);
         pin(core_b);
         claim(&writer, &back);
-        ch_reader_observe(&reader, &forth, 0);
-        if (ch_reader_claim(&reader, 0, 0, 2, 1000, (uint32_t)getpid()))
+        rosplc_reader_observe(&reader, &forth, 0);
+        if (rosplc_reader_claim(&reader, 0, 0, 2, 1000, (uint32_t)getpid()))
             exit(1);
         for (uint32_t round = 1;; round++) {
             while (*order != round)
@@ -159,8 +159,8 @@ static void exchange(const char *path_a, const char *path_b, long batch, int cor
     }
     pin(core_a);
     claim(&writer, &forth);
-    ch_reader_observe(&reader, &back, 0);
-    if (ch_reader_claim(&reader, 0, 0, 1, 1000, (uint32_t)getpid()))
+    rosplc_reader_observe(&reader, &back, 0);
+    if (rosplc_reader_claim(&reader, 0, 0, 1, 1000, (uint32_t)getpid()))
         exit(1);
     for (uint32_t round = 1; fgets(line, sizeof line, stdin); round++) {
         double bare[TURNS], channel[TURNS];
@@ -197,7 +197,7 @@ static void exchange(const char *path_a, const char *path_b, long batch, int cor
         fflush(stdout);
     }
     kill(child, SIGKILL);
-    ch_writer_release(&writer);
+    rosplc_writer_release(&writer);
 }
 
 int main(int argc, char **argv)

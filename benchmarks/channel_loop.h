@@ -10,7 +10,7 @@
 #include <time.h>
 #include <unistd.h>
 
-#include "channel.h"
+#include <rosplc/channel.h>
 
 static void stop(const char *what)
 {
@@ -38,15 +38,15 @@ static void used(void *memory)
     __asm__ volatile("" : : "r"(memory) : "memory");
 }
 
-static ch_region open_object(const char *path)
+static rosplc_region open_object(const char *path)
 {
-    ch_region region;
+    rosplc_region region;
     struct stat status;
     int fd = open(path, O_RDWR | O_CLOEXEC);
-    uint8_t first[CH_HEADER_SIZE];
+    uint8_t first[ROSPLC_HEADER_SIZE];
     if (fd < 0 || fstat(fd, &status) || read(fd, first, sizeof first) != (ssize_t)sizeof first)
         stop(path);
-    if (ch_identity_check(first, (uint64_t)status.st_size, 0, &region.geometry)) {
+    if (rosplc_identity_check(first, (uint64_t)status.st_size, 0, &region.geometry)) {
         fprintf(stderr, "%s is not an object\n", path);
         exit(1);
     }
@@ -57,32 +57,32 @@ static ch_region open_object(const char *path)
     return region;
 }
 
-static void claim(ch_writer *writer, const ch_region *region)
+static void claim(rosplc_writer *writer, const rosplc_region *region)
 {
-    if (ch_writer_claim(writer, region, 0, (uint32_t)getpid(), 1000, (uint32_t)getpid())) {
+    if (rosplc_writer_claim(writer, region, 0, (uint32_t)getpid(), 1000, (uint32_t)getpid())) {
         fprintf(stderr, "the object has a writer\n");
         exit(1);
     }
 }
 
-static void publish(ch_writer *writer, const uint8_t *record, uint32_t size)
+static void publish(rosplc_writer *writer, const uint8_t *record, uint32_t size)
 {
-    static const ch_meta meta;
-    int error;
-    ch_slot_header *slot = ch_writer_begin(writer, &error);
+    static const rosplc_meta meta;
+    rosplc_error error;
+    rosplc_slot_header *slot = rosplc_writer_begin(writer, &error);
     if (!slot)
         exit(1);
-    memcpy(ch_record(slot), record, size);
-    ch_writer_commit(writer, slot, &meta);
+    memcpy(rosplc_record(slot), record, size);
+    rosplc_writer_commit(writer, slot, &meta);
 }
 
-static int take(ch_reader *reader, uint8_t *out, uint32_t size)
+static int take(rosplc_reader *reader, uint8_t *out, uint32_t size)
 {
-    ch_take t = ch_take_start(CH_TAKE_NEWEST);
-    while (ch_take_begin(reader, &t)) {
-        memcpy(out, ch_record(t.slot), size);
-        if (ch_take_check(reader, &t)) {
-            ch_take_accept(reader, &t);
+    rosplc_take t = rosplc_take_start(ROSPLC_TAKE_NEWEST);
+    while (rosplc_take_begin(reader, &t)) {
+        memcpy(out, rosplc_record(t.slot), size);
+        if (rosplc_take_check(reader, &t)) {
+            rosplc_take_accept(reader, &t);
             return 1;
         }
     }

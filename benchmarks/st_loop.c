@@ -34,7 +34,7 @@ static const uint32_t *counter(const struct st_program *p)
     exit(1);
 }
 
-static ch_region object(const char *folder, const char *name)
+static rosplc_region object(const char *folder, const char *name)
 {
     char path[4096];
     snprintf(path, sizeof path, "%s/%s", folder, name);
@@ -42,33 +42,33 @@ static ch_region object(const char *folder, const char *name)
 }
 
 /* What a Read block does in a cycle: the object's state, one message in order, beat. */
-static void core_read(ch_reader *reader, uint8_t *out, uint32_t size)
+static void core_read(rosplc_reader *reader, uint8_t *out, uint32_t size)
 {
-    ch_take t = ch_take_start(CH_TAKE_NEXT);
+    rosplc_take t = rosplc_take_start(ROSPLC_TAKE_NEXT);
     int taken = 0;
-    if (ch_region_check(reader->region))
+    if (rosplc_region_check(reader->region))
         stop("retired");
-    while (ch_take_begin(reader, &t)) {
-        memcpy(out, ch_record(t.slot), size);
-        if (ch_take_check(reader, &t)) {
-            ch_take_accept(reader, &t);
+    while (rosplc_take_begin(reader, &t)) {
+        memcpy(out, rosplc_record(t.slot), size);
+        if (rosplc_take_check(reader, &t)) {
+            rosplc_take_accept(reader, &t);
             taken = 1;
         }
     }
-    ch_reader_beat(reader);
+    rosplc_reader_beat(reader);
     used(out);
     if (!taken)
         stop("nothing was there");
 }
 
 /* What a Write block does in a cycle: the object's state and the claim, one message, beat. */
-static void core_write(ch_writer *writer, const uint8_t *record, uint32_t size)
+static void core_write(rosplc_writer *writer, const uint8_t *record, uint32_t size)
 {
     publish(writer, record, size);
-    ch_writer_beat(writer);
+    rosplc_writer_beat(writer);
 }
 
-static void fill(ch_writer *source, const uint8_t *record, uint32_t size)
+static void fill(rosplc_writer *source, const uint8_t *record, uint32_t size)
 {
     for (int i = 0; i < BURST; i++)
         publish(source, record, size);
@@ -84,9 +84,9 @@ static void print_list(const char *name, const double *values, const char *end)
 
 int main(int argc, char **argv)
 {
-    ch_region in, out, other;
-    ch_writer source, writer;
-    ch_reader reader, sink;
+    rosplc_region in, out, other;
+    rosplc_writer source, writer;
+    rosplc_reader reader, sink;
     char line[16];
     uint32_t clock = 0, size, reads, writes;
     if (argc != 8)
@@ -100,17 +100,17 @@ int main(int argc, char **argv)
     uint8_t *record = zeroed(size), *taken = zeroed(size);
     claim(&source, &in);
     claim(&writer, &other);
-    ch_reader_observe(&reader, &in, 0);
-    ch_reader_observe(&sink, &out, 0);
-    if (ch_reader_claim(&reader, 3, 0, 1, 1000, 0) || ch_reader_claim(&sink, 0, 0, 1, 1000, 0))
+    rosplc_reader_observe(&reader, &in, 0);
+    rosplc_reader_observe(&sink, &out, 0);
+    if (rosplc_reader_claim(&reader, 3, 0, 1, 1000, 0) || rosplc_reader_claim(&sink, 0, 0, 1, 1000, 0))
         stop("a line is taken");
     st_set_directory(argv[1]);
     st_start();
     const uint32_t *read_count = counter(read_block), *write_count = counter(write_block);
     for (int i = 0; i < 100; i++) { /* open, attach, claim */
         st_set_time(++clock);
-        ch_writer_beat(&source);
-        ch_reader_beat(&sink);
+        rosplc_writer_beat(&source);
+        rosplc_reader_beat(&sink);
         read_block->body(*read_block->instance);
         write_block->body(*write_block->instance);
     }
@@ -123,7 +123,7 @@ int main(int argc, char **argv)
             for (long burst = 0; burst < bursts; burst++) {
                 double start;
                 st_set_time(++clock);
-                ch_reader_beat(&sink);
+                rosplc_reader_beat(&sink);
 
                 fill(&source, record, size);
                 start = now_ns();

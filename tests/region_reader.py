@@ -155,7 +155,7 @@ class StaticReader:
             if sequence == s and length == f["record_size"] and self._distance(s, head) <= most:
                 lost = 0 if broken or self.first else self._distance(self.last, s) - 1
                 self.lost += lost
-                self.discontinuities += broken
+                self.discontinuities += broken and not self.first
                 self.first = False
                 self.last = s
                 return {

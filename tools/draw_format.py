@@ -3,32 +3,40 @@
 from __future__ import annotations
 
 from drawing import box, picture, stroke, text, write
-from format_scenes import TOPIC, c_number, c_offsets, channel, folder, restart, rounds, torn
+from format_scenes import TOPIC, channel, folder, restart, rounds, torn
+from rosplc.shm.constants import (
+    IDENTITY,
+    LINE_SIZE,
+    MAX_RETRIES,
+    READER_LINES,
+    READER_LINES_OFFSET,
+    SLOT_HEADER,
+    SLOT_HEADER_SIZE,
+    STATE_RETIRED,
+    WRITER_LINE,
+)
 
 WIDTH = 960
 
 
 def region_map() -> str:
     """Draw an object from its first byte to its last, and one slot of it."""
-    header, slot = c_offsets("ch_header"), c_offsets("ch_slot_header")
-    lines = c_number("CH_READER_LINES")
     with folder() as place, channel(place) as opened:
         made = opened.identity
-    first_reader, reserved = header["reader"], header["reserved"]
-    each = (reserved - first_reader) // lines
+    reserved = READER_LINES_OFFSET + READER_LINES * LINE_SIZE
     rows: list[tuple[int, float, str, str, str]] = [
         (0, 44, "box", "identity", "magic, version, state, sizes, offsets"),
-        (header["identity.layout_lo"], 44, "box", "identity", "layout id, generation, bridge id, CRC"),
-        (header["writer.head"], 44, "busy", "writer's line", "head, epoch, beat, refused, truncated"),
+        (IDENTITY["layout_id_lo"], 44, "box", "identity", "layout id, generation, bridge id, CRC"),
+        (WRITER_LINE["head"], 44, "busy", "writer's line", "head, epoch, beat, refused, truncated"),
         *(
             (
-                first_reader + k * each,
+                READER_LINES_OFFSET + k * LINE_SIZE,
                 26,
                 "good",
                 f"reader line {k}",
                 "claim, beat, taken, lost" if not k else "",
             )
-            for k in range(lines)
+            for k in range(READER_LINES)
         ),
         (reserved, 22, "box", "reserved", ""),
         (
@@ -58,20 +66,20 @@ def region_map() -> str:
     for first, last, what, why in (
         (0, 2, "constant once the object is visible", "but state: LIVE may become RETIRED, once"),
         (2, 3, "stored by the writer only", "head names the newest message"),
-        (3, 3 + lines, "each stored by the reader who claimed it", "a writer never waits for a line"),
+        (3, 3 + READER_LINES, "each stored by the reader who claimed it", "a writer never waits for a line"),
     ):
         top, bottom = tops[first] + 4, tops[last] - 4
         parts.append(stroke(f"M490 {top:g}h8V{bottom:g}h-8", "line"))
         middle = (top + bottom) / 2
         parts += [text(510, middle - 2, what, "left"), text(510, middle + 16, why, "small left")]
     # one slot, larger
-    left, top, width = 560.0, tops[3 + lines] + 26, 380.0
+    left, top, width = 560.0, tops[3 + READER_LINES] + 26, 380.0
     fields = [
         (0, 34, "full", "sequence", "0 while it is being filled"),
         (4, 28, "slot", "length, flags", "first, truncated, substituted"),
-        (slot["stamp_lo"], 28, "slot", "stamp, its clock", "the source's time, ns"),
-        (slot["correlation_lo"], 28, "slot", "correlation, client", "for services and actions"),
-        (c_number("CH_SLOT_HEADER_SIZE"), 64, "shm", "record", f"{made.record_size} bytes, as a C struct"),
+        (SLOT_HEADER["stamp_lo"], 28, "slot", "stamp, its clock", "the source's time, ns"),
+        (SLOT_HEADER["correlation_lo"], 28, "slot", "correlation, client", "for services and actions"),
+        (SLOT_HEADER_SIZE, 64, "shm", "record", f"{made.record_size} bytes, as a C struct"),
     ]
     parts.append(text(left + 60, top - 10, f"one slot, {made.slot_stride} bytes", "bold left"))
     y = top
@@ -83,13 +91,14 @@ def region_map() -> str:
         ]
         parts.append(text(left + 72, middle, name, "left") + text(left + 216, middle, what, "small left on"))
         y += height
-    slot_top = tops[3 + lines + 2]
+    slot_top = tops[3 + READER_LINES + 2]
     parts.append(stroke(f"M484 {slot_top + 6:g}L{left + 10:g} {top + 20:g}", "line"))
     parts.append(stroke(f"M484 {slot_top + 32:g}L{left + 10:g} {y - 8:g}", "line"))
     bottom = tops[-1] + 38 + 24
     title = (
-        f"An object of {made.object_size} bytes: two lines of identity, the writer's line, {lines} reader "
-        f"lines, a self-description and {made.slot_count} slots; each slot is a header and a record."
+        f"An object of {made.object_size} bytes: two lines of identity, the writer's line, "
+        f"{READER_LINES} reader lines, a self-description and {made.slot_count} slots; each slot is a header "
+        "and a record."
     )
     return picture(title, 8, WIDTH, bottom, parts)
 
@@ -207,7 +216,7 @@ def torn_read() -> str:
         text(
             memory - 124,
             506,
-            f"look; after {c_number('CH_MAX_RETRIES')} repetitions in vain the last",
+            f"look; after {MAX_RETRIES} repetitions in vain the last",
             "left small",
         ),
         text(memory - 124, 524, "message stays until the next scan.", "left small"),
@@ -223,7 +232,7 @@ def generations() -> str:
     """Draw an object through a killed bridge, the next one, and one with another layout."""
     scene = restart()
     assert scene.adopted and scene.adopted_head == scene.head and scene.replaced
-    assert scene.old_state == c_number("CH_STATE_RETIRED")
+    assert scene.old_state == STATE_RETIRED
     lanes = {"bridge": 84.0, "/dev/shm": 196.0, "PLC": 344.0}
     parts = [text(24, y + 5, name, "bold left") for name, y in lanes.items()]
     bridge, memory, plc = lanes.values()

@@ -1,4 +1,4 @@
-"""What the drawings of the format show, taken from the C core: its offsets, and objects that it made.
+"""What the drawings of the format show, taken from objects that the C core made.
 
 Nothing here states a number of the format. Each scene makes a real object in a folder that goes away again,
 lets the C core write into it, and returns the words that stand there.
@@ -6,7 +6,6 @@ lets the C core write into it, and returns the words that stand there.
 
 from __future__ import annotations
 
-import re
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,25 +16,10 @@ from rosplc._core._native import distance
 from rosplc.layout import Layout, compute_layout
 from rosplc.model import TypeStore
 from rosplc.shm import Description, Direction, Namespace, OwnedChannel, Region, Writer, attach
+from rosplc.shm.constants import IDENTITY, WRITER_LINE
 
-CORE = Path(__file__).resolve().parent.parent / "src" / "rosplc" / "_core" / "channel_format.h"
 TOPIC, TYPE = "/cmd_vel", "geometry_msgs/msg/Twist"
 STORE = TypeStore.bundled("jazzy")
-
-
-def c_offsets(struct: str) -> dict[str, int]:
-    """Return the members of a struct of the C core, with the offsets that its compiler has confirmed."""
-    found = re.findall(
-        rf"^CH_AT\({struct}, ([\w.]+), (\d+)\);", CORE.read_text(encoding="utf-8"), re.MULTILINE
-    )
-    return {name: int(offset) for name, offset in found}
-
-
-def c_number(name: str) -> int:
-    """Return a constant of the C core."""
-    match = re.search(rf"^#define {name} (\w+?)u?\b", CORE.read_text(encoding="utf-8"), re.MULTILINE)
-    assert match is not None, name
-    return int(match[1], 0)
 
 
 def layout() -> Layout:
@@ -113,7 +97,7 @@ def torn() -> Torn:
         head, before = writer.head, sequences(opened)
         publish(writer, opened.identity.slot_count - 1)
         seal(opened.region, slot_at(opened, head))  # the next message lives in that very slot
-        after = opened.region.word(c_offsets("ch_header")["writer.head"])
+        after = opened.region.word(WRITER_LINE["head"])
         window = opened.identity.slot_count - 2
         assert distance(head, after, opened.identity.slot_count) > window
         buffer = bytearray(layout().size)
@@ -166,5 +150,5 @@ def restart() -> Restart:
                 adopted, adopted_head = opened.adopted, opened.writer().head
             with channel(place, layout_id="00112233445566ff") as opened:
                 replaced, new_head = not opened.adopted, opened.writer().head
-            state = plc.region.word(c_offsets("ch_header")["identity.state"])
+            state = plc.region.word(IDENTITY["state"])
     return Restart(head, adopted, adopted_head, replaced, state, new_head)

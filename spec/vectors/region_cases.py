@@ -110,7 +110,7 @@ def _wrap() -> Iterator[tuple[str, str, Image, list[dict[str, Any]], dict[str, A
     readings = [
         reading(image, "newest", TOP - 2, (TOP - 1, 0)),
         reading(image, "in_order", TOP - 4, (TOP - 3, 0), (TOP - 2, 0), (TOP - 1, 0)),
-        reading(image, "in_order", 0, (TOP - 1, 0)) | {"discontinuities": None},
+        reading(image, "in_order", 0, (TOP - 1, 0)),
     ]
     yield "wrap-before", "head is 2^32 - 2", image, readings, {}
 
@@ -143,7 +143,7 @@ def _wrap() -> Iterator[tuple[str, str, Image, list[dict[str, Any]], dict[str, A
     yield "wrap-after", "the oldest messages left lie before the wrap", image, readings, {}
 
     image = Image().publish(TOP - 5, TOP - 4, TOP - 3)
-    readings = [reading(image, "newest", 0, (TOP - 3, 0)) | {"discontinuities": None}]
+    readings = [reading(image, "newest", 0, (TOP - 3, 0))]
     yield "wrap-latched", "last = 0 is far from every head, not just behind this one", image, readings, {}
 
 

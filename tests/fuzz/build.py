@@ -14,7 +14,7 @@ from tests.fuzz.export_plans import every_type, export
 __all__ = ["CORE", "NATIVE", "Unbuildable", "build", "plans_and_seeds", "seeds"]
 
 NATIVE = Path(__file__).resolve().parent / "native"
-CORE = NATIVE.parents[2] / "src/rosplc/_core"
+CORE = NATIVE.parents[2] / "src/rosplc"
 _FLAGS = ["-std=gnu11", "-g", "-O1", "-Wall", "-Wextra", "-Werror", "-fno-sanitize-recover=all"]
 _LONGEST = 2000  # bytes of a message that becomes a seed
 
@@ -30,7 +30,7 @@ def build(name: str, folder: Path, *, fuzzing: bool, core: Path = CORE) -> Path:
         name: The target.
         folder: Where the program goes.
         fuzzing: For libFuzzer, with clang; otherwise a program that runs files, with gcc.
-        core: The C core's sources.
+        core: The folder with the C core (``_core``) and its headers (``include``).
 
     Raises:
         Unbuildable: A Debian package is missing.
@@ -40,7 +40,15 @@ def build(name: str, folder: Path, *, fuzzing: bool, core: Path = CORE) -> Path:
         raise Unbuildable(f"Debian package {compiler} is missing")
     sanitizers = "-fsanitize=address,undefined" + (",fuzzer" if fuzzing else "")
     sources = [NATIVE / f"{name}_fuzz.c", *([] if fuzzing else [NATIVE / "replay_main.c"])]
-    command = [compiler, *_FLAGS, sanitizers, f"-I{core}", f"-I{NATIVE}", *map(str, sources)]
+    command = [
+        compiler,
+        *_FLAGS,
+        sanitizers,
+        f"-I{core}/_core",
+        f"-I{core}/include",
+        f"-I{NATIVE}",
+        *map(str, sources),
+    ]
     done = subprocess.run(
         [*command, "-o", str(program), "-lpthread"], capture_output=True, text=True, check=False
     )

@@ -76,27 +76,27 @@ def test_the_fuzzers_find_nothing(tmp_path: Path) -> None:
 
 DEFECTS = {
     "a count that is not clamped": (
-        "plan_encode.h",
+        "_core/plan_encode.h",
         "            if (count > op->n)\n                count = op->n;\n",
         "",
         "codec",
     ),
     "a length that is not compared": (
-        "plan_decode.h",
+        "_core/plan_decode.h",
         "if (at > d->size || bytes > d->size - at) {",
         "if (at > d->size) {",
         "codec",
     ),
     "a slot count that is believed anew": (
-        "channel_region.h",
+        "include/rosplc/region.h",
         "size_t index = sequence & (r->geometry.slot_count - 1u);",
-        "size_t index = sequence & (ch_load(&r->header->identity.slot_count) * 2 - 1u);",
+        "size_t index = sequence & (rosplc_load(&r->header->identity.slot_count) * 2 - 1u);",
         "channel",
     ),
     "a take without its second look": (
-        "channel_reader.h",
-        "while (t->attempts <= CH_MAX_RETRIES) {",
-        "while (t->attempts <= CH_MAX_RETRIES + 9) {",
+        "include/rosplc/reader.h",
+        "while (t->attempts <= ROSPLC_MAX_RETRIES) {",
+        "while (t->attempts <= ROSPLC_MAX_RETRIES + 9) {",
         "channel",
     ),
 }
@@ -108,7 +108,8 @@ def test_a_defect_would_be_found(tmp_path: Path, defect: str) -> None:
     """The corpus alone finds a defect that is put into the C core on purpose."""
     file, sound, broken, target = DEFECTS[defect]
     core = tmp_path / "core"
-    shutil.copytree(CORE, core, ignore=shutil.ignore_patterns("*.so", "__pycache__"))
+    for part in ("_core", "include"):
+        shutil.copytree(CORE / part, core / part, ignore=shutil.ignore_patterns("*.so", "__pycache__"))
     text = (core / file).read_text()
     assert text.count(sound) == 1
     (core / file).write_text(text.replace(sound, broken))

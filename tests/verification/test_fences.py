@@ -111,8 +111,11 @@ def test_reader_gives_up_after_a_fixed_number_of_attempts(cell: Cell) -> None:
     assert cell.record("/plain") == pattern(103)
 
 
-def test_reader_checks_the_distance_too(cell: Cell) -> None:
-    """A head that has gone too far by the second fence refuses the copy, whatever its sequence (M12)."""
+@pytest.mark.parametrize(
+    ("ahead", "rule", "accepted"), [(3, 1, False), (2, 1, True), (2, 2, False), (1, 2, True)]
+)
+def test_reader_checks_the_distance_too(cell: Cell, ahead: int, rule: int, accepted: bool) -> None:
+    """A head that has gone too far by the second fence refuses the copy (M12, M23)."""
     channel = cell.channel("/plain")
     writer = channel.writer()
     plc = machine(cell)
@@ -125,13 +128,14 @@ def test_reader_checks_the_distance_too(cell: Cell) -> None:
         nonlocal calls
         calls += 1
         # The writer of the delayed rule leaves the seal out: only head tells.
-        channel.region.store(WRITER_LINE["head"], head + (3 if calls % 2 == 0 else 0))
+        channel.region.store(WRITER_LINE["head"], head + (ahead if calls % 2 == 0 else 0))
+        channel.region.store(WRITER_LINE["writer_rule"], rule if calls % 2 == 0 else 1)
 
     plc.on_barrier(run_ahead)
     plc.scan(READ)
     plc.on_barrier(None)
-    assert cell.get("/plain", "xNew") is False
-    assert cell.record("/plain") == bytes(48)
+    assert cell.get("/plain", "xNew") is accepted
+    assert cell.record("/plain") == (pattern(1) if accepted else bytes(48))
 
 
 def test_reader_checks_the_sequence_again(cell: Cell) -> None:

@@ -170,7 +170,7 @@ static PyStructSequence_Field slot_info_fields[] = {
 static PyStructSequence_Desc slot_info_description = {
     "rosplc._core._native.SlotInfo", "What a slot says about its message.", slot_info_fields, 7};
 
-PyObject *ch_slot_info(const ch_take *take)
+PyObject *ch_slot_info(const rosplc_take *take)
 {
     PyObject *info = PyStructSequence_New(slot_info_type);
     if (!info)
@@ -229,7 +229,7 @@ static PyObject *region_new(PyTypeObject *type, PyObject *args, PyObject *kwargs
     Py_ssize_t identity_size;
     PyObject *path;
     struct stat status;
-    ch_geometry geometry;
+    rosplc_geometry geometry;
     RegionObject *self;
     void *base;
     if (!PyArg_ParseTupleAndKeywords(args, kwargs, "iy#pU:Region", names, &fd, &identity, &identity_size, &writable,
@@ -237,9 +237,9 @@ static PyObject *region_new(PyTypeObject *type, PyObject *args, PyObject *kwargs
         return NULL;
     if (fstat(fd, &status))
         return PyErr_SetFromErrno(PyExc_OSError);
-    if (identity_size < (Py_ssize_t)CH_HEADER_SIZE)
-        return ch_raise_channel(103, path);
-    error = ch_identity_check((const uint8_t *)identity, (uint64_t)status.st_size, 0, &geometry);
+    if (identity_size < (Py_ssize_t)ROSPLC_HEADER_SIZE)
+        return ch_raise_channel(ROSPLC_ERROR_TOO_SMALL, path);
+    error = rosplc_identity_check((const uint8_t *)identity, (uint64_t)status.st_size, 0, &geometry);
     if (error)
         return ch_raise_channel(error, path);
     base = mmap(NULL, geometry.object_size, writable ? PROT_READ | PROT_WRITE : PROT_READ, MAP_SHARED, fd, 0);
@@ -250,7 +250,7 @@ static PyObject *region_new(PyTypeObject *type, PyObject *args, PyObject *kwargs
         munmap(base, geometry.object_size);
         return NULL;
     }
-    self->region = (ch_region){base, geometry};
+    self->region = (rosplc_region){base, geometry};
     self->mapped = geometry.object_size;
     self->writable = writable;
     Py_INCREF(path);
@@ -295,7 +295,7 @@ static PyObject *region_word(RegionObject *self, PyObject *args)
     uint32_t *word;
     if (!PyArg_ParseTuple(args, "n:word", &offset) || !(word = region_at(self, offset, 1)))
         return NULL;
-    return PyLong_FromUnsignedLong(ch_load(word));
+    return PyLong_FromUnsignedLong(rosplc_load(word));
 }
 
 static PyObject *region_words(RegionObject *self, PyObject *args)
@@ -308,7 +308,7 @@ static PyObject *region_words(RegionObject *self, PyObject *args)
     if (!(result = PyTuple_New(count)))
         return NULL;
     for (Py_ssize_t i = 0; i < count; i++) {
-        PyObject *value = PyLong_FromUnsignedLong(ch_load(words + i));
+        PyObject *value = PyLong_FromUnsignedLong(rosplc_load(words + i));
         if (!value) {
             Py_DECREF(result);
             return NULL;
@@ -322,7 +322,7 @@ static int region_writable(RegionObject *self)
 {
     if (self->writable)
         return 1;
-    ch_raise_channel(122, self->path);
+    ch_raise_channel(ROSPLC_ERROR_READ_ONLY, self->path);
     return 0;
 }
 
@@ -334,7 +334,7 @@ static PyObject *region_store(RegionObject *self, PyObject *args)
     if (!PyArg_ParseTuple(args, "nO:store", &offset, &object) || ch_as_u32(object, "value", &value)
         || !(word = region_at(self, offset, 1)) || !region_writable(self))
         return NULL;
-    ch_store(word, value);
+    rosplc_store(word, value);
     Py_RETURN_NONE;
 }
 
@@ -354,7 +354,7 @@ static PyObject *region_check(RegionObject *self, PyObject *unused)
     (void)unused;
     if (ch_region_usable(self))
         return NULL;
-    error = ch_region_check(&self->region);
+    error = rosplc_region_check(&self->region);
     return error ? ch_raise_channel(error, self->path) : Py_NewRef(Py_None);
 }
 
@@ -425,14 +425,14 @@ static PyObject *check_identity(PyObject *module, PyObject *args)
     Py_buffer view;
     unsigned long long size;
     unsigned int direction;
-    uint8_t first[CH_HEADER_SIZE] = {0};
-    ch_geometry geometry;
+    uint8_t first[ROSPLC_HEADER_SIZE] = {0};
+    rosplc_geometry geometry;
     (void)module;
     if (!PyArg_ParseTuple(args, "y*KI:check_identity", &view, &size, &direction))
         return NULL;
     memcpy(first, view.buf, (size_t)view.len < sizeof first ? (size_t)view.len : sizeof first);
     PyBuffer_Release(&view);
-    return PyLong_FromLong(ch_identity_check(first, size, direction, &geometry));
+    return PyLong_FromLong(rosplc_identity_check(first, size, direction, &geometry));
 }
 
 static PyObject *distance(PyObject *module, PyObject *args)
@@ -441,7 +441,7 @@ static PyObject *distance(PyObject *module, PyObject *args)
     (void)module;
     if (!PyArg_ParseTuple(args, "III:distance", &a, &b, &slots))
         return NULL;
-    return PyLong_FromUnsignedLong(ch_distance(a, b, slots));
+    return PyLong_FromUnsignedLong(rosplc_distance(a, b, slots));
 }
 
 static PyObject *next_sequence(PyObject *module, PyObject *args)
@@ -450,7 +450,7 @@ static PyObject *next_sequence(PyObject *module, PyObject *args)
     (void)module;
     if (!PyArg_ParseTuple(args, "II:next_sequence", &s, &slots))
         return NULL;
-    return PyLong_FromUnsignedLong(ch_next(s, slots));
+    return PyLong_FromUnsignedLong(rosplc_next(s, slots));
 }
 
 static PyMethodDef functions[] = {

@@ -5,7 +5,7 @@
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
 
-#include "channel.h"
+#include <rosplc/channel.h>
 #include "plan.h"
 #include "py_plan.h"
 
@@ -14,7 +14,7 @@
 
 typedef struct {
     PyObject_HEAD
-    ch_region region;
+    rosplc_region region;
     size_t mapped;  /* bytes; 0: unmapped */
     PyObject *path; /* for messages */
     int writable, closed;
@@ -29,7 +29,7 @@ typedef struct {
 typedef struct {
     PyObject_HEAD
     RegionObject *owner;
-    ch_writer writer;
+    rosplc_writer writer;
     ch_gate gate;
     int released;
 } WriterObject;
@@ -37,7 +37,7 @@ typedef struct {
 typedef struct {
     PyObject_HEAD
     RegionObject *owner;
-    ch_reader reader;
+    rosplc_reader reader;
     uint8_t *shadow; /* a rejected copy never reaches the caller's buffer (M12) */
     uint8_t *wire;   /* of `wire_size` bytes */
     size_t wire_size;
@@ -70,7 +70,7 @@ int ch_as_u32(PyObject *value, const char *name, uint32_t *out);
 int ch_as_u64(PyObject *value, const char *name, uint64_t *out);
 
 /* A new SlotInfo. */
-PyObject *ch_slot_info(const ch_take *take);
+PyObject *ch_slot_info(const rosplc_take *take);
 
 /* Random and not 0: claims. -1 with OSError. */
 int ch_random_claim(uint32_t *out);

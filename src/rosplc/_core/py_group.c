@@ -163,7 +163,7 @@ static PyObject *group_add_reader(GroupObject *self, PyObject *args)
     return group_add(self, (Entry){.reader = reader,
                                    .plan_object = plan_object,
                                    .plan = plan,
-                                   .mode = mode ? CH_TAKE_NEXT : CH_TAKE_NEWEST,
+                                   .mode = mode ? ROSPLC_TAKE_NEXT : ROSPLC_TAKE_NEWEST,
                                    .limit = mode ? limit : 1});
 }
 
@@ -201,8 +201,8 @@ static Py_ssize_t group_look(GroupObject *self)
         uint32_t head;
         if (!entry->reader || entry->broken || entry->reader->owner->closed)
             continue;
-        head = ch_load(&entry->reader->owner->region.header->writer.head);
-        if (!ch_is_new(&entry->reader->reader, head))
+        head = rosplc_load(&entry->reader->owner->region.header->writer.head);
+        if (!rosplc_is_new(&entry->reader->reader, head))
             continue;
         if (head == entry->rejected && entry->looks) {
             entry->looks--;
@@ -291,8 +291,8 @@ static PyObject *caught(void)
 static int take_one(GroupObject *self, Py_ssize_t index, PyObject *messages, PyObject *faults)
 {
     Entry *entry = &self->entries[index];
-    ch_reader *reader = &entry->reader->reader;
-    ch_take take = ch_take_start(entry->mode);
+    rosplc_reader *reader = &entry->reader->reader;
+    rosplc_take take = rosplc_take_start(entry->mode);
     rp_fault fault = {0, 0, 0, 0};
     size_t used = 0;
     int accepted = 0, failed = 0;
@@ -302,10 +302,10 @@ static int take_one(GroupObject *self, Py_ssize_t index, PyObject *messages, PyO
         self->gate.busy = 1;
         unlocked = ch_gate_enter(&entry->reader->gate, entry->reader->owner);
     }
-    while (ch_take_begin(reader, &take)) {
-        int result = rp_encode(entry->plan, ch_record(take.slot), self->wire, self->wire_size, &used, &fault);
-        if (ch_take_check(reader, &take)) {
-            ch_take_accept(reader, &take); /* stores `taken`: before anybody sends (M15) */
+    while (rosplc_take_begin(reader, &take)) {
+        int result = rp_encode(entry->plan, rosplc_record(take.slot), self->wire, self->wire_size, &used, &fault);
+        if (rosplc_take_check(reader, &take)) {
+            rosplc_take_accept(reader, &take); /* stores `taken`: before anybody sends (M15) */
             accepted = 1;
             failed = result;
         }
@@ -339,9 +339,9 @@ static int take_channel(GroupObject *self, Py_ssize_t index, PyObject *messages,
     ReaderObject *reader;
     uint32_t limit;
     int error, taken = 1;
-    if (!entry->reader || entry->broken || entry->reader->owner->closed || !ch_reader_news(&entry->reader->reader))
+    if (!entry->reader || entry->broken || entry->reader->owner->closed || !rosplc_reader_news(&entry->reader->reader))
         return 0;
-    error = ch_region_check(&entry->reader->owner->region);
+    error = rosplc_region_check(&entry->reader->owner->region);
     if (error) {
         entry->broken = 1;
         ch_raise_channel(error, entry->reader->owner->path);
@@ -358,7 +358,7 @@ static int take_channel(GroupObject *self, Py_ssize_t index, PyObject *messages,
         /* Making Python objects may run a finalizer, which may remove this very channel. */
         if (self->entries[index].reader != reader || reader->owner->closed)
             break;
-        taken = i && !ch_reader_news(&reader->reader) ? 0 : take_one(self, index, messages, faults);
+        taken = i && !rosplc_reader_news(&reader->reader) ? 0 : take_one(self, index, messages, faults);
     }
     Py_DECREF((PyObject *)reader);
     return taken < 0 ? -1 : 0;
@@ -393,9 +393,9 @@ static PyObject *group_beat(GroupObject *self, PyObject *unused)
     for (Py_ssize_t i = 0; i < self->count; i++) {
         Entry *entry = &self->entries[i];
         if (entry->reader && !entry->reader->owner->closed)
-            ch_reader_beat(&entry->reader->reader);
+            rosplc_reader_beat(&entry->reader->reader);
         if (entry->writer && !entry->writer->owner->closed && !entry->writer->released)
-            ch_writer_beat(&entry->writer->writer);
+            rosplc_writer_beat(&entry->writer->writer);
     }
     Py_RETURN_NONE;
 }

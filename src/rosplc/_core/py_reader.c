@@ -16,7 +16,7 @@ static PyObject *reader_new(PyTypeObject *type, PyObject *args, PyObject *kwargs
     self = (ReaderObject *)((allocfunc)PyType_GetSlot(type, Py_tp_alloc))(type, 0);
     if (!self)
         return NULL;
-    ch_reader_observe(&self->reader, &owner->region, last);
+    rosplc_reader_observe(&self->reader, &owner->region, last);
     Py_INCREF((PyObject *)owner);
     self->owner = owner;
     return (PyObject *)self;
@@ -44,16 +44,16 @@ static PyObject *reader_claim(ReaderObject *self, PyObject *args, PyObject *kwar
                                      &task_size)
         || ch_region_usable(self->owner))
         return NULL;
-    if (index >= CH_READER_LINES)
+    if (index >= ROSPLC_READER_LINES)
         return PyErr_Format(PyExc_ValueError, "there is no reader line %u", index);
     if (!self->owner->writable)
-        return ch_raise_channel(122, self->owner->path);
+        return ch_raise_channel(ROSPLC_ERROR_READ_ONLY, self->owner->path);
     do {
         if (ch_random_claim(&claim))
             return NULL;
     } while (claim == expected);
-    if (ch_reader_claim(&self->reader, index, expected, claim, beat_ms, (uint32_t)getpid()))
-        return ch_raise_channel(114, self->owner->path);
+    if (rosplc_reader_claim(&self->reader, index, expected, claim, beat_ms, (uint32_t)getpid()))
+        return ch_raise_channel(ROSPLC_ERROR_CLAIMED, self->owner->path);
     memcpy(name, task, task_size < 15 ? (size_t)task_size : 15);
     memcpy(self->owner->region.header->reader[index].task, name, sizeof name);
     Py_RETURN_NONE;
@@ -69,12 +69,12 @@ static int reader_usable(ReaderObject *self)
     }
     if (ch_region_usable(self->owner))
         return -1;
-    error = ch_region_check(&self->owner->region);
+    error = rosplc_region_check(&self->owner->region);
     if (error) {
         ch_raise_channel(error, self->owner->path);
         return -1;
     }
-    ch_reader_beat(&self->reader);
+    rosplc_reader_beat(&self->reader);
     return 0;
 }
 
@@ -90,7 +90,7 @@ static void reader_lock(ReaderObject *self, PyThreadState *state)
 }
 
 /* 1 when `out` was filled, 0 when there was nothing to take, -1 with an exception. */
-static int reader_fill(ReaderObject *self, PyObject *out, ch_take *take)
+static int reader_fill(ReaderObject *self, PyObject *out, rosplc_take *take)
 {
     size_t size = self->owner->region.geometry.record_size;
     PyThreadState *state;
@@ -115,11 +115,11 @@ static int reader_fill(ReaderObject *self, PyObject *out, ch_take *take)
         return -1;
     }
     state = reader_unlock(self, size);
-    while (ch_take_begin(&self->reader, take)) {
-        memcpy(self->shadow, ch_record(take->slot), size);
-        if (ch_take_check(&self->reader, take)) {
+    while (rosplc_take_begin(&self->reader, take)) {
+        ROSPLC_COPY_RECORD(self->shadow, rosplc_record(take->slot), size);
+        if (rosplc_take_check(&self->reader, take)) {
             memcpy(view.buf, self->shadow, size);
-            ch_take_accept(&self->reader, take);
+            rosplc_take_accept(&self->reader, take);
             accepted = 1;
         }
     }
@@ -130,7 +130,7 @@ static int reader_fill(ReaderObject *self, PyObject *out, ch_take *take)
 
 static PyObject *reader_take(ReaderObject *self, PyObject *out, int mode)
 {
-    ch_take take = ch_take_start(mode);
+    rosplc_take take = rosplc_take_start(mode);
     int filled = reader_fill(self, out, &take);
     if (filled < 0)
         return NULL;
@@ -140,30 +140,30 @@ static PyObject *reader_take(ReaderObject *self, PyObject *out, int mode)
 /* Whoever looks in a loop mostly wants the bytes alone: making a SlotInfo costs more than taking a small record. */
 static PyObject *reader_update(ReaderObject *self, PyObject *out)
 {
-    ch_take take = ch_take_start(CH_TAKE_NEWEST);
+    rosplc_take take = rosplc_take_start(ROSPLC_TAKE_NEWEST);
     int filled = reader_fill(self, out, &take);
     return filled < 0 ? NULL : PyBool_FromLong(filled);
 }
 
 static PyObject *reader_latest(ReaderObject *self, PyObject *out)
 {
-    return reader_take(self, out, CH_TAKE_NEWEST);
+    return reader_take(self, out, ROSPLC_TAKE_NEWEST);
 }
 
 static PyObject *reader_next(ReaderObject *self, PyObject *out)
 {
-    return reader_take(self, out, CH_TAKE_NEXT);
+    return reader_take(self, out, ROSPLC_TAKE_NEXT);
 }
 
 static PyObject *reader_peek(ReaderObject *self, PyObject *out)
 {
-    return reader_take(self, out, CH_TAKE_PEEK);
+    return reader_take(self, out, ROSPLC_TAKE_PEEK);
 }
 
 static PyObject *reader_take_wire(ReaderObject *self, PyObject *plan_object, int mode)
 {
     const rp_plan *plan = rp_plan_from_object(plan_object);
-    ch_take take = ch_take_start(mode);
+    rosplc_take take = rosplc_take_start(mode);
     rp_fault fault = {0, 0, 0, 0};
     PyThreadState *state;
     PyObject *info, *result = NULL;
@@ -186,10 +186,10 @@ static PyObject *reader_take_wire(ReaderObject *self, PyObject *plan_object, int
         self->wire_size = 0;
     }
     state = reader_unlock(self, plan->record_size);
-    while (ch_take_begin(&self->reader, &take)) {
-        int outcome = rp_encode(plan, ch_record(take.slot), wire, bound, &used, &fault);
-        if (ch_take_check(&self->reader, &take)) {
-            ch_take_accept(&self->reader, &take);
+    while (rosplc_take_begin(&self->reader, &take)) {
+        int outcome = rp_encode(plan, rosplc_record(take.slot), wire, bound, &used, &fault);
+        if (rosplc_take_check(&self->reader, &take)) {
+            rosplc_take_accept(&self->reader, &take);
             accepted = 1;
             failed = outcome;
         }
@@ -209,17 +209,17 @@ static PyObject *reader_take_wire(ReaderObject *self, PyObject *plan_object, int
 
 static PyObject *reader_latest_wire(ReaderObject *self, PyObject *plan)
 {
-    return reader_take_wire(self, plan, CH_TAKE_NEWEST);
+    return reader_take_wire(self, plan, ROSPLC_TAKE_NEWEST);
 }
 
 static PyObject *reader_next_wire(ReaderObject *self, PyObject *plan)
 {
-    return reader_take_wire(self, plan, CH_TAKE_NEXT);
+    return reader_take_wire(self, plan, ROSPLC_TAKE_NEXT);
 }
 
 static PyObject *reader_peek_wire(ReaderObject *self, PyObject *plan)
 {
-    return reader_take_wire(self, plan, CH_TAKE_PEEK);
+    return reader_take_wire(self, plan, ROSPLC_TAKE_PEEK);
 }
 
 static PyObject *reader_beat(ReaderObject *self, PyObject *unused)
@@ -227,7 +227,7 @@ static PyObject *reader_beat(ReaderObject *self, PyObject *unused)
     (void)unused;
     if (ch_region_usable(self->owner))
         return NULL;
-    ch_reader_beat(&self->reader);
+    rosplc_reader_beat(&self->reader);
     Py_RETURN_NONE;
 }
 
@@ -237,7 +237,7 @@ static PyObject *reader_release(ReaderObject *self, PyObject *unused)
     if (self->gate.busy && ch_gate_wait(&self->gate))
         return NULL;
     if (!self->owner->closed)
-        ch_reader_release(&self->reader);
+        rosplc_reader_release(&self->reader);
     self->reader.line = NULL;
     Py_RETURN_NONE;
 }
@@ -245,23 +245,23 @@ static PyObject *reader_release(ReaderObject *self, PyObject *unused)
 static PyObject *reader_set_word(ReaderObject *self, PyObject *value, const char *name, size_t offset)
 {
     uint32_t number;
-    ch_reader_line *line;
+    rosplc_reader_line *line;
     if (ch_as_u32(value, name, &number) || ch_region_usable(self->owner))
         return NULL;
-    line = ch_reader_owned(&self->reader);
+    line = rosplc_reader_owned(&self->reader);
     if (line)
-        ch_store((uint32_t *)(void *)((uint8_t *)line + offset), number);
+        rosplc_store((uint32_t *)(void *)((uint8_t *)line + offset), number);
     Py_RETURN_NONE;
 }
 
 static PyObject *reader_set_sinks(ReaderObject *self, PyObject *value)
 {
-    return reader_set_word(self, value, "sinks", offsetof(ch_reader_line, sinks));
+    return reader_set_word(self, value, "sinks", offsetof(rosplc_reader_line, sinks));
 }
 
 static PyObject *reader_set_error(ReaderObject *self, PyObject *value)
 {
-    return reader_set_word(self, value, "error", offsetof(ch_reader_line, error));
+    return reader_set_word(self, value, "error", offsetof(rosplc_reader_line, error));
 }
 
 #define READER_NUMBER(name, expression) \
@@ -277,7 +277,7 @@ READER_NUMBER(discontinuities, self->reader.discontinuities)
 
 static PyObject *reader_get_line(ReaderObject *self, void *unused)
 {
-    ch_reader_line *line = self->owner->closed ? NULL : ch_reader_owned(&self->reader);
+    rosplc_reader_line *line = self->owner->closed ? NULL : rosplc_reader_owned(&self->reader);
     (void)unused;
     if (!line)
         Py_RETURN_NONE;

@@ -15,7 +15,7 @@ static PyObject *writer_new(PyTypeObject *type, PyObject *args, PyObject *kwargs
     if (ch_region_usable(owner))
         return NULL;
     if (!owner->writable)
-        return ch_raise_channel(122, owner->path);
+        return ch_raise_channel(ROSPLC_ERROR_READ_ONLY, owner->path);
     do {
         if (ch_random_claim(&epoch))
             return NULL;
@@ -23,9 +23,9 @@ static PyObject *writer_new(PyTypeObject *type, PyObject *args, PyObject *kwargs
     self = (WriterObject *)((allocfunc)PyType_GetSlot(type, Py_tp_alloc))(type, 0);
     if (!self)
         return NULL;
-    if (ch_writer_claim(&self->writer, &owner->region, expected, epoch, beat_ms, (uint32_t)getpid())) {
+    if (rosplc_writer_claim(&self->writer, &owner->region, expected, epoch, beat_ms, (uint32_t)getpid())) {
         Py_DECREF((PyObject *)self);
-        return ch_raise_channel(114, owner->path);
+        return ch_raise_channel(ROSPLC_ERROR_CLAIMED, owner->path);
     }
     Py_INCREF((PyObject *)owner);
     self->owner = owner;
@@ -58,7 +58,7 @@ static int writer_usable(WriterObject *self)
 }
 
 /* Optional stamp_ns, stamp_clock, flags and correlation, in this order. */
-static int writer_meta(PyObject **values, ch_meta *meta)
+static int writer_meta(PyObject **values, rosplc_meta *meta)
 {
     uint64_t stamp = 0, correlation = 0;
     uint32_t clock = 1, flags = 0;
@@ -71,7 +71,7 @@ static int writer_meta(PyObject **values, ch_meta *meta)
         PyErr_SetString(PyExc_ValueError, "stamp_clock is not between 0 and 3, or flags not between 0 and 7");
         return -1;
     }
-    *meta = (ch_meta){flags,
+    *meta = (rosplc_meta){flags,
                       0,
                       (uint32_t)stamp,
                       (uint32_t)(stamp >> 32),
@@ -86,10 +86,10 @@ static PyObject *writer_publish(WriterObject *self, PyObject *const *args, Py_ss
     static const char *const names[] = {"record", "stamp_ns", "stamp_clock", "flags", "correlation", NULL};
     PyObject *values[5];
     Py_buffer view;
-    ch_slot_header *slot;
-    ch_meta meta;
+    rosplc_slot_header *slot;
+    rosplc_meta meta;
     uint32_t size, sequence = 0;
-    int error;
+    rosplc_error error;
     if (ch_arguments("publish", names, 1, 1, args, count, keywords, values) || writer_meta(values + 1, &meta)
         || PyObject_GetBuffer(values[0], &view, PyBUF_SIMPLE))
         return NULL;
@@ -105,14 +105,14 @@ static PyObject *writer_publish(WriterObject *self, PyObject *const *args, Py_ss
         PyBuffer_Release(&view);
         return NULL;
     }
-    slot = ch_writer_begin(&self->writer, &error);
+    slot = rosplc_writer_begin(&self->writer, &error);
     if (slot && size < CH_LONG_COPY) {
-        memcpy(ch_record(slot), view.buf, size);
-        sequence = ch_writer_commit(&self->writer, slot, &meta);
+        ROSPLC_COPY_RECORD(rosplc_record(slot), view.buf, size);
+        sequence = rosplc_writer_commit(&self->writer, slot, &meta);
     } else if (slot) {
         PyThreadState *unlocked = ch_gate_enter(&self->gate, self->owner);
-        memcpy(ch_record(slot), view.buf, size);
-        sequence = ch_writer_commit(&self->writer, slot, &meta);
+        ROSPLC_COPY_RECORD(rosplc_record(slot), view.buf, size);
+        sequence = rosplc_writer_commit(&self->writer, slot, &meta);
         ch_gate_leave(&self->gate, self->owner, unlocked);
     }
     PyBuffer_Release(&view);
@@ -127,11 +127,12 @@ static PyObject *writer_publish_wire(WriterObject *self, PyObject *const *args, 
     PyObject *values[7];
     const rp_plan *plan;
     Py_buffer view;
-    ch_slot_header *slot;
-    ch_meta meta;
+    rosplc_slot_header *slot;
+    rosplc_meta meta;
     rp_fault fault = {0, 0, 0, 0};
     uint32_t size, sequence = 0, flags = 0;
-    int error, truncate, refused = 0;
+    rosplc_error error;
+    int truncate, refused = 0;
     if (ch_arguments("publish_wire", names, 2, 2, args, count, keywords, values) || writer_meta(values + 3, &meta)
         || !(plan = rp_plan_from_object(values[0])))
         return NULL;
@@ -148,17 +149,17 @@ static PyObject *writer_publish_wire(WriterObject *self, PyObject *const *args, 
         PyBuffer_Release(&view);
         return NULL;
     }
-    slot = ch_writer_begin(&self->writer, &error);
+    slot = rosplc_writer_begin(&self->writer, &error);
     if (slot) {
         PyThreadState *unlocked = NULL;
         if (size >= CH_LONG_COPY || view.len >= (Py_ssize_t)CH_LONG_COPY)
             unlocked = ch_gate_enter(&self->gate, self->owner);
-        refused = rp_decode(plan, view.buf, (size_t)view.len, ch_record(slot), truncate, &flags, &fault);
+        refused = rp_decode(plan, view.buf, (size_t)view.len, rosplc_record(slot), truncate, &flags, &fault);
         if (refused) {
-            ch_writer_refuse(&self->writer, 0);
+            rosplc_writer_refuse(&self->writer, 0);
         } else {
             meta.flags |= flags;
-            sequence = ch_writer_commit(&self->writer, slot, &meta);
+            sequence = rosplc_writer_commit(&self->writer, slot, &meta);
         }
         if (unlocked)
             ch_gate_leave(&self->gate, self->owner, unlocked);
@@ -177,7 +178,7 @@ static PyObject *writer_beat(WriterObject *self, PyObject *unused)
     if (ch_region_usable(self->owner))
         return NULL;
     if (!self->released)
-        ch_writer_beat(&self->writer);
+        rosplc_writer_beat(&self->writer);
     Py_RETURN_NONE;
 }
 
@@ -187,7 +188,7 @@ static PyObject *writer_check(WriterObject *self, PyObject *unused)
     (void)unused;
     if (ch_region_usable(self->owner))
         return NULL;
-    error = ch_writer_check(&self->writer);
+    error = rosplc_writer_check(&self->writer);
     return error ? ch_raise_channel(error, self->owner->path) : Py_NewRef(Py_None);
 }
 
@@ -199,7 +200,7 @@ static PyObject *writer_release(WriterObject *self, PyObject *unused)
         if (self->gate.busy && ch_gate_wait(&self->gate))
             return NULL;
         if (!self->owner->closed)
-            ch_writer_release(&self->writer);
+            rosplc_writer_release(&self->writer);
     }
     Py_RETURN_NONE;
 }
@@ -209,7 +210,7 @@ static PyObject *writer_refuse(WriterObject *self, PyObject *args)
     unsigned int number = 0;
     if (!PyArg_ParseTuple(args, "|I:refuse", &number) || writer_usable(self))
         return NULL;
-    ch_writer_refuse(&self->writer, number);
+    rosplc_writer_refuse(&self->writer, number);
     Py_RETURN_NONE;
 }
 
@@ -218,7 +219,7 @@ static PyObject *writer_set_sources(WriterObject *self, PyObject *value)
     uint32_t number;
     if (ch_as_u32(value, "sources", &number) || writer_usable(self))
         return NULL;
-    ch_store(&self->owner->region.header->writer.sources, number);
+    rosplc_store(&self->owner->region.header->writer.sources, number);
     Py_RETURN_NONE;
 }
 

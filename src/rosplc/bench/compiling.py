@@ -17,7 +17,7 @@ from rosplc.errors import SetupError
 __all__ = ["FLAGS", "SOURCES", "compile_program", "find_library"]
 
 SOURCES = Path(__file__).resolve().parent / "c"
-CORE = Path(rosplc.__file__).resolve().parent / "_core"
+CORE = Path(rosplc.__file__).resolve().parent / "include"
 FLAGS = ("-std=gnu11", "-O2")
 
 
@@ -65,7 +65,7 @@ def compile_program(
 
 def _fingerprint(command: Sequence[str], sources: Sequence[Path], key: str) -> str:
     found = hashlib.sha256("\0".join([*command, key]).encode())
-    for path in (*sources, *sorted(SOURCES.glob("*.h")), *sorted(CORE.glob("*.h"))):
+    for path in (*sources, *sorted(SOURCES.glob("*.h")), *sorted(CORE.glob("rosplc/*.h"))):
         found.update(path.read_bytes())
     return found.hexdigest()[:16]
 

@@ -10,7 +10,7 @@
  * stays within its bound, and a fault-free message decodes to a record again.
  */
 #define _GNU_SOURCE
-#include "channel.h"
+#include <rosplc/channel.h>
 #include "plan_file.h"
 
 #include <pthread.h>
@@ -56,11 +56,11 @@ static uint32_t draw_word(input *in)
 }
 
 typedef struct {
-    ch_region region;
+    rosplc_region region;
     uint8_t *memory;
     const plan_case *plan; /* one whose records have the region's size, or NULL */
-    ch_reader reader[READERS];
-    ch_writer writer[WRITERS];
+    rosplc_reader reader[READERS];
+    rosplc_writer writer[WRITERS];
     int has_writer[WRITERS];
     volatile int racing;
 } scene;
@@ -71,10 +71,10 @@ typedef struct {
 static void scribble(scene *s, input *in)
 {
     static const uint32_t words[] = {0, 1, 2, 3, 4, 5, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFE, 0xFFFFFFFF};
-    const ch_geometry *g = &s->region.geometry;
+    const rosplc_geometry *g = &s->region.geometry;
     uint32_t how = draw_byte(in), value = draw_byte(in), at = draw_byte(in) | draw_byte(in) << 8;
     if (how & 1)
-        at %= CH_HEADER_SIZE;
+        at %= ROSPLC_HEADER_SIZE;
     else if (how & 2)
         at = g->slots_offset + (at >> 4) % g->slot_count * g->slot_stride + (at & 15) * 4;
     else
@@ -85,8 +85,8 @@ static void scribble(scene *s, input *in)
     if (value < sizeof words / sizeof *words)
         value = words[value];
     else if (how & 4) /* near what stands in head, the word that everything else is compared with */
-        value = ch_load(&s->region.header->writer.head) + value - 128;
-    ch_store((uint32_t *)(void *)(s->memory + at), value);
+        value = rosplc_load(&s->region.header->writer.head) + value - 128;
+    rosplc_store((uint32_t *)(void *)(s->memory + at), value);
 }
 
 typedef struct {
@@ -107,13 +107,13 @@ static void *race(void *argument)
 
 /* ---------------------------------------------------------------- this side */
 
-static void take(scene *s, ch_reader *reader, int mode, int wire, input *in)
+static void take(scene *s, rosplc_reader *reader, int mode, int wire, input *in)
 {
     uint32_t size = s->region.geometry.record_size, last = reader->last;
-    ch_take t = ch_take_start(mode);
-    int attempts = 0, taken = 0;
-    while (ch_take_begin(reader, &t)) {
-        if (++attempts > 1 + CH_MAX_RETRIES)
+    rosplc_take t = rosplc_take_start(mode);
+    uint32_t attempts = 0, taken = 0;
+    while (rosplc_take_begin(reader, &t)) {
+        if (++attempts > 1 + ROSPLC_MAX_RETRIES)
             stop("a take has no end");
         if (!s->racing && (draw_byte(in) & 3) == 0)
             scribble(s, in);
@@ -122,7 +122,7 @@ static void take(scene *s, ch_reader *reader, int mode, int wire, input *in)
             uint8_t *out = exact(bound), *record = exact(size);
             uint32_t flags;
             rp_fault fault;
-            if (rp_encode(&s->plan->plan, ch_record(t.slot), out, bound, &used, &fault) || used > bound)
+            if (rp_encode(&s->plan->plan, rosplc_record(t.slot), out, bound, &used, &fault) || used > bound)
                 stop("a record under change exceeds its bound");
             if (rp_decode(&s->plan->plan, out, used, record, 0, &flags, &fault) || flags)
                 stop("a record under change gives no message");
@@ -130,30 +130,30 @@ static void take(scene *s, ch_reader *reader, int mode, int wire, input *in)
             release(out, bound);
         } else {
             uint8_t *copy = exact(size);
-            memcpy(copy, ch_record(t.slot), size);
+            memcpy(copy, rosplc_record(t.slot), size);
             release(copy, size);
         }
         if (!s->racing && (draw_byte(in) & 3) == 0)
             scribble(s, in);
-        if (ch_take_check(reader, &t)) {
-            ch_take_accept(reader, &t);
+        if (rosplc_take_check(reader, &t)) {
+            rosplc_take_accept(reader, &t);
             taken++;
         }
     }
     if (taken > 1)
         stop("one take takes two messages");
-    if (mode != CH_TAKE_PEEK && taken && reader->last == last)
+    if (mode != ROSPLC_TAKE_PEEK && taken && reader->last == last)
         stop("a message is taken twice");
     if (!taken && reader->last != last)
         stop("nothing taken, and the reader has moved");
 }
 
-static void publish(scene *s, ch_writer *writer, input *in)
+static void publish(scene *s, rosplc_writer *writer, input *in)
 {
-    static const ch_meta meta = {.stamp_lo = 1};
+    static const rosplc_meta meta = {.stamp_lo = 1};
     uint32_t size = s->region.geometry.record_size;
-    int error;
-    ch_slot_header *slot = ch_writer_begin(writer, &error);
+    rosplc_error error;
+    rosplc_slot_header *slot = rosplc_writer_begin(writer, &error);
     if (!slot) {
         if (error != 111 && error != 112 && error != 115)
             stop("a writer refuses with a number that is none");
@@ -167,44 +167,44 @@ static void publish(scene *s, ch_writer *writer, input *in)
         size_t left = in->size - in->at;
         if (length > left)
             length = (uint32_t)left;
-        if (rp_decode(&s->plan->plan, in->data + in->at, length, ch_record(slot), (int)(length & 1), &flags, &fault)) {
+        if (rp_decode(&s->plan->plan, in->data + in->at, length, rosplc_record(slot), (int)(length & 1), &flags, &fault)) {
             in->at += length;
-            ch_writer_refuse(writer, fault.code);
+            rosplc_writer_refuse(writer, fault.code);
             return;
         }
         in->at += length;
     } else {
-        memset(ch_record(slot), (int)draw_byte(in), size);
+        memset(rosplc_record(slot), (int)draw_byte(in), size);
     }
     if (!s->racing && (draw_byte(in) & 3) == 0)
         scribble(s, in);
-    ch_writer_commit(writer, slot, &meta);
+    rosplc_writer_commit(writer, slot, &meta);
 }
 
 static void step(scene *s, input *in)
 {
     uint32_t what = draw_byte(in);
-    ch_reader *reader = &s->reader[(what >> 4) % READERS];
+    rosplc_reader *reader = &s->reader[(what >> 4) % READERS];
     uint32_t number = (what >> 4) % WRITERS;
-    ch_writer *writer = &s->writer[number];
+    rosplc_writer *writer = &s->writer[number];
     switch (what & 15) {
-    case 0: take(s, reader, CH_TAKE_NEXT, 0, in); break;
-    case 1: take(s, reader, CH_TAKE_NEWEST, 0, in); break;
-    case 2: take(s, reader, CH_TAKE_PEEK, 0, in); break;
-    case 3: take(s, reader, CH_TAKE_NEXT, 1, in); break;
-    case 4: take(s, reader, CH_TAKE_NEWEST, 1, in); break;
-    case 5: ch_reader_beat(reader); (void)ch_reader_news(reader); break;
+    case 0: take(s, reader, ROSPLC_TAKE_NEXT, 0, in); break;
+    case 1: take(s, reader, ROSPLC_TAKE_NEWEST, 0, in); break;
+    case 2: take(s, reader, ROSPLC_TAKE_PEEK, 0, in); break;
+    case 3: take(s, reader, ROSPLC_TAKE_NEXT, 1, in); break;
+    case 4: take(s, reader, ROSPLC_TAKE_NEWEST, 1, in); break;
+    case 5: rosplc_reader_beat(reader); (void)rosplc_reader_news(reader); break;
     case 6:
         if (!reader->line) {
-            uint32_t index = draw_byte(in) % CH_READER_LINES;
-            (void)ch_reader_claim(reader, index, ch_load(&s->region.header->reader[index].claim), 7 + number, 10, 1);
+            uint32_t index = draw_byte(in) % ROSPLC_READER_LINES;
+            (void)rosplc_reader_claim(reader, index, rosplc_load(&s->region.header->reader[index].claim), 7 + number, 10, 1);
         }
         break;
-    case 7: ch_reader_release(reader); break;
-    case 8: ch_reader_observe(reader, &s->region, draw_word(in)); break;
+    case 7: rosplc_reader_release(reader); break;
+    case 8: rosplc_reader_observe(reader, &s->region, draw_word(in)); break;
     case 9:
         s->has_writer[number] |=
-            !ch_writer_claim(writer, &s->region, ch_load(&s->region.header->writer.epoch), 3 + number, 10, 1);
+            !rosplc_writer_claim(writer, &s->region, rosplc_load(&s->region.header->writer.writer_epoch), 3 + number, 10, 1);
         break;
     case 10:
     case 11:
@@ -213,9 +213,9 @@ static void step(scene *s, input *in)
         break;
     case 12:
         if (s->has_writer[number]) {
-            ch_writer_beat(writer);
+            rosplc_writer_beat(writer);
             if (what & 16)
-                ch_writer_release(writer);
+                rosplc_writer_release(writer);
         }
         break;
     default: scribble(s, in); break;
@@ -227,17 +227,17 @@ static void step(scene *s, input *in)
 /* A header from the input; most of the time made consistent, or it would hardly ever pass the checks. */
 static int set_scene(scene *s, input *in)
 {
-    uint8_t first[CH_HEADER_SIZE] = {0};
-    ch_identity id = {.magic = CH_MAGIC, .version = CH_VERSION, .header_size = CH_HEADER_SIZE, .state = CH_STATE_LIVE,
-                      .kind = CH_KIND_TOPIC, .slot_header_size = CH_SLOT_HEADER_SIZE, .slots_offset = 576,
-                      .description_offset = 512, .description_size = 2, .layout_lo = 11, .layout_hi = 22,
-                      .generation = 33, .reader_lines = CH_READER_LINES};
+    uint8_t first[ROSPLC_HEADER_SIZE] = {0};
+    rosplc_identity id = {.magic = ROSPLC_MAGIC, .version = ROSPLC_VERSION, .header_size = ROSPLC_HEADER_SIZE, .state = ROSPLC_STATE_LIVE,
+                      .kind = ROSPLC_KIND_TOPIC, .slot_header_size = ROSPLC_SLOT_HEADER_SIZE, .slots_offset = 576,
+                      .description_offset = 512, .description_size = 2, .layout_id_lo = 11, .layout_id_hi = 22,
+                      .generation = 33, .reader_lines = ROSPLC_READER_LINES};
     uint32_t how = draw_byte(in), which = draw_byte(in) | draw_byte(in) << 8, available;
     s->plan = how & 8 ? NULL : &cases[which % count];
-    id.direction = how & 16 ? CH_TO_PLC : CH_TO_ROS;
+    id.direction = how & 16 ? ROSPLC_TO_PLC : ROSPLC_TO_ROS;
     id.slot_count = 4u << (how >> 5);
     id.record_size = s->plan ? s->plan->plan.record_size : 1 + which % 3000;
-    id.slot_stride = (CH_SLOT_HEADER_SIZE + id.record_size + 63u) / 64u * 64u;
+    id.slot_stride = (ROSPLC_SLOT_HEADER_SIZE + id.record_size + 63u) / 64u * 64u;
     id.object_size = id.slots_offset + id.slot_count * id.slot_stride;
     for (uint32_t changes = how & 3; changes; changes--) {
         uint32_t at = draw_byte(in) % 28, value = draw_word(in);
@@ -245,11 +245,11 @@ static int set_scene(scene *s, input *in)
     }
     memcpy(first, &id, sizeof id);
     if (!(how & 4)) {
-        id.identity_crc = ch_identity_crc(first);
+        id.identity_crc = rosplc_identity_crc(first);
         memcpy(first, &id, sizeof id);
     }
     available = id.object_size < LARGEST ? id.object_size : LARGEST;
-    if (ch_identity_check(first, available, 0, &s->region.geometry))
+    if (rosplc_identity_check(first, available, 0, &s->region.geometry))
         return 0;
     if (s->plan && s->plan->plan.record_size != s->region.geometry.record_size)
         s->plan = NULL;
@@ -258,9 +258,9 @@ static int set_scene(scene *s, input *in)
         stop("out of memory");
     memset(s->memory, 0, available);
     memcpy(s->memory, first, sizeof first);
-    s->region.header = (ch_header *)(void *)s->memory;
+    s->region.header = (rosplc_header *)(void *)s->memory;
     for (int i = 0; i < READERS; i++)
-        ch_reader_observe(&s->reader[i], &s->region, 0);
+        rosplc_reader_observe(&s->reader[i], &s->region, 0);
     return 1;
 }
 

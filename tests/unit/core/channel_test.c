@@ -7,7 +7,7 @@
  *       MODE checked | next | unchecked: the last leaves M12 out and must see torn messages.
  */
 #define _GNU_SOURCE
-#include "channel.h"
+#include <rosplc/channel.h>
 
 #include <sched.h>
 #include <signal.h>
@@ -29,12 +29,12 @@ static int failures;
 
 /* ---------------------------------------------------------------- an object in private or shared memory */
 
-static ch_region make_region(uint32_t slots, uint32_t record)
+static rosplc_region make_region(uint32_t slots, uint32_t record)
 {
-    uint32_t stride = (CH_SLOT_HEADER_SIZE + record + 63u) / 64u * 64u;
+    uint32_t stride = (ROSPLC_SLOT_HEADER_SIZE + record + 63u) / 64u * 64u;
     uint32_t size = 1024u + slots * stride;
-    ch_region r;
-    ch_identity *id;
+    rosplc_region r;
+    rosplc_identity *id;
     /* One page more, without access: whoever leaves the object is caught even without sanitizers. */
     size_t page = (size_t)sysconf(_SC_PAGESIZE), room = (size + page - 1) / page * page;
     uint8_t *base = mmap(NULL, room + page, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0);
@@ -43,59 +43,59 @@ static ch_region make_region(uint32_t slots, uint32_t record)
         exit(2);
     }
     base += (room - size) / 64u * 64u; /* the object's end as near to the guard as its lines allow */
-    id = (ch_identity *)(void *)base;
-    *id = (ch_identity){.magic = CH_MAGIC,
-                        .version = CH_VERSION,
-                        .header_size = CH_HEADER_SIZE,
-                        .state = CH_STATE_LIVE,
-                        .kind = CH_KIND_TOPIC,
-                        .direction = CH_TO_ROS,
+    id = (rosplc_identity *)(void *)base;
+    *id = (rosplc_identity){.magic = ROSPLC_MAGIC,
+                        .version = ROSPLC_VERSION,
+                        .header_size = ROSPLC_HEADER_SIZE,
+                        .state = ROSPLC_STATE_LIVE,
+                        .kind = ROSPLC_KIND_TOPIC,
+                        .direction = ROSPLC_TO_ROS,
                         .slot_count = slots,
                         .slot_stride = stride,
-                        .slot_header_size = CH_SLOT_HEADER_SIZE,
+                        .slot_header_size = ROSPLC_SLOT_HEADER_SIZE,
                         .record_size = record,
                         .slots_offset = 1024,
                         .object_size = size,
                         .description_offset = 512,
                         .description_size = 2,
-                        .layout_lo = 11,
-                        .layout_hi = 22,
+                        .layout_id_lo = 11,
+                        .layout_id_hi = 22,
                         .generation = 33,
-                        .reader_lines = CH_READER_LINES};
-    id->identity_crc = ch_identity_crc(base);
-    CHECK(ch_identity_check(base, size, CH_TO_ROS, &r.geometry) == 0);
-    r.header = (ch_header *)(void *)base;
+                        .reader_lines = ROSPLC_READER_LINES};
+    id->identity_crc = rosplc_identity_crc(base);
+    CHECK(rosplc_identity_check(base, size, ROSPLC_TO_ROS, &r.geometry) == 0);
+    r.header = (rosplc_header *)(void *)base;
     return r;
 }
 
-static int try_publish(ch_writer *w, uint8_t value)
+static int try_publish(rosplc_writer *w, uint8_t value)
 {
-    static const ch_meta meta;
-    int error;
-    ch_slot_header *slot = ch_writer_begin(w, &error);
+    static const rosplc_meta meta;
+    rosplc_error error;
+    rosplc_slot_header *slot = rosplc_writer_begin(w, &error);
     if (!slot)
-        return -error;
-    memset(ch_record(slot), value, w->region->geometry.record_size);
-    ch_writer_commit(w, slot, &meta);
+        return -(int)error;
+    memset(rosplc_record(slot), value, w->region->geometry.record_size);
+    rosplc_writer_commit(w, slot, &meta);
     return 1;
 }
 
-static void publish(ch_writer *w, uint8_t value)
+static void publish(rosplc_writer *w, uint8_t value)
 {
     CHECK(try_publish(w, value) == 1);
 }
 
 /* The first byte of the message taken, -1 if none; a mixture of bytes counts as a failure. */
-static int take(ch_reader *reader, int mode)
+static int take(rosplc_reader *reader, int mode)
 {
-    ch_take t = ch_take_start(mode);
+    rosplc_take t = rosplc_take_start(mode);
     int result = -1;
-    while (ch_take_begin(reader, &t)) {
+    while (rosplc_take_begin(reader, &t)) {
         uint8_t copy[256];
         uint32_t size = reader->region->geometry.record_size;
-        memcpy(copy, ch_record(t.slot), size);
-        if (ch_take_check(reader, &t)) {
-            ch_take_accept(reader, &t);
+        memcpy(copy, rosplc_record(t.slot), size);
+        if (rosplc_take_check(reader, &t)) {
+            rosplc_take_accept(reader, &t);
             for (uint32_t i = 1; i < size; i++)
                 CHECK(copy[i] == copy[0]);
             result = copy[0];
@@ -108,23 +108,23 @@ static int take(ch_reader *reader, int mode)
 
 static void test_sequences(void)
 {
-    CHECK(ch_next(0, 4) == 1);
-    CHECK(ch_next(1, 4) == 2);
-    CHECK(ch_next(0xFFFFFFFEu, 4) == 0xFFFFFFFFu);
-    CHECK(ch_next(0xFFFFFFFFu, 4) == 4);
-    CHECK(ch_next(0xFFFFFFFFu, 65536) == 65536);
-    CHECK((0xFFFFFFFFu & 3u) == 3 && (ch_next(0xFFFFFFFFu, 4) & 3u) == 0);
-    CHECK(ch_distance(5, 5, 4) == 0);
-    CHECK(ch_distance(5, 9, 4) == 4);
-    CHECK(ch_distance(0xFFFFFFFFu, 4, 4) == 1);
-    CHECK(ch_distance(0xFFFFFFFEu, 5, 4) == 3);
-    CHECK(ch_distance(9, 8, 4) >= CH_DISCONTINUITY);
-    CHECK(ch_distance(0xFFFFFFFFu, 0, 4) >= CH_DISCONTINUITY);
+    CHECK(rosplc_next(0, 4) == 1);
+    CHECK(rosplc_next(1, 4) == 2);
+    CHECK(rosplc_next(0xFFFFFFFEu, 4) == 0xFFFFFFFFu);
+    CHECK(rosplc_next(0xFFFFFFFFu, 4) == 4);
+    CHECK(rosplc_next(0xFFFFFFFFu, 65536) == 65536);
+    CHECK((0xFFFFFFFFu & 3u) == 3 && (rosplc_next(0xFFFFFFFFu, 4) & 3u) == 0);
+    CHECK(rosplc_distance(5, 5, 4) == 0);
+    CHECK(rosplc_distance(5, 9, 4) == 4);
+    CHECK(rosplc_distance(0xFFFFFFFFu, 4, 4) == 1);
+    CHECK(rosplc_distance(0xFFFFFFFEu, 5, 4) == 3);
+    CHECK(rosplc_distance(9, 8, 4) >= ROSPLC_DISCONTINUITY);
+    CHECK(rosplc_distance(0xFFFFFFFFu, 0, 4) >= ROSPLC_DISCONTINUITY);
     for (uint32_t n = 4; n <= 64; n *= 2) {
         uint32_t s = 0xFFFFFFFFu - 100, steps = 0;
-        for (uint32_t t = s; steps < 300; steps++, t = ch_next(t, n)) {
-            CHECK(ch_distance(s, t, n) == steps);
-            CHECK(ch_advance(s, steps, n) == t);
+        for (uint32_t t = s; steps < 300; steps++, t = rosplc_next(t, n)) {
+            CHECK(rosplc_distance(s, t, n) == steps);
+            CHECK(rosplc_advance(s, steps, n) == t);
             CHECK(t >= n || t > s);
         }
     }
@@ -133,100 +133,100 @@ static void test_sequences(void)
 /* Two slots' worth of messages on each side of `start`, read in all three ways. */
 static void test_stream(uint32_t slots, uint32_t start)
 {
-    ch_region r = make_region(slots, 40);
-    ch_writer w;
-    ch_reader in_order, newest, slow;
+    rosplc_region r = make_region(slots, 40);
+    rosplc_writer w;
+    rosplc_reader in_order, newest, slow;
     uint32_t missed = 3 * slots;
     r.header->writer.head = start;
-    CHECK(ch_writer_claim(&w, &r, 0, 7, 100, 1) == 0);
-    ch_reader_observe(&in_order, &r, start);
-    ch_reader_observe(&newest, &r, start);
-    ch_reader_observe(&slow, &r, start);
+    CHECK(rosplc_writer_claim(&w, &r, 0, 7, 100, 1) == 0);
+    rosplc_reader_observe(&in_order, &r, start);
+    rosplc_reader_observe(&newest, &r, start);
+    rosplc_reader_observe(&slow, &r, start);
     for (int i = 0; i < (int)(4 * slots); i++) {
-        CHECK(take(&in_order, CH_TAKE_NEXT) == -1);
+        CHECK(take(&in_order, ROSPLC_TAKE_NEXT) == -1);
         publish(&w, (uint8_t)i);
-        CHECK(take(&in_order, CH_TAKE_NEXT) == (uint8_t)i);
-        CHECK(take(&in_order, CH_TAKE_PEEK) == (uint8_t)i);
-        CHECK(take(&newest, CH_TAKE_NEWEST) == (uint8_t)i);
+        CHECK(take(&in_order, ROSPLC_TAKE_NEXT) == (uint8_t)i);
+        CHECK(take(&in_order, ROSPLC_TAKE_PEEK) == (uint8_t)i);
+        CHECK(take(&newest, ROSPLC_TAKE_NEWEST) == (uint8_t)i);
     }
     CHECK(in_order.lost == 0 && newest.lost == 0 && in_order.discontinuities == 0);
     /* `slow` has slept through 4N messages; N-1 are left. */
     for (uint32_t i = 0; i < slots - 1; i++)
-        CHECK(take(&slow, CH_TAKE_NEXT) == (uint8_t)(missed + i + 1));
-    CHECK(take(&slow, CH_TAKE_NEXT) == -1);
+        CHECK(take(&slow, ROSPLC_TAKE_NEXT) == (uint8_t)(missed + i + 1));
+    CHECK(take(&slow, ROSPLC_TAKE_NEXT) == -1);
     CHECK(slow.lost == (start ? 4 * slots - (slots - 1) : 0)); /* before a first message lies no loss */
     CHECK(slow.last == w.head && slow.discontinuities == 0);
 }
 
 static void test_first_flag_and_counters(void)
 {
-    ch_region r = make_region(4, 8);
-    ch_writer w;
-    ch_reader reader;
-    ch_take t;
-    ch_meta meta = {CH_FLAG_TRUNCATED, 0, 1, 2, 3, 4, 5};
-    int error;
-    CHECK(ch_writer_claim(&w, &r, 0, 7, 100, 1) == 0);
-    ch_reader_observe(&reader, &r, 0);
+    rosplc_region r = make_region(4, 8);
+    rosplc_writer w;
+    rosplc_reader reader;
+    rosplc_take t;
+    rosplc_meta meta = {ROSPLC_FLAG_TRUNCATED, 0, 1, 2, 3, 4, 5};
+    rosplc_error error;
+    CHECK(rosplc_writer_claim(&w, &r, 0, 7, 100, 1) == 0);
+    rosplc_reader_observe(&reader, &r, 0);
     for (int i = 0; i < 2; i++) {
-        ch_slot_header *slot = ch_writer_begin(&w, &error);
+        rosplc_slot_header *slot = rosplc_writer_begin(&w, &error);
         CHECK(slot != NULL);
-        ch_writer_commit(&w, slot, &meta);
-        t = ch_take_start(CH_TAKE_NEXT);
-        CHECK(ch_take_begin(&reader, &t) && ch_take_check(&reader, &t));
-        ch_take_accept(&reader, &t);
-        CHECK(t.flags == (i ? CH_FLAG_TRUNCATED : CH_FLAG_TRUNCATED | CH_FLAG_FIRST));
+        rosplc_writer_commit(&w, slot, &meta);
+        t = rosplc_take_start(ROSPLC_TAKE_NEXT);
+        CHECK(rosplc_take_begin(&reader, &t) && rosplc_take_check(&reader, &t));
+        rosplc_take_accept(&reader, &t);
+        CHECK(t.flags == (i ? ROSPLC_FLAG_TRUNCATED : ROSPLC_FLAG_TRUNCATED | ROSPLC_FLAG_FIRST));
         CHECK(t.stamp_lo == 1 && t.stamp_hi == 2 && t.stamp_clock == 3);
         CHECK(t.correlation_lo == 4 && t.correlation_hi == 5);
     }
     CHECK(r.header->writer.truncated == 2);
-    CHECK(ch_writer_begin(&w, &error) != NULL);
-    ch_writer_refuse(&w, 0);
+    CHECK(rosplc_writer_begin(&w, &error) != NULL);
+    rosplc_writer_refuse(&w, 0);
     CHECK(r.header->writer.refused == 1 && r.header->writer.head == 2);
-    CHECK(take(&reader, CH_TAKE_NEXT) == -1);
+    CHECK(take(&reader, ROSPLC_TAKE_NEXT) == -1);
 }
 
 static void test_claims(void)
 {
-    ch_region r = make_region(4, 8);
-    ch_writer one, two;
-    ch_reader reader, other;
-    int error;
-    CHECK(ch_writer_claim(&one, &r, 0, 7, 100, 1) == 0);
-    CHECK(ch_writer_claim(&two, &r, 0, 8, 100, 1) == 114);
+    rosplc_region r = make_region(4, 8);
+    rosplc_writer one, two;
+    rosplc_reader reader, other;
+    rosplc_error error;
+    CHECK(rosplc_writer_claim(&one, &r, 0, 7, 100, 1) == 0);
+    CHECK(rosplc_writer_claim(&two, &r, 0, 8, 100, 1) == 114);
     publish(&one, 1);
-    CHECK(ch_writer_claim(&two, &r, 7, 8, 100, 1) == 0);
+    CHECK(rosplc_writer_claim(&two, &r, 7, 8, 100, 1) == 0);
     CHECK(two.head == 1); /* M7 */
-    CHECK(ch_writer_begin(&one, &error) == NULL && error == 115);
+    CHECK(rosplc_writer_begin(&one, &error) == NULL && error == 115);
     publish(&two, 2);
-    ch_writer_release(&one); /* not its claim any more */
-    CHECK(r.header->writer.epoch == 8);
-    ch_writer_release(&two);
-    CHECK(r.header->writer.epoch == 0);
+    rosplc_writer_release(&one); /* not its claim any more */
+    CHECK(r.header->writer.writer_epoch == 8);
+    rosplc_writer_release(&two);
+    CHECK(r.header->writer.writer_epoch == 0);
 
-    ch_reader_observe(&reader, &r, 2);
-    ch_reader_observe(&other, &r, 2);
-    CHECK(ch_reader_claim(&reader, 1, 0, 5, 50, 1) == 0);
+    rosplc_reader_observe(&reader, &r, 2);
+    rosplc_reader_observe(&other, &r, 2);
+    CHECK(rosplc_reader_claim(&reader, 1, 0, 5, 50, 1) == 0);
     CHECK(r.header->reader[1].taken == 2 && r.header->reader[1].generation == 33);
-    CHECK(ch_reader_claim(&other, 1, 0, 6, 50, 1) == 114);
-    CHECK(ch_reader_claim(&other, 1, 5, 6, 50, 1) == 0);
-    ch_reader_beat(&reader);
+    CHECK(rosplc_reader_claim(&other, 1, 0, 6, 50, 1) == 114);
+    CHECK(rosplc_reader_claim(&other, 1, 5, 6, 50, 1) == 0);
+    rosplc_reader_beat(&reader);
     CHECK(reader.line == NULL); /* goes on as an observer */
-    ch_reader_release(&other);
+    rosplc_reader_release(&other);
     CHECK(r.header->reader[1].claim == 0);
 }
 
 static void test_state_and_layout(void)
 {
-    ch_region r = make_region(4, 8);
-    ch_writer w;
-    int error;
-    CHECK(ch_writer_claim(&w, &r, 0, 7, 100, 1) == 0);
-    r.header->identity.state = CH_STATE_RETIRED;
-    CHECK(ch_writer_begin(&w, &error) == NULL && error == 111);
-    r.header->identity.state = CH_STATE_LIVE;
-    r.header->identity.layout_hi++;
-    CHECK(ch_writer_begin(&w, &error) == NULL && error == 112);
+    rosplc_region r = make_region(4, 8);
+    rosplc_writer w;
+    rosplc_error error;
+    CHECK(rosplc_writer_claim(&w, &r, 0, 7, 100, 1) == 0);
+    r.header->identity.state = ROSPLC_STATE_RETIRED;
+    CHECK(rosplc_writer_begin(&w, &error) == NULL && error == 111);
+    r.header->identity.state = ROSPLC_STATE_LIVE;
+    r.header->identity.layout_id_hi++;
+    CHECK(rosplc_writer_begin(&w, &error) == NULL && error == 112);
 }
 
 /* A scribble over head costs messages and invents none (M7, M12, M13). */
@@ -235,25 +235,25 @@ static void test_scribbled_head(void)
     static const uint32_t heads[] = {0,  1,          2,          5,          7,          8,           9, 10, 11,
                                      12, 0x7FFFFFFF, 0x80000005, 0x80000006, 0xFFFFFFFE, 0xFFFFFFFF};
     for (size_t i = 0; i < sizeof heads / sizeof *heads; i++) {
-        ch_region r = make_region(4, 8);
-        ch_writer w;
-        ch_reader newest, in_order;
+        rosplc_region r = make_region(4, 8);
+        rosplc_writer w;
+        rosplc_reader newest, in_order;
         uint32_t truth = 6;
         int got;
-        CHECK(ch_writer_claim(&w, &r, 0, 7, 100, 1) == 0);
+        CHECK(rosplc_writer_claim(&w, &r, 0, 7, 100, 1) == 0);
         for (uint32_t s = 1; s <= truth; s++)
             publish(&w, (uint8_t)s);
-        ch_reader_observe(&newest, &r, truth);
-        ch_reader_observe(&in_order, &r, truth);
-        ch_store(&r.header->writer.head, heads[i]);
+        rosplc_reader_observe(&newest, &r, truth);
+        rosplc_reader_observe(&in_order, &r, truth);
+        rosplc_store(&r.header->writer.head, heads[i]);
         /* No message that was taken comes again, and none comes that was not sent. */
-        got = take(&newest, CH_TAKE_NEWEST);
+        got = take(&newest, ROSPLC_TAKE_NEWEST);
         CHECK(got == -1);
-        got = take(&in_order, CH_TAKE_NEXT);
+        got = take(&in_order, ROSPLC_TAKE_NEXT);
         CHECK(got == -1 && in_order.last == truth && in_order.discontinuities == 0 && in_order.lost == 0);
         publish(&w, 7);
         CHECK(w.head == 7 && r.header->writer.head == 7);
-        CHECK(take(&newest, CH_TAKE_NEWEST) == 7);
+        CHECK(take(&newest, ROSPLC_TAKE_NEWEST) == 7);
     }
 }
 
@@ -261,26 +261,27 @@ static void test_scribbled_head(void)
 static void test_half_written(void)
 {
     for (uint32_t head = 0; head < 40; head++) {
-        ch_region r = make_region(4, 8);
-        ch_writer w;
-        ch_reader reader;
-        ch_slot_header *slot;
-        int error, got;
-        CHECK(ch_writer_claim(&w, &r, 0, 7, 100, 1) == 0);
+        rosplc_region r = make_region(4, 8);
+        rosplc_writer w;
+        rosplc_reader reader;
+        rosplc_slot_header *slot;
+        rosplc_error error;
+        int got;
+        CHECK(rosplc_writer_claim(&w, &r, 0, 7, 100, 1) == 0);
         for (uint8_t s = 1; s <= 9; s++)
             publish(&w, s);
-        slot = ch_writer_begin(&w, &error);
-        memset(ch_record(slot), 99, 4); /* and now the writer dies */
-        ch_reader_observe(&reader, &r, 0);
-        got = take(&reader, CH_TAKE_PEEK);
+        slot = rosplc_writer_begin(&w, &error);
+        memset(rosplc_record(slot), 99, 4); /* and now the writer dies */
+        rosplc_reader_observe(&reader, &r, 0);
+        got = take(&reader, ROSPLC_TAKE_PEEK);
         CHECK(got == 9);
-        ch_store(&r.header->writer.head, head);
-        got = take(&reader, CH_TAKE_PEEK);
+        rosplc_store(&r.header->writer.head, head);
+        got = take(&reader, ROSPLC_TAKE_PEEK);
         CHECK(got == -1 || (got == (int)head && head >= 7 && head <= 9));
-        ch_store(&r.header->writer.head, 9);
-        CHECK(ch_writer_claim(&w, &r, 7, 8, 100, 1) == 0);
+        rosplc_store(&r.header->writer.head, 9);
+        CHECK(rosplc_writer_claim(&w, &r, 7, 8, 100, 1) == 0);
         publish(&w, 10);
-        CHECK(take(&reader, CH_TAKE_PEEK) == 10);
+        CHECK(take(&reader, ROSPLC_TAKE_PEEK) == 10);
     }
 }
 
@@ -289,76 +290,96 @@ static void test_jumped_stream(void)
 {
     static const uint32_t jumps[] = {7, 8, 9, 100, 0x7FFFFFF0, 0x80000020, 0xFFFFFFF0};
     for (size_t i = 0; i < sizeof jumps / sizeof *jumps; i++) {
-        ch_region r = make_region(4, 8);
-        ch_writer w;
-        ch_reader in_order;
-        CHECK(ch_writer_claim(&w, &r, 0, 7, 100, 1) == 0);
+        rosplc_region r = make_region(4, 8);
+        rosplc_writer w;
+        rosplc_reader in_order;
+        CHECK(rosplc_writer_claim(&w, &r, 0, 7, 100, 1) == 0);
         for (uint8_t s = 1; s <= 6; s++)
             publish(&w, s);
-        ch_reader_observe(&in_order, &r, 6);
-        ch_store(&r.header->writer.head, jumps[i]);
-        CHECK(ch_writer_claim(&w, &r, 7, 8, 100, 1) == 0);
+        rosplc_reader_observe(&in_order, &r, 6);
+        rosplc_store(&r.header->writer.head, jumps[i]);
+        CHECK(rosplc_writer_claim(&w, &r, 7, 8, 100, 1) == 0);
         for (uint8_t s = 50; s < 60; s++) {
             publish(&w, s);
-            CHECK(take(&in_order, CH_TAKE_NEXT) == s);
+            CHECK(take(&in_order, ROSPLC_TAKE_NEXT) == s);
         }
-        CHECK(take(&in_order, CH_TAKE_NEXT) == -1);
+        CHECK(take(&in_order, ROSPLC_TAKE_NEXT) == -1);
     }
 }
 
 /* A writer without fences may be one slot ahead of its head: readers keep away from one slot more (M23). */
 static void test_delayed_rule(void)
 {
-    ch_region r = make_region(4, 8);
-    ch_writer w;
-    ch_reader reader;
-    CHECK(ch_writer_claim(&w, &r, 0, 7, 100, 1) == 0);
+    rosplc_region r = make_region(4, 8);
+    rosplc_writer w;
+    rosplc_reader reader;
+    CHECK(rosplc_writer_claim(&w, &r, 0, 7, 100, 1) == 0);
     publish(&w, 1);
-    r.header->writer.rule = CH_DELAYED_RULE;
-    ch_reader_observe(&reader, &r, 1);
+    r.header->writer.writer_rule = ROSPLC_RULE_DELAYED;
+    rosplc_reader_observe(&reader, &r, 1);
     for (uint8_t s = 2; s <= 10; s++)
         publish(&w, s);
-    CHECK(take(&reader, CH_TAKE_NEXT) == 9);
+    CHECK(take(&reader, ROSPLC_TAKE_NEXT) == 9);
     CHECK(reader.lost == 7);
-    CHECK(take(&reader, CH_TAKE_NEXT) == 10);
-    CHECK(take(&reader, CH_TAKE_NEXT) == -1);
+    CHECK(take(&reader, ROSPLC_TAKE_NEXT) == 10);
+    CHECK(take(&reader, ROSPLC_TAKE_NEXT) == -1);
+}
+
+/* A writer under the delayed rule that takes over during a copy: the smaller of the two windows counts (M23). */
+static void test_handover_to_the_delayed_rule(void)
+{
+    for (int takes_over = 0; takes_over < 2; takes_over++) {
+        rosplc_region r = make_region(4, 8);
+        rosplc_writer w;
+        rosplc_reader reader;
+        rosplc_take t = rosplc_take_start(ROSPLC_TAKE_NEXT);
+        CHECK(rosplc_writer_claim(&w, &r, 0, 7, 100, 1) == 0);
+        for (uint8_t s = 1; s <= 3; s++)
+            publish(&w, s);
+        rosplc_reader_observe(&reader, &r, 1);
+        CHECK(rosplc_take_begin(&reader, &t) && t.sequence == 2);
+        publish(&w, 4);
+        if (takes_over)
+            r.header->writer.writer_rule = ROSPLC_RULE_DELAYED;
+        CHECK(rosplc_take_check(&reader, &t) == !takes_over);
+    }
 }
 
 static void test_latched(void)
 {
-    ch_region r = make_region(4, 8);
-    ch_writer w;
-    ch_reader reader;
-    CHECK(ch_writer_claim(&w, &r, 0, 7, 100, 1) == 0);
+    rosplc_region r = make_region(4, 8);
+    rosplc_writer w;
+    rosplc_reader reader;
+    CHECK(rosplc_writer_claim(&w, &r, 0, 7, 100, 1) == 0);
     for (uint8_t s = 1; s <= 20; s++)
         publish(&w, s);
-    ch_reader_observe(&reader, &r, 0);
-    CHECK(take(&reader, CH_TAKE_NEXT) == 18);
+    rosplc_reader_observe(&reader, &r, 0);
+    CHECK(take(&reader, ROSPLC_TAKE_NEXT) == 18);
     CHECK(reader.lost == 0); /* what was before is none of its business */
-    CHECK(take(&reader, CH_TAKE_NEXT) == 19);
-    CHECK(take(&reader, CH_TAKE_NEXT) == 20);
-    CHECK(take(&reader, CH_TAKE_NEXT) == -1);
+    CHECK(take(&reader, ROSPLC_TAKE_NEXT) == 19);
+    CHECK(take(&reader, ROSPLC_TAKE_NEXT) == 20);
+    CHECK(take(&reader, ROSPLC_TAKE_NEXT) == -1);
 }
 
 static void test_identity(void)
 {
-    ch_region r = make_region(4, 8);
+    rosplc_region r = make_region(4, 8);
     uint8_t image[512], copy[512];
-    ch_identity *id = (ch_identity *)(void *)copy;
-    ch_geometry g;
+    rosplc_identity *id = (rosplc_identity *)(void *)copy;
+    rosplc_geometry g;
     memcpy(image, r.header, 512);
 #define EXPECT(number, size, direction, change) \
     do { \
         memcpy(copy, image, 512); \
         change; \
-        CHECK(ch_identity_check(copy, size, direction, &g) == (number)); \
+        CHECK(rosplc_identity_check(copy, size, direction, &g) == (number)); \
     } while (0)
 #define SIGNED(change) \
     do { \
         change; \
-        id->identity_crc = ch_identity_crc(copy); \
+        id->identity_crc = rosplc_identity_crc(copy); \
     } while (0)
-    EXPECT(0, 4096, CH_TO_ROS, (void)0);
+    EXPECT(0, 4096, ROSPLC_TO_ROS, (void)0);
     EXPECT(103, 511, 0, (void)0);
     EXPECT(104, 4096, 0, id->magic++);
     EXPECT(105, 4096, 0, id->version = 0x20000);
@@ -395,11 +416,11 @@ static void test_identity(void)
     EXPECT(108, 4096, 0, SIGNED(id->description_size = 0xFFFFFFFF));
     EXPECT(109, r.geometry.object_size - 1, 0, (void)0);
     EXPECT(0, r.geometry.object_size, 0, (void)0);
-    EXPECT(110, 4096, CH_TO_PLC, (void)0);
+    EXPECT(110, 4096, ROSPLC_TO_PLC, (void)0);
     EXPECT(110, 4096, 0, SIGNED(id->kind = 2));
     EXPECT(110, 4096, 0, SIGNED(id->direction = 3));
-    EXPECT(111, 4096, 0, id->state = CH_STATE_RETIRED);
-    CHECK(ch_crc32(0, (const uint8_t *)"123456789", 9) == 0xCBF43926u);
+    EXPECT(111, 4096, 0, id->state = ROSPLC_STATE_RETIRED);
+    CHECK(rosplc_crc32(0, (const uint8_t *)"123456789", 9) == 0xCBF43926u);
 }
 
 /* ---------------------------------------------------------------- scribble */
@@ -417,9 +438,9 @@ static uint32_t random_word(void)
  * inside the object (sanitizer, guard page), and what is accepted is never a mixture. */
 static void run_scribble(unsigned long rounds, uint64_t seed)
 {
-    ch_region r = make_region(8, 100), fresh = r;
-    ch_writer w;
-    ch_reader reader;
+    rosplc_region r = make_region(8, 100), fresh = r;
+    rosplc_writer w;
+    rosplc_reader reader;
     uint8_t first[512];
     unsigned long taken = 0, wrong = 0;
     random_state = seed * 2654435761u + 1;
@@ -431,18 +452,18 @@ static void run_scribble(unsigned long rounds, uint64_t seed)
             r = fresh;
             memset((uint8_t *)r.header + 512, 0, r.geometry.object_size - 512);
             memcpy(r.header, first, 512);
-            CHECK(ch_writer_claim(&w, &r, 0, 7, 100, 1) == 0);
-            ch_reader_observe(&reader, &r, 0);
-            CHECK(ch_reader_claim(&reader, 0, 0, 9, 100, 1) == 0);
+            CHECK(rosplc_writer_claim(&w, &r, 0, 7, 100, 1) == 0);
+            rosplc_reader_observe(&reader, &r, 0);
+            CHECK(rosplc_reader_claim(&reader, 0, 0, 9, 100, 1) == 0);
             publish(&w, 1);
-            CHECK(take(&reader, CH_TAKE_NEXT) == 1);
+            CHECK(take(&reader, ROSPLC_TAKE_NEXT) == 1);
         }
         word = target < 128u ? (uint32_t *)(void *)r.header + target
-                             : (uint32_t *)(void *)ch_slot(&r, target) + near % 16u;
+                             : (uint32_t *)(void *)rosplc_slot(&r, target) + near % 16u;
         /* Identity and claim are spared most of the time, or nothing would be left to test. */
         if ((target >= 32u && target != 33u && target != 48u) || near % 64u == 0)
-            ch_store(word, near & 1u ? w.head + near % 20u - 10u : random_word());
-        for (int mode = CH_TAKE_NEWEST; mode <= CH_TAKE_PEEK; mode++) {
+            rosplc_store(word, near & 1u ? w.head + near % 20u - 10u : random_word());
+        for (int mode = ROSPLC_TAKE_NEWEST; mode <= ROSPLC_TAKE_PEEK; mode++) {
             uint32_t before = reader.lost;
             int got = take(&reader, mode);
             taken += got >= 0;
@@ -450,9 +471,9 @@ static void run_scribble(unsigned long rounds, uint64_t seed)
         }
         if (random_word() % 2)
             (void)try_publish(&w, (uint8_t)round); /* 111, 112 and 115 are answers too */
-        if (ch_region_check(&r) == 0 && ch_load(&r.header->writer.epoch) == w.epoch && random_word() % 8 == 0) {
+        if (rosplc_region_check(&r) == 0 && rosplc_load(&r.header->writer.writer_epoch) == w.epoch && random_word() % 8 == 0) {
             publish(&w, (uint8_t)round);
-            CHECK(take(&reader, CH_TAKE_PEEK) == (uint8_t)round); /* one publication heals head */
+            CHECK(take(&reader, ROSPLC_TAKE_PEEK) == (uint8_t)round); /* one publication heals head */
         }
     }
     CHECK(taken > rounds / 100);
@@ -497,53 +518,53 @@ static int is_torn(const uint8_t *record, uint32_t size, uint32_t s)
 
 static int run_torn(double limit, uint32_t size, uint32_t slots, const char *mode, unsigned long wanted)
 {
-    ch_region r = make_region(slots, size);
+    rosplc_region r = make_region(slots, size);
     unsigned long reads = 0, accepted = 0, torn = 0, backwards = 0;
     int unchecked = !strcmp(mode, "unchecked");
-    int take_mode = !strcmp(mode, "next") ? CH_TAKE_NEXT : CH_TAKE_NEWEST;
+    int take_mode = !strcmp(mode, "next") ? ROSPLC_TAKE_NEXT : ROSPLC_TAKE_NEWEST;
     uint8_t *copy = malloc(size), *source = malloc(size);
     double end = seconds() + limit;
     uint32_t last = 0;
-    ch_reader reader;
+    rosplc_reader reader;
     pid_t writer;
     r.header->writer.head = 0xFFFFFFFFu - 1000u; /* through the wrap */
     writer = fork();
     if (writer == 0) {
-        ch_writer w;
+        rosplc_writer w;
         pin(1);
-        if (ch_writer_claim(&w, &r, 0, 7, 100, 1))
+        if (rosplc_writer_claim(&w, &r, 0, 7, 100, 1))
             _exit(3);
         for (;;) {
-            static const ch_meta meta;
-            int error;
-            ch_slot_header *slot;
-            fill(source, size, ch_next(w.head, slots));
-            if (!(slot = ch_writer_begin(&w, &error)))
+            static const rosplc_meta meta;
+            rosplc_error error;
+            rosplc_slot_header *slot;
+            fill(source, size, rosplc_next(w.head, slots));
+            if (!(slot = rosplc_writer_begin(&w, &error)))
                 _exit(4);
-            memcpy(ch_record(slot), source, size);
-            ch_writer_commit(&w, slot, &meta);
+            memcpy(rosplc_record(slot), source, size);
+            rosplc_writer_commit(&w, slot, &meta);
         }
     }
     pin(0);
-    ch_reader_observe(&reader, &r, r.header->writer.head);
+    rosplc_reader_observe(&reader, &r, r.header->writer.head);
     while (accepted < wanted && seconds() < end && (!unchecked || torn < 10)) {
         for (int i = 0; i < 200; i++) {
             reads++;
             if (unchecked) {
-                uint32_t s = ch_load(&r.header->writer.head);
-                ch_fence_acquire();
-                memcpy(copy, ch_record(ch_slot(&r, s)), size);
+                uint32_t s = rosplc_load(&r.header->writer.head);
+                rosplc_fence_acquire();
+                memcpy(copy, rosplc_record(rosplc_slot(&r, s)), size);
                 accepted++;
                 torn += (unsigned long)(s != 0xFFFFFFFFu - 1000u && is_torn(copy, size, s));
             } else {
-                ch_take t = ch_take_start(take_mode);
-                while (ch_take_begin(&reader, &t)) {
-                    memcpy(copy, ch_record(t.slot), size);
-                    if (ch_take_check(&reader, &t)) {
-                        ch_take_accept(&reader, &t);
+                rosplc_take t = rosplc_take_start(take_mode);
+                while (rosplc_take_begin(&reader, &t)) {
+                    memcpy(copy, rosplc_record(t.slot), size);
+                    if (rosplc_take_check(&reader, &t)) {
+                        rosplc_take_accept(&reader, &t);
                         accepted++;
                         torn += (unsigned long)is_torn(copy, size, t.sequence);
-                        backwards += last && ch_distance(last, t.sequence, slots) >= CH_DISCONTINUITY;
+                        backwards += last && rosplc_distance(last, t.sequence, slots) >= ROSPLC_DISCONTINUITY;
                         last = t.sequence;
                     }
                 }
@@ -587,6 +608,7 @@ int main(int argc, char **argv)
     test_half_written();
     test_jumped_stream();
     test_delayed_rule();
+    test_handover_to_the_delayed_rule();
     test_latched();
     test_identity();
     printf("%d failures\n", failures);

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 _SOURCE = Path(__file__).with_name("channel_test.c")
-_INCLUDE = Path(__file__).resolve().parents[3] / "src/rosplc/_core"
+_INCLUDE = Path(__file__).resolve().parents[3] / "src/rosplc/include"
 _WARNINGS = ["-std=gnu11", "-O2", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Werror"]
 _SANITIZE = ["-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 

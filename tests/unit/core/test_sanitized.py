@@ -43,7 +43,10 @@ def test_the_extension_under_sanitizers(tmp_path: Path) -> None:
     limited = ["-DPy_LIMITED_API=0x030B0000"] if sys.version_info >= (3, 11) else []
     library = package / "_core/_native.abi3.so"
     sources = sorted(str(path) for path in (package / "_core").glob("*.c"))
-    subprocess.run(["gcc", *FLAGS, *limited, f"-I{include}", *sources, "-o", str(library)], check=True)
+    subprocess.run(
+        ["gcc", *FLAGS, *limited, f"-I{include}", f"-I{package / 'include'}", *sources, "-o", str(library)],
+        check=True,
+    )
     runtime = subprocess.run(
         ["gcc", "-print-file-name=libasan.so"], capture_output=True, text=True, check=True
     ).stdout.strip()

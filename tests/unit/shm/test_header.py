@@ -81,6 +81,19 @@ def test_offsets_are_those_of_the_specification() -> None:
         assert found == table
 
 
+def test_index_lists_the_rules_in_reading_order() -> None:
+    """The specification's index names each rule once, in the order and the section of its definition."""
+    text = (ROOT / "spec" / "shm-format.md").read_text(encoding="utf-8")
+    index, body = text[: text.index("## 1.")], text[text.index("## 1.") :]
+    section, defined = "", []
+    for line in body.splitlines():
+        if heading := re.match(r"###? (\d+(?:\.\d+)?)", line):
+            section = heading[1]
+        defined += [(rule, section) for rule in re.findall(r"\*\*(M\d+)", line)]
+    assert re.findall(r"^\| (M\d+) \| .* \| ([\d.]+) \|$", index, re.MULTILINE) == defined
+    assert len({rule for rule, _ in defined}) == len(defined) == 24
+
+
 def test_error_numbers_are_the_registered_codes() -> None:
     """Every number of section 9 has a code, and every code a number."""
     assert {f"SHM{number:d}" for number in ErrorNumber} == {code for code in CODES if code.startswith("SHM")}

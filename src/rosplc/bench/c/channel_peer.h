@@ -3,23 +3,23 @@
 #ifndef ROSPLC_BENCH_CHANNEL_PEER_H
 #define ROSPLC_BENCH_CHANNEL_PEER_H
 
-#include "channel.h"
+#include <rosplc/channel.h>
 #include "shared.h"
 
-static ch_region out_region, in_region;
-static ch_writer writer;
-static ch_reader reader;
+static rosplc_region out_region, in_region;
+static rosplc_writer writer;
+static rosplc_reader reader;
 static sem_t *out_bell, *in_bell;
 
-static __attribute__((unused)) ch_region open_object(const char *path)
+static __attribute__((unused)) rosplc_region open_object(const char *path)
 {
-    ch_region region;
+    rosplc_region region;
     struct stat status;
-    uint8_t first[CH_HEADER_SIZE];
+    uint8_t first[ROSPLC_HEADER_SIZE];
     int fd = open(path, O_RDWR | O_CLOEXEC | O_NOFOLLOW);
     if (fd < 0 || fstat(fd, &status) || read(fd, first, sizeof first) != (ssize_t)sizeof first)
         stop(path);
-    int error = ch_identity_check(first, (uint64_t)status.st_size, 0, &region.geometry);
+    rosplc_error error = rosplc_identity_check(first, (uint64_t)status.st_size, 0, &region.geometry);
     if (error || region.geometry.record_size != BYTES) {
         fprintf(stderr, "%s is not an object of 200 bytes (SHM%d)\n", path, error);
         exit(1);
@@ -38,9 +38,9 @@ static __attribute__((unused)) void attach(const char *out, const char *in, uint
     uint32_t me = (uint32_t)getpid();
     out_region = open_object(out);
     in_region = open_object(in);
-    ch_reader_observe(&reader, &in_region, 0);
-    if (ch_writer_claim(&writer, &out_region, 0, me, 1000, me)
-        || ch_reader_claim(&reader, line, 0, me, 1000, me)) {
+    rosplc_reader_observe(&reader, &in_region, 0);
+    if (rosplc_writer_claim(&writer, &out_region, 0, me, 1000, me)
+        || rosplc_reader_claim(&reader, line, 0, me, 1000, me)) {
         fprintf(stderr, "the objects are in use\n");
         exit(1);
     }
@@ -48,26 +48,26 @@ static __attribute__((unused)) void attach(const char *out, const char *in, uint
 
 static void transport_send(const uint16_t *values)
 {
-    static const ch_meta meta;
-    int error;
-    ch_slot_header *slot = ch_writer_begin(&writer, &error);
+    static const rosplc_meta meta;
+    rosplc_error error;
+    rosplc_slot_header *slot = rosplc_writer_begin(&writer, &error);
     if (!slot) {
         fprintf(stderr, "SHM%d\n", error);
         exit(1);
     }
-    memcpy(ch_record(slot), values, BYTES);
-    ch_writer_commit(&writer, slot, &meta);
+    memcpy(rosplc_record(slot), values, BYTES);
+    rosplc_writer_commit(&writer, slot, &meta);
 }
 
 static int transport_try(uint16_t *values)
 {
-    if (!ch_reader_news(&reader))
+    if (!rosplc_reader_news(&reader))
         return 0;
-    ch_take t = ch_take_start(CH_TAKE_NEXT);
-    while (ch_take_begin(&reader, &t)) {
-        memcpy(values, ch_record(t.slot), BYTES);
-        if (ch_take_check(&reader, &t)) {
-            ch_take_accept(&reader, &t);
+    rosplc_take t = rosplc_take_start(ROSPLC_TAKE_NEXT);
+    while (rosplc_take_begin(&reader, &t)) {
+        memcpy(values, rosplc_record(t.slot), BYTES);
+        if (rosplc_take_check(&reader, &t)) {
+            rosplc_take_accept(&reader, &t);
             return 1;
         }
     }

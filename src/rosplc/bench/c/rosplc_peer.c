@@ -14,7 +14,7 @@ int main(int argc, char **argv)
     out_bell = named_semaphore(argv[4 + b], 0);
     in_bell = named_semaphore(argv[4 + !b], 0);
     exchange_main(argv[1][0]);
-    ch_writer_release(&writer);
-    ch_reader_release(&reader);
+    rosplc_writer_release(&writer);
+    rosplc_reader_release(&reader);
     return 0;
 }

@@ -60,11 +60,11 @@ static __attribute__((unused)) void sleep_until(uint64_t tick)
 /* The newest message, as a PLC program takes it; publishing is transport_send(). */
 static __attribute__((unused)) int take(message *m)
 {
-    ch_take t = ch_take_start(CH_TAKE_NEWEST);
-    while (ch_take_begin(&reader, &t)) {
-        memcpy(m, ch_record(t.slot), SIZE);
-        if (ch_take_check(&reader, &t)) {
-            ch_take_accept(&reader, &t);
+    rosplc_take t = rosplc_take_start(ROSPLC_TAKE_NEWEST);
+    while (rosplc_take_begin(&reader, &t)) {
+        memcpy(m, rosplc_record(t.slot), SIZE);
+        if (rosplc_take_check(&reader, &t)) {
+            rosplc_take_accept(&reader, &t);
             return 1;
         }
     }

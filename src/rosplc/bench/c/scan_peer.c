@@ -30,15 +30,15 @@ static void send_message(void)
     message m;
     fill(&m, ++sent);
     if (!strcmp(method, "rosplc")) {
-        static const ch_meta meta;
-        int error;
-        ch_slot_header *slot = ch_writer_begin(&writer, &error);
+        static const rosplc_meta meta;
+        rosplc_error error;
+        rosplc_slot_header *slot = rosplc_writer_begin(&writer, &error);
         if (!slot)
             exit(1);
-        memcpy(ch_record(slot), &m, SIZE / 2);
+        memcpy(rosplc_record(slot), &m, SIZE / 2);
         stand_still();
-        memcpy(ch_record(slot) + SIZE / 2, (uint8_t *)&m + SIZE / 2, SIZE - SIZE / 2);
-        ch_writer_commit(&writer, slot, &meta);
+        memcpy(rosplc_record(slot) + SIZE / 2, (uint8_t *)&m + SIZE / 2, SIZE - SIZE / 2);
+        rosplc_writer_commit(&writer, slot, &meta);
     } else if (!strcmp(method, "semaphore")) {
         down(&areas[0].lock);
         memcpy(&areas[0].content, &m, SIZE / 2);

@@ -19,7 +19,7 @@ static __attribute__((unused)) void *client;
 static int read_message(message *m, const message *before)
 {
     if (!strcmp(method, "rosplc"))
-        return ch_reader_news(&reader) && take(m);
+        return rosplc_reader_news(&reader) && take(m);
     if (!strcmp(method, "semaphore"))
         lock_and_copy(&areas[0], m, &areas[0].content);
     else if (!strcmp(method, "plain"))

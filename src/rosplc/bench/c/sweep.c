@@ -11,7 +11,7 @@
  */
 #include <pthread.h>
 
-#include "channel.h"
+#include <rosplc/channel.h>
 #include "shared.h"
 #ifdef WITH_MODBUS
 #include <modbus.h>
@@ -25,19 +25,19 @@ static void transport_ring(void) {}
 static void transport_sleep(void) {}
 
 typedef struct {
-    ch_region region;
-    ch_writer writer;
-    ch_reader reader;
+    rosplc_region region;
+    rosplc_writer writer;
+    rosplc_reader reader;
 } topic;
 
 static void open_topic(topic *t, const char *path)
 {
     struct stat status;
-    uint8_t first[CH_HEADER_SIZE];
+    uint8_t first[ROSPLC_HEADER_SIZE];
     int fd = open(path, O_RDWR | O_CLOEXEC | O_NOFOLLOW);
     if (fd < 0 || fstat(fd, &status) || read(fd, first, sizeof first) != (ssize_t)sizeof first)
         stop(path);
-    if (ch_identity_check(first, (uint64_t)status.st_size, 0, &t->region.geometry)) {
+    if (rosplc_identity_check(first, (uint64_t)status.st_size, 0, &t->region.geometry)) {
         fprintf(stderr, "%s is not an object\n", path);
         exit(1);
     }
@@ -46,31 +46,31 @@ static void open_topic(topic *t, const char *path)
     if (t->region.header == MAP_FAILED)
         stop(path);
     close(fd);
-    if (ch_writer_claim(&t->writer, &t->region, 0, (uint32_t)getpid(), 1000, (uint32_t)getpid())) {
+    if (rosplc_writer_claim(&t->writer, &t->region, 0, (uint32_t)getpid(), 1000, (uint32_t)getpid())) {
         fprintf(stderr, "%s is in use\n", path);
         exit(1);
     }
-    ch_reader_observe(&t->reader, &t->region, t->writer.head);
+    rosplc_reader_observe(&t->reader, &t->region, t->writer.head);
 }
 
 static void publish(topic *t, const uint8_t *record)
 {
-    static const ch_meta meta;
-    int error;
-    ch_slot_header *slot = ch_writer_begin(&t->writer, &error);
+    static const rosplc_meta meta;
+    rosplc_error error;
+    rosplc_slot_header *slot = rosplc_writer_begin(&t->writer, &error);
     if (!slot)
         exit(1);
-    memcpy(ch_record(slot), record, t->region.geometry.record_size);
-    ch_writer_commit(&t->writer, slot, &meta);
+    memcpy(rosplc_record(slot), record, t->region.geometry.record_size);
+    rosplc_writer_commit(&t->writer, slot, &meta);
 }
 
 static void take(topic *t, uint8_t *out)
 {
-    ch_take attempt = ch_take_start(CH_TAKE_NEWEST);
-    while (ch_take_begin(&t->reader, &attempt)) {
-        memcpy(out, ch_record(attempt.slot), t->region.geometry.record_size);
-        if (ch_take_check(&t->reader, &attempt)) {
-            ch_take_accept(&t->reader, &attempt);
+    rosplc_take attempt = rosplc_take_start(ROSPLC_TAKE_NEWEST);
+    while (rosplc_take_begin(&t->reader, &attempt)) {
+        memcpy(out, rosplc_record(attempt.slot), t->region.geometry.record_size);
+        if (rosplc_take_check(&t->reader, &attempt)) {
+            rosplc_take_accept(&t->reader, &attempt);
             return;
         }
     }

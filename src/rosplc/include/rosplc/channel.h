@@ -1,0 +1,11 @@
+/* The channel of spec/shm-format.md: header-only, C11 and C++17, without an operating system or an allocator.
+ *
+ * Parts, each on top of the one before: numbers and format (the drawing), sequence, identity, region, writer,
+ * reader. Opening and mapping an object is left to the caller: examples/c/channel.h shows it for POSIX. */
+#ifndef ROSPLC_CHANNEL_H
+#define ROSPLC_CHANNEL_H
+
+#include "reader.h"
+#include "writer.h"
+
+#endif
