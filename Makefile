@@ -10,6 +10,9 @@ CORE_SOURCES := $(wildcard src/rosplc/_core/*.c src/rosplc/_core/*.h)
 # Minutes that `make verify` may take; empty: as long as it needs.
 VERIFY_MINUTES ?=
 
+# What `make compare` is told.
+COMPARE_OPTIONS ?=
+
 # Minutes that `make soak` takes, and what else it is told.
 SOAK_MINUTES ?= 4
 SOAK_OPTIONS ?=
@@ -36,7 +39,7 @@ help: ## list the targets
 $(VENV)/.base: pyproject.toml setup.py tools/setup.sh
 	@tools/setup.sh base
 
-$(VENV)/.installed: pyproject.toml tests/st/pyproject.toml setup.py tools/setup.sh
+$(VENV)/.installed: pyproject.toml tests/st/pyproject.toml benchmarks/pyproject.toml setup.py tools/setup.sh
 	@tools/setup.sh install
 
 $(VENV)/.core: $(VENV)/.base $(CORE_SOURCES)
@@ -106,6 +109,10 @@ site: $(VENV)/.installed $(VENV)/.core ## build the documentation as a site in s
 .PHONY: bench
 bench: $(VENV)/.installed $(VENV)/.core ## the developers' measurements in benchmarks/
 	@$(RUN) bench
+
+.PHONY: compare
+compare: $(VENV)/.installed $(VENV)/.core ## compare rosplc with Modbus TCP, OPC UA and others on this machine; COMPARE_OPTIONS="--quick"
+	@$(VENV)/bin/rosplc-bench $(COMPARE_OPTIONS)
 
 .PHONY: soak
 soak: $(VENV)/.installed $(VENV)/.core ## the fault campaign, all kinds of cell at once; SOAK_MINUTES=60 SOAK_OPTIONS="--seed 7"

@@ -105,6 +105,8 @@ def lint(outcome: Outcome) -> None:
     step(outcome, "ruff", [str(BIN / "ruff"), "check", "."])
     step(outcome, "ruff format", [str(BIN / "ruff"), "format", "--check", "."])
     step(outcome, "import-linter", [str(BIN / "lint-imports"), "--no-logo"])
+    own = ["--no-logo", "--config", "benchmarks/pyproject.toml"]
+    step(outcome, "import-linter, rosplc-bench", [str(BIN / "lint-imports"), *own])
 
 
 def types(outcome: Outcome) -> None:

@@ -1,4 +1,4 @@
-"""Write the results in docs/explanation/comparison.md from a report of ``rosplc bench --full --out DIR``.
+"""Write the results in docs/explanation/comparison.md from a report of ``rosplc-bench --full --out DIR``.
 
 usage: python tools/generate_comparison.py [DIR/report.json] [--verify]
 
@@ -12,25 +12,22 @@ import argparse
 import json
 from pathlib import Path
 
-from rosplc.bench import markdown
-from rosplc.bench.draw import draw
-from rosplc.bench.results import Report
-from rosplc.bench.section import render
-from rosplc.bench.sections import SECTIONS
+from rosplc_bench.cli import SECTIONS
+from rosplc_bench.draw import draw
+from rosplc_bench.report import Report, markdown_body, render
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 PAGE = DOCS / "explanation" / "comparison.md"
 IMAGES = DOCS / "images" / "bench"
 REPORT = IMAGES / "report.json"
 BEGIN, END = "<!-- results: begin; written by tools/generate_comparison.py -->", "<!-- results: end -->"
-BY_NAME = {section.name: section for section in SECTIONS}
 
 
 def page(report: Report) -> str:
     """Return the whole page with the report's results in their place."""
     before, _, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
     _, _, after = rest.partition(END)
-    body = "\n".join(markdown.body(report, BY_NAME, "../images/bench/")).rstrip()
+    body = "\n".join(markdown_body(report, SECTIONS, "../images/bench/")).rstrip()
     return f"{before}{BEGIN}\n\n{body}\n\n{END}{after}"
 
 
@@ -50,7 +47,7 @@ def main() -> int:
     for old in (*IMAGES.glob("*.svg"), *IMAGES.glob("*.png")):
         old.unlink()
     REPORT.write_text(json.dumps(report.to_dict()) + "\n", encoding="utf-8")
-    for shown in render(report, BY_NAME).values():
+    for shown in render(report, SECTIONS).values():
         for figure in shown.figures:
             for path in draw(figure, IMAGES):
                 if path.suffix == ".png":

@@ -103,7 +103,7 @@ core() {
 case "${1:-install}" in
 base) install "[views]" "it needs to run" ;;
 install)
-    install "[dev]" "its tests need, about 150 MB" -e tests/st
+    install "[dev]" "its tests need, about 150 MB" -e tests/st -e benchmarks
     touch "$VENV/.installed"
     ;;
 core) core ;;

@@ -278,7 +278,7 @@ _register("SYS003", "no DDS domain is free", "End other ROS programs on this mac
 _register("SYS004", "processes did not find each other", "See the message for who waits for what; a firewall on loopback is a usual cause.")
 _register("SYS005", "output cannot be written", "Free space where stdout leads to, or send it elsewhere.")
 _register("SYS006", "too many files are open", "A bridge holds one per topic: raise the limit (ulimit -n, LimitNOFILE= in a systemd unit).")
-_register("SYS007", "benchmark report cannot be read", "Name a report.json that `rosplc bench --out DIR` of this release wrote.")
+_register("SYS007", "benchmark report cannot be read", "Name a report.json that `rosplc-bench --out DIR` of this release wrote.")
 _register("SYS008", "shared memory cannot be used", "Check that /dev/shm is mounted, writable for this user and not full.")
 _register("SYS009", "a program of the comparison does not compile", "See the compiler's message; a missing header belongs to a -dev package.")
 _register("SYS010", "real-time setting is not permitted", "Run the bridge as a service (rosplc service install), or raise the limits rtprio and memlock; without `realtime:` none is needed.")

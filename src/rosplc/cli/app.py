@@ -73,6 +73,7 @@ for _group, _members in _VERBS.items():
             epilog=_verb.EPILOG,
             cls=RosCommand if _verb is run else None,
             rich_help_panel=_group,
+            context_settings={"ignore_unknown_options": True} if _verb is bench else None,
         )(_verb.command)
 
 

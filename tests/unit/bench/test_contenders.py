@@ -11,17 +11,23 @@ from textwrap import dedent
 
 import pytest
 
-from rosplc.bench.arrangements import ARRANGEMENTS, CYCLIC, ONE_CORE, WAITING
-from rosplc.bench.compiling import compile_program
-from rosplc.bench.contenders import CONTENDERS, Contender, Place
-from rosplc.bench.contenders.base import BLOCKS, CYCLE, start_pair
-from rosplc.bench.contenders.registers import layout
-from rosplc.bench.context import Context, Effort
-from rosplc.bench.missing import Missing
-from rosplc.bench.pair import Pair
-from rosplc.bench.source import MODBUS_S, SHARED_MEMORY_S, SOURCE_KBIT_S, kbit_per_second
-from rosplc.bench.turns import CYCLES, take_turns
 from rosplc.errors import SetupError
+from rosplc_bench.compiling import compile_program
+from rosplc_bench.contenders import CONTENDERS, Contender, Place, layout
+from rosplc_bench.experiment import MODBUS_S, REFERENCE_KBIT_S, SHARED_MEMORY_S, kbit_per_second
+from rosplc_bench.pairs import (
+    ARRANGEMENTS,
+    BLOCKS,
+    CYCLE,
+    CYCLES,
+    CYCLIC,
+    ONE_CORE,
+    WAITING,
+    Pair,
+    start_pair,
+    take_turns,
+)
+from rosplc_bench.run import Context, Effort, Missing
 
 CORES = tuple(sorted(os.sched_getaffinity(0))[:2])
 DEBIAN = {
@@ -71,8 +77,8 @@ def test_values_come_through(contender: Contender, scratch: Path, cache: Path) -
     assert not any(Path(f"/proc/{pid}").exists() for pid in processes)
 
 
-def test_every_contender_says_what_it_is() -> None:
-    """Names are unique, and each says what was measured and how it waits."""
+def test_every_contender_is_described() -> None:
+    """Names are unique, and each has a description and its ways to wait."""
     names = [each.name for each in CONTENDERS]
     assert len(names) == len(set(names))
     known = {each.name for each in (*ARRANGEMENTS, *WAITING)}
@@ -84,8 +90,8 @@ def test_every_contender_says_what_it_is() -> None:
 LIAR = """
     import sys
     from pathlib import Path
-    from rosplc.bench.peers.exchange import serve
-    from rosplc.bench.peers.semaphore import LockedMemory
+    from rosplc_bench.peers.exchange import serve
+    from rosplc_bench.peers.memory import LockedMemory
 
     class Liar(LockedMemory):
         def send(self, record):
@@ -117,7 +123,7 @@ def test_a_contender_with_wrong_values_is_reported_as_failed(
 
 
 def test_a_process_that_ends_is_an_error_with_its_words(scratch: Path, cache: Path) -> None:
-    """What it printed last, and how it ended, stand in the error; no name is left."""
+    """What it printed last, and how it ended, are in the error; no name is left."""
     place = Place.under(scratch, "ends", cache)
     command = [sys.executable, "-c", "import sys; sys.exit('no such board')"]
     with pytest.raises(SetupError, match="no such board"):
@@ -153,14 +159,14 @@ def test_programs_are_compiled_once(cache: Path, monkeypatch: pytest.MonkeyPatch
 
 
 def test_the_record_is_the_numbers_and_nothing_else() -> None:
-    """200 bytes: what the source's experiment carries."""
+    """200 bytes: what the experiment carries."""
     assert layout().size == 200
 
 
-def test_the_source_s_figures_agree_with_each_other() -> None:
+def test_the_reference_figures_agree_with_each_other() -> None:
     """Its rates follow from its durations: the last one of Modbus, and about the mean of shared memory."""
     assert set(MODBUS_S) == set(SHARED_MEMORY_S) == set(CYCLES)
     rates = [kbit_per_second(count, seconds) for count, seconds in MODBUS_S.items()]
-    assert min(rates) < SOURCE_KBIT_S["Modbus TCP"] < max(rates)
+    assert min(rates) < REFERENCE_KBIT_S["Modbus TCP"] < max(rates)
     rates = [kbit_per_second(count, seconds) for count, seconds in SHARED_MEMORY_S.items()]
-    assert min(rates) < SOURCE_KBIT_S["shared memory"] < max(rates)
+    assert min(rates) < REFERENCE_KBIT_S["shared memory"] < max(rates)

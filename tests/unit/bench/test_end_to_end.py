@@ -12,15 +12,24 @@ from typing import Any
 
 import pytest
 
-from rosplc.bench import end_to_end, end_to_end_page
-from rosplc.bench import end_to_end_registers as registers
-from rosplc.bench.context import EFFORTS, Context
-from rosplc.bench.end_to_end_messages import KINDS, Kind
-from rosplc.bench.end_to_end_plc import Program
-from rosplc.bench.end_to_end_ros import QOS, Line, Translator, topics
-from rosplc.bench.markdown import table_lines
 from rosplc.model import TypeStore
 from rosplc.ros import open_backend
+from rosplc_bench import end_to_end
+from rosplc_bench.end_to_end_sides import (
+    KINDS,
+    QOS,
+    Kind,
+    Line,
+    Program,
+    Translator,
+    pack_registers,
+    register_count,
+    topics,
+    unpack_registers,
+)
+from rosplc_bench.protocols import READ_LIMIT, WRITE_LIMIT, pieces
+from rosplc_bench.report import table_lines
+from rosplc_bench.run import EFFORTS, Context
 
 KIND_LIST = list(KINDS.values())
 
@@ -67,7 +76,7 @@ def test_nothing_written_yet_is_no_message() -> None:
 def test_registers_lose_strings_and_digits(kind: Kind) -> None:
     """Through registers a message keeps its number, loses its strings, and is off as a float32 is."""
     leaves = kind.leaves(1234)
-    judgement = kind.judge(registers.unpack(kind, registers.pack(kind, leaves)))
+    judgement = kind.judge(unpack_registers(kind, pack_registers(kind, leaves)))
     assert (judgement.number, judgement.torn, judgement.strings) == (1234, False, 0)
     assert 0 < judgement.error < 2**-23
     sent = kind.leaf(kind.paths[-1], 1234)
@@ -77,22 +86,22 @@ def test_registers_lose_strings_and_digits(kind: Kind) -> None:
 
 def test_register_counts_and_requests() -> None:
     """A Twist fits into one request; a JointState of 24 joints needs two, written or read."""
-    assert registers.size(KINDS["Twist"]) == 12
-    large = registers.size(KINDS["JointState24"])
+    assert register_count(KINDS["Twist"]) == 12
+    large = register_count(KINDS["JointState24"])
     assert large == 2 * (2 + 3 * 24)
-    assert registers.pieces(large, registers.WRITE_LIMIT) == [(0, 123), (123, large)]
-    assert registers.pieces(large, registers.READ_LIMIT) == [(0, 125), (125, large)]
+    assert pieces(large, WRITE_LIMIT) == [(0, 123), (123, large)]
+    assert pieces(large, READ_LIMIT) == [(0, 125), (125, large)]
 
 
 class Image:
     """A PLC's registers, filled request by request."""
 
     def __init__(self, kind: Kind) -> None:
-        self.values = [0] * registers.size(kind)
+        self.values = [0] * register_count(kind)
         self.back: list[Any] = []
 
     def read(self, kind: Kind) -> Sequence[Any]:
-        return registers.unpack(kind, self.values)
+        return unpack_registers(kind, self.values)
 
     def write(self, kind: Kind, leaves: Sequence[Any]) -> None:
         self.back.append(leaves)
@@ -110,8 +119,8 @@ def test_a_scan_between_two_requests_counts_a_torn_message() -> None:
     program()
     assert (program.seen, program.torn) == (0, 0)
     for number in (1, 2):
-        values = registers.pack(kind, kind.leaves(number))
-        for step, (begin, end) in enumerate(registers.pieces(len(values), registers.WRITE_LIMIT)):
+        values = pack_registers(kind, kind.leaves(number))
+        for step, (begin, end) in enumerate(pieces(len(values), WRITE_LIMIT)):
             image.values[begin:end] = values[begin:end]
             program()
             program()  # nothing has changed since: not counted again
@@ -220,7 +229,7 @@ def test_the_page_says_what_was_counted() -> None:
             )
         ],
     }
-    times, losses = end_to_end_page.render(data).tables
+    times, losses = end_to_end.render(data).tables
     assert [row[4] for row in times.rows] == [1.0, 2.5, None]
     assert [row[6] for row in losses.rows] == ["4 of 10", "4 of 10", "0 of 0"]
     assert [row[5] for row in losses.rows] == [1, 2, 4]

@@ -1,4 +1,4 @@
-"""A report is plain data: it survives JSON, is rendered from it alone, and says what was met and what not."""
+"""A report is plain data: it survives JSON and is rendered from it alone."""
 
 from __future__ import annotations
 
@@ -7,13 +7,23 @@ from pathlib import Path
 
 import pytest
 
-from rosplc.bench import markdown
-from rosplc.bench.draw import draw
-from rosplc.bench.results import SCHEMA, Failure, Figure, Goal, Measured, Page, Report, Series, Skip, Table
-from rosplc.bench.section import Section, render
-from rosplc.bench.verdict import verdict
-from rosplc.bench.write import write
 from rosplc.errors import SetupError
+from rosplc_bench.draw import draw
+from rosplc_bench.figures import Figure, Series, cell_text
+from rosplc_bench.report import (
+    SCHEMA,
+    Failure,
+    Measured,
+    Page,
+    Report,
+    Section,
+    Skip,
+    Table,
+    markdown,
+    render,
+    summary,
+    write,
+)
 
 MACHINE = {
     "when": "2026-01-01T00:00:00+00:00",
@@ -42,7 +52,6 @@ def page(data: dict[str, float]) -> Page:
             Table("Times (µs)", ("", "p50"), (("we", value), ("they|them", None)), "both spin", "A note."),
         ),
         figures=(Figure("times", "Times", "n", "µs", (Series("we", (1, 10), (value, value)),), y_log=True),),
-        goals=(Goal("we ÷ they", 2.0, value, reason="they were quick"),),
         after=("After.",),
         summary=(f"We take {value} µs.",),
     )
@@ -83,28 +92,17 @@ def test_a_report_of_another_release_is_refused() -> None:
         render(broken, SECTIONS)
 
 
-@pytest.mark.parametrize(
-    ("measured", "at_least", "met"),
-    [(2.0, True, True), (1.9, True, False), (2.0, False, True), (2.1, False, False), (None, True, None)],
-)
-def test_a_goal_is_met_by_its_measured_ratio(
-    measured: float | None, at_least: bool, met: bool | None
-) -> None:
-    """At least and at most are compared with what was measured; what was not measured is neither."""
-    assert Goal("x", 2.0, measured, at_least).met is met
-
-
-def test_goals_follow_the_data() -> None:
-    """The same section with another value shows another ratio and another verdict."""
-    good, bad = ("\n".join(verdict(report(value), SECTIONS)) for value in (3.0, 1.0))
-    assert "[met   ] we ÷ they: 3.00x" in good and "they were quick" not in good
-    assert "[missed] we ÷ they: 1.00x" in bad and "they were quick" in bad
-    assert "skipped: they: no gcc; install it" in good
+def test_what_is_shown_follows_the_data() -> None:
+    """The same section with another value shows another summary; a skip is named with its remedy."""
+    for value in (3.0, 1.0):
+        text = "\n".join(summary(report(value), SECTIONS))
+        assert f"We take {value} µs." in text
+        assert "skipped: they: no gcc; install it" in text
 
 
 def test_the_page_holds_everything_with_its_waiting() -> None:
-    """Machine, goals, figures and tables stand in the Markdown, and how one waited below each table."""
-    text = markdown.text(report(), SECTIONS, "images/")
+    """Machine, figures and tables are in the Markdown, and how one waited below each table."""
+    text = markdown(report(), SECTIONS, "images/")
     for part in (
         "a board",
         "![Times](images/times.svg)",
@@ -115,33 +113,32 @@ def test_the_page_holds_everything_with_its_waiting() -> None:
     ):
         assert part in text
     assert "*Waiting: both spin.* A note." in text
-    assert "| we ÷ they | ≥ 2 × | 3.00 × | met |" in text
     assert "Not measured: they: no gcc (install it)" in text
 
 
 def test_a_busy_machine_is_named() -> None:
-    """Where other programs ran, page and verdict say what that does to ratios; on a quiet one they do not."""
+    """Where other programs ran, page and summary warn of the ratios; on a quiet machine they do not."""
     loaded = Report({**MACHINE, "load_before": [0.9, 0.2, 0.3]}, report().options, report().sections)
     for found, words in ((loaded, True), (report(), False)):
-        assert ("Other programs were running" in markdown.text(found, SECTIONS)) is words
-        assert ("Other programs were running" in "\n".join(verdict(found, SECTIONS))) is words
+        assert ("Other programs were running" in markdown(found, SECTIONS)) is words
+        assert ("Other programs were running" in "\n".join(summary(found, SECTIONS))) is words
 
 
 def test_lines_fit_the_terminal() -> None:
-    """No sentence of the verdict is wider than the terminal; a table's rows stay as they are."""
+    """No sentence of the summary is wider than the terminal; a table's rows stay as they are."""
     row = " row " + "x" * 75
     section = Section("one", "One", "Who?", lambda _: {}, lambda _: Page(summary=("word " * 60, row)))
-    lines = list(verdict(report(), {"one": section}, 60))
+    lines = list(summary(report(), {"one": section}, 60))
     assert row in lines
     assert all(len(line) <= 60 for line in lines if line != row)
 
 
-def test_failures_stand_in_page_and_verdict() -> None:
+def test_failures_stand_in_page_and_summary() -> None:
     """A report with a failure is not good, and says so in both."""
     failed = Report(MACHINE, report().options, (Measured("one", 1.0, {}, (), (Failure("we", "torn"),)),))
     assert report().good and not failed.good
-    assert "Failed: we" in markdown.text(failed, SECTIONS)
-    assert "FAILED: we: torn" in "\n".join(verdict(failed, SECTIONS))
+    assert "Failed: we" in markdown(failed, SECTIONS)
+    assert "FAILED: we: torn" in "\n".join(summary(failed, SECTIONS))
 
 
 @pytest.mark.parametrize(
@@ -160,7 +157,7 @@ def test_failures_stand_in_page_and_verdict() -> None:
 )
 def test_numbers_have_three_digits(cell: float | str | None, text: str) -> None:
     """Measured numbers are shown with three significant digits, counts whole."""
-    assert markdown.cell_text(cell) == text
+    assert cell_text(cell) == text
 
 
 def test_files_of_a_report(tmp_path: Path) -> None:

@@ -10,15 +10,15 @@ from pathlib import Path
 
 import pytest
 
-from rosplc.bench import scan_cycle, scan_cycle_methods
-from rosplc.bench.context import EFFORTS, Context
-from rosplc.bench.markdown import table_lines
-from rosplc.bench.scan_cycle import STALL_NS, Condition
+from rosplc_bench import scan_cycle
+from rosplc_bench.report import table_lines
+from rosplc_bench.run import EFFORTS, Context
+from rosplc_bench.scan_cycle import STALL_NS, Condition
 
 
 @pytest.fixture
 def context(tmp_path: Path) -> Context:
-    """Give the surroundings of a run."""
+    """Give the context of a run."""
     if shutil.which("gcc") is None:
         pytest.skip("Debian package gcc is missing")
     if shutil.which("pkg-config") is None:
@@ -36,8 +36,8 @@ def test_every_method_and_condition(context: Context, monkeypatch: pytest.Monkey
     )
     data = json.loads(json.dumps(scan_cycle.run(context)))
     assert not context.failures
-    assert {one["method"] for one in data["runs"]} == set(scan_cycle_methods.NAMES)
-    assert len(data["runs"]) == 2 * len(scan_cycle_methods.NAMES)
+    assert {one["method"] for one in data["runs"]} == set(scan_cycle.NAMES)
+    assert len(data["runs"]) == 2 * len(scan_cycle.NAMES)
     for one in data["runs"]:
         assert one["late_ns"]["count"] == one["calls_ns"]["count"] == one["scans"]
         if one["method"].startswith("rosplc"):
@@ -63,8 +63,7 @@ def test_who_stands_still_inside_a_message(context: Context, monkeypatch: pytest
     wanted = ("rosplc", "semaphore", "plain")
     context.only = wanted
     with ExitStack() as stack:
-        programs = scan_cycle_methods.Programs.compiled(context)
-        methods = {one.name: one for one in scan_cycle_methods.start(context, programs, stack)}
+        methods = {one.name: one for one in scan_cycle.Starter(context, stack).methods()}
         assert set(methods) == set(wanted)
         found = {name: scan_cycle.stall(method, scans=1000) for name, method in methods.items()}
     assert found["plain"]["torn"] > 0

@@ -7,12 +7,12 @@ import subprocess
 import sys
 from pathlib import Path
 
-from rosplc.bench.scratch import NAMES_FILE, PREFIX, scratch_folder, sweep
+from rosplc_bench.run import NAMES_FILE, PREFIX, scratch_folder, sweep
 
 _HOLDS_ONE = """
 import sys
 from pathlib import Path
-from rosplc.bench.scratch import scratch_folder
+from rosplc_bench.run import scratch_folder
 with scratch_folder(Path(sys.argv[1])) as folder:
     (folder / "something").write_text("x")
     print(folder, flush=True)

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from rosplc.bench import sweeps
-from rosplc.bench.context import EFFORTS, Context
-from rosplc.bench.markdown import table_lines
-from rosplc.bench.sweeps_page import PAYLOAD_NAMES, TOPIC_NAMES
 from rosplc.errors import SetupError
+from rosplc_bench import sweeps
+from rosplc_bench.report import table_lines
+from rosplc_bench.run import EFFORTS, Context
+from rosplc_bench.sweeps import PAYLOAD_NAMES, TOPIC_NAMES
 
 EFFORT = {"rounds": 1, "turn_ms": 0.5, "sizes": (8, 1000, 200_000), "topics": (1, 30), "server_most": 5}
 

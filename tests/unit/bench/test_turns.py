@@ -7,16 +7,22 @@ from typing import Any
 
 import pytest
 
-from rosplc.bench.arrangements import CYCLIC, ONE_CORE, TWO_CORES, Way
-from rosplc.bench.contenders.base import Contender, Place
-from rosplc.bench.context import Context, Effort
-from rosplc.bench.experiment_goals import goals
-from rosplc.bench.found import Found, durations
-from rosplc.bench.missing import Missing
-from rosplc.bench.pair import Turn
-from rosplc.bench.stats import distribution, median_ratio
-from rosplc.bench.turns import CYCLES, plan_turn, take_turns
 from rosplc.errors import SetupError
+from rosplc_bench.experiment import durations, render
+from rosplc_bench.pairs import (
+    CYCLES,
+    CYCLIC,
+    ONE_CORE,
+    TWO_CORES,
+    Contender,
+    Place,
+    Turn,
+    Way,
+    plan_turn,
+    take_turns,
+)
+from rosplc_bench.report import distribution, median_ratio
+from rosplc_bench.run import Context, Effort, Missing
 
 EFFORT = Effort("test", 3, 1.0, 2, 0.1)
 
@@ -105,7 +111,7 @@ def test_a_way_to_wait_that_needs_a_missing_package_is_left_out_alone(tmp_path: 
     found = {each["name"]: each["contenders"] for each in take_turns(here, [who], [ONE_CORE, TWO_CORES])}
     assert not found[ONE_CORE.name] and len(found[TWO_CORES.name]) == 1
     assert [(each.what, each.remedy) for each in here.skips] == [
-        (f"A, {ONE_CORE.title}", "pip install 'rosplc[bench]'")
+        (f"A, {ONE_CORE.title}", "pip install rosplc-bench")
     ]
 
 
@@ -157,39 +163,28 @@ def test_durations_are_medians_of_rounds() -> None:
     assert durations({"rounds": rounds}) == {10: 2.0, 50: 7.0}
 
 
-def measured(**figures: float) -> Found:
-    """Return data in which each contender takes so many microseconds, on two cores and on one."""
-    entries = [
-        {
-            "name": name.replace("_", "-"),
-            "title": name,
-            "rounds": [{"run_us": value, "p99_us": value * 2, "cpu_us": 1.0}],
-        }
-        for name, value in figures.items()
-    ]
-    return Found([{"name": each.name, "title": "", "contenders": entries} for each in (TWO_CORES, ONE_CORE)])
-
-
-def test_goals_are_computed_from_the_data() -> None:
-    """Other data give other ratios and other verdicts; what is absent is not measured, never met."""
-    quick = {goal.what: goal for goal in goals(measured(rosplc_c=0.5, bare=0.4, libmodbus=150.0))}
-    slow = {goal.what: goal for goal in goals(measured(rosplc_c=1.0, bare=0.4, libmodbus=150.0))}
-    modbus = next(what for what in quick if what.startswith("two cores, C: libmodbus"))
-    bare = next(what for what in quick if "bare" in what)
-    assert (quick[modbus].measured, quick[modbus].met) == (pytest.approx(300.0), True)
-    assert (slow[modbus].measured, slow[modbus].met) == (pytest.approx(150.0), False)
-    assert (quick[bare].measured, quick[bare].met) == (pytest.approx(1.25), True)
-    assert (slow[bare].measured, slow[bare].met) == (pytest.approx(2.5), False)
-    assert "1.00 µs" in slow[bare].reason and "0.400 µs" in slow[bare].reason
-    absent = [goal for goal in quick.values() if goal.measured is None]
-    assert len(absent) == len(quick) - 3 and all(goal.met is None and goal.reason for goal in absent)
-
-
-def test_the_faster_of_two_others_counts() -> None:
-    """A goal against either of iceoryx2's patterns is measured against the faster one."""
-    found = measured(rosplc_python=2.0, iceoryx2=10.0, iceoryx2_blackboard=6.0)
-    goal = next(goal for goal in goals(found) if "iceoryx2" in goal.what)
-    assert goal.measured == pytest.approx(3.0)
+def test_ratios_are_computed_from_the_data() -> None:
+    """Other data give other ratios; what is absent has no row."""
+    each = {"about": "a fake", "waits": "spins", "wrong": 0, "runs": 1}
+    every = {"count": 1, "p50_us": 1.0, "p99_us": 1.0, "p999_us": 1.0, "max_us": 1.0}
+    for own, expected in ((0.5, 300.0), (1.0, 150.0)):
+        figures = {"rosplc-c": own, "bare": 0.4, "libmodbus": 150.0}
+        entries = [
+            {
+                **each,
+                "name": name,
+                "title": name.upper(),
+                "all": every,
+                "rounds": [
+                    {"run_us": value, "p99_us": value * 2, "cpu_us": 1.0, "durations_s": {"10": value}}
+                ],
+            }
+            for name, value in figures.items()
+        ]
+        data = [{"name": TWO_CORES.name, "title": "Two", "waiting": "spin", "contenders": entries}]
+        ratios = render({"arrangements": data, "cycles": [10]}).tables[0]
+        assert [row[1] for row in ratios.rows] == ["BARE (spins)", "LIBMODBUS (spins)"]
+        assert ratios.rows[1][2:5] == (150.0, own, pytest.approx(expected))
 
 
 def test_arrangements_say_how_one_waits() -> None:

@@ -1,0 +1,1 @@
+"""``rosplc-bench``: ways to exchange data with a PLC, compared on the user's own machine."""

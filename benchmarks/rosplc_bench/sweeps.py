@@ -1,0 +1,623 @@
+"""The sweeps: one message one way by its size, and one message on each of many topics.
+
+For each size and number all contenders are up at once and take turns, each as often as fits into some
+milliseconds. A contender is a function that takes a number of repetitions, and returns nanoseconds per
+message (or per round over all topics) by name; each compares what arrived with what was sent.
+
+``python -m rosplc_bench.sweeps modbus|opcua PORT TOPICS`` runs a server.
+"""
+
+from __future__ import annotations
+
+import logging
+import resource
+import secrets
+import statistics
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from rosplc.codec import Codec, Wire
+from rosplc.errors import ChannelError, SetupError
+from rosplc.layout import Limits, compute_layout
+from rosplc.model import TypeStore
+from rosplc.shm import Description, Direction, Namespace, OwnedChannel, Reader, Writer
+from rosplc_bench.compiling import compile_with_modbus
+from rosplc_bench.figures import Cell, Figure, Series
+from rosplc_bench.process import WATCHDOG_S, Side, free_port, python, reply, requests
+from rosplc_bench.protocols import ModbusClient, OpcUaClient, Variable, serve_modbus, serve_opcua
+from rosplc_bench.report import Page, Section, Table
+from rosplc_bench.run import Context, Missing, need
+
+Contender: TypeAlias = Callable[[int], Mapping[str, float]]
+
+FIELDS = 6
+"""Numbers of a topic: those of a Twist."""
+_MODBUS_MOST = 131072
+"""Bytes in all 65,536 registers: Modbus addresses no more."""
+_START_SECONDS = 300.0
+"""asyncua makes some hundred nodes per second, on a small board tens; there are 6,000 in a full run."""
+_SLOW_MS = 250.0
+"""A contender whose message takes longer is measured once per size."""
+_FILES_PER_TOPIC, _FILES_BESIDE = 3, 200
+
+_SIZES = (8, 64, 512, 4096, 32768, 262144, 2097152, 8388608)
+_EFFORTS: dict[str, dict[str, Any]] = {
+    "quick": {
+        "rounds": 1,
+        "turn_ms": 2.0,
+        "sizes": (8, 512, 32768, 8388608),
+        "topics": (1, 10, 100),
+        "server_most": 10,
+    },
+    "default": {
+        "rounds": 3,
+        "turn_ms": 5.0,
+        "sizes": _SIZES,
+        "topics": (1, 10, 100, 1000),
+        "server_most": 100,
+    },
+    "full": {
+        "rounds": 9,
+        "turn_ms": 30.0,
+        "sizes": _SIZES,
+        "topics": (1, 3, 10, 30, 100, 300, 1000),
+        "server_most": 1000,
+    },
+}
+"""By effort; ``server_most``: the most topics asked of OPC UA's server, which makes its nodes slowly."""
+
+PAYLOAD_NAMES = {
+    "memcpy": "memcpy in and out (C)",
+    "rosplc": "rosplc (C)",
+    "semaphore": "shm, semaphore (C)",
+    "memcpy-python": "memcpy in and out (Python)",
+    "rosplc-python": "rosplc (Python)",
+    "libmodbus": "Modbus TCP (libmodbus, C)",
+    "pymodbus": "Modbus TCP (pymodbus)",
+    "asyncua": "OPC UA (asyncua)",
+}
+"""Contender → its name where the size of the message varies."""
+
+TOPIC_NAMES = {
+    "rosplc": "rosplc (C)",
+    "rosplc-batched": "rosplc, one call for all (Python)",
+    "rosplc-single": "rosplc, one by one (Python)",
+    "libmodbus": "Modbus TCP (libmodbus, C)",
+    "pymodbus": "Modbus TCP (pymodbus)",
+    "asyncua": "OPC UA (asyncua)",
+}
+"""Contender → its name where the number of topics varies."""
+
+
+def run(context: Context) -> dict[str, Any]:
+    """Measure; see :class:`rosplc_bench.report.Section`."""
+    effort = _EFFORTS[context.effort.name]
+    if not any(context.wants(name) for name in SECTION.contenders):
+        return {}
+    data: dict[str, Any] = {"payload": [], "topics": [], "server_most": effort["server_most"]}
+    with ExitStack() as stack:
+        sweep = Sweep(context, effort, stack)
+        total = len(effort["sizes"]) + len(effort["topics"])
+        for done, size in enumerate(effort["sizes"]):
+            context.notify(done, total, f"one message of {size} bytes")
+            try:
+                with ExitStack() as here:
+                    found = _turns(context, sweep.payload(size, here), effort)
+            except ChannelError as error:
+                if error.code != "SHM117":
+                    raise
+                context.skip(f"one message of {size} bytes", error.what, "make room in /dev/shm")
+                continue
+            data["payload"] += [{"size": size, "contender": name, "ns": ns} for name, ns in found.items()]
+        for done, count in enumerate(effort["topics"]):
+            context.notify(len(effort["sizes"]) + done, total, f"{count} topics")
+            try:
+                with ExitStack() as here, _files(_FILES_PER_TOPIC * count + _FILES_BESIDE):
+                    found = _turns(context, sweep.topics(count, here), effort)
+            except Missing as missing:
+                context.skip(f"{count} topics", missing.reason, missing.remedy)
+                continue
+            data["topics"] += [{"topics": count, "contender": name, "ns": ns} for name, ns in found.items()]
+    return data
+
+
+@contextmanager
+def _files(count: int) -> Iterator[None]:
+    """Allow this process to hold so many open files; an object's owner holds one for its lock."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if soft == resource.RLIM_INFINITY or soft >= count:
+        yield
+        return
+    try:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (count, hard))
+    except (OSError, ValueError):
+        raise Missing(f"only {soft} files may be open at once", f"ulimit -n {count}") from None
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
+def _turns(
+    context: Context, contenders: Iterable[Contender], effort: dict[str, Any]
+) -> dict[str, list[float]]:
+    """Let all measure once per round; return what each found, by name."""
+    values: dict[str, list[float]] = {}
+    counts: dict[Contender, int] = {}
+    for number in range(-1, effort["rounds"]):
+        for contender in contenders:
+            if number >= 0 and contender not in counts:
+                continue  # it failed, or takes too long to be asked again
+            try:
+                if number < 0:
+                    counts[contender] = _calibrated(contender, effort["turn_ms"])
+                    continue
+                found = contender(counts[contender])
+            except Exception as error:  # one that fails is no reason to lose the others
+                context.fail("sweeps", f"{type(error).__name__}: {error}")
+                counts.pop(contender, None)
+                continue
+            for name, ns in found.items():
+                values.setdefault(name, []).append(ns)
+            if max(found.values()) > _SLOW_MS * 1e6:
+                del counts[contender]
+    return {name: found for name, found in values.items() if context.wants(name)}
+
+
+def _calibrated(contender: Contender, turn_ms: float) -> int:
+    """Return how often a contender can do it in a turn; it has run once before anything counts."""
+    slowest = max(contender(1).values())
+    if slowest < turn_ms * 1e6:
+        slowest = max(contender(2).values())
+    return max(1, min(20_000, int(turn_ms * 1e6 / slowest)))
+
+
+class Sweep:
+    """What lives through all sizes: the servers, and the compiled program."""
+
+    def __init__(self, context: Context, effort: dict[str, Any], stack: ExitStack) -> None:
+        self._scratch = context.scratch
+        self._most = int(effort["server_most"])
+        self._program, self._modbus_port = _native(context, stack)
+        self._pymodbus_port = self._server(context, "modbus", "pymodbus", stack)
+        port = self._server(context, "opcua", "asyncua", stack)
+        self._opcua: OpcUaClient | None = None
+        if port:
+            self._opcua = OpcUaClient(port)
+            stack.callback(self._opcua.close)
+
+    def _server(self, context: Context, method: str, package: str, stack: ExitStack) -> int:
+        if not context.wants(package):
+            return 0
+        try:
+            need(package)
+        except Missing as missing:
+            context.skip(f"sweeps over {package}", missing.reason, missing.remedy)
+            return 0
+        port = free_port()
+        side = Side(f"{package} server", python("sweeps", method, str(port), str(self._most)))
+        stack.callback(side.close)
+        try:
+            side.receive_json(_START_SECONDS + WATCHDOG_S)
+        except SetupError as error:  # the others go on
+            context.fail(f"sweeps over {package}", error.what)
+            return 0
+        return port
+
+    def payload(self, size: int, stack: ExitStack) -> list[Contender]:
+        """Start the contenders that can carry a message of ``size`` bytes."""
+        found: list[Contender] = []
+        if self._program is not None:
+            path = channels(self._scratch, 1, size, stack)[0].path
+            found.append(self._c("payload", str(path), size, stack))
+            if self._modbus_port and size <= _MODBUS_MOST:
+                registers = self._c("modbus", str(self._modbus_port), size, stack)
+                found.append(lambda often: {"libmodbus": registers(often)["modbus"]})
+        found.append(rosplc_python(channels(self._scratch, 1, size, stack)[0], size))
+        found.append(memcpy_python(size))
+        if self._pymodbus_port and size <= _MODBUS_MOST:
+            found.append(pymodbus(self._pymodbus_port, (size + 1) // 2, stack, back=False))
+        if self._opcua is not None:
+            found.append(opcua_payload(self._opcua, size))
+        return found
+
+    def topics(self, count: int, stack: ExitStack) -> list[Contender]:
+        """Start the contenders that can carry so many topics."""
+        # Before a thousand objects are open: select(), which pymodbus' client uses, takes only low numbers
+        # of files.
+        servers: list[Contender] = []
+        if self._pymodbus_port:
+            servers.append(pymodbus(self._pymodbus_port, count * FIELDS * 2, stack, back=True))
+        if self._opcua is not None and count <= self._most:
+            servers.append(opcua_topics(self._opcua, count))
+        found: list[Contender] = []
+        size = twist().size
+        if self._program is not None:
+            paths = [str(channel.path) for channel in channels(self._scratch, count, size, stack)]
+            listed = self._scratch / f"topics-{count}"
+            listed.write_text("\n".join(paths) + "\n")
+            found.append(self._c("topics", str(listed), size, stack))
+            if self._modbus_port:
+                registers = self._c("modbus", str(self._modbus_port), count * FIELDS * 4, stack)
+                found.append(lambda often: {"libmodbus": registers(often)["there and back"]})
+        found.append(topics_python(channels(self._scratch, count, size, stack)))
+        return found + servers
+
+    def _c(self, what: str, place: str, size: int, stack: ExitStack) -> Contender:
+        return program(f"sweep {what}", [str(self._program), what, place, str(size)], stack)
+
+
+def _native(context: Context, stack: ExitStack) -> tuple[Path | None, int]:
+    """Return the program in C and the port of its Modbus server; None and 0 for what is missing."""
+    programs, with_modbus = compile_with_modbus(context, "sweeps", "sweep")
+    if not programs:
+        return None, 0
+    if not with_modbus:
+        return programs[0], 0
+    server = Side("libmodbus server", [str(programs[0]), "modbus-server"])
+    stack.callback(server.close, 0.1)  # it serves until it is killed
+    return programs[0], int(server.receive_json()["port"])
+
+
+def channels(folder: Path, count: int, size: int, stack: ExitStack) -> list[OwnedChannel]:
+    """Make channels for records of ``size`` bytes; they are gone with ``stack``."""
+    namespace = Namespace(f"sweep-{secrets.token_hex(4)}", str(folder))
+    made = []
+    for index in range(count):
+        about = Description(
+            f"/topic{index}",
+            "std_msgs/msg/Empty",
+            "jazzy",
+            Direction.TO_ROS,
+            {},
+            "0" * 16,
+            "bench",
+            "uint8 x",
+        )
+        channel = OwnedChannel.open(namespace, about, record_size=size)
+        stack.callback(channel.retire)  # the memory is wanted for the next size
+        made.append(channel)
+    return made
+
+
+def program(name: str, command: list[str], stack: ExitStack) -> Contender:
+    """Return the contenders of a running C program."""
+    side = Side(name, command)
+    stack.callback(side.close)
+
+    return lambda count: side.ask(str(count))
+
+
+def _check(arrived: bool) -> None:
+    if not arrived:
+        raise SetupError("SYS002", "what arrived is not what was sent")
+
+
+def rosplc_python(channel: OwnedChannel, size: int) -> Contender:
+    """Return the channel from Python: one publication and one taking."""
+    writer = Writer(channel.region, 0, 1000)
+    reader = Reader(channel.region, writer.head)
+    record, out = bytearray(size), bytearray(size)
+
+    def measure(count: int) -> Mapping[str, float]:
+        publish, update = writer.publish, reader.update
+        record[-1] ^= 1
+        began = time.perf_counter_ns()
+        for _ in range(count):
+            publish(record)
+            update(out)
+        spent = time.perf_counter_ns() - began
+        _check(out == record)
+        return {"rosplc-python": spent / count}
+
+    return measure
+
+
+def memcpy_python(size: int) -> Contender:
+    """Return an assignment between memoryviews, in and out, over as many buffers as a channel has."""
+    record, out, *slots = (memoryview(bytearray(size)) for _ in range(6))
+
+    def measure(count: int) -> Mapping[str, float]:
+        began = time.perf_counter_ns()
+        for turn in range(count):
+            slot = slots[turn & 3]
+            slot[:] = record
+            out[:] = slot
+        return {"memcpy-python": (time.perf_counter_ns() - began) / count}
+
+    return measure
+
+
+def topics_python(made: list[OwnedChannel]) -> Contender:
+    """Return the bridge's way over many topics, in one call and one by one; both encode for ROS."""
+    from rosplc._core._native import Group
+
+    plan = Codec(twist(), Wire.CDR).plan
+    writers = [Writer(channel.region, 0, 1000) for channel in made]
+    batched = [Reader(channel.region, writer.head) for channel, writer in zip(made, writers, strict=True)]
+    single = [Reader(channel.region, writer.head) for channel, writer in zip(made, writers, strict=True)]
+    group = Group()
+    for reader in batched:
+        group.add_reader(reader, plan)
+    record = bytes(plan.record_size)
+
+    def one_by_one() -> int:
+        return sum(reader.latest_wire(plan) is not None for reader in single)
+
+    def in_one_call() -> int:
+        return len(group.take()[0])
+
+    def measure(count: int) -> Mapping[str, float]:
+        found = {}
+        for name, take in (("rosplc-batched", in_one_call), ("rosplc-single", one_by_one)):
+            took = 0
+            began = time.perf_counter_ns()
+            for _ in range(count):
+                for writer in writers:
+                    writer.publish(record)
+                took += take()
+            found[name] = (time.perf_counter_ns() - began) / count
+            _check(took == count * len(made))
+            in_one_call(), one_by_one()  # what the other way has left
+        return found
+
+    return measure
+
+
+def twist() -> Any:
+    """Return the layout of the topics' type."""
+    return compute_layout(TypeStore.bundled("jazzy"), "geometry_msgs/msg/Twist", Limits())
+
+
+def pymodbus(port: int, registers: int, stack: ExitStack, *, back: bool) -> Contender:
+    """Return pymodbus writing all registers, and with ``back`` reading them as well."""
+    client = ModbusClient(port)
+    stack.callback(client.close)
+    turn = 0
+
+    def measure(count: int) -> Mapping[str, float]:
+        nonlocal turn
+        turn += 1
+        values = [turn % 65536] * registers
+        found: list[int] = []
+        began = time.perf_counter_ns()
+        for _ in range(count):
+            client.write(0, values)
+            if back:
+                found = client.read(0, registers)
+        spent = time.perf_counter_ns() - began
+        _check((found or client.read(0, registers)) == values)
+        return {"pymodbus": spent / count}
+
+    return measure
+
+
+def opcua_payload(client: OpcUaClient, size: int) -> Contender:
+    """Return writing one node of ``size`` bytes."""
+    node, turn = client.node("payload"), 0
+
+    async def work(count: int, value: Any) -> float:
+        began = time.perf_counter_ns()
+        for _ in range(count):
+            await node.write_value(value)
+        return (time.perf_counter_ns() - began) / count
+
+    def measure(count: int) -> Mapping[str, float]:
+        nonlocal turn
+        turn += 1
+        content = bytes([turn % 256]) * size
+        spent = client.run(work(count, client.value(content, "ByteString")))
+        _check(client.run(node.read_value()) == content)
+        return {"asyncua": spent}
+
+    return measure
+
+
+def opcua_topics(client: OpcUaClient, topics: int) -> Contender:
+    """Return writing and reading all nodes of so many topics, in one request each way."""
+    nodes = [client.node(f"{topic}.{field}") for topic in range(topics) for field in range(FIELDS)]
+    turn = 0.0
+
+    async def work(count: int, values: list[Any]) -> tuple[float, list[Any]]:
+        began = time.perf_counter_ns()
+        for _ in range(count):
+            await client.client.write_values(nodes, values)
+            found = await client.client.read_values(nodes)
+        return (time.perf_counter_ns() - began) / count, found
+
+    def measure(count: int) -> Mapping[str, float]:
+        nonlocal turn
+        turn += 1.0
+        spent, found = client.run(work(count, [client.value(turn, "Double")] * len(nodes)))
+        _check(found == [turn] * len(nodes))
+        return {"asyncua": spent}
+
+    return measure
+
+
+_WAITING = (
+    "rosplc, memcpy and semaphore: no waiting, one process writes and takes; Modbus and OPC UA: the "
+    "client sleeps until the answer to each request comes, the server until a request comes, on whichever "
+    "cores the kernel chooses"
+)
+
+
+def render(data: Mapping[str, Any]) -> Page:
+    """Return the page; see :class:`rosplc_bench.report.Section`."""
+    payload = _medians(data["payload"], "size")
+    topics = _medians(data["topics"], "topics")
+    return Page(
+        lead=_LEAD,
+        tables=(
+            _table(
+                "One message one way by its size, µs",
+                "size",
+                PAYLOAD_NAMES,
+                payload,
+                _microseconds,
+                "Medians of the rounds. Shared memory: written and taken; Modbus and OPC UA: written and "
+                "acknowledged. Modbus takes 246 bytes per request and has addresses for 128 KiB in all.",
+            ),
+            _table(
+                "Messages per second by number of topics (a Twist each)",
+                "topics",
+                TOPIC_NAMES,
+                topics,
+                _per_second,
+                "Medians of the rounds. In a round every topic is written once and read once. rosplc from "
+                "Python also encodes each message for ROS, as the bridge does; Modbus carries 32-bit "
+                "numbers.",
+            ),
+        ),
+        figures=(
+            Figure(
+                "sweep-payload",
+                "One message one way (only Modbus and OPC UA wait, for answers)",
+                "bytes",
+                "µs",
+                _series(PAYLOAD_NAMES, payload, _microseconds),
+                x_log=True,
+                y_log=True,
+            ),
+            Figure(
+                "sweep-topics",
+                "Messages per second over so many topics (only Modbus and OPC UA wait, for answers)",
+                "topics",
+                "messages per second",
+                _series(TOPIC_NAMES, topics, _per_second),
+                x_log=True,
+                y_log=True,
+            ),
+        ),
+        after=_after(data),
+        summary=_summary(payload, topics),
+    )
+
+
+def _microseconds(_size: float, ns: float) -> float:
+    return ns / 1000
+
+
+def _per_second(count: float, ns: float) -> float:
+    return count / ns * 1e9
+
+
+def _medians(entries: list[Mapping[str, Any]], key: str) -> dict[str, dict[int, float]]:
+    found: dict[str, dict[int, float]] = {}
+    for one in entries:
+        found.setdefault(one["contender"], {})[one[key]] = statistics.median(one["ns"])
+    return found
+
+
+def _series(names: Mapping[str, str], found: Mapping[str, Mapping[int, float]], y: Any) -> tuple[Series, ...]:
+    return tuple(
+        Series(
+            name,
+            tuple(map(float, found[key])),
+            tuple(y(x, ns) for x, ns in found[key].items()),
+            group="rosplc" if key.startswith("rosplc") else "",
+        )
+        for key, name in names.items()
+        if key in found
+    )
+
+
+def _table(
+    title: str,
+    first: str,
+    names: Mapping[str, str],
+    found: Mapping[str, Mapping[int, float]],
+    y: Any,
+    note: str,
+) -> Table:
+    shown = [key for key in names if key in found]
+    points = sorted({x for values in found.values() for x in values})
+    rows: list[tuple[Cell, ...]] = [
+        (
+            _size(x) if first == "size" else x,
+            *(y(x, found[key][x]) if x in found[key] else None for key in shown),
+        )
+        for x in points
+    ]
+    return Table(title, (first, *(names[key] for key in shown)), tuple(rows), _WAITING, note)
+
+
+def _size(size: int) -> str:
+    for unit, name in ((1 << 20, "MiB"), (1 << 10, "KiB")):
+        if size >= unit:
+            return f"{size // unit} {name}"
+    return f"{size} B"
+
+
+def _summary(
+    payload: Mapping[str, Mapping[int, float]], topics: Mapping[str, Mapping[int, float]]
+) -> tuple[str, ...]:
+    lines = []
+    if "rosplc" in payload and "memcpy" in payload:
+        size = max(payload["rosplc"])
+        ratio = payload["rosplc"][size] / payload["memcpy"][size]
+        lines.append(f"{_size(size)} through rosplc take {ratio:.2f} times as long as memcpy in and out.")
+    batched, single = topics.get("rosplc-batched"), topics.get("rosplc-single")
+    if batched and single:
+        most = max(batched)
+        lines.append(
+            f"{most} topics from Python: {most / batched[most] * 1e3:.2f} million messages per second "
+            f"in one call for all, {most / single[most] * 1e3:.2f} one by one."
+        )
+    return tuple(lines)
+
+
+_LEAD = (
+    "By size: one message is written and taken (shared memory), or written and acknowledged (Modbus, "
+    "OPC UA). By topics: each topic gets a new message, and all are read. Every value that arrives is "
+    "checked.",
+)
+
+
+def _after(data: Mapping[str, Any]) -> tuple[str, ...]:
+    return (
+        "**What this means.** Up to a few kilobytes the call dominates, not the bytes: nanoseconds in C, a "
+        "fraction of a microsecond from Python. Beyond that, shared memory costs what memcpy costs (a take "
+        "from Python copies once more, into a private buffer, so that a rejected copy is never visible), "
+        "and the semaphore is locked for as long as the copy takes. A request travels through the kernel to "
+        "another process and back, many times if the message does not fit into one.",
+        "**What it does not.** Nothing waits for a message here, so this is not latency: see the "
+        "experiment's tables. Data that fits stays in the caches of one core, which favours shared memory; "
+        "between two cores each cache line travels once more. The semaphore is an unnamed one in the shared "
+        "memory, which is what a named one maps too. "
+        f"asyncua's server was asked for at most {data['server_most']:,} topics, because it creates nodes "
+        "slowly.",
+    )
+
+
+SECTION = Section(
+    name="sweeps",
+    title="By size of the message, and by number of topics",
+    question="Where does copying begin to matter, and how many topics can be carried?",
+    run=run,
+    render=render,
+    contenders=tuple(dict.fromkeys((*PAYLOAD_NAMES, *TOPIC_NAMES))),
+)
+
+
+def main() -> None:
+    """Serve until the input ends: all registers, or a node for bytes and one for each number of a topic."""
+    logging.disable(logging.WARNING)
+    port, topics = int(sys.argv[2]), int(sys.argv[3])
+    if sys.argv[1] == "modbus":
+        serve_modbus(port, _MODBUS_MOST // 2)
+    else:
+        numbers = [f"{topic}.{field}" for topic in range(topics) for field in range(FIELDS)]
+        variables = [Variable(name, "Double", 0.0) for name in numbers]
+        serve_opcua(port, [Variable("payload", "ByteString", b""), *variables], _START_SECONDS)
+    reply(ready=True)
+    for _ in requests():
+        pass
+
+
+if __name__ == "__main__":
+    main()
