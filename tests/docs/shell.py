@@ -9,21 +9,27 @@ import signal
 import subprocess
 import threading
 import time
+from collections.abc import Sequence
 from pathlib import Path
+
+from tests.lib import isolated
 
 COMMAND_SECONDS = 240.0  # a watchdog; a first translation of Structured Text takes a minute or two
 END = re.compile(rb"\n--rosplc-docs-end (\d+)--\n")
 
 
 class Shell:
-    """A bash whose directory and variables last from one command to the next."""
+    """A bash whose directory and variables last from one command to the next.
+
+    It has shared memory and a network of its own, where this user may make such a world.
+    """
 
     def __init__(self, folder: Path, env: dict[str, str]) -> None:
         self.folder = folder
         self.env = env
         self.background: list[Background] = []
         self.process = subprocess.Popen(
-            ["bash", "--noprofile", "--norc"],
+            [*(isolated.command() if isolated.possible() else ()), "bash", "--noprofile", "--norc"],
             cwd=folder,
             env=env,
             stdin=subprocess.PIPE,
@@ -56,7 +62,8 @@ class Shell:
     def start(self, command: str) -> Background:
         """Start a command where the shell stands now and leave it running."""
         _, folder = self.run("pwd")
-        job = Background(command, Path(folder.strip()), self.env)
+        world = isolated.command(join=self.process.pid) if isolated.possible() else []
+        job = Background(command, Path(folder.strip()), self.env, world)
         self.background.append(job)
         return job
 
@@ -71,11 +78,11 @@ class Shell:
 class Background:
     """A command that runs beside the page's shell; its output is kept."""
 
-    def __init__(self, command: str, folder: Path, env: dict[str, str]) -> None:
+    def __init__(self, command: str, folder: Path, env: dict[str, str], world: Sequence[str]) -> None:
         self.command = command
         self.output = b""
         self.process = subprocess.Popen(
-            ["bash", "--noprofile", "--norc", "-c", command],
+            [*world, "bash", "--noprofile", "--norc", "-c", command],
             cwd=folder,
             env=env,
             stdin=subprocess.DEVNULL,

@@ -44,7 +44,7 @@ STRUCTURE = (
     "details",
 )
 
-pytestmark = [pytest.mark.xdist_group("site"), pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.needs("chromium"), pytest.mark.xdist_group("site"), pytest.mark.timeout(600)]
 
 
 class Page(HTMLParser):

@@ -230,7 +230,7 @@ def test_foreign_file_at_a_name(
     assert path.read_bytes() == b"not an object" * 100
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files to other users")
+@pytest.mark.needs(when=os.geteuid() == 0, why="only root can give files to other users")
 def test_object_of_another_user(
     config: Callable[..., Path], run: Callable[..., Bridge], shm_namespace: Namespace
 ) -> None:

@@ -15,10 +15,10 @@ from typing import Any
 import pytest
 
 from tests.e2e.cell import Bridge, Plc
-from tests.interop.ros1.graph import Graph, lend, wait_until
+from tests.interop.ros1.graph import PACKAGES, Graph, lend, wait_until
 from tests.interop.ros1.test_peers import PART, part_defines, string
 
-pytestmark = pytest.mark.timeout(60)
+pytestmark = [pytest.mark.needs(*PACKAGES), pytest.mark.timeout(60)]
 
 TWIST = struct.Struct("<6d")
 

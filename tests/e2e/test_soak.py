@@ -43,22 +43,21 @@ def test_a_few_rounds(tmp_path: Path) -> None:
 
 
 @pytest.mark.verify(minutes=1.5)
+@pytest.mark.needs("faketime")
 @pytest.mark.timeout(600)
 def test_all_faults(tmp_path: Path) -> None:
     """All kinds of fault in an order of their own: each is survived."""
     found = campaign(tmp_path, "--minutes", "1.2")
-    if any("faketime is missing" in why for why in found["skipped"].values()):
-        pytest.skip("Debian package faketime is missing")
     assert found["rounds"] >= 1
 
 
 @pytest.mark.verify(minutes=0.5)
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize("backend", ["zenoh", "rospy"])
+@pytest.mark.parametrize(
+    "backend", ["zenoh", pytest.param("rospy", marks=pytest.mark.needs("python3-rospy"))]
+)
 def test_with_a_router_or_a_master(tmp_path: Path, backend: str) -> None:
     """Where there is a router or a master, its death is one of the faults."""
-    if backend == "rospy" and not Path("/usr/lib/python3/dist-packages/rospy/__init__.py").exists():
-        pytest.skip("Debian package python3-rospy is missing")
     words = ("hub", "kill -9 bridge", "stop", "removed", "reloaded")
     faults = [option for word in words for option in ("--fault", word)]
     found = campaign(tmp_path, "--backend", backend, "--minutes", "0.3", *faults)

@@ -20,6 +20,7 @@ ROOT = Path(__file__).resolve().parents[2]
 NATIVE = [name for name, entry in TARGETS.items() if not entry.module]
 PYTHON = [name for name, entry in TARGETS.items() if entry.module]
 
+NEEDS_CLANG = pytest.mark.needs("clang", "libclang-rt-14-dev")
 MISSING = re.compile(r"Debian package \S+ is missing")
 
 
@@ -41,7 +42,9 @@ def run(*arguments: str) -> str:
     return done.stdout
 
 
-@pytest.mark.parametrize("names", [NATIVE, PYTHON], ids=["native", "python"])
+@pytest.mark.parametrize(
+    "names", [pytest.param(NATIVE, id="native", marks=NEEDS_CLANG), pytest.param(PYTHON, id="python")]
+)
 @pytest.mark.timeout(1800)
 def test_known_inputs_are_refused_or_accepted(names: list[str]) -> None:
     """Seeds, corpus and everything that once was a defect end in a result or in an error of rosplc's."""
@@ -103,6 +106,7 @@ DEFECTS = {
 
 
 @pytest.mark.verify(minutes=1)
+@NEEDS_CLANG
 @pytest.mark.parametrize("defect", DEFECTS)
 def test_a_defect_would_be_found(tmp_path: Path, defect: str) -> None:
     """The corpus alone finds a defect that is put into the C core on purpose."""

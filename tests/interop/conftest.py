@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from tests.interop.graphs import LOCAL, Graph, free_domain
-from tests.interop.peers.build import KINDS, MissingPackageError, build
+from tests.interop.peers.build import KINDS, NEEDS, build
 
 # Unicast on this machine, for Cyclone; the Fast DDS peer sets the same itself.
 _CYCLONE = (
@@ -105,7 +105,11 @@ def graph() -> Iterator[Graph]:
 StartPeer = Callable[..., Peer]
 
 
-@pytest.fixture(params=KINDS)
+def _marked(kind: str) -> object:
+    return pytest.param(kind, marks=pytest.mark.needs(*NEEDS[kind.partition("-")[0]]))
+
+
+@pytest.fixture(params=map(_marked, KINDS))
 def peer(request: pytest.FixtureRequest, graph: Graph) -> Iterator[StartPeer]:
     """Start peers in the graph's domain: ``peer("sub", "String", "rt/chatter", …)``."""
     running: list[Peer] = []
@@ -124,10 +128,7 @@ def peer(request: pytest.FixtureRequest, graph: Graph) -> Iterator[StartPeer]:
         # Cyclone 0.10 crashes when it looks up a type with bounded strings that was built by a newer
         # release. ROS's own layers on it announce no type information, so neither does this peer.
         untyped = request.param == "cyclone" and kind == "Nodes"
-        try:
-            program = build("cyclone-untyped" if untyped else request.param, *defines)
-        except MissingPackageError as missing:
-            pytest.skip(f"Debian package {missing} is missing")
+        program = build("cyclone-untyped" if untyped else request.param, *defines)
         settings: list[object] = []
         if role != "discover":
             settings = [kind, topic, reliability, durability, depth, count]

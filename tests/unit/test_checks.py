@@ -7,8 +7,10 @@ import json
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pytest
 
@@ -17,8 +19,15 @@ TESTS = """
 import pytest
 
 def test_passes(): pass
-def test_lacks_a_package(): pytest.skip("Debian package some-tool is missing")
+@pytest.mark.needs("some-tool")
+def test_lacks_a_package(): pass
+@pytest.mark.needs(variable="ROSPLC_SOME_TOOL")
+def test_lacks_a_variable(): pass
+@pytest.mark.needs(when=False, why="no such processor")
+def test_lacks_something(): pass
 def test_other_skip(): pytest.skip("no reason")
+@pytest.mark.foreign
+def test_foreign(): pass
 
 @pytest.mark.verify(minutes=30)
 def test_long(): pass
@@ -26,10 +35,15 @@ def test_long(): pass
 @pytest.mark.verify
 def test_short(): pass
 """
-INI = "[pytest]\nmarkers =\n    verify: long\n"
+INI = "[pytest]\nmarkers =\n    verify: long\n    needs: what it needs\n    foreign: foreign\n"
+ABSENT = {
+    "test_lacks_a_package": "Debian package some-tool is missing",
+    "test_lacks_a_variable": "ROSPLC_SOME_TOOL is not set",
+    "test_lacks_something": "no such processor",
+}
 
 
-def run(folder: Path, *options: str, **env: str) -> tuple[int, str, dict[str, str]]:
+def run(folder: Path, *options: str, **env: str) -> tuple[int, str, Any]:
     """Run the sample tests under the repository's conftest; return status, output and report."""
     (folder / "conftest.py").write_text((ROOT / "conftest.py").read_text(encoding="utf-8"), encoding="utf-8")
     (folder / "pytest.ini").write_text(INI, encoding="utf-8")
@@ -46,8 +60,10 @@ def run(folder: Path, *options: str, **env: str) -> tuple[int, str, dict[str, st
         text=True,
         check=False,
     )
-    reported = {key.split("::")[-1]: reason for key, reason in json.loads(report.read_text()).items()}
-    return done.returncode, done.stdout, reported
+    found = json.loads(report.read_text())
+    for name in ("absent", "skipped"):
+        found[name] = {key.split("::")[-1]: reason for key, reason in found[name].items()}
+    return done.returncode, done.stdout, found
 
 
 @pytest.fixture
@@ -57,23 +73,31 @@ def folder(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("workers", [(), ("-n", "2")], ids=["one process", "xdist"])
-def test_skips_are_reported_with_their_reasons(folder: Path, workers: tuple[str, ...]) -> None:
-    """On a laptop a missing package is a skip, and the report names it."""
+def test_what_a_machine_lacks_is_listed_and_not_skipped(folder: Path, workers: tuple[str, ...]) -> None:
+    """On a laptop a check whose need is not met is deselected, and listed with the need."""
     status, output, reported = run(folder, *workers)
     assert status == 0, output
-    assert reported == {
-        "test_lacks_a_package": "Debian package some-tool is missing",
-        "test_other_skip": "no reason",
-    }
+    assert reported["absent"] == ABSENT
+    assert reported["skipped"] == {"test_other_skip": "no reason"}
+    assert output.count("NOT HERE ") == 3
+    assert "4 passed, 1 skipped" in output
 
 
 @pytest.mark.parametrize("workers", [(), ("-n", "2")], ids=["one process", "xdist"])
 def test_missing_package_fails_in_ci(folder: Path, workers: tuple[str, ...]) -> None:
-    """In CI the same skip is a failure; other skips stay skips."""
+    """In CI a missing package is a failure; what no registry has is still only listed."""
     status, output, reported = run(folder, *workers, CI="true")
     assert status == 1
-    assert "1 failed, 3 passed, 1 skipped" in output
-    assert set(reported) == {"test_other_skip"}
+    assert "4 passed, 1 skipped" in output and "1 error" in output
+    assert set(reported["absent"]) == set(ABSENT) - {"test_lacks_a_package"}
+
+
+def test_what_needs_a_package_or_a_variable_is_foreign(folder: Path) -> None:
+    """Such checks are no part of the first tier, and need no second marker for it."""
+    status, output, reported = run(folder, "-m", "foreign")
+    assert status == 0, output
+    assert "1 passed" in output
+    assert set(reported["absent"]) == {"test_lacks_a_package", "test_lacks_a_variable"}
 
 
 def test_module_that_lacks_a_package_fails_in_ci(folder: Path) -> None:
@@ -84,21 +108,21 @@ def test_module_that_lacks_a_package_fails_in_ci(folder: Path) -> None:
     )
     status, _, reported = run(folder)
     assert status == 5  # no tests, no failure
-    assert list(reported.values()) == ["Debian package some-tool is missing"]
+    assert list(reported["absent"].values()) == ["Debian package some-tool is missing"]
     status, output, _ = run(folder, CI="true")
     assert status not in (0, 5), output
 
 
+@pytest.mark.parametrize("workers", [(), ("-n", "2")], ids=["one process", "xdist"])
 @pytest.mark.parametrize(("left", "reached"), [(0.0, 0), (600.0, 1), (3600.0, 2)])
-def test_what_does_not_fit_into_the_time_is_not_reached(folder: Path, left: float, reached: int) -> None:
+def test_what_does_not_fit_into_the_time_is_not_reached(
+    folder: Path, left: float, reached: int, workers: tuple[str, ...]
+) -> None:
     """A long check starts only if its minutes fit; otherwise it is neither passed nor failed."""
-    import time
-
-    status, output, reported = run(folder, "-m", "verify", ROSPLC_DEADLINE=str(time.time() + left))
-    assert status == 0, output
-    unreached = [reason for reason in reported.values() if reason.startswith("not reached")]
-    assert len(unreached) == 2 - reached
-    assert output.count("PASSED") == reached
+    deadline = str(time.time() + left)
+    _, output, reported = run(folder, *workers, "-m", "verify", ROSPLC_DEADLINE=deadline)
+    assert len(reported["unreached"]) == 2 - reached, output
+    assert output.count("PASSED test_") == reached
 
 
 def checks() -> ModuleType:
@@ -118,13 +142,19 @@ def test_summary_names_packages_and_unreached_checks(
     monkeypatch.delenv("ROSPLC_SUMMARY", raising=False)
     module = checks()
     outcome = module.Outcome(steps=[("tests", True, 1.0)], summaries=["==== 3 passed in 1.00s ===="])
-    outcome.skipped = {"a": "Debian package one is missing", "b": module.NOT_REACHED, "c": "why not"}
+    outcome.absent = {
+        "a": "Debian package one is missing",
+        "d[1]": "ONE is not set",
+        "d[2]": "ONE is not set",
+    }
+    outcome.skipped = {"c": "why not"}
+    outcome.unreached = ["b"]
     module.report(outcome)
     text = capsys.readouterr().out
-    assert "one: 1 checks" in text
+    assert "ONE is not set\n      d (2 cases)\n" in text
     assert "sudo apt-get install one" in text
-    assert "neither passed nor failed: 1 checks\n   b\n" in text
-    assert "1 × why not" in text
+    assert "neither passed nor failed: 1 checks\n      b\n" in text
+    assert "Skipped:\n   c: why not\n" in text
     assert text.splitlines()[-1] == "==== 3 passed in 1.00s ===="
 
 

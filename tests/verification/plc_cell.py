@@ -24,7 +24,7 @@ from rosplc_st.machine import LibraryMachine, Machine, ProcessMachine
 from rosplc_st.translator import Options
 
 __all__ = [
-    "READ", "TARGETS", "WRITE", "Cell", "cell_build", "cell_texts", "describe", "layout_of", "need_armhf",
+    "READ", "TARGETS", "WRITE", "Cell", "cell_build", "cell_texts", "describe", "layout_of", "needs_armhf",
     "pattern", "project_texts", "store", "target", "twist",
 ]  # fmt: skip
 
@@ -127,22 +127,22 @@ TARGETS: dict[str, tuple[Options, Toolchain | None]] = {
 }
 
 
-def need_armhf() -> None:
-    """Skip the test where programs for 32-bit ARM cannot be built or run."""
-    for found, package in (
-        (shutil.which("arm-linux-gnueabihf-gcc"), "gcc-arm-linux-gnueabihf"),
-        (Path("/usr/arm-linux-gnueabihf/include/stdio.h").exists(), "libc6-dev-armhf-cross"),
-        (shutil.which("qemu-arm"), "qemu-user"),
-    ):
-        if not found:
-            pytest.skip(f"Debian package {package} is missing")
+needs_armhf = pytest.mark.needs("gcc-arm-linux-gnueabihf", "libc6-dev-armhf-cross", "qemu-user")
+
+
+def targets(*marks: pytest.MarkDecorator) -> list[object]:
+    """Return the names of all targets as parameters; ``marks`` are for all but the 64-bit one."""
+    return [
+        pytest.param(
+            name, marks=[*(marks if name != "64-bit" else ()), *([needs_armhf] if name == "armhf" else ())]
+        )
+        for name in TARGETS
+    ]
 
 
 def target(name: str, more: Mapping[str, str] | None = None) -> Build:
-    """Return the cell, built for a target; skip the test where its tools are missing."""
+    """Return the cell, built for a target."""
     options, toolchain = TARGETS[name]
-    if toolchain is ARMHF:
-        need_armhf()
     return cell_build(options, toolchain, program=toolchain is not None, more=more)
 
 

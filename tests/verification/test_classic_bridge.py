@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 import os
-import shutil
 import signal
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
-
-pytest.importorskip("blark")
-if shutil.which("gcc") is None:
-    pytest.skip("Debian package gcc is missing", allow_module_level=True)
 
 from rosplc.bridge import Bridge
 from rosplc.codec import Codec, Wire

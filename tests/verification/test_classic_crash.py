@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 import os
-import shutil
 import signal
 import time
 from collections.abc import Iterator
 
 import pytest
-
-pytest.importorskip("blark")
-if shutil.which("gcc") is None:
-    pytest.skip("Debian package gcc is missing", allow_module_level=True)
 
 from rosplc_st.machine import LibraryMachine, ProcessMachine
 from tests.verification.classic_cell import TOPICS, ClassicCell, record

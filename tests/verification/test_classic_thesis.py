@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import struct
 import time
 from collections.abc import Callable, Iterator
@@ -10,14 +9,12 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("blark")
-if shutil.which("gcc") is None:
-    pytest.skip("Debian package gcc is missing", allow_module_level=True)
-
 from tests.classic_cell import Program, build
 from tests.interop.classic.test_thesis_node import LIBRARIES
-from tests.interop.ros1.graph import Graph, lend, need
+from tests.interop.ros1.graph import PACKAGES, Graph, lend
 from tests.verification.classic_cell import TWIST, ClassicCell, record
+
+pytestmark = pytest.mark.needs(*PACKAGES)
 
 WATCHDOG_S = 60.0
 
@@ -25,7 +22,6 @@ WATCHDOG_S = 60.0
 @pytest.fixture(scope="module")
 def program() -> Path:
     """Compile the node."""
-    need("g++", "/usr/include/ros/ros.h", "/usr/include/geometry_msgs/Twist.h")
     return build("thesis_node.cpp", ["g++", "-std=c++17", "-O1"], *LIBRARIES)
 
 

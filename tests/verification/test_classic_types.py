@@ -3,17 +3,10 @@
 from __future__ import annotations
 
 import random
-import shutil
 import struct
 import subprocess
 import sys
 from pathlib import Path
-
-import pytest
-
-pytest.importorskip("blark")
-if shutil.which("gcc") is None:
-    pytest.skip("Debian package gcc is missing", allow_module_level=True)
 
 from rosplc.codec import Codec, Wire
 from rosplc.layout import Limits

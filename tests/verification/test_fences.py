@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import shutil
 import struct
 from collections.abc import Iterator
 
 import pytest
-
-pytest.importorskip("blark")
-if shutil.which("gcc") is None:
-    pytest.skip("Debian package gcc is missing", allow_module_level=True)
 
 from rosplc.shm import OwnedChannel
 from rosplc.shm.constants import WRITER_LINE

@@ -4,17 +4,12 @@ from __future__ import annotations
 
 import math
 import random
-import shutil
 from collections.abc import Iterator
 from functools import lru_cache
 from typing import Any, TypeAlias
 
 import numpy as np
 import pytest
-
-pytest.importorskip("blark")
-if shutil.which("gcc") is None:
-    pytest.skip("Debian package gcc is missing", allow_module_level=True)
 
 from rosplc.plc.build import build_type_library
 from rosplc.plc.helpers import HELPER_NAMES

@@ -2,13 +2,7 @@
 
 from __future__ import annotations
 
-import shutil
-
 import pytest
-
-pytest.importorskip("blark")
-if shutil.which("gcc") is None:
-    pytest.skip("Debian package gcc is missing", allow_module_level=True)
 
 from rosplc.shm import OwnedChannel
 from rosplc.shm.constants import READER_LINE, READER_LINES, WRITER_LINE, reader_line

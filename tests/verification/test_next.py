@@ -2,13 +2,7 @@
 
 from __future__ import annotations
 
-import shutil
-
 import pytest
-
-pytest.importorskip("blark")
-if shutil.which("gcc") is None:
-    pytest.skip("Debian package gcc is missing", allow_module_level=True)
 
 from tests.verification.plc_cell import Cell, cell_build, pattern
 

@@ -10,15 +10,11 @@ from typing import Any
 
 import pytest
 
-pytest.importorskip("blark")
-if shutil.which("gcc") is None:
-    pytest.skip("Debian package gcc is missing", allow_module_level=True)
-
 from rosplc.layout import Limits
 from rosplc.plc.build import PlcTask, PlcTopic, ProjectOptions, build_project
-from rosplc_st.build import ARMHF, build
+from rosplc_st.build import build
 from rosplc_st.machine import LibraryMachine, Machine, ProcessMachine
-from tests.verification.plc_cell import READ, TARGETS, layout_of, need_armhf, project_texts, store
+from tests.verification.plc_cell import READ, TARGETS, layout_of, project_texts, store, targets
 
 SMALL = Limits(string=20, sequence=4)
 VALUES: dict[str, tuple[str, dict[str, Any]]] = {
@@ -50,14 +46,9 @@ VALUES: dict[str, tuple[str, dict[str, Any]]] = {
 }  # fmt: skip
 
 
-_ONE_IS_ENOUGH = {name: pytest.mark.verify(minutes=1) for name in TARGETS if name != "64-bit"}
-
-
-@pytest.fixture(params=[pytest.param(name, marks=_ONE_IS_ENOUGH.get(name, ())) for name in TARGETS])
+@pytest.fixture(params=targets(pytest.mark.verify(minutes=1)))
 def machine(request: pytest.FixtureRequest) -> Iterator[Machine]:
     options, toolchain = TARGETS[request.param]
-    if toolchain is ARMHF:
-        need_armhf()
     topics = [
         PlcTopic(
             topic, layout_of(type_name, limits=SMALL), "read", "RosTask",

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import shutil
 import struct
 from collections.abc import Iterator
 
 import pytest
 
-pytest.importorskip("blark")
-if shutil.which("gcc") is None:
-    pytest.skip("Debian package gcc is missing", allow_module_level=True)
-
 from rosplc.layout import Limits
 from rosplc.shm import Direction
 from rosplc.shm.constants import IDENTITY, STATE_RETIRED, WRITER_LINE
-from tests.verification.plc_cell import READ, TARGETS, Cell, layout_of, pattern, target
+from tests.verification.plc_cell import READ, Cell, layout_of, pattern, target, targets
 
 
-@pytest.fixture(params=TARGETS)
+@pytest.fixture(params=targets())
 def cell(request: pytest.FixtureRequest) -> Iterator[Cell]:
     with Cell(target(request.param)) as made:
         yield made

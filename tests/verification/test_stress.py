@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import signal
 import struct
 import subprocess
@@ -12,10 +11,6 @@ from functools import lru_cache
 from pathlib import Path
 
 import pytest
-
-pytest.importorskip("blark")
-if shutil.which("gcc") is None:
-    pytest.skip("Debian package gcc is missing", allow_module_level=True)
 
 from rosplc.layout import Layout, compute_layout
 from rosplc.plc.build import PlcTask, PlcTopic, build_project

@@ -5,14 +5,9 @@
 from __future__ import annotations
 
 import re
-import shutil
 from typing import Any
 
 import pytest
-
-pytest.importorskip("blark")
-if shutil.which("gcc") is None:
-    pytest.skip("Debian package gcc is missing", allow_module_level=True)
 
 from rosplc_st.build import build
 from rosplc_st.machine import LibraryMachine

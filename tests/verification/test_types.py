@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-import shutil
-
 import pytest
-
-pytest.importorskip("blark")
-if shutil.which("gcc") is None:
-    pytest.skip("Debian package gcc is missing", allow_module_level=True)
 
 from rosplc.layout import Limits
 from rosplc_st.build import ARMHF
 from rosplc_st.translator import Options
 from tests.verification.crossing import Crossing
-from tests.verification.plc_cell import layout_of, need_armhf, store
+from tests.verification.plc_cell import layout_of, needs_armhf, store
 
 LIMITS = Limits(string=20, sequence=3)
 SAMPLE = (
@@ -56,8 +50,8 @@ def test_all_types(distro: str, batch: int) -> None:
     Crossing.of(layouts, distro).run(seed=batch, rounds=3)
 
 
+@needs_armhf
 def test_sample_under_armhf() -> None:
     """The same blocks, compiled for a 32-bit ARM, cross under qemu-user."""
-    need_armhf()
     crossing = Crossing.of([layout_of(name, "jazzy", LIMITS) for name in SAMPLE[:4]], "jazzy")
     crossing.run(seed=3, toolchain=ARMHF, options=Options(cpu_bits=32))

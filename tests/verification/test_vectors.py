@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
@@ -12,13 +11,9 @@ from typing import Any
 
 import pytest
 
-pytest.importorskip("blark")
-if shutil.which("gcc") is None:
-    pytest.skip("Debian package gcc is missing", allow_module_level=True)
-
 from rosplc_st.build import Build
 from rosplc_st.machine import Machine
-from tests.verification.plc_cell import Cell, cell_texts, target
+from tests.verification.plc_cell import Cell, cell_texts, needs_armhf, target
 
 VECTORS = Path(__file__).parents[2] / "spec" / "vectors"
 FOLDERS = ("regions", "hostile")
@@ -53,9 +48,7 @@ def probe_build(name: str) -> Build:
     return target(name, more)
 
 
-@pytest.fixture(
-    scope="module", params=["64-bit", pytest.param("armhf", marks=pytest.mark.verify(minutes=0.02))]
-)
+@pytest.fixture(scope="module", params=["64-bit", pytest.param("armhf", marks=needs_armhf)])
 def cell(request: pytest.FixtureRequest) -> Iterator[Cell]:
     with Cell(probe_build(request.param)) as made:
         yield made

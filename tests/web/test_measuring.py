@@ -8,6 +8,7 @@ import pytest
 
 
 @pytest.mark.verify(minutes=0.5)
+@pytest.mark.needs("chromium")
 @pytest.mark.xdist_group("chromium")
 @pytest.mark.timeout(600)
 def test_the_pages_measurement_finds_every_channel_and_value() -> None:

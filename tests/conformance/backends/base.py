@@ -106,6 +106,10 @@ class Harness:
     abilities: ClassVar[Abilities]
     reaches_out: ClassVar[bool] = True
     """Whether nodes in different processes see each other: all middlewares, but not ``memory``."""
+    real: ClassVar[bool] = False
+    """Whether it runs over a real rclpy, in the environment that ``make ros2-env`` makes."""
+    packages: ClassVar[tuple[str, ...]] = ()
+    """The Debian packages it needs."""
     repeats: ClassVar[bool] = False
     """Whether most of what it shows another harness shows, too: then only ``make verify`` has it."""
     node_class: ClassVar[type[Node]] = Node
@@ -122,7 +126,7 @@ class Harness:
 
     @classmethod
     def missing(cls) -> str | None:
-        """Return why this backend cannot be tested here, as a skip should say it, or None."""
+        """Return why this backend cannot be tested here, or None."""
         return None
 
     def start(self) -> None:

@@ -46,6 +46,7 @@ class RclpyHarness(Harness):
 
     backend = "rclpy"
     title = "rclpy-double" if _DOUBLE else "rclpy"
+    real = not _DOUBLE
     reaches_out = not _DOUBLE
     node_class = RclpyNode if _DOUBLE else Node
     imitates: ClassVar[str] = "jazzy"

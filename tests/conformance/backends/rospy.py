@@ -8,7 +8,7 @@ from typing import ClassVar
 
 from tests.conformance.backends.base import Abilities, Harness, Peer
 from tests.interop.graphs import wait_for
-from tests.interop.ros1.graph import lend, missing
+from tests.interop.ros1.graph import PACKAGES, lend
 
 
 class RospyHarness(Harness):
@@ -16,6 +16,7 @@ class RospyHarness(Harness):
 
     backend = "rospy"
     title = "rospy"
+    packages = PACKAGES
     distros = ("noetic",)
     abilities: ClassVar[Abilities] = Abilities(
         source_stamps=False,
@@ -32,12 +33,6 @@ class RospyHarness(Harness):
         many_nodes=True,
         has_hub=True,
     )
-
-    @classmethod
-    def missing(cls) -> str | None:
-        """Return what is not installed."""
-        package = missing("/usr/lib/python3/dist-packages/rospy/__init__.py", "rosmaster")
-        return f"Debian package {package} is missing" if package else None
 
     def start(self) -> None:
         """Take a master that nobody uses."""

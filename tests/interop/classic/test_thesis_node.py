@@ -16,7 +16,9 @@ from rosplc.model import TypeStore
 from rosplc.ros import DEFAULT
 from rosplc.ros.memory import MemoryBackend, open_backend
 from tests.classic_cell import Program, build, remove, wait_for
-from tests.interop.ros1.graph import Graph, Peer, need
+from tests.interop.ros1.graph import PACKAGES, Graph, Peer
+
+pytestmark = pytest.mark.needs(*PACKAGES)
 
 TWIST = "geometry_msgs/msg/Twist"
 LIBRARIES = (
@@ -28,7 +30,6 @@ LIBRARIES = (
 @pytest.fixture(scope="module")
 def program() -> Path:
     """Compile the node."""
-    need("g++", "/usr/include/ros/ros.h", "/usr/include/geometry_msgs/Twist.h")
     return build("thesis_node.cpp", ["g++", "-std=c++17", "-O1"], *LIBRARIES)
 
 

@@ -12,10 +12,10 @@ from typer.testing import CliRunner
 from rosplc.cli.app import app
 from rosplc.config import load_project
 from rosplc.ros import LATCHED, Qos
-from tests.interop.ros1.graph import Graph, lend
+from tests.interop.ros1.graph import PACKAGES, Graph, lend
 from tests.interop.ros1.test_peers import PART, part_defines, string
 
-pytestmark = pytest.mark.timeout(120)
+pytestmark = [pytest.mark.needs(*PACKAGES), pytest.mark.timeout(120)]
 TWIST = "geometry_msgs/msg/Twist"
 
 

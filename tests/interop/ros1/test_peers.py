@@ -16,9 +16,9 @@ from rosbags.typesys import Stores, get_typestore
 from rosplc.errors import RosplcError
 from rosplc.model import TypeStore
 from rosplc.ros import LATCHED, Backend, Qos, open_backend
-from tests.interop.ros1.graph import Graph, lend, wait_until
+from tests.interop.ros1.graph import PACKAGES, Graph, lend, wait_until
 
-pytestmark = pytest.mark.timeout(120)
+pytestmark = [pytest.mark.needs(*PACKAGES), pytest.mark.timeout(120)]
 
 STORE = TypeStore.bundled("noetic")
 STRING = "std_msgs/msg/String"

@@ -13,10 +13,10 @@ import pytest
 
 from rosplc.model import TypeStore
 from rosplc.ros import LATCHED, Backend, Qos, open_backend
-from tests.interop.ros1.graph import Graph, lend, need, wait_until
+from tests.interop.ros1.graph import PACKAGES, Graph, lend, wait_until
 from tests.interop.ros1.test_peers import Inbox, string, values
 
-pytestmark = pytest.mark.timeout(120)
+pytestmark = [pytest.mark.needs(*PACKAGES), pytest.mark.timeout(120)]
 
 STORE = TypeStore.bundled("noetic")
 STRING = "std_msgs/msg/String"
@@ -70,7 +70,6 @@ def test_lists_and_infos_show_the_node(ros1: Graph, cell: Backend) -> None:
 
 def test_echo_prints_what_is_sent(ros1: Graph, cell: Backend) -> None:
     """What rostopic echo shows are the values of a message that the backend sent."""
-    need("/usr/lib/python3/dist-packages/geometry_msgs/msg/_Twist.py")
     outbox = cell.advertise("/cmd_vel", "geometry_msgs/msg/Twist", LATCHED)
     outbox.write(values("geometry_msgs/msg/Twist", 2)[1])
     shown = ros1.run("rostopic", "echo", "-n", "1", "/cmd_vel")
@@ -94,7 +93,6 @@ def test_hz_measures_the_rate(ros1: Graph, cell: Backend) -> None:
 
 def test_pub_reaches_the_backend(ros1: Graph, cell: Backend) -> None:
     """What rostopic pub sends arrives, latched as it is."""
-    need("/usr/lib/python3/dist-packages/geometry_msgs/msg/_Twist.py")
     ros1.start("rostopic", "pub", "/cmd_vel", "geometry_msgs/Twist", "{linear: {x: 0.5}, angular: {z: -2}}")
     inbox = Inbox()
     cell.subscribe("/cmd_vel", "geometry_msgs/msg/Twist", Qos(), inbox)

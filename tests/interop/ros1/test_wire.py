@@ -16,10 +16,10 @@ import pytest
 from rosplc.errors import RosplcError
 from rosplc.model import TypeStore
 from rosplc.ros import LATCHED, Qos, open_backend
-from tests.interop.ros1.graph import Graph, lend, missing, wait_until
+from tests.interop.ros1.graph import PACKAGES, Graph, lend, wait_until
 from tests.interop.ros1.test_peers import PART, PART_FILE, PART_STORE, Inbox, part_defines, string
 
-pytestmark = pytest.mark.timeout(120)
+pytestmark = [pytest.mark.needs(*PACKAGES), pytest.mark.timeout(120)]
 
 STORE = TypeStore.bundled("noetic")
 
@@ -32,9 +32,6 @@ def ros1() -> Iterator[Graph]:
 
 def wire() -> Any:
     """Return the module under test; it can be imported where rospy is."""
-    package = missing("/usr/lib/python3/dist-packages/rospy/__init__.py")
-    if package is not None:
-        pytest.skip(f"Debian package {package} is missing")
     import rosplc.ros.rospy
 
     return rosplc.ros.rospy

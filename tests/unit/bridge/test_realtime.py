@@ -55,7 +55,7 @@ def may_use_fifo() -> bool:
     return True
 
 
-needs_fifo = pytest.mark.skipif(not may_use_fifo(), reason="this user may not use SCHED_FIFO")
+needs_fifo = pytest.mark.needs(when=may_use_fifo(), why="this user may not use SCHED_FIFO")
 
 
 @pytest.fixture(autouse=True)

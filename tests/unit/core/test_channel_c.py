@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import subprocess
 from pathlib import Path
 
@@ -13,13 +12,6 @@ _SOURCE = Path(__file__).with_name("channel_test.c")
 _INCLUDE = Path(__file__).resolve().parents[3] / "src/rosplc/include"
 _WARNINGS = ["-std=gnu11", "-O2", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Werror"]
 _SANITIZE = ["-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
-
-
-def _need(program: str, package: str) -> str:
-    path = shutil.which(program)
-    if path is None:
-        pytest.skip(f"Debian package {package} is missing")
-    return path
 
 
 def _build(folder: Path, compiler: str, *options: str) -> str:
@@ -35,7 +27,10 @@ def programs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[str]]:
     return {}
 
 
-@pytest.fixture(params=["native", "sanitized", "armhf"])
+_ARMHF = pytest.mark.needs("gcc-arm-linux-gnueabihf", "libc6-dev-armhf-cross", "qemu-user")
+
+
+@pytest.fixture(params=["native", "sanitized", pytest.param("armhf", marks=_ARMHF)])
 def program(
     request: pytest.FixtureRequest, programs: dict[str, list[str]], tmp_path_factory: pytest.TempPathFactory
 ) -> list[str]:
@@ -43,13 +38,11 @@ def program(
     if kind not in programs:
         folder = tmp_path_factory.mktemp(kind)
         if kind == "native":
-            programs[kind] = [_build(folder, _need("gcc", "gcc"))]
+            programs[kind] = [_build(folder, "gcc")]
         elif kind == "sanitized":
-            programs[kind] = [_build(folder, _need("gcc", "gcc"), *_SANITIZE)]
+            programs[kind] = [_build(folder, "gcc", *_SANITIZE)]
         else:
-            emulator = _need("qemu-arm", "qemu-user")
-            compiler = _need("arm-linux-gnueabihf-gcc", "gcc-arm-linux-gnueabihf")
-            programs[kind] = [emulator, _build(folder, compiler, "-static")]
+            programs[kind] = ["qemu-arm", _build(folder, "arm-linux-gnueabihf-gcc", "-static")]
     return programs[kind]
 
 
@@ -78,16 +71,15 @@ def test_torn_messages_on_arm_and_sanitized(program: list[str]) -> None:
     assert _run(program, "torn", 2, 1024, 4, "next", 20_000)["torn"] == 0
 
 
+@pytest.mark.needs("gcc-aarch64-linux-gnu", "libc6-dev-arm64-cross")
 def test_builds_for_arm64(tmp_path: Path) -> None:
     """The header compiles for arm64 without a warning."""
-    _build(tmp_path, _need("aarch64-linux-gnu-gcc", "gcc-aarch64-linux-gnu"))
+    _build(tmp_path, "aarch64-linux-gnu-gcc")
 
 
 @pytest.fixture(scope="module")
 def native(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
-    if (os.cpu_count() or 1) < 2:
-        pytest.skip("tearing needs two cores to be seen")
-    return [_build(tmp_path_factory.mktemp("torn"), _need("gcc", "gcc"))]
+    return [_build(tmp_path_factory.mktemp("torn"), "gcc")]
 
 
 @pytest.mark.serial
@@ -101,6 +93,7 @@ def test_torn_messages(native: list[str], size: int, slots: int, mode: str) -> N
 
 
 @pytest.mark.serial
+@pytest.mark.needs(when=(os.cpu_count() or 1) > 1, why="tearing needs two cores to be seen")
 @pytest.mark.parametrize("size", [4096, 65536])
 def test_tearing_can_be_seen(native: list[str], size: int) -> None:
     """The same reading without the re-check does accept torn messages, so the test can fail."""

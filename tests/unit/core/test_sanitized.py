@@ -33,13 +33,9 @@ TESTS = (
 @pytest.mark.timeout(1500)
 def test_the_extension_under_sanitizers(tmp_path: Path) -> None:
     """Tests that call every function of the extension, hostile objects among them, find no bad access."""
-    if shutil.which("gcc") is None:
-        pytest.skip("Debian package gcc is missing")
     package = tmp_path / "rosplc"
     shutil.copytree(ROOT / "src/rosplc", package, ignore=shutil.ignore_patterns("*.so", "__pycache__"))
     include = sysconfig.get_paths()["include"]
-    if not Path(include, "Python.h").exists():
-        pytest.skip("Debian package python3-dev is missing")
     limited = ["-DPy_LIMITED_API=0x030B0000"] if sys.version_info >= (3, 11) else []
     library = package / "_core/_native.abi3.so"
     sources = sorted(str(path) for path in (package / "_core").glob("*.c"))

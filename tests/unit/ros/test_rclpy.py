@@ -26,7 +26,7 @@ from tests.interop.graphs import STRING, string, wait_for
 
 pytestmark = [
     pytest.mark.timeout(60),
-    pytest.mark.skipif(importlib.util.find_spec("rclpy") is not None, reason="the real rclpy is here"),
+    pytest.mark.needs(when=importlib.util.find_spec("rclpy") is None, why="the real rclpy is here"),
 ]
 
 STORE = TypeStore.bundled("jazzy")

@@ -23,15 +23,11 @@ PACKAGE = Path(__file__).parents[3] / "packaging" / "ros2" / "rosplc_bridge"
 
 
 @pytest.mark.timeout(180)
+@pytest.mark.needs("colcon", "python3-colcon-ros", "python3-colcon-recursive-crawl")
 def test_colcon_builds_it(tmp_path: Path) -> None:
     """`colcon build` makes an installation in which ROS finds the package, program and launch file."""
     colcon = shutil.which("colcon", path="/usr/bin:/bin")
-    if colcon is None:
-        pytest.skip("Debian package colcon is missing")
-    if not Path("/usr/lib/python3/dist-packages/colcon_ros").is_dir():
-        pytest.skip("Debian package python3-colcon-ros is missing")
-    if not Path("/usr/lib/python3/dist-packages/colcon_recursive_crawl").is_dir():
-        pytest.skip("Debian package python3-colcon-recursive-crawl is missing")
+    assert colcon is not None
     shutil.copytree(
         PACKAGE,
         tmp_path / "src" / "rosplc_bridge",
@@ -114,7 +110,7 @@ def test_launch_file_starts_configures_and_activates() -> None:
     assert register.condition.predicate.name == "autostart"
 
 
-@pytest.mark.skipif(importlib.util.find_spec("rclpy") is not None, reason="the real rclpy is here")
+@pytest.mark.needs(when=importlib.util.find_spec("rclpy") is None, why="the real rclpy is here")
 def test_program_serves_the_node_until_the_context_ends(monkeypatch: pytest.MonkeyPatch) -> None:
     """`ros2 run rosplc_bridge bridge` spins the lifecycle node on the process's own context."""
     monkeypatch.setattr("sys.argv", ["bridge", "--ros-args", "-r", "__node:=cell9"])

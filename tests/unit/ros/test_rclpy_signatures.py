@@ -134,7 +134,7 @@ def test_comparison_with_an_installed_rclpy_can_fail(recorded: str, expected_to_
     assert fits(recorded, installed) is expected_to_fit
 
 
-@pytest.mark.skipif(not REAL, reason="rclpy is not installed; the double stands in")
+@pytest.mark.ros2
 def test_installed_rclpy_takes_the_recorded_calls() -> None:
     """An installed rclpy has what the backend relies on."""
     distro = os.environ.get("ROS_DISTRO", "")

@@ -14,12 +14,12 @@ import pytest
 from rosplc.errors import RosplcError
 from rosplc.model import TypeStore
 from rosplc.ros import Qos, open_backend
-from tests.interop.ros1.graph import free_port, missing
+from tests.interop.ros1.graph import free_port
 
-pytestmark = pytest.mark.timeout(60)
+pytestmark = [pytest.mark.needs("python3-rospy"), pytest.mark.timeout(60)]
 
-if (_package := missing("/usr/lib/python3/dist-packages/rospy/__init__.py")) is not None:
-    pytest.skip(f"Debian package {_package} is missing", allow_module_level=True)
+if not Path("/usr/lib/python3/dist-packages/rospy/__init__.py").exists():
+    pytest.skip("Debian package python3-rospy is missing", allow_module_level=True)
 
 from rosplc.ros.rospy import handshake  # noqa: E402
 from rosplc.ros.rospy.address import read_address  # noqa: E402

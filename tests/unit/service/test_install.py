@@ -33,9 +33,7 @@ _AS_NOBODY = ["setpriv", "--reuid", "65534", "--regid", "65534", "--clear-groups
 _AS_NOBODY += ["--inh-caps", _READ, "--ambient-caps", _READ, "--bounding-set", _READ]
 AS_NOBODY = tuple(_AS_NOBODY) if os.geteuid() == 0 else ()
 
-needs_systemd = pytest.mark.skipif(
-    shutil.which("systemd-analyze") is None, reason="Debian package systemd is missing"
-)
+needs_systemd = pytest.mark.needs("systemd")
 
 
 def rosplc(
@@ -265,8 +263,8 @@ def test_files_of_ours_are_marked(root: Path) -> None:
         assert "write" not in step or step["text"].startswith(MARK)
 
 
-@pytest.mark.skipif(
-    Path("/run/systemd/system").exists(), reason="systemd runs this machine: it would be done"
+@pytest.mark.needs(
+    when=not Path("/run/systemd/system").exists(), why="systemd runs this machine: it would be done"
 )
 def test_without_systemd_it_says_so(root: Path) -> None:
     """Where systemd does not run, root is told so before anything is written."""

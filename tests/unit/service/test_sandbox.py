@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes.util
 import os
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -23,12 +22,7 @@ from tests.unit.service.test_install import AS_NOBODY
 SANDBOX = Path(__file__).with_name("sandbox.py")
 INT32_7 = bytes([0, 1, 0, 0, 7, 0, 0, 0])
 
-pytestmark = [
-    pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="Debian package systemd is missing"),
-    pytest.mark.skipif(
-        ctypes.util.find_library("seccomp") is None, reason="Debian package systemd is missing"
-    ),
-]
+pytestmark = pytest.mark.needs("systemd")
 
 
 @pytest.fixture

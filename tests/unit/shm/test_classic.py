@@ -91,7 +91,7 @@ def test_a_replaced_memory_is_noticed(tmp_path: Path) -> None:
         assert not memory.in_place()
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="only root can be another user")
+@pytest.mark.needs(when=os.geteuid() == 0, why="only root can be another user")
 def test_rights_that_are_missing_are_named(tmp_path: Path, name: str) -> None:
     """Who owns what is closed to this process stands in the error, with what helps."""
     for part in (tmp_path, *tmp_path.parents[:-1]):

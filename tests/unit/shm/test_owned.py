@@ -329,7 +329,7 @@ def test_what_is_no_plain_file(shm_namespace: Namespace, tmp_path: Path, make: o
     assert target.read_bytes() == b"precious"
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files away")
+@pytest.mark.needs(when=os.geteuid() == 0, why="only root can give files away")
 def test_object_of_another_user(shm_namespace: Namespace) -> None:
     """A bridge takes over nothing that another user made, even where it could."""
     open_channel(shm_namespace).close()
@@ -341,7 +341,7 @@ def test_object_of_another_user(shm_namespace: Namespace) -> None:
     assert path.stat().st_uid == 12345
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files away")
+@pytest.mark.needs(when=os.geteuid() == 0, why="only root can give files away")
 def test_object_for_another_user(shm_namespace: Namespace) -> None:
     """An object made for the PLC's user is that user's, and is adopted again."""
     for adopted in (False, True):
