@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import difflib
 import logging
 import sys
+from collections.abc import Iterable
 
-__all__ = ["harmless", "in_bytes", "log_to_stderr", "one_line", "plural", "shorten"]
+__all__ = ["harmless", "in_bytes", "log_to_stderr", "nearest", "one_line", "plural", "shorten"]
 
 
 def harmless(text: str) -> str:
@@ -37,6 +39,18 @@ def shorten(text: str, width: int) -> str:
     return f"{text[:head]}…{text[len(text) - (width - 1 - head) :]}"
 
 
+def nearest(word: str, known: Iterable[str]) -> str:
+    """Return the known name that was probably meant: another case, a slash, a namespace, a slip; or empty."""
+    names = sorted(known)
+    plain = {name.casefold().strip("/"): name for name in names}
+    wanted = word.casefold().strip("/")
+    below = [name for name in names if name.casefold().endswith("/" + wanted)]
+    if wanted not in plain and len(below) == 1:
+        return below[0]
+    near = difflib.get_close_matches(wanted, plain, 1, cutoff=0.6)
+    return plain[near[0]] if near else ""
+
+
 def in_bytes(count: int) -> str:
     """Return a number of bytes with a fitting unit, as people read it."""
     if count < 1024:
@@ -54,14 +68,12 @@ class _Formatter(logging.Formatter):
         return harmless(super().format(record))  # a traceback has lines of its own
 
 
-def log_to_stderr(level: int, text: str, *, times: str | None = None) -> None:
-    """Log to stderr, unless the program has set up its log itself.
+def log_to_stderr(level: int) -> None:
+    """Log to stderr with date and time, unless the program has set up its log itself.
 
     Args:
         level: The lowest level that is logged.
-        text: The form of a line, as :class:`logging.Formatter` takes it.
-        times: The form of the time, if another than the usual.
     """
     handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(_Formatter(text, times))
+    handler.setFormatter(_Formatter("%(asctime)s %(levelname)-7s %(message)s"))
     logging.basicConfig(level=level, handlers=[handler])

@@ -43,7 +43,7 @@ def run_bridge(
         RosplcError: The configuration is wrong, the bridge cannot start, or the ROS side has ended for
             good (ROS015).
     """
-    log_to_stderr(level, "%(asctime)s %(levelname)-7s %(message)s", times="%H:%M:%S")
+    log_to_stderr(level)
     _allow_many_files()
     project = load_project(config)
     bridge = Bridge(project, arguments=arguments)

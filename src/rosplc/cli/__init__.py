@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 __all__ = ["main"]
 
 
@@ -17,6 +19,13 @@ def main() -> None:
         app(prog_name="rosplc")
     except KeyboardInterrupt:  # before a verb has begun, which takes over (guard.py)
         raise SystemExit(130) from None
+    except (MemoryError, ImportError, OSError) as error:  # a verb reports its own
+        from rosplc.cli.guard import is_out_of_memory
+
+        if not is_out_of_memory(error):
+            raise
+        sys.stderr.write("rosplc: error SYS014: the system gave no more memory\n")
+        raise SystemExit(1) from None
     except RuntimeError as error:
         # Python before 3.12 wraps it so where it comes while a class is made, as imports do.
         if isinstance(error.__cause__, KeyboardInterrupt):

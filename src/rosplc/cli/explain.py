@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from typing import Annotated
 
@@ -12,6 +11,7 @@ from rosplc.cli.guard import guarded, print_json
 from rosplc.cli.options import AsJson
 from rosplc.cli.text import say, table
 from rosplc.errors import CODES
+from rosplc.harmless import nearest
 
 __all__ = ["EPILOG", "command"]
 
@@ -44,8 +44,8 @@ def command(
         return
     wanted = f"SHM{code}" if re.fullmatch(r"\d{3}", code) else code.upper()
     if wanted not in known:
-        near = difflib.get_close_matches(wanted, known, 1)
-        hint = f"; did you mean {near[0]}?" if near else "; `rosplc explain` lists all codes"
+        near = nearest(wanted, known)
+        hint = f"; did you mean {near}?" if near else "; `rosplc explain` lists all codes"
         raise typer.BadParameter(f"there is no code {code!r}{hint}", param_hint="CODE")
     entry = known[wanted]
     if as_json:

@@ -24,6 +24,7 @@ __all__ = [
     "EXIT_PIPE",
     "finite",
     "guarded",
+    "is_out_of_memory",
     "print_json",
 ]
 
@@ -64,6 +65,8 @@ def guarded(verb: Callable[P, None]) -> Callable[P, None]:
         except (typer.Exit, typer.Abort, typer.BadParameter):
             raise
         except OSError as error:
+            if is_out_of_memory(error):
+                _report(SetupError("SYS014", "the system gave no more memory"), as_json=as_json)
             if error.errno in (errno.EMFILE, errno.ENFILE):
                 _report(SetupError("SYS006", "too many files are open", where=_name(error)), as_json=as_json)
             if error.errno not in _NO_OUTPUT or error.filename is not None:
@@ -72,9 +75,20 @@ def guarded(verb: Callable[P, None]) -> Callable[P, None]:
             what = f"cannot write the output: {error.strerror}"
             _report(SetupError("SYS005", what, where="stdout"), as_json=as_json)
         except Exception as error:
+            if is_out_of_memory(error):
+                _report(SetupError("SYS014", "the system gave no more memory"), as_json=as_json)
             _unexpected(error, as_json=as_json)
 
     return run
+
+
+def is_out_of_memory(error: BaseException) -> bool:
+    """Return whether an error means that memory is short: for data, a library or a thread's stack."""
+    text = str(error)
+    return isinstance(error, MemoryError) or any(
+        words in text
+        for words in ("failed to map segment", "annot allocate memory", "can't start new thread")
+    )
 
 
 def _name(error: OSError) -> str:

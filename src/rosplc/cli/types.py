@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rosplc.cli.guard import guarded, print_json
-from rosplc.cli.text import columns, in_bytes, say
+from rosplc.cli.options import AsJson
+from rosplc.cli.text import columns, plural, say
 from rosplc.errors import BackendError
 
 if TYPE_CHECKING:
@@ -20,6 +21,8 @@ __all__ = ["EPILOG", "command"]
 EPILOG = """Examples:
 
 rosplc types  —  all types of the default distribution
+
+rosplc types sensor_msgs  —  the types of a package
 
 rosplc types geometry_msgs/Twist  —  its fields, offsets and IEC types
 
@@ -38,7 +41,8 @@ def command(
     name: Annotated[
         str | None,
         typer.Argument(
-            metavar="[TYPE]", help="A type, `package/Name` or `package/msg/Name`; all types without it."
+            metavar="[TYPE]",
+            help="A type, `package/Name` or `package/msg/Name`, or a package; all types without it.",
         ),
     ] = None,
     distro: Annotated[
@@ -75,7 +79,7 @@ def command(
         typer.Option(metavar="SECONDS", help="With --from-topic: how long to wait for a publisher."),
     ] = 5.0,
     distros: Annotated[bool, typer.Option("--distros", help="List the bundled distributions.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """List the known message types, or show one: fields, offsets, sizes, IEC types."""
     from rosplc.layout import compute_layout
@@ -102,11 +106,13 @@ def command(
         store = TypeStore.bundled(distro)
     if path:
         store = store.with_paths(path)
-    if name is None:
+    package = [each for each in store.names() if each.startswith(f"{name}/")]
+    if name is None or package:
+        names = package or list(store.names())
         if as_json:
-            print_json(list(store.names()))
+            print_json(names)
         else:
-            say("\n".join(store.names()))
+            say("\n".join(names))
         return
     layout = compute_layout(store, store[name].name, parse_limits(limits or []))
     if as_json:
@@ -178,7 +184,7 @@ def _facts(store: TypeStore, layout: Layout) -> dict[str, Any]:
 def _describe(store: TypeStore, layout: Layout) -> None:
     message = store[layout.type_name]
     say(
-        f"{layout.type_name} ({store.distro}): {in_bytes(layout.size)} per record, "
+        f"{layout.type_name} ({store.distro}): {plural(layout.size, 'byte')} per record, "
         f"layout id {layout.layout_id}"
     )
     say()

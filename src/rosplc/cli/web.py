@@ -101,7 +101,7 @@ def command(
                 "who can listen in on this network reads messages and token."
             )
 
-    log_to_stderr(logging.INFO, "%(asctime)s %(levelname)s %(message)s")
+    log_to_stderr(logging.INFO)
     serve(settings, watch, bind=bind, port=port, ready=ready)
 
 

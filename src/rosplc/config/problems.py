@@ -6,10 +6,10 @@ what they find in a :class:`Problems` and raise once.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable
 
 from rosplc.errors import ConfigError, RosplcError
+from rosplc.harmless import nearest
 
 __all__ = ["MOST_ERRORS", "ConfigErrors", "Problems", "did_you_mean", "relocated"]
 
@@ -77,7 +77,6 @@ def relocated(error: RosplcError, place: str) -> RosplcError:
 def did_you_mean(word: str, known: Iterable[str]) -> str:
     """Return ``"; did you mean 'x'?"`` for the nearest known word, or the known ones if few."""
     names = sorted(known)
-    near = difflib.get_close_matches(word, names, 1, cutoff=0.6)
-    if near:
-        return f"; did you mean {near[0]!r}?"
+    if near := nearest(word, names):
+        return f"; did you mean {near!r}?"
     return f"; there are: {', '.join(names)}" if 0 < len(names) <= 20 else ""

@@ -95,7 +95,9 @@ def _pattern(expression: str, wording: str, longest: int = LONGEST_NAME) -> Afte
 
 def _known_distro(name: str) -> str:
     if name not in DISTROS:
-        raise ValueError(f"{name!r} is not bundled; there are: {', '.join(DISTROS)}")
+        hint = did_you_mean(name, DISTROS)
+        listed = "" if "there are" in hint else f" There are: {', '.join(DISTROS)}"
+        raise ValueError(f"{name!r} is not bundled{hint}{listed}")
     return name
 
 

@@ -103,6 +103,9 @@ def read_yaml(path: Path, problems: Problems, *, text: str | None = None) -> Yam
         what = (
             getattr(error, "problem", None) or getattr(error, "reason", None) or "the text cannot be parsed"
         )
+        if mark is not None and "start any token" in what and text[mark.index : mark.index + 1] == "\t":
+            what = "the line is indented with a tab, and YAML takes blanks only"
+            raise ConfigError("CFG002", what, where=place, remedy="Replace the tab by blanks.") from None
         context = getattr(error, "context", None)
         raise ConfigError("CFG002", f"{what} ({context})" if context else what, where=place) from None
     return YamlSource(name, builder.data, builder.lines)
@@ -119,6 +122,9 @@ def _too_large(name: str) -> ConfigError:
 
 def _load(path: Path) -> str:
     try:
+        # Opening a pipe waits for its writer; what a shell passes as <(command) has one.
+        if path.is_fifo() and not str(path).startswith(("/dev/", "/proc/")):
+            raise ConfigError("CFG001", "is a named pipe, not a file", where=str(path))
         with path.open("rb") as file:
             raw = file.read(LARGEST_FILE + 1)
     except OSError as error:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from rosplc.config import json_schema
 from rosplc.errors import RosplcError
 from rosplc.init.found import Seen, Source
 from rosplc.init.propose import Entry, propose
 from rosplc.init.select import Chosen
-from rosplc.init.write import check_text, configuration, write_file
+from rosplc.init.write import SCHEMA, check_text, configuration, write_file
 from rosplc.model import save_definitions
 
 __all__ = ["Draft", "draft", "save"]
@@ -98,7 +101,7 @@ def save(
     folders: Sequence[Path] = (),
     force: bool = False,
 ) -> tuple[str, tuple[Path, ...]]:
-    """Write definitions and configuration; return its text and the definitions' files.
+    """Write definitions, configuration and its JSON Schema; return the text and the definitions' files.
 
     Args:
         source: The robot or the recording.
@@ -120,6 +123,8 @@ def save(
     )
     check_text(text, path.parent)
     write_file(path, text, force=force)
+    with suppress(OSError):  # only the editor's help is missing then
+        (path.parent / SCHEMA).write_text(json.dumps(json_schema(), indent=1) + "\n", encoding="utf-8")
     return text, files
 
 

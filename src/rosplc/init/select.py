@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 import fnmatch
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 from rosplc.errors import RosplcError
+from rosplc.harmless import nearest
 from rosplc.init.found import Topic
 from rosplc.init.propose import direction, is_of_ros_itself
 from rosplc.model.parse import full_name
@@ -125,10 +125,8 @@ def _matching(topics: Mapping[str, Topic], wish: Wish) -> list[str]:
     if wish.exact:
         if wish.pattern in topics or wish.type_name:
             return [wish.pattern]
-        near = difflib.get_close_matches(wish.pattern, topics, 1)
-        hint = (
-            f"; did you mean {near[0]}?" if near else f"; {wish.pattern}=PACKAGE/TYPE carries it nevertheless"
-        )
+        near = nearest(wish.pattern, topics)
+        hint = f"; did you mean {near}?" if near else f"; {wish.pattern}=PACKAGE/TYPE carries it nevertheless"
         raise ValueError(f"no topic {wish.pattern} was found{hint}")
     found = [
         name for name in topics if fnmatch.fnmatchcase(name, wish.pattern) and not is_of_ros_itself(name)

@@ -16,10 +16,14 @@ from rosplc.harmless import one_line
 from rosplc.init.found import Found
 from rosplc.init.propose import RULES, Entry
 
-__all__ = ["check_text", "configuration", "refuse_to_overwrite", "write_file"]
+__all__ = ["SCHEMA", "check_text", "configuration", "refuse_to_overwrite", "write_file"]
 
 _WIDTH = 108
 _PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
+
+
+SCHEMA = ".rosplc.schema.json"
+"""The JSON Schema beside the configuration, by which editors complete and explain keys."""
 
 
 def configuration(
@@ -35,6 +39,7 @@ def configuration(
         date: When; the first line says it.
     """
     lines = [
+        f"# yaml-language-server: $schema={SCHEMA}",
         *_comment(f"Written by rosplc {__version__} init{f', {date}' if date else ''}, from {found.where}."),
         *_comment("`rosplc check --schema` lists every key; `rosplc check` explains this file."),
         "",

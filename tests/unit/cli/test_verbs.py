@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import sys
+from pathlib import Path
 
 import pytest
 import typer
@@ -15,6 +17,7 @@ from rosplc.cli.app import app
 from rosplc.cli.demo import parse_duration
 from rosplc.cli.text import columns
 from rosplc.described import description_of
+from rosplc.harmless import nearest
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.ros import BACKENDS, INSTALL
@@ -62,7 +65,7 @@ def config(tmp_path):
 def test_help_names_every_verb_with_examples():
     """A newcomer finds the verbs and an example of each."""
     output = rosplc("--help").output
-    for verb in ("run", "check", "show", "types", "demo"):
+    for verb in ("run", "check", "status", "generate", "demo"):
         assert f"rosplc {verb}" in output
         own = rosplc(verb, "--help").output
         assert f"rosplc {verb}" in own[own.index("Examples:") :]
@@ -352,3 +355,66 @@ def test_a_demo_without_a_terminal_ends_and_its_help_says_when(monkeypatch):
     (seconds,) = given
     words = " ".join(CliRunner().invoke(app, ["demo", "--help"]).output.replace("│", " ").split())
     assert f"or for {seconds:g}s where the output is no terminal" in words
+
+
+def test_a_package_lists_its_types():
+    """`types sensor_msgs` prints the package's types, one a line."""
+    lines = rosplc("types", "sensor_msgs").output.split()
+    assert "sensor_msgs/msg/JointState" in lines
+    assert all(line.startswith("sensor_msgs/msg/") for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("bridge: c\nros:\n\tdistro: jazzy\n", "indented with a tab"),
+        ("ros: {distro: jazy}\n", "did you mean 'jazzy'?"),
+        ("topics: {/a: {type: std_msgs/Int32, to: PLC}}\n", "did you mean 'plc'?"),
+    ],
+)
+def test_slips_in_a_configuration_get_a_plain_sentence(tmp_path, text, words):
+    """A tab, a misspelt distribution and another case are named as such."""
+    path = tmp_path / "rosplc.yaml"
+    path.write_text(text)
+    assert words in rosplc("check", path, code=2).stderr
+
+
+def test_a_named_pipe_is_no_configuration(tmp_path):
+    """It is refused and not waited for."""
+    path = tmp_path / "pipe"
+    os.mkfifo(path)
+    assert "is a named pipe" in rosplc("check", path, code=2).stderr
+
+
+@pytest.mark.parametrize("error", [MemoryError(), RuntimeError("can't start new thread")])
+def test_a_lack_of_memory_is_named(monkeypatch, error):
+    """`ulimit -v` leads to SYS014 with what to raise, not to an unexpected error."""
+
+    def fails(*_):
+        raise error
+
+    monkeypatch.setattr("rosplc.model.TypeStore.bundled", fails)
+    assert "SYS014" in rosplc("types", code=1).stderr
+
+
+@pytest.mark.parametrize(
+    ("word", "found"),
+    [
+        ("/Cmd_Vel", "/cmd_vel"),
+        ("cmd_vel", "/cmd_vel"),
+        ("/cmd_vle", "/cmd_vel"),
+        ("scan", "/robot1/scan"),
+        ("/x", ""),
+    ],
+)
+def test_the_nearest_topic_is_found(word, found):
+    """Another case, a missing slash, a slip and a missing namespace."""
+    assert nearest(word, ["/cmd_vel", "/robot1/scan", "/tf"]) == found
+
+
+def test_remedies_name_the_pip_of_this_installation():
+    """The command works as printed, also in a checkout."""
+    from rosplc.doctor.packages import pip_here
+
+    text = pip_here("pip install 'rosplc[views]'")
+    assert text.startswith(str(Path(sys.executable).parent)) and "[views]" in text

@@ -83,7 +83,9 @@ def test_what_is_there_is_never_overwritten(memory: tuple[str, ...], here: Path)
     assert "CFG013" in rosplc("--all", "-o", "link.yaml", *memory, code=2).stderr
     rosplc("--all", "--force", *memory)
     assert load_project(path).topics
-    assert sorted(each.name for each in here.iterdir()) == ["link.yaml", "rosplc.yaml"]
+    names = sorted(each.name for each in here.iterdir())
+    assert names == [".rosplc.schema.json", "link.yaml", "rosplc.yaml"]
+    assert path.read_text().startswith("# yaml-language-server: $schema=.rosplc.schema.json\n")
 
 
 def test_places_that_cannot_be_written_are_said_before_it_looks(here: Path) -> None:
