@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import socket
 import subprocess
@@ -107,4 +108,18 @@ def test_without_aiohttp_the_command_names_what_to_install(monkeypatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     done = CliRunner().invoke(app, ["web"])
     assert done.exit_code == 1
-    assert "SYS001" in done.stderr and "pip install 'rosplc[views]'" in done.stderr
+    assert "SYS001" in done.stderr and "[views]'" in done.stderr
+
+
+def test_a_made_token_does_not_go_into_the_journal(shm_namespace, tmp_path) -> None:
+    """Where systemd keeps the output, a token that would be printed ends the start."""
+    log = tmp_path / "journal"
+    with log.open("w") as journal:
+        status = os.fstat(journal.fileno())
+        environment = {**os.environ, "JOURNAL_STREAM": f"{status.st_dev}:{status.st_ino}"}
+        command = [sys.executable, "-m", "rosplc", "web", "--prefix", shm_namespace.prefix, "--allow-write"]
+        done = subprocess.run(
+            command, env=environment, stdout=journal, stderr=subprocess.PIPE, text=True, check=False
+        )
+    assert done.returncode == 1 and "WEB002" in done.stderr and "--token-file" in done.stderr
+    assert not log.read_text()

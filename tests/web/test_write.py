@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
+import threading
 
 import pytest
+from typer.testing import CliRunner
 
 from rosplc import attach
-from rosplc.shm import Direction
+from rosplc.cli.app import app
+from rosplc.shm import Direction, Writer
+from rosplc.shm import attach as attach_object
+from rosplc.shm.constants import WRITER_LINE
 from tests.web.peers import TOKEN, layout_of, open_typed
 
 TWIST = "geometry_msgs/msg/Twist"
@@ -121,6 +127,85 @@ def test_another_writer_is_not_talked_over(serving, shm_namespace, direction) ->
     serving(talk, **ALLOWED)
 
 
+@pytest.mark.parametrize("direction", [Direction.TO_PLC, Direction.TO_ROS])
+def test_a_claim_is_never_taken_however_silent_its_holder(serving, shm_namespace, direction) -> None:
+    """Structured Text stores no process number: its claim holds for the page until a person releases it."""
+    name = f"{shm_namespace.prefix}.t.cmd"
+
+    async def talk(client):
+        with open_typed(shm_namespace, "/cmd", TWIST, direction) as channel:
+            form = await known(client, name)
+            held = Writer(channel.region, 0, 1)  # promised a beat each millisecond: dead at once
+            channel.region.store(WRITER_LINE["writer_pid"], 0)
+        epoch = held.epoch
+        status, answer = await write(client, name, form["layout"], {})
+        assert (status, answer["error"]["code"]) == (409, "WEB010")
+        assert "rosplc release /cmd" in answer["error"]["remedy"]
+        with attach_object(shm_namespace, "/cmd") as attached:
+            assert (attached.snapshot().writer.epoch, attached.snapshot().writer.head) == (epoch, 0)
+        command = ["release", "/cmd", "--prefix", shm_namespace.prefix]
+        assert CliRunner().invoke(app, command).exit_code == 2  # no terminal to ask
+        done = await asyncio.to_thread(CliRunner().invoke, app, [*command, "--yes"])
+        assert done.exit_code == 0, done.output
+        assert (await write(client, name, form["layout"], {}))[0] == 200
+        assert "is free" in CliRunner().invoke(app, command).output
+
+    serving(talk, **ALLOWED)
+
+
+def test_a_living_writer_is_not_released(shm_namespace) -> None:
+    """A claim whose holder beats is not freed."""
+    with open_typed(shm_namespace, "/cmd", TWIST, Direction.TO_ROS) as channel:
+        held, ended = Writer(channel.region, 0, 1000), threading.Event()
+
+        def beat() -> None:
+            while not ended.wait(0.01):
+                held.beat()
+
+        thread = threading.Thread(target=beat)
+        thread.start()
+        try:
+            done = CliRunner().invoke(app, ["release", "/cmd", "--prefix", shm_namespace.prefix, "--yes"])
+        finally:
+            ended.set()
+            thread.join()
+        assert done.exit_code == 1 and "SHM114" in done.stderr
+        assert channel.snapshot().writer.epoch == held.epoch
+
+
+@pytest.mark.parametrize(
+    ("type_name", "text", "meant", "status"),
+    [
+        ("std_msgs/msg/Float64", "1e400", False, 422),
+        ("std_msgs/msg/Float64", "1e400", True, 422),
+        ("std_msgs/msg/Float32", "1e39", False, 422),
+        ("std_msgs/msg/Float32", "-3.4e38", False, 200),
+        ("std_msgs/msg/Float64", "nan", False, 422),
+        ("std_msgs/msg/Float64", "-Inf", False, 422),
+        ("std_msgs/msg/Float64", "nan", True, 200),
+        ("std_msgs/msg/Float64", "inf", True, 200),
+    ],
+)
+def test_numbers_that_are_not_finite_have_to_be_meant(
+    serving, shm_namespace, type_name, text, meant, status
+) -> None:
+    """Too large a number is refused; NaN and infinities are written only with a confirmation."""
+    name = f"{shm_namespace.prefix}.t.level"
+
+    async def talk(client):
+        with open_typed(shm_namespace, "/level", type_name, Direction.TO_ROS):
+            form = await known(client, name)
+            body = {"channel": name, "layout": form["layout"], "message": {"data": text}, "not_finite": meant}
+            headers = {"Authorization": f"Bearer {TOKEN}"}
+            async with client.post("/api/write", json=body, headers=headers) as answer:
+                assert answer.status == status
+                if status != 200:
+                    error = (await answer.json())["error"]
+                    assert (error["code"], error["where"]) == ("LAY006", "data")
+
+    serving(talk, **ALLOWED)
+
+
 @pytest.mark.parametrize(
     ("type_name", "message", "where", "what"),
     [
@@ -209,6 +294,7 @@ def test_without_the_token_nothing_is_written(serving, shm_namespace, token: str
         (b'{"channel": "x", "layout": "y", "message": []}', "application/json", 400, "WEB009"),
         (b"\xff\xfe", "application/json", 400, "WEB009"),
         (b"[]", "application/json; charset=nonsense", 400, "WEB009"),
+        (b'{"channel": "x", "layout": "y", "message": {"data": NaN}}', "application/json", 400, "WEB009"),
     ],
 )
 def test_a_malformed_wish_is_an_error_and_no_traceback(serving, body, kind, status, code) -> None:

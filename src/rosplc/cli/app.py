@@ -17,6 +17,7 @@ from rosplc.cli import (
     generate,
     init,
     record,
+    release,
     reload,
     replay,
     run,
@@ -52,7 +53,7 @@ rosplc doctor  —  problems of machine and configuration, with fixes
 
 _VERBS = {
     "Set up": {"demo": demo, "init": init, "check": check, "generate": generate, "types": types},
-    "Run": {"run": run, "reload": reload, "service": service, "clean": clean},
+    "Run": {"run": run, "reload": reload, "service": service, "release": release, "clean": clean},
     "Watch": {"status": status, "show": show, "top": top, "web": web, "record": record, "replay": replay},
     "Diagnose": {"doctor": doctor, "explain": explain, "bench": bench},
 }

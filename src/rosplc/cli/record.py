@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import signal
+import stat
+import sys
+import termios
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -30,7 +35,7 @@ rosplc record /cmd_vel '/robot1/*' -o shift.mcap --duration 10min  —  some of 
 rosplc record --bag -o shift --split-size 1GB  —  a folder for `ros2 bag`, a new file every gigabyte
 
 rosplc record --keep 5min --trigger error --trigger '/plc/status.fault' --after 10s  —  keep the last five
-minutes in memory, and write them when something has happened; Ctrl-C ends it, SIGHUP saves at once
+minutes in memory, and write them when something has happened; Ctrl-C ends it, `kill -USR1` saves at once
 
 rosplc record --repair broken.mcap  —  save what is whole of a file that was cut off
 
@@ -230,8 +235,10 @@ def _record(order: Order, seconds: float, *, quiet: bool, as_json: bool) -> None
     recorder = Recorder(order)
 
     def tell(number: int) -> None:
+        if number in (signal.SIGHUP, signal.SIGUSR1):
+            recorder.trigger(signal.Signals(number).name)
         if number == signal.SIGHUP:
-            recorder.trigger("SIGHUP")
+            _leave_closed_terminal()
 
     line = ProgressLine(quiet=quiet)
     with quick_process(), stop_on_signals(tell) as stop:
@@ -251,6 +258,17 @@ def _record(order: Order, seconds: float, *, quiet: bool, as_json: bool) -> None
                 _report(order, recorder, recorder.result, as_json=as_json)
     if recorder.result is not None and not recorder.result.received and not order.keep_ns:
         raise RecordingError("REC004", "not one message came", where=order.namespace.prefix)
+
+
+def _leave_closed_terminal() -> None:
+    """Send output nowhere if its terminal was closed: an error of writing must not cost a file its end."""
+    for stream in (sys.stdout, sys.stderr):
+        descriptor = stream.fileno()
+        try:
+            stat.S_ISCHR(os.fstat(descriptor).st_mode) and termios.tcgetattr(descriptor)
+        except termios.error as error:
+            if error.args[0] == errno.EIO:
+                os.dup2(os.open(os.devnull, os.O_WRONLY), descriptor)
 
 
 def _repair(file: Path, output: Path | None, *, as_json: bool, quiet: bool) -> None:

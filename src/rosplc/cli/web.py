@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,6 +15,7 @@ from rosplc.cli.extras import need_extra
 from rosplc.cli.guard import guarded
 from rosplc.cli.text import say, warn
 from rosplc.cli.watching import Configs, Directory, Prefix, StaleAfter, open_watch
+from rosplc.errors import WebError
 from rosplc.harmless import log_to_stderr
 
 if TYPE_CHECKING:
@@ -70,9 +72,15 @@ def command(
     need_extra("aiohttp", "views", "web")
     from rosplc.web import Settings, is_loopback, new_token, read_token, serve
 
-    watch = open_watch(prefix, config, stale_after, directory)
     beyond = not is_loopback(bind)
     needed = allow_write or token_to_view or beyond
+    if needed and token_file is None and _to_journal():
+        raise WebError(
+            "WEB002",
+            "the token would be printed into the system's journal, where others may read it",
+            remedy="Write a token into a file that only this service's user may read: --token-file.",
+        )
+    watch = open_watch(prefix, config, stale_after, directory)
     settings = Settings(
         prefix=prefix,
         directory=directory,
@@ -103,6 +111,15 @@ def command(
 
     log_to_stderr(logging.INFO)
     serve(settings, watch, bind=bind, port=port, ready=ready)
+
+
+def _to_journal() -> bool:
+    """Return whether systemd keeps what this process prints (systemd.exec(5), JOURNAL_STREAM)."""
+    try:
+        status = os.fstat(sys.stdout.fileno())
+    except (OSError, ValueError):
+        return False
+    return os.environ.get("JOURNAL_STREAM") == f"{status.st_dev}:{status.st_ino}"
 
 
 def _url(address: str, port: int) -> str:

@@ -9,9 +9,11 @@ import logging
 import time
 from collections.abc import AsyncIterator, Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from aiohttp import web
+from aiohttp.typedefs import Handler
 
 from rosplc.described import layout_of
 from rosplc.errors import RosplcError, WebError
@@ -30,10 +32,24 @@ if TYPE_CHECKING:
     from rosplc.monitor.watch import Watch
     from rosplc.web.settings import Settings
 
-__all__ = ["make_application"]
+__all__ = ["ARRIVED", "make_application"]
 
 _log = logging.getLogger("rosplc.web")
 _LARGEST_BYTES = 4 * 1024 * 1024
+BODY_SECONDS = 10.0
+"""How long a request's body may take."""
+
+
+ARRIVED: web.AppKey[list[Callable[[asyncio.BaseTransport | None], None]]] = web.AppKey("arrived", list)
+"""Called with a connection's transport when a request's head has come."""
+
+
+@web.middleware
+async def arrival(request: web.Request, handler: Handler) -> web.StreamResponse:
+    """Tell those who wait for it that a connection has sent a request."""
+    for tell in request.app[ARRIVED]:
+        tell(request.transport)
+    return await handler(request)
 
 
 def make_application(settings: Settings, watch: Watch, machine: str) -> web.Application:
@@ -60,7 +76,8 @@ def make_application(settings: Settings, watch: Watch, machine: str) -> web.Appl
         await viewers.close()
 
     files = PageFiles()
-    application = web.Application(middlewares=[access(settings)], client_max_size=_LARGEST_BYTES)
+    application = web.Application(middlewares=[arrival, access(settings)], client_max_size=_LARGEST_BYTES)
+    application[ARRIVED] = []
     application.cleanup_ctx.append(looking)
     application.on_shutdown.append(goodbye)
     application.on_response_prepare.append(add_headers)
@@ -103,7 +120,7 @@ class _Api:
         return web.json_response({"token": "right"})
 
     async def write(self, request: web.Request) -> web.Response:
-        """Write a test message: ``{"channel": id, "layout": id, "message": {...}}``."""
+        """Write a test message: ``{"channel": id, "layout": id, "message": {...}, "not_finite": bool}``."""
         if not self._settings.allow_write:
             raise WebError("WEB006", "this server was started for looking only")
         await self._require_token(request)
@@ -115,7 +132,8 @@ class _Api:
         namespace = Namespace(view["prefix"], self._settings.directory)
         who = f"the page at {request.remote}"
         try:
-            sequence = await self._in_thread(write_message, namespace, view["topic"], layout, message)
+            write = partial(write_message, not_finite=wish.get("not_finite") is True)
+            sequence = await self._in_thread(write, namespace, view["topic"], layout, message)
         except RosplcError as error:
             self._note("write-refused", Level.WARN, view, f"{who} may not write: {error.what} [{error.code}]")
             raise
@@ -160,12 +178,19 @@ class _Api:
         self.feed.note(event)
 
 
+def _refuse_constant(name: str) -> float:
+    raise ValueError(f"{name} is no JSON")
+
+
 async def _json(request: web.Request) -> dict[str, Any]:
     if request.content_type != "application/json":
         raise WebError("WEB009", "a message is sent as application/json")
     try:
         # The bytes, since text() would look up whatever charset the request names.
-        data = json.loads(await request.read())
+        body = await asyncio.wait_for(request.read(), BODY_SECONDS)
+        data = json.loads(body, parse_constant=_refuse_constant)
+    except asyncio.TimeoutError:
+        raise WebError("WEB009", f"the request did not end within {BODY_SECONDS:g} s") from None
     except (ValueError, RecursionError):
         data = None
     if not isinstance(data, dict):

@@ -5,8 +5,10 @@ Numbers that JavaScript's own numbers cannot hold exactly travel as text, in bot
 
 from __future__ import annotations
 
+import sys
 from typing import TYPE_CHECKING, Any
 
+from rosplc.errors import LayoutError
 from rosplc.layout import (
     ArrayNode,
     Layout,
@@ -21,12 +23,14 @@ from rosplc.layout import (
 if TYPE_CHECKING:
     from rosplc.model import TypeStore
 
-__all__ = ["SAFE_INTEGER", "form_of", "from_form", "shown"]
+__all__ = ["SAFE_INTEGER", "form_of", "from_form", "refuse_unsafe", "shown"]
 
 SAFE_INTEGER = (1 << 53) - 1
 """The largest whole number that JavaScript's numbers hold exactly."""
 
 _ELEMENTS = 256
+_LARGEST = {"float32": 3.4028235677973366e38, "float64": sys.float_info.max}
+"""Above these a number becomes infinite."""
 
 
 def form_of(layout: Layout) -> dict[str, Any]:
@@ -115,3 +119,32 @@ def from_form(form: dict[str, Any], value: Any) -> Any:
     if kind == "integer" and isinstance(value, float) and value.is_integer():
         return int(value)  # JSON of a page does not tell 3.0 from 3
     return value
+
+
+def refuse_unsafe(form: dict[str, Any], value: Any, path: str = "", *, not_finite: bool = False) -> None:
+    """Refuse numbers that a machine should not get by a slip of the keyboard.
+
+    Args:
+        form: A node of :func:`form_of`.
+        value: What a page sent for it.
+        path: The node's path, for the error.
+        not_finite: Whether ``nan`` and ``inf`` are meant.
+
+    Raises:
+        LayoutError: LAY006, a number is too large for its type, or not finite without being meant.
+    """
+    if form["kind"] == "struct":
+        for member in form["members"]:
+            if member["name"] in value:
+                inner = f"{path}.{member['name']}" if path else member["name"]
+                refuse_unsafe(member, value[member["name"]], inner, not_finite=not_finite)
+    elif form["kind"] == "list":
+        for index, item in enumerate(value):
+            refuse_unsafe(form["element"], item, f"{path}[{index}]", not_finite=not_finite)
+    elif form["kind"] == "float":
+        number = float(value)
+        meant = str(value).strip().lower().lstrip("+-") in ("nan", "inf", "infinity")
+        if meant and not not_finite:
+            raise LayoutError("LAY006", f"{value} is not a finite number", where=path)
+        if not meant and abs(number) > _LARGEST[form["type"]]:
+            raise LayoutError("LAY006", f"{str(value)[:40]} is too large for {form['type']}", where=path)

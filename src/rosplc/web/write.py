@@ -1,8 +1,9 @@
-"""Writing one test message into a channel that nobody else writes.
+"""Writing one test message into a channel that no one else writes.
 
-Towards ROS the channel is claimed as any writer claims it. Towards the PLC only the holder of the
-name's lock may write, and while a bridge runs that is the bridge: the page writes there only while
-none does. Either claim is given back at once.
+A claim other than 0 is never taken, however long its holder has been silent: Structured Text stores no
+process number, and a PLC in another container or at a breakpoint would find its claim gone. A person frees
+the claim of a dead PLC with ``rosplc release``. Towards the PLC the page must also get the lock of the
+object's name, which a running bridge holds.
 """
 
 from __future__ import annotations
@@ -12,18 +13,21 @@ import time
 from pathlib import Path
 from typing import Any
 
-from rosplc.api import attach
 from rosplc.described import layout_of
 from rosplc.errors import ChannelError, WebError
-from rosplc.layout import Layout
-from rosplc.shm import Attached, Direction, Namespace, OwnedChannel
+from rosplc.shm import Attached, Direction, Namespace, OwnedChannel, Region, Writer
 from rosplc.shm import attach as attach_object
-from rosplc.web.form import form_of, from_form
+from rosplc.shm.constants import STAMP_SYSTEM
+from rosplc.web.form import form_of, from_form, refuse_unsafe
 
 __all__ = ["write_message"]
 
+_BEAT_MS = 1000
 
-def write_message(namespace: Namespace, topic: str, layout_id: str, message: dict[str, Any]) -> int:
+
+def write_message(
+    namespace: Namespace, topic: str, layout_id: str, message: dict[str, Any], *, not_finite: bool = False
+) -> int:
     """Write one message and return its sequence number.
 
     Args:
@@ -31,10 +35,11 @@ def write_message(namespace: Namespace, topic: str, layout_id: str, message: dic
         topic: As ROS writes it.
         layout_id: The layout that the message was made for.
         message: Nested dicts and lists; what it lacks takes its initial value. Numbers may be text.
+        not_finite: Whether NaN and infinities are meant.
 
     Raises:
         WebError: WEB010, another writer has the channel, or the channel has another layout by now.
-        LayoutError: LAY006, a value does not fit its field.
+        LayoutError: LAY006, a value does not fit its field, or is not finite.
         ChannelError: SHM101 and the others of :func:`rosplc.attach`.
     """
     with attach_object(namespace, topic) as attached:
@@ -46,25 +51,31 @@ def write_message(namespace: Namespace, topic: str, layout_id: str, message: dic
                 where=topic,
                 remedy="Open the form again.",
             )
-        value = from_form(form_of(layout), message)
-        record = layout.pack(value)
+        form = form_of(layout)
+        value = from_form(form, message)
+        record = bytes(layout.pack(value))
+        refuse_unsafe(form, message, not_finite=not_finite)
         _refuse_other_writer(attached, topic)
-        towards_plc = attached.identity.direction is Direction.TO_PLC
-        if towards_plc:
-            return _to_plc(namespace, attached, bytes(record))
-    return _to_ros(namespace, topic, layout, value)
+        if attached.identity.direction is Direction.TO_PLC:
+            return _to_plc(namespace, attached, record)
+    with attach_object(namespace, topic, write=True) as attached:
+        return _publish(attached.region, attached.identity.layout_id == layout_id, topic, record)
 
 
 def _refuse_other_writer(attached: Attached, topic: str) -> None:
-    """Raise WEB010 if the claim's holder lives, even if it has been silent for long.
-
-    By the format a silent holder's claim may be taken over. A test message is no reason to: a PLC
-    that was stopped for a moment would find its claim gone.
-    """
     writer = attached.snapshot().writer
-    if writer.epoch and writer.pid and Path(f"/proc/{writer.pid}").exists():
-        what = f"process {writer.pid}{_name_of(writer.pid)} is its writer"
-        raise WebError("WEB010", what, where=topic)
+    if writer.epoch:
+        who = f"process {writer.pid}{_name_of(writer.pid)}" if writer.pid else "a PLC program"
+        raise _claimed(topic, who)
+
+
+def _claimed(topic: str, who: str) -> WebError:
+    return WebError(
+        "WEB010",
+        f"{who} holds the writer's claim",
+        where=topic,
+        remedy=f"Stop that writer. If it crashed, free its claim: `rosplc release {topic}`.",
+    )
 
 
 def _name_of(pid: int) -> str:
@@ -75,20 +86,20 @@ def _name_of(pid: int) -> str:
     return f" ({name})"
 
 
-def _to_ros(namespace: Namespace, topic: str, layout: Layout, value: dict[str, Any]) -> int:
+def _publish(region: Region, same_layout: bool, topic: str, record: bytes) -> int:
+    """Claim a free writer's line, publish, and give the claim back."""
     try:
-        with attach(
-            topic,
-            prefix=namespace.prefix,
-            directory=str(namespace.directory),
-            write=True,
-            layout=layout,
-        ) as channel:
-            return channel.write(value)
+        writer = Writer(region, 0, _BEAT_MS)
     except ChannelError as error:
-        if error.code in ("SHM114", "SHM115"):
-            raise WebError("WEB010", error.what, where=topic) from error
+        if error.code == "SHM114":
+            raise _claimed(topic, "another writer") from error
         raise
+    try:
+        if not same_layout:  # replaced between two looks
+            raise WebError("WEB010", "the channel has another layout by now", where=topic)
+        return writer.publish(record, stamp_ns=time.time_ns(), stamp_clock=STAMP_SYSTEM)
+    finally:
+        writer.release()
 
 
 def _to_plc(namespace: Namespace, attached: Attached, record: bytes) -> int:
@@ -103,7 +114,7 @@ def _to_plc(namespace: Namespace, attached: Attached, record: bytes) -> int:
             uid=found.st_uid,
             gid=found.st_gid,
         ) as channel:
-            return channel.writer().publish(record, stamp_ns=time.time_ns())
+            return _publish(channel.region, True, channel.description.topic, record)
     except ChannelError as error:
         if error.code == "SHM116":
             what = "a bridge has the channel, and writes what comes from ROS"

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import pty
 import signal
 import subprocess
 import sys
@@ -15,6 +17,7 @@ from typing import Any
 
 import pytest
 
+from rosplc.recorder.mcap_read import survey
 from rosplc.shm import Namespace, attach
 from tests.command import rosplc
 from tests.unit.recorder.making import Feed, read_from_the_front
@@ -107,18 +110,40 @@ def test_ctrl_c_ends_a_recording(shm_namespace: Namespace, tmp_path: Path) -> No
     assert json.loads(rosplc("replay", out, "--list", "--json").stdout)["notes"] == []
 
 
-def test_sighup_saves_a_ring_buffer(shm_namespace: Namespace, tmp_path: Path) -> None:
-    """With --keep nothing is written until SIGHUP, or a trigger, asks for it."""
+def test_a_signal_saves_a_ring_buffer(shm_namespace: Namespace, tmp_path: Path) -> None:
+    """With --keep nothing is written until SIGUSR1, or a trigger, asks for it."""
     keep = ("record", "--prefix", shm_namespace.prefix, "-o", tmp_path / "ring", "--keep", "1min", "--json")
     with talking(shm_namespace), started(*keep, "--trigger", "/a.pose.position.x < 0") as child:
         begun(child)
         time.sleep(0.3)
         assert not list(tmp_path.iterdir())
-        child.send_signal(signal.SIGHUP)
+        child.send_signal(signal.SIGUSR1)
         soon(lambda: any(read_from_the_front(path) for path in tmp_path.glob("ring_*.mcap")))
         child.send_signal(signal.SIGTERM)
         document = json.loads(child.communicate(timeout=60)[0])
-    assert child.returncode == 0 and document["saves"] == ["SIGHUP"] and len(document["files"]) == 1
+    assert child.returncode == 0 and document["saves"] == ["SIGUSR1"] and len(document["files"]) == 1
+
+
+@pytest.mark.parametrize("keep", [(), ("--keep", "1min")])
+def test_a_closed_terminal_ends_a_recording_in_order(
+    keep: tuple[str, ...], shm_namespace: Namespace, tmp_path: Path
+) -> None:
+    """The file gets its end although nothing can be printed any more; a ring buffer is saved."""
+    out = tmp_path / "r.mcap"
+    with talking(shm_namespace):
+        pid, terminal = pty.fork()
+        if not pid:
+            command = ["record", "--prefix", shm_namespace.prefix, "-o", str(out), *keep]
+            os.execv(sys.executable, [sys.executable, "-m", "rosplc", *command])
+        try:
+            seen = b""
+            while b"messages of 1 topic" not in seen:  # its progress
+                seen += os.read(terminal, 4096)
+        finally:
+            os.close(terminal)
+        _, status = os.waitpid(pid, 0)
+    assert os.waitstatus_to_exitcode(status) == 0
+    assert [survey(file).complete for file in tmp_path.glob("*.mcap")] == [True]
 
 
 def test_triggers_that_cannot_fire_are_named(shm_namespace: Namespace, tmp_path: Path) -> None:

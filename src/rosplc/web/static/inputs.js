@@ -6,6 +6,7 @@ const MANY = 24;
 const WHOLE = /^[+-]?\d+$/;
 const DECIMAL = /^[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?$/i;
 const SPECIAL = /^[+-]?(nan|inf|infinity)$/i;
+const LARGEST = { float32: 3.4028235677973366e38, float64: Number.MAX_VALUE };
 const encoder = new TextEncoder();
 let numbers = 0;
 
@@ -19,11 +20,25 @@ function wrong(form, text) {
   const trimmed = text.trim();
   if (form.kind === "float") {
     if (!DECIMAL.test(trimmed) && !SPECIAL.test(trimmed)) return "a number is expected, such as 0.25 or 1e-3";
-    return null;
+    return DECIMAL.test(trimmed) && Math.abs(Number(trimmed)) > LARGEST[form.type] ? `too large for ${form.type}` : null;
   }
   if (!WHOLE.test(trimmed)) return "a whole number is expected";
   const value = BigInt(trimmed.replace("+", ""));
   return value < BigInt(form.low) || value > BigInt(form.high) ? `from ${form.low} to ${form.high}` : null;
+}
+
+/** Whether a message has a NaN or an infinity, which have to be meant. */
+export function isFinite(form, value) {
+  if (form.kind === "struct") return form.members.every((member) => isFinite(member, value[member.name]));
+  if (form.kind === "list") return value.every((item) => isFinite(form.element, item));
+  return form.kind !== "float" || !SPECIAL.test(value);
+}
+
+/** A message's values as lines of text, `path = value`. */
+export function lines(value, path = "") {
+  if (Array.isArray(value)) return value.length ? value.flatMap((item, index) => lines(item, `${path}[${index}]`)) : [`${path} is empty`];
+  if (typeof value !== "object") return [`${path} = ${value === "" ? '""' : value}`];
+  return Object.entries(value).flatMap(([name, item]) => lines(item, path ? `${path}.${name}` : name));
 }
 
 /** Make the input of a field: `{root, get(), set(value), check(), at(path)}`. */

@@ -2,9 +2,11 @@
 
 import { announce, el, fill, setText } from "./dom.js";
 import { way } from "./format.js";
-import { input } from "./inputs.js";
+import { input, isFinite, lines } from "./inputs.js";
 import { store } from "./store.js";
 import { ask, keep, token } from "./token.js";
+
+const SHOWN = 200;
 
 /** Make the form of a channel's test message from what the server says of its type. */
 export function writeForm(id, { form, layout, initial }) {
@@ -20,7 +22,7 @@ export function writeForm(id, { form, layout, initial }) {
     setText(result, message?.values ? "The form holds the newest message." : "There is no message to take.");
   } }, "Take the newest message");
   const reset = el("button", { type: "button", class: "button", onclick: () => { initialise(); setText(result, "The form holds the initial values."); } }, "Initial values");
-  const question = dialog(() => write());
+  const question = dialog((message) => write(message));
 
   const root = el("details", { class: "write" },
     el("summary", {}, "Write a test message"),
@@ -51,15 +53,16 @@ export function writeForm(id, { form, layout, initial }) {
       return;
     }
     const channel = store.channels.get(id);
-    question.open(channel?.topic ?? id, way(channel?.direction));
+    const message = inputs.get();
+    question.open(channel?.topic ?? id, way(channel?.direction), message, isFinite(form, message));
   }
 
-  async function write() {
+  async function write(message) {
     keep(key.value.trim());
     send.disabled = true;
     show("Writing …", "quiet");
     try {
-      const answer = await ask("/api/write", { channel: id, layout, message: inputs.get() });
+      const answer = await ask("/api/write", { channel: id, layout, message, not_finite: !isFinite(form, message) });
       show(`Written, as message number ${answer.sequence}.`, "good");
     } catch (error) {
       const field = error.code === "LAY006" ? inputs.at(error.where) : null;
@@ -78,14 +81,22 @@ export function writeForm(id, { form, layout, initial }) {
 /** A question that has to be answered before a machine may move. */
 function dialog(yes) {
   const title = el("h2", { id: "write-title" });
+  const values = el("pre", { class: "values", tabindex: "0", "aria-label": "The values" });
+  const warning = el("p", { class: "tone-bad" }, "The message has numbers that are not finite (nan, inf). A PLC program computes with them as with any other.");
+  let message = null;
   const close = el("button", { type: "button", class: "button", onclick: () => root.close() }, "Do not write");
   const root = el("dialog", { class: "dialog", "aria-labelledby": "write-title" },
     title,
     el("p", {}, "Whoever reads this channel acts on the message: a machine may move. Is everybody out of its way?"),
-    el("div", { class: "tools" }, close, el("button", { type: "button", class: "button danger", onclick: () => { root.close(); yes(); } }, "Write now")));
+    values, warning,
+    el("div", { class: "tools" }, close, el("button", { type: "button", class: "button danger", onclick: () => { root.close(); yes(message); } }, "Write now")));
   return {
     root,
-    open(topic, direction) {
+    open(topic, direction, given, finite) {
+      message = given;
+      const all = lines(given);
+      setText(values, [...all.slice(0, SHOWN), ...(all.length > SHOWN ? [`… and ${all.length - SHOWN} more`] : [])].join("\n"));
+      warning.hidden = finite;
       fill(title, `Write to ${topic}, ${direction}?`);
       root.showModal();
       close.focus();

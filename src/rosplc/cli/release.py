@@ -1,0 +1,100 @@
+"""``rosplc release``: free the writer's claim that a dead PLC has left in a channel."""
+
+from __future__ import annotations
+
+import sys
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rosplc.cli.guard import guarded
+from rosplc.cli.options import Directory
+from rosplc.cli.text import say
+from rosplc.errors import ChannelError
+
+if TYPE_CHECKING:
+    from rosplc.shm import Attached, Namespace
+
+__all__ = ["EPILOG", "command"]
+
+EPILOG = """Examples:
+
+rosplc release /plc/status  —  the PLC that wrote it crashed, and something else is to write it
+
+rosplc release /plc/status --prefix line3 --yes  —  another bridge's channel, without a question
+
+The claim is freed only if its holder shows no life for three times the beat that it announced.
+A PLC that was merely stopped finds its claim gone when it runs again: its block reports error 115.
+"""
+
+_LOOK_S = 0.02
+
+
+@guarded
+def command(
+    topic: Annotated[str, typer.Argument(help="The topic, as ROS writes it.")],
+    prefix: Annotated[
+        str | None, typer.Option(metavar="NAME", help="The bridge's `prefix:`; by default rosplc.")
+    ] = None,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask nothing.")] = False,
+    directory: Directory = "/dev/shm",
+) -> None:
+    """Free the claim of a writer that is dead, so that another program may write the channel."""
+    from rosplc.shm import Direction, Namespace, attach
+
+    namespace = Namespace(prefix or "rosplc", directory)
+    with attach(namespace, topic, write=True) as attached:
+        if not attached.snapshot().writer.epoch:
+            say(f"{topic} is free: no program holds its claim")
+            return
+        _wait_for_silence(attached, topic)
+        if not yes:
+            if not sys.stdin.isatty():
+                raise typer.BadParameter("without a terminal, confirm with --yes", param_hint="--yes")
+            typer.confirm(f"The writer of {topic} shows no life. Free its claim?", abort=True)
+        _release(namespace, attached, towards_plc=attached.identity.direction is Direction.TO_PLC)
+    say(f"the claim of {topic} is free")
+
+
+def _wait_for_silence(attached: Attached, topic: str) -> None:
+    """Watch the writer for as long as the format gives it.
+
+    Raises:
+        ChannelError: SHM114, it lives.
+    """
+    from rosplc.shm.liveness import silence_ns
+
+    first = attached.snapshot().writer
+    end = time.monotonic_ns() + silence_ns(first.beat_ms)
+    while time.monotonic_ns() < end:
+        now = attached.snapshot().writer
+        if (now.epoch, now.beat, now.head) != (first.epoch, first.beat, first.head):
+            who = f"process {now.pid}" if now.pid else "a PLC program"
+            raise ChannelError(
+                "SHM114", f"{who} writes it, and is alive", where=topic, remedy="Stop that program first."
+            )
+        time.sleep(_LOOK_S)
+
+
+def _release(namespace: Namespace, attached: Attached, *, towards_plc: bool) -> None:
+    from rosplc.shm import OwnedChannel, Writer
+
+    with ExitStack() as stack:
+        if towards_plc:
+            # Only a bridge writes there: its lock shows whether one is running.
+            status = Path(attached.path).stat()
+            stack.enter_context(
+                OwnedChannel.open(
+                    namespace,
+                    attached.description,
+                    record_size=attached.identity.record_size,
+                    slots=attached.identity.slot_count,
+                    mode=status.st_mode & 0o777,
+                    uid=status.st_uid,
+                    gid=status.st_gid,
+                )
+            )
+        Writer(attached.region, attached.snapshot().writer.epoch, 1000).release()
