@@ -286,6 +286,7 @@ _register("SYS011", "service cannot be installed", "Run it as root (sudo), or lo
 _register("SYS012", "terminal cannot show this", "Use a terminal (with ssh: -t) of a common kind, such as TERM=xterm-256color; `rosplc status` prints the same once, for scripts.")
 _register("SYS013", "process may not be signalled", "Run the command as the user of the process, or with sudo.")
 _register("SYS014", "not enough memory", "Raise the limit on memory (ulimit -v, MemoryMax= in a systemd unit), or lower limits and depth.")
+_register("SYS015", "what the configuration needs is not there yet", "The service tries again by itself; mount the disk, create the group or write the file.")
 
 _register("REC001", "recording cannot be written", "Check path and permissions, or choose another place with --output.")
 _register("REC002", "disk is full", "Free space or record elsewhere; what was recorded until then is in the file, and readable.")

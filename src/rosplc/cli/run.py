@@ -53,7 +53,7 @@ def command(
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Log warnings and errors only.")] = False,
 ) -> None:
     """Run the bridge in the foreground; logs go to stderr."""
-    from rosplc.bridge.foreground import run_bridge
+    from rosplc.bridge.run import run_bridge
     from rosplc.ros import RosArguments
     from rosplc.service.supervisor import supervised
 

@@ -8,6 +8,7 @@ import stat
 from pathlib import Path
 
 from rosplc.config.file import Config
+from rosplc.config.problems import Absent
 from rosplc.errors import ConfigError
 
 __all__ = ["group_id", "open_doors", "user_id"]
@@ -70,4 +71,4 @@ def _checked(config: Config, key: str, number: int | None) -> int | None:
 
 def _unknown(config: Config, key: str, what: str) -> ConfigError:
     remedy = "Create it, or name another; `getent passwd` and `getent group` list them."
-    return ConfigError("CFG004", what, where=config.source.place(("shm", key)), remedy=remedy)
+    return Absent("CFG004", what, where=config.source.place(("shm", key)), remedy=remedy)

@@ -11,9 +11,13 @@ from collections.abc import Iterable
 from rosplc.errors import ConfigError, RosplcError
 from rosplc.harmless import nearest
 
-__all__ = ["MOST_ERRORS", "ConfigErrors", "Problems", "did_you_mean", "relocated"]
+__all__ = ["MOST_ERRORS", "Absent", "ConfigErrors", "Problems", "did_you_mean", "may_pass", "relocated"]
 
 MOST_ERRORS = 50  # more errors than this are one mistake, repeated
+
+
+class Absent(ConfigError):
+    """Something that a configuration refers to is not there; it may come, as a disk does that is mounted."""
 
 
 class ConfigErrors(ConfigError):
@@ -41,6 +45,12 @@ class ConfigErrors(ConfigError):
 
     def __reduce__(self) -> tuple[object, ...]:
         return (ConfigErrors, (self.errors,))
+
+
+def may_pass(error: ConfigError) -> bool:
+    """Return whether all that is wrong may pass without the configuration being changed."""
+    errors = error.errors if isinstance(error, ConfigErrors) else (error,)
+    return all(isinstance(one, Absent) for one in errors)
 
 
 class Problems:

@@ -12,7 +12,7 @@ from pathlib import Path
 from rosplc.config.classic_plan import ClassicPlan, classic_name, classic_plan, passes_changes_only
 from rosplc.config.depth import Demand, least_slots, usual_slots
 from rosplc.config.file import Config, read_config
-from rosplc.config.problems import Problems, relocated
+from rosplc.config.problems import Absent, Problems, relocated
 from rosplc.config.quantities import format_duration
 from rosplc.config.ros_section import check_ros
 from rosplc.config.settings import TaskSettings, TopicSettings
@@ -173,7 +173,7 @@ def _store(config: Config, problems: Problems) -> TypeStore:
         key = ("types", "paths", index)
         where, line = config.source.place(key), config.source.line(key)
         if not path.exists():
-            problems.add(ConfigError("CFG001", f"{path} does not exist", where=where), line)
+            problems.add(Absent("CFG001", f"{path} does not exist", where=where), line)
             continue
         try:
             store = store.with_paths([path])

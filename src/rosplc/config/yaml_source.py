@@ -15,7 +15,7 @@ from typing import Any
 
 import yaml
 
-from rosplc.config.problems import Problems
+from rosplc.config.problems import Absent, Problems
 from rosplc.errors import ConfigError
 from rosplc.harmless import one_line
 
@@ -127,6 +127,8 @@ def _load(path: Path) -> str:
             raise ConfigError("CFG001", "is a named pipe, not a file", where=str(path))
         with path.open("rb") as file:
             raw = file.read(LARGEST_FILE + 1)
+    except FileNotFoundError as error:
+        raise Absent("CFG001", str(error.strerror).lower(), where=str(path)) from None
     except OSError as error:
         raise ConfigError("CFG001", (error.strerror or str(error)).lower(), where=str(path)) from None
     if len(raw) > LARGEST_FILE:

@@ -12,7 +12,7 @@ import sys
 import threading
 from pathlib import Path
 
-from rosplc.bridge.foreground import run_bridge
+from rosplc.bridge.run import run_bridge
 from rosplc.demo.cleanup import remove_objects
 from rosplc.demo.pipe import report
 from rosplc.errors import RosplcError

@@ -140,7 +140,8 @@ Environment=HOME=%S/rosplc ROS_HOME=%S/rosplc PYTHONFAULTHANDLER=1 PYTHONDONTWRI
 
 Restart=on-failure
 RestartSec=2
-{backoff}# 2: the configuration is wrong, and another attempt would not help.
+{backoff}# 2: the configuration is wrong, and another attempt would not help. What may come by
+# itself, such as a disk or a group, ends with 1.
 RestartPreventExitStatus=2
 # Fed while the threads that carry and beat go round.
 WatchdogSec=30

@@ -6,7 +6,7 @@ import logging
 
 import pytest
 
-from rosplc.bridge.foreground import _Reporter
+from rosplc.bridge.run import _Reporter
 from rosplc.bridge.status import BridgeStatus, TopicStatus
 from rosplc.shm import Direction
 

@@ -14,9 +14,9 @@ from pathlib import Path
 import pytest
 
 from rosplc.bridge import Bridge
-from rosplc.bridge.run import News, pause, run_until_signal, stop_on_signals
+from rosplc.bridge.run import News, pause, run_bridge, run_until_signal, stop_on_signals
 from rosplc.config import parse_config
-from rosplc.errors import BackendError
+from rosplc.errors import BackendError, ConfigError, SetupError
 from rosplc.model import TypeStore
 from rosplc.ros.memory import open_backend
 from rosplc.shm import Namespace, attach
@@ -170,3 +170,29 @@ def test_a_backend_that_ends_ends_the_program(tmp_path: Path, shm_namespace: Nam
     assert found.value.code == "ROS015"
     assert not bridge.status().running
     backend.close()
+
+
+ABSENT = {
+    "disk": "types: {paths: [not-mounted]}\n",
+    "group": "shm: {group: not-there-yet}\nros: {backend: memory}\n",
+    "file": None,
+}
+
+
+@pytest.mark.parametrize("kind", ABSENT)
+def test_what_may_come_is_tried_again_by_the_service(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    """Under a service manager it is no error of the configuration, unless more is wrong."""
+    path = tmp_path / "rosplc.yaml"
+    if (text := ABSENT[kind]) is not None:
+        path.write_text(f"prefix: Tabsent\n{text}")
+    monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
+    with pytest.raises(ConfigError):
+        run_bridge(path, status_seconds=None)
+    monkeypatch.setenv("NOTIFY_SOCKET", "/run/none")
+    with pytest.raises(SetupError, match="SYS015"):
+        run_bridge(path, status_seconds=None)
+    path.write_text((text or "") + "nonsense: 1\n")
+    with pytest.raises(ConfigError, match="nonsense"):
+        run_bridge(path, status_seconds=None)
