@@ -11,10 +11,8 @@ import shutil
 import signal
 import subprocess
 import threading
-import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -59,16 +57,6 @@ def build(source: str, command: Sequence[str], *libraries: str) -> Path:
             assert done.returncode == 0, done.stderr
             partial.rename(program)
     return program
-
-
-def wait_for(condition: Callable[[], Any], what: str = "") -> Any:
-    """Return the condition's first true value; fail if none comes."""
-    deadline = time.monotonic() + WATCHDOG_S
-    while not (value := condition()):
-        if time.monotonic() > deadline:
-            pytest.fail(f"still waiting for {what or condition}")
-        time.sleep(0.002)
-    return value
 
 
 class Program:

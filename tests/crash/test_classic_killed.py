@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.classic_cell import ClassicCell, build_plc, wait_for
+from tests.classic_cell import ClassicCell, build_plc
+from tests.lib.waiting import wait_for
 
 RECOVER = "recover_after: 150ms, wait: 2ms"
 

@@ -9,8 +9,7 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ import pytest
 from rosplc.shm import Namespace, attach
 from tests.deploy.containers import WATCHDOG_S, Contained, contain
 from tests.deploy.machine import need_namespaces
+from tests.lib.waiting import wait_for
 from tests.soak.cell import Cell
 from tests.soak.pattern import IN
 
@@ -44,13 +44,6 @@ def cell(tmp_path: Path) -> Iterator[Cell]:
     cell = Cell(tmp_path, "dds", private=False)
     yield cell
     cell.close()
-
-
-def wait(condition: Callable[[], object]) -> None:
-    deadline = time.monotonic() + WATCHDOG_S
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
 
 
 def carry(cell: Cell) -> None:
@@ -120,12 +113,12 @@ def test_liveness_crosses_containers(volume: Path, tmp_path: Path) -> None:
     try:
         start(contain(bridge, shm=volume, network=False))
         first = start(plc)
-        wait(lambda: re.search("in [0-9]+, out [1-9]", log.read_text()))
+        wait_for(lambda: re.search("in [0-9]+, out [1-9]", log.read_text()))
         first.kill()
-        wait(lambda: "/out: ERROR: the PLC task that writes it stopped" in log.read_text())
+        wait_for(lambda: "/out: ERROR: the PLC task that writes it stopped" in log.read_text())
         mark = log.stat().st_size
         start(plc)
-        wait(lambda: re.search("/out: (OK|WARN)", log.read_bytes()[mark:].decode()))
+        wait_for(lambda: re.search("/out: (OK|WARN)", log.read_bytes()[mark:].decode()))
     finally:
         for process in running:
             process.kill()
@@ -214,7 +207,7 @@ def test_the_doctor_names_containers_that_share_nothing(cell: Cell, volume: Path
     cell.write_config()
     cell.parts["bridge"].start()
     shared = Namespace(cell.prefix, str(volume))
-    wait(lambda: len(shared.topics()) == len(cell.topics))
+    wait_for(lambda: len(shared.topics()) == len(cell.topics))
 
     script = (
         "import sys\nfrom rosplc.virtual_plc import ReadBlock\n"

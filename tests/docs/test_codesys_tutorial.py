@@ -6,11 +6,11 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+
+from tests.lib.waiting import wait_for
 
 pytest.importorskip("blark")
 if shutil.which("gcc") is None:
@@ -39,13 +39,6 @@ def page_files(folder: Path, prefix: str) -> None:
     (folder / "plc" / "st" / "PLC_PRG.st").write_text(f"{program}END_PROGRAM\n", encoding="utf-8")
 
 
-def eventually(condition: Callable[[], object], what: str) -> None:
-    deadline = time.monotonic() + WATCHDOG_S
-    while not condition():
-        assert time.monotonic() < deadline, f"still waiting for {what}"
-        time.sleep(0.02)
-
-
 @pytest.mark.verify(minutes=1.5)
 def test_the_wheels_follow_the_command_and_stop_without_it(tmp_path: Path, shm_namespace: Namespace) -> None:
     """A speed of 0.5 m/s is 5 rad/s on /wheel_speed, and 0 again half a second after the last command."""
@@ -69,15 +62,15 @@ def test_the_wheels_follow_the_command_and_stop_without_it(tmp_path: Path, shm_n
         plc = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT)
         try:
             assert plc.stdout is not None and plc.stdout.readline().startswith("running")
-            eventually(lambda: speeds, "the first message")
+            wait_for(lambda: speeds, "the first message")
             assert set(speeds) == {0.0}, "without a command nothing turns"
 
             def commanded() -> bool:
                 cmd_vel.write(twist.encode(twist.layout.pack({"linear": {"x": 0.5}})))
                 return 5.0 in speeds
 
-            eventually(commanded, "5 rad/s")
-            eventually(lambda: speeds[-1] == 0.0, "the stop")
+            wait_for(commanded, "5 rad/s")
+            wait_for(lambda: speeds[-1] == 0.0, "the stop")
         finally:
             plc.send_signal(signal.SIGTERM)
             plc.communicate()

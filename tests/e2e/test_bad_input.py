@@ -24,6 +24,7 @@ from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.ros import DEFAULT, Backend, Qos, open_backend
 from rosplc.shm import Namespace
+from tests.lib.waiting import wait_for
 
 INT, STRING = "std_msgs/msg/Int32", "std_msgs/msg/String"
 PLAIN = f"topics:\n  /in: {{type: {INT}, to: plc}}\n  /out: {{type: {INT}, to: ros}}\n"
@@ -118,12 +119,6 @@ def node(dds_domain: int) -> Iterator[Callable[..., Backend]]:
             return backend
 
         yield join
-
-
-def wait_for(condition: Callable[[], object]) -> None:
-    """Return as soon as the condition holds; pytest's timeout is the watchdog."""
-    while not condition():
-        time.sleep(0.02)
 
 
 # -- the configuration

@@ -9,10 +9,11 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
+
+from tests.lib.waiting import wait_for
 
 pytest.importorskip("cyclonedds", reason="no cyclonedds wheel for this machine")
 
@@ -32,14 +33,6 @@ def demo(*arguments):
     finally:
         child.kill()
         child.communicate()
-
-
-def wait_until(condition, what, seconds=90.0):
-    end = time.monotonic() + seconds
-    while not (value := condition()):
-        assert time.monotonic() < end, f"{what} did not come true"
-        time.sleep(0.05)
-    return value
 
 
 def processes(parent):
@@ -73,7 +66,7 @@ def alive(pid):
 def test_everything_arrives_in_both_directions():
     """What one side counts as sent the other counts as received, whole and once, and the status is 0."""
     with demo("--duration", "5s", "--json") as child:
-        pids = wait_until(lambda: processes(child), "three processes")
+        pids = wait_for(lambda: processes(child), "three processes")
         prefix = prefix_of(pids)
         out, err = child.communicate(timeout=240)
     assert child.returncode == 0, out + err
@@ -119,9 +112,9 @@ def test_the_summary_line_says_it_in_words():
 def test_a_killed_process_ends_it_with_a_clear_message(victim):
     """A process that dies is named, the status is not 0, and nothing is left behind."""
     with demo("--duration", "600s") as child:
-        pids = wait_until(lambda: processes(child), "three processes")
+        pids = wait_for(lambda: processes(child), "three processes")
         prefix = prefix_of(pids)
-        wait_until(lambda: objects(prefix), "objects in shared memory")
+        wait_for(lambda: objects(prefix), "objects in shared memory")
         os.kill(pids[victim], signal.SIGKILL)
         out, err = child.communicate(timeout=120)
     assert child.returncode == 1, out + err
@@ -136,7 +129,7 @@ def test_a_killed_process_ends_it_with_a_clear_message(victim):
 def test_a_killed_bridge_is_survived():
     """With --kill the bridge dies and comes back: one piece is missing, nothing is torn, both ways go on."""
     with demo("--duration", "9s", "--kill", "--json") as child:
-        pids = wait_until(lambda: processes(child), "three processes")
+        pids = wait_for(lambda: processes(child), "three processes")
         prefix = prefix_of(pids)
         out, err = child.communicate(timeout=240)
     assert child.returncode == 0, out + err
@@ -155,9 +148,9 @@ def test_a_killed_bridge_is_survived():
 def test_a_signal_ends_all_processes(number):
     """Ctrl-C and SIGTERM end the three processes and remove the objects."""
     with demo("--duration", "600s") as child:
-        pids = wait_until(lambda: processes(child), "three processes")
+        pids = wait_for(lambda: processes(child), "three processes")
         prefix = prefix_of(pids)
-        wait_until(lambda: objects(prefix), "objects in shared memory")
+        wait_for(lambda: objects(prefix), "objects in shared memory")
         child.send_signal(number)
         _, err = child.communicate(timeout=120)
     assert child.returncode == 130, err
@@ -169,10 +162,10 @@ def test_a_signal_ends_all_processes(number):
 def test_nothing_outlives_a_killed_demo():
     """Even after SIGKILL the processes notice that their parent is gone, and clean up."""
     with demo("--duration", "600s") as child:
-        pids = wait_until(lambda: processes(child), "three processes")
+        pids = wait_for(lambda: processes(child), "three processes")
         prefix = prefix_of(pids)
-        wait_until(lambda: objects(prefix), "objects in shared memory")
+        wait_for(lambda: objects(prefix), "objects in shared memory")
         child.kill()
         child.wait()
-        wait_until(lambda: not any(alive(pid) for pid in pids.values()), "the end of the processes")
+        wait_for(lambda: not any(alive(pid) for pid in pids.values()), "the end of the processes")
     assert objects(prefix) == []

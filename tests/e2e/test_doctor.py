@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -21,6 +20,7 @@ from rosplc.ros import Qos, open_backend
 from rosplc.shm import Namespace, attach
 from rosplc.virtual_plc import ReadBlock, WriteBlock
 from tests.interop.graphs import LOCAL, free_domain
+from tests.lib.waiting import wait_for
 
 INT, LONG = "std_msgs/msg/Int32", "std_msgs/msg/Int64"
 TOPICS = f"  /in: {{type: {INT}, to: plc}}\n  /out: {{type: {INT}, to: ros}}\n"
@@ -64,13 +64,6 @@ def levels(found: dict[str, list[Document]], code: str) -> list[str]:
 
 def shown(found: dict[str, list[Document]], codes: Document) -> Document:
     return {code: levels(found, code) for code in codes}
-
-
-def wait_for(condition: Callable[[], Any], what: str) -> None:
-    deadline = time.monotonic() + WATCHDOG_S
-    while not condition():
-        assert time.monotonic() < deadline, f"still waiting for {what}"
-        time.sleep(0.02)
 
 
 class Bridge:
@@ -177,8 +170,10 @@ def test_a_bridge_that_stands_still(
     """A bridge that is stopped holds its objects and does not beat; one that goes on is fine again."""
     path = config()
     bridges.append(Bridge(path, shm_namespace))
+    # One that was stopped before its first beat would count as starting, for half a minute.
+    wait_for(lambda: levels(doctor(path), "DOC601") == ["ok"], "the bridge to beat")
     bridges[-1].send(signal.SIGSTOP)
-    assert "error" in levels(doctor(path), "DOC601")
+    wait_for(lambda: "error" in levels(doctor(path), "DOC601"), "the stop to be noticed")
     (stands,) = of_machine(shm_namespace)
     assert stands["level"] == "error" and "does not beat" in stands["seen"]
     assert f"bridge cell (prefix {shm_namespace.prefix})" in stands["seen"]

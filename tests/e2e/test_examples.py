@@ -8,7 +8,6 @@ import io
 import subprocess
 import sys
 import threading
-import time
 from pathlib import Path
 
 import pytest
@@ -18,6 +17,7 @@ from rosplc.bridge.engine import Bridge
 from rosplc.codec import Codec, Wire
 from rosplc.config.file import read_config
 from rosplc.ros import DEFAULT, open_backend
+from tests.lib.waiting import wait_for
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
@@ -35,14 +35,6 @@ def example(name, *arguments):
     finally:
         child.kill()
         child.communicate()
-
-
-def eventually(condition, what, seconds=60.0):
-    end = time.monotonic() + seconds
-    while not (value := condition()):
-        assert time.monotonic() < end, f"{what} did not come true"
-        time.sleep(0.01)
-    return value
 
 
 @pytest.fixture
@@ -75,11 +67,11 @@ def test_cell(prefix, tmp_path):
             status = {topic.topic: topic for topic in bridge.status().topics}
             return all(topic.peer_alive for topic in status.values()) or child.poll() is not None
 
-        eventually(ready, "the PLC at work")
+        wait_for(ready, "the PLC at work")
         for number in range(8):
             kind = 1 if number == 5 else 2
             camera.write(part.encode(part.layout.pack({"kind": kind, "x": number, "label": f"p{number}"})))
-        eventually(lambda: len(lists) == 2, "two lists")
+        wait_for(lambda: len(lists) == 2, "two lists")
     robot.close()
     assert [[each.label for each in one.parts] for one in lists] == [
         ["p0", "p1", "p2", "p3"],

@@ -7,14 +7,15 @@ import os
 import subprocess
 import sys
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import pytest
+
+from tests.lib.waiting import wait_for
 
 pytest.importorskip("cyclonedds", exc_type=ImportError)
 
@@ -33,16 +34,6 @@ SUBSTITUTE = -9
 STORE = TypeStore.bundled("jazzy")
 # A participant that was killed is missed after a second instead of Cyclone's ten.
 LEASE = "<CycloneDDS><Domain><Discovery><LeaseDuration>1s</LeaseDuration></Discovery></Domain></CycloneDDS>"
-
-
-def wait_for(condition: Callable[[], Any], what: str) -> Any:
-    """Return the condition's first true value; fail if none comes."""
-    deadline = time.monotonic() + WATCHDOG_S
-    while not (value := condition()):
-        if time.monotonic() > deadline:
-            pytest.fail(f"still waiting: {what}")
-        time.sleep(0.01)
-    return value
 
 
 class Process:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -16,16 +14,10 @@ from rosplc.layout import compute_layout
 from rosplc.model import TypeStore
 from rosplc.ros import Qos, open_backend
 from tests.e2e.cell import Bridge
+from tests.lib.waiting import wait_for
 from tests.unit.recorder.making import read_from_the_front
 
 TYPE = "geometry_msgs/msg/Twist"
-
-
-def until(condition: Callable[[], object]) -> None:
-    end = time.monotonic() + 90
-    while not condition():
-        assert time.monotonic() < end, "it did not come"
-        time.sleep(0.02)
 
 
 @pytest.mark.verify(minutes=0.5)
@@ -50,7 +42,7 @@ def test_what_a_robot_sent_comes_again(tmp_path: Path, dds_domain: int, shm_pref
     command = [sys.executable, "-m", "rosplc"]
     try:
         publisher = robot.advertise("/cmd_vel", TYPE, Qos(depth=100))
-        until(lambda: publisher.matched)
+        wait_for(lambda: publisher.matched)
         recorder = subprocess.Popen(
             [*command, "record", "--config", str(config), "-o", str(out)], stderr=subprocess.PIPE, text=True
         )
@@ -59,7 +51,7 @@ def test_what_a_robot_sent_comes_again(tmp_path: Path, dds_domain: int, shm_pref
             assert recorder.poll() is None
         for data in sent:
             publisher.write(data)
-        until(lambda: len(read_from_the_front(out)) == len(sent))
+        wait_for(lambda: len(read_from_the_front(out)) == len(sent))
         recorder.terminate()
         recorder.communicate()
         assert recorder.returncode == 0
@@ -80,7 +72,7 @@ def test_what_a_robot_sent_comes_again(tmp_path: Path, dds_domain: int, shm_pref
             check=False,
         )
         assert done.returncode == 0, done.stderr
-        until(lambda: len(got) == len(sent))
+        wait_for(lambda: len(got) == len(sent))
     finally:
         listener.close()
     assert got == sent

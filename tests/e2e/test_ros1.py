@@ -15,8 +15,9 @@ from typing import Any
 import pytest
 
 from tests.e2e.cell import Bridge, Plc
-from tests.interop.ros1.graph import PACKAGES, Graph, lend, wait_until
+from tests.interop.ros1.graph import PACKAGES, Graph, lend
 from tests.interop.ros1.test_peers import PART, part_defines, string
+from tests.lib.waiting import wait_for
 
 pytestmark = [pytest.mark.needs(*PACKAGES), pytest.mark.timeout(60)]
 
@@ -190,7 +191,7 @@ def test_everything_dies_and_comes_back(ros1: Graph, tmp_path: Path, shm_prefix:
             ros1.kill_master()
             crosses(said, heard)  # those who know each other need no master
             ros1.start_master()
-            wait_until(lambda: f"/{shm_prefix}" in ros1.run("rosnode", "list"))
+            wait_for(lambda: f"/{shm_prefix}" in ros1.run("rosnode", "list"))
             crosses(said, heard)
             # A roscpp node that outlives its master is known to the next one only if it starts again.
             peer.kill()
@@ -210,8 +211,8 @@ def test_rosnode_kill_ends_the_program(ros1: Graph, tmp_path: Path, shm_prefix: 
     """The bridge says who told it to leave and ends with status 3: respawn starts it again."""
     bridge = Bridge(config(tmp_path, shm_prefix), ros1.variables)
     try:
-        wait_until(lambda: f"/{shm_prefix}" in ros1.run("rosnode", "list"))
-        wait_until(lambda: "carries 3 topics" in bridge.log.read_text())
+        wait_for(lambda: f"/{shm_prefix}" in ros1.run("rosnode", "list"))
+        wait_for(lambda: "carries 3 topics" in bridge.log.read_text())
         assert "killed" in ros1.run("rosnode", "kill", f"/{shm_prefix}")
         assert bridge.wait() == 3, bridge.log.read_text()
         assert "to shut down" in bridge.log.read_text()

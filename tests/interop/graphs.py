@@ -8,8 +8,7 @@ import os
 import random
 import struct
 import tempfile
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 from rosplc.model import TypeStore
@@ -35,12 +34,6 @@ def free_domain() -> Iterator[int]:
             yield number
             return
     raise RuntimeError("every ROS domain is taken")
-
-
-def wait_for(condition: Callable[[], object]) -> None:
-    """Return as soon as the condition is true; pytest's timeout is the watchdog."""
-    while not condition():
-        time.sleep(0.005)
 
 
 def string(text: str) -> bytes:

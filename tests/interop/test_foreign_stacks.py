@@ -14,7 +14,8 @@ import pytest
 from rosbags.typesys import Stores, get_typestore
 
 from rosplc.ros import LATCHED, Qos, incompatibility
-from tests.interop.graphs import LOCAL, STRING, Graph, string, text_of, wait_for
+from tests.interop.graphs import LOCAL, STRING, Graph, string, text_of
+from tests.lib.waiting import wait_for
 
 pytestmark = pytest.mark.timeout(240)
 

@@ -59,17 +59,27 @@ def judge(signs: Signs) -> tuple[State, str]:
         return State.REFUSED, "messages do not fit and are refused; the bridge's log says why"
     if signs.lost_lately:
         return State.LOST, "messages are lost, and each one counts; raise depth: or read more per scan"
+    # Before silence, which begins with time: the same in the first second as in the tenth.
+    if signs.plc_alive is False and not signs.received:
+        return _no_plc(signs)
     if signs.silent:
         return (State.STALE if signs.received else State.SILENT), _silence(signs)
     if signs.bridge_alive is None or (signs.plc_alive is None and signs.plc_claimed):
         return State.UNKNOWN, "looking for signs of life"
     if signs.plc_alive is False:
-        return State.NO_PLC, "no PLC task reads it" if signs.to_plc else "no PLC task writes it"
+        return _no_plc(signs)
     if signs.ros_peers == 0:
         return State.OK, "nobody publishes" if signs.to_plc else "nobody subscribes"
     if not signs.received:
         return State.OK, "no message yet"
     return State.OK, "messages come" if signs.moving else "no message at present, which is allowed"
+
+
+def _no_plc(signs: Signs) -> tuple[State, str]:
+    if not signs.to_plc:
+        return State.NO_PLC, "no PLC task writes it"
+    nothing = "" if signs.received else f", and {_silence(signs)}"
+    return State.NO_PLC, f"no PLC task reads it{nothing}"
 
 
 def _silence(signs: Signs) -> str:

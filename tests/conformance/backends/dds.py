@@ -10,7 +10,8 @@ from rosplc.ros import Qos
 from tests.conformance.backends.base import Abilities, Harness
 from tests.conformance.backends.node import Node, Outbox
 from tests.conformance.backends.rtps import Impostor
-from tests.interop.graphs import LOCAL, free_domain, wait_for
+from tests.interop.graphs import LOCAL, free_domain
+from tests.lib.waiting import wait_for
 
 
 class DdsNode(Node):

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from typing import ClassVar
 
 from tests.conformance.backends.base import Abilities, Harness, Peer
-from tests.interop.graphs import wait_for
 from tests.interop.ros1.graph import PACKAGES, lend
+from tests.lib.waiting import wait_for
 
 
 class RospyHarness(Harness):

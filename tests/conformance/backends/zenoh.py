@@ -8,8 +8,8 @@ from collections.abc import Callable
 from typing import Any, ClassVar
 
 from tests.conformance.backends.base import Abilities, Harness, Peer
-from tests.interop.graphs import wait_for
 from tests.interop.zenoh.processes import Router, free_port
+from tests.lib.waiting import wait_for
 
 
 class ZenohHarness(Harness):

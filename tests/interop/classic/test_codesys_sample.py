@@ -13,7 +13,8 @@ from rosplc.bridge import Bridge
 from rosplc.config import parse_config, resolve
 from rosplc.ros import DEFAULT
 from rosplc.ros.memory import open_backend
-from tests.classic_cell import CACHE, Program, build_plc, remove, wait_for
+from tests.classic_cell import CACHE, Program, build_plc, remove
+from tests.lib.waiting import wait_for
 
 PREFIX = "_CODESYS_SharedMemoryTest"
 TYPE = "plc_msgs/msg/DataExchange"

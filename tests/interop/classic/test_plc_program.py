@@ -8,7 +8,8 @@ from pathlib import Path
 import posix_ipc
 import pytest
 
-from tests.classic_cell import SIZE, ClassicCell, Program, build_plc, remove, unique_name, wait_for
+from tests.classic_cell import SIZE, ClassicCell, Program, build_plc, remove, unique_name
+from tests.lib.waiting import wait_for
 
 FAST = "recover_after: 150ms, wait: 2ms"
 

@@ -15,8 +15,9 @@ from rosplc.config import parse_config
 from rosplc.model import TypeStore
 from rosplc.ros import DEFAULT
 from rosplc.ros.memory import MemoryBackend, open_backend
-from tests.classic_cell import Program, build, remove, wait_for
+from tests.classic_cell import Program, build, remove
 from tests.interop.ros1.graph import PACKAGES, Graph, Peer
+from tests.lib.waiting import wait_for
 
 pytestmark = pytest.mark.needs(*PACKAGES)
 

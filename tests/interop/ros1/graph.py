@@ -17,13 +17,13 @@ import socket
 import subprocess
 import tempfile
 import threading
-import time
 import xmlrpc.client
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from rosplc.ros import Qos
+from tests.lib.waiting import wait_for
 
 HERE = Path(__file__).parent
 PYTHON = "/usr/bin/python3"
@@ -35,12 +35,6 @@ PACKAGES = (
     "libgeometry-msgs-dev", "libsensor-msgs-dev",
 )  # fmt: skip
 """The Debian packages that ROS 1's peers need."""
-
-
-def wait_until(condition: Callable[[], object]) -> None:
-    """Return as soon as the condition is true; pytest's timeout is the watchdog."""
-    while not condition():
-        time.sleep(0.01)
 
 
 def free_port() -> int:
@@ -95,7 +89,7 @@ class Graph:
             with socket.socket() as probe:
                 return probe.connect_ex(("127.0.0.1", self.port)) == 0
 
-        wait_until(listens)
+        wait_for(listens)
 
     def kill_master(self) -> None:
         """End the master without a word."""

@@ -16,7 +16,8 @@ from rosbags.typesys import Stores, get_typestore
 from rosplc.errors import RosplcError
 from rosplc.model import TypeStore
 from rosplc.ros import LATCHED, Backend, Qos, open_backend
-from tests.interop.ros1.graph import PACKAGES, Graph, lend, wait_until
+from tests.interop.ros1.graph import PACKAGES, Graph, lend
+from tests.lib.waiting import wait_for
 
 pytestmark = [pytest.mark.needs(*PACKAGES), pytest.mark.timeout(120)]
 
@@ -125,12 +126,12 @@ def test_values_cross_both_ways(ros1: Graph, node: OpenNode, kind: str, type_nam
     up = cell.subscribe("/up", type_name, DEEP, inbox)
     heard, said = peer.subscribe("/down", type_name), peer.advertise("/up", type_name)
     # Its own count as well: a publisher answers its subscriber before it sends to it.
-    wait_until(lambda: outbox.matched and up.matched and peer.matched("/up"))
+    wait_for(lambda: outbox.matched and up.matched and peer.matched("/up"))
     sent = values(type_name, 50)
     for payload in sent:
         assert outbox.write(payload)
         said.write(payload)
-    wait_until(lambda: len(inbox) == 50 and len(heard.payloads()) == 50)
+    wait_for(lambda: len(inbox) == 50 and len(heard.payloads()) == 50)
     assert heard.payloads() == sent
     assert without_seq(type_name, inbox) == without_seq(type_name, sent)
     assert (outbox.status().sent, up.status().received) == (50, 50)
@@ -146,16 +147,16 @@ def test_latched_messages_cross_both_ways(ros1: Graph, node: OpenNode, kind: str
         outbox.write(string(text))
     peer = ros1.peer(kind, "peer")
     heard = peer.subscribe("/map", STRING)
-    wait_until(heard.payloads)
+    wait_for(heard.payloads)
     assert heard.payloads() == [string("c")]
     said = peer.advertise("/plan", STRING, LATCHED)
     for text in "xyz":
         said.write(string(text))
     inbox = Inbox()
     cell.subscribe("/plan", STRING, DEEP, inbox)
-    wait_until(lambda: inbox)
+    wait_for(lambda: inbox)
     assert inbox == [string("z")]
-    wait_until(lambda: any(e.qos.durability == "transient_local" for e in cell.graph().endpoints))
+    wait_for(lambda: any(e.qos.durability == "transient_local" for e in cell.graph().endpoints))
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -166,7 +167,7 @@ def test_peers_of_another_type_are_named(ros1: Graph, node: OpenNode, kind: str)
     cell, inbox = node("cell"), Inbox()
     up = cell.subscribe("/up", STRING, DEEP, inbox)
     down = cell.advertise("/down", STRING, DEEP)
-    wait_until(lambda: (up.status().code, down.status().code) == ("ROS003", "ROS003"))
+    wait_for(lambda: (up.status().code, down.status().code) == ("ROS003", "ROS003"))
     assert up.status().reason == f"node /odd publishes /up as std_msgs/msg/Int32, here it is {STRING}"
     words = f"node /odd subscribes to /down as std_msgs/msg/Int32, here it is {STRING}"
     assert down.status().reason == words
@@ -174,8 +175,8 @@ def test_peers_of_another_type_are_named(ros1: Graph, node: OpenNode, kind: str)
     assert down.write(string("x"))
     assert (up.matched, down.matched, inbox) == (0, 0, [])
     peer.close()
-    wait_until(lambda: (up.status().reason, up.status().code) == ("no node publishes /up", ""))
-    wait_until(lambda: (down.status().reason, down.status().code) == ("no node subscribes to /down", ""))
+    wait_for(lambda: (up.status().reason, up.status().code) == ("no node publishes /up", ""))
+    wait_for(lambda: (down.status().reason, down.status().code) == ("no node subscribes to /down", ""))
 
 
 def test_another_definition_is_named_with_both_sums(ros1: Graph, node: OpenNode) -> None:
@@ -186,7 +187,7 @@ def test_another_definition_is_named_with_both_sums(ros1: Graph, node: OpenNode)
     newer = STORE.with_definition(PART, PART_FILE + "uint32 batch\n")
     cell = node("cell", newer)
     up, down = cell.subscribe("/up", PART, DEEP, Inbox()), cell.advertise("/down", PART, DEEP)
-    wait_until(lambda: (up.status().code, down.status().code) == ("ROS003", "ROS003"))
+    wait_for(lambda: (up.status().code, down.status().code) == ("ROS003", "ROS003"))
     sums = f"with another definition (md5 {PART_STORE.md5(PART)} there, {newer.md5(PART)} here)"
     assert up.status().reason == f"node /old publishes /up as {PART} {sums}"
     assert down.status().reason == f"node /old subscribes to /down as {PART} {sums}"
@@ -208,11 +209,11 @@ def test_custom_type_crosses_both_ways(ros1: Graph, node: OpenNode, tmp_path: Pa
     cell, inbox = node("cell", store), Inbox()
     outbox, up = cell.advertise("/down", PART, DEEP), cell.subscribe("/up", PART, DEEP, inbox)
     heard, said = peer.subscribe("/down", PART), peer.advertise("/up", PART)
-    wait_until(lambda: outbox.matched and up.matched and peer.matched("/up"))
+    wait_for(lambda: outbox.matched and up.matched and peer.matched("/up"))
     payload = bytes(12) + string("base") + string("S-17") + bytes(range(56)) + b"\1\0\0\0\0\0\x80\x3f" + b"\1"
     outbox.write(payload)
     said.write(payload)
-    wait_until(lambda: inbox and heard.payloads())
+    wait_for(lambda: inbox and heard.payloads())
     assert (inbox, heard.payloads()) == ([payload], [payload])
 
 
@@ -225,18 +226,18 @@ def test_peers_come_and_go(ros1: Graph, node: OpenNode, kind: str) -> None:
         peer = ros1.peer(kind, "peer")
         said, heard = peer.advertise("/up", STRING), peer.subscribe("/down", STRING)
         # A killed peer's old name is still registered: wait for this life's connections.
-        wait_until(lambda p=peer: p.matched("/up") and p.matched("/down"))
-        wait_until(lambda: up.matched == 1 and outbox.matched == 1)
+        wait_for(lambda p=peer: p.matched("/up") and p.matched("/down"))
+        wait_for(lambda: up.matched == 1 and outbox.matched == 1)
         said.write(string(f"up {life}"))
         outbox.write(string(f"down {life}"))
-        wait_until(lambda w=f"up {life}": inbox[-1:] == [string(w)])
-        wait_until(lambda h=heard, w=f"down {life}": h.payloads() == [string(w)])
+        wait_for(lambda w=f"up {life}": inbox[-1:] == [string(w)])
+        wait_for(lambda h=heard, w=f"down {life}": h.payloads() == [string(w)])
         if life == 0:
             peer.kill()
-            wait_until(lambda: up.matched == 0 and outbox.matched == 0)
+            wait_for(lambda: up.matched == 0 and outbox.matched == 0)
         else:
             peer.unadvertise("/up")
-            wait_until(lambda: up.matched == 0)
+            wait_for(lambda: up.matched == 0)
             assert outbox.matched == 1
 
 
@@ -246,7 +247,7 @@ def test_peer_that_stands_still_costs_messages_and_no_time(ros1: Graph, node: Op
     outbox = node("cell").advertise("/down", STRING, Qos(depth=10))
     # Deep enough that roscpp drops nothing itself when it goes on.
     heard = peer.subscribe("/down", STRING, Qos(depth=100_000))
-    wait_until(lambda: outbox.matched)
+    wait_for(lambda: outbox.matched)
     peer.stop()
     text = "x" * 4000
     taken = sum(outbox.write(string(f"{number:06}{text}")) for number in range(5000))
@@ -254,7 +255,7 @@ def test_peer_that_stands_still_costs_messages_and_no_time(ros1: Graph, node: Op
     status = outbox.status()
     assert (status.sent, status.dropped) == (taken, 5000 - taken)
     peer.resume()
-    wait_until(lambda: len(heard.payloads()) == taken)
+    wait_for(lambda: len(heard.payloads()) == taken)
     numbers = [int(payload[4:10]) for payload in heard.payloads()]
     assert numbers == sorted(set(numbers))
     assert numbers[-10:] == list(range(4990, 5000))
@@ -268,10 +269,10 @@ def test_namespace_and_remapping_reach_the_graph(ros1: Graph, node: OpenNode) ->
     sub = cell.subscribe("cmd_vel", STRING, DEEP, inbox)
     pub = cell.advertise("~/state", STRING, DEEP)
     said, heard = peer.advertise("/base/cmd_vel", STRING), peer.subscribe("/robot1/cell/state", STRING)
-    wait_until(lambda: sub.matched and pub.matched and peer.matched("/base/cmd_vel"))
+    wait_for(lambda: sub.matched and pub.matched and peer.matched("/base/cmd_vel"))
     said.write(string("go"))
     pub.write(string("gone"))
-    wait_until(lambda: inbox and heard.payloads())
+    wait_for(lambda: inbox and heard.payloads())
     assert "/robot1/cell" in ros1.run("rosnode", "list").split()
     assert "/robot1/cell" in ros1.run("rostopic", "info", "/base/cmd_vel")
 
@@ -281,16 +282,16 @@ def test_starts_without_a_master(node: OpenNode, ros1: Graph, caplog: pytest.Log
     ros1.kill_master()
     cell, inbox = node("cell"), Inbox()
     outbox, up = cell.advertise("/down", STRING, LATCHED), cell.subscribe("/up", STRING, DEEP, inbox)
-    wait_until(lambda: up.status().code == outbox.status().code == "ROS014")
+    wait_for(lambda: up.status().code == outbox.status().code == "ROS014")
     address = ros1.environment["ROS_MASTER_URI"]
     assert up.status().reason == f"the ROS master at {address} does not answer (Connection refused)"
     assert outbox.write(string("early"))
     ros1.start_master()
     peer = ros1.peer("rospy", "peer")
     heard = peer.subscribe("/down", STRING)
-    wait_until(heard.payloads)
+    wait_for(heard.payloads)
     assert heard.payloads() == [string("early")]
-    wait_until(lambda: outbox.status().code == "")
+    wait_for(lambda: outbox.status().code == "")
     assert caplog.text.count("does not answer") == 1
 
 
@@ -301,7 +302,7 @@ def test_master_is_killed_amid_a_stream(ros1: Graph, node: OpenNode, kind: str) 
     cell, inbox = node("cell"), Inbox()
     outbox, up = cell.advertise("/down", STRING, DEEP), cell.subscribe("/up", STRING, DEEP, inbox)
     heard, said = peer.subscribe("/down", STRING), peer.advertise("/up", STRING)
-    wait_until(lambda: outbox.matched and up.matched and peer.matched("/up"))
+    wait_for(lambda: outbox.matched and up.matched and peer.matched("/up"))
     numbers = itertools.count()
     sent = []
 
@@ -316,22 +317,22 @@ def test_master_is_killed_amid_a_stream(ros1: Graph, node: OpenNode, kind: str) 
     stream(0.2)
     ros1.kill_master()
     stream(0.5)
-    wait_until(lambda: up.status().code == "ROS014")
+    wait_for(lambda: up.status().code == "ROS014")
     assert (up.matched, outbox.matched) == (1, 1)
     ros1.start_master()
     stream(0.5)
-    wait_until(lambda: up.status().code == "")
-    wait_until(lambda: len(inbox) == len(sent) and len(heard.payloads()) == len(sent))
+    wait_for(lambda: up.status().code == "")
+    wait_for(lambda: len(inbox) == len(sent) and len(heard.payloads()) == len(sent))
     assert list(inbox) == heard.payloads() == sent
     newcomer = ros1.peer(kind, "newcomer")
     late = newcomer.subscribe("/down", STRING)
     other = newcomer.advertise("/up", STRING)
-    wait_until(lambda: newcomer.matched("/down") and newcomer.matched("/up"))
-    wait_until(lambda: up.matched == 2 and outbox.matched == 2)
+    wait_for(lambda: newcomer.matched("/down") and newcomer.matched("/up"))
+    wait_for(lambda: up.matched == 2 and outbox.matched == 2)
     other.write(string("from the newcomer"))
     outbox.write(string("to both"))
-    wait_until(lambda: string("from the newcomer") in inbox)
-    wait_until(lambda: late.payloads() == [string("to both")] and heard.payloads()[-1] == string("to both"))
+    wait_for(lambda: string("from the newcomer") in inbox)
+    wait_for(lambda: late.payloads() == [string("to both")] and heard.payloads()[-1] == string("to both"))
 
 
 def test_master_that_stands_still_stops_nothing(ros1: Graph, node: OpenNode) -> None:
@@ -340,12 +341,12 @@ def test_master_that_stands_still_stops_nothing(ros1: Graph, node: OpenNode) -> 
     cell = node("cell")
     outbox = cell.advertise("/down", STRING, DEEP)
     heard = peer.subscribe("/down", STRING)
-    wait_until(lambda: outbox.matched)
+    wait_for(lambda: outbox.matched)
     ros1.freeze_master(True)
     other = cell.advertise("/other", STRING, DEEP)
     outbox.write(string("on"))
-    wait_until(heard.payloads)
-    wait_until(lambda: other.status().code == "ROS014")
+    wait_for(heard.payloads)
+    wait_for(lambda: other.status().code == "ROS014")
     cell.graph()
     cell.close()
     ros1.freeze_master(False)
@@ -355,19 +356,19 @@ def test_older_node_of_a_name_gives_way_and_says_so(ros1: Graph, node: OpenNode)
     """Of two nodes with one name the older leaves, as ROS 1 has it; its status and its writes tell why."""
     old, new = node("cell"), None
     outbox = old.advertise("/down", STRING, DEEP)
-    wait_until(lambda: "/cell" in ros1.run("rosnode", "list"))
+    wait_for(lambda: "/cell" in ros1.run("rosnode", "list"))
     new = node("cell")
     newer = new.advertise("/down", STRING, DEEP)
-    wait_until(lambda: outbox.status().code == "ROS015")
+    wait_for(lambda: outbox.status().code == "ROS015")
     assert outbox.status().reason == "another node named /cell has joined, and ROS 1 keeps the newer one"
     for use in (lambda: outbox.write(string("x")), lambda: old.advertise("/more", STRING, DEEP)):
         with pytest.raises(RosplcError, match="another node named /cell has joined"):
             use()
     peer = ros1.peer("rospy", "peer")
     heard = peer.subscribe("/down", STRING)
-    wait_until(lambda: newer.matched)
+    wait_for(lambda: newer.matched)
     newer.write(string("from the newer"))
-    wait_until(heard.payloads)
+    wait_for(heard.payloads)
     old.close()
     assert "/cell" in ros1.run("rosnode", "list")
     assert newer.status().code == ""
@@ -391,8 +392,8 @@ def test_bytes_that_are_no_header_trouble_nobody(ros1: Graph, node: OpenNode) ->
         assert slave.requestTopic("/test", *arguments)[0] < 1  # type: ignore[index]
     peer = ros1.peer("roscpp", "peer")
     heard = peer.subscribe("/down", STRING)
-    wait_until(lambda: outbox.matched)
+    wait_for(lambda: outbox.matched)
     outbox.write(string("x"))
-    wait_until(heard.payloads)
+    wait_for(heard.payloads)
     with_nothing.close()
     slave("close")()

@@ -13,8 +13,9 @@ import pytest
 
 from rosplc.model import TypeStore
 from rosplc.ros import LATCHED, Backend, Qos, open_backend
-from tests.interop.ros1.graph import PACKAGES, Graph, lend, wait_until
+from tests.interop.ros1.graph import PACKAGES, Graph, lend
 from tests.interop.ros1.test_peers import Inbox, string, values
+from tests.lib.waiting import wait_for
 
 pytestmark = [pytest.mark.needs(*PACKAGES), pytest.mark.timeout(120)]
 
@@ -53,8 +54,8 @@ def test_lists_and_infos_show_the_node(ros1: Graph, cell: Backend) -> None:
     cell.subscribe("/cmd_vel", "geometry_msgs/msg/Twist", Qos(), Inbox())
     peer = ros1.peer("roscpp", "peer")
     peer.subscribe("/joint_states", "sensor_msgs/JointState")
-    wait_until(lambda: outbox.matched)
-    wait_until(lambda: "/cmd_vel" in ros1.run("rostopic", "list"))
+    wait_for(lambda: outbox.matched)
+    wait_for(lambda: "/cmd_vel" in ros1.run("rostopic", "list"))
     assert {"/cell", "/peer"} <= set(ros1.run("rosnode", "list").split())
     node = ros1.run("rosnode", "info", "/cell")
     assert "* /joint_states [sensor_msgs/JointState]" in node
@@ -81,14 +82,14 @@ def test_hz_measures_the_rate(ros1: Graph, cell: Backend) -> None:
     """What rostopic hz counts are the messages of the backend's topic."""
     outbox = cell.advertise("/chatter", STRING, Qos())
     lines = said(ros1.start("rostopic", "hz", "/chatter"))
-    wait_until(lambda: outbox.matched)
+    wait_for(lambda: outbox.matched)
 
     def measured() -> bool:
         outbox.write(string("x"))
         time.sleep(0.02)
         return any("average rate" in line for line in lines)
 
-    wait_until(measured)
+    wait_for(measured)
 
 
 def test_pub_reaches_the_backend(ros1: Graph, cell: Backend) -> None:
@@ -96,7 +97,7 @@ def test_pub_reaches_the_backend(ros1: Graph, cell: Backend) -> None:
     ros1.start("rostopic", "pub", "/cmd_vel", "geometry_msgs/Twist", "{linear: {x: 0.5}, angular: {z: -2}}")
     inbox = Inbox()
     cell.subscribe("/cmd_vel", "geometry_msgs/msg/Twist", Qos(), inbox)
-    wait_until(lambda: inbox)
+    wait_for(lambda: inbox)
     assert struct.unpack("<6d", inbox[0]) == (0.5, 0, 0, 0, 0, -2)
 
 
@@ -109,8 +110,8 @@ def test_sums_are_those_of_rosmsg(ros1: Graph) -> None:
 def test_rosnode_kill_is_reported(ros1: Graph, cell: Backend) -> None:
     """A node that rosnode kill ends leaves the graph, and its status says who told it to."""
     inbox = cell.subscribe("/in", STRING, Qos(), Inbox())
-    wait_until(lambda: "/cell" in ros1.run("rosnode", "list"))
+    wait_for(lambda: "/cell" in ros1.run("rosnode", "list"))
     assert "killed" in ros1.run("rosnode", "kill", "/cell")
-    wait_until(lambda: inbox.status().code == "ROS015")
+    wait_for(lambda: inbox.status().code == "ROS015")
     assert re.search("told node /cell to shut down", inbox.status().reason)
-    wait_until(lambda: "/cell" not in ros1.run("rosnode", "list"))
+    wait_for(lambda: "/cell" not in ros1.run("rosnode", "list"))

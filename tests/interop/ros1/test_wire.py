@@ -16,8 +16,9 @@ import pytest
 from rosplc.errors import RosplcError
 from rosplc.model import TypeStore
 from rosplc.ros import LATCHED, Qos, open_backend
-from tests.interop.ros1.graph import PACKAGES, Graph, lend, wait_until
+from tests.interop.ros1.graph import PACKAGES, Graph, lend
 from tests.interop.ros1.test_peers import PART, PART_FILE, PART_STORE, Inbox, part_defines, string
+from tests.lib.waiting import wait_for
 
 pytestmark = [pytest.mark.needs(*PACKAGES), pytest.mark.timeout(120)]
 
@@ -53,9 +54,9 @@ def test_custom_type_is_learnt_from_a_roscpp_program(ros1: Graph, tmp_path: Path
     try:
         inbox = Inbox()
         subscription = cell.subscribe("/parts", PART, Qos(), inbox)
-        wait_until(lambda: subscription.matched)
+        wait_for(lambda: subscription.matched)
         said.write(bytes(12) + string("base") + string("S-17") + bytes(56) + bytes(4) + b"\1")
-        wait_until(lambda: inbox)
+        wait_for(lambda: inbox)
         assert inbox[0][4:] == bytes(8) + string("base") + string("S-17") + bytes(56) + bytes(4) + b"\1"
     finally:
         cell.close()

@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from rosplc.ros import Qos
-from tests.interop.graphs import STRING, string, wait_for
+from tests.interop.graphs import STRING, string
+from tests.lib.waiting import wait_for
 
 __all__ = ["TRANSIENT_LOCAL", "SdkInbox", "SdkOutbox", "SdkPeer"]
 

@@ -17,8 +17,8 @@ pytest.importorskip("zenoh")
 
 from rosplc.model import TypeStore
 from rosplc.ros import Backend, Qos, open_backend
-from tests.interop.graphs import wait_for
 from tests.interop.zenoh.processes import Router, free_port
+from tests.lib.waiting import wait_for
 
 pytestmark = pytest.mark.timeout(120)
 

@@ -22,8 +22,9 @@ import zenoh.ext
 from rosplc.model import TypeStore
 from rosplc.ros import LATCHED, Backend, Qos, open_backend
 from rosplc.ros.zenoh.config import session_config
-from tests.interop.graphs import STRING, string, text_of, wait_for
+from tests.interop.graphs import STRING, string, text_of
 from tests.interop.zenoh.processes import Router, free_port
+from tests.lib.waiting import wait_for
 
 pytestmark = pytest.mark.timeout(60)
 

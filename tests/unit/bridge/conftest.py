@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -25,16 +24,6 @@ STRING = "std_msgs/msg/String"
 INT = "std_msgs/msg/Int32"
 JOINTS = "sensor_msgs/msg/JointState"
 BOTH = f"  /in: {{type: {INT}, to: plc}}\n  /out: {{type: {INT}, to: ros}}\n"
-
-
-def wait_for(condition: Callable[[], Any], what: str = "") -> Any:
-    """Return the condition's first true value; fail if none comes."""
-    deadline = time.monotonic() + WATCHDOG_S
-    while not (value := condition()):
-        if time.monotonic() > deadline:
-            pytest.fail(f"still waiting for {what or condition}")
-        time.sleep(0.002)
-    return value
 
 
 def wire(type_name: str, value: dict[str, Any]) -> bytes:

@@ -25,7 +25,8 @@ from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.shm import Namespace, attach
 from tests.channels import start_child
-from tests.unit.bridge.conftest import PlcTopic, wait_for, wire
+from tests.lib.waiting import wait_for
+from tests.unit.bridge.conftest import PlcTopic, wire
 
 STRING = "std_msgs/msg/String"
 POSE = "geometry_msgs/msg/PoseStamped"

@@ -19,7 +19,8 @@ from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.ros import DEFAULT
 from rosplc.shm import Namespace, attach
-from tests.classic_cell import SIZE, WORDS, ClassicCell, remove, unique_name, wait_for
+from tests.classic_cell import SIZE, WORDS, ClassicCell, remove, unique_name
+from tests.lib.waiting import wait_for
 
 FAST = "recover_after: 150ms, wait: 2ms"
 

@@ -7,7 +7,8 @@ from typing import Any
 from rosbags.typesys import Stores, get_typestore
 
 from rosplc.bridge.diagnostics import TOPIC, TYPE
-from tests.unit.bridge.conftest import Cell, wait_for, wire
+from tests.lib.waiting import wait_for
+from tests.unit.bridge.conftest import Cell, wire
 
 INT = "std_msgs/msg/Int32"
 STRING = "std_msgs/msg/String"

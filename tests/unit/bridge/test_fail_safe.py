@@ -11,7 +11,8 @@ from rosplc.ros import Qos
 from rosplc.shm import Namespace
 from rosplc.shm.constants import FLAG_FIRST
 from tests.lib.clock import SteppedClock
-from tests.unit.bridge.conftest import INT, Cell, PlcTopic, numbers, unwire, wait_for, wire
+from tests.lib.waiting import wait_for
+from tests.unit.bridge.conftest import INT, Cell, PlcTopic, numbers, unwire, wire
 
 BOOL = "std_msgs/msg/Bool"
 SUBSTITUTED = (

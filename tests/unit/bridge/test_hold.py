@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from rosplc.bridge import stream
 from rosplc.bridge.hold import Grace, Hold, OnChange, RateLimiter, Silence, Stage, Substitute
-from tests.unit.bridge.conftest import INT, Cell, numbers, wait_for
+from tests.lib.waiting import wait_for
+from tests.unit.bridge.conftest import INT, Cell, numbers
 
 TOPICS = (
     f"  /out: {{type: {INT}, to: ros, latched: false}}\n  /other: {{type: {INT}, to: ros, latched: false}}\n"

@@ -14,7 +14,7 @@ from rosplc.model import TypeStore
 from rosplc.ros import Qos, RosArguments, open_backend
 from rosplc.shm import Namespace
 from tests.doubles.ros2 import double
-from tests.interop.graphs import wait_for
+from tests.lib.waiting import wait_for
 
 INT32 = "std_msgs/msg/Int32"
 DOMAIN = 9  # the double's graph lives in this process alone

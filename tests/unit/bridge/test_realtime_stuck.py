@@ -7,7 +7,8 @@ import threading
 import pytest
 
 from rosplc.ros.memory import MemoryPublisher
-from tests.unit.bridge.conftest import Cell, wait_for
+from tests.lib.waiting import wait_for
+from tests.unit.bridge.conftest import Cell
 
 INT = "std_msgs/msg/Int32"
 BOTH = f"  /in: {{type: {INT}, to: plc}}\n  /out: {{type: {INT}, to: ros}}\n"

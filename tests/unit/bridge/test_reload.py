@@ -16,7 +16,8 @@ from rosplc.ros import Qos
 from rosplc.ros.memory import MemoryBackend, open_backend
 from rosplc.shm import Namespace
 from rosplc.shm.lock import NameLock
-from tests.unit.bridge.conftest import BOTH, DOMAIN, INT, STORE, STRING, Cell, numbers, wait_for, wire
+from tests.lib.waiting import wait_for
+from tests.unit.bridge.conftest import BOTH, DOMAIN, INT, STORE, STRING, Cell, numbers, wire
 
 
 def reload(cell: Cell, topics: str, **arguments: Any) -> str:

@@ -20,7 +20,7 @@ from rosplc.errors import BackendError, ConfigError, SetupError
 from rosplc.model import TypeStore
 from rosplc.ros.memory import open_backend
 from rosplc.shm import Namespace, attach
-from tests.unit.bridge.conftest import wait_for
+from tests.lib.waiting import wait_for
 
 PROGRAM = """
 import logging, sys

@@ -7,7 +7,6 @@ import pty
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -17,16 +16,9 @@ from rosplc.errors import CODES
 from rosplc.shm import Direction, Namespace, OwnedChannel
 from tests.channels import STORE
 from tests.command import rosplc
+from tests.lib.waiting import wait_for
 
 INT = "std_msgs/msg/Int32"
-
-
-def wait_for(happened: Callable[[], bool], what: str) -> None:
-    """Poll until it happened; a watchdog of a minute."""
-    end = time.monotonic() + 60
-    while not happened():
-        assert time.monotonic() < end, what
-        time.sleep(0.02)
 
 
 @pytest.fixture

@@ -34,7 +34,8 @@ from rosplc.ros.dds.discovery import (
 )
 from rosplc.ros.dds.graph import AnnouncementTypes
 from rosplc.ros.dds.idl import IdlTypes, dds_topic, dds_type_name, ros_topic, ros_type_name
-from tests.interop.graphs import STRING, Graph, free_domain, string, wait_for
+from tests.interop.graphs import STRING, Graph, free_domain, string
+from tests.lib.waiting import wait_for
 
 ROOT = Path(__file__).resolve().parents[3]
 

@@ -18,7 +18,8 @@ from cyclonedds.topic import Topic
 from rosplc.ros import Qos
 from rosplc.ros.dds import native
 from rosplc.ros.dds.idl import IdlTypes
-from tests.interop.graphs import STRING, Graph, free_domain, wait_for
+from tests.interop.graphs import STRING, Graph, free_domain
+from tests.lib.waiting import wait_for
 
 XCDR1 = Policy.DataRepresentation(use_cdrv0_representation=True)
 

@@ -10,7 +10,8 @@ from rosplc.errors import BackendError, RosplcError
 from rosplc.model import TypeStore
 from rosplc.ros import LATCHED, Backend, Qos, open_backend
 from rosplc.ros.gated import GatedBackend
-from tests.interop.graphs import STRING, free_domain, string, wait_for
+from tests.interop.graphs import STRING, free_domain, string
+from tests.lib.waiting import wait_for
 
 pytestmark = pytest.mark.timeout(60)
 

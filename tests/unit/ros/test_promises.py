@@ -17,7 +17,8 @@ from rosplc.errors import BackendError
 from rosplc.model import TypeStore
 from rosplc.ros import Qos, incompatibility
 from rosplc.ros.memory import open_backend as open_memory
-from tests.interop.graphs import LOCAL, Graph, free_domain, wait_for
+from tests.interop.graphs import LOCAL, Graph, free_domain
+from tests.lib.waiting import wait_for
 
 INT = "std_msgs/msg/Int32"
 MS = 1_000_000

@@ -22,7 +22,8 @@ from rosplc.errors import RosplcError
 from rosplc.model import TypeStore
 from rosplc.ros import LATCHED, Backend, Qos, open_backend
 from tests.doubles.ros2 import double, installed
-from tests.interop.graphs import STRING, string, wait_for
+from tests.interop.graphs import STRING, string
+from tests.lib.waiting import wait_for
 
 pytestmark = [
     pytest.mark.timeout(60),

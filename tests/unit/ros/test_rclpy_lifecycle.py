@@ -16,7 +16,7 @@ from rosplc.model import TypeStore
 from rosplc.ros import Backend, Qos, open_backend
 from rosplc.shm import Namespace
 from tests.doubles.ros2 import double, installed
-from tests.interop.graphs import wait_for
+from tests.lib.waiting import wait_for
 
 PACKAGE = Path(__file__).parents[3] / "packaging" / "ros2" / "rosplc_bridge"
 INT32 = "std_msgs/msg/Int32"

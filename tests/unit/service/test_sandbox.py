@@ -16,7 +16,8 @@ from rosplc.errors import ChannelError
 from rosplc.ros import Qos
 from rosplc.service.unit import Plan, drop_in, template
 from rosplc.shm import Namespace, attach
-from tests.interop.graphs import LOCAL, Graph, free_domain, wait_for
+from tests.interop.graphs import LOCAL, Graph, free_domain
+from tests.lib.waiting import wait_for
 from tests.unit.service.test_install import AS_NOBODY
 
 SANDBOX = Path(__file__).with_name("sandbox.py")

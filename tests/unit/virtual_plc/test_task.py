@@ -10,13 +10,7 @@ import pytest
 from rosplc.virtual_plc.plc import VirtualPlc
 from rosplc.virtual_plc.scan import current_scan
 from rosplc.virtual_plc.task import Task, TaskState
-
-
-def wait_until(condition, seconds: float = 30.0) -> None:
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "the awaited condition did not come true"
-        time.sleep(0.002)
+from tests.lib.waiting import wait_for
 
 
 def test_programs_run_in_order_once_per_scan():
@@ -35,7 +29,7 @@ def test_scans_keep_to_the_grid():
     begins = []
     task = Task("T", 0.005, programs=[lambda: begins.append(time.monotonic_ns())])
     task.start()
-    wait_until(lambda: task.stats.scans >= 20)
+    wait_for(lambda: task.stats.scans >= 20)
     assert task.stop()
     count = len(begins) - 1 + task.stats.missed
     assert begins[-1] - begins[0] >= (count - 1) * 5_000_000
@@ -107,7 +101,7 @@ def test_a_scan_in_progress_that_exceeds_the_watchdog_is_overdue():
     task.program(lambda: release.wait(30))
     task.start()
     try:
-        wait_until(lambda: task.overdue)
+        wait_for(lambda: task.overdue)
     finally:
         release.set()
         assert task.stop()
@@ -140,7 +134,7 @@ def test_scheduling_says_what_is_in_force():
     """A task that asks for SCHED_FIFO says whether it got it."""
     task = Task("T", 0.001, priority=4, realtime=True)
     task.start()
-    wait_until(lambda: task.stats.scans >= 1)
+    wait_for(lambda: task.stats.scans >= 1)
     assert task.stop()
     assert task.scheduling == "SCHED_FIFO 63" or "not permitted" in task.scheduling
 
@@ -174,7 +168,7 @@ def test_stop_ends_all_tasks():
     plc = VirtualPlc()
     tasks = [plc.task(name, 0.001) for name in ("A", "B")]
     with plc:
-        wait_until(lambda: all(task.stats.scans for task in tasks))
+        wait_for(lambda: all(task.stats.scans for task in tasks))
     counts = [task.stats.scans for task in tasks]
     time.sleep(0.02)
     assert [task.stats.scans for task in tasks] == counts
