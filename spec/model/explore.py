@@ -92,7 +92,7 @@ def explore(config: Config) -> Result:
 
 
 def _disturb(reader: Reader) -> Reader:
-    return reader._replace(quiet=False) if reader.s >= 0 else reader
+    return reader._replace(quiet=False) if max(reader.s, reader.h, reader.rule) >= 0 else reader
 
 
 def _trace(

@@ -12,6 +12,9 @@ conditions are worth alone):
     writer   … F1 │ sequence, word a, word b │ F2 │ head │ F1 │ …
     reader   head │ F3 │ sequence, word a, word b │ F4 │ head again
 
+Where a writer hands over to one under another rule (M23), the reader loads ``writer_rule`` with
+each load of ``head``, in any order with it.
+
 *Stores.* Between two fences the stores of one group become visible in any order; stores to one
 location keep their order. That is weaker than ARM and far weaker than x86. Only the order in
 which stores become visible is modelled: when they were executed, a reader cannot tell.
@@ -33,12 +36,25 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-__all__ = ["FENCE", "HEAD", "Config", "Reader", "Step", "Store", "Writer"]
+__all__ = [
+    "DELAYED_RULE",
+    "FENCE",
+    "FENCES_RULE",
+    "HEAD",
+    "RULE",
+    "Config",
+    "Reader",
+    "Step",
+    "Store",
+    "Writer",
+]
 
-HEAD = -1
+HEAD, RULE = -1, -3
 FENCE = (-2, 0, 0)
 Store = tuple[int, int, int]
-"""Location (HEAD, or 3 × slot + word), value, and the message it belongs to."""
+"""Location (HEAD, RULE, or 3 × slot + word), value, and the message it belongs to."""
+
+FENCES_RULE, DELAYED_RULE = 1, 2
 
 
 @dataclass(frozen=True)
@@ -67,6 +83,9 @@ class Config:
         scribbles: Times that a stranger stores into ``head``.
         scribble_near: The stranger may store any value, not only values far from the stream.
         zombie: A killed writer was only paused, and goes on after the takeover.
+        handover: After so many messages another writer takes over, under the delayed rule; 0: none does.
+        handback: The other way round: the first writer is under the delayed rule, the second has fences.
+        rule_again: The reader loads ``writer_rule`` a second time, after the copy (M23).
     """
 
     slots: int = 4
@@ -94,6 +113,13 @@ class Config:
     scribbles: int = 0
     scribble_near: bool = False
     zombie: bool = False
+    handover: int = 0
+    handback: bool = False
+    rule_again: bool = True
+
+    def delayed(self, number: int) -> bool:
+        """Return whether the message that is the ``number``-th begun is written under the delayed rule."""
+        return self.handover > 0 and (number > self.handover) != self.handback
 
 
 class Writer(NamedTuple):
@@ -110,6 +136,7 @@ class Writer(NamedTuple):
         restarts: Restarts left.
         scribbles: Scribbles left.
         paused: What a paused writer that lost its claim still has to store.
+        rule: The visible ``writer_rule``.
     """
 
     head: int
@@ -122,6 +149,7 @@ class Writer(NamedTuple):
     restarts: int
     scribbles: int
     paused: tuple[Store, ...]
+    rule: int = FENCES_RULE
 
 
 class Reader(NamedTuple):
@@ -142,6 +170,9 @@ class Reader(NamedTuple):
         shown: What the reader's user sees, two words.
         stuck: The head of a refusal because the slot holds another sequence.
         at_head: So often refused under one head that only the newest is left to try (M13).
+        rule: ``writer_rule`` as loaded with ``head``, where it may change.
+        apart: The distance from ``s`` to ``head`` when that was loaded again.
+        again: ``writer_rule`` as loaded again.
     """
 
     last: int
@@ -158,6 +189,9 @@ class Reader(NamedTuple):
     shown: tuple[int, int] = (0, 0)
     stuck: int = -1
     at_head: bool = False
+    rule: int = -1
+    apart: int = -1
+    again: int = -1
 
 
 class Step(NamedTuple):

@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
-from protocol import Config, Reader, Step, Writer
+from protocol import DELAYED_RULE, Config, Reader, Step, Writer
 from sequences import advance, distance, next_sequence
 
 __all__ = ["reader_steps"]
+
+
+def _margin(config: Config, rule: int) -> int:
+    return max(config.margin, 3) if rule == DELAYED_RULE else config.margin
+
+
+def _begun(config: Config, reader: Reader) -> bool:
+    """Return whether the loads before F3 that choose the message are done."""
+    return reader.h >= 0 and (reader.rule >= 0 or not config.handover)
 
 
 def _wanted(config: Config, reader: Reader, h: int) -> int:
@@ -18,7 +27,7 @@ def _wanted(config: Config, reader: Reader, h: int) -> int:
     ahead = distance(last, h, n, modulus)
     if not config.in_order or reader.at_head or ahead >= modulus // 2:
         return h
-    most = n - config.margin
+    most = n - _margin(config, reader.rule)
     return advance(last, ahead - most if ahead > most + 1 else 1, n, modulus)
 
 
@@ -28,11 +37,14 @@ def reader_steps(config: Config, writer: Writer, reader: Reader) -> list[Step]:
     steps = []
     if r.h < 0:
         steps += _load_head(config, writer, r)
+    if config.handover and r.rule < 0:
+        steps += _load_rule(config, writer, r)
     if r.s < 0:
         return steps
     words = 3 * (r.s % config.slots)
     early_q = config.sealed and config.early_q
-    after_f3 = not config.f3 or (r.h >= 0 and (r.q >= 0 or not early_q))
+    begun = _begun(config, r)
+    after_f3 = not config.f3 or (begun and (r.q >= 0 or not early_q))
     if r.q < 0 and (early_q or after_f3):
         value = writer.words[words]
         steps.append(_decide(config, writer, r._replace(q=value), f"sequence of the slot: {value}"))
@@ -44,15 +56,13 @@ def reader_steps(config: Config, writer: Writer, reader: Reader) -> list[Step]:
                 shown = (value, r.shown[1]) if name == "a" else (r.shown[0], value)
                 copy = copy._replace(shown=shown)
             steps.append(_decide(config, writer, copy, f"copies word {name}: {value}"))
-    if config.f4 and (r.h < 0 or r.q < 0 or r.a < 0 or r.b < 0):
+    if config.f4 and (not begun or r.q < 0 or r.a < 0 or r.b < 0):
         return steps
-    if r.h >= 0 and not r.near:
-        h2 = writer.head
-        apart = distance(r.s, h2, config.slots, config.modulus)
-        if apart <= config.slots - config.margin or not config.distance_check:
-            steps.append(_decide(config, writer, r._replace(near=True), f"h2 := {h2}"))
-        else:
-            steps.append(_refuse(config, r, f"h2 := {h2}"))
+    if begun and r.apart < 0:
+        apart = min(distance(r.s, writer.head, config.slots, config.modulus), config.slots)
+        steps.append(_judge(config, writer, r._replace(apart=apart), f"h2 := {writer.head}"))
+    if config.handover and config.rule_again and begun and r.again < 0:
+        steps.append(_judge(config, writer, r._replace(again=writer.rule), f"rule again: {writer.rule}"))
     if config.sealed and r.q >= 0 and not r.same:
         value = writer.words[words]
         if value == r.s or not config.sequence_check:
@@ -62,21 +72,45 @@ def reader_steps(config: Config, writer: Writer, reader: Reader) -> list[Step]:
     return steps
 
 
+def _judge(config: Config, writer: Writer, reader: Reader, label: str) -> Step:
+    """Apply the first condition of M12 once head, and where it may change the rule, are loaded again."""
+    if reader.apart < 0 or (config.handover and config.rule_again and reader.again < 0):
+        return Step(label, reader)
+    margin = max(_margin(config, reader.rule), _margin(config, reader.again))
+    if reader.apart <= config.slots - margin or not config.distance_check:
+        return _decide(config, writer, reader._replace(near=True, apart=0, again=max(reader.again, 0)), label)
+    return _refuse(config, reader, label)
+
+
+def _load_rule(config: Config, writer: Writer, reader: Reader) -> list[Step]:
+    loaded, label = reader._replace(rule=writer.rule), f"rule := {writer.rule}"
+    if reader.h < 0:
+        return [Step(label, loaded)]
+    s = _wanted(config, loaded, reader.h)
+    if reader.s >= 0 and s == reader.s:
+        return [_decide(config, writer, loaded, label)]
+    if reader.s >= 0 or s < 0:
+        return [Step(f"{label}, nothing to take", _idle(reader))]
+    return [Step(f"{label}, s := {s}", loaded._replace(s=s))]
+
+
 def _load_head(config: Config, writer: Writer, reader: Reader) -> list[Step]:
     h = writer.head
     s = _wanted(config, reader, h)
-    if reader.s >= 0:
+    steps = []
+    if config.handover and reader.rule < 0 and s >= 0:
+        steps.append(Step(f"h := {h}", reader._replace(h=h)))
+    elif reader.s >= 0:
         if s == reader.s:
             return [_decide(config, writer, reader._replace(h=h), f"h := {h}")]
         return [Step(f"h := {h}, guessed wrong", _idle(reader))]
-    steps = []
-    if s >= 0:
+    elif s >= 0:
         begun = reader._replace(h=h, s=s)
         if not config.lost_on_accept:
             skipped = distance(reader.last, s, config.slots, config.modulus) - 1
             begun = begun._replace(lost=reader.lost + skipped)
         steps.append(Step(f"h := {h}, s := {s}", begun))
-    if config.in_order and ((config.sealed and config.early_q) or not config.f3):
+    if reader.s < 0 and config.in_order and ((config.sealed and config.early_q) or not config.f3):
         # next(last) does not depend on head, so a processor may load from its slot before it has
         # loaded head. The newest does depend on it: there, the address keeps the order.
         guess = next_sequence(reader.last, config.slots, config.modulus)
@@ -106,10 +140,10 @@ def _decide(config: Config, writer: Writer, reader: Reader, label: str) -> Step:
     r = reader
     if config.sequence_check and r.q not in (-1, r.s):
         step = _refuse(config, r, label)
-        if r.h < 0:
+        if not _begun(config, r):
             return Step(step.label, step.after)
         return step._replace(after=_idle(r, r.h))
-    if min(r.h, r.q, r.a, r.b) < 0 or not r.near or (config.sealed and not r.same):
+    if not _begun(config, r) or min(r.q, r.a, r.b) < 0 or not r.near or (config.sealed and not r.same):
         return Step(label, r)
     lost = r.lost
     if config.lost_on_accept:

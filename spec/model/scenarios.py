@@ -71,9 +71,24 @@ HOLDS: list[Scenario] = [
     *_both("delayed writer, killed and restarted", **DELAYED, messages=6, restarts=1),
     *_both("delayed writer, over the wrap", **DELAYED, messages=6, start=WRAP),
     *_both("delayed writer, head scribbled far away", **DELAYED, **{**FAR, "messages": 4}),
+    *_both("hand-over to the delayed rule", messages=6, handover=2),
+    *_both("hand-over to the delayed rule, over the wrap", messages=6, handover=2, start=WRAP),
+    *_both("hand-over to the delayed rule, killed and restarted", messages=5, handover=2, restarts=1),
+    *_both("hand-over back to fences", messages=6, handover=2, handback=True),
+    *_both(
+        "hand-over back to fences, killed and restarted", messages=5, handover=2, handback=True, restarts=1
+    ),
 ]
 
 MUTATIONS: list[Scenario] = [
+    *_both(
+        "hand-over to the delayed rule, the rule loaded once",
+        "torn",
+        "the first writer's window lets a slot pass that the second one is filling",
+        messages=6,
+        handover=2,
+        rule_again=False,
+    ),
     *_both(
         "without F1, no seal",
         "torn",

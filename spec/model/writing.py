@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from protocol import FENCE, HEAD, Config, Reader, Store, Writer
+from protocol import DELAYED_RULE, FENCE, FENCES_RULE, HEAD, RULE, Config, Reader, Store, Writer
 from sequences import distance, next_sequence
 
 __all__ = ["initial", "writer_steps"]
@@ -21,10 +21,20 @@ def initial(config: Config) -> tuple[Writer, Reader]:
     seen = 0 if config.latched else len(log)
     writer = Writer(
         config.start, tuple(words), (), (), config.start, tuple(log), tuple(range(1, len(log) + 1)),
-        config.restarts, config.scribbles, (),
+        config.restarts, config.scribbles, (), DELAYED_RULE if config.handback else FENCES_RULE,
     )  # fmt: skip
     reader = Reader(0 if config.latched else config.start, seen, 0, shown=(seen, seen))
     return _refill(config, writer), reader
+
+
+def _begun(config: Config, number: int) -> int:
+    """Return which message of the writer it is: numbers go on over the prefilled slots of a start in mid-stream."""
+    return number - (config.slots if config.start else 0)
+
+
+def _claim(config: Config, number: int) -> Store:
+    """Return the store of the rule under which a writer goes on with message ``number``."""
+    return (RULE, DELAYED_RULE if config.delayed(_begun(config, number)) else FENCES_RULE, number)
 
 
 def _message(config: Config, sequence: int, number: int) -> list[Store]:
@@ -32,6 +42,8 @@ def _message(config: Config, sequence: int, number: int) -> list[Store]:
     name = (at, sequence, number)
     record = [(at + 1, number, number), (at + 2, number, number)]
     head = (HEAD, sequence, number)
+    if config.delayed(_begun(config, number)):
+        return [name, *record, FENCE, head]
     first = [FENCE] if config.f1 else []
     second = [FENCE] if config.f2 else []
     if config.sealed:
@@ -48,12 +60,13 @@ def _refill(config: Config, writer: Writer) -> Writer:
     private, log = writer.private, writer.log
     while True:
         if not later:
-            # Numbers go on over the prefilled slots of a start in mid-stream.
-            if len(log) - (config.slots if config.start else 0) >= config.messages:
+            if _begun(config, len(log)) >= config.messages:
                 break
             private = next_sequence(private, config.slots, config.modulus)
             log = (*log, private)
             later = _message(config, private, len(log))
+            if config.handover and _begun(config, len(log)) == config.handover + 1:
+                later = [FENCE, _claim(config, len(log)), *later]  # the claim takes at least a scan
         store = later.pop(0)
         if store != FENCE:
             begun.append(store)
@@ -64,6 +77,8 @@ def _refill(config: Config, writer: Writer) -> Writer:
 
 def _visible(config: Config, writer: Writer, store: Store) -> Writer:
     location, value, number = store
+    if location == RULE:
+        return writer._replace(rule=value)
     if location == HEAD:
         published = writer.published if number in writer.published else (*writer.published, number)
         return writer._replace(head=value, published=published)
@@ -111,7 +126,8 @@ def writer_steps(config: Config, writer: Writer) -> list[tuple[str, Writer]]:
         steps.append((label, _visible(config, rest, store)))
     if writer.restarts:
         left = (*writer.open, *(store for store in writer.later if store != FENCE)) if config.zombie else ()
-        fresh = writer._replace(open=(), later=(), private=writer.head, paused=left)
+        claim = (_claim(config, len(writer.log) + 1),) if config.handover else ()
+        fresh = writer._replace(open=(), later=claim, private=writer.head, paused=left)
         fresh = fresh._replace(restarts=writer.restarts - 1)
         what = "paused, another claims" if config.zombie else "killed, and restarted"
         steps.append((f"writer {what} with head = {writer.head}", _refill(config, fresh)))
@@ -125,7 +141,7 @@ def writer_steps(config: Config, writer: Writer) -> list[tuple[str, Writer]]:
 
 def _name(store: Store) -> str:
     location, value, number = store
-    if location == HEAD:
-        return f"head = {value}"
+    if location in (HEAD, RULE):
+        return f"{'head' if location == HEAD else 'writer_rule'} = {value}"
     word = ("sequence", "word a", "word b")[location % 3]
     return f"slot {location // 3} {word} = {value}  (message {number})"
