@@ -28,7 +28,7 @@ def initial(config: Config) -> tuple[Writer, Reader]:
 
 
 def _begun(config: Config, number: int) -> int:
-    """Return which message of the writer it is: numbers go on over the prefilled slots of a start in mid-stream."""
+    """Return which message of the writer it is; a start in mid-stream has prefilled slots before it."""
     return number - (config.slots if config.start else 0)
 
 
