@@ -8,6 +8,11 @@ The conventions, all of them a line of HTML comment directly above a fenced bloc
 * ``<!-- exit: 2 -->``: the block's last command ends with this status.
 * ``<!-- background -->``: the block's commands are started and left running (another terminal in
   the reader's eyes); each must print its expected lines before the page goes on.
+* ``<!-- background: NAME -->``: the same in a terminal that the page refers to later.
+* ``<!-- shows: NAME -->``: a block of any language that this terminal prints, after what it showed last.
+* ``<!-- stop: NAME -->``, ``<!-- kill: NAME -->``: before the block runs, Ctrl-C is pressed in that
+  terminal, or its programs end by SIGKILL.
+* ``<!-- retry -->``: the block's commands are repeated until they end and print as shown.
 * ``<!-- file: NAME -->``: a block of any language whose text is written to NAME first.
 * ````` ```python ````` : run as a program of its own, in the page's folder.
 * ``<!-- needs: PACKAGE -->``: the page is skipped where this Debian package is missing.
@@ -22,7 +27,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 FENCE = re.compile(r"^(?P<indent> *)(?P<ticks>`{3,})(?P<language>[a-z0-9+-]*)\s*$")
-COMMENT = re.compile(r"^ *<!-- (?P<key>not executed|exit|background|file|needs)(?:: *(?P<value>.*?))? *-->$")
+COMMENT = re.compile(
+    r"^ *<!-- (?P<key>not executed|exit|background|shows|stop|kill|retry|file|needs)"
+    r"(?:: *(?P<value>.*?))? *-->$"
+)
 LANGUAGES_THAT_RUN = ("console", "python")
 
 
@@ -99,11 +107,12 @@ def pattern(expected: str) -> re.Pattern[str]:
     """Return what output must match: the text itself, with ``...`` for anything.
 
     A line of its own that says ``...`` stands for any number of lines, none included: what other
-    programs of the machine add to a list must not decide.
+    programs of the machine add to a list must not decide. The shortest match counts, so that what a
+    terminal prints afterwards is left for the next block.
     """
     lines = [line.rstrip() for line in expected.strip().splitlines()]
     body = "".join(
-        "(?:.*\n)?" if line == "..." else ".*".join(re.escape(part) for part in line.split("...")) + "\n"
+        "(?:.*?\n)??" if line == "..." else ".*?".join(re.escape(part) for part in line.split("...")) + "\n"
         for line in lines
     )
     return re.compile(body, re.DOTALL)

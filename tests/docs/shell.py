@@ -28,6 +28,7 @@ class Shell:
         self.folder = folder
         self.env = env
         self.background: list[Background] = []
+        self.terminals: dict[str, Background] = {}
         self.process = subprocess.Popen(
             [*(isolated.command() if isolated.possible() else ()), "bash", "--noprofile", "--norc"],
             cwd=folder,
@@ -59,12 +60,13 @@ class Shell:
             watchdog.cancel()
         return int(end[1]), output[: end.start()].decode(errors="replace")
 
-    def start(self, command: str) -> Background:
-        """Start a command where the shell stands now and leave it running."""
+    def start(self, command: str, name: str = "") -> Background:
+        """Start a command in the shell's folder and leave it running; ``name`` is its terminal."""
         _, folder = self.run("pwd")
         world = isolated.command(join=self.process.pid) if isolated.possible() else []
         job = Background(command, Path(folder.strip()), self.env, world)
         self.background.append(job)
+        self.terminals[name] = job
         return job
 
     def close(self) -> None:
@@ -81,6 +83,7 @@ class Background:
     def __init__(self, command: str, folder: Path, env: dict[str, str], world: Sequence[str]) -> None:
         self.command = command
         self.output = b""
+        self.seen = 0
         self.process = subprocess.Popen(
             [*world, "bash", "--noprofile", "--norc", "-c", command],
             cwd=folder,
@@ -100,18 +103,30 @@ class Background:
 
     def text(self) -> str:
         """Return what the command has printed so far."""
-        return self.output.decode(errors="replace")
+        return self.output.decode(errors="replace").replace("\r\n", "\n")
 
     def wait_for(self, found: re.Pattern[str]) -> None:
-        """Wait until the output holds the pattern; fail if the command ends before."""
+        """Wait until the output since the last look holds the pattern; fail if the command ends before."""
         watchdog = time.monotonic() + COMMAND_SECONDS
-        while not found.search(self.text()):
-            ended = self.process.poll() is not None
-            if (ended and not self.thread.is_alive() and not found.search(self.text())) or (
-                time.monotonic() > watchdog
-            ):
-                raise AssertionError(f"`{self.command}` did not print what is shown, but:\n{self.text()}")
+        while not (shown := found.search(self.text(), self.seen)):
+            ended = self.process.poll() is not None and not self.thread.is_alive()
+            if (ended and not found.search(self.text(), self.seen)) or time.monotonic() > watchdog:
+                text = self.text()[self.seen :]
+                raise AssertionError(f"`{self.command}` did not print what is shown, but:\n{text}")
             time.sleep(0.05)
+        self.seen = shown.end()
+
+    def interrupt(self) -> None:
+        """Press Ctrl-C, and wait for the end of what runs there: without a traceback."""
+        os.killpg(self.process.pid, signal.SIGINT)
+        self.process.wait(COMMAND_SECONDS)
+        self.thread.join(COMMAND_SECONDS)
+        assert "Traceback" not in self.text(), f"Ctrl-C on `{self.command}` shows:\n{self.text()}"
+
+    def kill(self) -> None:
+        """End what runs there with SIGKILL."""
+        os.killpg(self.process.pid, signal.SIGKILL)
+        self.process.wait(COMMAND_SECONDS)
 
     def stop(self) -> None:
         """Interrupt the command as Ctrl-C would, and kill it if that does not help."""
