@@ -29,7 +29,7 @@ def _end_with_parent() -> None:
 
 def main() -> None:
     """Run the bridge for the configuration and prefix given as arguments."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # Ctrl-C is the parent's
     threading.Thread(target=_end_with_parent, daemon=True).start()
     configuration, prefix = sys.argv[1:3]
     try:

@@ -149,6 +149,19 @@ def test_a_pause_ends_with_a_signal_that_comes_while_the_events_lock_is_held() -
         assert pause(stop, 60.0)
 
 
+@pytest.mark.parametrize(("number", "taken"), [(signal.SIGINT, True), (signal.SIGHUP, False)])
+def test_signals_that_the_parent_ignores(number: signal.Signals, taken: bool) -> None:
+    """A script's `&` leaves SIGINT ignored and it ends the program nevertheless; nohup's SIGHUP does not."""
+    before = signal.signal(number, signal.SIG_IGN)
+    try:
+        with stop_on_signals() as stop:
+            os.kill(os.getpid(), number)
+            assert pause(stop, 60.0 if taken else 0.0) is taken
+        assert signal.getsignal(number) is signal.SIG_IGN
+    finally:
+        signal.signal(number, before)
+
+
 def test_many_hang_ups_reload_once_more(run: object, config: Path, shm_namespace: Namespace) -> None:
     """However many signals come while a file is read, what the file holds at last is what runs at last."""
     process = run()  # type: ignore[operator]
