@@ -134,7 +134,7 @@ def _qos_remedy(end: EndpointInfo, plan: TopicPlan) -> str:
 
 
 def _nobody(graph: Graph, name: str, plan: TopicPlan, *, to_plc: bool) -> Finding:
-    if near := _similar(graph.info, name, plan.type_name):
+    if near := _similar(graph, name, plan.type_name):
         what = f"nobody {'publishes' if to_plc else 'subscribes to'} {name}; did you mean {near}?"
         return kind("DOC515").found(what, f"Correct the name, or write `ros: {{remap: {{{name}: {near}}}}}`.")
     if to_plc:
@@ -142,9 +142,12 @@ def _nobody(graph: Graph, name: str, plan: TopicPlan, *, to_plc: bool) -> Findin
     return kind("DOC511").found(f"nobody subscribes to {name}", level=Level.NOTE)
 
 
-def _similar(info: GraphInfo, name: str, type_name: str) -> str:
-    """Return the topic that was probably meant; empty if none looks like it."""
-    known = [topic for topic in info.topics if topic != name]
+def _similar(graph: Graph, name: str, type_name: str) -> str:
+    """Return the topic of another node that was probably meant; empty if none looks like it."""
+    info = graph.info
+    own = {*graph.names.values(), *graph.names, name, "/diagnostics", "/rosout", "/parameter_events"}
+    theirs = {end.topic for end in info.endpoints if end.node != graph.bridge}
+    known = [topic for topic in info.topics if topic in theirs and topic not in own]
     last = name.rpartition("/")[2]
     namesakes = [topic for topic in known if topic.rpartition("/")[2] == last]
     same_type = [topic for topic in namesakes if type_name in info.topics[topic]]

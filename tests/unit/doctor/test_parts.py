@@ -150,6 +150,20 @@ def test_settings_that_ros_does_not_have_are_named(stage: Stage) -> None:
     assert finding.seen.endswith(f"as {INT}, but it is in the partition lab [ROS004]")
 
 
+def test_the_bridges_own_topics_are_not_proposed(stage: Stage) -> None:
+    """A topic that only the bridge has, or that the configuration has already, is not what was meant."""
+    project = stage.project(f"  /in: {{type: {INT}, to: plc}}\n  /cell/in: {{type: {INT}, to: ros}}\n")
+    ends = (
+        EndpointInfo("/cell/in", INT, "in", "/robot", Qos()),
+        EndpointInfo("/old/in", INT, "out", "/rosplc_cell", Qos()),
+    )
+    info = GraphInfo(("/robot",), ends, {end.topic: (INT,) for end in ends})
+    names = {plan.topic: plan.topic for plan in project.topics}
+    graph = Graph("dds", info, names, "/rosplc_cell", "domain 0")
+    found = judge_graph(graph, project.topics, lambda name: "", bridge_runs=False)
+    assert "DOC515" not in {finding.code for finding in found}
+
+
 @pytest.mark.parametrize("fenced", [True, False])
 @pytest.mark.parametrize("pins", [True, False])
 def test_every_delivery_is_read(stage: Stage, fenced: bool, pins: bool) -> None:
