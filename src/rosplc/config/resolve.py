@@ -168,18 +168,22 @@ def resolve(config: Config) -> Project:
 
 def _store(config: Config, problems: Problems) -> TypeStore:
     store = TypeStore.bundled(config.settings.ros.distro)
-    for index, folder in enumerate(config.settings.types.paths):
-        path = config.base / folder
-        key = ("types", "paths", index)
-        where, line = config.source.place(key), config.source.line(key)
-        if not path.exists():
-            problems.add(Absent("CFG001", f"{path} does not exist", where=where), line)
-            continue
+    paths = {config.base / folder: index for index, folder in enumerate(config.settings.types.paths)}
+    while True:
         try:
-            store = store.with_paths([path])
+            return store.with_paths(paths)
         except RosplcError as error:
-            problems.add(relocated(error, where), line)
-    return store
+            wrong = next((path for path in paths if str(path) == error.where), None)
+            if wrong is None:
+                problems.add(error)
+                return store
+            key = ("types", "paths", paths.pop(wrong))
+            where = config.source.place(key)
+            if not wrong.exists():
+                error = Absent("CFG001", f"{wrong} does not exist", where=where)
+            else:
+                error = relocated(error, where)
+            problems.add(error, config.source.line(key))
 
 
 def _layout(

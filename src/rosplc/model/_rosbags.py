@@ -17,6 +17,7 @@ from rosbags.typesys.msg import MSGParser, normalize_type_ref
 from rosbags.typesys.peg import Failure
 
 from rosplc.model.types import (
+    ROS1_BYTE,
     ArrayType,
     Constant,
     Field,
@@ -52,10 +53,11 @@ def bundled_types(distro: str) -> dict[str, MessageType]:
         distro: One of :data:`DISTROS`.
     """
     definitions: dict[str, Any] = get_typestore(_STORES[distro]).fielddefs
-    return {name: _message(name, *definition) for name, definition in definitions.items()}
+    ros1 = distro == "noetic"
+    return {name: _message(name, *definition, ros1=ros1) for name, definition in definitions.items()}
 
 
-def parse_field_type(text: str, owner: str) -> tuple[FieldType, bool] | None:
+def parse_field_type(text: str, owner: str, *, ros1: bool = False) -> tuple[FieldType, bool] | None:
     """Read the type part of a ``.msg`` line, such as ``geometry_msgs/Point[<=4]``.
 
     An unqualified ``Header`` is std_msgs' one.
@@ -64,6 +66,7 @@ def parse_field_type(text: str, owner: str) -> tuple[FieldType, bool] | None:
         text: The type as written.
         owner: Full name of the message that has the field; a name without a package is
             looked for in the same package.
+        ros1: Whether it is ROS 1, where ``byte`` is an ``int8``.
 
     Returns:
         The type, and whether its length and bounds are within 1 … 2^32 - 1; None if the
@@ -80,7 +83,7 @@ def parse_field_type(text: str, owner: str) -> tuple[FieldType, bool] | None:
         name = parsed.ref.name.value
         bounded = text.startswith("string<=")
         valid = not bounded or 0 < parsed.str_size < 1 << 32
-        element = _element(Nodetype.BASE, (name, parsed.str_size))
+        element = _element(Nodetype.BASE, (name, parsed.str_size), ros1)
     else:
         element = NamedType(parsed.ref.name)
     if parsed.cardinality is Cardinality.SCALAR:
@@ -92,31 +95,33 @@ def parse_field_type(text: str, owner: str) -> tuple[FieldType, bool] | None:
     return SequenceType(element, None if unbounded else parsed.size), valid
 
 
-def _message(name: str, constants: list[Any], fields: list[Any]) -> MessageType:
+def _message(name: str, constants: list[Any], fields: list[Any], *, ros1: bool) -> MessageType:
     return MessageType(
         name,
-        tuple(Field(n, _field_type(*d)) for n, d in fields if n != EMPTY_MEMBER or len(fields) > 1),
-        tuple(_constant(*c) for c in constants),
+        tuple(
+            Field(n, _field_type(d[0], d[1], ros1)) for n, d in fields if n != EMPTY_MEMBER or len(fields) > 1
+        ),
+        tuple(
+            Constant(name, _element(Nodetype.BASE, (kind, 0), ros1), value, str(value))  # type: ignore[arg-type]
+            for name, kind, value in constants
+        ),
     )
 
 
-def _constant(name: str, kind: str, value: bool | int | float | str) -> Constant:
-    kind_type = StringType() if kind == "string" else PrimitiveType(kind)
-    return Constant(name, kind_type, value, str(value))
-
-
-def _field_type(kind: int, detail: Any) -> FieldType:
+def _field_type(kind: int, detail: Any, ros1: bool) -> FieldType:
     if kind == Nodetype.ARRAY:
         (inner_kind, inner), length = detail
-        return ArrayType(_element(inner_kind, inner), length)
+        return ArrayType(_element(inner_kind, inner, ros1), length)
     if kind == Nodetype.SEQUENCE:
         (inner_kind, inner), bound = detail
-        return SequenceType(_element(inner_kind, inner), bound or None)
-    return _element(kind, detail)
+        return SequenceType(_element(inner_kind, inner, ros1), bound or None)
+    return _element(kind, detail, ros1)
 
 
-def _element(kind: int, detail: Any) -> PrimitiveType | StringType | NamedType:
+def _element(kind: int, detail: Any, ros1: bool) -> PrimitiveType | StringType | NamedType:
     if kind == Nodetype.NAME:
         return NamedType(detail)
     name, bound = detail
-    return StringType(bound or None) if name == "string" else PrimitiveType(name)
+    if name == "string":
+        return StringType(bound or None)
+    return ROS1_BYTE if ros1 and name == "byte" else PrimitiveType(name)

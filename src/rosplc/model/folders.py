@@ -11,11 +11,11 @@ from rosplc.errors import MessageTypeError
 from rosplc.model.parse import MAX_TEXT, parse_definition
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable
 
     from rosplc.model.parse import ParsedType
 
-__all__ = ["MAX_ENTRIES", "MAX_FILES", "parse_folder"]
+__all__ = ["MAX_ENTRIES", "MAX_FILES", "parse_paths"]
 
 MAX_FILES = 10_000
 """Most ``.msg`` files below one folder."""
@@ -25,16 +25,43 @@ MAX_ENTRIES = 200_000
 _PACKAGE = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
 
 
-def parse_folder(path: Path, ros_version: int) -> Iterator[ParsedType]:
-    """Parse every ``.msg`` file below a folder, in the order of their paths.
+def parse_paths(
+    paths: Iterable[Path], ros_version: int
+) -> tuple[list[ParsedType], dict[str, MessageTypeError], list[MessageTypeError]]:
+    """Parse every ``.msg`` file below some folders, in the order of folders and paths.
 
     A file's package is the folder above ``msg/`` (or the file's own folder), or the name in
-    the ``package.xml`` there. One ``.msg`` file instead of a folder is accepted too.
+    the ``package.xml`` there. One ``.msg`` file instead of a folder is accepted too. What is wrong with one
+    file concerns its type alone: a workspace has types that are not carried.
+
+    Returns:
+        The types; type → error of those that cannot be parsed; errors of files that give no type's name.
 
     Raises:
-        MessageTypeError: TYP008 if there is nothing to read, or too much, and what
-            :func:`rosplc.model.parse.parse_definition` raises, with file and line.
+        MessageTypeError: TYP008 if there is nothing to read, or too much.
     """
+    names: dict[Path, str] = {}
+    nameless: list[MessageTypeError] = []
+    for file in dict.fromkeys(file for path in paths for file in _files(path)):
+        try:
+            names[file] = _name_of(file)
+        except MessageTypeError as error:
+            nameless.append(error)
+    parsed: list[ParsedType] = []
+    broken: dict[str, MessageTypeError] = {}
+    siblings = set(names.values())
+    for file, name in names.items():
+        try:
+            text = _read(file)
+            parsed += parse_definition(
+                name, text, where=str(file), ros_version=ros_version, siblings=siblings
+            )
+        except MessageTypeError as error:
+            broken.setdefault(name, error)
+    return parsed, broken, nameless
+
+
+def _files(path: Path) -> list[Path]:
     try:
         files = [path] if path.is_file() else _below(path)
         exists = path.exists()
@@ -45,24 +72,34 @@ def parse_folder(path: Path, ros_version: int) -> Iterator[ParsedType]:
         raise MessageTypeError("TYP008", "does not exist", where=str(path))
     if not files or files[0].suffix != ".msg":
         raise MessageTypeError("TYP008", "holds no .msg file", where=str(path))
-    names = {file: _name_of(file) for file in files}
-    for file, name in names.items():
-        yield from parse_definition(
-            name, _read(file), where=str(file), ros_version=ros_version, siblings=names.values()
-        )
+    return files
 
 
 def _below(path: Path) -> list[Path]:
-    """Return the ``.msg`` files below a folder; links to folders are not followed, and no pipe is opened."""
+    """Return the ``.msg`` files below a folder; links to folders are not followed, and no pipe is opened.
+
+    Folders that are hidden, or that colcon and catkin are told to ignore, are left out.
+    """
     files: list[Path] = []
-    for number, entry in enumerate(path.rglob("*")):
-        if number >= MAX_ENTRIES:
-            raise ValueError(f"there are more than {MAX_ENTRIES} files below it")
-        if entry.suffix == ".msg" and entry.is_file():
-            files.append(entry)
+    number = 0
+    folders = [path]
+    for folder in folders:  # grows
+        for entry in folder.iterdir():
+            number += 1
+            if number > MAX_ENTRIES:
+                raise ValueError(f"there are more than {MAX_ENTRIES} files below it")
+            if entry.suffix == ".msg" and entry.is_file():
+                files.append(entry)
+            elif entry.is_dir() and not entry.is_symlink() and not _ignored(entry):
+                folders.append(entry)
         if len(files) > MAX_FILES:
             raise ValueError(f"there are more than {MAX_FILES} .msg files below it")
     return sorted(files)
+
+
+def _ignored(folder: Path) -> bool:
+    tools = ("COLCON", "AMENT", "CATKIN")
+    return folder.name.startswith(".") or any((folder / f"{tool}_IGNORE").exists() for tool in tools)
 
 
 def _read(file: Path) -> str:

@@ -88,7 +88,7 @@ def _describe_field(field: Field) -> dict[str, Any]:
         number = _STRING if kind.bound is None else _BOUNDED_STRING
         return _field(field.name, offset + number, capacity, string_capacity=kind.bound or 0)
     assert isinstance(kind, PrimitiveType)
-    return _field(field.name, offset + _TYPE_IDS[kind.name], capacity)
+    return _field(field.name, offset + _TYPE_IDS[str(kind)], capacity)
 
 
 def _field(

@@ -22,8 +22,14 @@ INTEGER_RANGES: dict[str, tuple[int, int]] = {
 }
 """Integer primitive → smallest and largest value."""
 
-_INTEGER = re.compile(r"[+-]?(0[xX][0-9a-fA-F]+|0[bB][01]+|0[oO][0-7]+|[0-9]+)\Z")
-_FLOAT = re.compile(r"[+-]?([0-9]+\.?[0-9]*([eE][+-]?[0-9]+)?|\.[0-9]+([eE][+-]?[0-9]+)?|inf|nan)\Z", re.I)
+# Underscores between digits: ROS reads numbers as Python does.
+_INTEGER = re.compile(
+    r"[+-]?(0[xX](_?[0-9a-fA-F])+|0[bB](_?[01])+|0[oO](_?[0-7])+|[0-9](_?[0-9])*)\Z", re.ASCII
+)
+_DIGITS = "[0-9](_?[0-9])*"
+_FLOAT = re.compile(
+    rf"[+-]?(({_DIGITS}(\.({_DIGITS})?)?|\.{_DIGITS})([eE][+-]?{_DIGITS})?|inf|nan)\Z", re.IGNORECASE
+)
 _QUOTED = re.compile(r""""((?:\\.|[^"\\])*)"|'((?:\\.|[^'\\])*)'""")
 _ESCAPES = {"n": "\n", "t": "\t", "r": "\r", "\\": "\\", '"': '"', "'": "'"}
 
@@ -102,7 +108,9 @@ def _parse_scalar(text: str, kind: PrimitiveType | StringType) -> bool | int | f
     value = int(text, 0) if re.match(r"[+-]?0[xXbBoO]", text) else int(text)
     low, high = INTEGER_RANGES[kind.name]
     if kind.name == "byte" and -128 <= value < 0:
-        return value + 256  # ROS 1's byte is signed; its bits are what counts
+        return value + 256  # its bits are what counts
+    if kind.written == "byte" and 128 <= value < 256:
+        return value - 256
     if not low <= value <= high:
         raise LiteralError(f"{value} is not within {kind.name} ({low} … {high})")
     return value

@@ -195,15 +195,15 @@ def _parse_line(line: str, owner: str, ros_version: int) -> Field | Constant:
     type_text, name, rest = parts.groups()
     if len(name) > MAX_NAME or len(type_text) > 2 * MAX_NAME:
         raise LiteralError(f"a name has more than {MAX_NAME} characters")
-    kind = _parse_type(type_text, owner)
+    kind = _parse_type(type_text, owner, ros_version)
     if rest.startswith("="):
         return _parse_constant(name, kind, rest[1:], ros_version)
     literal = strip_comment(rest)
     return Field(name, kind, parse_value(literal, kind) if literal else None)
 
 
-def _parse_type(text: str, owner: str) -> FieldType:
-    result = parse_field_type(text, owner)
+def _parse_type(text: str, owner: str, ros_version: int) -> FieldType:
+    result = parse_field_type(text, owner, ros1=ros_version == 1)
     if result is None:
         raise LiteralError(f"{text[:80]!r} is no type")
     kind, valid = result

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 from rosplc.errors import MessageTypeError
 from rosplc.model._rosbags import DISTROS, bundled_types
 from rosplc.model.defaults import with_defaults
-from rosplc.model.folders import parse_folder
+from rosplc.model.desktop import with_desktop
+from rosplc.model.folders import parse_paths
 from rosplc.model.hashes import ROS1_TIMES, md5_text, rihs01
 from rosplc.model.literals import format_value
 from rosplc.model.parse import ParsedType, full_name, parse_definition
@@ -43,6 +44,10 @@ class TypeStore:
         self.ros_version = 1 if distro == "noetic" else 2
         self._types = dict(types)
         self._md5: dict[str, str] = {}
+        self._heights: dict[str, int] = {}  # of the types whose needs have been found sound
+        self._broken: dict[str, MessageTypeError] = {}
+        self._parsed: dict[str, ParsedType] = {}  # where types that were added are defined
+        self._nameless: list[MessageTypeError] = []
 
     @classmethod
     def bundled(cls, distro: str) -> TypeStore:
@@ -83,22 +88,38 @@ class TypeStore:
     def with_paths(self, paths: Iterable[Path]) -> TypeStore:
         """Return a store that knows the custom types below these folders as well.
 
+        The folders may need each other, in any order. A type with a mistake, or with another definition
+        elsewhere, is an error when it is used: a folder of a whole workspace will do.
+
         Args:
             paths: Folders with ``package/msg/Name.msg`` or ``package/Name.msg``, folders of a
                 package, or single ``.msg`` files.
 
         Raises:
-            MessageTypeError: TYP001 … TYP005, TYP007, TYP008, with file and line.
+            MessageTypeError: TYP008, a path cannot be read.
         """
-        found = [parsed for path in paths for parsed in parse_folder(Path(path), self.ros_version)]
-        return self._with(found)
+        parsed, broken, nameless = parse_paths(map(Path, paths), self.ros_version)
+        merged = self._copy()
+        merged._nameless += nameless
+        for one in parsed:
+            try:
+                merged._merge(one)
+            except MessageTypeError as error:
+                broken.setdefault(one.message.name, error)
+        merged._broken.update(broken)
+        return merged
 
     def __getitem__(self, name: str) -> MessageType:
-        """Return a type by ``package/msg/Name`` or ``package/Name``; TYP001 if unknown."""
-        if not (isinstance(name, str) and name.isidentifier()):
-            name = full_name(name)
-        if name not in self._types:
-            raise MessageTypeError("TYP001", self._unknown(name[:80]))
+        """Return a type by ``package/msg/Name`` or ``package/Name``.
+
+        Raises:
+            MessageTypeError: TYP001 if it is unknown; for a custom type also what is wrong with it or with
+                a type that it needs (TYP001 … TYP007), with file and line.
+        """
+        if name not in self._heights:
+            if not (isinstance(name, str) and name.isidentifier()):
+                name = full_name(name)
+            self._visit(name, self._heights, (), "")
         return self._types[name]
 
     def __contains__(self, name: object) -> bool:
@@ -111,8 +132,22 @@ class TypeStore:
         return len(self._types)
 
     def names(self) -> tuple[str, ...]:
-        """Return the full names of all types, sorted."""
-        return tuple(sorted(self._types))
+        """Return the full names of all types that can be used, sorted."""
+        return tuple(sorted(name for name in self._types if self._error(name) is None))
+
+    def problems(self) -> tuple[MessageTypeError, ...]:
+        """Return what is wrong with custom types and their files; none of it matters until a type is used."""
+        found = (self._error(name) for name in sorted({*self._parsed, *self._broken}))
+        return (*self._nameless, *filter(None, found))
+
+    def _error(self, name: str) -> MessageTypeError | None:
+        if name in self._heights:
+            return None
+        try:
+            self._visit(name, self._heights, (), "")
+        except MessageTypeError as error:
+            return error
+        return None
 
     def dependencies(self, name: str) -> tuple[str, ...]:
         """Return every type that ``name`` needs, each after those it needs, itself last."""
@@ -143,30 +178,35 @@ class TypeStore:
                 self._md5[other] = hashlib.md5(text.encode(), usedforsecurity=False).hexdigest()
         return self._md5[self[name].name]
 
+    def _copy(self) -> TypeStore:
+        copy = TypeStore(self.distro, self._types)
+        copy._broken, copy._parsed = dict(self._broken), dict(self._parsed)
+        copy._nameless = list(self._nameless)
+        return copy
+
     def _with(self, found: list[ParsedType]) -> TypeStore:
-        merged = TypeStore(self.distro, self._types)
-        places: dict[str, str] = {}
+        merged = self._copy()
         for parsed in found:
-            new = parsed.message
-            old = merged._types.get(new.name)
-            if old is not None and not _same_shape(old, new):
-                other = places.get(new.name) or (f"{self.distro}'s own" if self.distro else "the one known")
-                raise MessageTypeError(
-                    "TYP005", f"this definition of {new.name} differs from {other}", where=parsed.where
-                )
-            # A text off the wire has lost its default values: keep those that are known.
-            if old is None or any(f.default is not None for f in new.fields):
-                merged._types[new.name] = new
-            places[new.name] = parsed.where
+            merged._merge(parsed)
         for parsed in found:
-            merged._add_builtin(parsed.message)
-        for parsed in found:
-            for field, where in zip(parsed.message.fields, parsed.field_lines, strict=True):
-                merged._check_known(field, where)
-        heights: dict[str, int] = {}
-        for parsed in found:
-            merged._visit(parsed.message.name, heights, (), parsed.where)
+            merged._visit(parsed.message.name, merged._heights, (), parsed.where)
         return merged
+
+    def _merge(self, parsed: ParsedType) -> None:
+        """Add a definition; TYP005 if it differs from the one known."""
+        new = parsed.message
+        old = self._types.get(new.name)
+        if old is not None and not _same_shape(old, new):
+            known = self._parsed.get(new.name)
+            other = known.where if known else f"{self.distro}'s own" if self.distro else "the one known"
+            raise MessageTypeError(
+                "TYP005", f"this definition of {new.name} differs from {other}", where=parsed.where
+            )
+        # A text off the wire has lost its default values: keep those that are known.
+        if old is None or any(f.default is not None for f in new.fields):
+            self._types[new.name] = new
+            self._parsed[new.name] = parsed
+        self._add_builtin(new)
 
     def _add_builtin(self, message: MessageType) -> None:
         # ROS 1 texts say `time` and give no definition of it.
@@ -174,30 +214,40 @@ class TypeStore:
             if needed in _BUILTIN:
                 self._types.setdefault(needed, _BUILTIN[needed])
 
-    def _check_known(self, field: Field, where: str) -> None:
-        kind = field.type.element if isinstance(field.type, ArrayType | SequenceType) else field.type
-        if isinstance(kind, NamedType) and kind.name not in self._types:
-            raise MessageTypeError("TYP001", self._unknown(kind.name), where=where)
-
     def _unknown(self, name: str) -> str:
         base = name.rsplit("/", 1)[-1].lower()
-        same = [other for other in self.names() if other.rsplit("/", 1)[1].lower() == base]
+        same = [other for other in self._types if other.rsplit("/", 1)[1].lower() == base]
         near = difflib.get_close_matches(name, same, 1, 0) or difflib.get_close_matches(name, self._types, 1)
         hint = f"; did you mean {near[0]}?" if near else ""
+        if self._nameless and not near:
+            hint = f"; {self._nameless[0].where} was not read: {self._nameless[0].what}"
         return f"{name} is unknown{f' in {self.distro}' if self.distro else ''}{hint}"
 
     def _visit(self, name: str, heights: dict[str, int], above: tuple[str, ...], where: str) -> int:
         """Return how deep a type is nested; ``heights`` fills in order of dependency."""
+        if name in heights:
+            return heights[name]
+        if name in self._broken:
+            raise self._broken[name]
+        if name not in self._types:
+            raise MessageTypeError("TYP001", self._unknown(name[:80]), where=where)
         if name in above:
             cycle = " → ".join((*above[above.index(name) :], name))
             raise MessageTypeError("TYP003", cycle, where=where)
-        if name not in heights:
-            # The check on the way down bounds the recursion, the one on the way up is exact.
-            needed = _needs(self._types[name]) if len(above) <= MAX_DEPTH else ()
-            below = [self._visit(other, heights, (*above, name), where) for other in needed]
-            heights[name] = 1 + max(below, default=0)
-            if heights[name] > MAX_DEPTH or len(above) >= MAX_DEPTH:
-                raise MessageTypeError("TYP007", f"types are nested deeper than {MAX_DEPTH}", where=where)
+        message, parsed = self._types[name], self._parsed.get(name)
+        places = parsed.field_lines if parsed else (where,) * len(message.fields)
+        below = [0]
+        # The check on the way down bounds the recursion, the one on the way up is exact.
+        if len(above) <= MAX_DEPTH:
+            needed: dict[str, str] = {}
+            for field, place in zip(message.fields, places, strict=True):
+                if (other := _needed(field)) is not None:
+                    needed.setdefault(other, place)
+            below += [self._visit(other, heights, (*above, name), place) for other, place in needed.items()]
+        heights[name] = 1 + max(below)
+        if heights[name] > MAX_DEPTH or len(above) >= MAX_DEPTH:
+            del heights[name]
+            raise MessageTypeError("TYP007", f"types are nested deeper than {MAX_DEPTH}", where=where)
         return heights[name]
 
     def _collect(self, name: str, order: dict[str, None]) -> None:
@@ -229,12 +279,14 @@ def _short(name: str) -> str:
     return name.replace("/msg/", "/")
 
 
+def _needed(field: Field) -> str | None:
+    kind = field.type.element if isinstance(field.type, ArrayType | SequenceType) else field.type
+    return kind.name if isinstance(kind, NamedType) else None
+
+
 def _needs(message: MessageType) -> tuple[str, ...]:
     """Return the names of the types of a message's fields, each once, in their order."""
-    kinds = (
-        f.type.element if isinstance(f.type, ArrayType | SequenceType) else f.type for f in message.fields
-    )
-    return tuple(dict.fromkeys(kind.name for kind in kinds if isinstance(kind, NamedType)))
+    return tuple(dict.fromkeys(filter(None, map(_needed, message.fields))))
 
 
 def _same_shape(one: MessageType, other: MessageType) -> bool:
@@ -244,4 +296,4 @@ def _same_shape(one: MessageType, other: MessageType) -> bool:
 
 @cache
 def _bundled(distro: str) -> TypeStore:
-    return TypeStore(distro, with_defaults(distro, bundled_types(distro)))
+    return TypeStore(distro, with_desktop(distro, with_defaults(distro, bundled_types(distro))))

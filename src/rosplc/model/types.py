@@ -12,6 +12,7 @@ from typing import TypeAlias
 
 __all__ = [
     "PRIMITIVES",
+    "ROS1_BYTE",
     "ArrayType",
     "Constant",
     "Field",
@@ -37,12 +38,19 @@ Value: TypeAlias = "bool | int | float | str | tuple[Value, ...]"
 
 @dataclass(frozen=True, slots=True)
 class PrimitiveType:
-    """One of :data:`PRIMITIVES`. ``byte`` and ``char`` are unsigned 8-bit numbers."""
+    """One of :data:`PRIMITIVES`. ``byte`` and ``char`` are unsigned 8-bit numbers.
+
+    ``written`` is how the definition writes it, where that differs: ROS 1's ``byte`` is an ``int8``.
+    """
 
     name: str
+    written: str = ""
 
     def __str__(self) -> str:
-        return self.name
+        return self.written or self.name
+
+
+ROS1_BYTE = PrimitiveType("int8", "byte")
 
 
 @dataclass(frozen=True, slots=True)

@@ -112,17 +112,24 @@ def test_custom_types(tmp_path: Path) -> None:
 
 
 def test_errors_in_custom_types_name_both_places(tmp_path: Path) -> None:
-    """The key that leads to the folder, and the file and line of the mistake."""
+    """The key of the topic that uses a type, and file and line of the mistake; unused types may have any."""
     (tmp_path / "my_pkg" / "msg").mkdir(parents=True)
     (tmp_path / "my_pkg" / "msg" / "Fan.msg").write_text("bool on\nuint17 speed\n")
+    (tmp_path / "my_pkg" / "msg" / "Unused.msg").write_text("wstring text\n")
     path = tmp_path / "rosplc.yaml"
-    path.write_text("bridge: a\ntypes:\n  paths: [my_pkg, missing]\n")
+    path.write_text("bridge: a\ntypes:\n  paths: [my_pkg]\ntopics:\n  /fan: {type: my_pkg/Fan, to: plc}\n")
     with pytest.raises(ConfigErrors) as caught:
         load_config(path)
-    first, second = caught.value.errors
-    assert first.where == f"{path}:3: types.paths[0]"
+    (first,) = caught.value.errors
+    assert first.where == f"{path}:5: topics./fan.type"
     assert "Fan.msg:2" in first.what
-    assert (second.code, second.where) == ("CFG001", f"{path}:3: types.paths[1]")
+    path.write_text("bridge: a\ntypes:\n  paths: [missing, my_pkg, absent]\n")
+    with pytest.raises(ConfigErrors) as caught:
+        load_config(path)
+    assert [(each.code, each.where) for each in caught.value.errors] == [
+        ("CFG001", f"{path}:3: types.paths[0]"),
+        ("CFG001", f"{path}:3: types.paths[2]"),
+    ]
 
 
 @pytest.mark.parametrize(

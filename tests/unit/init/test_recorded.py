@@ -63,7 +63,7 @@ def test_ros1_recording_leads_to_ros1(tmp_path: Path) -> None:
     assert source.found.ros["distro"] == "noetic"
     types = {entry.topic: entry.type_name for entry in made.entries}
     assert types["/tf"] == "tf/msg/tfMessage"
-    assert set(made.definitions) == {"tf/msg/tfMessage", "turtlesim/msg/Pose", "turtlesim/msg/Color"}
+    assert not made.definitions  # noetic has them
     assert all(made.seen[topic].unreadable == 0 for topic in types)
     source.close()
     with pytest.raises(RosplcError, match="ROS001"):

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from rosplc.model import ArrayType, FieldType, NamedType, PrimitiveType, SequenceType, StringType, Value
 from rosplc.model.literals import INTEGER_RANGES, LiteralError, format_value, parse_value, strip_comment
+from rosplc.model.types import ROS1_BYTE
 
 INT32 = PrimitiveType("int32")
 STRING = StringType()
@@ -29,6 +30,11 @@ STRING = StringType()
         ("1", PrimitiveType("float64"), 1.0),
         ("-.5e-3", PrimitiveType("float64"), -0.0005),
         ("-1", PrimitiveType("byte"), 255),
+        ("-1", ROS1_BYTE, -1),
+        ("200", ROS1_BYTE, -56),
+        ("1_000", INT32, 1000),
+        ("0xff_ff", INT32, 65535),
+        ("1_0.2_5e1_0", PrimitiveType("float64"), 10.25e10),
         ("plain text", STRING, "plain text"),
         ('"a # b"', STRING, "a # b"),
         (r"'it\'s'", STRING, "it's"),
@@ -50,7 +56,6 @@ def test_literals_are_read_as_their_type(text: str, kind: FieldType, value: Valu
     ("text", "kind", "reason"),
     [
         ("1.5", INT32, "whole number"),
-        ("1_000", INT32, "whole number"),
         ("2147483648", INT32, "not within int32"),
         ("256", PrimitiveType("uint8"), "not within uint8"),
         ("-129", PrimitiveType("byte"), "not within byte"),
@@ -66,6 +71,10 @@ def test_literals_are_read_as_their_type(text: str, kind: FieldType, value: Valu
         ("[1, 2]", SequenceType(INT32, 1), "at most 1"),
         ("[1,,2]", SequenceType(INT32), "whole number"),
         ("[1,]", SequenceType(INT32), "whole number"),
+        ("1__0", INT32, "whole number"),
+        ("1_", INT32, "whole number"),
+        ("_1", INT32, "whole number"),
+        ("1_.5", PrimitiveType("float64"), "no number"),
         ("1", NamedType("a/msg/B"), "cannot have a default"),
         ("[]", SequenceType(NamedType("a/msg/B")), "cannot have a default"),
     ],

@@ -52,7 +52,7 @@ def test_every_bundled_type_survives_its_own_definition_text(distro: str) -> Non
 def test_fingerprints_agree_with_rosbags(distro: str) -> None:
     """Hashes and MD5 sums are rosbags' own, but for type hashes where a char is involved."""
     store, other = TypeStore.bundled(distro), get_typestore(STORES[distro])
-    for name in store.names():
+    for name in other.fielddefs:
         assert store.md5(name) == other.generate_msgdef(name)[1]
         has_char = any(
             "char" in str(field.type).split("[")[0].split("/")
@@ -60,6 +60,51 @@ def test_fingerprints_agree_with_rosbags(distro: str) -> None:
             for field in store[needed].fields
         )
         assert (store.type_hash(name) == other.hash_rihs01(name)) is not has_char
+
+
+PUBLISHED_MD5 = {
+    "turtlesim/Pose": "863b248d5016ca62ea2e895ae5265cf9",
+    "turtlesim/Color": "353891e354491c51aabe32df673fb446",
+    "tf2_msgs/TFMessage": "94810edda583a504dfda3829e70d7eec",
+    "tf2_msgs/TF2Error": "bc6848fd6fd750c92e38575618a4917d",
+    "tf/tfMessage": "94810edda583a504dfda3829e70d7eec",
+    "map_msgs/OccupancyGridUpdate": "b295be292b335c34718bd939deebe1c9",
+    "map_msgs/PointCloud2Update": "6c58e4f249ae9cd2b24fb1ee0f99195e",
+    "map_msgs/ProjectedMap": "7bbe8f96e45089681dc1ea7d023cbfca",
+    "map_msgs/ProjectedMapInfo": "2dc10595ae94de23f22f8a6d2a0eef7a",
+    "pcl_msgs/ModelCoefficients": "ca27dea75e72cb894cd36f9e5005e93e",
+    "pcl_msgs/PointIndices": "458c7998b7eaf99908256472e273b3d4",
+    "pcl_msgs/PolygonMesh": "45a5fc6ad2cde8489600a790acc9a38a",
+    "pcl_msgs/Vertices": "39bd7b1c23763ddd1b882b97cb7cfe11",
+}
+
+
+def test_types_of_a_desktop_installation() -> None:
+    """Those that rosbags lacks have the published checksums, and ROS 2 has them as well."""
+    store = TypeStore.bundled("noetic")
+    assert {name: store.md5(name) for name in PUBLISHED_MD5} == PUBLISHED_MD5
+    for distro in ("humble", "jazzy", "kilted", "lyrical"):
+        ros2 = TypeStore.bundled(distro)
+        names = (name for name in PUBLISHED_MD5 if not name.startswith("tf/"))
+        assert all(name in ros2 for name in names)
+        array = ros2["example_interfaces/Float64MultiArray"]
+        assert [str(field.type) for field in array.fields] == [
+            "example_interfaces/msg/MultiArrayLayout",
+            "float64[]",
+        ]
+        assert "example_interfaces/Header" not in ros2
+        assert "pendulum_msgs/RttestResults" in ros2
+
+
+def test_ros_1_byte_is_signed() -> None:
+    """A byte is an int8 in ROS 1 and is hashed as it is written; in ROS 2 it is unsigned."""
+    ros1, ros2 = TypeStore.bundled("noetic"), TypeStore.bundled("jazzy")
+    assert ros1["std_msgs/Byte"].fields[0].type.name == "int8"  # type: ignore[union-attr]
+    assert ros2["std_msgs/Byte"].fields[0].type.name == "byte"  # type: ignore[union-attr]
+    assert ros1.definition_text("std_msgs/Byte") == "byte data\n"
+    own = ros1.with_definition("a/A", "byte X=200\nbyte[2] b\n")
+    assert own["a/A"].constants[0].value == -56
+    assert own.definition_text("a/A") == "byte X=200\nbyte[2] b\n"
 
 
 def test_type_hashes_are_the_published_ones() -> None:
@@ -281,10 +326,59 @@ class TestFolders:
         """Every mistake in a file is reported with its path, and its line where there is one."""
         (root / file).parent.mkdir(parents=True, exist_ok=True)
         (root / file).write_bytes(text)
-        with pytest.raises(MessageTypeError, match=what) as caught:
-            TypeStore.bundled("jazzy").with_paths([root])
-        assert caught.value.code == code
-        assert where in caught.value.where
+        store = TypeStore.bundled("jazzy").with_paths([root])
+        error = store.problems()[0]
+        assert (error.code, what in error.what, where in error.where) == (code, True, True)
+        for name in {"one_msgs/Bad", "std_msgs/String", "one_msgs/First", "msgs/Bad"} - set(store.names()):
+            package, _, base = name.partition("/")
+            if f"{package}/msg/{base}" in store.names():
+                assert store[name]
+                continue
+            with pytest.raises(MessageTypeError) as caught:
+                _ = store[name]
+            assert caught.value.code in (code, "TYP001")
+        assert store["two_msgs/Second"]
+
+    def test_folders_may_need_each_other(self, tmp_path: Path) -> None:
+        """Order does not decide, and packages that use each other may be in different folders."""
+        for file, text in {
+            "a/one_msgs/msg/A.msg": "two_msgs/B b\n",
+            "b/two_msgs/msg/B.msg": "one_msgs/C c\n",
+            "a/one_msgs/msg/C.msg": "int32 x\n",
+        }.items():
+            (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
+            (tmp_path / file).write_text(text)
+        for order in (["a", "b"], ["b", "a"]):
+            store = TypeStore.bundled("jazzy").with_paths(tmp_path / each for each in order)
+            assert store.dependencies("one_msgs/A")[-1] == "one_msgs/msg/A"
+
+    def test_only_what_is_used_must_be_sound(self, root: Path) -> None:
+        """One type with a mistake makes no other unusable; what needs it is refused with file and line."""
+        (root / "one_msgs/msg/Wide.msg").write_text("wstring text\n")
+        (root / "one_msgs/msg/Needs.msg").write_text("int8 x\nWide wide\n")
+        (root / "one_msgs/msg/Lacks.msg").write_text("int8 x\nnowhere_msgs/Type y\n")
+        store = TypeStore.bundled("jazzy").with_paths([root])
+        assert store["three_msgs/Third"] and store["std_msgs/String"]
+        for name, code, where in (
+            ("Wide", "TYP004", "Wide.msg:1"),
+            ("Needs", "TYP004", "Wide.msg:1"),
+            ("Lacks", "TYP001", "Lacks.msg:2"),
+        ):
+            with pytest.raises(MessageTypeError) as caught:
+                _ = store[f"one_msgs/{name}"]
+            assert (caught.value.code, where in caught.value.where) == (code, True)
+            assert f"one_msgs/msg/{name}" not in store.names()
+        assert [error.code for error in store.problems()] == ["TYP001", "TYP004", "TYP004"]
+
+    def test_ignored_folders_of_a_workspace_are_left_out(self, root: Path) -> None:
+        """What colcon builds, and hidden folders, hold copies that may be old."""
+        for folder in ("build", ".git"):
+            (root / folder / "one_msgs/msg").mkdir(parents=True)
+            (root / folder / "one_msgs/msg/First.msg").write_text("int8 old\n")
+        (root / "build/COLCON_IGNORE").touch()
+        store = TypeStore.bundled("jazzy").with_paths([root])
+        assert store.problems() == ()
+        assert store["one_msgs/First"].fields[0].name == "second"
 
     def test_a_folder_without_definitions_is_an_error(self, tmp_path: Path) -> None:
         """A misspelt or empty folder does not pass for one without types."""
