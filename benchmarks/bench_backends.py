@@ -110,7 +110,7 @@ def config(prefix: str, graph: RosGraph) -> str:
             "topics:",
             f"  {TO_PLC}: {{to: plc, {common}}}",
             f"  {TO_ROS}: {{to: ros, {common}, latched: false}}",
-            f"  {EVERY}: {{to: plc, {common}, every: true, depth: 32768, qos: {{depth: 5000}}}}",
+            f"  {EVERY}: {{to: plc, {common}, every: true, slots: 32768, qos: {{depth: 5000}}}}",
             "",
         )
     )

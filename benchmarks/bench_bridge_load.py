@@ -38,7 +38,7 @@ def config(
     ros: str = "{backend: dds, distro: jazzy}",
 ) -> str:
     """Return a configuration with as many topics in each direction."""
-    common = f"type: {TYPE}, limits: {{string: {STRING}}}, depth: {depth}, every: true"
+    common = f"type: {TYPE}, limits: {{string: {STRING}}}, slots: {depth}, every: true"
     lines = [f"bridge: {prefix}", f"prefix: {prefix}", f"ros: {ros}"]
     lines += [f"tasks: {{RosTask: {{interval: {cycle}}}}}", "topics:"]
     lines += [

@@ -44,7 +44,7 @@ def config(name: str, prefix: str) -> str:
             f"prefix: {prefix}",
             "ros: {backend: dds, distro: jazzy}",
             f"realtime: {SETTINGS[name]}",
-            f"topics: {{{TOPIC.format(name)}: {{type: {TYPE}, to: plc, every: true, depth: 1024}}}}",
+            f"topics: {{{TOPIC.format(name)}: {{type: {TYPE}, to: plc, every: true, slots: 1024}}}}",
             "",
         )
     )

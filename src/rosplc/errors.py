@@ -234,7 +234,7 @@ _register("CFG004", "value is not valid", "Correct the value; `rosplc check --sc
 _register("CFG005", "key is missing", "Add the named key.")
 _register("CFG006", "topic is configured twice", "A topic has one direction: keep one entry.")
 _register("CFG007", "two topics lead to one object name", "Rename one of the topics, or use a second bridge with another prefix.")
-_register("CFG008", "depth is too small for the topic's rate", "Raise depth:, so that the slots outlast a copy plus a preemption.")
+_register("CFG008", "too few slots for the topic's rate", "Raise slots:, so that the slots outlast a copy plus a preemption.")
 _register("CFG009", "aliases and custom tags are not accepted", "Write the value out; configurations are plain YAML.")
 _register("CFG010", "key is written twice", "Keep one of the two; YAML readers drop the other silently.")
 _register("CFG011", "ROS argument is not valid", "Correct the named argument: --ros-args -r from:=to, or __name:=node __ns:=/namespace from:=to in ROS 1.")

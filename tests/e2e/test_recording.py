@@ -76,10 +76,10 @@ def write_config(path: Path, recording: Source, prefix: str) -> None:
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_text(topic.definition.partition("=" * 80)[0])
         lines.append(
-            f"  {topic.name}: {{type: {type_name}, to: plc, every: true, depth: 4096, "
+            f"  {topic.name}: {{type: {type_name}, to: plc, every: true, slots: 4096, "
             "qos: {durability: transient_local, depth: 1000}}"
         )
-    lines.append(f"  {COMMAND}: {{type: geometry_msgs/msg/Twist, to: ros, depth: 4096}}")
+    lines.append(f"  {COMMAND}: {{type: geometry_msgs/msg/Twist, to: ros, slots: 4096}}")
     path.write_text("\n".join(lines) + "\n")
 
 

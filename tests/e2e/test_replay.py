@@ -31,7 +31,7 @@ def test_what_a_robot_sent_comes_again(tmp_path: Path, dds_domain: int, shm_pref
     config = tmp_path / "rosplc.yaml"
     config.write_text(
         f"bridge: b\nprefix: {shm_prefix}\nros: {{backend: dds, distro: jazzy}}\n"
-        f"topics: {{/cmd_vel: {{type: {TYPE}, to: plc, depth: 1024}}}}\n"
+        f"topics: {{/cmd_vel: {{type: {TYPE}, to: plc, slots: 1024}}}}\n"
     )
     store = TypeStore.bundled("jazzy")
     codec = Codec(compute_layout(store, TYPE), Wire.CDR)

@@ -167,7 +167,7 @@ class Cell:
             if topic in CLASSIC:
                 how = f"classic: {{name: {self.classic_name(topic)}, recover_after: {RECOVER_AFTER_S}s}}"
             else:
-                how = f"every: {'true' if topic.endswith(('/in', '/out')) else 'false'}, depth: 64"
+                how = f"every: {'true' if topic.endswith(('/in', '/out')) else 'false'}, slots: 64"
             if "qos" not in self.options[topic]:
                 how += f", qos: {{{self._qos(topic)}}}"
             rest = f"{how}{limits}{self.options[topic]}"

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from rosplc.cli.guard import guarded, print_json
 from rosplc.cli.options import AsJson, ConfigFile, config_file
-from rosplc.cli.text import columns, plural, say, terminal_width, wrap
+from rosplc.cli.text import columns, plural, say, terminal_width, warn, wrap
 from rosplc.errors import RosplcError
 
 if TYPE_CHECKING:
@@ -25,6 +27,8 @@ rosplc check  —  explain rosplc.yaml, or report with line and key what is wron
 rosplc check rosplc.yaml --verbose  —  every detail of every topic
 
 rosplc check rosplc.yaml --json  —  the same for programs
+
+rosplc check --fix  —  rewrite keys that have new names since the file was written
 
 rosplc check --schema > rosplc.schema.json  —  for an editor that completes keys
 """
@@ -44,6 +48,10 @@ def command(
     schema: Annotated[
         bool, typer.Option("--schema", help="Print the JSON Schema of configuration files.")
     ] = False,
+    fix: Annotated[
+        bool,
+        typer.Option("--fix", help="Rewrite keys that have new names; comments and layout stay."),
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Explain a configuration: what is carried, in which direction, how, and who may open it."""
@@ -55,11 +63,32 @@ def command(
     from rosplc.config.resolve import load_project
     from rosplc.project import check
 
-    project = load_project(config_file(config))
+    path = config_file(config)
+    if fix:
+        _fix(path)
+    project = load_project(path)
     if as_json:
         print_json(check(project))
     else:
         _explain(project, verbose=verbose)
+
+
+def _fix(path: Path) -> None:
+    """Give keys their present names, in place."""
+    from rosplc.config.file import rename_keys
+    from rosplc.config.yaml_source import read_text
+
+    before = read_text(path)
+    after, changes = rename_keys(before, name=str(path))
+    if changes:
+        mark = b"\xef\xbb\xbf" if path.read_bytes().startswith(b"\xef\xbb\xbf") else b""
+        real = path.resolve()
+        temporary = real.with_name(f".{real.name}.new")
+        temporary.write_bytes(mark + after.encode())
+        shutil.copymode(real, temporary)
+        temporary.replace(real)
+    for change in changes:
+        warn(change)
 
 
 def _explain(project: Project, *, verbose: bool) -> None:
@@ -172,7 +201,7 @@ def _rows(project: Project, plan: TopicPlan, names: tuple[str, str] | None) -> l
     entry = project.config.settings.topics[plan.topic]
     how = "every message, in order" if plan.every else "the newest message"
     qos = "as configured" if entry.qos.model_fields_set or entry.latched is not None else "default"
-    slots = "as configured" if entry.depth is not None else "default"
+    slots = "as configured" if entry.slots is not None else "default"
     stale = f"{plan.stale_after_ns / 1e6:g} ms" if plan.stale_after_ns else "never"
     rows = [("record", f"{plural(plan.layout.size, 'byte')}, layout id {plan.layout.layout_id}")]
     if plan.classic is None:

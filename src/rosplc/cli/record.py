@@ -356,7 +356,7 @@ def _report(order: Order, recorder: Recorder, result: Result, *, as_json: bool) 
         if result.cut_short:
             warn("memory was full before the time was: raise --memory, or leave out topics")
     if result.lost:
-        warn("messages were lost: raise depth: of these topics, or record fewer; sequence numbers show where")
+        warn("messages were lost: raise slots: of these topics, or record fewer; sequence numbers show where")
 
 
 def _document(result: Result, recorder: Recorder) -> dict[str, Any]:

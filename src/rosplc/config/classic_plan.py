@@ -72,7 +72,7 @@ def classic_plan(config: Config, topic: str, entry: TopicSettings, task: str) ->
     poll = settings.tick_ns
     if not passes_changes_only(entry) and entry.to == "ros":
         # Every look is a message here; a PLC has something new to say once per cycle at most.
-        poll = entry.rate_limit_ns or entry.rate_ns or settings.tasks[task].interval_ns
+        poll = entry.rate_limit_ns or entry.expected_rate_ns or settings.tasks[task].interval_ns
     return ClassicPlan(
         name=name,
         semaphore="" if asked.semaphore == "none" else asked.semaphore or name,

@@ -1,4 +1,4 @@
-"""How many slots an object needs: the arithmetic behind ``depth``.
+"""How many slots an object needs: the arithmetic behind ``slots``.
 
 Two demands meet (spec/shm-format.md, section 7.3). A reader accepts a copy only if the
 writer has published at most N-2 messages meanwhile, so N-2 periods must outlast a copy plus a

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import types
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -15,7 +16,13 @@ from rosplc.config.settings import Settings
 from rosplc.config.yaml_source import KeyPath, YamlSource, read_yaml
 from rosplc.errors import ConfigError
 
-__all__ = ["Config", "json_schema", "parse_config", "read_config"]
+__all__ = ["RENAMED", "Config", "json_schema", "parse_config", "read_config", "rename_keys"]
+
+RENAMED = {"rate": "expected_rate", "depth": "slots"}
+"""Keys of a topic that 0.1.0 called otherwise; they work, with a warning, until 0.3.0."""
+
+log = logging.getLogger("rosplc.config")
+_MOST_WARNINGS = 5
 
 
 @dataclass(frozen=True)
@@ -122,6 +129,7 @@ def _validate(source: YamlSource, base: Path, problems: Problems) -> Config | No
             )
         )
         return None
+    data = _with_new_names(data, source, problems)
     try:
         return Config(Settings.model_validate(data), source, base)
     except ValidationError as error:
@@ -129,6 +137,64 @@ def _validate(source: YamlSource, base: Path, problems: Problems) -> Config | No
             path = _real_path(item["loc"], source)
             problems.add(_explain(dict(item), path, source), source.line(path))
         return None
+
+
+def _old_keys(data: Any) -> list[tuple[str, str]]:
+    """Return the topics and keys with a name from before."""
+    topics = data.get("topics") if isinstance(data, dict) else None
+    entries = topics.items() if isinstance(topics, dict) else ()
+    return [
+        (topic, key) for topic, entry in entries if isinstance(entry, dict) for key in entry if key in RENAMED
+    ]
+
+
+def _with_new_names(data: dict[str, Any], source: YamlSource, problems: Problems) -> dict[str, Any]:
+    """Return the data with today's keys; warn of each that has another name by now."""
+    found = _old_keys(data)
+    if not found:
+        return data
+    topics = dict(data["topics"])
+    for number, (topic, old) in enumerate(found):
+        new, path = RENAMED[old], ("topics", topic, old)
+        if new in topics[topic]:
+            what = f"{old!r} is the former name of {new!r}, which is written too; remove {old!r}"
+            problems.add(ConfigError("CFG010", what, where=source.place(path)), source.line(path))
+        topics[topic] = {(new if key == old else key): value for key, value in topics[topic].items()}
+        source.lines[("topics", topic, new)] = source.line(path)
+        if number < _MOST_WARNINGS:
+            log.warning(
+                "%s is now called %s; `rosplc check --fix` rewrites the file", source.place(path), new
+            )
+    if len(found) > _MOST_WARNINGS:
+        log.warning("%s: %d more keys have new names", source.name, len(found) - _MOST_WARNINGS)
+    return {**data, "topics": topics}
+
+
+def rename_keys(text: str, *, name: str = "<text>") -> tuple[str, list[str]]:
+    """Give keys of a configuration their present names; everything else in the text stays as it is.
+
+    Args:
+        text: YAML.
+        name: The file's name, for places.
+
+    Returns:
+        The text, and what was changed, each with its line.
+
+    Raises:
+        ConfigErrors: It is no YAML.
+    """
+    problems = Problems()
+    source = read_yaml(Path(name), problems, text=text)
+    done = []
+    starts = {("topics", topic, old): old for topic, old in _old_keys(source.data)}
+    for path in sorted(starts, key=lambda path: source.starts[path], reverse=True):
+        old, at = starts[path], source.starts[path]
+        at += text[at] in "'\""
+        if text[at : at + len(old)] != old or RENAMED[old] in source.data["topics"][path[1]]:
+            continue  # written with an escape sequence, or twice: left to its author
+        text = text[:at] + RENAMED[old] + text[at + len(old) :]
+        done.append(f"{source.place(path)}: renamed to {RENAMED[old]}")
+    return text, done[::-1]
 
 
 def _real_path(loc: tuple[str | int, ...], source: YamlSource) -> KeyPath:

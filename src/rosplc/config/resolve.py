@@ -160,7 +160,7 @@ def resolve(config: Config) -> Project:
         try:
             plans.append(_plan(config, topic, entry, task, layout))
         except (ConfigError, LayoutError) as error:
-            wrong = "depth" if entry.classic is None else "classic"
+            wrong = "slots" if entry.classic is None else "classic"
             problems.add(error, config.source.line((*where, wrong)))
     problems.check()
     return Project(config, store, namespace, tuple(plans))
@@ -224,8 +224,8 @@ def _plan(config: Config, topic: str, entry: TopicSettings, task: str, layout: L
         raise LayoutError(
             "LAY003",
             f"{slots} slots of {layout.size} bytes exceed the 2 GiB that an object may have",
-            where=config.source.place(("topics", topic, "depth")),
-            remedy="Lower the limits of the largest fields, or depth:.",
+            where=config.source.place(("topics", topic, "slots")),
+            remedy="Lower the limits of the largest fields, or slots:.",
         )
     return TopicPlan(
         topic=topic,
@@ -272,18 +272,18 @@ def _slots(config: Config, topic: str, entry: TopicSettings, task: str, record_s
     if entry.to == "ros":
         # A PLC publishes a topic at most once per scan; how long a freewheeling scan takes, nobody knows.
         period = cycle if settings.tasks[task].kind == "cyclic" else 0
-        demand = Demand(max(entry.rate_ns or 0, period), settings.tick_ns, record_size, every)
+        demand = Demand(max(entry.expected_rate_ns or 0, period), settings.tick_ns, record_size, every)
     else:
         # Where neither is given nothing is known, and the usual number stands.
-        demand = Demand(max(entry.rate_ns or 0, entry.rate_limit_ns or 0), cycle, record_size, every)
-    if entry.depth is None:
+        demand = Demand(max(entry.expected_rate_ns or 0, entry.rate_limit_ns or 0), cycle, record_size, every)
+    if entry.slots is None:
         return usual_slots(demand)
     least = least_slots(demand)
-    slots = 1 << (entry.depth - 1).bit_length()
+    slots = 1 << (entry.slots - 1).bit_length()
     if slots < least:
         what = (
-            f"{entry.depth} slots are too few for a message every {format_duration(demand.period_ns)} "
+            f"{entry.slots} slots are too few for a message every {format_duration(demand.period_ns)} "
             f"of {record_size} bytes; {least} are needed"
         )
-        raise ConfigError("CFG008", what, where=config.source.place(("topics", topic, "depth")))
+        raise ConfigError("CFG008", what, where=config.source.place(("topics", topic, "slots")))
     return slots

@@ -427,15 +427,17 @@ class TopicSettings(_Section):
         "Whether every message counts, in order, or the newest alone. "
         "Default: true towards ROS, false towards the PLC.",
     )
-    depth: StrictInt | None = _f(
+    slots: StrictInt | None = _f(
         None,
         "Slots in shared memory, rounded up to a power of two; N slots hold N-1 messages. "
         "Default: sized by rate and task.",
         ge=4,
         le=65536,
     )
-    rate_ns: Interval | None = _f(
-        None, "The highest rate at which messages come, for sizing alone; nothing is dropped.", alias="rate"
+    expected_rate_ns: Interval | None = _f(
+        None,
+        "The highest rate at which messages come, for sizing alone; `rate_limit` is what holds back.",
+        alias="expected_rate",
     )
     rate_limit_ns: Interval | None = _f(
         None,
@@ -447,7 +449,7 @@ class TopicSettings(_Section):
         False,
         "Pass a message on only if it differs from the one before. `classic` towards ROS: true unless "
         "written, since nothing else tells of a new message; `false` publishes at every look, with the "
-        "period of `rate_limit`, else `rate`, else the task's.",
+        "period of `rate_limit`, else `expected_rate`, else the task's.",
     )
     on_overflow: Literal["refuse", "truncate"] = _f(
         "refuse", "What happens to a message that exceeds a limit: refused and counted, or cut and counted."
@@ -469,7 +471,7 @@ class TopicSettings(_Section):
     classic: Annotated[ClassicSettings | None, BeforeValidator(_classic)] = _f(
         None,
         "`true`, or keys below: carry this topic as existing shared-memory projects do. "
-        "There is one record, so `depth` and `every` do not go with it.",
+        "There is one record, so `slots` and `every` do not go with it.",
     )
 
     @model_validator(mode="after")
@@ -487,8 +489,8 @@ class TopicSettings(_Section):
 
     @model_validator(mode="after")
     def _classic_memory_holds_one_record(self) -> TopicSettings:
-        if self.classic is not None and (self.depth is not None or self.every):
-            word = "every: true" if self.every else "depth"
+        if self.classic is not None and (self.slots is not None or self.every):
+            word = "every: true" if self.every else "slots"
             raise ValueError(f"{word} does not go with classic, which holds one record; remove one of them")
         return self
 

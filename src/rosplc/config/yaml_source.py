@@ -19,7 +19,7 @@ from rosplc.config.problems import Absent, Problems
 from rosplc.errors import ConfigError
 from rosplc.harmless import one_line
 
-__all__ = ["DEEPEST", "LARGEST_FILE", "KeyPath", "YamlSource", "read_yaml"]
+__all__ = ["DEEPEST", "LARGEST_FILE", "KeyPath", "YamlSource", "read_text", "read_yaml"]
 
 LARGEST_FILE = 1 << 20
 """Bytes that a configuration may have; one with 10,000 topics stays below."""
@@ -50,11 +50,13 @@ class YamlSource:
         name: The file's name, as the user gave it.
         data: Mappings (keys are text), lists, and scalars.
         lines: Key path → line, counted from 1.
+        starts: Key path → where the key begins, in characters of the text.
     """
 
     name: str
     data: Any = None
     lines: dict[KeyPath, int] = field(default_factory=dict)
+    starts: dict[KeyPath, int] = field(default_factory=dict, repr=False)
 
     def line(self, path: Sequence[str | int]) -> int:
         """Return the line of a key path, or of the nearest one above it that is written."""
@@ -86,7 +88,7 @@ def read_yaml(path: Path, problems: Problems, *, text: str | None = None) -> Yam
     """
     name = str(path)
     if text is None:
-        text = _load(path)
+        text = read_text(path)
     elif len(text) > LARGEST_FILE:
         raise _too_large(name)
     if half := _HALF.search(text):
@@ -108,7 +110,7 @@ def read_yaml(path: Path, problems: Problems, *, text: str | None = None) -> Yam
             raise ConfigError("CFG002", what, where=place, remedy="Replace the tab by blanks.") from None
         context = getattr(error, "context", None)
         raise ConfigError("CFG002", f"{what} ({context})" if context else what, where=place) from None
-    return YamlSource(name, builder.data, builder.lines)
+    return YamlSource(name, builder.data, builder.lines, builder.starts)
 
 
 def _too_large(name: str) -> ConfigError:
@@ -120,7 +122,8 @@ def _too_large(name: str) -> ConfigError:
     )
 
 
-def _load(path: Path) -> str:
+def read_text(path: Path) -> str:
+    """Return a file's text. Raises ConfigError: CFG001 if it cannot be read, CFG002 if it is not UTF-8."""
     try:
         # Opening a pipe waits for its writer; what a shell passes as <(command) has one.
         if path.is_fifo() and not str(path).startswith(("/dev/", "/proc/")):
@@ -149,6 +152,7 @@ class _Builder:
         self.name = name
         self.data: Any = None
         self.lines: dict[KeyPath, int] = {}
+        self.starts: dict[KeyPath, int] = {}
         self._problems = problems
         self._open: list[_Container] = []
         self._documents = 0
@@ -175,7 +179,7 @@ class _Builder:
                 raise ConfigError("CFG002", "a text holds a NUL", where=f"{self.name}:{line}")
             self._tag(event.tag, line)
             if self._expects_key():
-                self._key(event.value, line)
+                self._key(event.value, line, event.start_mark.index if event.start_mark else 0)
             else:
                 self._value(_scalar(event) if event.implicit[0] else event.value, line)
         elif isinstance(event, (yaml.MappingStartEvent, yaml.SequenceStartEvent)):
@@ -193,7 +197,7 @@ class _Builder:
     def _expects_key(self) -> bool:
         return bool(self._open) and isinstance(self._open[-1].data, dict) and self._open[-1].key is None
 
-    def _key(self, key: str, line: int) -> None:
+    def _key(self, key: str, line: int, start: int = 0) -> None:
         top = self._open[-1]
         top.key = key
         path = (*top.path, key)
@@ -205,6 +209,7 @@ class _Builder:
             self._problems.add(ConfigError(code, what, where=where), line)
         else:
             self.lines[path] = line
+            self.starts[path] = start
 
     def _value(self, value: Any, line: int) -> KeyPath:
         """Put a value into the open container, and return its path."""

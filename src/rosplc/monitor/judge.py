@@ -58,7 +58,7 @@ def judge(signs: Signs) -> tuple[State, str]:
     if signs.refused_lately:
         return State.REFUSED, "messages do not fit and are refused; the bridge's log says why"
     if signs.lost_lately:
-        return State.LOST, "messages are lost, and each one counts; raise depth: or read more per scan"
+        return State.LOST, "messages are lost, and each one counts; raise slots: or read more per scan"
     # Before silence, which begins with time: the same in the first second as in the tenth.
     if signs.plc_alive is False and not signs.received:
         return _no_plc(signs)

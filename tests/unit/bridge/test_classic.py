@@ -228,7 +228,7 @@ def test_a_lock_that_is_held_delays_no_other_topic(tmp_path: Path) -> None:
 
 def test_every_look_is_a_message_where_that_is_asked_for(tmp_path: Path) -> None:
     """on_change: false publishes what stands there at every look, as the thesis' class does."""
-    with ClassicCell(tmp_path, "ros", entry="on_change: false, rate: 100Hz") as cell:
+    with ClassicCell(tmp_path, "ros", entry="on_change: false, expected_rate: 100Hz") as cell:
         cell.write(1)
         wait_for(lambda: cell.got.count(1) > 5)
 

@@ -8,16 +8,8 @@ import time
 import pytest
 
 from rosplc.bridge import Level
-from tests.unit.bridge.conftest import (
-    INT,
-    JOINTS,
-    STRING,
-    Cell,
-    numbers,
-    unwire,
-    wait_for,
-    wire,
-)
+from tests.lib.waiting import wait_for
+from tests.unit.bridge.conftest import INT, JOINTS, STRING, Cell, numbers, unwire, wire
 
 
 def test_a_message_from_ros_stands_in_the_slot(cell: Cell) -> None:
@@ -72,7 +64,7 @@ def test_a_stamp_that_ros_cannot_carry_costs_no_message(cell: Cell, stamp_ns: in
 
 def test_every_message_from_the_plc_arrives_in_order(cell: Cell) -> None:
     """By default nothing that the PLC writes is skipped, as long as the slots hold it."""
-    cell.start(f"  /out: {{type: {INT}, to: ros, depth: 256}}\n")
+    cell.start(f"  /out: {{type: {INT}, to: ros, slots: 256}}\n")
     messages = cell.listen("/out", INT)
     plc = cell.plc("/out")
     for number in range(200):
@@ -83,7 +75,7 @@ def test_every_message_from_the_plc_arrives_in_order(cell: Cell) -> None:
 
 def test_newest_alone_where_asked(cell: Cell) -> None:
     """With every: false a burst becomes its last message; nothing counts as lost."""
-    bridge = cell.start(f"  /out: {{type: {INT}, to: ros, depth: 256, every: false}}\n", more="tick: 200ms")
+    bridge = cell.start(f"  /out: {{type: {INT}, to: ros, slots: 256, every: false}}\n", more="tick: 200ms")
     messages = cell.listen("/out", INT)
     plc = cell.plc("/out")
     plc.write({"data": 0})
@@ -130,7 +122,7 @@ def test_overwritten_messages_are_counted_and_named(cell: Cell) -> None:
     status = bridge.status().topic("/out")
     assert status.received + status.lost == 10 * slots
     assert status.lost >= 8 * slots
-    assert "raise depth" in wait_for(lambda: bridge.status().topic("/out").reason)
+    assert "raise slots" in wait_for(lambda: bridge.status().topic("/out").reason)
 
 
 def test_refused_messages_name_field_size_and_limit(cell: Cell, caplog: pytest.LogCaptureFixture) -> None:
@@ -176,7 +168,7 @@ def test_truncation_only_where_asked(cell: Cell) -> None:
 
 def test_rate_limit_towards_the_plc_keeps_the_last_message(cell: Cell) -> None:
     """A burst becomes its first message and, an interval later, its last one."""
-    bridge = cell.start(f"  /in: {{type: {INT}, to: plc, rate_limit: 300ms, depth: 64}}\n")
+    bridge = cell.start(f"  /in: {{type: {INT}, to: plc, rate_limit: 300ms, slots: 64}}\n")
     plc = cell.plc("/in")
     publisher = cell.publisher("/in", INT)
     start = time.monotonic()
@@ -192,7 +184,7 @@ def test_rate_limit_towards_the_plc_keeps_the_last_message(cell: Cell) -> None:
 
 def test_rate_limit_towards_ros_keeps_the_last_message(cell: Cell) -> None:
     """The same from the PLC: first and last, nothing in between."""
-    bridge = cell.start(f"  /out: {{type: {INT}, to: ros, rate_limit: 300ms, depth: 64}}\n")
+    bridge = cell.start(f"  /out: {{type: {INT}, to: ros, rate_limit: 300ms, slots: 64}}\n")
     messages = cell.listen("/out", INT)
     plc = cell.plc("/out")
     for number in range(40):
@@ -205,7 +197,7 @@ def test_rate_limit_towards_ros_keeps_the_last_message(cell: Cell) -> None:
 def test_on_change_towards_the_plc(cell: Cell) -> None:
     """Equal messages are passed on once; a refused one in between changes nothing."""
     bridge = cell.start(
-        f"  /text: {{type: {STRING}, to: plc, limits: {{data: 4}}, on_change: true, depth: 16}}\n"
+        f"  /text: {{type: {STRING}, to: plc, limits: {{data: 4}}, on_change: true, slots: 16}}\n"
     )
     plc = cell.plc("/text")
     publisher = cell.publisher("/text", STRING)
@@ -223,7 +215,7 @@ def test_on_change_towards_the_plc(cell: Cell) -> None:
 
 def test_on_change_towards_ros(cell: Cell) -> None:
     """What the PLC repeats is published once, whatever stands in unused bytes of the record."""
-    cell.start(f"  /text: {{type: {STRING}, to: ros, on_change: true, depth: 64}}\n")
+    cell.start(f"  /text: {{type: {STRING}, to: ros, on_change: true, slots: 64}}\n")
     messages = cell.listen("/text", STRING)
     plc = cell.plc("/text")
     assert plc.writer is not None

@@ -22,22 +22,13 @@ from rosplc.ros import LATCHED, Qos
 from rosplc.ros.memory import MemoryBackend, MemoryPublisher, MemorySubscription, open_backend
 from rosplc.shm import Namespace, OwnedChannel, attach
 from rosplc.shm.constants import IDENTITY, STATE_RETIRED
-from tests.unit.bridge.conftest import (
-    BOTH,
-    DOMAIN,
-    INT,
-    STORE,
-    STRING,
-    Cell,
-    numbers,
-    wait_for,
-    wire,
-)
+from tests.lib.waiting import wait_for
+from tests.unit.bridge.conftest import BOTH, DOMAIN, INT, STORE, STRING, Cell, numbers, wire
 
 
 def test_a_restart_adopts_and_goes_on(cell: Cell) -> None:
     """An attached PLC notices no restart; what it wrote meanwhile is sent once, nothing twice."""
-    topics = BOTH.replace("to: ros", "to: ros, depth: 16")
+    topics = BOTH.replace("to: ros", "to: ros, slots: 16")
     cell.start(topics)
     messages = cell.listen("/out", INT)
     incoming, outgoing = cell.plc("/in"), cell.plc("/out")
@@ -288,7 +279,7 @@ def test_one_topics_trouble_is_no_others(cell: Cell, monkeypatch: pytest.MonkeyP
 
 def test_an_unforeseen_error_costs_no_other_message(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
     """Messages that were taken together with one that fails are sent all the same."""
-    bridge = cell.start(f"  /a: {{type: {INT}, to: ros, depth: 64}}\n", more="tick: 200ms")
+    bridge = cell.start(f"  /a: {{type: {INT}, to: ros, slots: 64}}\n", more="tick: 200ms")
     messages = cell.listen("/a", INT)
     receive = ToRos.receive
     fails = [True]

@@ -50,7 +50,7 @@ def test_topics_come_and_go(cell: Cell) -> None:
 def test_what_is_the_same_is_not_disturbed(cell: Cell) -> None:
     """While topics are added and removed around it, a topic loses nothing and keeps its object."""
     # Slots for all: what a busy machine cannot take in time would be lost without a reload, too.
-    both = BOTH.replace("to: ros", "to: ros, depth: 16384")
+    both = BOTH.replace("to: ros", "to: ros, slots: 16384")
     bridge = cell.start(both)
     incoming, outgoing = cell.plc("/in"), cell.plc("/out")
     received = cell.listen("/out", INT)
@@ -253,7 +253,7 @@ def test_what_fails_half_way_is_undone(cell: Cell, monkeypatch: pytest.MonkeyPat
 
     monkeypatch.setattr(MemoryBackend, "subscribe", refuse)
     changed = BOTH.replace(f"/in: {{type: {INT}", f"/in: {{type: {STRING}").replace(
-        "to: ros", "to: ros, depth: 64"
+        "to: ros", "to: ros, slots: 64"
     )
     with pytest.raises(BackendError, match="not today"):
         reload(cell, changed + f"  /a: {{type: {INT}, to: plc}}\n")

@@ -15,9 +15,10 @@ from rosplc.config import parse_config
 from rosplc.errors import BackendError, ChannelError
 from rosplc.ros import Qos
 from rosplc.ros.memory import MemoryBackend, open_backend
-from tests.unit.bridge.conftest import BOTH, DOMAIN, INT, STORE, STRING, Cell, numbers, wait_for, wire
+from tests.lib.waiting import wait_for
+from tests.unit.bridge.conftest import BOTH, DOMAIN, INT, STORE, STRING, Cell, numbers, wire
 
-OUT = f"  /out: {{type: {INT}, to: ros, depth: 64}}\n"
+OUT = f"  /out: {{type: {INT}, to: ros, slots: 64}}\n"
 
 
 def pause(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> threading.Event:
@@ -132,7 +133,7 @@ def test_a_latched_message_outlives_a_restart(cell: Cell, entry: str, expected: 
 
 def test_messages_of_the_time_without_a_bridge_are_told_apart(cell: Cell) -> None:
     """The first warning tells how long no bridge was running and how many messages that cost."""
-    topics = f"  /out: {{type: {INT}, to: ros, depth: 4}}\n"
+    topics = f"  /out: {{type: {INT}, to: ros, slots: 4}}\n"
     bridge = cell.start(topics)
     messages = cell.listen("/out", INT)
     plc = cell.plc("/out")

@@ -51,8 +51,8 @@ topics:
     limits: {name: 6, "name[]": 20, string: 16}
     qos: {preset: sensor_data, reliability: reliable, depth: 3, deadline: 20Hz, lease: 1s}
     every: false
-    depth: 9
-    rate: 100Hz
+    slots: 9
+    expected_rate: 100Hz
     rate_limit: 20ms
     on_change: true
     on_overflow: truncate
@@ -99,7 +99,7 @@ def test_every_key_is_read() -> None:
     joints = settings.topics["/joints"]
     assert joints.model_dump(exclude={"qos"}) == {
         "type": "sensor_msgs/JointState", "to": "ros", "task": None, "latched": None, "every": False,
-        "limits": {"name": 6, "name[]": 20, "string": 16}, "depth": 9, "rate_ns": 10**7,
+        "limits": {"name": 6, "name[]": 20, "string": 16}, "slots": 9, "expected_rate_ns": 10**7,
         "rate_limit_ns": 2 * 10**7, "on_change": True, "on_overflow": "truncate", "stale_after_ns": 0,
         "on_stale": "stop", "print": True, "classic": None,
     }  # fmt: skip
@@ -187,8 +187,8 @@ def test_defaults() -> None:
         (TOPIC + "qos: best}}\n", [("CFG004", "c.yaml:1: topics./a.qos")]),
         (TOPIC + "qos: {depth: 0}}}\n", [("CFG004", "c.yaml:1: topics./a.qos.depth")]),
         (TOPIC + "qos: {history: keep_all}}}\n", [("CFG003", "c.yaml:1: topics./a.qos.history")]),
-        (TOPIC + "depth: 2}}\n", [("CFG004", "c.yaml:1: topics./a.depth")]),
-        (TOPIC + "rate: 20ms}}\n", []),
+        (TOPIC + "slots: 2}}\n", [("CFG004", "c.yaml:1: topics./a.slots")]),
+        (TOPIC + "expected_rate: 20ms}}\n", []),
         (TOPIC + "rate_limit: 10 Hertz}}\n", [("CFG004", "c.yaml:1: topics./a.rate_limit")]),
         (TOPIC + "rate_limit: 0Hz}}\n", [("CFG004", "c.yaml:1: topics./a.rate_limit")]),
         (TOPIC + "on_overflow: cut}}\n", [("CFG004", "c.yaml:1: topics./a.on_overflow")]),
@@ -300,7 +300,7 @@ def test_schema_accepts_what_the_reader_accepts(text: str) -> None:
         {"topics": {"/a": {"type": "a/b", "to": "x"}}},
         {"topics": {"a": {"type": "a/b", "to": "plc"}}},
         {"topics": {"/a": {"type": "a/b", "to": "plc", "qos": "best"}}},
-        {"topics": {"/a": {"type": "a/b", "to": "plc", "depth": 3}}},
+        {"topics": {"/a": {"type": "a/b", "to": "plc", "slots": 3}}},
         {"shm": {"mode": 432}},
     ],
 )

@@ -84,8 +84,8 @@ def test_tasks_and_slots() -> None:
     made = project(
         f"  /a: {{type: {TWIST}, to: ros, task: Fast}}\n"
         f"  /b: {{type: {TWIST}, to: ros}}\n"
-        f"  /c: {{type: {TWIST}, to: plc, depth: 9}}\n"
-        f"  /d: {{type: {TWIST}, to: plc, every: true, rate: 1kHz, task: Fast}}\n"
+        f"  /c: {{type: {TWIST}, to: plc, slots: 9}}\n"
+        f"  /d: {{type: {TWIST}, to: plc, every: true, expected_rate: 1kHz, task: Fast}}\n"
         f"  /e: {{type: {TWIST}, to: ros, task: Free}}\n",
         "tasks: {Slow: {interval: 20ms}, Fast: {interval: 1ms}, Free: {kind: freewheeling}}",
     )
@@ -157,12 +157,12 @@ def test_errors_in_custom_types_name_both_places(tmp_path: Path) -> None:
         ),
         (
             "tasks: {A: {interval: 1ms}}\ntopics:\n"
-            f"  /a: {{type: {TWIST}, to: plc, every: true, rate: 10kHz,\n    depth: 4}}\n",
-            [("CFG008", "c.yaml:4: topics./a.depth")],
+            f"  /a: {{type: {TWIST}, to: plc, every: true, expected_rate: 10kHz,\n    slots: 4}}\n",
+            [("CFG008", "c.yaml:4: topics./a.slots")],
         ),
         (
-            f"tasks: {{A: {{interval: 100us}}}}\ntopics:\n  /a: {{type: {TWIST}, to: ros, depth: 8}}\n",
-            [("CFG008", "c.yaml:3: topics./a.depth")],
+            f"tasks: {{A: {{interval: 100us}}}}\ntopics:\n  /a: {{type: {TWIST}, to: ros, slots: 8}}\n",
+            [("CFG008", "c.yaml:3: topics./a.slots")],
         ),
         (
             "topics:\n  /a: {type: a/b, to: plc}\n  /b: {type: c/d, to: plc}\n",
@@ -170,8 +170,8 @@ def test_errors_in_custom_types_name_both_places(tmp_path: Path) -> None:
         ),
         (  # an object has at most 2 GiB
             "topics:\n  /a: {type: std_msgs/ByteMultiArray, to: plc, limits: {data: 16777216},\n"
-            "    depth: 128}\n",
-            [("LAY003", "c.yaml:3: topics./a.depth")],
+            "    slots: 128}\n",
+            [("LAY003", "c.yaml:3: topics./a.slots")],
         ),
     ],
 )

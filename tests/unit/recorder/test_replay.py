@@ -228,7 +228,7 @@ def test_a_configuration_says_what_the_channel_is(shm_namespace: Namespace, tmp_
     config = tmp_path / "rosplc.yaml"
     config.write_text(
         f"bridge: b\nprefix: {shm_namespace.prefix}\n"
-        "topics:\n  /t1: {type: std_msgs/msg/UInt16, to: plc, depth: 32}\n"
+        "topics:\n  /t1: {type: std_msgs/msg/UInt16, to: plc, slots: 32}\n"
         "  /t2: {type: std_msgs/msg/UInt16, to: ros}\n"
     )
     project = load_project(config)
