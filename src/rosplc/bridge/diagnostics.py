@@ -61,7 +61,9 @@ class Diagnostics:
             self._publisher.write(self._message(entries[at : at + _PER_MESSAGE], now), now)
 
     def _message(self, entries: list[dict[str, Any]], now_ns: int) -> bytes:
-        stamp = {"sec": now_ns // 10**9, "nanosec": now_ns % 10**9}
+        # An int32 in ROS 2; from 2038 on its bits are those of ROS 1's uint32, which lasts until 2106.
+        seconds = (now_ns // 10**9 + 2**31) % 2**32 - 2**31
+        stamp = {"sec": seconds, "nanosec": now_ns % 10**9}
         size, count = self._one.size, len(entries)
         if count not in self._empty:
             self._empty[count] = bytes(self._layout.pack({"status": [{}] * count}))

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from typing import Any
 
 from rosbags.typesys import Stores, get_typestore
 
-from rosplc.bridge.diagnostics import TOPIC, TYPE
+from rosplc.bridge.diagnostics import TOPIC, TYPE, Diagnostics
+from rosplc.bridge.status import BridgeStatus
+from rosplc.model import TypeStore
+from rosplc.ros import Qos, open_backend
+from tests.lib.clock import SteppedClock
 from tests.lib.waiting import wait_for
 from tests.unit.bridge.conftest import Cell, wire
 
@@ -73,3 +78,18 @@ def test_no_diagnostics_where_not_wanted(cell: Cell) -> None:
     """With diagnostics: {enabled: false} the topic is not even advertised."""
     cell.start(f"  /in: {{type: {INT}, to: plc}}\n", diagnostics=False)
     assert TOPIC not in cell.peer.graph().topics
+
+
+def test_diagnostics_outlast_2038() -> None:
+    """Seconds beyond an int32 keep their bits, which ROS 1 reads as they are."""
+    got: list[bytes] = []
+    types = TypeStore.bundled("jazzy")
+    clock = SteppedClock(time_ns=(2**31 + 5) * 10**9)
+    with closing(open_backend("memory", types, "cell", domain=92)) as backend:
+        backend.subscribe(TOPIC, TYPE, Qos(), lambda payload, _: got.append(payload))
+        sender = Diagnostics(types, backend, clock)
+        sender.publish(BridgeStatus("cell", "memory", running=True))
+        wait_for(lambda: got)
+    store = get_typestore(Stores.ROS2_JAZZY)
+    sent: Any = store.deserialize_cdr(got[0], TYPE)
+    assert sent.header.stamp.sec % 2**32 == 2**31 + 5
