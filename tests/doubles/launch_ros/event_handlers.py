@@ -17,8 +17,9 @@ class OnStateTransition:
         start_state: Any = None,
         goal_state: Any = None,
         matcher: Any = None,
-        **kwargs: Any,
+        handle_once: bool = False,
     ) -> None:
         if not isinstance(target_lifecycle_node, LifecycleNode | None):
             raise RuntimeError("OnStateTransition requires a 'LifecycleNode' action as the target")  # noqa: TRY004
+        self.handle_once = handle_once
         self.entities, self.start_state, self.goal_state = entities, start_state, goal_state

@@ -108,6 +108,7 @@ def test_launch_file_starts_configures_and_activates() -> None:
     assert (handler.start_state, handler.goal_state) == ("configuring", "inactive")
     assert [action.event.transition_id for action in handler.entities] == [3]
     assert register.condition.predicate.name == "autostart"
+    assert handler.handle_once, "a later configure by hand does not activate the node"
 
 
 @pytest.mark.needs(when=importlib.util.find_spec("rclpy") is None, why="the real rclpy is here")

@@ -41,6 +41,7 @@ def generate_launch_description() -> LaunchDescription:
             start_state="configuring",
             goal_state="inactive",
             entities=[change(Transition.TRANSITION_ACTIVATE)],
+            handle_once=True,  # who configures the node again decides when it is activated
         ),
         condition=wanted,
     )
