@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rosplc.cli.guard import finite, guarded, print_json
+from rosplc.cli.guard import EXIT_FAILURE, finite, guarded, print_json
 from rosplc.cli.show_classic import classic_facts, classic_plans, list_classic, show_classic
 from rosplc.cli.text import columns, in_bytes, say, warn
-from rosplc.cli.watching import nothing_there
+from rosplc.cli.watching import nothing_there, settled
 from rosplc.errors import ChannelError
 
 if TYPE_CHECKING:
     from rosplc.api import Channel
     from rosplc.layout import RecordView
-    from rosplc.monitor import ObjectState
+    from rosplc.monitor import ChannelView, ObjectState
 
 __all__ = ["EPILOG", "command"]
 
@@ -36,6 +36,9 @@ rosplc show --config rosplc.yaml  —  its classic topics too, which cannot desc
 
 It needs no configuration otherwise, no ROS and no right to write, and nobody notices it.
 """
+
+
+_LEAST_S, _MOST_S = 0.1, 1.2
 
 
 @guarded
@@ -79,6 +82,8 @@ def command(
             if states or not classic:
                 _list(states, prefix, directory)
             list_classic(classic)
+        if states and all(state.error for state in states) and not classic:
+            raise typer.Exit(EXIT_FAILURE)
         return
     if plan := next((plan for plan in classic if plan.topic == topic), None):
         show_classic(plan, follow=follow, count=count, timeout=timeout, as_json=as_json)
@@ -88,12 +93,22 @@ def command(
     except ChannelError as error:
         raise _with_hint(error, topic, prefix, directory) from None
     with channel:
+        live = follow or count is not None
+        view = _view(topic, prefix or "rosplc", directory) if header or not live else None
         if header and not as_json:
-            _print_header(channel)
+            _print_header(channel, view)
         if follow or count is not None:
             _follow(channel, count, timeout, header=header, as_json=as_json)
         else:
-            _print_message(channel, channel.current(), header=header, as_json=as_json)
+            _print_message(channel, channel.current(), view, header=header, as_json=as_json)
+
+
+def _view(topic: str, prefix: str, directory: str) -> ChannelView | None:
+    """Return how a channel is, after a look or two; None if it is gone."""
+    from rosplc.monitor import Watch
+
+    with Watch(prefix, directory=directory, topic=topic) as watch:
+        return next(iter(settled(watch, _LEAST_S, _MOST_S).channels), None)
 
 
 def _with_hint(error: ChannelError, topic: str, prefix: str | None, directory: str) -> ChannelError:
@@ -171,7 +186,7 @@ def _follow(
         raise typer.Exit(1)
 
 
-def _print_header(channel: Channel) -> None:
+def _print_header(channel: Channel, view: ChannelView | None) -> None:
     description, snapshot = channel.description, channel.snapshot()
     writer = snapshot.writer
     rows: list[tuple[str, object]] = [
@@ -180,20 +195,34 @@ def _print_header(channel: Channel) -> None:
         ("layout id", channel.layout.layout_id),
         ("bridge", description.bridge),
         ("newest", f"message {writer.head}, {writer.refused} refused, {writer.truncated} truncated"),
-        ("writer", f"process {writer.pid}" if writer.epoch else "none"),
+        ("writer", _writer(writer.pid, view) if writer.epoch else "none"),
     ]
     rows += [
-        (f"reader {line.index}", f"{line.task or 'process'} {line.pid}: taken {line.taken}, lost {line.lost}")
-        for line in snapshot.readers
-        if line.claim
+        (
+            f"reader {line.index}",
+            f"{line.task or 'process'} {line.pid}: taken {line.taken}, lost {line.lost}"
+            + (", dead" if line.alive is False else ""),
+        )
+        for line in (view.readers if view is not None else ())
     ]
     for line in columns(rows):
         say(line)
     say()
 
 
+def _writer(pid: int, view: ChannelView | None) -> str:
+    who = f"process {pid}" if pid else "a PLC program"
+    return who + (", dead" if view is not None and view.writer_alive is False else "")
+
+
 def _print_message(
-    channel: Channel, message: RecordView | None, *, header: bool, as_json: bool, one_line: bool = False
+    channel: Channel,
+    message: RecordView | None,
+    view: ChannelView | None = None,
+    *,
+    header: bool,
+    as_json: bool,
+    one_line: bool = False,
 ) -> None:
     from rosplc.layout.view import plain
 
@@ -208,6 +237,8 @@ def _print_message(
             "lost": info.lost if info else 0,
             "message": None if message is None else plain(message),
         }
+        if view is not None:
+            document |= {"state": view.state.value, "age_ns": view.age_ns}
         if header:
             snapshot = channel.snapshot()
             document["writer"] = dataclasses.asdict(snapshot.writer)
@@ -218,11 +249,23 @@ def _print_message(
             print_json(document)
         return
     if message is None or info is None:
-        say(f"{channel.topic}: no message yet")
+        say(f"{channel.topic}: no message yet" + (f"; {view.state.value}: {view.words}" if view else ""))
         return
-    say(f"{channel.topic}  {channel.type_name}  message {info.sequence}" + _remarks(info.flags, info.lost))
+    say(
+        f"{channel.topic}  {channel.type_name}  message {info.sequence}"
+        + _remarks(info.flags, info.lost)
+        + _state(view)
+    )
     for line in lines_of(plain(message)):
         say("  " + line)
+
+
+def _state(view: ChannelView | None) -> str:
+    from rosplc.monitor.cells import age_text
+
+    if view is None:
+        return ""
+    return f"  {view.state.value}" + ("" if view.age_ns is None else f", {age_text(view.age_ns)} old")
 
 
 def _remarks(flags: int, lost: int) -> str:

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rosplc.cli.guard import EXIT_FAILURE, finite, guarded, print_json
-from rosplc.cli.text import columns, say
-from rosplc.cli.watching import Configs, Directory, Prefix, StaleAfter, nothing_there, open_watch
+from rosplc.cli.text import columns, plural, say
+from rosplc.cli.watching import Configs, Directory, Prefix, StaleAfter, nothing_there, open_watch, settled
 
 if TYPE_CHECKING:
     from rosplc.monitor import ChannelView, Event, Picture, Watch
 
-__all__ = ["EPILOG", "command", "settled"]
+__all__ = ["EPILOG", "command"]
 
 EPILOG = """Examples:
 
@@ -36,7 +36,6 @@ and 1 otherwise: it can guard a script. In JSON, `worst` is null where there are
 docs/howto/watch-channels.md explains each state.
 """
 
-_LOOK_SECONDS = 0.1
 _LEAST_SECONDS = 1.0
 _MOST_SECONDS = 31.0
 """A beat is never promised for more than ten seconds, and three are waited for."""
@@ -57,7 +56,7 @@ def command(
 ) -> None:
     """Print one table of every channel of every bridge on this machine, and what is wrong."""
     with open_watch(prefix, config, stale_after, directory) as watch:
-        picture = settled(watch)
+        picture = settled(watch, _LEAST_SECONDS, _MOST_SECONDS)
         if as_json and follow:
             typer.echo(json.dumps(finite(picture.as_json())))
         elif as_json:
@@ -68,24 +67,6 @@ def command(
             _follow(watch, as_json=as_json)
     if picture.wrong or not picture.channels:
         raise typer.Exit(EXIT_FAILURE)
-
-
-def settled(watch: Watch) -> Picture:
-    """Look until there are rates, and until it is known of everybody whether they live.
-
-    Raises:
-        ChannelError: SHM123 if the directory cannot be listed.
-    """
-    from rosplc.monitor import State
-
-    began = time.monotonic()
-    while True:
-        picture = watch.look()
-        passed = time.monotonic() - began
-        looking = any(view.state is State.UNKNOWN for view in picture.channels)
-        if not picture.channels or passed > _MOST_SECONDS or (passed > _LEAST_SECONDS and not looking):
-            return picture
-        time.sleep(_LOOK_SECONDS)
 
 
 def _print(picture: Picture, prefix: str | None, directory: str) -> None:
@@ -99,7 +80,8 @@ def _print(picture: Picture, prefix: str | None, directory: str) -> None:
         alive = "starting" if bridge.alive is None else alive
         process = f", process {bridge.pid}" if bridge.pid else ""
         alive += f" ({bridge.process})" if bridge.process else ""
-        say(f"bridge {bridge.name}, prefix {bridge.prefix}{process}: {alive}, {bridge.channels} channels")
+        channels = plural(bridge.channels, "channel")
+        say(f"bridge {bridge.name}, prefix {bridge.prefix}{process}: {alive}, {channels}")
     say()
     several = len({view.prefix for view in picture.channels}) > 1
     rows = []

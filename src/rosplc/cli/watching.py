@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-if TYPE_CHECKING:
-    from rosplc.monitor import Watch
+from rosplc.clock import SYSTEM, Clock
 
-__all__ = ["Configs", "Directory", "Prefix", "StaleAfter", "nothing_there", "open_watch"]
+if TYPE_CHECKING:
+    from rosplc.monitor import Picture, Watch
+
+__all__ = ["Configs", "Directory", "Prefix", "StaleAfter", "nothing_there", "open_watch", "settled"]
 
 Prefix = Annotated[
     str | None,
@@ -21,8 +23,8 @@ Configs = Annotated[
     typer.Option(
         "--config",
         metavar="FILE",
-        help="A configuration, several times if need be: its `stale_after:` and classic topics count, and "
-        "a topic that has no channel is missing.",
+        help="A configuration: its bridge only, judged by its `stale_after:`, with its classic topics and "
+        "those that have no channel. May be repeated.",
     ),
 ]
 StaleAfter = Annotated[
@@ -33,6 +35,7 @@ StaleAfter = Annotated[
     ),
 ]
 _NAMED = 4
+_LOOK_NS = 100_000_000
 Directory = Annotated[str, typer.Option(help="Where the objects stand.", hidden=True)]
 
 
@@ -70,4 +73,31 @@ def open_watch(prefix: str | None, configs: list[Path] | None, stale_after: str,
     except ValueError as error:
         raise typer.BadParameter(f"{error}, or never", param_hint="--stale-after") from None
     expected = replace(expected_by(configs or ()), stale_after_ns=limit)
-    return Watch(prefix, directory=directory, expected=expected)
+    return Watch(prefix or expected.prefixes or None, directory=directory, expected=expected)
+
+
+def settled(watch: Watch, least: float, most: float, clock: Clock = SYSTEM) -> Picture:
+    """Look until it is known of every side whether it is alive.
+
+    Args:
+        watch: What to look with.
+        least: How long to look at least, in seconds: for rates.
+        most: How long to look at most, in seconds.
+        clock: By which it is waited.
+
+    Raises:
+        ChannelError: SHM123 if the directory cannot be listed.
+    """
+    from rosplc.monitor import State
+
+    began = clock.monotonic_ns()
+    while True:
+        picture = watch.look()
+        passed = (clock.monotonic_ns() - began) / 1e9
+        looking = any(
+            view.state is State.UNKNOWN or None in [each.alive for each in view.readers]
+            for view in picture.channels
+        )
+        if not picture.channels or passed > most or (passed > least and not looking):
+            return picture
+        clock.sleep(_LOOK_NS)

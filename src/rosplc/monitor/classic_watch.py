@@ -57,6 +57,7 @@ class ClassicWatch:
             age_ns=None if self._changed_ns is None else since,
             received=self._changes,
             stale=stale,
+            silent=stale,
             stale_after_ns=topic.stale_after_ns,
             configured=True,
             record_size=topic.layout.size,

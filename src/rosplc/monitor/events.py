@@ -6,26 +6,45 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 
 from rosplc.levels import Level
+from rosplc.monitor.judge import silence_words
 from rosplc.monitor.picture import BridgeView, ChannelView, Event
 from rosplc.monitor.states import State
 
 __all__ = ["bridge_events", "channel_events", "grouped"]
 
-_SILENCE = (State.STALE, State.SILENT)
+_NO_SILENCE = (State.DEAD, State.NO_BRIDGE, State.UNREADABLE, State.MISSING, State.UNKNOWN)
+"""States with an event of their own, or too little known: that messages stop then is no further event."""
 
 
 def channel_events(
-    before: Mapping[str, ChannelView], after: Mapping[str, ChannelView], time_ns: int
+    before: Mapping[str, ChannelView], after: Mapping[str, ChannelView], silent: set[str], time_ns: int
 ) -> Iterator[Event]:
-    """Yield what happened to channels, each by its id, between two looks."""
+    """Yield what happened to channels, each by its id, between two looks.
+
+    Args:
+        before: The channels of the look before.
+        after: Those of this look.
+        silent: The channels with a ``stale`` that no ``recovered`` has followed; brought up to date.
+        time_ns: When this look was taken.
+    """
     for identifier, view in after.items():
         known = before.get(identifier)
         if known is None:
             yield _event(time_ns, "appeared", view, "the channel appeared", view.state.level)
         elif known != view:
             yield from _changes(known, view, time_ns)
+        if identifier in silent and (known is None or known.generation != view.generation):
+            silent.discard(identifier)
+        elif identifier in silent and not view.silent and view.state is not State.UNREADABLE:
+            silent.discard(identifier)
+            yield _event(time_ns, "recovered", view, "messages come again")
+        elif view.silent and view.stale and identifier not in silent and view.state not in _NO_SILENCE:
+            silent.add(identifier)
+            words = view.words if view.classic else silence_words(view)
+            yield _event(time_ns, "stale", view, words, Level.STALE)
     for identifier, view in before.items():
         if identifier not in after:
+            silent.discard(identifier)
             yield _event(time_ns, "vanished", view, "the channel is gone", Level.WARN)
 
 
@@ -50,10 +69,6 @@ def _changes(before: ChannelView, after: ChannelView, time_ns: int) -> Iterator[
         yield _event(time_ns, "plc-gone", after, f"no PLC task {way} it any more", Level.ERROR)
     elif before.plc_alive is False and after.plc_alive:
         yield _event(time_ns, "plc-back", after, "a PLC task is there again")
-    if after.state in _SILENCE and after.stale and before.state not in _SILENCE:
-        yield _event(time_ns, "stale", after, after.words, Level.STALE)
-    elif before.state in _SILENCE and after.state is State.OK:
-        yield _event(time_ns, "recovered", after, "messages come again")
 
 
 def _counters(before: ChannelView, after: ChannelView, time_ns: int) -> Iterator[Event]:

@@ -59,11 +59,13 @@ class Expected:
         topics: Per prefix and topic.
         classic: Classic topics, with the prefix of their bridge.
         stale_after_ns: For topics towards the PLC that no configuration names; 0 for never.
+        prefixes: Of the configurations' bridges.
     """
 
     topics: Mapping[tuple[str, str], Expectation] = field(default_factory=dict)
     classic: tuple[tuple[str, ClassicTopic], ...] = ()
     stale_after_ns: int = _STALE_TO_PLC_NS
+    prefixes: frozenset[str] = frozenset()
 
     def of(self, prefix: str, topic: str, direction: Direction) -> Expectation:
         """Return what is expected of a topic."""
@@ -84,11 +86,13 @@ def expected_by(files: Iterable[Path]) -> Expected:
     """
     topics: dict[tuple[str, str], Expectation] = {}
     classic: list[tuple[str, ClassicTopic]] = []
+    prefixes: set[str] = set()
     for file in files:
         found = expected_of(load_project(file))
         topics.update(found.topics)
         classic += found.classic
-    return Expected(topics, tuple(classic))
+        prefixes |= found.prefixes
+    return Expected(topics, tuple(classic), prefixes=frozenset(prefixes))
 
 
 def expected_of(project: Project) -> Expected:
@@ -105,4 +109,4 @@ def expected_of(project: Project) -> Expected:
             plan.topic, plan.direction, names.name, names.semaphore, plan.layout, plan.stale_after_ns
         )
         classic.append((prefix, topic))
-    return Expected(topics, tuple(classic))
+    return Expected(topics, tuple(classic), prefixes=frozenset({prefix}))

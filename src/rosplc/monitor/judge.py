@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from rosplc.monitor.picture import ReaderView
+from rosplc.monitor.picture import ChannelView, ReaderView
 from rosplc.monitor.states import State
 
-__all__ = ["Signs", "judge"]
+__all__ = ["Signs", "judge", "silence_words"]
 
 
 @dataclass(slots=True)
@@ -63,7 +63,7 @@ def judge(signs: Signs) -> tuple[State, str]:
     if signs.plc_alive is False and not signs.received:
         return _no_plc(signs)
     if signs.silent:
-        return (State.STALE if signs.received else State.SILENT), _silence(signs)
+        return (State.STALE if signs.received else State.SILENT), silence_words(signs)
     if signs.bridge_alive is None or (signs.plc_alive is None and signs.plc_claimed):
         return State.UNKNOWN, "looking for signs of life"
     if signs.plc_alive is False:
@@ -78,16 +78,18 @@ def judge(signs: Signs) -> tuple[State, str]:
 def _no_plc(signs: Signs) -> tuple[State, str]:
     if not signs.to_plc:
         return State.NO_PLC, "no PLC task writes it"
-    nothing = "" if signs.received else f", and {_silence(signs)}"
+    nothing = "" if signs.received else f", and {silence_words(signs)}"
     return State.NO_PLC, f"no PLC task reads it{nothing}"
 
 
-def _silence(signs: Signs) -> str:
-    source = "ROS" if signs.to_plc else "the PLC"
-    nobody = signs.to_plc and signs.ros_peers == 0
-    if not signs.received:
+def silence_words(seen: Signs | ChannelView) -> str:
+    """Return a sentence on a source that is silent, or was until a moment ago."""
+    to_plc = seen.to_plc if isinstance(seen, Signs) else seen.direction == "to_plc"
+    source = "ROS" if to_plc else "the PLC"
+    nobody = to_plc and seen.ros_peers == 0
+    if not seen.received:
         return f"no message yet from {source}" + (": nobody publishes" if nobody else "")
-    if not signs.stale:
+    if not seen.stale:
         return f"messages come again from {source}, after silence"
     gone = "; nobody publishes any more" if nobody else ""
     return f"no message from {source} for longer than it may be silent{gone}"

@@ -69,6 +69,7 @@ class ChannelView:
         plc_claimed: Whether the PLC's side holds a claim: alive, or dead without having given it back.
         ros_peers: ROS publishers towards the PLC, subscribers towards ROS; None if nobody counts them.
         stale: Whether the newest message is older than ``stale_after_ns``.
+        silent: The same, half a second later and half a second longer: one late message changes nothing.
         stale_after_ns: How old it may become; 0 for never.
         configured: Whether a configuration said so; otherwise it is the default.
         record_size: Bytes of a record.
@@ -104,6 +105,7 @@ class ChannelView:
     plc_claimed: bool = False
     ros_peers: int | None = None
     stale: bool = False
+    silent: bool = False
     stale_after_ns: int = 0
     configured: bool = False
     record_size: int = 0

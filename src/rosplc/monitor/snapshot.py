@@ -6,17 +6,16 @@ are mapped read-only.
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rosplc.errors import ChannelError
-from rosplc.monitor.objects import object_prefix, open_object
-from rosplc.shm import Attached, Direction, Namespace, Snapshot
-from rosplc.shm.liveness import Liveness
+from rosplc.clock import SYSTEM, Clock
+from rosplc.monitor.picture import ChannelView
+from rosplc.monitor.states import State
+from rosplc.monitor.watch import Watch
 
-__all__ = ["ObjectState", "find_objects", "look"]
+__all__ = ["ObjectState", "find_objects"]
 
 _LOOKS = 4
 
@@ -67,7 +66,7 @@ class ObjectState:
 
 
 def find_objects(
-    directory: str = "/dev/shm", *, prefix: str | None = None, seconds: float = 0.35
+    directory: str = "/dev/shm", *, prefix: str | None = None, seconds: float = 0.35, clock: Clock = SYSTEM
 ) -> list[ObjectState]:
     """Look at every object of this machine.
 
@@ -75,6 +74,7 @@ def find_objects(
         directory: Where the objects stand.
         prefix: Only those of this prefix; None for all.
         seconds: How long to watch beats; bridges beat every 0.1 s by default.
+        clock: What beats are judged by.
 
     Returns:
         One state per object, sorted by prefix and topic; objects that cannot be read are
@@ -83,91 +83,31 @@ def find_objects(
     Raises:
         ChannelError: SHM118 if the prefix is not valid, SHM123 if the directory cannot be listed.
     """
-    if prefix is not None:
-        Namespace(prefix, directory)
-    try:
-        names = sorted(entry.name for entry in Path(directory).iterdir())
-    except OSError as error:
-        raise ChannelError("SHM123", f"cannot list: {error.strerror}", where=directory) from error
-    states: list[ObjectState] = []
-    attached: list[tuple[ObjectState, Attached]] = []
-    for name in names:
-        found = object_prefix(name)
-        if found is None or prefix not in (None, found):
-            continue
-        path = str(Path(directory) / name)
-        topic = Namespace(found, directory).topic_of(name) or name
-        state = ObjectState(found, topic, path)
-        try:
-            attached.append((state, open_object(path)))
-        except ChannelError as error:
-            states.append(ObjectState(found, topic, path, error=error.what, code=error.code))
-    try:
-        states += _watch(attached, seconds)
-    finally:
-        for _, each in attached:
-            each.close()
-    return sorted(states, key=lambda state: (state.prefix, state.topic))
+    with Watch(prefix, directory=directory, clock=clock) as watch:
+        picture = watch.look()
+        for _ in range(_LOOKS if seconds and picture.channels else 0):
+            clock.sleep(round(seconds / _LOOKS * 1e9))
+            picture = watch.look()
+    return [_state(view, directory) for view in picture.channels]
 
 
-class _Beats:
-    def __init__(self, snapshot: Snapshot) -> None:
-        self.writer = Liveness(snapshot.writer.beat_ms)
-        self.readers = [Liveness(line.beat_ms) for line in snapshot.readers]
-        self.writer_alive = False
-        self.readers_alive = [False] * len(self.readers)
-
-    def observe(self, snapshot: Snapshot, now_ns: int) -> None:
-        writer = snapshot.writer
-        self.writer_alive = self.writer.observe(writer.beat, writer.head, now_ns) and writer.epoch != 0
-        self.readers_alive = [
-            beats.observe(line.beat, line.taken, now_ns) and line.claim != 0
-            for beats, line in zip(self.readers, snapshot.readers, strict=True)
-        ]
-
-
-def _watch(attached: list[tuple[ObjectState, Attached]], seconds: float) -> list[ObjectState]:
-    beats = [_Beats(each.snapshot()) for _, each in attached]
-    for look_number in range(_LOOKS + 1):
-        if look_number:
-            time.sleep(seconds / _LOOKS)
-        now = time.monotonic_ns()
-        for (_, each), beat in zip(attached, beats, strict=True):
-            beat.observe(each.snapshot(), now)
-        if not attached:
-            break
-    return [
-        look(each, state, writer_alive=beat.writer_alive, readers_alive=beat.readers_alive)
-        for (state, each), beat in zip(attached, beats, strict=True)
-    ]
-
-
-def look(
-    attached: Attached, state: ObjectState, *, writer_alive: bool, readers_alive: list[bool]
-) -> ObjectState:
-    """Return the state of an attached object, what beats being known."""
-    identity, snapshot = attached.identity, attached.snapshot()
-    try:
-        description = attached.description
-    except ChannelError as error:
-        return ObjectState(state.prefix, state.topic, state.path, error=error.what, code=error.code)
+def _state(view: ChannelView, directory: str) -> ObjectState:
+    path = str(Path(directory) / view.id)
+    if view.state is State.UNREADABLE:
+        return ObjectState(view.prefix, view.topic, path, error=view.words, code=view.code)
     return ObjectState(
-        prefix=state.prefix,
-        topic=description.topic,
-        path=state.path,
-        type_name=description.type,
-        direction=Direction(identity.direction).word,
-        record_size=identity.record_size,
-        slots=identity.slot_count,
-        layout_id=identity.layout_id,
-        bridge=description.bridge,
-        head=snapshot.writer.head,
-        refused=snapshot.writer.refused,
-        truncated=snapshot.writer.truncated,
-        writer_alive=writer_alive,
-        readers=tuple(
-            line.task or f"process {line.pid}"
-            for line, alive in zip(snapshot.readers, readers_alive, strict=True)
-            if alive
-        ),
+        prefix=view.prefix,
+        topic=view.topic,
+        path=path,
+        type_name=view.type_name,
+        direction=view.direction,
+        record_size=view.record_size,
+        slots=view.slots,
+        layout_id=view.layout_id,
+        bridge=view.bridge,
+        head=view.received,
+        refused=view.refused,
+        truncated=view.truncated,
+        writer_alive=view.writer_alive is True,
+        readers=tuple(each.task or f"process {each.pid}" for each in view.readers if each.alive),
     )

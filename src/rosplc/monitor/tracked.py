@@ -154,6 +154,7 @@ class Tracked:
             plc_claimed=signs.plc_claimed,
             ros_peers=signs.ros_peers,
             stale=signs.stale,
+            silent=signs.silent,
             stale_after_ns=limit,
             configured=expectation.configured,
             record_size=identity.record_size,

@@ -7,10 +7,11 @@ before. Objects that appear, vanish, are replaced or are damaged are ordinary, a
 from __future__ import annotations
 
 import os
-import time
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from rosplc.clock import SYSTEM, Clock
 from rosplc.described import layout_of
 from rosplc.errors import ChannelError
 from rosplc.monitor.classic_watch import ClassicWatch
@@ -59,9 +60,11 @@ class Watch:
     """Looks at the channels of this machine; a context manager. For one thread at a time.
 
     Args:
-        prefix: Only those of this prefix; None for all.
+        prefix: Only those of this prefix, or of these; None for all.
         directory: Where the objects stand.
         expected: What configurations say of topics; without it the defaults hold.
+        topic: Only this topic; None for all.
+        clock: What ages, rates and signs of life are judged by.
 
     Raises:
         ChannelError: SHM118 if the prefix is not valid.
@@ -69,14 +72,18 @@ class Watch:
 
     def __init__(
         self,
-        prefix: str | None = None,
+        prefix: str | Collection[str] | None = None,
         *,
         directory: str = "/dev/shm",
         expected: Expected | None = None,
+        topic: str | None = None,
+        clock: Clock = SYSTEM,
     ) -> None:
-        if prefix is not None:
-            Namespace(prefix, directory)
-        self._prefix = prefix
+        prefixes = (prefix,) if isinstance(prefix, str) else prefix
+        self._names = {each: Namespace(each, directory) for each in prefixes or ()}
+        self._all = prefixes is None
+        self._topic = topic
+        self._clock = clock
         self._directory = directory
         self._expected = expected or Expected()
         self._tracked: dict[str, tuple[_File, Tracked]] = {}
@@ -84,9 +91,10 @@ class Watch:
         self._classic = [
             ClassicWatch(each_prefix, topic)
             for each_prefix, topic in self._expected.classic
-            if prefix in (None, each_prefix)
+            if self._wanted(each_prefix, topic.topic)
         ]
         self._before: dict[str, ChannelView] | None = None
+        self._silent: set[str] = set()
         self._bridges: tuple[BridgeView, ...] = ()
 
     def __enter__(self) -> Watch:
@@ -110,7 +118,7 @@ class Watch:
         Raises:
             ChannelError: SHM123 if the directory cannot be listed.
         """
-        now, wall = time.monotonic_ns(), time.time_ns()
+        now, wall = self._clock.monotonic_ns(), self._clock.time_ns()
         files, notes = self._list()
         for name in [name for name in self._tracked if name not in files]:
             self._drop(name)
@@ -153,6 +161,14 @@ class Watch:
         info = Reader(attached.region, 0).peek(record)
         return None if info is None else message_of(identifier, layout, record, info, elements)
 
+    def _wanted(self, prefix: str, topic: str | None = None, *, name: str = "") -> bool:
+        """Return whether a topic, or the object of a name, is to be looked at."""
+        if not self._all and prefix not in self._names:
+            return False
+        if self._topic is None:
+            return True
+        return name == Namespace(prefix, self._directory).object_name(self._topic) or topic == self._topic
+
     def _sound(self, attached: Attached) -> bool:
         """Return whether the name still leads to the object, and the object still has its size."""
         try:
@@ -168,7 +184,7 @@ class Watch:
             with os.scandir(self._directory) as entries:
                 for entry in entries:
                     prefix = object_prefix(entry.name)
-                    if prefix is None or self._prefix not in (None, prefix):
+                    if prefix is None or not self._wanted(prefix, name=entry.name):
                         continue
                     if len(found) >= MAX_CHANNELS:
                         more += 1
@@ -255,16 +271,18 @@ class Watch:
                 configured=True,
             )
             for prefix, topic in self._expected.topics
-            if (prefix, topic) not in there and self._prefix in (None, prefix)
+            if (prefix, topic) not in there and self._wanted(prefix, topic)
         ]
 
     def _picture(self, views: tuple[ChannelView, ...], wall: int, notes: tuple[str, ...]) -> Picture:
         after = {view.id: view for view in views}
         bridges = _bridges(views)
         events: list[Event] = []
-        if self._before is not None:
+        if self._before is None:
+            self._silent = {view.id for view in views if view.silent}
+        else:
             events += bridge_events(self._bridges, bridges, wall)
-            events += channel_events(self._before, after, wall)
+            events += channel_events(self._before, after, self._silent, wall)
         self._before = {name: _known_life(self._before, view) for name, view in after.items()}
         self._bridges = _known_bridges(self._bridges, bridges)
         return Picture(wall, views, bridges, tuple(events), notes)

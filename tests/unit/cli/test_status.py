@@ -11,7 +11,7 @@ import threading
 
 import pytest
 
-from rosplc.shm import Direction, attach
+from rosplc.shm import Direction, Namespace, attach
 from tests.channels import Side, layout_of, until
 from tests.command import rosplc
 
@@ -41,7 +41,7 @@ def running(shm_namespace):
 def test_a_machine_that_is_in_order_is_one_table_and_status_0(running):
     """Bridge, topic, rate and the PLC's life; nothing else."""
     output = rosplc("status", "--prefix", running).output
-    assert f"bridge test, prefix {running}, process {os.getpid()}: alive, 1 channels" in output
+    assert f"bridge test, prefix {running}, process {os.getpid()}: alive, 1 channel\n" in output
     (row,) = (line.split() for line in output.splitlines() if "/cell/state" in line)
     assert row[:4] == ["ok", "/cell/state", "→", "PLC"]
     assert row[-1] == "alive"
@@ -82,6 +82,45 @@ def test_a_configuration_says_what_is_missing(tmp_path, shm_namespace):
     output = rosplc("status", "--config", config, "--prefix", shm_namespace.prefix, code=1).output
     assert "/a: missing: " in output
     assert "/b: missing: there is no such memory" in output
+
+
+def test_a_configuration_means_its_bridge_only(running, tmp_path, shm_namespace):
+    """What another bridge does is no trouble of this one's."""
+    config = tmp_path / "rosplc.yaml"
+    config.write_text(
+        f"bridge: test\nprefix: {running}\ntopics: {{/cell/state: {{type: std_msgs/msg/Float64, to: plc}}}}\n"
+    )
+    other = Side(
+        Namespace(f"{running}x", shm_namespace.directory),
+        "/n",
+        layout_of("std_msgs/msg/Float64"),
+        Direction.TO_PLC,
+    )
+    try:
+        document = json.loads(rosplc("status", "--config", config, "--json").output)
+    finally:
+        other.channel.retire()
+    assert {channel["prefix"] for channel in document["channels"]} == {running}
+
+
+def test_show_has_age_and_state_and_marks_what_is_dead(running, shm_namespace):
+    """One topic's message comes with its state; a reader without a beat is shown as dead."""
+    output = rosplc("show", "/cell/state", "--prefix", running, "--header").output
+    assert "  ok, " in output and " old" in output and ", dead" not in output
+    document = json.loads(rosplc("show", "/cell/state", "--prefix", running, "--json").output)
+    assert document["state"] == "ok" and document["age_ns"] >= 0
+    side = Side(shm_namespace, "/n", layout_of("std_msgs/msg/Float64"), Direction.TO_PLC)
+    with attach(shm_namespace, "/n", write=True) as plc:
+        plc.reader("PLC_PRG", observe=False, beat_ms=10)
+        output = rosplc("show", "/n", "--prefix", shm_namespace.prefix, "--header").output
+    side.close()
+    assert "lost 0, dead" in output
+
+
+def test_show_of_unreadable_objects_alone_ends_with_status_1(shm_namespace):
+    """A list of errors is no list of channels."""
+    shm_namespace.path("/broken").write_bytes(b"x" * 600)
+    assert "SHM104" in rosplc("show", "--prefix", shm_namespace.prefix, code=1).output
 
 
 def test_a_machine_without_channels_ends_with_status_1(shm_namespace, tmp_path):

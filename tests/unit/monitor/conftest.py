@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-import types
-
 import pytest
 
 from rosplc.monitor import Watch
 from rosplc.shm import Direction, attach
 from tests.channels import Side, layout_of
+from tests.lib.clock import SteppedClock
 
 
 class Cell:
     """Channels of one bridge, and a watch over them."""
 
-    def __init__(self, namespace, monkeypatch):
+    def __init__(self, namespace):
         self.namespace = namespace
-        self.now_ns = 1_000_000_000_000
-        self.wall_ns = 1_700_000_000_000_000_000
-        clock = types.SimpleNamespace(monotonic_ns=lambda: self.now_ns, time_ns=lambda: self.wall_ns)
-        monkeypatch.setattr("rosplc.monitor.watch.time", clock)
+        self.clock = SteppedClock()
         self.sides: list[Side] = []
         self.attached = []
         self.watches = []
@@ -30,7 +26,7 @@ class Cell:
         return made
 
     def watch(self, **settings):
-        made = Watch(self.namespace.prefix, **settings)
+        made = Watch(self.namespace.prefix, clock=self.clock, **settings)
         self.watches.append(made)
         return made
 
@@ -45,8 +41,7 @@ class Cell:
         return attached.writer(beat_ms=beat_ms)
 
     def pass_time(self, seconds):
-        self.now_ns += int(seconds * 1e9)
-        self.wall_ns += int(seconds * 1e9)
+        self.clock.advance(seconds)
 
     def close(self):
         for each in (*self.watches, *self.attached, *self.sides):
@@ -54,7 +49,7 @@ class Cell:
 
 
 @pytest.fixture
-def cell(shm_namespace, monkeypatch):
-    made = Cell(shm_namespace, monkeypatch)
+def cell(shm_namespace):
+    made = Cell(shm_namespace)
     yield made
     made.close()

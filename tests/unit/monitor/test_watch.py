@@ -10,7 +10,7 @@ import pytest
 
 from rosplc.errors import ChannelError
 from rosplc.levels import Level
-from rosplc.monitor import Expectation, Expected, State
+from rosplc.monitor import Expectation, Expected, State, Watch
 from rosplc.monitor.expected import ClassicTopic
 from rosplc.monitor.watch import MAX_CHANNELS
 from rosplc.shm import Direction
@@ -176,6 +176,56 @@ def test_silence_is_stale_after_the_time_allowed_and_half_a_second(cell):
     assert (only(picture).state, kinds) == (State.OK, ["recovered"])
 
 
+def test_without_a_plc_the_state_is_the_same_whenever_one_looks(cell):
+    """Until a message came, a PLC task that is missing comes before a silent source."""
+    side, watch = cell.side("/n"), cell.watch()
+    watch.look()
+    states = set()
+    for _ in range(20):
+        picture, _ = settle(cell, watch, side, looks=1)
+        states.add(only(picture).state)
+    assert states - {State.UNKNOWN} == {State.NO_PLC}
+    assert only(picture).silent
+
+
+def test_each_stale_has_its_recovered(cell):
+    """The two events come in pairs, also where the channel is in another trouble before and after."""
+    side, reader, watch = cell.side("/n"), cell.plc_reader("/n"), cell.watch()
+    side.send(data=1.0)
+    watch.look()
+    found = []
+
+    def go(*alive, looks=8, sends=False):
+        for _ in range(looks):
+            if sends:
+                side.send(data=1.0)
+            found.extend(settle(cell, watch, *alive, looks=1)[1])
+
+    go(side, reader, sends=True)
+    go(side, reader)  # silent
+    reader.release()
+    go(side)  # and without a PLC
+    go(side, sends=True)  # messages come again, still without a PLC
+    assert found == ["stale", "recovered"] or found == ["stale", "plc-gone", "recovered"]
+    found.clear()
+    go(side)
+    go(looks=12)  # the bridge dies while it is silent
+    go(side, sends=True)
+    assert [kind for kind in found if kind in ("stale", "recovered")] == ["stale", "recovered"]
+    found.clear()
+    go(looks=12)  # it dies while messages come: that is the event
+    go(side, sends=True)
+    assert found == ["bridge-gone", "bridge-back"]
+
+
+def test_several_prefixes_or_one_topic(cell):
+    """A watch may be over the bridges of some configurations, or over one topic alone."""
+    cell.side("/a"), cell.side("/b")
+    assert len(Watch((cell.namespace.prefix, "other"), clock=cell.clock).look().channels) == 2
+    assert not Watch(("other",), clock=cell.clock).look().channels
+    assert [view.topic for view in cell.watch(topic="/b").look().channels] == ["/b"]
+
+
 def test_a_topic_without_any_message_is_silent(cell):
     """Nothing came yet, and nobody publishes: the words say both."""
     side = cell.side("/n")
@@ -229,10 +279,12 @@ def test_messages_that_are_refused_are_told(cell):
 def test_the_age_before_the_first_message_seen_comes_from_the_stamp(cell):
     """A message that was there before the look is as old as its stamp says, at least."""
     side = cell.side("/n")
-    side.writer.publish(side.layout.pack({}), stamp_ns=cell.wall_ns - 7_000_000_000)
+    side.writer.publish(side.layout.pack({}), stamp_ns=cell.clock.time_ns() - 7_000_000_000)
     watch = cell.watch()
     assert only(watch.look()).age_ns == 7_000_000_000
-    side.writer.publish(side.layout.pack({}), stamp_ns=cell.wall_ns + 10**12)  # another machine's clock
+    side.writer.publish(
+        side.layout.pack({}), stamp_ns=cell.clock.time_ns() + 10**12
+    )  # another machine's clock
     assert only(watch.look()).age_ns == 0
 
 

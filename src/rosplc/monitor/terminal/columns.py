@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from rich.cells import cell_len, set_cell_size
 
-from rosplc.harmless import one_line
+from rosplc.harmless import one_line, shorten
 from rosplc.monitor.cells import age_text, count_text, plc_text, rate_text, state_text, way_text
 from rosplc.monitor.picture import ChannelView
 from rosplc.monitor.terminal.order import Order
@@ -60,15 +60,11 @@ def columns_for(width: int) -> list[tuple[Column, int]]:
 
 
 def fitted(column: Column, width: int, view: ChannelView) -> str:
-    """Return a channel's text in exactly ``width`` cells; what is too long loses its beginning.
-
-    It is the end that tells one topic from another.
-    """
-    text = one_line(column.text(view))
-    if cell_len(text) > width:
-        while text and cell_len(text) > width - 1:
-            text = text[1:]
-        text = f"…{text}"
+    """Return a channel's text in exactly ``width`` cells; what is too long is shortened in the middle."""
+    text = whole = one_line(column.text(view))
+    size = width
+    while cell_len(text) > width:  # a character may take two cells
+        text, size = shorten(whole, size), size - 1
     return text.rjust(width) if column.figure else set_cell_size(text, width)
 
 

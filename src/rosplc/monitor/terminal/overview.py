@@ -136,7 +136,10 @@ class OverviewScreen(Screen[None]):
             box.update("", layout=False)
             return
         place = f" {one_line(view.topic)}  {one_line(view.type_name)}  {view.prefix}: {one_line(view.bridge)}"
-        readers = ", ".join(one_line(each.task) or f"process {each.pid}" for each in view.readers)
+        readers = ", ".join(
+            (one_line(each.task) or f"process {each.pid}") + (" (dead)" if each.alive is False else "")
+            for each in view.readers
+        )
         code = f" [{view.code}]" if view.code else ""
         words = f" {one_line(view.words)}{code}" + (f"; read by {readers}" if readers else "")
         box.update(Text(f"{place}\n{words}", no_wrap=True, overflow="ellipsis"), layout=False)
