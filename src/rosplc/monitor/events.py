@@ -12,7 +12,7 @@ from rosplc.monitor.states import State
 
 __all__ = ["bridge_events", "channel_events", "grouped"]
 
-_NO_SILENCE = (State.DEAD, State.NO_BRIDGE, State.UNREADABLE, State.MISSING, State.UNKNOWN)
+_NO_SILENCE = (State.DEAD, State.NO_BRIDGE, State.MISSING, State.UNKNOWN)
 """States with an event of their own, or too little known: that messages stop then is no further event."""
 
 
@@ -33,9 +33,11 @@ def channel_events(
             yield _event(time_ns, "appeared", view, "the channel appeared", view.state.level)
         elif known != view:
             yield from _changes(known, view, time_ns)
-        if identifier in silent and (known is None or known.generation != view.generation):
+        if view.state is State.UNREADABLE:
+            continue
+        if identifier in silent and (known is None or known.generation not in (0, view.generation)):
             silent.discard(identifier)
-        elif identifier in silent and not view.silent and view.state is not State.UNREADABLE:
+        elif identifier in silent and not view.silent:
             silent.discard(identifier)
             yield _event(time_ns, "recovered", view, "messages come again")
         elif view.silent and view.stale and identifier not in silent and view.state not in _NO_SILENCE:
