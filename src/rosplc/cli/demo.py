@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import re
 import signal
 import sys
 import tempfile
@@ -46,8 +45,6 @@ examples/st/PLC_PRG.st: Structured Text, translated to C, not run by CODESYS. It
 checkout of the sources; the first time it translates for a minute or two.
 """
 
-_DURATION = re.compile(r"(\d+(?:\.\d+)?)\s*(ms|s|min|h)?")
-_UNITS = {"ms": 0.001, "s": 1.0, "min": 60.0, "h": 3600.0, None: 1.0}
 _UNATTENDED = 20.0
 _PLCS = ("python", "st")
 
@@ -104,18 +101,18 @@ def command(
 
 
 def parse_duration(text: str) -> float:
-    """Return the seconds in ``20s``, ``500ms``, ``1.5min``, ``1h`` or ``20``.
+    """Return the seconds in ``20s``, ``500ms``, ``1.5min`` or, without a unit, ``20``.
 
     Raises:
         typer.BadParameter: It is none of these, or zero.
     """
-    found = _DURATION.fullmatch(text.strip())
-    seconds = float(found[1]) * _UNITS[found[2]] if found else 0.0
-    if not found or seconds <= 0:
-        raise typer.BadParameter(
-            f"{text!r} should be a time such as 20s, 500ms or 2min", param_hint="--duration"
-        )
-    return seconds
+    from rosplc.config.quantities import parse_duration as parse
+
+    text = text.strip()
+    try:
+        return parse(f"{text}s" if text[-1:].isdigit() else text) / 1e9
+    except ValueError as error:
+        raise typer.BadParameter(str(error), param_hint="--duration") from None
 
 
 @contextlib.contextmanager

@@ -269,8 +269,8 @@ BAD = {
     "a prefix that cannot exist": (["show", "/a", "--prefix", "1"], 1, "SHM118"),
     "a directory that does not exist": (["show", "--directory", "/nowhere"], 1, "SHM123"),
     "a count of zero": (["show", "/a", "--count", "0"], 2, "count"),
-    "a duration that is none": (["demo", "--duration", "soon"], 2, "should be a time"),
-    "a duration of zero": (["demo", "--duration", "0s"], 2, "should be a time"),
+    "a duration that is none": (["demo", "--duration", "soon"], 2, "should be a number with a unit"),
+    "a duration of zero": (["demo", "--duration", "0s"], 2, "is not between"),
     "a rate out of range": (["demo", "--rate", "0"], 2, "rate"),
     "a verb that does not exist": (["shwo"], 2, "show"),
 }
