@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 
 from generated_page import REFERENCE, write_or_verify
 from rosplc.errors import CODES
 from rosplc.layout import compute_layout
 from rosplc.model import TypeStore
-from rosplc.plc.base import base_objects
+from rosplc.plc.base import base_objects, classic_objects
 from rosplc.plc.build import PlcTask, PlcTopic, build_project
-from rosplc.plc.classic import Classic, classic_objects
+from rosplc.plc.classic import Classic
 from rosplc.plc.helpers import HELPER_NAMES
-from rosplc.plc.project import Dut, Pou, VarBlock, Variable
+from rosplc.plc.project import Dut, Enumeration, Item, Pou, Variable
 
 PAGE = REFERENCE / "plc-blocks.md"
 EXAMPLE, EXAMPLE_DUT = "geometry_msgs/msg/PoseStamped", "geometry_msgs_PoseStamped"
@@ -122,35 +121,32 @@ def _sentence(text: str) -> str:
     return " ".join(text.split())
 
 
-def _errors(pous: Iterable[Pou]) -> list[str]:
-    texts = [text for pou in pous for text in (pou.implementation, *(m.implementation for m in pou.methods))]
-    numbers = {
-        int(n)
-        for text in texts
-        for n in re.findall(r"\b(?:udiError|udiFailed|Validate|Open\w+) := (\d+);", text)
-    }
+def _errors(errors: Enumeration) -> list[str]:
     lines = [
         "## Error numbers",
         "",
         "`udiError` is 0 while everything is well, else a number of [the error codes](errors.md): 101 is",
-        "SHM101. With 112, `udiFoundLayoutLo` and `udiFoundLayoutHi` hold the layout id that was found.",
+        "SHM101. `eError` is the same by its name in `RosPlc_Error`, `sState` in words. With 112,",
+        "`udiFoundLayoutLo` and `udiFoundLayoutHi` hold the layout id that was found.",
         "`udiResult` is the result of the last SysShm or SysSemProcess call: 0 fine, 5 a wait in vain,",
         "16 (`16#10`) no such object, 18 (`16#12`) an object that exists, which is fine.",
         "",
-        "| number | meaning | what helps |",
-        "| ---: | --- | --- |",
+        "| number | name | meaning | what helps |",
+        "| ---: | --- | --- | --- |",
     ]
-    for number in sorted(numbers - {0}):
+    for name, number in errors.values[1:]:
         info = CODES[f"SHM{number}"]
-        lines.append(f"| [{number}](errors.md#shm{number}) | {_cell(info.title)} | {_cell(info.remedy)} |")
+        link = f"[{number}](errors.md#shm{number})"
+        lines.append(f"| {link} | `{name}` | {_cell(info.title)} | {_cell(info.remedy)} |")
     return [*lines, ""]
 
 
-def _helper(item: Dut | Pou) -> list[str]:
+def _helper(item: Item) -> list[str]:
     lines = [f"### {item.name}", "", _sentence(item.comment), ""]
     if isinstance(item, Dut):
         return [*lines, *_table(item.members)]
-    blocks: tuple[VarBlock, ...] = item.blocks
+    assert isinstance(item, Pou)
+    blocks = item.blocks
     for kind, heading in (("VAR_INPUT", "Inputs"), ("VAR_OUTPUT", "Outputs")):
         variables = [v for block in blocks if block.kind == kind for v in block.variables]
         if variables:
@@ -173,7 +169,6 @@ def page() -> str:
     pous = {pou.name: pou for pou in project.pous}
     gvls = {gvl.name: gvl for gvl in project.gvls}
     objects = [*base_objects("ROS/Base"), *classic_objects("ROS/Base")]
-    base = [item for item in objects if isinstance(item, Pou)]
     lines = [HEAD]
     for title in ("Read", "Write"):
         lines += _block(f"{title} blocks", pous[f"{EXAMPLE_DUT}_{title}"], pous)
@@ -186,14 +181,15 @@ def page() -> str:
     lines.append(CLASSIC)
     for way in ("Read", "Write"):
         lines += _block(f"Classic {way} blocks", pous[f"{EXAMPLE_DUT}_Classic{way}"], pous)
-    lines += _errors([*base, *(pous[name] for name in HELPER_NAMES if name in pous)])
+    lines += _errors(next(item for item in objects if isinstance(item, Enumeration)))
     lines += [
         "## Programs and tasks",
         "",
         "Each task of the configuration has `SharedMemory_Read`, to be called first, and",
-        "`SharedMemory_Write`, to be called last; with several tasks the task's name follows. They call the",
-        "task's instances with what the configuration says. `SharedMemory_Read` also gives the task its one",
-        "attempt to open an object in this scan.",
+        "`SharedMemory_Write`, to be called last; with several tasks the task's name follows, and",
+        "`--programs NAME` gives another beginning. They call the task's instances with what the",
+        "configuration says.",
+        "`SharedMemory_Read` also gives the task its one attempt to open an object in this scan.",
         "",
         "## Variable lists",
         "",
@@ -202,7 +198,7 @@ def page() -> str:
         lines += [f"### {name}", "", _sentence(gvls[name].comment), ""]
         lines += _table(v for block in gvls[name].blocks for v in block.variables)
     lines += ["## Helpers", ""]
-    items: list[Dut | Pou] = [*project.duts, *project.pous]
+    items = [*project.duts, *project.pous]
     helpers = {item.name: item for item in items}
     for name in HELPER_NAMES:
         lines += _helper(helpers[name])

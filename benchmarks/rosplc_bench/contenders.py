@@ -13,8 +13,7 @@ from rosplc.errors import SetupError
 from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.plc.build import PlcTask, PlcTopic, build_project
-from rosplc.plc.project import Dut, Gvl, Pou
-from rosplc.plc.st_text import object_text
+from rosplc.plc.st_text import project_texts
 from rosplc.shm import Description, Direction, Namespace, OwnedChannel
 from rosplc_bench.compiling import compile_program, find_library
 from rosplc_bench.pairs import (
@@ -275,8 +274,7 @@ def _texts() -> dict[str, str]:
         PlcTopic(ANSWER, record, direction="write", task="Bench"),
     ]
     project = build_project(record.store, topics, [PlcTask("Bench")])
-    items: list[Dut | Gvl | Pou] = [*project.duts, *project.gvls, *project.pous]
-    return {**{item.name: object_text(item) for item in items}, "PLC_PRG": _PROGRAM}
+    return {**project_texts(project), "PLC_PRG": _PROGRAM}
 
 
 def _compile(translator: Translator, cache: Path) -> Path:

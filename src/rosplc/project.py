@@ -5,6 +5,7 @@ from __future__ import annotations
 import grp
 import json
 import os
+import platform
 import pwd
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -19,6 +20,7 @@ from rosplc.config.objects import object_plan
 from rosplc.config.quantities import format_duration
 from rosplc.config.resolve import Project, TopicPlan, load_project
 from rosplc.config.stale_plan import flag_topic
+from rosplc.doctor.generated import Generated
 from rosplc.errors import GenerationError, RosplcError
 from rosplc.harmless import in_bytes
 from rosplc.layout import Layout, SequenceNode, StringNode, compute_layout
@@ -27,6 +29,7 @@ from rosplc.plc.build import ProjectOptions, build_type_library
 from rosplc.plc.delivery import Delivery, project_files, write_files
 from rosplc.plc.from_config import plc_project
 from rosplc.plc.instances import instance_names
+from rosplc.plc.plan import target_of
 from rosplc.plc.programs import READ_GVL, WRITE_GVL
 from rosplc.plc.project import PlcProject
 from rosplc.ros import INSTALL, Choice
@@ -119,8 +122,9 @@ def generate(
     config: Path | str | Project,
     folder: Path | str = "plc",
     *,
-    target: Literal["x86", "arm"] = "x86",
+    target: Literal["x86", "arm"] | None = None,
     fences: bool = False,
+    programs: str = "SharedMemory",
     pins: bool = False,
     force: bool = False,
 ) -> Delivery:
@@ -129,8 +133,9 @@ def generate(
     Args:
         config: The file, or what :func:`load_project` made of it.
         folder: The output folder; created where it is missing.
-        target: The PLC's processor.
+        target: The PLC's processor; None: this machine's.
         fences: On ``"arm"``: the device enables the MemoryBarrier library.
+        programs: What the names of the generated programs begin with.
         pins: Give blocks a pin per top-level field, for Ladder and Function Blocks.
         force: Overwrite files that were edited.
 
@@ -139,7 +144,7 @@ def generate(
         GenerationError: The code cannot be generated, or a file was edited (PLC001).
     """
     project = config if isinstance(config, Project) else load_project(config)
-    made = plc_project(project, ProjectOptions(fenced=target == "x86" or fences, pins=pins))
+    made = plc_project(project, _options(target, fences, programs, pins))
     topics = sorted(project.topics, key=lambda plan: plan.topic)  # as the PLC's objects are ordered
     return _deliver(made, [plan.layout for plan in topics], folder, force=force)
 
@@ -148,16 +153,22 @@ def generate_types(
     distro: str,
     folder: Path | str = "plc",
     *,
-    target: Literal["x86", "arm"] = "x86",
+    target: Literal["x86", "arm"] | None = None,
     fences: bool = False,
+    programs: str = "SharedMemory",
     pins: bool = False,
     force: bool = False,
 ) -> Delivery:
     """Write both blocks of every message type of a distribution; arguments and errors as :func:`generate`."""
     store = TypeStore.bundled(distro)
     layouts = [compute_layout(store, name) for name in store.names()]
-    options = ProjectOptions(fenced=target == "x86" or fences, pins=pins)
+    options = _options(target, fences, programs, pins)
     return _deliver(build_type_library(store, layouts, options), layouts, folder, force=force)
+
+
+def _options(target: Literal["x86", "arm"] | None, fences: bool, programs: str, pins: bool) -> ProjectOptions:
+    processor = target or target_of(platform.machine())
+    return ProjectOptions(target=processor, fenced=processor == "x86" or fences, programs=programs, pins=pins)
 
 
 def _deliver(project: PlcProject, layouts: list[Layout], folder: Path | str, *, force: bool) -> Delivery:
@@ -165,9 +176,12 @@ def _deliver(project: PlcProject, layouts: list[Layout], folder: Path | str, *, 
     return replace(delivery, notes=tuple(project.notes))
 
 
-def expected_files(project: Project, fenced: bool, pins: bool) -> Mapping[str, bytes]:
-    """Return what would be generated for a project: path below the folder → content."""
-    return project_files(plc_project(project, ProjectOptions(fenced=fenced, pins=pins)), [], "rosplc")
+def expected_files(project: Project, found: Generated, pins: bool) -> Mapping[str, bytes]:
+    """Return what would be generated for a project as the code that was found: path → content."""
+    options = ProjectOptions(
+        target="arm" if found.arm else "x86", fenced=found.fenced, programs=found.programs, pins=pins
+    )
+    return project_files(plc_project(project, options), [], "rosplc")
 
 
 def access(project: Project) -> dict[str, Any]:

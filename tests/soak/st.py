@@ -17,8 +17,7 @@ from rosplc.layout import Layout
 from rosplc.plc.build import ProjectOptions
 from rosplc.plc.from_config import plc_project
 from rosplc.plc.instances import instance_names
-from rosplc.plc.project import Dut, Gvl, Pou
-from rosplc.plc.st_text import object_text
+from rosplc.plc.st_text import project_texts
 from tests.soak.ledger import Ledger
 from tests.soak.pattern import ALL, CLASSIC, IN, fill, towards_plc
 
@@ -43,8 +42,7 @@ def build_program(config: Path, built: Path) -> None:
 
 def _texts(project: Project) -> dict[str, str]:
     made = plc_project(project, ProjectOptions(beat_ms=_BEAT_MS))
-    items: list[Dut | Gvl | Pou] = [*made.duts, *made.gvls, *made.pous]
-    texts = {item.name: object_text(item) for item in items}
+    texts = project_texts(made)
     # The one topic that counts every message: what came in a scan is kept, to be judged after it.
     name = instance_names([plan.topic for plan in project.topics])[IN[0]]
     block = next(v.type for gvl in made.gvls for b in gvl.blocks for v in b.variables if v.name == name)

@@ -17,9 +17,10 @@ from typing import Any
 from rosplc.layout import Limits
 from rosplc.plc.build import PlcTask, PlcTopic, ProjectOptions, build_project
 from rosplc.plc.classic import Classic
+from rosplc.plc.st_text import project_texts
 from rosplc_st.build import Build, Toolchain, build
 from rosplc_st.machine import LibraryMachine, Machine, ProcessMachine
-from tests.verification.plc_cell import READ, TARGETS, WRITE, layout_of, project_texts, store
+from tests.verification.plc_cell import READ, TARGETS, WRITE, layout_of, store
 
 __all__ = ["TOPICS", "TWIST", "ClassicCell", "Peer", "classic_build", "classic_target", "record"]
 
@@ -71,7 +72,7 @@ def classic_build(*, program: bool = False) -> Build:
 
 def classic_target(name: str) -> Build:
     """Return the project, built for a target of `plc_cell`."""
-    options, toolchain = TARGETS[name]
+    options, toolchain, _ = TARGETS[name]
     return build(classic_texts(), options, toolchain, program=toolchain is not None)
 
 

@@ -16,11 +16,12 @@ from rosplc.layout import Layout
 from rosplc.layout.nodes import ArrayNode, Node, PaddingNode, ScalarNode, SequenceNode, StringNode, StructNode
 from rosplc.plc.build import build_type_library
 from rosplc.plc.project import Dut, PlcProject
+from rosplc.plc.st_text import project_texts
 from rosplc.shm import Direction, Namespace, OwnedChannel
 from rosplc_st.build import Toolchain, build
 from rosplc_st.machine import LibraryMachine, Machine, ProcessMachine
 from rosplc_st.translator import Options
-from tests.verification.plc_cell import describe, project_texts, store
+from tests.verification.plc_cell import describe, store
 
 __all__ = ["Crossing", "check_layout", "random_record"]
 

@@ -9,15 +9,14 @@ from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, Literal
 
 import pytest
 
 from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.plc.build import PlcTask, PlcTopic, ProjectOptions, build_project
-from rosplc.plc.project import PlcProject
-from rosplc.plc.st_text import object_text
+from rosplc.plc.st_text import project_texts
 from rosplc.shm import Description, Direction, Namespace, OwnedChannel
 from rosplc_st.build import ARMHF, Build, Toolchain, build
 from rosplc_st.machine import LibraryMachine, Machine, ProcessMachine
@@ -25,7 +24,7 @@ from rosplc_st.translator import Options
 
 __all__ = [
     "READ", "TARGETS", "WRITE", "Cell", "cell_build", "cell_texts", "describe", "layout_of", "needs_armhf",
-    "pattern", "project_texts", "store", "target", "twist",
+    "pattern", "store", "target", "targets", "twist",
 ]  # fmt: skip
 
 READ, WRITE = "SharedMemory_Read", "SharedMemory_Write"
@@ -39,11 +38,6 @@ def store(distro: str = "jazzy") -> TypeStore:
 @lru_cache
 def layout_of(name: str, distro: str = "jazzy", limits: Limits | None = None) -> Layout:
     return compute_layout(store(distro), name, limits or Limits())
-
-
-def project_texts(project: PlcProject) -> dict[str, str]:
-    """Return a project's objects as texts by their names."""
-    return {item.name: object_text(item) for item in (*project.duts, *project.gvls, *project.pous)}
 
 
 def describe(topic: str, layout: Layout, direction: Direction) -> Description:
@@ -101,10 +95,10 @@ END_PROGRAM
 
 
 @lru_cache
-def cell_texts() -> dict[str, str]:
-    """Return the cell's objects."""
+def cell_texts(**target: Any) -> dict[str, str]:
+    """Return the cell's objects; ``target``: further options of the generation."""
     topics = [PlcTopic(topic, layout_of(TWIST), task="RosTask", **rest) for topic, rest in TOPICS.items()]
-    project = build_project(store(), topics, [PlcTask("RosTask")], ProjectOptions())
+    project = build_project(store(), topics, [PlcTask("RosTask")], ProjectOptions(**target))
     return {**project_texts(project), "Consume": CONSUME}
 
 
@@ -114,16 +108,17 @@ def cell_build(
     *,
     program: bool = False,
     more: Mapping[str, str] | None = None,
+    **generated: Any,
 ) -> Build:
-    """Return the cell, built; ``more``: further objects."""
-    return build({**cell_texts(), **(more or {})}, options, toolchain, program=program)
+    """Return the cell, built; ``more``: further objects, ``generated``: further options of the generation."""
+    return build({**cell_texts(**generated), **(more or {})}, options, toolchain, program=program)
 
 
 _BARRIER = ("pou: MemoryBarrier.MemoryBarrier",)
-TARGETS: dict[str, tuple[Options, Toolchain | None]] = {
-    "64-bit": (Options(), None),
-    "32-bit-with-barrier": (Options(cpu_bits=32, defined=_BARRIER), None),
-    "armhf": (Options(cpu_bits=32), ARMHF),
+TARGETS: dict[str, tuple[Options, Toolchain | None, Literal["x86", "arm"]]] = {
+    "64-bit": (Options(), None, "x86"),
+    "32-bit-with-barrier": (Options(cpu_bits=32, defined=_BARRIER), None, "arm"),
+    "armhf": (Options(cpu_bits=32, defined=_BARRIER), ARMHF, "arm"),
 }
 
 
@@ -142,8 +137,8 @@ def targets(*marks: pytest.MarkDecorator) -> list[object]:
 
 def target(name: str, more: Mapping[str, str] | None = None) -> Build:
     """Return the cell, built for a target."""
-    options, toolchain = TARGETS[name]
-    return cell_build(options, toolchain, program=toolchain is not None, more=more)
+    options, toolchain, processor = TARGETS[name]
+    return cell_build(options, toolchain, program=toolchain is not None, more=more, target=processor)
 
 
 class Cell:

@@ -11,9 +11,10 @@ import pytest
 from rosplc.layout import Limits
 from rosplc.plc.build import PlcTask, PlcTopic, build_project
 from rosplc.plc.classic import Classic
+from rosplc.plc.st_text import project_texts
 from rosplc_st.build import build
 from tests.verification.classic_cell import JOINTS, TOPICS, ClassicCell, Peer, classic_target, record
-from tests.verification.plc_cell import WRITE, layout_of, project_texts, store, targets
+from tests.verification.plc_cell import WRITE, layout_of, store, targets
 
 
 @pytest.fixture

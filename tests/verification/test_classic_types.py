@@ -12,11 +12,12 @@ from rosplc.codec import Codec, Wire
 from rosplc.layout import Limits
 from rosplc.plc.build import PlcTask, PlcTopic, build_project
 from rosplc.plc.classic import Classic
+from rosplc.plc.st_text import project_texts
 from rosplc_st.build import build
 from rosplc_st.run_project import load_texts
 from tests.verification.classic_cell import ClassicCell, Peer
 from tests.verification.crossing import random_record
-from tests.verification.plc_cell import READ, WRITE, layout_of, project_texts, store
+from tests.verification.plc_cell import READ, WRITE, layout_of, store
 
 _TYPES = (
     "std_msgs/msg/Bool", "std_msgs/msg/String", "std_msgs/msg/ColorRGBA", "geometry_msgs/msg/PoseStamped",

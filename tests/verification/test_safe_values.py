@@ -48,7 +48,7 @@ VALUES: dict[str, tuple[str, dict[str, Any]]] = {
 
 @pytest.fixture(params=targets(pytest.mark.verify(minutes=1)))
 def machine(request: pytest.FixtureRequest) -> Iterator[Machine]:
-    options, toolchain = TARGETS[request.param]
+    options, toolchain, processor = TARGETS[request.param]
     topics = [
         PlcTopic(
             topic, layout_of(type_name, limits=SMALL), "read", "RosTask",
@@ -56,7 +56,7 @@ def machine(request: pytest.FixtureRequest) -> Iterator[Machine]:
         )
         for topic, (type_name, value) in VALUES.items()
     ]  # fmt: skip
-    project = build_project(store(), topics, [PlcTask("RosTask")], ProjectOptions())
+    project = build_project(store(), topics, [PlcTask("RosTask")], ProjectOptions(target=processor))
     built = build(project_texts(project), options, toolchain, program=toolchain is not None)
     folder = Path(tempfile.mkdtemp(prefix="T", dir="/dev/shm"))
     made = (ProcessMachine if built.toolchain.runner else LibraryMachine)(built, str(folder))

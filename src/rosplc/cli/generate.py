@@ -35,19 +35,24 @@ def command(
         typer.Option("--all-types", metavar="DISTRO", help="Every type of a ROS distribution, no topics."),
     ] = None,
     target: Annotated[
-        Literal["x86", "arm"],
+        Literal["x86", "arm"] | None,
         typer.Option(
             metavar="PROCESSOR",
-            help="Processor of the PLC: x86, or arm. On arm messages take longer, because no memory "
-            "fence is proven there; see --fences.",
+            help="Processor of the PLC: x86, or arm; by default this machine's. On arm messages take a scan "
+            "longer, because no memory fence is proven there; see --fences.",
         ),
-    ] = "x86",
+    ] = None,
     fences: Annotated[
         bool,
         typer.Option(
-            "--fences", help="With --target arm: the device enables the MemoryBarrier library; trust it."
+            "--fences",
+            help="With --target arm: the device enables the MemoryBarrier library; trust it where the "
+            "project has it.",
         ),
     ] = False,
+    programs: Annotated[
+        str, typer.Option(metavar="NAME", help="What the names of the generated programs begin with.")
+    ] = "SharedMemory",
     pins: Annotated[
         bool,
         typer.Option("--pins", help="Give blocks a pin per top-level field, for Ladder and Function Blocks."),
@@ -61,9 +66,13 @@ def command(
     if config is not None and all_types is not None:
         raise typer.BadParameter("name a configuration file or --all-types, not both", param_hint="CONFIG")
     if all_types is None:
-        delivery = generate(config_file(config), out, target=target, fences=fences, pins=pins, force=force)
+        delivery = generate(
+            config_file(config), out, target=target, fences=fences, programs=programs, pins=pins, force=force
+        )
     else:
-        delivery = generate_types(all_types, out, target=target, fences=fences, pins=pins, force=force)
+        delivery = generate_types(
+            all_types, out, target=target, fences=fences, programs=programs, pins=pins, force=force
+        )
     if as_json:
         print_json({"folder": str(out), **dataclasses.asdict(delivery)})
         return

@@ -112,8 +112,8 @@ def against_live(code: Generated, objects: Objects, directory: Path) -> Iterator
 
 def fences(code: Generated, machine: str, command: str) -> Iterator[Finding]:
     """Judge whether the code's rule of ordering is right for this machine."""
-    if code.fenced and machine in _ARM:
-        what = f"the code relies on a memory fence, and this is {machine}"
+    if not code.arm and code.fenced and machine in _ARM:
+        what = f"the code relies on the memory fence of x86, and this is {machine}"
         yield kind("DOC707").found(what, command=f"{command} --target arm")
     else:
         yield kind("DOC707").fine("the code's rule of ordering fits this machine")

@@ -362,7 +362,7 @@ class _Examination:
         top = folder if (folder / "st").is_dir() else folder.parent
         result: tuple[list[Finding], dict[str, str]] = ([], {})
         for pins in (False, True):
-            result = code.files(top, expected_files(project, found.fenced, pins), command)
+            result = code.files(top, expected_files(project, found, pins), command)
             if not any(each.level for each in result[0]):
                 break
         return result

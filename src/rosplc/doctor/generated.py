@@ -21,7 +21,8 @@ _IDS = re.compile(
     r"udiRecordSize := (\d+)\)"
 )
 _CLASSIC = re.compile(r"IF NOT Begin\(udiRecordSize := (\d+)\)")
-_SETTING = re.compile(r"^ +(sPrefix|xFenced) : [^:]+ := ('?)(\w[\w-]*)\2;", re.MULTILINE)
+_PROGRAM = re.compile(r"^PROGRAM (\w+?)_(?:Read|Write)(?:_\w+)?$", re.MULTILINE)
+_SETTING = re.compile(r"^ +(sPrefix|xFenced|xArm) : [^:]+ := ('?)(\w[\w-]*)\2;", re.MULTILINE)
 
 
 @dataclass(frozen=True)
@@ -53,11 +54,15 @@ class Generated:
         blocks: Every instance.
         prefix: The prefix of the objects that it looks for.
         fenced: Whether it relies on a memory fence.
+        arm: Whether it was generated for ARM.
+        programs: What the names of its programs begin with.
     """
 
     blocks: tuple[Block, ...]
     prefix: str
     fenced: bool
+    arm: bool = False
+    programs: str = "SharedMemory"
 
 
 def read_generated(folder: Path) -> Generated:
@@ -78,7 +83,14 @@ def read_generated(folder: Path) -> Generated:
         path = base / f"{name}.st"
         if path.exists():
             blocks += [_block(base, kind, topic, to_plc) for kind, topic in _INSTANCE.findall(_text(path))]
-    return Generated(tuple(blocks), settings["sPrefix"], settings["xFenced"] == "TRUE")
+    programs = [match[1] for path in sorted(base.glob("*.st")) if (match := _PROGRAM.search(_text(path)))]
+    return Generated(
+        tuple(blocks),
+        settings["sPrefix"],
+        settings["xFenced"] == "TRUE",
+        settings.get("xArm") == "TRUE",
+        *programs[:1],
+    )
 
 
 def _block(base: Path, name: str, topic: str, to_plc: bool) -> Block:

@@ -1,68 +1,111 @@
-"""Read the hand-written Structured Text of ``templates/base`` into the project model.
+"""Structured Text templates: rendered by jinja2, and read into the project model.
 
-The base blocks are written as a person writes them; PLCopenXML needs their declarations one
-by one. This reader understands exactly the form used there (one declaration a line, comments
-after ``//``) and fails on anything else, so that nothing is lost silently.
+PLCopenXML needs declarations one by one, so the reader understands exactly the form that the templates keep
+to (one declaration a line, comments after ``//``) and fails on anything else: nothing is lost silently.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
+from functools import cache
 from importlib.resources import files
-from typing import Literal, cast
+from typing import Any, Literal, cast
 
-from rosplc.plc.project import Dut, Gvl, Method, Pou, PouKind, VarBlock, VarBlockKind, Variable
+import jinja2
 
-__all__ = ["base_objects", "parse_object", "read_objects"]
+from rosplc.errors import CODES
+from rosplc.plc.literals import string_literal
+from rosplc.plc.project import (
+    Dut,
+    Enumeration,
+    Gvl,
+    Item,
+    Method,
+    Pou,
+    PouKind,
+    VarBlock,
+    VarBlockKind,
+    Variable,
+)
+from rosplc.shm import constants
 
-_ORDER = (
-    "RosPlc_WriterLine", "RosPlc_ReaderLine", "RosPlc_Header", "RosPlc_SlotHeader",
-    "RosPlc_State", "RosPlc_Fence", "RosPlc_Advance", "RosPlc_Distance",
-    "RosPlc_Channel", "RosPlc_Reader", "RosPlc_Writer",
+__all__ = ["CLASSIC_NAMES", "base_objects", "classic_objects", "parse_object", "read_objects", "render"]
+
+_BASE = (
+    "RosPlc_Error", "RosPlc_WriterLine", "RosPlc_ReaderLine", "RosPlc_Header", "RosPlc_SlotHeader",
+    "RosPlc_Format", "RosPlc_State", "RosPlc_ErrorText", "RosPlc_Fence", "RosPlc_Fenced", "RosPlc_Advance",
+    "RosPlc_Distance", "RosPlc_Block", "RosPlc_Channel", "RosPlc_Reader", "RosPlc_Writer",
 )  # fmt: skip
+CLASSIC_NAMES = ("RosPlc_ClassicState", "RosPlc_Classic", "RosPlc_ClassicReader", "RosPlc_ClassicWriter")
+"""Names that no generated object may take, whether or not a project has classic topics."""
+_OF_BRIDGES = (
+    "DESCRIPTION", "OTHER_BRIDGE", "OTHER_USER", "REPLACED", "NOT_PLAIN_FILE", "READ_ONLY", "DIRECTORY",
+    "MEMORY_SIZE", "LOCK_FREED", "SEMAPHORE_COUNT", "SEMAPHORE_WORD_SIZE",
+)  # fmt: skip
+"""Errors that no block of the PLC reports."""
+_COMMON = {
+    "constants": {
+        **{name: value for name, value in vars(constants).items() if isinstance(value, int)},
+        **{direction.name: direction.value for direction in constants.Direction},
+    },
+    "bit_patterns": ("FNV_OFFSET", "FNV_PRIME", "CRC_POLYNOMIAL"),
+    "errors": tuple(number for number in constants.ErrorNumber if number.name not in _OF_BRIDGES),
+    "titles": {number.value: CODES[f"SHM{number.value}"].title for number in constants.ErrorNumber},
+}
 
-_DECLARATION = re.compile(
-    r"(?P<name>\w+) : (?P<type>[^:;]+?)(?: := (?P<initial>[^;]+))?;(?: // (?P<comment>.*))?\Z"
-)
-_ATTRIBUTE = re.compile(r"\{attribute '(?P<name>\w+)'(?: := '(?P<value>[^']*)')?\}\Z")
-_HEAD = re.compile(
-    r"(?P<kind>FUNCTION_BLOCK|FUNCTION|PROGRAM)(?P<abstract> ABSTRACT)? (?P<name>\w+)"
-    r"(?: EXTENDS (?P<base>\w+))?(?: : (?P<type>\w+))?\Z"
-)
-_METHOD = re.compile(r"METHOD (?P<access>PUBLIC|PRIVATE|PROTECTED) (?P<name>\w+)(?: : (?P<type>.+))?\Z")
-_BLOCK = re.compile(r"(?P<kind>VAR(?:_INPUT|_OUTPUT|_IN_OUT|_TEMP|_GLOBAL)?)(?P<constant> CONSTANT)?\Z")
+
+@cache
+def _environment() -> jinja2.Environment:
+    environment = jinja2.Environment(
+        loader=jinja2.FunctionLoader(
+            lambda name: files("rosplc.plc").joinpath(f"templates/{name}").read_text(encoding="ascii")
+        ),
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    environment.filters["literal"] = string_literal
+    return environment
 
 
-def base_objects(folder: str) -> tuple[Dut | Gvl | Pou, ...]:
-    """Return the hand-written objects, in the order in which they depend on each other."""
-    return read_objects("base", _ORDER, folder)
+def render(template: str, **values: Any) -> str:
+    """Return a template's text; ``template`` is a path below ``templates/``."""
+    return _environment().get_template(template).render(**_COMMON, **values)
 
 
-def read_objects(templates: str, names: Iterable[str], folder: str) -> tuple[Dut | Gvl | Pou, ...]:
+def base_objects(folder: str) -> tuple[Item, ...]:
+    """Return the objects that every project has, in the order in which they depend on each other."""
+    return read_objects("base", _BASE, folder)
+
+
+def classic_objects(folder: str) -> tuple[Item, ...]:
+    """Return the objects that classic blocks extend."""
+    return read_objects("classic", CLASSIC_NAMES, folder)
+
+
+def read_objects(templates: str, names: Iterable[str], folder: str) -> tuple[Item, ...]:
     """Return the named objects of a folder below ``templates/``, for ``folder`` in the PLC project."""
-    root = files("rosplc.plc").joinpath(f"templates/{templates}")
-    return tuple(parse_object(root.joinpath(f"{n}.st").read_text(encoding="ascii"), n, folder) for n in names)
+    return tuple(parse_object(render(f"{templates}/{name}.st"), name, folder) for name in names)
 
 
-def parse_object(text: str, name: str, folder: str = "") -> Dut | Gvl | Pou:
-    """Return the object that a file of ``templates/`` holds; ``name`` is the file's.
+def parse_object(text: str, name: str, folder: str = "") -> Item:
+    """Return the object of a text.
 
     Raises:
         ValueError: The text is not of the form that the templates keep to.
     """
-    lines = [line.rstrip() for line in text.splitlines()]
-    comment, attributes, rest = _preamble(lines)
-    first = rest[0] if rest else ""
-    if first == f"TYPE {name} :":
-        if rest[1] != "STRUCT" or rest[-2:] != ["END_STRUCT", "END_TYPE"]:
-            raise ValueError(f"{name}: not a structure")
-        return Dut(name, tuple(_variable(line, name) for line in rest[2:-2]), attributes, comment, folder)
-    if first.startswith("VAR_GLOBAL"):
+    comment, attributes, rest = _preamble([line.rstrip() for line in text.rstrip().splitlines()])
+    if rest[0] == f"TYPE {name} :" and rest[-1] == "END_TYPE":
+        if (rest[1], rest[-2]) == ("STRUCT", "END_STRUCT"):
+            return Dut(name, tuple(_variable(line, name) for line in rest[2:-2]), attributes, comment, folder)
+        if rest[1] == "(" and rest[-2].startswith(") "):
+            values = tuple(_enumerator(line, name) for line in rest[2:-2])
+            return Enumeration(name, values, rest[-2][2:].rstrip(";"), attributes, comment, folder)
+    if rest[0].startswith("VAR_GLOBAL"):
         blocks, after = _blocks(rest, name)
-        if after:
-            raise ValueError(f"{name}: text after the variables")
-        return Gvl(name, blocks, attributes, comment, folder)
+        if not after:
+            return Gvl(name, blocks, attributes, comment, folder)
     return _pou(rest, name, comment, attributes, folder)
 
 
@@ -70,9 +113,9 @@ def _preamble(lines: list[str]) -> tuple[str, tuple[tuple[str, str], ...], list[
     comments: list[str] = []
     attributes: list[tuple[str, str]] = []
     for index, line in enumerate(lines):
-        match = _ATTRIBUTE.match(line)
-        if match:
-            attributes.append((match["name"], match["value"] or ""))
+        if line.startswith("{attribute '"):
+            attribute, _, value = line[12:].rstrip("}").partition(" := ")
+            attributes.append((attribute.rstrip("'"), value.strip("'")))
         elif line.startswith("// "):
             comments.append(line[3:])
         elif line:
@@ -80,58 +123,72 @@ def _preamble(lines: list[str]) -> tuple[str, tuple[tuple[str, str], ...], list[
     raise ValueError("no object in the text")
 
 
+def _enumerator(line: str, where: str) -> tuple[str, int]:
+    name, _, value = line.strip().rstrip(",").partition(" := ")
+    if not value:
+        raise ValueError(f"{where}: not an enumeration value: {line!r}")
+    return name, int(value)
+
+
 def _variable(line: str, where: str) -> Variable:
-    match = _DECLARATION.match(line.strip())
-    if not match:
+    code, _, comment = line.strip().partition("; // ")
+    declared, _, initial = code.removesuffix(";").partition(" := ")
+    name, _, type_ = declared.partition(" : ")
+    if not type_ or not name.isidentifier() or ";" in code[:-1] or not (comment or code.endswith(";")):
         raise ValueError(f"{where}: not a declaration: {line!r}")
-    return Variable(match["name"], match["type"], match["initial"], match["comment"] or "")
+    return Variable(name, type_, initial or None, comment)
 
 
 def _blocks(lines: list[str], where: str) -> tuple[tuple[VarBlock, ...], list[str]]:
     """Split the leading variable blocks from what follows."""
     blocks: list[VarBlock] = []
-    index = 0
-    while index < len(lines) and (match := _BLOCK.match(lines[index])):
-        end = lines.index("END_VAR", index)
-        variables = tuple(_variable(line, where) for line in lines[index + 1 : end])
-        blocks.append(VarBlock(cast(VarBlockKind, match["kind"]), variables, bool(match["constant"])))
-        index = end + 1
-    return tuple(blocks), lines[index:]
+    while lines and lines[0].startswith("VAR"):
+        end = lines.index("END_VAR")
+        kind, _, constant = lines[0].partition(" ")
+        variables = tuple(_variable(line, where) for line in lines[1:end])
+        blocks.append(VarBlock(cast(VarBlockKind, kind), variables, constant == "CONSTANT"))
+        lines = lines[end + 1 :]
+    return tuple(blocks), lines
 
 
 def _pou(
     lines: list[str], name: str, comment: str, attributes: tuple[tuple[str, str], ...], folder: str
 ) -> Pou:
-    head = _HEAD.match(lines[0])
-    if not head or head["name"] != name:
+    kind, *words = lines[0].split()
+    if kind not in ("FUNCTION_BLOCK", "FUNCTION", "PROGRAM"):
+        raise ValueError(f"{name}: not an object: {lines[0]!r}")
+    abstract = words[:1] == ["ABSTRACT"]
+    words = words[abstract:]
+    extends = words[2] if words[1:2] == ["EXTENDS"] else None
+    returns = words[2] if words[1:2] == [":"] else None
+    if words[:1] != [name] or len(words) != (3 if extends or returns else 1) or f"END_{kind}" not in lines:
         raise ValueError(f"{name}: not the head of an object: {lines[0]!r}")
-    end = lines.index(f"END_{head['kind']}")
+    end = lines.index(f"END_{kind}")
     blocks, body = _blocks(lines[1:end], name)
     return Pou(
         name,
-        cast(PouKind, head["kind"]),
+        cast(PouKind, kind),
         blocks,
         "\n".join(body),
         methods=tuple(_methods(lines[end + 1 :], name)),
-        extends=head["base"],
-        abstract=bool(head["abstract"]),
-        return_type=head["type"],
+        extends=extends,
+        abstract=abstract,
+        return_type=returns,
         attributes=attributes,
         comment=comment,
         folder=folder,
     )
 
 
-def _methods(lines: list[str], where: str) -> list[Method]:
-    methods: list[Method] = []
+def _methods(lines: list[str], where: str) -> Iterable[Method]:
     while any(lines):
         comment, _, rest = _preamble(lines)
-        head = _METHOD.match(rest[0])
-        if not head:
+        head, _, returns = rest[0].partition(" : ")
+        words = head.split()
+        if words[:1] != ["METHOD"] or len(words) != 3:
             raise ValueError(f"{where}: not the head of a method: {rest[0]!r}")
         end = rest.index("END_METHOD")
-        blocks, body = _blocks(rest[1:end], f"{where}.{head['name']}")
-        access = cast(Literal["PUBLIC", "PRIVATE", "PROTECTED"], head["access"])
-        methods.append(Method(head["name"], blocks, "\n".join(body), head["type"], access, comment))
+        blocks, body = _blocks(rest[1:end], f"{where}.{words[2]}")
+        access = cast(Literal["PUBLIC", "PRIVATE", "PROTECTED"], words[1])
+        yield Method(words[2], blocks, "\n".join(body), returns or None, access, comment)
         lines = rest[end + 1 :]
-    return methods

@@ -10,29 +10,21 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from rosplc._version import __version__
 from rosplc.errors import GenerationError
 from rosplc.layout import Layout
 from rosplc.model import TypeStore
-from rosplc.plc.base import base_objects
-from rosplc.plc.blocks import read_block, write_block
-from rosplc.plc.classic import (
-    CLASSIC_NAMES,
-    LIBRARY,
-    check_classic,
-    classic_arguments,
-    classic_objects,
-    classic_read_block,
-    classic_wait,
-    classic_write_block,
-)
+from rosplc.plc.base import CLASSIC_NAMES, base_objects, classic_objects
+from rosplc.plc.blocks import block
+from rosplc.plc.classic import LIBRARY, check_classic, classic_arguments, classic_wait
 from rosplc.plc.helpers import HELPER_NAMES, helper_objects
 from rosplc.plc.instances import instance_names, plain_name
-from rosplc.plc.literals import string_literal, time_literal
+from rosplc.plc.literals import literal, string_literal, time_literal
 from rosplc.plc.names import Scope
-from rosplc.plc.plan import PlcTask, PlcTopic, ProjectOptions
+from rosplc.plc.plan import UNKNOWN_BEAT_MS, PlcTask, PlcTopic, ProjectOptions, beat_ms
 from rosplc.plc.programs import READ_GVL, SAFE_GVL, WRITE_GVL, call
 from rosplc.plc.programs import programs as programs_of
-from rosplc.plc.project import Dut, Gvl, PlcProject, Pou, VarBlock, Variable
+from rosplc.plc.project import Dut, Enumeration, Gvl, Item, PlcProject, Pou, VarBlock, Variable
 from rosplc.plc.types import DutBuilder, Renaming
 from rosplc.plc.values import initial_value
 
@@ -57,13 +49,6 @@ _SETTINGS_GVL = "RosPlc_Settings"
 _SAFE_COMMENT = """What a message becomes while its source is silent, whether or not the bridge lives.
 After a change download the program: an online change may keep the values that were there before."""
 
-_MAKERS = {
-    ("read", False): read_block,
-    ("write", False): write_block,
-    ("read", True): classic_read_block,
-    ("write", True): classic_write_block,
-}
-
 
 @dataclass
 class _Blocks:
@@ -78,13 +63,13 @@ class _Blocks:
         key = (direction, classic, layout)
         if key not in self._known:
             dut = self.builder.add(layout)
-            wanted = f"{dut}_{'Classic' if classic else ''}{'Read' if direction == 'read' else 'Write'}"
+            kind = f"{'Classic' if classic else ''}{direction.capitalize()}"
+            wanted = f"{dut}_{kind}"
             name = self.builder.scope.give(wanted)
             if name != wanted:
                 self.builder.renamings.append(Renaming(f"block of {layout.type_name}", wanted, name))
-            make = _MAKERS[direction, classic]
             folder = f"{self.options.folder}/Blocks"
-            self.pous.append(make(layout, self.builder, name, folder, pins=self.options.pins))
+            self.pous.append(block(kind, layout, self.builder, name, folder, pins=self.options.pins))
             self._known[key] = name
         return self._known[key]
 
@@ -111,6 +96,7 @@ def build_project(
     """
     options = options or ProjectOptions()
     _check_name(_PREFIX, options.prefix, "prefix")
+    _check_name(_TASK, options.programs, "programs")
     _check_tasks(tasks)
     _check_topics(topics)
     topics = sorted(topics, key=lambda item: item.topic)
@@ -132,19 +118,19 @@ def build_project(
     indices = {task.name: index for index, task in enumerate(order)}
     cycles = {task.name: task.interval_ns if task.kind == "cyclic" else 0 for task in tasks}
     for topic in topics:
-        block = blocks.name(topic.layout, topic.direction, topic.classic is not None)
+        block_name = blocks.name(topic.layout, topic.direction, topic.classic is not None)
         wanted, name = plain_name(topic.topic), names[topic.direction][topic.topic]
         if name != wanted:
             renamings.append(Renaming(f"instance of {topic.topic}", wanted, name))
         argument: tuple[tuple[str, str], ...] = (("sTopic", string_literal(topic.topic)),)
         if topic.classic is not None:
             argument = classic_arguments(topic.classic)
-        instances[topic.direction].append(Variable(name, block, None, _what(topic), argument))
+        instances[topic.direction].append(Variable(name, block_name, None, _what(topic), argument))
         calls.setdefault((topic.direction, topic.task), []).append(
             call(name, topic, indices[topic.task], cycles[topic.task])
         )
     programs, plc_tasks = programs_of(order, indices, calls, options, builder.scope)
-    gvls = [*(item for item in base if isinstance(item, Gvl)), _settings(options), *builder.constants]
+    gvls = [*(item for item in base if isinstance(item, Gvl)), _settings(options, order), *builder.constants]
     for direction, name in (("read", READ_GVL), ("write", WRITE_GVL)):
         if instances[direction]:
             block_ = VarBlock("VAR_GLOBAL", tuple(instances[direction]))
@@ -157,12 +143,13 @@ def build_project(
     helpers = helper_objects(store, builder, f"{options.folder}/Helpers")
     return PlcProject(
         options.folder,
-        duts=(*(item for item in (*base, *helpers) if isinstance(item, Dut)), *builder.duts),
+        duts=(*_duts(*base, *helpers), *builder.duts),
         gvls=tuple(gvls),
         pous=(*(item for item in (*base, *helpers) if isinstance(item, Pou)), *blocks.pous, *programs),
         tasks=plc_tasks,
         libraries=libraries,
         notes=tuple(_notes(builder, renamings, topics, cycles, options)),
+        programs=options.programs,
     )
 
 
@@ -180,12 +167,16 @@ def build_type_library(
     helpers = helper_objects(store, builder, f"{options.folder}/Helpers")
     return PlcProject(
         options.folder,
-        duts=(*(item for item in (*base, *helpers) if isinstance(item, Dut)), *builder.duts),
-        gvls=(*(item for item in base if isinstance(item, Gvl)), _settings(options), *builder.constants),
+        duts=(*_duts(*base, *helpers), *builder.duts),
+        gvls=(*(item for item in base if isinstance(item, Gvl)), _settings(options, ()), *builder.constants),
         pous=(*(item for item in (*base, *helpers) if isinstance(item, Pou)), *blocks.pous),
         libraries=_LIBRARIES,
         notes=tuple(_notes(builder, [], (), {}, options)),
     )
+
+
+def _duts(*items: Item) -> list[Dut | Enumeration]:
+    return [item for item in items if isinstance(item, (Dut, Enumeration))]
 
 
 def _check_tasks(tasks: Sequence[PlcTask]) -> None:
@@ -216,7 +207,7 @@ def _check_name(pattern: re.Pattern[str], name: str, where: str) -> None:
         raise GenerationError("PLC008", f"{name[:80]!r} is none", where=where)
 
 
-def _builder(store: TypeStore, options: ProjectOptions, base: Sequence[Dut | Gvl | Pou]) -> DutBuilder:
+def _builder(store: TypeStore, options: ProjectOptions, base: Sequence[Item]) -> DutBuilder:
     """Return a builder whose scope knows the hand-written objects: all objects share one namespace."""
     taken = [
         *(item.name for item in base),
@@ -230,13 +221,26 @@ def _builder(store: TypeStore, options: ProjectOptions, base: Sequence[Dut | Gvl
     return DutBuilder(store, f"{options.folder}/Types", scope=Scope(taken))
 
 
-def _settings(options: ProjectOptions) -> Gvl:
+def _settings(options: ProjectOptions, tasks: Sequence[PlcTask]) -> Gvl:
+    beats = [str(max(beat_ms(task), options.beat_ms)) for task in tasks]
+    if len(beats) < MOST_TASKS:
+        beats.append(f"{MOST_TASKS - len(beats)}({UNKNOWN_BEAT_MS})")
     variables = (
+        Variable("sVersion", "STRING(32)", string_literal(__version__), "of rosplc, which generated this"),
         Variable("sPrefix", "STRING(32)", string_literal(options.prefix), "prefix of the bridge's objects"),
+        Variable("xArm", "BOOL", literal("bool", options.target == "arm"), "generated for ARM, else for x86"),
         Variable(
-            "xFenced", "BOOL", "TRUE" if options.fenced else "FALSE", "FALSE: the delayed rule, for ARM"
+            "xFenced",
+            "BOOL",
+            literal("bool", options.fenced),
+            "FALSE: the delayed rule is in force in any case",
         ),
-        Variable("udiBeatMs", "UDINT", str(options.beat_ms), "longest time between two calls of a block"),
+        Variable(
+            "audiBeatMs",
+            f"ARRAY[0..{MOST_TASKS - 1}] OF UDINT",
+            f"[{', '.join(beats)}]",
+            "per task: longest time between two calls of a block, in ms",
+        ),
     )
     block = VarBlock("VAR_GLOBAL", variables, constant=True)
     comment = "What the generation fixed for the whole project."

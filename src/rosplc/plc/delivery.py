@@ -18,7 +18,7 @@ from rosplc.layout import Layout
 from rosplc.layout.c_header import c_header
 from rosplc.plc.classic import LIBRARY
 from rosplc.plc.plcopen import plcopen_xml
-from rosplc.plc.project import Dut, Gvl, PlcProject, Pou
+from rosplc.plc.project import PlcProject
 from rosplc.plc.script import import_script
 from rosplc.plc.st_text import object_text
 
@@ -55,10 +55,9 @@ def project_files(project: PlcProject, layouts: list[Layout], name: str) -> dict
         layouts: The layouts of the C header.
         name: The stem of the files' names, ``rosplc``.
     """
-    items: list[Dut | Gvl | Pou] = [*project.duts, *project.gvls, *project.pous]
     result = {
         f"st/{_folder(item.folder, project.name)}{_stem(item.name)}.st": object_text(item).encode("ascii")
-        for item in items
+        for item in project.items
     }
     result[f"{name}.xml"] = plcopen_xml(project)
     result[f"{name}_import.py"] = import_script(project).encode("ascii")
@@ -66,7 +65,9 @@ def project_files(project: PlcProject, layouts: list[Layout], name: str) -> dict
     readme = _template("README.txt") + (
         _template("README_classic.txt") if LIBRARY in project.libraries else ""
     )
-    result["README.txt"] = readme.replace("{name}", name).encode("ascii")
+    result["README.txt"] = (
+        readme.replace("{name}", name).replace("{programs}", project.programs).encode("ascii")
+    )
     if project.notes:
         result["NOTES.txt"] = ("\n".join(project.notes) + "\n").encode()
     return result

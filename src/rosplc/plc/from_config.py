@@ -22,12 +22,8 @@ def plc_project(project: Project, options: ProjectOptions) -> PlcProject:
         GenerationError: PLC003, more tasks are used than the blocks serve.
     """
     topics, tasks = _topics(project), _tasks(project)
-    slowest = max((task.interval_ns for task in tasks), default=0)
     settings = project.config.settings
-    chosen = replace(
-        options, prefix=settings.prefix, beat_ms=max(options.beat_ms, -(-slowest * 3 // 1_000_000))
-    )
-    return build_project(project.store, topics, tasks, chosen)
+    return build_project(project.store, topics, tasks, replace(options, prefix=settings.prefix))
 
 
 def _topics(project: Project) -> list[PlcTopic]:

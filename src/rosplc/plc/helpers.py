@@ -5,7 +5,7 @@ from __future__ import annotations
 from rosplc.layout import compute_layout
 from rosplc.model import TypeStore
 from rosplc.plc.base import read_objects
-from rosplc.plc.project import Dut, Gvl, Pou
+from rosplc.plc.project import Item
 from rosplc.plc.types import DutBuilder
 
 __all__ = ["HELPER_NAMES", "helper_objects"]
@@ -28,7 +28,7 @@ HELPER_NAMES = (*_GENERAL, *_TIMES, *_DURATIONS, *_ANGLES)
 """Names that no generated object may take, whether or not the helper is part of a project."""
 
 
-def helper_objects(store: TypeStore, builder: DutBuilder, folder: str) -> tuple[Dut | Gvl | Pou, ...]:
+def helper_objects(store: TypeStore, builder: DutBuilder, folder: str) -> tuple[Item, ...]:
     """Return the helpers, and have the message types built that they use.
 
     Args:

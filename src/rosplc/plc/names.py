@@ -8,7 +8,7 @@ scope, is renamed by a fixed rule, and every renaming is kept for the table in t
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import cache
 from importlib.resources import files
 
@@ -16,7 +16,7 @@ __all__ = ["Scope", "is_reserved", "legal", "type_prefix"]
 
 # BOOL_TO_INT, TO_INT and the like are operators of their own.
 _ELEMENTARY = (
-    "BOOL|BIT|BYTE|WORD|DWORD|LWORD|SINT|INT|DINT|LINT|USINT|UINT|UDINT|ULINT|REAL|LREAL|STRING|WSTRING"
+    "BOOL|BIT|BYTE|WORD|DWORD|LWORD|SINT|INT|DINT|LINT|USINT|UINT|UDINT|ULINT|REAL|LREAL|CHAR|WCHAR|STRING|WSTRING"
     "|TIME|LTIME|DATE|LDATE|DT|LDT|TOD|LTOD"
 )
 _CONVERSION = re.compile(rf"(?:(?:{_ELEMENTARY})_)?TO_(?:{_ELEMENTARY})\Z")
@@ -65,6 +65,12 @@ class Scope:
     def __init__(self, taken: Iterable[str] = ()) -> None:
         self._taken = {name.upper() for name in taken}
         self.renamed: list[tuple[str, str]] = []
+
+    def give_all(self, wanted: Sequence[str]) -> tuple[str, ...]:
+        """Return a name for each; names that are legal as they are get theirs before those that change."""
+        order = sorted(range(len(wanted)), key=lambda index: legal(wanted[index]) != wanted[index])
+        given = {index: self.give(wanted[index]) for index in order}
+        return tuple(given[index] for index in range(len(wanted)))
 
     def give(self, wanted: str) -> str:
         """Return a free legal name as near to ``wanted`` as possible."""

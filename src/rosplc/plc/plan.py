@@ -8,8 +8,9 @@ from typing import Any, Literal
 
 from rosplc.layout import Layout
 from rosplc.plc.classic import Classic
+from rosplc.shm.constants import MAX_BEAT_MS
 
-__all__ = ["PlcTask", "PlcTopic", "ProjectOptions"]
+__all__ = ["UNKNOWN_BEAT_MS", "PlcTask", "PlcTopic", "ProjectOptions", "beat_ms", "target_of"]
 
 
 @dataclass(frozen=True)
@@ -63,15 +64,43 @@ class ProjectOptions:
     Attributes:
         folder: The top folder in the PLC project.
         prefix: The prefix of shared-memory names.
-        fenced: Whether the target orders memory accesses by a fence: always on x86, on ARM
-            only where the device description enables the MemoryBarrier library.
-        beat_ms: The longest time between two beats that the PLC promises: several scans of
-            its slowest task.
+        target: The PLC's processor, ``"x86"`` or ``"arm"``.
+        fenced: Whether the target orders memory accesses by a fence: on x86 it does, on ARM only where the
+            device description enables the MemoryBarrier library; where the project lacks the library the
+            blocks follow the delayed rule nevertheless.
+        beat_ms: The least that a task promises as the longest time between two beats; see :func:`beat_ms`.
+        programs: What the names of the generated programs begin with.
         pins: Give blocks a pin for each top-level field.
     """
 
     folder: str = "ROS"
     prefix: str = "rosplc"
+    target: Literal["x86", "arm"] = "x86"
     fenced: bool = True
-    beat_ms: int = 1000
+    beat_ms: int = 0
+    programs: str = "SharedMemory"
     pins: bool = False
+
+
+def target_of(machine: str) -> Literal["x86", "arm"]:
+    """Return a machine's target, as :func:`platform.machine` names it: what is not known to be x86 is ARM.
+
+    The delayed rule, which ARM falls back to, is right everywhere.
+    """
+    return "x86" if machine.lower() in ("x86", "x86_64", "amd64", "i386", "i486", "i586", "i686") else "arm"
+
+
+UNKNOWN_BEAT_MS = 1000
+"""Promised where nobody knows how often a block is called."""
+_SCANS, _LEAST_BEAT_MS = 10, 250
+
+
+def beat_ms(task: PlcTask) -> int:
+    """Return the longest time between two beats that the blocks of a task promise, in ms.
+
+    Ten of its cycles, since a task may be late or be stopped for a moment. A writer that dies keeps its claim
+    for three such times.
+    """
+    if task.kind != "cyclic":
+        return UNKNOWN_BEAT_MS
+    return min(max(_LEAST_BEAT_MS, -(-task.interval_ns * _SCANS // 1_000_000)), MAX_BEAT_MS)

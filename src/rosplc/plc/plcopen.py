@@ -15,7 +15,7 @@ from xml.etree import ElementTree as ET
 
 from rosplc._version import __version__
 from rosplc.plc.literals import IEC_TYPES
-from rosplc.plc.project import Dut, Gvl, Method, PlcProject, Pou, VarBlock, Variable
+from rosplc.plc.project import Dut, Enumeration, Gvl, Method, PlcProject, Pou, VarBlock, Variable
 from rosplc.plc.st_text import declaration, method_declaration
 
 __all__ = ["plcopen_xml"]
@@ -25,6 +25,8 @@ _XHTML = "http://www.w3.org/1999/xhtml"
 _DATA = "http://www.3s-software.com/plcopenxml"
 _WHEN = "2000-01-01T00:00:00"  # the file depends on its input alone, not on the day
 
+LIBRARY_NAMESPACES = {"SysTypes2 Interfaces": "SysTypes"}
+"""Namespaces that are not the library's name."""
 _ELEMENTARY = frozenset({*IEC_TYPES.values(), "WORD", "DWORD", "LWORD", "TIME", "DATE", "DT", "TOD"})
 _POU_TYPES = {"FUNCTION_BLOCK": "functionBlock", "FUNCTION": "function", "PROGRAM": "program"}
 _SECTIONS = {
@@ -171,11 +173,19 @@ def _attributes(extra: ET.Element, attributes: Iterable[tuple[str, str]]) -> Non
             ET.SubElement(element, "Attribute", Name=name, Value=value)
 
 
-def _data_type(parent: ET.Element, dut: Dut) -> None:
+def _data_type(parent: ET.Element, dut: Dut | Enumeration) -> None:
     element = ET.SubElement(parent, "dataType", name=dut.name)
-    struct = ET.SubElement(ET.SubElement(element, "baseType"), "struct")
-    for member in dut.members:
-        _variable(struct, member)
+    base = ET.SubElement(element, "baseType")
+    if isinstance(dut, Enumeration):
+        enum = ET.SubElement(base, "enum")
+        values = ET.SubElement(enum, "values")
+        for name, value in dut.values:
+            ET.SubElement(values, "value", name=name, value=str(value))
+        _type(ET.SubElement(enum, "baseType"), dut.base)
+    else:
+        struct = ET.SubElement(base, "struct")
+        for member in dut.members:
+            _variable(struct, member)
     extra = ET.SubElement(element, "addData")
     _attributes(extra, dut.attributes)
     _plain_text(_data(extra, "interfaceasplaintext"), declaration(dut))
@@ -264,12 +274,13 @@ def _libraries(extra: ET.Element, project: PlcProject) -> None:
         ET.SubElement(
             element,
             "Library",
-            Name=f"{library}, * (System)",
-            Namespace=library.split(" ")[0],
+            Name=f"#{library}",
+            Namespace=LIBRARY_NAMESPACES.get(library, library),
             HideWhenReferencedAsDependency="false",
             PublishSymbolsInContainer="false",
             SystemLibrary="false",
             LinkAllContent="false",
+            DefaultResolution=f"{library}, * (System)",
         )
 
 
@@ -284,8 +295,7 @@ def _structure(extra: ET.Element, project: PlcProject) -> None:
             folders[path] = ET.SubElement(folder(above), "Folder", Name=name)
         return folders[path]
 
-    items: list[Dut | Gvl | Pou] = [*project.duts, *project.gvls, *project.pous]
-    for item in items:
+    for item in project.items:
         element = ET.SubElement(folder(item.folder), "Object", Name=item.name, ObjectId=_identity(item.name))
         if isinstance(item, Pou):
             for method in item.methods:

@@ -63,7 +63,7 @@ def programs(
             lines = calls.get((direction, task.name), [])
             if not lines and not (direction == "read" and ("write", task.name) in calls):
                 continue
-            wanted = f"SharedMemory_{direction.capitalize()}"
+            wanted = f"{options.programs}_{direction.capitalize()}"
             name = scope.give(wanted if single else f"{wanted}_{task.name}")
             body = list(lines)
             if direction == "read":

@@ -7,12 +7,14 @@ and implementations are Structured Text; everything else is structure.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 __all__ = [
     "Dut",
+    "Enumeration",
     "Gvl",
+    "Item",
     "Method",
     "PlcProject",
     "Pou",
@@ -70,6 +72,18 @@ class Dut:
 
 
 @dataclass(frozen=True, slots=True)
+class Enumeration:
+    """An enumeration type: names and numbers of type ``base``."""
+
+    name: str
+    values: tuple[tuple[str, int], ...]
+    base: str
+    attributes: tuple[tuple[str, str], ...] = ()
+    comment: str = ""
+    folder: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class Gvl:
     """A global variable list."""
 
@@ -109,6 +123,10 @@ class Pou:
     folder: str = ""
 
 
+Item: TypeAlias = "Dut | Enumeration | Gvl | Pou"
+"""An object of the project."""
+
+
 @dataclass(frozen=True, slots=True)
 class Task:
     """A task of the task configuration.
@@ -140,12 +158,19 @@ class PlcProject:
         name: The top folder's name in the PLC project.
         libraries: Library names to add (``"SysShm"``), as the library manager lists them.
         notes: What a person should know: renamed identifiers, sizes near a limit.
+        programs: What the names of the programs begin with.
     """
 
     name: str
-    duts: tuple[Dut, ...] = ()
+    duts: tuple[Dut | Enumeration, ...] = ()
     gvls: tuple[Gvl, ...] = ()
     pous: tuple[Pou, ...] = ()
     tasks: tuple[Task, ...] = ()
     libraries: tuple[str, ...] = ()
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
+    programs: str = "SharedMemory"
+
+    @property
+    def items(self) -> tuple[Item, ...]:
+        """Every object."""
+        return (*self.duts, *self.gvls, *self.pous)

@@ -9,18 +9,20 @@ from __future__ import annotations
 from importlib.resources import files
 
 from rosplc.plc.programs import SAFE_GVL
-from rosplc.plc.project import Dut, Gvl, PlcProject, Pou
+from rosplc.plc.project import Dut, Enumeration, Gvl, Item, PlcProject, Pou
 from rosplc.plc.st_text import declaration, method_declaration
 
 __all__ = ["import_script"]
+
+_KINDS = {Dut: "DUT", Enumeration: "ENUM", Gvl: "GVL"}
 
 
 def import_script(project: PlcProject) -> str:
     """Return the script's text; the same project always gives the same text."""
     program = files("rosplc.plc").joinpath("templates/import_script.py.txt").read_text(encoding="ascii")
-    items: list[Dut | Gvl | Pou] = [*project.duts, *project.gvls, *project.pous]
     lines = [
         program,
+        f"PROGRAMS = ({_text(f'{project.programs}_Read')}, {_text(f'{project.programs}_Write')})",
         f"LIBRARIES = [{', '.join(_text(name) for name in project.libraries)}]",
         "NOTES = [",
         *(f"    {_text(note)}," for note in project.notes),
@@ -37,18 +39,18 @@ def import_script(project: PlcProject) -> str:
             "    },",
         ]
     lines += ["]", "OBJECTS = ["]
-    for item in items:
+    for item in project.items:
         lines += _object(item)
     lines += ["]", "", "main()", ""]
     return "\n".join(lines)
 
 
-def _object(item: Dut | Gvl | Pou) -> list[str]:
+def _object(item: Item) -> list[str]:
     # Variables whose start values the compiler would keep: arguments of FB_Init, and the safe messages.
     instances = isinstance(item, Gvl) and (
         item.name == SAFE_GVL or any(v.arguments for block in item.blocks for v in block.variables)
     )
-    kind = "DUT" if isinstance(item, Dut) else "GVL" if isinstance(item, Gvl) else item.kind
+    kind = item.kind if isinstance(item, Pou) else _KINDS[type(item)]
     lines = [
         "    {",
         f"        'kind': {_text(kind)}, 'name': {_text(item.name)}, 'folder': {_text(item.folder)},",

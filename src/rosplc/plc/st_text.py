@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from rosplc.plc.project import Dut, Gvl, Method, Pou, VarBlock, Variable
+from rosplc.plc.project import Dut, Enumeration, Gvl, Item, Method, PlcProject, Pou, VarBlock, Variable
 
-__all__ = ["declaration", "method_declaration", "object_text"]
+__all__ = ["declaration", "method_declaration", "object_text", "project_texts"]
 
 
 def _comment(text: str) -> list[str]:
@@ -45,11 +45,14 @@ def _blocks(blocks: Iterable[VarBlock]) -> list[str]:
     return lines
 
 
-def declaration(item: Dut | Gvl | Pou) -> str:
+def declaration(item: Item) -> str:
     """Return the declaration part as CODESYS keeps it, ending with a line feed."""
     lines = [*_comment(item.comment), *_attributes(item.attributes)]
     if isinstance(item, Dut):
         lines += [f"TYPE {item.name} :", "STRUCT", *map(_variable, item.members), "END_STRUCT", "END_TYPE"]
+    elif isinstance(item, Enumeration):
+        values = [f"    {name} := {value}" for name, value in item.values]
+        lines += [f"TYPE {item.name} :", "(", ",\n".join(values), f") {item.base};", "END_TYPE"]
     elif isinstance(item, Gvl):
         lines += _blocks(item.blocks)
     else:
@@ -70,7 +73,7 @@ def method_declaration(method: Method) -> str:
     return "\n".join([*_comment(method.comment), head, *_blocks(method.blocks)]) + "\n"
 
 
-def object_text(item: Dut | Gvl | Pou) -> str:
+def object_text(item: Item) -> str:
     """Return the whole text of an object, as a ``.st`` file holds it."""
     text = declaration(item)
     if not isinstance(item, Pou):
@@ -82,3 +85,8 @@ def object_text(item: Dut | Gvl | Pou) -> str:
 
 def _body(text: str) -> str:
     return f"{text}\n" if text else ""
+
+
+def project_texts(project: PlcProject) -> dict[str, str]:
+    """Return the whole text of every object by its name, in the order of the project."""
+    return {item.name: object_text(item) for item in project.items}

@@ -92,7 +92,7 @@ class DutBuilder:
                 self.struct(inner)
         message = self.store[node.type_name]
         scope = Scope()
-        names = tuple(scope.give(_wanted(member)) for member in node.members)
+        names = scope.give_all([_wanted(member) for member in node.members])
         wanted = type_prefix(node.type_name)
         plain = wanted
         if node.type_name in self._seen_types:
@@ -153,12 +153,12 @@ class DutBuilder:
         name = self.scope.give(f"{type_prefix(message.name)}_Const")
         scope = Scope()
         variables = []
-        for constant in message.constants:
+        names = scope.give_all([constant.name for constant in message.constants])
+        for constant, given in zip(message.constants, names, strict=True):
             value = _constant(constant)
             if value is None:
                 self.omitted.append(f"{name}: {constant.name} is {constant.value}, which cannot be written")
                 continue
-            given = scope.give(constant.name)
             if given != constant.name:
                 self.renamings.append(Renaming(name, constant.name, given))
             variables.append(Variable(given, value[0], value[1]))

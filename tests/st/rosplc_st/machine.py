@@ -90,6 +90,10 @@ class Machine:
         """Move every instance: FB_Exit(TRUE), FB_Init(FALSE, TRUE), copy, FB_Reinit."""
         raise NotImplementedError
 
+    def power_cycle(self) -> None:
+        """End the runtime and start it again: retained lists keep their values, FB_Init(FALSE, FALSE)."""
+        raise NotImplementedError
+
     def set_time(self, milliseconds: int) -> None:
         """Set what TIME() returns."""
         raise NotImplementedError
@@ -315,6 +319,11 @@ class LibraryMachine(Machine):
         """Move every instance: FB_Exit(TRUE), FB_Init(FALSE, TRUE), copy, FB_Reinit."""
         self.library.st_online_change()
 
+    def power_cycle(self) -> None:
+        """End the runtime and start it again: retained lists keep their values, FB_Init(FALSE, FALSE)."""
+        self.library.st_forget()
+        self.library.st_warm_start()
+
     def set_time(self, milliseconds: int) -> None:
         """Set what TIME() returns."""
         self._time = milliseconds & 0xFFFFFFFF
@@ -429,6 +438,10 @@ class ProcessMachine(Machine):
     def online_change(self) -> None:
         """Move every instance: FB_Exit(TRUE), FB_Init(FALSE, TRUE), copy, FB_Reinit."""
         self._ask("change")
+
+    def power_cycle(self) -> None:
+        """End the runtime and start it again: retained lists keep their values, FB_Init(FALSE, FALSE)."""
+        self._ask("power")
 
     def set_time(self, milliseconds: int) -> None:
         """Set what TIME() returns."""

@@ -594,13 +594,13 @@ def _generated(topics: str = TOPICS, *, now: str = "", prefix: str = "") -> Look
     return look
 
 
-def _write_code(stage: Stage, topics: str, *, fenced: bool = True):
+def _write_code(stage: Stage, topics: str, **options):
     from rosplc.plc.build import ProjectOptions
     from rosplc.plc.delivery import project_files, write_files
     from rosplc.plc.from_config import plc_project
 
     project = stage.project(topics)
-    files = project_files(plc_project(project, ProjectOptions(fenced=fenced)), [], "rosplc")
+    files = project_files(plc_project(project, ProjectOptions(**options)), [], "rosplc")
     write_files(stage.root / "out", files)
     return project
 
@@ -636,15 +636,15 @@ case("DOC705", _generated(TOPICS, now=TOPICS.splitlines()[0] + "\n"), _generated
 case("DOC706", _generated(prefix="other"), _generated())
 
 
-def _fences(fenced: bool) -> Look:
+def _fences(target: str) -> Look:
     def look(stage: Stage) -> Iterable[Finding]:
-        _write_code(stage, TOPICS, fenced=fenced)
+        _write_code(stage, TOPICS, target=target)
         return code.fences(read_generated(stage.root / "out"), "aarch64", "rosplc generate")
 
     return look
 
 
-case("DOC707", _fences(True), _fences(False))
+case("DOC707", _fences("x86"), _fences("arm"))
 
 
 def _edited(text: str) -> Look:

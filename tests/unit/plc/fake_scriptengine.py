@@ -18,12 +18,19 @@ from collections.abc import Iterator
 
 class DutType(enum.Enum):
     Structure = 1
+    Enumeration = 2
 
 
 class PouType(enum.Enum):
     Program = 1
     FunctionBlock = 2
     Function = 3
+
+
+class ImplementationLanguages:
+    """The IDE's default may be another language than Structured Text: a script has to say which it means."""
+
+    st = "Structured Text"
 
 
 class KindOfTask(enum.Enum):
@@ -134,7 +141,7 @@ class Textual(Item):
 
 class FunctionBlock(Textual):
     def create_method(self, name, return_type=None, language=None):
-        assert language is None
+        assert language is ImplementationLanguages.st
         assert name.upper() not in {child._name.upper() for child in self._children}
         head = f"METHOD {name}" + (f" : {return_type}" if return_type else "")
         return self._add(Textual(self._project, name, f"{head}\nVAR_INPUT\nEND_VAR\n", ""))
@@ -148,9 +155,9 @@ class Container(Item):
         self._add(Folder(self._project, foldername))  # documented without a return value
 
     def create_dut(self, name, type=DutType.Structure, baseType=None):
-        assert type is DutType.Structure
         self._free(name)
-        return self._add(Textual(self._project, name, f"TYPE {name} :\nSTRUCT\nEND_STRUCT\nEND_TYPE\n", None))
+        body = {DutType.Structure: "STRUCT\nEND_STRUCT", DutType.Enumeration: "(\n)"}[type]
+        return self._add(Textual(self._project, name, f"TYPE {name} :\n{body}\nEND_TYPE\n", None))
 
     def create_gvl(self, name):
         self._free(name)
@@ -166,6 +173,7 @@ class Container(Item):
         interfaces=None,
     ):
         assert isinstance(type, PouType)
+        assert language is ImplementationLanguages.st
         assert (return_type is not None) == (type is PouType.Function)
         assert base_type is None or type is PouType.FunctionBlock
         self._free(name)
@@ -203,13 +211,13 @@ class LibraryManager(Item):
         self.references = [Reference("#Standard"), Reference("IoStandard, 3.5.15.0 (System)")]
         self.missing: set[str] = set()
 
-    def add_library(self, name):
-        library = name.split(",")[0]
-        if library in self.missing:
-            raise RuntimeError(f"{library} is not installed")
-        assert library not in {r.name.split(",")[0] for r in self.references}
-        self._project.changed(f"library {library}")
-        self.references.append(Reference(name.replace("*", "3.5.17.0")))
+    def add_placeholder(self, name, default_resolution):
+        if name in self.missing:
+            raise RuntimeError(f"{name} is not installed")
+        assert default_resolution == f"{name}, * (System)"
+        assert name not in {r.name.lstrip("#").split(",")[0] for r in self.references}
+        self._project.changed(f"library {name}")
+        self.references.append(Reference(f"#{name}"))
 
     def content(self) -> object:
         return tuple(reference.name for reference in self.references)
@@ -309,7 +317,7 @@ def run(script: str, project: Project | None) -> None:
     """Execute a script as the IDE does, with the project open."""
     module = types.ModuleType("scriptengine")
     module.projects = types.SimpleNamespace(primary=project)  # type: ignore[attr-defined]
-    for name in (DutType, PouType, KindOfTask):
+    for name in (DutType, PouType, KindOfTask, ImplementationLanguages):
         setattr(module, name.__name__, name)
     before = sys.modules.get("scriptengine")
     sys.modules["scriptengine"] = module

@@ -7,17 +7,17 @@ import re
 import pytest
 
 from rosplc.layout import Limits
-from rosplc.plc.base import base_objects
-from rosplc.plc.blocks import read_block, write_block
+from rosplc.plc import blocks
+from rosplc.plc.base import base_objects, classic_objects
 from rosplc.plc.names import is_reserved
 from rosplc.plc.types import DutBuilder
 from tests.unit.plc.projects import JOINTS, STORE, custom, layout, named
 
 
-def block(each, store=STORE, kind=read_block, **options):
+def block(each, store=STORE, kind="Read", **options):
     builder = DutBuilder(store)
     name = builder.add(each)
-    return kind(each, builder, f"{name}_Block", "ROS/Blocks", **options), builder
+    return blocks.block(kind, each, builder, f"{name}_Block", "ROS/Blocks", **options), builder
 
 
 def mend(pou):
@@ -139,7 +139,7 @@ def test_a_block_names_the_layout_that_it_expects():
     each = layout(JOINTS)
     low, high = each.layout_id_words
     arguments = f"udiLayoutLo := 16#{low:08X}, udiLayoutHi := 16#{high:08X}, udiRecordSize := {each.size}"
-    for kind in (read_block, write_block):
+    for kind in ("Read", "Write"):
         pou, _ = block(each, kind=kind)
         assert arguments in pou.implementation
         assert each.layout_id in pou.comment
@@ -147,13 +147,13 @@ def test_a_block_names_the_layout_that_it_expects():
 
 def test_blocks_extend_the_base_and_take_its_arguments():
     """Neither declares an FB_Init of its own: the base's takes the topic."""
-    for kind, base in ((read_block, "RosPlc_Reader"), (write_block, "RosPlc_Writer")):
+    for kind, base in (("Read", "RosPlc_Reader"), ("Write", "RosPlc_Writer")):
         pou, _ = block(layout(JOINTS), kind=kind)
         assert pou.extends == base
         assert not [method for method in pou.methods if method.name.upper() in ("FB_INIT", "FB_EXIT")]
 
 
-@pytest.mark.parametrize("kind", [read_block, write_block])
+@pytest.mark.parametrize("kind", ["Read", "Write"])
 def test_pins_show_each_top_level_field(kind):
     """A pin per field with the field's type, and each is copied from or to its member."""
     pou, builder = block(layout(JOINTS), kind=kind, pins=True)
@@ -162,7 +162,7 @@ def test_pins_show_each_top_level_field(kind):
     pins = {v.name: v.type for b in pou.blocks for v in b.variables if v.name.startswith("pin_")}
     assert pins == {f"pin_{name}": type_ for name, type_ in fields.items()}
     for name in fields:
-        copied = f"pin_{name} := msg.{name};" if kind is read_block else f"msg.{name} := pin_{name};"
+        copied = f"pin_{name} := msg.{name};" if kind == "Read" else f"msg.{name} := pin_{name};"
         assert copied in pou.implementation
 
 
@@ -174,7 +174,7 @@ def test_pins_of_fields_with_leading_underscores(tmp_path):
     assert pins == ["pin_type", "pin_pin_type", "pin_x"]
 
 
-@pytest.mark.parametrize("kind", [read_block, write_block])
+@pytest.mark.parametrize("kind", ["Read", "Write"])
 @pytest.mark.parametrize("pins", [False, True])
 def test_a_block_declares_nothing_that_its_base_has(kind, pins):
     """A second declaration of a base's name is an error in CODESYS, private ones included."""
@@ -194,14 +194,13 @@ def test_a_block_declares_nothing_that_its_base_has(kind, pins):
 
 def test_a_derived_base_declares_nothing_twice():
     """Nor does a hand-written block; only methods that are meant to be overridden recur."""
-    bases = {item.name: item for item in base_objects("ROS/Base")}
-    channel = bases["RosPlc_Channel"]
-    variables = {v.name.upper() for b in channel.blocks for v in b.variables}
-    methods = {m.name.upper(): m for m in channel.methods}
-    for name in ("RosPlc_Reader", "RosPlc_Writer"):
-        derived = bases[name]
-        own = {v.name.upper() for b in derived.blocks for v in b.variables}
-        assert not own & variables
-        again = {m.name for m in derived.methods if m.name.upper() in methods}
-        assert again == {"Leave"}
-        assert all(m.access == methods["LEAVE"].access for m in derived.methods if m.name == "Leave")
+    bases = {item.name: item for item in (*base_objects("Base"), *classic_objects("Base"))}
+    for derived in bases.values():
+        base = bases.get(getattr(derived, "extends", None))
+        own = {v.name.upper() for b in getattr(derived, "blocks", ()) for v in b.variables}
+        while base is not None:
+            assert not own & {v.name.upper() for b in base.blocks for v in b.variables}
+            again = {m.name for m in derived.methods} & {m.name for m in base.methods}
+            assert again <= {"Leave", "Reset"}, derived.name
+            assert all(m.access == "PROTECTED" for m in (*derived.methods, *base.methods) if m.name in again)
+            base = bases.get(base.extends)

@@ -9,11 +9,12 @@ import sys
 
 import pytest
 
+from rosplc._version import __version__
 from rosplc.errors import GenerationError
 from rosplc.layout import Limits
 from rosplc.plc.build import PlcTask, build_project, build_type_library
 from rosplc.plc.delivery import project_files
-from rosplc.plc.project import Gvl, Pou
+from rosplc.plc.project import Dut, Gvl, Pou
 from tests.unit.plc.projects import JOINTS, POSE, STORE, TWIST, custom, layout, named, project, read, write
 
 FAST, SLOW = PlcTask("Fast", 1_000_000, 1), PlcTask("Slow", 100_000_000, 10, watchdog_ns=500_000)
@@ -170,12 +171,36 @@ def test_blocks_are_built_once_per_type_and_direction():
 
 def test_settings_fix_prefix_ordering_and_beat():
     """What holds for the whole project stands in one constant list."""
-    made = project(read("/a"), prefix="cell7", fenced=False, beat_ms=3000)
+    made = project(read("/a"), prefix="cell7", target="arm", fenced=False, beat_ms=3000)
     (block,) = named(made.gvls, "RosPlc_Settings").blocks
     assert block.constant
     assert {v.name: v.initial for v in block.variables} == {
-        "sPrefix": "'cell7'", "xFenced": "FALSE", "udiBeatMs": "3000"
+        "sVersion": f"'{__version__}'", "sPrefix": "'cell7'", "xArm": "TRUE", "xFenced": "FALSE",
+        "audiBeatMs": "[3000, 15(1000)]",
     }  # fmt: skip
+
+
+def test_a_task_promises_ten_of_its_cycles_as_beat():
+    """A writer that dies keeps its claim for three such times; 250 ms at least, 10 s at most."""
+    cycles = {"a": 1, "b": 10, "c": 100, "d": 5000}
+    tasks = [PlcTask(name, interval_ns=ms * 1_000_000) for name, ms in cycles.items()]
+    tasks.append(PlcTask("e", kind="freewheeling"))
+    made = project(*(read(f"/{task.name}", task=task.name) for task in tasks), tasks=tuple(tasks))
+    (block,) = named(made.gvls, "RosPlc_Settings").blocks
+    beats = next(v.initial for v in block.variables if v.name == "audiBeatMs")
+    assert beats == "[250, 250, 1000, 10000, 1000, 11(1000)]"
+
+
+def test_programs_take_the_prefix_that_was_asked_for():
+    """Their names, the deliveries' text and what the script looks for begin with it."""
+    made = project(read("/a"), write("/b"), programs="Cell7")
+    assert [pou.name for pou in made.pous if pou.kind == "PROGRAM"] == ["Cell7_Read", "Cell7_Write"]
+    files = project_files(made, [], "rosplc")
+    assert b"PROGRAMS = ('Cell7_Read', 'Cell7_Write')" in files["rosplc_import.py"]
+    assert b"Cell7_Read (first)" in files["README.txt"]
+    assert not [path for path, content in files.items() if b"SharedMemory_" in content]
+    with pytest.raises(GenerationError, match="PLC008"):
+        project(read("/a"), programs="2 cells")
 
 
 def test_a_project_without_topics_is_base_and_helpers():
@@ -194,7 +219,7 @@ def test_every_type_that_an_object_uses_is_part_of_the_project():
         "BOOL", "BYTE", "UINT", "UDINT", "ULINT", "DINT", "DWORD", "LREAL", "REAL", "USINT", "INT", "TIME",
         "LTIME", "LDT", "__UXINT", "RTS_IEC_HANDLE", "RTS_IEC_RESULT",
     }  # fmt: skip
-    items = [(dut.name, v.type) for dut in made.duts for v in dut.members]
+    items = [(dut.name, v.type) for dut in made.duts if isinstance(dut, Dut) for v in dut.members]
     for item in (*made.gvls, *made.pous):
         blocks = [*item.blocks, *(b for m in getattr(item, "methods", ()) for b in m.blocks)]
         items += [(item.name, v.type) for b in blocks for v in b.variables]

@@ -10,8 +10,9 @@ import pytest
 from lxml import etree
 
 from rosplc.errors import GenerationError
+from rosplc.plc.base import CLASSIC_NAMES, classic_objects
 from rosplc.plc.build import PlcTask, build_type_library
-from rosplc.plc.classic import CLASSIC_NAMES, Classic, classic_objects, classic_wait
+from rosplc.plc.classic import Classic, classic_wait
 from rosplc.plc.delivery import project_files
 from rosplc.plc.names import is_reserved
 from rosplc.plc.plcopen import plcopen_xml
@@ -124,18 +125,18 @@ def test_the_library_is_asked_for_where_it_is_needed(made):
     assert "SysSemProcess" in made.libraries
     assert "SysSemProcess" not in project(read("/plain", TWIST)).libraries
     root = etree.fromstring(plcopen_xml(made))
-    assert "SysSemProcess, * (System)" in [e.get("Name") for e in root.iter("{*}Library")]
+    assert "#SysSemProcess" in [e.get("Name") for e in root.iter("{*}Library")]
     ide = Project()
     run(import_script(made), ide)
-    names = [reference.name.split(",")[0] for reference in ide.active_application.libraries.references]
-    assert "SysSemProcess" in names
+    names = [reference.name for reference in ide.active_application.libraries.references]
+    assert "#SysSemProcess" in names
 
 
 def test_a_project_without_classic_topics_has_nothing_of_them():
-    """No object, no word: its files are what they were before there was a classic mode."""
+    """No object of theirs, and none that refers to one."""
     made = project(read("/plain", TWIST), write("/back", TWIST))
     files = project_files(made, [layout(TWIST)], "rosplc")
-    assert not [path for path, content in files.items() if b"lassic" in content or "lassic" in path]
+    assert not [path for path, content in files.items() if b"RosPlc_Classic" in content or "lassic" in path]
     library = build_type_library(STORE, [layout(TWIST)])
     assert not [pou.name for pou in library.pous if "Classic" in pou.name]
 

@@ -63,10 +63,13 @@ def test_a_configuration_becomes_a_folder(config, tmp_path):
     assert "Execute Script File" in output
 
 
-def test_the_slowest_task_sets_the_beat(config, tmp_path):
-    """A block promises to be called at least that often, so three scans of the slowest task."""
+def test_each_task_has_its_own_beat(config, tmp_path):
+    """A block promises to be called at least that often."""
     generate(config(), "--out", tmp_path / "plc")
-    assert "udiBeatMs : UDINT := 1500" in (tmp_path / "plc/st/Base/RosPlc_Settings.st").read_text()
+    assert (
+        "audiBeatMs : ARRAY[0..15] OF UDINT := [250, 5000, 14(1000)];"
+        in (tmp_path / "plc/st/Base/RosPlc_Settings.st").read_text()
+    )
 
 
 def test_the_map_size_is_the_size_of_the_bridges_object(config, tmp_path, shm_namespace):

@@ -29,6 +29,7 @@ XORN XSIZEOF
 ACTIONS CLASS CONFIGURATION D DELETE DREF EN END_CLASS END_CONFIGURATION END_GET END_NAMESPACE END_RESOURCE
 END_SET END_STEP END_TRANSITION ENDVAR ENO F_EDGE FROM GET INITIAL_STEP N NAMESPACE NON_RETAIN NULL ON
 OVERLAP OVERRIDE P PRIORITY R_EDGE REF_TO RESOURCE SET SINGLE STEP TASK TRANSITION USING WITH INTERVAL L SD
+ATAN2 TO_CHAR TO_WCHAR CHAR_TO WCHAR_TO LOWER_BOUND UPPER_BOUND
 DS SL CHAR WCHAR ANY_ELEMENTARY ANY_DERIVED ANY_MAGNITUDE ANY_SIGNED ANY_UNSIGNED ANY_DURATION ANY_CHARS
 """
 KEYWORDS = _WORDS.split()
@@ -44,7 +45,16 @@ def test_a_keyword_is_renamed_in_any_case(word):
 
 
 @pytest.mark.parametrize(
-    "word", ["BOOL_TO_INT", "to_real", "LREAL_TO_STRING", "ulint_to_ltime", "BYTE_TO_BOOL"]
+    "word",
+    [
+        "BOOL_TO_INT",
+        "to_real",
+        "LREAL_TO_STRING",
+        "ulint_to_ltime",
+        "BYTE_TO_BOOL",
+        "to_char",
+        "WCHAR_TO_INT",
+    ],
 )
 def test_a_conversion_operator_is_reserved(word):
     """The names of conversion operators are keywords, too."""
@@ -91,6 +101,13 @@ def test_names_that_collide_after_renaming_become_two():
     """A name that takes the place where another one would land does not meet it."""
     scope = Scope()
     assert [scope.give(name) for name in ("_type", "type", "TYPE")] == ["_type", "_type_2", "_TYPE_3"]
+
+
+def test_legal_names_stay_whatever_stands_before_them():
+    """A name that has to change never takes one that another has by right."""
+    scope = Scope()
+    given = scope.give_all(["type", "a__b", "_type", "a_b", "A_B"])
+    assert given == ("_type_2", "a_b_3", "_type", "a_b", "A_B_2")
 
 
 def test_a_number_does_not_run_into_the_digits_of_a_name():

@@ -18,7 +18,7 @@ from rosplc.layout import Limits
 from rosplc.model import DISTROS, TypeStore
 from rosplc.plc.build import ProjectOptions, build_type_library
 from rosplc.plc.plcopen import plcopen_xml
-from rosplc.plc.project import PlcProject, Pou, VarBlock, Variable
+from rosplc.plc.project import Enumeration, PlcProject, Pou, VarBlock, Variable
 from rosplc.plc.st_text import declaration, method_declaration
 from tests.unit.plc.projects import JOINTS, STORE, TWIST, custom, layout, project, read, write
 
@@ -183,8 +183,12 @@ def test_duts_say_what_the_model_says(made, root):
     elements = root.findall(f"{PLC}types/{PLC}dataTypes/{PLC}dataType")
     assert [element.get("name") for element in elements] == [dut.name for dut in made.duts]
     for element, dut in zip(elements, made.duts, strict=True):
-        struct = element.find(f"{PLC}baseType/{PLC}struct")
-        assert variables(struct) == [(m.name, m.type, m.initial, ()) for m in dut.members]
+        if isinstance(dut, Enumeration):
+            values = [(v.get("name"), int(v.get("value"))) for v in element.iter(f"{PLC}value")]
+            assert values == list(dut.values)
+        else:
+            struct = element.find(f"{PLC}baseType/{PLC}struct")
+            assert variables(struct) == [(m.name, m.type, m.initial, ()) for m in dut.members]
         attributes = [(a.get("Name"), a.get("Value")) for block in data(element, "attributes") for a in block]
         assert attributes == list(dut.attributes)
         (text,) = data(element, "interfaceasplaintext")
@@ -194,7 +198,7 @@ def test_duts_say_what_the_model_says(made, root):
 def test_messages_have_the_pack_mode(made, root):
     """Every DUT that is mapped into shared memory says 8, whatever the device's default is."""
     for element in root.iter(f"{PLC}dataType"):
-        if element.get("name") == "RosPlc_YawPitchRoll":
+        if element.get("name") in ("RosPlc_YawPitchRoll", "RosPlc_Error"):
             continue  # never in shared memory
         (attributes,) = data(element, "attributes")
         assert [(a.get("Name"), a.get("Value")) for a in attributes] == [("pack_mode", "8")]
@@ -258,15 +262,16 @@ def test_arguments_of_instances_are_assignments(root):
     assert arguments["_type"] == (("sTopic", "'/type'"),)
 
 
-def test_libraries_are_named_with_their_vendor(root):
-    """As an export lists a library that is not a placeholder."""
+def test_libraries_are_placeholders(root):
+    """As an export lists a placeholder: the device or the project decides on the version."""
     (libraries,) = data(root, "libraries")
-    assert [entry.get("Name") for entry in libraries] == [
-        "SysShm, * (System)", "SysMem, * (System)", "SysTypes2 Interfaces, * (System)"
-    ]  # fmt: skip
+    names = ("SysShm", "SysMem", "SysTypes2 Interfaces")
+    assert [entry.get("Name") for entry in libraries] == [f"#{name}" for name in names]
+    assert [entry.get("DefaultResolution") for entry in libraries] == [f"{n}, * (System)" for n in names]
+    assert [entry.get("Namespace") for entry in libraries] == ["SysShm", "SysMem", "SysTypes"]
     attributes = {
         "Name", "Namespace", "HideWhenReferencedAsDependency", "PublishSymbolsInContainer", "SystemLibrary",
-        "LinkAllContent",
+        "LinkAllContent", "DefaultResolution",
     }  # fmt: skip
     assert all(set(entry.attrib) == attributes for entry in libraries)
 

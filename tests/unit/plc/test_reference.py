@@ -7,8 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from rosplc.plc.base import base_objects
-from rosplc.plc.classic import classic_objects
+from rosplc.plc.base import base_objects, classic_objects
 from rosplc.plc.project import Pou
 
 ROOT = Path(__file__).resolve().parents[3]

@@ -8,10 +8,19 @@ import pytest
 
 from rosplc.layout import Limits
 from rosplc.plc.build import PlcTask
-from rosplc.plc.project import Dut, Gvl, Pou
+from rosplc.plc.project import Pou
 from rosplc.plc.script import import_script
 from rosplc.plc.st_text import declaration, method_declaration
-from tests.unit.plc.fake_scriptengine import Aborted, PouType, Project, Reference, Task, Textual, run
+from tests.unit.plc.fake_scriptengine import (
+    Aborted,
+    ImplementationLanguages,
+    PouType,
+    Project,
+    Reference,
+    Task,
+    Textual,
+    run,
+)
 from tests.unit.plc.projects import JOINTS, POSE, TWIST, project, read, write
 
 FAST, SLOW = PlcTask("Fast", 1_000_000, 1), PlcTask("Slow", 100_000_000, 10, watchdog_ns=50_000_000)
@@ -39,7 +48,6 @@ def expected(made):
         tree[path] = (mark(item.name) + declaration(item), text)
         for method in item.methods if isinstance(item, Pou) else ():
             tree[f"{path}/{method.name}"] = (method_declaration(method), method.implementation)
-        assert isinstance(item, (Dut, Gvl, Pou))
     for task in made.tasks:
         watchdog = (str(task.watchdog_us // 1000), "ms", "1") if task.watchdog_us else None
         tree[f"/Task Configuration/{task.name}"] = {
@@ -68,7 +76,7 @@ def test_a_run_creates_the_whole_project(ide):
     run(import_script(made), ide)
     assert objects(ide) == expected(made)
     names = [reference.name.split(",")[0] for reference in ide.active_application.libraries.references]
-    assert names[2:] == ["SysShm", "SysMem", "SysTypes2 Interfaces"]
+    assert names[2:] == ["#SysShm", "#SysMem", "#SysTypes2 Interfaces"]
 
 
 @pytest.mark.parametrize("line_end", ["\n", "\r\n"])
@@ -153,11 +161,7 @@ def test_a_program_of_the_user_with_a_like_name_stays_called(ide):
     """``SharedMemory_Reader`` of the user's is no program of ours, although the name begins alike."""
     run(import_script(two_tasks()), ide)
     own = ide.active_application
-    own.create_pou(
-        name="SharedMemory_Reader", type=__import__("scriptengine_types").Program
-    ) if False else None
-
-    own.create_pou(name="SharedMemory_Reader", type=PouType.Program)
+    own.create_pou(name="SharedMemory_Reader", type=PouType.Program, language=ImplementationLanguages.st)
     (configuration,) = (i for i in own.get_children(False) if i.is_task_configuration)
     fast = next(task for task in configuration.get_children(False) if task.get_name(False) == "Fast")
     fast.pous.add("SharedMemory_Reader")
@@ -230,7 +234,7 @@ def test_a_method_that_is_no_longer_generated_is_removed(ide):
     run(import_script(made), ide)
     ros = next(f for f in ide.active_application.get_children(False) if f.get_name(False) == "ROS")
     blocks = next(f for f in ros.get_children(False) if f.get_name(False) == "Blocks")
-    blocks.get_children(False)[0].create_method("Extra", "BOOL")
+    blocks.get_children(False)[0].create_method("Extra", "BOOL", ImplementationLanguages.st)
     run(import_script(made), ide)
     assert objects(ide) == expected(made)
 

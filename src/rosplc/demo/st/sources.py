@@ -12,8 +12,8 @@ from pathlib import Path
 from rosplc.demo.messages import robot_topics
 from rosplc.demo.plan import Plan
 from rosplc.plc.instances import instance_names
-from rosplc.plc.project import Dut, Gvl, PlcProject, Pou, Variable
-from rosplc.plc.st_text import object_text
+from rosplc.plc.project import Gvl, PlcProject, Pou, Variable
+from rosplc.plc.st_text import project_texts
 
 __all__ = [
     "CONFIGURATION",
@@ -47,8 +47,7 @@ def write_texts(folder: Path, plan: Plan, project: PlcProject, programs: Path) -
         project: What the generator makes of the run's configuration.
         programs: The folder of the demonstration's own Structured Text.
     """
-    items: list[Dut | Gvl | Pou] = [*project.duts, *project.gvls, *project.pous]
-    texts = {item.name: object_text(item) for item in items}
+    texts = project_texts(project)
     texts |= {path.stem: path.read_text(encoding="utf-8") for path in sorted(programs.glob("*.st"))}
     texts |= _recorder(plan, project)
     for name, text in texts.items():

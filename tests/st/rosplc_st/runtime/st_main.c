@@ -36,6 +36,9 @@ int main(void)
             st_start();
         } else if (!strcmp(word, "stop")) {
             st_stop();
+        } else if (!strcmp(word, "power")) {
+            st_forget();
+            st_warm_start();
         } else if (!strcmp(word, "change")) {
             st_online_change();
         } else if (!strcmp(word, "time") && sscanf(rest, "%lu", &number) == 1) {

@@ -207,6 +207,16 @@ uint32_t SysSharedMemoryClose(st_uxint handle)
     return ERR_OK;
 }
 
+void st_forget(void)
+{
+    for (size_t i = 0; i < HANDLES; i++)
+        if (mappings[i].users) {
+            munmap(mappings[i].memory, mappings[i].size);
+            mappings[i].users = 0;
+        }
+    st_counters.open_handles = 0;
+}
+
 uint32_t SysSharedMemoryDelete(st_uxint handle)
 {
     char path[4400];

@@ -21,6 +21,9 @@ extern const struct st_program st_programs[];
 extern const struct st_member st_members[];
 void st_start(void);
 void st_stop(void);
+void st_warm_start(void);
+/* What the end of a runtime does to its programs: every handle and mapping is gone. */
+void st_forget(void);
 void st_online_change(void);
 
 /* What is documented as unknown, or differs between runtimes: switchable while a program runs. */

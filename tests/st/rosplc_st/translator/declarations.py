@@ -13,6 +13,7 @@ from rosplc_st.translator.types import (
     STRING_DEFAULT,
     Array,
     Block,
+    Elementary,
     Pointer,
     String,
     Struct,
@@ -114,6 +115,7 @@ class VariableList:
     place: Place
     qualified: bool
     variables: list[Declared]
+    retained: bool = False
 
 
 @dataclass
@@ -125,6 +127,7 @@ class Program:
     blocks: dict[str, FunctionBlock] = field(default_factory=dict)
     lists: dict[str, VariableList] = field(default_factory=dict)
     functions: dict[str, Callable_] = field(default_factory=dict)
+    enumerations: dict[str, tuple[Elementary, dict[str, int]]] = field(default_factory=dict)
 
     def ancestry(self, name: str) -> list[FunctionBlock]:
         """Return a block and what it extends, the base first."""
@@ -207,12 +210,14 @@ class _Collector:
         value = int(str(inner.value).replace("_", ""))
         return -value if negative else value
 
-    def variables(self, block: Any, kind: str, place: Place, base: int) -> Iterator[Declared]:
+    def variables(
+        self, block: Any, kind: str, place: Place, base: int, *, retain: bool = False
+    ) -> Iterator[Declared]:
         attributes = str(getattr(block, "attrs", "") or "").lower()
         flags = attributes.rpartition(".")[2]
         constant = "constant" in flags
         for odd in ("retain", "persistent"):
-            if odd in flags:
+            if odd in flags and not retain:
                 raise place.at(block, base).error(odd.upper())
         for item in block.items:
             here = place.at(item, base)
@@ -302,7 +307,23 @@ class _Collector:
             raise place.error(f"{name} is declared twice")
         self.names.append(name)
 
+    def enumeration(self, item: Any, place: Place) -> None:
+        """Keep an enumeration's names and numbers; each needs a number, and a type is named."""
+        name = str(item.name).upper()
+        self.new(name, place)
+        given = item.init.spec
+        base = ELEMENTARY.get(str(given.type_name).upper())
+        if base is None or not base.integral:
+            raise place.error(f"{name}: an enumeration without an integer type")
+        values = {str(v.name).upper(): self.literal(v.value, place) for v in given.values}
+        if len(values) != len(given.values):
+            raise place.error(f"{name}: a name is declared twice")
+        self.program.enumerations[name] = (base, values)
+
     def dut(self, unit: Unit, item: Any, place: Place) -> None:
+        if type(item).__name__ == "EnumeratedTypeDeclaration":
+            self.enumeration(item, place)
+            return
         if type(item).__name__ != "StructureTypeDeclaration" or item.extends or item.indirection:
             raise place.error(f"type {type(item).__name__}")
         name = str(item.name).upper()
@@ -341,7 +362,8 @@ class _Collector:
         if known is None:
             self.new(name, place)
             known = self.program.lists[name] = VariableList(name, place, qualified, [])
-        known.variables += self.variables(item, "var", place, unit.line)
+        known.variables += self.variables(item, "var", place, unit.line, retain=True)
+        known.retained = known.retained or "retain" in str(item.attrs or "").lower()
 
     def resolve(self) -> None:
         """Settle which of the user's types are structures and which are blocks; check that all exist."""
@@ -352,6 +374,8 @@ class _Collector:
                 return Pointer(settle(type_.target, place, True))
             if isinstance(type_, Array):
                 return Array(type_.low, type_.high, settle(type_.element, place, inner))
+            if isinstance(type_, Struct) and type_.name in program.enumerations:
+                return program.enumerations[type_.name][0]
             if isinstance(type_, Struct) and type_.name not in program.duts:
                 if type_.name not in program.blocks:
                     raise place.error(f"unknown type {type_.name}")
@@ -377,6 +401,8 @@ class _Collector:
             mend(dut.members)
         for variables in program.lists.values():
             mend(variables.variables)
+            if variables.retained and not all(isinstance(v.type, Block) for v in variables.variables):
+                raise variables.place.error("RETAIN of something that is no function block")
         for block in program.blocks.values():
             seen: set[str] = set()
             for variable in program.members(block.name):

@@ -235,7 +235,7 @@ class _Emitter:
         lines += [
             f"static void make_{name}({signature})",
             "{",
-            f"values_{name}(self, st_retains, st_copy);",
+            f"if (!st_kept) values_{name}(self, st_retains, st_copy);",
             f"self->vt = vt_{name};",
         ]
         for item in chain:
@@ -328,6 +328,7 @@ class _Emitter:
         for block in self.program.blocks.values():
             if block.is_program:
                 holders.append((f"B_{block.name}", f"p_{block.name}", False))
+        retained = {f"G_{item.name}" for item in ordered if item.retained}
         for name, pointer, _ in holders:
             maker = name if name.startswith("G_") else name[2:]
             lines += [f"static void *create_{pointer}(int st_retains, int st_copy)", "{"]
@@ -339,6 +340,13 @@ class _Emitter:
         for name, pointer, _ in holders:
             maker = name if name.startswith("G_") else name[2:]
             lines.append(f"exit_{maker}({pointer}, 0);")
+        # A warm start: retained lists keep their values, and their instances are told so by FB_Init.
+        lines += ["}", "void st_warm_start(void)", "{"]
+        for name, pointer, constant in holders:
+            if name in retained:
+                lines.append(f"st_kept = 1; make_{name}({pointer}, 0, 0); st_kept = 0;")
+            elif not constant:
+                lines.append(f"{pointer} = 0; {pointer} = create_{pointer}(0, 0);")
         lines += ["}", "void st_online_change(void)", "{"]
         for name, pointer, constant in holders:
             if constant:
@@ -377,7 +385,7 @@ class _Emitter:
 
     def text(self) -> str:
         """Return the whole C text."""
-        lines = ['#include "st_runtime.h"', *self._types(), *self._forward()]
+        lines = ['#include "st_runtime.h"', "static int st_kept;", *self._types(), *self._forward()]
         for function in self.program.functions.values():
             lines += self._routine(function, f"F_{function.name}", "")
         for block in self.program.blocks.values():

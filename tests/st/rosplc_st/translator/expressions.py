@@ -130,6 +130,8 @@ class Expressions(Literals, Operators):
                         return self.place(f"g_{item.name}->f_{name}", declared)
         if name in self.program.lists:
             return Value(f"(*g_{name})", List(name))
+        if name in self.program.enumerations:
+            return Value("", List(name))
         if name in self.program.blocks and self.program.blocks[name].is_program:
             return Value(f"(*p_{name})", Block(name))
         library = constant(name, self.program.cpu_bits)
@@ -212,6 +214,10 @@ class Expressions(Literals, Operators):
             for declared in self.program.duts[value.type.name].members:
                 if declared.name == name:
                     return self.access(value, f"{value.code}.f_{name}", declared.type)
+        elif isinstance(value.type, List) and value.type.name in self.program.enumerations:
+            base, values = self.program.enumerations[value.type.name]
+            if name in values:
+                return self.number(values[name], base)
         elif isinstance(value.type, List):
             for declared in self.program.lists[value.type.name].variables:
                 if declared.name == name:
