@@ -20,7 +20,6 @@ from rosplc.config.objects import object_plan
 from rosplc.config.quantities import format_duration
 from rosplc.config.resolve import Project, TopicPlan, load_project
 from rosplc.config.stale_plan import flag_topic
-from rosplc.doctor.generated import Generated
 from rosplc.errors import GenerationError, RosplcError
 from rosplc.harmless import in_bytes
 from rosplc.layout import Layout, SequenceNode, StringNode, compute_layout
@@ -176,11 +175,8 @@ def _deliver(project: PlcProject, layouts: list[Layout], folder: Path | str, *, 
     return replace(delivery, notes=tuple(project.notes))
 
 
-def expected_files(project: Project, found: Generated, pins: bool) -> Mapping[str, bytes]:
-    """Return what would be generated for a project as the code that was found: path → content."""
-    options = ProjectOptions(
-        target="arm" if found.arm else "x86", fenced=found.fenced, programs=found.programs, pins=pins
-    )
+def expected_files(project: Project, options: ProjectOptions) -> Mapping[str, bytes]:
+    """Return what would be generated for a project: path below the folder → content."""
     return project_files(plc_project(project, options), [], "rosplc")
 
 

@@ -40,6 +40,7 @@ from rosplc.doctor.report import Report
 from rosplc.doctor.subject import Question, Subject
 from rosplc.doctor.words import user_name
 from rosplc.errors import RosplcError
+from rosplc.plc.plan import ProjectOptions
 from rosplc.project import expected_files
 from rosplc.ros import ROS1
 
@@ -362,7 +363,13 @@ class _Examination:
         top = folder if (folder / "st").is_dir() else folder.parent
         result: tuple[list[Finding], dict[str, str]] = ([], {})
         for pins in (False, True):
-            result = code.files(top, expected_files(project, found, pins), command)
+            options = ProjectOptions(
+                target="arm" if found.arm else "x86",
+                fenced=found.fenced,
+                programs=found.programs,
+                pins=pins,
+            )
+            result = code.files(top, expected_files(project, options), command)
             if not any(each.level for each in result[0]):
                 break
         return result

@@ -131,16 +131,21 @@ def test_an_edited_file_is_named_and_force_overwrites_it(config, tmp_path):
     assert "VAR_GLOBAL" in edited.read_text()
 
 
-def test_targets_and_fences(config, tmp_path):
-    """ARM is generated for the delayed rule unless the user vouches for the fence."""
-    for name, options, fenced in (
-        ("x86", (), "TRUE"),
-        ("arm", ("--target", "arm"), "FALSE"),
-        ("fenced", ("--target", "arm", "--fences"), "TRUE"),
+def test_targets_and_fences(config, tmp_path, monkeypatch):
+    """ARM is generated for the delayed rule unless the user vouches for the fence; the default is here."""
+    for name, machine, options, arm, fenced in (
+        ("pc", "x86_64", (), "FALSE", "TRUE"),
+        ("board", "aarch64", (), "TRUE", "FALSE"),
+        ("other board", "armv7l", ("--target", "x86"), "FALSE", "TRUE"),
+        ("arm", "x86_64", ("--target", "arm"), "TRUE", "FALSE"),
+        ("fenced", "x86_64", ("--target", "arm", "--fences"), "TRUE", "TRUE"),
     ):
+        monkeypatch.setattr("platform.machine", lambda found=machine: found)
         generate(config(), "--out", tmp_path / name, *options)
-        assert f"xFenced : BOOL := {fenced}" in (tmp_path / name / "st/Base/RosPlc_Settings.st").read_text()
-    assert "x86, arm" in generate(config(), "--target", "sparc", code=2)
+        text = (tmp_path / name / "st/Base/RosPlc_Settings.st").read_text()
+        assert f"xArm : BOOL := {arm};" in text
+        assert f"xFenced : BOOL := {fenced};" in text
+    assert "sparc" in generate(config(), "--target", "sparc", code=2)
 
 
 def test_pins_are_an_option(config, tmp_path):
@@ -163,7 +168,7 @@ def test_every_type_of_a_distribution(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),
     [
-        ((), 2, "name a configuration file"),
+        ((), 2, "no configuration was named"),
         (("rosplc.yaml", "--all-types", "jazzy"), 2, "name a configuration file"),
         (("--all-types", "bouncy"), 1, "TYP006"),
         (("missing.yaml",), 2, "missing.yaml"),
