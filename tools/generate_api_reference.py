@@ -56,6 +56,7 @@ PACKAGES: dict[str, tuple[str, tuple[str, ...]]] = {
             "RecordView",
             "SlotInfo",
             "Direction",
+            "include_dir",
         ),
     ),
     "rosplc.virtual_plc": ("Scan cycles over the same objects as a PLC, for laptops and CI.", ()),

@@ -159,6 +159,7 @@ def pack(stage: Path, folder: Path, version: str, target: Target) -> Path:
         link.symlink_to("/opt/rosplc/bin/rosplc")
     (stage / _CONFFILE_FOLDER).mkdir(parents=True, exist_ok=True)
     _write_documents(stage / "usr/share/doc/rosplc")
+    _write_headers(stage, version)
     control = stage / "DEBIAN"
     control.mkdir(exist_ok=True)
     for name in _MAINTAINER_SCRIPTS:
@@ -177,6 +178,18 @@ def pack(stage: Path, folder: Path, version: str, target: Target) -> Path:
     package = folder / f"rosplc_{debian_version(version)}_{target.architecture}.deb"
     run(["dpkg-deb", "--root-owner-group", "-Zzstd", "-z9", "--build", stage, package])
     return package
+
+
+def _write_headers(stage: Path, version: str) -> None:
+    """Put the C headers where compilers look, and a file for pkg-config beside them."""
+    headers = stage / "usr/include/rosplc"
+    shutil.rmtree(headers, ignore_errors=True)
+    (installed,) = (stage / _HOME).glob("lib/python3*/site-packages/rosplc/include/rosplc")
+    shutil.copytree(installed, headers)
+    folder = stage / "usr/share/pkgconfig"
+    folder.mkdir(parents=True, exist_ok=True)
+    text = (_SCRIPTS / "rosplc.pc.in").read_text(encoding="utf-8")
+    (folder / "rosplc.pc").write_text(text.format(version=version), encoding="utf-8")
 
 
 def _write_documents(folder: Path) -> None:

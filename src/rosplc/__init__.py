@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rosplc._version import __version__
 
 if TYPE_CHECKING:
-    from rosplc.api import Channel, attach, topics
+    from rosplc.api import Channel, attach, include_dir, topics
     from rosplc.bridge.bind import Binding, bind
     from rosplc.config import ConfigErrors, Project, load_project
     from rosplc.errors import (
@@ -55,6 +55,7 @@ __all__ = [
     "bind",
     "check",
     "generate",
+    "include_dir",
     "load_project",
     "topics",
 ]
@@ -63,6 +64,7 @@ __all__ = [
 _HOME = {
     "Channel": "rosplc.api",
     "attach": "rosplc.api",
+    "include_dir": "rosplc.api",
     "topics": "rosplc.api",
     "Binding": "rosplc.bridge.bind",
     "bind": "rosplc.bridge.bind",

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from types import TracebackType
 from typing import Any
 
@@ -17,10 +18,15 @@ from rosplc.monitor import ObjectState, find_objects
 from rosplc.shm import Attached, Description, Direction, Namespace, Reader, SlotInfo, Snapshot, Writer
 from rosplc.shm import attach as attach_object
 
-__all__ = ["Channel", "attach", "topics"]
+__all__ = ["Channel", "attach", "include_dir", "topics"]
 
 _REOPEN_SECONDS = 0.1
 _MOVED_SECONDS = 1.0
+
+
+def include_dir() -> Path:
+    """Return the folder of the C headers ``rosplc/*.h``: pass it to a C or C++ compiler with ``-I``."""
+    return Path(__file__).parent / "include"
 
 
 def attach(

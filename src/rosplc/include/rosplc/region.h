@@ -31,6 +31,15 @@ static inline uint32_t rosplc_window(const rosplc_region *r)
                                                                                  : ROSPLC_WINDOW_FENCES);
 }
 
+/* How long, in ms, a claim must have been silent before it may be replaced (M6, M9). */
+static inline uint32_t rosplc_silence_ms(uint32_t beat_ms)
+{
+    uint32_t silence = (beat_ms < ROSPLC_MAX_BEAT_MS ? beat_ms : ROSPLC_MAX_BEAT_MS) * ROSPLC_SILENT_BEATS;
+    if (beat_ms == 0)
+        return ROSPLC_SILENT_MS;
+    return silence < ROSPLC_MIN_SILENT_MS ? ROSPLC_MIN_SILENT_MS : silence;
+}
+
 /* Section 9, last rule: both words are compared at every call. RETIRED or LAYOUT: open the name again. */
 static inline rosplc_error rosplc_region_check(const rosplc_region *r)
 {
