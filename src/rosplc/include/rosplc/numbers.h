@@ -57,14 +57,14 @@ typedef enum {
     ROSPLC_ERROR_FEATURES = 106, /* object requires features that this side lacks */
     ROSPLC_ERROR_IDENTITY = 107, /* identity is damaged */
     ROSPLC_ERROR_GEOMETRY = 108, /* geometry is not consistent */
-    ROSPLC_ERROR_TRUNCATED = 109, /* object is smaller than it says */
+    ROSPLC_ERROR_TRUNCATED = 109, /* object is smaller than its header states */
     ROSPLC_ERROR_DIRECTION = 110, /* wrong kind or direction */
     ROSPLC_ERROR_RETIRED = 111, /* object is retired */
     ROSPLC_ERROR_LAYOUT = 112, /* layout differs */
     ROSPLC_ERROR_DESCRIPTION = 113, /* self-description cannot be read */
-    ROSPLC_ERROR_CLAIMED = 114, /* another writer holds the claim */
+    ROSPLC_ERROR_CLAIMED = 114, /* another writer has the claim */
     ROSPLC_ERROR_CLAIM_LOST = 115, /* writer's claim was taken over */
-    ROSPLC_ERROR_OTHER_BRIDGE = 116, /* another bridge holds this name */
+    ROSPLC_ERROR_OTHER_BRIDGE = 116, /* another bridge uses this name */
     ROSPLC_ERROR_NO_ROOM = 117, /* not enough room in shared memory */
     ROSPLC_ERROR_NAME = 118, /* name is not valid */
     ROSPLC_ERROR_OTHER_USER = 119, /* object belongs to another user */
@@ -75,13 +75,13 @@ typedef enum {
     ROSPLC_ERROR_REENTERED = 124, /* function block was called by two tasks at once */
     ROSPLC_ERROR_PEER_SILENT = 125, /* peer is silent */
     ROSPLC_ERROR_HANDSHAKE_TIMEOUT = 126, /* handshake took too long */
-    ROSPLC_ERROR_LOCK_TIMEOUT = 127, /* the lock was not free in time */
-    ROSPLC_ERROR_SEMAPHORE = 128, /* the semaphore cannot be opened */
+    ROSPLC_ERROR_LOCK_TIMEOUT = 127, /* lock was not free in time */
+    ROSPLC_ERROR_SEMAPHORE = 128, /* semaphore cannot be opened */
     ROSPLC_ERROR_MEMORY_TOO_SMALL = 129, /* classic memory is smaller than the record */
-    ROSPLC_ERROR_MEMORY_SIZE = 130, /* classic memory has an odd size */
-    ROSPLC_ERROR_LOCK_FREED = 131, /* a lock that nobody alive held was freed */
-    ROSPLC_ERROR_SEMAPHORE_COUNT = 132, /* a semaphore let in more than one */
-    ROSPLC_ERROR_SEMAPHORE_WORD_SIZE = 133, /* semaphore of programs of another word size */
+    ROSPLC_ERROR_MEMORY_SIZE = 130, /* classic memory has an unexpected size */
+    ROSPLC_ERROR_LOCK_FREED = 131, /* lock of a dead process was freed */
+    ROSPLC_ERROR_SEMAPHORE_COUNT = 132, /* semaphore let in more than one */
+    ROSPLC_ERROR_SEMAPHORE_WORD_SIZE = 133, /* semaphore belongs to programs of another word size */
 } rosplc_error;
 
 typedef struct {
