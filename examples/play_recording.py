@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from rosplc.errors import RosplcError
-from rosplc.recorder.replay import Player, ReplayOrder
+from rosplc.recorder.replay import Player, ReplayOptions
 from rosplc.recorder.source import open_source
 from rosplc.recorder.target import wait_for_readers
 from rosplc.recorder.to_ros import RosTarget
@@ -52,7 +52,7 @@ def main() -> int:
     if missing := wait_for_readers(target, arguments.wait, stopped):
         print(f"nobody subscribes to {', '.join(missing)}", file=sys.stderr)
         return 1
-    Player(source, target, topics, ReplayOrder(speed=arguments.speed, stamps="original")).play(stopped)
+    Player(source, target, topics, ReplayOptions(speed=arguments.speed, stamps="original")).play(stopped)
     time.sleep(arguments.linger)
     target.close()
     source.close()

@@ -26,10 +26,10 @@ _ROOT = Path(__file__).resolve().parents[2]
 _RECORDER = """
 import sys, time
 from pathlib import Path
-from rosplc.recorder import Order, Recorder
+from rosplc.recorder import RecordingOptions, Recorder
 from rosplc.shm import Namespace
 namespace, base = Namespace(sys.argv[1]), Path(sys.argv[2])
-recorder = Recorder(Order(namespace, base, flush_ns=int(sys.argv[3]), chunk_bytes=4096))
+recorder = Recorder(RecordingOptions(namespace, base, flush_ns=int(sys.argv[3]), chunk_bytes=4096))
 recorder.start()
 print("ready", flush=True)
 while True:
@@ -114,9 +114,10 @@ _FULL = """
 import sys, time
 from pathlib import Path
 from rosplc.errors import RecordingError
-from rosplc.recorder import Order, Recorder
+from rosplc.recorder import RecordingOptions, Recorder
 from rosplc.shm import Namespace
-recorder = Recorder(Order(Namespace(sys.argv[1]), Path(sys.argv[2]), flush_ns=10**7, compression="none"))
+options = RecordingOptions(Namespace(sys.argv[1]), Path(sys.argv[2]), flush_ns=10**7, compression="none")
+recorder = Recorder(options)
 recorder.start()
 try:
     end = time.monotonic() + 120

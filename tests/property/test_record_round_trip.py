@@ -12,7 +12,7 @@ from mcap.reader import make_reader
 
 from rosplc.layout import Limits
 from rosplc.model import DISTROS
-from rosplc.recorder.replay import Player, ReplayOrder
+from rosplc.recorder.replay import Player, ReplayOptions
 from rosplc.recorder.source import open_source
 from rosplc.recorder.to_plc import PlcTarget
 from rosplc.shm import Namespace
@@ -70,7 +70,7 @@ def check(namespace: Namespace, folder: Path, distro: str, names: Sequence[str])
     with beside(namespace) as other:
         target = PlcTarget(source.topics, other)
         with recording(other, folder / "two") as recorder:
-            Player(source, target, source.topics, ReplayOrder(speed=0)).play(lambda _: False)
+            Player(source, target, source.topics, ReplayOptions(speed=0)).play(lambda _: False)
             until(lambda: received(recorder) == len(topics) * _SAMPLES, recorder)
             second = recorder.stop().files[0].path
         target.close()

@@ -22,7 +22,7 @@ from rosplc.cli.watching import Directory
 from rosplc.doctor.words import plural
 
 if TYPE_CHECKING:
-    from rosplc.recorder import Order, Recorder, Result
+    from rosplc.recorder import Recorder, RecordingOptions, Result
 
 __all__ = ["EPILOG", "command", "duration", "size"]
 
@@ -122,7 +122,7 @@ def command(
         _repair(repair, output, as_json=as_json, quiet=quiet)
         return
     seconds = duration(length, "--duration") / 1e9
-    order = _order(
+    options = _options(
         topics or [],
         output=output,
         bag=bag,
@@ -139,7 +139,7 @@ def command(
         most_files=most_files,
         directory=directory,
     )
-    _record(order, seconds, quiet=quiet, as_json=as_json)
+    _record(options, seconds, quiet=quiet, as_json=as_json)
 
 
 def duration(text: str | None, option: str) -> int:
@@ -163,7 +163,7 @@ def _quantity(parse: Callable[[str], int], text: str | None, option: str) -> int
         raise typer.BadParameter(str(error), param_hint=option) from None
 
 
-def _order(
+def _options(
     topics: list[str],
     *,
     output: Path | None,
@@ -180,10 +180,10 @@ def _order(
     after: str | None,
     most_files: int,
     directory: str,
-) -> Order:
+) -> RecordingOptions:
     from rosplc.config.resolve import load_project
     from rosplc.monitor.expected import expected_of
-    from rosplc.recorder import COMPRESSIONS, Order, Selection, Split
+    from rosplc.recorder import COMPRESSIONS, RecordingOptions, Selection, Split
     from rosplc.recorder.names import base_of, dated, free_name
     from rosplc.shm import Namespace
 
@@ -208,8 +208,8 @@ def _order(
     if output is not None:
         base = base_of(output)
     else:
-        base = Path("rosplc") if keep is not None else free_name(dated(Path("rosplc")))
-    return Order(
+        base = Path("rosplc") if keep is not None else free_name(dated(Path("rosplc"), time.time_ns()))
+    return RecordingOptions(
         namespace=namespace,
         base=base,
         selection=selection,
@@ -227,12 +227,12 @@ def _order(
     )
 
 
-def _record(order: Order, seconds: float, *, quiet: bool, as_json: bool) -> None:
+def _record(options: RecordingOptions, seconds: float, *, quiet: bool, as_json: bool) -> None:
     from rosplc.bridge.run import pause, stop_on_signals
     from rosplc.errors import RecordingError
     from rosplc.recorder import Recorder, quick_process
 
-    recorder = Recorder(order)
+    recorder = Recorder(options)
 
     def tell(number: int) -> None:
         if number in (signal.SIGHUP, signal.SIGUSR1):
@@ -243,7 +243,7 @@ def _record(order: Order, seconds: float, *, quiet: bool, as_json: bool) -> None
     line = ProgressLine(quiet=quiet)
     with quick_process(), stop_on_signals(tell) as stop:
         recorder.start()
-        _begin(recorder, order, quiet=quiet)
+        _begin(recorder, options, quiet=quiet)
         end = time.monotonic() + seconds if seconds else None
         try:
             try:
@@ -255,9 +255,9 @@ def _record(order: Order, seconds: float, *, quiet: bool, as_json: bool) -> None
                 recorder.stop()
         finally:
             if recorder.result is not None:
-                _report(order, recorder, recorder.result, as_json=as_json)
-    if recorder.result is not None and not recorder.result.received and not order.keep_ns:
-        raise RecordingError("REC004", "not one message came", where=order.namespace.prefix)
+                _report(options, recorder, recorder.result, as_json=as_json)
+    if recorder.result is not None and not recorder.result.received and not options.keep_ns:
+        raise RecordingError("REC004", "not one message came", where=options.namespace.prefix)
 
 
 def _leave_closed_terminal() -> None:
@@ -291,40 +291,42 @@ def _repair(file: Path, output: Path | None, *, as_json: bool, quiet: bool) -> N
     say(f"{done.path}: {plural(done.messages, 'message')} of {plural(len(done.topics), 'topic')} saved")
 
 
-def _begin(recorder: Recorder, order: Order, *, quiet: bool) -> None:
+def _begin(recorder: Recorder, options: RecordingOptions, *, quiet: bool) -> None:
     for name, error in recorder.failures.items():
         warn(f"{name} is not recorded: {error.what} [{error.code}]")
     topics = list(recorder.inlet.counts)
-    for pattern in order.selection.without_match(topics):
+    for pattern in options.selection.without_match(topics):
         warn(f"there is no channel {pattern} yet; it is recorded when it comes")
     for trigger, topic in recorder.idle_triggers().items():
-        if topic in order.selection:
+        if topic in options.selection:
             warn(f"trigger {trigger!r}: there is no channel {topic} yet; it cannot fire before that comes")
         else:
             warn(f"trigger {trigger!r}: {topic} is not among the topics that are recorded; it cannot fire")
     if not topics:
-        warn(f"there is no channel of prefix {order.namespace.prefix} yet; what comes is recorded")
-        _hint(order)
+        warn(f"there is no channel of prefix {options.namespace.prefix} yet; what comes is recorded")
+        _hint(options)
     if quiet:
         return
     what = plural(len(topics), "topic")
-    if order.keep_ns:
-        warn(f"keeping the last {order.keep_ns / 1e9:g} s of {what}; triggers: {', '.join(order.triggers)}")
+    if options.keep_ns:
+        warn(
+            f"keeping the last {options.keep_ns / 1e9:g} s of {what}; triggers: {', '.join(options.triggers)}"
+        )
     else:
         warn(f"recording {what}; Ctrl-C ends it")
 
 
-def _hint(order: Order) -> None:
+def _hint(options: RecordingOptions) -> None:
     from rosplc.monitor import find_objects
 
-    others = sorted({state.prefix for state in find_objects(str(order.namespace.directory), seconds=0.0)})
+    others = sorted({state.prefix for state in find_objects(str(options.namespace.directory), seconds=0.0)})
     if others:
         warn(f"there are channels of prefix {', '.join(others)}: choose with --prefix")
 
 
 def _progress(recorder: Recorder) -> str:
     now = recorder.progress()
-    held = f", holds {now.span_ns / 1e9:.0f} s" if recorder.order.keep_ns else ""
+    held = f", holds {now.span_ns / 1e9:.0f} s" if recorder.options.keep_ns else ""
     return (
         f"{now.seconds:.0f} s: {plural(now.received, 'message')} of {plural(now.topics, 'topic')}, "
         f"{now.lost} lost, {in_bytes(now.size)}{held}"
@@ -332,7 +334,7 @@ def _progress(recorder: Recorder) -> str:
     )
 
 
-def _report(order: Order, recorder: Recorder, result: Result, *, as_json: bool) -> None:
+def _report(options: RecordingOptions, recorder: Recorder, result: Result, *, as_json: bool) -> None:
     if as_json:
         print_json(_document(result, recorder))
         return
@@ -346,13 +348,13 @@ def _report(order: Order, recorder: Recorder, result: Result, *, as_json: bool) 
         say(text)
     for file in result.files:
         say(f"{file.path}: {plural(sum(file.counts.values()), 'message')}, {in_bytes(file.size)}")
-    if order.keep_ns:
+    if options.keep_ns:
         for reason in result.saves:
             say(f"saved because of {reason}")
         if not result.saves:
             say("no trigger fired: nothing was saved")
         if result.unsaved:
-            warn(f"{result.unsaved} more triggers: --files {order.most_files} was reached")
+            warn(f"{result.unsaved} more triggers: --files {options.most_files} was reached")
         if result.cut_short:
             warn("memory was full before the time was: raise --memory, or leave out topics")
     if result.lost:

@@ -17,7 +17,7 @@ from rosplc.cli.watching import Directory
 from rosplc.doctor.words import plural
 
 if TYPE_CHECKING:
-    from rosplc.recorder.replay import Player, ReplayOrder
+    from rosplc.recorder.replay import Player, ReplayOptions
     from rosplc.recorder.source import Source, SourceTopic
     from rosplc.recorder.target import Target
 
@@ -113,7 +113,7 @@ def command(
 
     if not listing and to not in ("plc", "ros"):
         raise typer.BadParameter("say where to: plc or ros", param_hint="--to")
-    order = _order(speed, loop, start, end, stamps)
+    options = _options(speed, loop, start, end, stamps)
     renames = _renames(rename or [])
     patience = duration(wait, "--wait") / 1e9 if wait != "0" else 0.0
     source = open_source(file, _distro(distro, None))
@@ -134,13 +134,13 @@ def command(
         if not quiet:
             for text in target.notes:
                 warn(text)
-        _play(file, source, target, topics, order, patience, quiet=quiet, as_json=as_json)
+        _play(file, source, target, topics, options, patience, quiet=quiet, as_json=as_json)
     finally:
         source.close()
 
 
-def _order(speed: str, loop: bool, start: str | None, end: str | None, stamps: str) -> ReplayOrder:
-    from rosplc.recorder.replay import ReplayOrder
+def _options(speed: str, loop: bool, start: str | None, end: str | None, stamps: str) -> ReplayOptions:
+    from rosplc.recorder.replay import ReplayOptions
 
     if stamps not in ("now", "original"):
         raise typer.BadParameter(f"{stamps!r} is neither now nor original", param_hint="--stamps")
@@ -153,7 +153,7 @@ def _order(speed: str, loop: bool, start: str | None, end: str | None, stamps: s
     begin, finish = duration(start, "--start"), duration(end, "--end")
     if finish and finish <= begin:
         raise typer.BadParameter("it lies before --start", param_hint="--end")
-    return ReplayOrder(factor, loop, begin, finish, "now" if stamps == "now" else "original")
+    return ReplayOptions(factor, loop, begin, finish, "now" if stamps == "now" else "original")
 
 
 def _renames(texts: list[str]) -> dict[str, str]:
@@ -211,7 +211,7 @@ def _play(
     source: Source,
     target: Target,
     topics: dict[str, SourceTopic],
-    order: ReplayOrder,
+    options: ReplayOptions,
     patience: float,
     *,
     quiet: bool,
@@ -221,13 +221,13 @@ def _play(
     from rosplc.recorder.replay import Player
     from rosplc.recorder.target import wait_for_readers
 
-    player = Player(source, target, topics, order)
+    player = Player(source, target, topics, options)
     line = ProgressLine(quiet=quiet)
     length = (source.end_ns - source.start_ns) / 1e9
 
     def progress() -> str:
         sent = sum(count.sent for count in target.counts.values())
-        again = f", round {player.rounds}" if order.loop else ""
+        again = f", round {player.rounds}" if options.loop else ""
         return f"{player.position_ns / 1e9:.1f} of {length:.1f} s: {plural(sent, 'message')} sent{again}"
 
     try:
@@ -236,8 +236,10 @@ def _play(
             if missing and patience and not quiet:
                 warn(f"nobody takes {', '.join(missing)} yet; it begins all the same")
             if not quiet:
-                pace = f"{order.speed:g} times as fast as recorded" if order.speed else "as fast as it goes"
-                kind = "the present time" if order.stamps == "now" else "their recorded time"
+                pace = (
+                    f"{options.speed:g} times as fast as recorded" if options.speed else "as fast as it goes"
+                )
+                kind = "the present time" if options.stamps == "now" else "their recorded time"
                 warn(f"playing {file}, {pace}; messages are stamped with {kind}")
             try:
                 player.play(partial(pause, stop), lambda: line.show(progress))
@@ -259,7 +261,7 @@ def _report(player: Player, target: Target, *, as_json: bool) -> None:
                 "rounds": player.rounds,
                 "latest_ns": player.latest_ns,
                 "out_of_order": player.disordered,
-                "stamps": player.order.stamps,
+                "stamps": player.options.stamps,
                 "topics": {
                     name: {"sent": one.sent, "refused": one.refused, "lost": one.lost, "reason": one.reason}
                     for name, one in counts.items()
@@ -269,7 +271,7 @@ def _report(player: Player, target: Target, *, as_json: bool) -> None:
     else:
         say(
             f"{plural(sent, 'message')} of {plural(len(counts), 'topic')} sent"
-            + (f" in {plural(player.rounds, 'round')}" if player.order.loop else "")
+            + (f" in {plural(player.rounds, 'round')}" if player.options.loop else "")
         )
         rows = [(name, one.sent, one.refused, one.lost) for name, one in counts.items()]
         for text in columns(rows, header=("topic", "sent", "refused", "lost"), indent=2):
@@ -277,7 +279,7 @@ def _report(player: Player, target: Target, *, as_json: bool) -> None:
         for name, one in counts.items():
             if one.reason:
                 warn(f"{name}: {one.reason}")
-        if player.order.speed:
+        if player.options.speed:
             say(f"the latest message was {player.latest_ns / 1e6:.1f} ms late")
         if player.disordered:
             warn(f"{plural(player.disordered, 'message')} out of order in the file; sent at once")

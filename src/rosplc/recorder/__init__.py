@@ -2,19 +2,30 @@
 
 from __future__ import annotations
 
+import warnings
+from typing import Any
+
 from rosplc.recorder.mcap_write import COMPRESSIONS, Compression
-from rosplc.recorder.recorder import Order, Progress, Recorder, Result, quick_process
+from rosplc.recorder.recorder import Progress, Recorder, RecordingOptions, Result, quick_process
 from rosplc.recorder.selection import Selection
 from rosplc.recorder.store import Split
 
 __all__ = [
     "COMPRESSIONS",
     "Compression",
-    "Order",
     "Progress",
     "Recorder",
+    "RecordingOptions",
     "Result",
     "Selection",
     "Split",
     "quick_process",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "Order":  # until 0.3
+        what = "rosplc.recorder.Order is now rosplc.recorder.RecordingOptions"
+        warnings.warn(what, DeprecationWarning, stacklevel=2)
+        return RecordingOptions
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -37,7 +37,6 @@ _LOG_NOTES = (
     "header.stamp is given as stamp; levels 1, 2, 4, 8, 16 as 10, 20, 30, 40, 50",
     *(f"{name} is dropped" for name in ("header.seq", "header.frame_id", "topics")),
 )
-_SAME_BITS = ({"byte", "char", "uint8"}, {"byte", "int8"})  # ROS 1's byte is signed
 _SWAP = {2: "H", 4: "I", 8: "Q"}
 _ENCAPSULATION = b"\0\1\0\0"  # CDR, little-endian
 
@@ -193,7 +192,7 @@ class Conversion:
         if isinstance(own, StringType) and isinstance(wanted, StringType):
             return self._string(own, wanted, path)
         if isinstance(own, PrimitiveType) and isinstance(wanted, PrimitiveType):
-            if own == wanted or any({own.name, wanted.name} <= names for names in _SAME_BITS):
+            if own.name == wanted.name or _both_bytes(own, wanted):
                 size = PRIMITIVES[own.name]
                 return lambda out, value: out.put(value, size)
         elif isinstance(own, ArrayType) and isinstance(wanted, ArrayType) and own.length == wanted.length:
@@ -262,6 +261,14 @@ class Conversion:
             remedy="Use the definition that it was recorded with, or leave it out with "
             f"--exclude {self._where}.",
         )
+
+
+def _both_bytes(own: PrimitiveType, wanted: PrimitiveType) -> bool:
+    """Return whether two types are the same 8 bits under other names; ROS 1 has a signed byte."""
+    names = {own.name, wanted.name}
+    return names <= {"byte", "char", "uint8"} or (
+        "byte" in (str(own), str(wanted)) and names <= {"byte", "char", "uint8", "int8"}
+    )
 
 
 def _level(raw: bytes) -> bytes:

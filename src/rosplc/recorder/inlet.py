@@ -8,13 +8,13 @@ calls :meth:`Inlet.look_after`.
 from __future__ import annotations
 
 import threading
-import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from rosplc._core._native import Group
+from rosplc.clock import SYSTEM, Clock
 from rosplc.errors import ChannelError
 from rosplc.recorder.batch import Batch
 from rosplc.recorder.carried import CarriedChannel, channel_info
@@ -32,7 +32,7 @@ OnMessage = Callable[[CarriedChannel, bytes, int], None]
 _IN_ORDER = 1
 _TICK_NS = 1_000_000
 _LONGEST_WAIT_NS = 200_000_000
-_RETRY_S = 1.0
+_RETRY_NS = 1_000_000_000
 _NO_TIME = 2**63 - 1
 _LOSS = 1 << 24
 """A first sequence beyond this is no count of messages, but something that a writer made up."""
@@ -79,6 +79,7 @@ class Inlet:
         flush_ns: After how long it is full in any case.
         qos: Topic → QoS, as far as a configuration says it.
         watch: Given a channel that is being attached, returns what its messages are shown to, or None.
+        clock: What messages are stamped with, and when a batch is full.
 
     Attributes:
         channels: Channel id → how files name it, for every channel that was ever taken.
@@ -97,7 +98,9 @@ class Inlet:
         flush_ns: int,
         qos: Mapping[str, Qos] | None = None,
         watch: Callable[[CarriedChannel], OnMessage | None] = lambda _: None,
+        clock: Clock = SYSTEM,
     ) -> None:
+        self._clock = clock
         self._namespace, self._selection, self._put = namespace, selection, put
         self._chunk_bytes, self._flush_ns = chunk_bytes, flush_ns
         self._qos = qos or {}
@@ -110,11 +113,11 @@ class Inlet:
         self._entries: dict[str, _Entry] = {}
         self._by_index: dict[int, _Entry] = {}
         self._skipped: set[str] = set()
-        self._retry_at: dict[str, float] = {}
+        self._retry_at: dict[str, int] = {}
         self._group = Group()
         self._jobs: deque[Callable[[], None]] = deque()
         self._ready = threading.Event()
-        self._began_ns = time.time_ns()
+        self._began_ns = self._clock.time_ns()
         self._started = False
         self._stopping = False
         self._thread = threading.Thread(target=self._run, name="rosplc-record", daemon=True)
@@ -148,14 +151,14 @@ class Inlet:
             if entry.broken or not entry.carried.still_there():
                 del self._entries[name]
                 self._jobs.append(lambda entry=entry: self._drop(entry))  # type: ignore[misc]
-        now = time.monotonic()
+        now = self._clock.monotonic_ns()
         for name in self._namespace.topics():
-            if name in self._entries or name in self._skipped or now < self._retry_at.get(name, 0.0):
+            if name in self._entries or name in self._skipped or now < self._retry_at.get(name, 0):
                 continue
             self._open(name, now)
         self._group.wake()
 
-    def _open(self, name: str, now: float) -> None:
+    def _open(self, name: str, now: int) -> None:
         topic = self._namespace.topic_of(name)
         if topic is not None and topic not in self._selection:
             self._skipped.add(name)
@@ -164,7 +167,7 @@ class Inlet:
             path = Path(self._namespace.directory) / name
             carried = CarriedChannel(path, since_ns=self._began_ns if self._started else None)
         except ChannelError as error:
-            self._retry_at[name] = now + _RETRY_S
+            self._retry_at[name] = now + _RETRY_NS
             if error.code not in ("SHM101", "SHM111"):  # those are about to be replaced, or gone
                 self.failures[name] = error
             return
@@ -222,12 +225,12 @@ class Inlet:
         while True:
             last = self._stopping
             if not last:
-                rest = self._flush_ns - (time.monotonic_ns() - since) if batch else _LONGEST_WAIT_NS
+                rest = self._flush_ns - (self._clock.monotonic_ns() - since) if batch else _LONGEST_WAIT_NS
                 self._group.wait(_TICK_NS, max(0, min(_LONGEST_WAIT_NS, rest)))
             messages, faults = self._group.take()
             if messages:
                 if not batch:
-                    since = time.monotonic_ns()
+                    since = self._clock.monotonic_ns()
                 self._gather(batch, messages)
             for index, fault in faults:
                 entry = self._by_index[index]
@@ -239,7 +242,9 @@ class Inlet:
             while self._jobs:
                 self._jobs.popleft()()
             self._ready.set()
-            full = len(batch.data) >= self._chunk_bytes or time.monotonic_ns() - since >= self._flush_ns
+            full = (
+                len(batch.data) >= self._chunk_bytes or self._clock.monotonic_ns() - since >= self._flush_ns
+            )
             if batch and (full or last):
                 self._put(batch)
                 batch = Batch()
@@ -247,7 +252,7 @@ class Inlet:
                 return
 
     def _gather(self, batch: Batch, messages: list[tuple[int, bytes, int, int, int, int]]) -> None:
-        now = time.time_ns()
+        now = self._clock.time_ns()
         by_index, add = self._by_index, batch.add
         for index, data, sequence, _flags, stamp_ns, stamp_clock in messages:
             entry = by_index[index]

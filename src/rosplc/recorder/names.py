@@ -15,9 +15,9 @@ def base_of(output: Path) -> Path:
     return output.with_name(output.name.removesuffix(SUFFIX)) if output.name != SUFFIX else output
 
 
-def dated(base: Path, seconds: float | None = None) -> Path:
+def dated(base: Path, time_ns: int) -> Path:
     """Return ``base_2026-03-28_14-05-09``, by local time."""
-    text = time.strftime("%Y-%m-%d_%H-%M-%S", time.localtime(seconds))
+    text = time.strftime("%Y-%m-%d_%H-%M-%S", time.localtime(time_ns / 1e9))
     return base.with_name(f"{base.name}_{text}")
 
 

@@ -6,13 +6,13 @@ import gc
 import json
 import sys
 import threading
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from rosplc._version import __version__
+from rosplc.clock import SYSTEM, Clock
 from rosplc.errors import ChannelError, RecordingError
 from rosplc.monitor import Expected, Watch
 from rosplc.recorder.inlet import Inlet
@@ -26,14 +26,14 @@ from rosplc.recorder.trigger import Fired, Triggers
 from rosplc.ros import Qos
 from rosplc.shm import Namespace
 
-__all__ = ["Order", "Progress", "Recorder", "Result", "TopicResult", "quick_process"]
+__all__ = ["Progress", "Recorder", "RecordingOptions", "Result", "TopicResult", "quick_process"]
 
 _LOOK_NS = 250_000_000
 _SETTLE_NS = 200_000_000
 
 
 @dataclass(frozen=True)
-class Order:
+class RecordingOptions:
     """What is to be recorded, and how.
 
     Attributes:
@@ -167,7 +167,8 @@ class Recorder:
     """A recording; :meth:`start`, :meth:`look_after` a few times a second, :meth:`stop`.
 
     Args:
-        order: What is to be recorded.
+        options: What is to be recorded.
+        clock: What the recording goes by.
 
     Attributes:
         inlet: What takes the messages.
@@ -177,25 +178,30 @@ class Recorder:
         RecordingError: REC005, a trigger is wrong; REC001 or REC002, the file cannot be created.
     """
 
-    def __init__(self, order: Order) -> None:
-        self.order = order
-        self._triggers = Triggers(order.triggers)
-        self._ring = Ring(order.keep_ns, order.memory) if order.keep_ns else None
-        self._outlet = Outlet(self._take, order.compression)
+    def __init__(self, options: RecordingOptions, clock: Clock = SYSTEM) -> None:
+        self.options = options
+        self._clock = clock
+        self._triggers = Triggers(options.triggers)
+        self._ring = Ring(options.keep_ns, options.memory, clock) if options.keep_ns else None
+        self._outlet = Outlet(self._take, options.compression)
         self.inlet = Inlet(
-            order.namespace,
-            order.selection,
+            options.namespace,
+            options.selection,
             self._outlet.put,
-            chunk_bytes=order.chunk_bytes,
-            flush_ns=order.flush_ns,
-            qos=order.qos,
+            chunk_bytes=options.chunk_bytes,
+            flush_ns=options.flush_ns,
+            qos=options.qos,
             watch=self._triggers.watch,
+            clock=clock,
         )
-        self._store = None if self._ring is not None else self._new_store(order.base, {})
+        self._store = None if self._ring is not None else self._new_store(options.base, {})
         self._watch: Watch | None = None
         if self._triggers.watches:
             self._watch = Watch(
-                order.namespace.prefix, directory=str(order.namespace.directory), expected=order.expected
+                options.namespace.prefix,
+                directory=str(options.namespace.directory),
+                expected=options.expected,
+                clock=clock,
             )
         self._files: list[Written] = []
         self._saves: list[str] = []
@@ -205,7 +211,7 @@ class Recorder:
         self._save_error: Exception | None = None
         self._unsaved = 0
         self._looked_ns = 0
-        self._began = time.monotonic()
+        self._began = self._clock.monotonic_ns()
         self.result: Result | None = None
 
     def start(self) -> None:
@@ -218,7 +224,7 @@ class Recorder:
         """
         if self._ring is not None:
             # Not only when a trigger fires: what is in memory then would be lost.
-            try_place(self.order.base)
+            try_place(self.options.base)
         self._outlet.start()
         try:
             self.inlet.start()
@@ -226,8 +232,8 @@ class Recorder:
         except BaseException:
             self.stop()
             raise
-        self._began = time.monotonic()
-        self._looked_ns = time.monotonic_ns()
+        self._began = self._clock.monotonic_ns()
+        self._looked_ns = self._clock.monotonic_ns()
 
     def look_after(self) -> None:
         """Look for channels that came or went, for triggers, and for what went wrong.
@@ -235,7 +241,7 @@ class Recorder:
         Raises:
             RecordingError: REC001 or REC002, it cannot go on; :meth:`stop` finishes what there is.
         """
-        now = time.monotonic_ns()
+        now = self._clock.monotonic_ns()
         if now - self._looked_ns >= _LOOK_NS:
             self._looked_ns = now
             self.inlet.look_after()
@@ -243,7 +249,7 @@ class Recorder:
                 seen = [
                     event
                     for event in self._watch.look().events
-                    if not event.topic or event.topic in self.order.selection
+                    if not event.topic or event.topic in self.options.selection
                 ]
                 self._triggers.see(seen)
         for error in (self.inlet.error, self._outlet.error, self._save_error):
@@ -255,7 +261,7 @@ class Recorder:
 
     def trigger(self, reason: str) -> None:
         """Save the ring buffer, as a trigger would; from any thread."""
-        self._triggers.fire(time.time_ns(), reason)
+        self._triggers.fire(self._clock.time_ns(), reason)
 
     def idle_triggers(self) -> dict[str, str]:
         """Return the triggers on topics of which nothing is taken so far: text → topic."""
@@ -268,7 +274,7 @@ class Recorder:
         dropped = sum(self._dropped().values())
         store, ring = self._store, self._ring
         return Progress(
-            seconds=time.monotonic() - self._began,
+            seconds=self._seconds(),
             topics=len(counts),
             received=sum(count.received for count in counts) - dropped,
             lost=sum(count.lost + count.refused for count in counts) + dropped,
@@ -285,7 +291,7 @@ class Recorder:
         Raises:
             RecordingError: REC001 or REC002: the last file could not be finished, and has no summary.
         """
-        seconds = time.monotonic() - self._began
+        seconds = self._seconds()
         self.inlet.stop()
         self._outlet.stop()
         if self._watch is not None:
@@ -318,6 +324,9 @@ class Recorder:
             raise failure
         return self.result
 
+    def _seconds(self) -> float:
+        return (self._clock.monotonic_ns() - self._began) / 1e9
+
     def _take(self, chunk: SealedChunk) -> None:
         if self._ring is not None:
             self._ring.take(chunk)
@@ -326,14 +335,14 @@ class Recorder:
             self._store.take(chunk)
 
     def _new_store(self, base: Path, more: Mapping[str, str]) -> FileStore:
-        order = self.order
+        options = self.options
         return FileStore(
             base,
             self.inlet.channels,
             lambda: {**self._facts(), **more},
-            split=order.split,
-            bag=order.bag,
-            distro=order.distro,
+            split=options.split,
+            bag=options.bag,
+            distro=options.distro,
         )
 
     # -- the ring buffer
@@ -342,7 +351,7 @@ class Recorder:
         fired = self._triggers.take()
         if fired and not self._waiting:
             # The chunk of the moment is written when it is full: until then it is waited for as well.
-            self._due_ns = now_ns + self.order.after_ns + self.order.flush_ns + _SETTLE_NS
+            self._due_ns = now_ns + self.options.after_ns + self.options.flush_ns + _SETTLE_NS
         self._waiting += fired
         saving = self._saver is not None and self._saver.is_alive()
         if self._waiting and now_ns >= self._due_ns and not saving:
@@ -352,12 +361,12 @@ class Recorder:
         """Write what the ring holds, in a thread of its own: taking messages goes on."""
         assert self._ring is not None
         fired, self._waiting = self._waiting, []
-        if len(self._saves) >= self.order.most_files:
+        if len(self._saves) >= self.options.most_files:
             self._unsaved += len(fired)
             return
         chunks = self._ring.chunks()
         reasons = list(dict.fromkeys(one.reason for one in fired))
-        base = free_name(dated(self.order.base, fired[0].time_ns / 1e9))
+        base = free_name(dated(self.options.base, fired[0].time_ns))
         facts = {
             "trigger": json.dumps(reasons, ensure_ascii=False),
             "trigger_ns": json.dumps([one.time_ns for one in fired]),
@@ -414,7 +423,7 @@ class Recorder:
         topics = self._topics()
         return {
             "rosplc": __version__,
-            "prefix": self.order.namespace.prefix,
+            "prefix": self.options.namespace.prefix,
             "lost": json.dumps({name: topic.lost for name, topic in topics.items() if topic.lost}),
             "refused": json.dumps({name: topic.refused for name, topic in topics.items() if topic.refused}),
             "lost_total": str(sum(topic.lost for topic in topics.values())),

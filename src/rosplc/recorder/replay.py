@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from rosplc.clock import SYSTEM, Clock
 from rosplc.errors import RecordingError
 from rosplc.recorder.selection import Selection
 from rosplc.recorder.source import Source, SourceTopic
 from rosplc.recorder.target import Target
 
-__all__ = ["Player", "ReplayOrder", "chosen_topics"]
+__all__ = ["Player", "ReplayOptions", "chosen_topics"]
 
 _NO_TIME = 2**63 - 1
 """DDS and ROS count ns since 1970 in signed 64 bits; the largest number means none."""
@@ -21,7 +21,7 @@ _NAP_S = 0.2
 
 
 @dataclass(frozen=True)
-class ReplayOrder:
+class ReplayOptions:
     """How a recording is replayed.
 
     Attributes:
@@ -85,7 +85,8 @@ class Player:
         source: The recording.
         target: Where it goes.
         topics: New name → topic.
-        order: How.
+        options: How.
+        clock: What the pace is kept by, and messages are stamped with.
 
     Attributes:
         rounds: How many times it was begun.
@@ -97,7 +98,8 @@ class Player:
     source: Source
     target: Target
     topics: Mapping[str, SourceTopic]
-    order: ReplayOrder = field(default_factory=ReplayOrder)
+    options: ReplayOptions = field(default_factory=ReplayOptions)
+    clock: Clock = SYSTEM
     rounds: int = 0
     position_ns: int = 0
     latest_ns: int = 0
@@ -115,41 +117,41 @@ class Player:
         """
         while not stopped(0.0):
             self.rounds += 1
-            if not self._once(stopped, look) or not self.order.loop:
+            if not self._once(stopped, look) or not self.options.loop:
                 return
 
     def _once(self, stopped: Callable[[float], bool], look: Callable[[], None]) -> bool:
         """Play once; return whether there was a message, and the end was reached."""
-        order, source = self.order, self.source
+        options, source = self.options, self.source
         names: dict[str, list[str]] = {}
         for new, topic in self.topics.items():
             names.setdefault(topic.name, []).append(new)
-        first = source.start_ns + order.start_ns
-        last = source.start_ns + order.end_ns if order.end_ns else source.end_ns
+        first = source.start_ns + options.start_ns
+        last = source.start_ns + options.end_ns if options.end_ns else source.end_ns
         began, base, before = 0, -1, 0
-        looked = time.monotonic()
+        looked = self.clock.monotonic_ns()
         for message in source.messages(names.keys(), first, last):
             if base < 0:
                 # From its first message on: silence before it is nobody's test.
-                began, base = time.monotonic_ns(), message.log_ns
+                began, base = self.clock.monotonic_ns(), message.log_ns
             if message.log_ns < before:
                 self.disordered += 1
             before = message.log_ns
             self.position_ns = message.log_ns - source.start_ns
-            if order.speed:
-                due = began + int((message.log_ns - base) / order.speed)
-                while (rest := due - time.monotonic_ns()) > 0:
+            if options.speed:
+                due = began + int((message.log_ns - base) / options.speed)
+                while (rest := due - self.clock.monotonic_ns()) > 0:
                     if stopped(min(_NAP_S, rest / 1e9)):
                         return False
                     look()
                 self.latest_ns = max(self.latest_ns, -rest)
-            if time.monotonic() - looked > _NAP_S:
-                looked = time.monotonic()
+            if self.clock.monotonic_ns() - looked > _NAP_S * 1e9:
+                looked = self.clock.monotonic_ns()
                 look()
                 if stopped(0.0):
                     return False
-            original = order.stamps == "original" and 0 < message.publish_ns < _NO_TIME
-            stamp = message.publish_ns if original else time.time_ns()
+            original = options.stamps == "original" and 0 < message.publish_ns < _NO_TIME
+            stamp = message.publish_ns if original else self.clock.time_ns()
             for new in names[message.topic]:
                 self.target.send(new, message.data, stamp)
         return base >= 0

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections import deque
 
+from rosplc.clock import SYSTEM, Clock
 from rosplc.recorder.mcap_write import SealedChunk
 
 __all__ = ["Ring"]
@@ -21,9 +21,11 @@ class Ring:
     Args:
         keep_ns: How long a chunk is kept.
         most_bytes: Bytes that all of them may have.
+        clock: What their age is judged by.
     """
 
-    def __init__(self, keep_ns: int, most_bytes: int) -> None:
+    def __init__(self, keep_ns: int, most_bytes: int, clock: Clock = SYSTEM) -> None:
+        self._clock = clock
         self._keep_ns, self._most_bytes = keep_ns, most_bytes
         self._chunks: deque[tuple[int, int, SealedChunk]] = deque()
         self._lock = threading.Lock()
@@ -33,7 +35,7 @@ class Ring:
 
     def take(self, chunk: SealedChunk) -> None:
         """Add a chunk."""
-        now = time.monotonic_ns()
+        now = self._clock.monotonic_ns()
         cost = len(chunk.blob) + _CHUNK_OVERHEAD + _CHANNEL_OVERHEAD * len(chunk.counts)
         with self._lock:
             self._chunks.append((now, cost, chunk))

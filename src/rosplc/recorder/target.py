@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
+
+from rosplc.clock import SYSTEM, Clock
 
 __all__ = ["Target", "TopicCount", "wait_for_readers"]
 
@@ -45,16 +46,19 @@ class Target(Protocol):
         """Let go of everything; channels keep their last message."""
 
 
-def wait_for_readers(target: Target, seconds: float, stopped: Callable[[float], bool]) -> list[str]:
+def wait_for_readers(
+    target: Target, seconds: float, stopped: Callable[[float], bool], clock: Clock = SYSTEM
+) -> list[str]:
     """Wait until every topic has somebody who takes it, and return those that have not.
 
     Args:
         target: Where messages will go.
         seconds: How long to wait.
         stopped: Waits for so many seconds; returns True if the wait is to end.
+        clock: By which it is waited.
     """
-    end = time.monotonic() + seconds
-    while (missing := target.missing()) and time.monotonic() < end:
+    end = clock.monotonic_ns() + seconds * 1e9
+    while (missing := target.missing()) and clock.monotonic_ns() < end:
         if stopped(_LOOK_S):
             break
     return missing

@@ -102,7 +102,7 @@ def test_ctrl_c_ends_a_recording(shm_namespace: Namespace, tmp_path: Path) -> No
     command = ("record", "--prefix", shm_namespace.prefix, "-o", out, "--bag")
     with talking(shm_namespace), started(*command) as child:
         begun(child)
-        time.sleep(0.5)
+        soon(lambda: any(read_from_the_front(path) for path in out.glob("*.mcap")))
         child.send_signal(signal.SIGINT)
         report, _ = child.communicate(timeout=60)
     assert child.returncode == 0 and "messages of 1 topic" in report
@@ -115,7 +115,6 @@ def test_a_signal_saves_a_ring_buffer(shm_namespace: Namespace, tmp_path: Path) 
     keep = ("record", "--prefix", shm_namespace.prefix, "-o", tmp_path / "ring", "--keep", "1min", "--json")
     with talking(shm_namespace), started(*keep, "--trigger", "/a.pose.position.x < 0") as child:
         begun(child)
-        time.sleep(0.3)
         assert not list(tmp_path.iterdir())
         child.send_signal(signal.SIGUSR1)
         soon(lambda: any(read_from_the_front(path) for path in tmp_path.glob("ring_*.mcap")))

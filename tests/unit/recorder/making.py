@@ -14,7 +14,7 @@ from mcap.reader import NonSeekingReader
 from rosplc.described import description_of
 from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
-from rosplc.recorder import Order, Recorder, Result
+from rosplc.recorder import Recorder, RecordingOptions, Result
 from rosplc.shm import Direction, Namespace, OwnedChannel, Writer, attach
 
 POSE = "geometry_msgs/msg/PoseStamped"
@@ -80,7 +80,7 @@ def until(condition: Callable[[], object], recorder: Recorder | None = None, sec
 @contextmanager
 def recording(namespace: Namespace, base: Path, **more: Any) -> Iterator[Recorder]:
     """Run a recorder; it is stopped at the end, whatever happens."""
-    recorder = Recorder(Order(namespace, base, **more))
+    recorder = Recorder(RecordingOptions(namespace, base, **more))
     recorder.start()
     try:
         yield recorder

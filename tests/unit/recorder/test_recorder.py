@@ -18,6 +18,7 @@ from rosplc.recorder.names import dated, free_name
 from rosplc.recorder.ring import Ring
 from rosplc.recorder.trigger import parse_condition
 from rosplc.shm import Direction, Namespace
+from tests.lib.clock import SteppedClock
 from tests.unit.recorder.making import POSE, Feed, read_from_the_front, received, recording, result_of, until
 
 
@@ -280,10 +281,12 @@ def test_a_ring_stays_within_its_size_and_time() -> None:
         ring.take(chunk(1_000))
         assert ring.size <= 10_000
     assert 0 < len(ring.chunks()) < 10 and ring.cut_short
-    old = Ring(1, 10_000)
-    for _ in range(5):
+    clock = SteppedClock()
+    old = Ring(3_000_000_000, 10_000, clock)
+    for _ in range(8):
         old.take(chunk(10))
-    assert len(old.chunks()) == 1 and not old.cut_short
+        clock.advance(1)
+    assert len(old.chunks()) == 4 and not old.cut_short
 
 
 def test_names_that_are_taken_are_passed_over(tmp_path: Path) -> None:

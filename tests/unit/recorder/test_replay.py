@@ -6,7 +6,6 @@ import sqlite3
 import struct
 import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ import pytest
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_typestore
 
+from rosplc.clock import SYSTEM, Clock
 from rosplc.config.resolve import Project, load_project
 from rosplc.described import layout_of
 from rosplc.errors import ChannelError, RecordingError
@@ -23,7 +23,7 @@ from rosplc.recorder import Selection
 from rosplc.recorder.batch import Batch
 from rosplc.recorder.mcap_write import ChannelInfo, McapFile, seal
 from rosplc.recorder.repair import repair
-from rosplc.recorder.replay import Player, ReplayOrder, chosen_topics
+from rosplc.recorder.replay import Player, ReplayOptions, chosen_topics
 from rosplc.recorder.source import Source, open_source
 from rosplc.recorder.target import TopicCount, wait_for_readers
 from rosplc.recorder.to_plc import PlcTarget
@@ -32,6 +32,7 @@ from rosplc.ros import ROS1, Qos, open_backend
 from rosplc.ros.bag import Bag
 from rosplc.shm import Direction, Namespace, attach
 from tests.e2e.turtle_recording import write_recording
+from tests.lib.clock import SteppedClock
 from tests.unit.recorder.making import Feed, received, recording, until
 
 
@@ -40,16 +41,17 @@ class Heap:
 
     linger_s = 0.0
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Clock = SYSTEM) -> None:
+        self._clock = clock
         self.got: list[tuple[str, int]] = []
-        self.at: list[float] = []
+        self.at: list[int] = []
         self.stamps: list[int] = []
         self.counts: dict[str, TopicCount] = {}
         self.notes: list[str] = []
 
     def send(self, topic: str, data: bytes, stamp_ns: int) -> None:
         self.got.append((topic, int.from_bytes(data[4:6], "little")))
-        self.at.append(time.monotonic())
+        self.at.append(self._clock.monotonic_ns())
         self.stamps.append(stamp_ns)
 
     def missing(self) -> list[str]:
@@ -93,10 +95,17 @@ def sleeping(seconds: float) -> bool:
     return False
 
 
-def played(path: Path, order: ReplayOrder | None = None, stopped: Callable[[float], bool] = sleeping) -> Heap:
-    source, heap = open_source(path), Heap()
+def played(path: Path, options: ReplayOptions | None = None) -> Heap:
+    """Play a recording by a clock that passes only while the player waits."""
+    source, clock = open_source(path), SteppedClock()
+    heap = Heap(clock)
+
+    def stopped(seconds: float) -> bool:
+        clock.advance(seconds)
+        return False
+
     topics, _ = chosen_topics(source, Selection(), {}, to_plc=False)
-    Player(source, heap, topics, order or ReplayOrder(speed=0)).play(stopped)
+    Player(source, heap, topics, options or ReplayOptions(speed=0), clock).play(stopped)
     return heap
 
 
@@ -109,21 +118,20 @@ def test_chunks_that_overlap_are_put_in_order(tmp_path: Path) -> None:
 
 
 def test_the_pace_is_the_recordings(tmp_path: Path) -> None:
-    """At speed 2 nothing comes before half of its recorded time has passed."""
-    path = made(tmp_path / "a.mcap", [[(1, 0, 0), (1, 100, 1), (1, 300, 2)]])
-    began = time.monotonic()
-    heap = played(path, ReplayOrder(speed=2))
-    assert [number for _, number in heap.got] == [0, 1, 2]
-    assert heap.at[1] - began >= 0.05 and heap.at[2] - heap.at[0] >= 0.149
+    """At speed 2 each message comes when half of its recorded time has passed."""
+    path = made(tmp_path / "a.mcap", [[(1, 0, 0), (1, 100, 1), (1, 300, 2), (1, 9300, 3)]])
+    heap = played(path, ReplayOptions(speed=2))
+    assert [number for _, number in heap.got] == [0, 1, 2, 3]
+    assert [(at - heap.at[0]) / 1e9 for at in heap.at] == pytest.approx([0, 0.05, 0.15, 4.65], abs=1e-6)
 
 
 def test_parts_and_rounds(tmp_path: Path) -> None:
     """Start and end cut the recording, a loop begins it again until it is stopped."""
     path = made(tmp_path / "a.mcap", [[(1, ms, ms) for ms in range(0, 100, 10)]])
-    heap = played(path, ReplayOrder(speed=0, start_ns=20 * 10**6, end_ns=50 * 10**6))
+    heap = played(path, ReplayOptions(speed=0, start_ns=20 * 10**6, end_ns=50 * 10**6))
     assert [number for _, number in heap.got] == [20, 30, 40, 50]
     source, heap = open_source(path), Heap()
-    player = Player(source, heap, source.topics, ReplayOrder(speed=0, loop=True))
+    player = Player(source, heap, source.topics, ReplayOptions(speed=0, loop=True))
     player.play(lambda _: player.rounds == 3)
     assert player.rounds == 3 and [n for _, n in heap.got[:11]] == [*range(0, 100, 10), 0]
 
@@ -132,10 +140,9 @@ def test_parts_and_rounds(tmp_path: Path) -> None:
 def test_stamps(tmp_path: Path, stamps: Any) -> None:
     """A message is stamped with the time of its sending, or as it was recorded."""
     path = made(tmp_path / "a.mcap", [[(1, 0, 7), (1, 1, 0)]])
-    heap = played(path, ReplayOrder(speed=0, stamps=stamps))
-    assert heap.stamps.pop() > 7  # 0 is no time
-    assert (heap.stamps == [7]) is (stamps == "original")
-    assert abs(heap.stamps[0] - time.time_ns()) < 3600 * 10**9 or stamps == "original"
+    heap = played(path, ReplayOptions(speed=0, stamps=stamps))
+    assert heap.stamps[1] == SteppedClock().time_ns()  # 0 is no time
+    assert heap.stamps[0] == (7 if stamps == "original" else SteppedClock().time_ns())
 
 
 def test_choosing_and_renaming(tmp_path: Path) -> None:
@@ -148,7 +155,7 @@ def test_choosing_and_renaming(tmp_path: Path) -> None:
     topics, remarks = chosen_topics(source, Selection(("/t1",)), {"/t1": "/new", "/x": "/y"}, to_plc=True)
     assert list(topics) == ["/new"] and any("/x" in one for one in remarks)
     heap = Heap()
-    Player(source, heap, topics, ReplayOrder(speed=0)).play(never)
+    Player(source, heap, topics, ReplayOptions(speed=0)).play(never)
     assert heap.got == [("/new", 1)]
     with pytest.raises(RecordingError, match="two topics"):
         chosen_topics(source, Selection(), {"/t1": "/t2"}, to_plc=False)
@@ -191,7 +198,7 @@ def test_into_channels_and_back(shm_namespace: Namespace, tmp_path: Path) -> Non
             assert plc.identity.layout_id == feed.layout.layout_id and plc.identity.slot_count == 256
             reader = plc.reader("test", observe=False)
             out, got = bytearray(feed.layout.size), []
-            Player(source, target, source.topics, ReplayOrder(speed=0)).play(never)
+            Player(source, target, source.topics, ReplayOptions(speed=0)).play(never)
             while reader.next(out) is not None:
                 got.append(feed.layout.to_dict(out)["position"])
         assert got == [[float(n)] for n in range(20)]
@@ -215,7 +222,7 @@ def test_an_object_that_is_there_is_used_as_it_is(shm_namespace: Namespace, tmp_
     there.close()
     source = open_source(path)
     target = PlcTarget(source.topics, shm_namespace)
-    Player(source, target, source.topics, ReplayOrder(speed=0)).play(never)
+    Player(source, target, source.topics, ReplayOptions(speed=0)).play(never)
     target.close()
     count = target.counts["/a"]
     assert (count.sent, count.refused) == (1, 1) and "COD004" in count.reason
@@ -291,7 +298,7 @@ def test_onto_ros_topics(tmp_path: Path) -> None:
     target = RosTarget({"/new": source.topics["/t1"]}, backend="memory", domain=4711)
     try:
         assert wait_for_readers(target, 60, sleeping) == []
-        Player(source, target, {"/new": source.topics["/t1"]}, ReplayOrder(speed=0)).play(never)
+        Player(source, target, {"/new": source.topics["/t1"]}, ReplayOptions(speed=0)).play(never)
         until(lambda: len(got) == 50)
     finally:
         target.close()
@@ -322,7 +329,7 @@ def test_onto_ros_1_topics(tmp_path: Path) -> None:
     """Towards ROS 1 a message is written in its serialization; one that nobody has room for is counted."""
     source = open_source(made(tmp_path / "a.mcap", [[(1, 0, 258), (1, 1, 259)]]))
     target = RosTarget(source.topics, backend="rospy", distro=ROS1, join=Ros1)
-    Player(source, target, source.topics, ReplayOrder(speed=0)).play(never)
+    Player(source, target, source.topics, ReplayOptions(speed=0)).play(never)
     target.close()
     assert target.backend.got == [b"\2\1", b"\3\1"]  # type: ignore[attr-defined]
     assert (target.counts["/t1"].sent, target.counts["/t1"].lost) == (1, 1)
@@ -350,7 +357,7 @@ def test_a_ros_1_bag_goes_into_channels(shm_namespace: Namespace, tmp_path: Path
     topics, _ = chosen_topics(source, Selection(), {}, to_plc=True)
     target = PlcTarget(topics, shm_namespace)
     try:
-        Player(source, target, topics, ReplayOrder(speed=0)).play(never)
+        Player(source, target, topics, ReplayOptions(speed=0)).play(never)
     finally:
         target.close()
         source.close()
@@ -391,7 +398,7 @@ def shown(namespace: Namespace, topic: str) -> dict[str, Any]:
 
 def play_into(target: PlcTarget, source: Source) -> None:
     topics = {name: source.topics[name] for name in target.counts}
-    Player(source, target, topics, ReplayOrder(speed=0)).play(never)
+    Player(source, target, topics, ReplayOptions(speed=0)).play(never)
     target.close()
 
 
@@ -458,7 +465,7 @@ def test_a_ros_1_bag_goes_onto_ros_1(tmp_path: Path) -> None:
     source = open_source(tmp_path / "turtle.bag")
     topics = {"/tf": source.topics["/tf"]}
     target = RosTarget(topics, backend="rospy", distro=ROS1, join=Ros1)
-    Player(source, target, topics, ReplayOrder(speed=0)).play(never)
+    Player(source, target, topics, ReplayOptions(speed=0)).play(never)
     with Bag(tmp_path / "turtle.bag") as bag:
         assert target.backend.got == [data for *_, data in bag.messages({"/tf"})]  # type: ignore[attr-defined]
     assert len(target.backend.got) == 20 and not target.notes  # type: ignore[attr-defined]
@@ -473,7 +480,7 @@ def test_names_without_a_slash_and_bags_without_messages(tmp_path: Path) -> None
             for number in range(messages):
                 writer.write(connection, 5 + number, bytes([number, 0]))
     source, heap = open_source(tmp_path / "full.bag"), Heap()
-    Player(source, heap, source.topics, ReplayOrder(speed=0)).play(never)
+    Player(source, heap, source.topics, ReplayOptions(speed=0)).play(never)
     assert list(source.topics) == ["/chatter"] and [name for name, _ in heap.got] == ["/chatter"] * 2
     empty = open_source(tmp_path / "empty.bag")
     assert (empty.start_ns, empty.end_ns, empty.topics["/chatter"].count) == (0, 0, 0)
@@ -521,7 +528,7 @@ def test_an_sqlite_recording_without_definitions(encoding: str, tmp_path: Path) 
     source, heap = open_source(humble_bag(tmp_path / "a.db3", encoding), "humble"), Heap()
     topics, remarks = chosen_topics(source, Selection(), {}, to_plc=False)
     assert list(topics) == ["/n"] and list(source.unusable) == ["/x"] and "no definition" in remarks[0]
-    Player(source, heap, topics, ReplayOrder(speed=0)).play(never)
+    Player(source, heap, topics, ReplayOptions(speed=0)).play(never)
     assert heap.got == [("/n", 7)]
 
 

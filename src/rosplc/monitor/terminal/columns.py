@@ -10,7 +10,7 @@ from rich.cells import cell_len, set_cell_size
 from rosplc.harmless import one_line, shorten
 from rosplc.monitor.cells import age_text, count_text, plc_text, rate_text, state_text, way_text
 from rosplc.monitor.picture import ChannelView
-from rosplc.monitor.terminal.order import Order
+from rosplc.monitor.terminal.order import Sorting
 
 __all__ = ["Column", "columns_for", "fitted", "heading"]
 
@@ -68,7 +68,7 @@ def fitted(column: Column, width: int, view: ChannelView) -> str:
     return text.rjust(width) if column.figure else set_cell_size(text, width)
 
 
-def heading(column: Column, width: int, order: Order) -> str:
+def heading(column: Column, width: int, order: Sorting) -> str:
     """Return a column's heading in ``width`` cells, marked if the table is sorted by it."""
     mark = "" if column.by != order.by else "▲" if order.reverse else "▼"
     text = f"{column.title}{mark}"

@@ -10,7 +10,7 @@ from typing import Any
 from rosplc.monitor.picture import ChannelView
 from rosplc.monitor.states import ALL_WELL
 
-__all__ = ["ORDERS", "Order"]
+__all__ = ["ORDERS", "Sorting"]
 
 
 def _natural(text: str) -> list[tuple[int, str]]:
@@ -35,7 +35,7 @@ ORDERS: dict[str, tuple[bool, Callable[[ChannelView], Any]]] = {
 
 
 @dataclass(frozen=True)
-class Order:
+class Sorting:
     """What a person chose.
 
     Attributes:
@@ -50,13 +50,13 @@ class Order:
     words: str = ""
     wrong: bool = False
 
-    def sorted_by(self, by: str) -> Order:
+    def sorted_by(self, by: str) -> Sorting:
         """Return the order by another figure; by the same one, the other way round."""
         if by == self.by:
             return replace(self, reverse=not self.reverse)
         return replace(self, by=by, reverse=False)
 
-    def next(self) -> Order:
+    def next(self) -> Sorting:
         """Return the order by the figure that comes next."""
         names = list(ORDERS)
         return replace(self, by=names[(names.index(self.by) + 1) % len(names)], reverse=False)

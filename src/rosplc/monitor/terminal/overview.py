@@ -20,7 +20,7 @@ from rosplc.harmless import one_line
 from rosplc.levels import Level
 from rosplc.monitor.events import grouped
 from rosplc.monitor.picture import BridgeView, ChannelView, Event, Picture
-from rosplc.monitor.terminal.order import Order
+from rosplc.monitor.terminal.order import Sorting
 from rosplc.monitor.terminal.style import LEVEL_STYLES, event_line, plain
 from rosplc.monitor.terminal.table import ChannelTable
 
@@ -65,7 +65,7 @@ class OverviewScreen(Screen[None]):
 
     def __init__(self) -> None:
         super().__init__()
-        self._order = Order()
+        self._order = Sorting()
         self._picture: Picture | None = None
         self._events: list[Event] = []
 
@@ -214,7 +214,7 @@ class OverviewScreen(Screen[None]):
         self.query_one(Input).display = False
         self.set_focus(self.query_one(ChannelTable))
 
-    def _reorder(self, order: Order) -> None:
+    def _reorder(self, order: Sorting) -> None:
         self._order = order
         self._draw()
 

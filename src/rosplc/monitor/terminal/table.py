@@ -20,7 +20,7 @@ from textual.strip import Strip
 
 from rosplc.monitor.picture import ChannelView
 from rosplc.monitor.terminal.columns import columns_for, fitted, heading
-from rosplc.monitor.terminal.order import Order
+from rosplc.monitor.terminal.order import Sorting
 from rosplc.monitor.terminal.style import LEVEL_STYLES
 
 __all__ = ["ChannelTable"]
@@ -65,7 +65,7 @@ class ChannelTable(ScrollView, can_focus=True):
     def __init__(self) -> None:
         super().__init__()
         self._views: list[ChannelView] = []
-        self._sorting = Order()
+        self._sorting = Sorting()
         self._row = 0
 
     @property
@@ -73,7 +73,7 @@ class ChannelTable(ScrollView, can_focus=True):
         """The channel under the cursor; None if there are no channels."""
         return self._views[self._row] if self._row < len(self._views) else None
 
-    def show(self, channels: list[ChannelView], order: Order) -> None:
+    def show(self, channels: list[ChannelView], order: Sorting) -> None:
         """Show channels.
 
         Args:
