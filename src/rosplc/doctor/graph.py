@@ -15,6 +15,7 @@ from rosplc.config.resolve import TopicPlan
 from rosplc.doctor.finding import Finding, Level
 from rosplc.doctor.kinds import kind
 from rosplc.doctor.words import listed, plural
+from rosplc.init.domains import elsewhere
 from rosplc.ros import EndpointInfo, GraphInfo, incompatibility
 from rosplc.shm import Direction
 
@@ -59,7 +60,8 @@ def judge_graph(
     if others:
         yield kind("DOC516").fine(f"{plural(len(others), 'node')} in {graph.where}: {listed(others)}")
     elif not graph.info.endpoints:
-        yield kind("DOC516").found(f"no other node was seen in {graph.where}, over {graph.backend}")
+        what = f"no other node was seen in {graph.where}, over {graph.backend}{elsewhere(graph.where)}"
+        yield kind("DOC516").found(what)
     if bridge_runs and graph.bridge not in graph.info.nodes:
         yield kind("DOC517").found(f"a bridge runs, but {graph.bridge} is not in {graph.where}")
     elif bridge_runs:

@@ -15,6 +15,7 @@ from rosplc.bridge.ros_side import LiveTypes, RosSide
 from rosplc.config import Config
 from rosplc.errors import BackendError, MessageTypeError, RosplcError
 from rosplc.init.definitions import Definitions
+from rosplc.init.domains import elsewhere
 from rosplc.init.found import Found, Seen, Topic
 from rosplc.init.meter import Meter
 from rosplc.init.sample import Sample
@@ -228,7 +229,7 @@ class LiveRobot:
         if status.code in _UNREACHABLE:
             raise BackendError(status.code, status.reason)
         who = f"{len(info.nodes)} nodes and no topic" if info.nodes else "no node"
-        raise BackendError("ROS020", f"{who} in {where}, within {seconds:g} s")
+        raise BackendError("ROS020", f"{who} in {where}, within {seconds:g} s{elsewhere(where)}")
 
     def close(self) -> None:
         """Leave the graph."""
