@@ -1,0 +1,227 @@
+/* A writer and a reader of spec/shm-format.md, written from the specification alone: no header of the project is
+ * included, and every number below is copied from the document's tables.
+ *
+ *   spec_peer write PATH COUNT RULE    claims, publishes COUNT messages; RULE fences, delayed or handover
+ *   spec_peer read PATH LAST UNTIL     takes every message after LAST, until a record says UNTIL; prints what it took
+ *
+ * Every word of a record is the message's number. Leaves with 1 and a line on stderr at the first torn, repeated or
+ * invented message.
+ */
+#define _GNU_SOURCE
+#include <fcntl.h>
+#include <inttypes.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/mman.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+/* Sections 2, 3 and 5. */
+enum { MAGIC = 0, VERSION = 4, STATE = 12, SLOT_COUNT = 32, STRIDE = 36, RECORD_SIZE = 44, SLOTS_OFFSET = 48,
+       OBJECT_SIZE = 52, HEAD = 128, EPOCH = 132, BEAT = 136, BEAT_MS = 140, RULE = 152, PID = 160 };
+enum { SEQUENCE = 0, LENGTH = 4, FLAGS = 8, STATUS = 12, STAMP_LO = 16, STAMP_HI = 20, STAMP_CLOCK = 24,
+       CORRELATION_LO = 32, CORRELATION_HI = 36, RECORD = 64 };
+
+static uint8_t *base;
+static uint32_t n, stride, record_size, slots_offset;
+
+static void fail(const char *what, uint32_t a, uint32_t b)
+{
+    fprintf(stderr, "%s: %" PRIu32 ", %" PRIu32 "\n", what, a, b);
+    exit(1);
+}
+
+static uint32_t get(const uint8_t *at) { return __atomic_load_n((const uint32_t *)(const void *)at, __ATOMIC_RELAXED); }
+static void put(uint8_t *at, uint32_t value) { __atomic_store_n((uint32_t *)(void *)at, value, __ATOMIC_RELAXED); }
+static void acquire(void) { __atomic_thread_fence(__ATOMIC_ACQUIRE); }
+static void release(void) { __atomic_thread_fence(__ATOMIC_RELEASE); }
+static uint8_t *slot_of(uint32_t s) { return base + slots_offset + (size_t)(s % n) * stride; }
+
+/* Section 7.1. */
+static uint32_t next(uint32_t s) { return s < UINT32_MAX ? s + 1 : n; }
+static uint32_t advance(uint32_t s, uint32_t k)
+{
+    uint64_t sum = (uint64_t)s + k;
+    return (uint32_t)(sum < 4294967296u ? sum : sum - 4294967296u + n);
+}
+static uint32_t distance(uint32_t a, uint32_t b) { return b >= a ? b - a : (uint32_t)(b - a - n); }
+
+static void open_object(const char *path)
+{
+    struct stat status;
+    uint8_t first[512];
+    int fd = open(path, O_RDWR | O_NOFOLLOW);
+    if (fd < 0 || fstat(fd, &status) || pread(fd, first, 512, 0) != 512)
+        fail("101: cannot open", 0, 0);
+    if (get(first + MAGIC) != 0x434C5052u || get(first + VERSION) >> 16 != 1 || get(first + STATE) != 1)
+        fail("104: not an object that is live", get(first + MAGIC), get(first + STATE));
+    n = get(first + SLOT_COUNT);
+    stride = get(first + STRIDE);
+    record_size = get(first + RECORD_SIZE);
+    slots_offset = get(first + SLOTS_OFFSET);
+    if (n < 4 || (n & (n - 1)) || stride < 64u + record_size
+        || slots_offset + (uint64_t)n * stride > get(first + OBJECT_SIZE)
+        || (uint64_t)status.st_size < get(first + OBJECT_SIZE))
+        fail("108: inconsistent", n, stride);
+    base = mmap(NULL, (size_t)status.st_size, PROT_READ | PROT_WRITE, MAP_SHARED, fd, 0);
+    if (base == MAP_FAILED)
+        fail("102: cannot map", 0, 0);
+}
+
+/* ---- section 3 and 7.2, 7.4 */
+
+static uint32_t head; /* private, M7 */
+
+static void fill(uint8_t *slot, uint32_t number)
+{
+    put(slot + LENGTH, record_size);
+    put(slot + FLAGS, number == 1);
+    put(slot + STATUS, 0);
+    put(slot + STAMP_LO, number);
+    put(slot + STAMP_HI, 0);
+    put(slot + STAMP_CLOCK, 1);
+    put(slot + CORRELATION_LO, 0);
+    put(slot + CORRELATION_HI, 0);
+    for (uint32_t at = 0; at < record_size; at += 4)
+        memcpy(slot + RECORD + at, &number, 4);
+}
+
+static void write_fenced(uint32_t from, uint32_t to)
+{
+    put(base + RULE, 1);
+    for (uint32_t number = from; number <= to; number++) {
+        uint32_t s = next(head);
+        uint8_t *slot = slot_of(s);
+        release(); /* F1 */
+        put(slot + SEQUENCE, 0);
+        release(); /* F5 */
+        fill(slot, number);
+        release(); /* F6 */
+        put(slot + SEQUENCE, s);
+        release(); /* F2 */
+        put(base + HEAD, s);
+        head = s;
+        put(base + BEAT, get(base + BEAT) + 1);
+        if (number % 64 == 0)
+            usleep(100);
+    }
+}
+
+static void write_delayed(uint32_t from, uint32_t to)
+{
+    put(base + RULE, 2);
+    for (uint32_t number = from; number <= to + 1; number++) {
+        if (number > from)
+            put(base + HEAD, head = next(head));
+        if (number <= to) {
+            fill(slot_of(next(head)), number);
+            put(slot_of(next(head)) + SEQUENCE, next(head));
+        }
+        put(base + BEAT, get(base + BEAT) + 1);
+        __atomic_thread_fence(__ATOMIC_SEQ_CST); /* the end of a scan */
+        if (number % 64 == 0)
+            usleep(100);
+    }
+}
+
+static void write_messages(uint32_t count, const char *rule)
+{
+    uint32_t mine = (uint32_t)getpid(), free_claim = 0;
+    if (!__atomic_compare_exchange_n((uint32_t *)(void *)(base + EPOCH), &free_claim, mine, 0, __ATOMIC_SEQ_CST,
+                                     __ATOMIC_RELAXED))
+        fail("114: claimed by", free_claim, 0);
+    put(base + BEAT_MS, 1000);
+    put(base + PID, mine);
+    head = get(base + HEAD);
+    if (!strcmp(rule, "delayed")) {
+        write_delayed(1, count);
+    } else if (!strcmp(rule, "handover")) {
+        for (uint32_t from = 1; from <= count; from += 20) {
+            uint32_t to = from + 19 < count ? from + 19 : count;
+            if (from / 20 % 2)
+                write_delayed(from, to);
+            else
+                write_fenced(from, to);
+            __atomic_thread_fence(__ATOMIC_SEQ_CST);
+        }
+    } else {
+        write_fenced(1, count);
+    }
+    if (get(base + EPOCH) != mine)
+        fail("115: claim lost to", get(base + EPOCH), 0);
+    put(base + EPOCH, 0);
+}
+
+/* ---- section 7.3 */
+
+static void read_messages(uint32_t last, uint32_t until)
+{
+    uint32_t lost = 0, taken = 0, discontinuities = 0, before = 0, number = 0;
+    uint8_t *copy = malloc(record_size);
+    int fresh = last == 0;
+    while (number < until) {
+        uint32_t mismatches = 0, mismatched_head = 0;
+        for (int attempt = 0; attempt <= 3; attempt++) { /* M12: at most three repetitions */
+            uint32_t h = get(base + HEAD), rule = get(base + RULE), most = n - (rule == 2 ? 3 : 2), s, ahead, q, length, h2;
+            uint8_t *slot;
+            if (h == 0 || h == last || (last && distance(h, last) < n))
+                break;
+            ahead = distance(last, h);
+            if (ahead >= 0x80000000u || (mismatches >= 2 && mismatched_head == h))
+                s = h;
+            else if (ahead > most + 1)
+                s = advance(last, ahead - most);
+            else
+                s = next(last);
+            slot = slot_of(s);
+            q = get(slot + SEQUENCE);
+            acquire(); /* F3 */
+            if (q != s) {
+                mismatches = mismatched_head == h ? mismatches + 1 : 1;
+                mismatched_head = h;
+                continue;
+            }
+            length = get(slot + LENGTH);
+            memcpy(copy, slot + RECORD, record_size);
+            acquire(); /* F4 */
+            h2 = get(base + HEAD);
+            if (get(base + RULE) == 2)
+                most = n - 3; /* M23 */
+            if (distance(s, h2) > most || get(slot + SEQUENCE) != s || length != record_size)
+                continue;
+            memcpy(&number, copy, 4);
+            for (uint32_t at = 4; at < record_size; at += 4)
+                if (memcmp(copy, copy + at, 4))
+                    fail("torn at byte, in message", at, number);
+            if (number <= before)
+                fail("repeated or out of order: after, came", before, number);
+            if (!fresh && ahead < 0x80000000u)
+                lost += distance(last, s) - 1;
+            else if (!fresh)
+                discontinuities++;
+            if (!fresh && ahead < 0x80000000u && number - before != distance(last, s))
+                fail("numbers and sequences disagree", number - before, distance(last, s));
+            fresh = 0;
+            before = number;
+            last = s;
+            taken++;
+            break;
+        }
+    }
+    printf("%" PRIu32 " %" PRIu32 " %" PRIu32 " %" PRIu32 "\n", taken, lost, discontinuities, last);
+    free(copy);
+}
+
+int main(int count, char **arguments)
+{
+    if (count != 5)
+        return 2;
+    open_object(arguments[2]);
+    if (!strcmp(arguments[1], "write"))
+        write_messages((uint32_t)strtoul(arguments[3], NULL, 10), arguments[4]);
+    else
+        read_messages((uint32_t)strtoul(arguments[3], NULL, 10), (uint32_t)strtoul(arguments[4], NULL, 10));
+    return 0;
+}
