@@ -9,7 +9,6 @@ slow moment of the machine hits them alike; a round's value is the mean over a b
 
 from __future__ import annotations
 
-import statistics
 import struct
 import sys
 from collections.abc import Callable
@@ -111,12 +110,12 @@ def contenders(name: str, store: TypeStore) -> dict[str, Callable[[], object]]:
 
 
 def run(rounds: int) -> dict[str, Any]:
-    """Measure in ``rounds`` rounds.
+    """Measure in ``rounds`` rounds; returns a :func:`measure.report`.
 
-    Returns:
-        By type, then by contender: ``median_us`` and ``p99_us`` of the rounds, and ``ratio``: how many
-        times faster than rosbags in the same direction, the cost of an empty call taken off both.
+    A ratio tells how many times faster than rosbags in the same direction a contender is; nothing is
+    subtracted.
     """
+    before = measure.environment()
     store = TypeStore.bundled("jazzy")
     measured = {name: contenders(name, store) for name in MESSAGES}
     times: dict[str, dict[str, list[float]]] = {
@@ -127,32 +126,16 @@ def run(rounds: int) -> dict[str, Any]:
             for key, function in these.items():
                 batch = BATCH // 10 if "rosbags" in key else BATCH
                 times[name][key].append(measure.mean_ns(function, batch) / 1000)
-    result: dict[str, Any] = {}
-    for name, rows in times.items():
-        medians = {key: statistics.median(values) for key, values in rows.items()}
-        empty = medians["nothing (the call)"]
-        result[name] = {}
-        for key, values in rows.items():
-            base = medians["encode (rosbags)" if key.startswith("encode") else "rosbags + struct"]
-            row = {"median_us": medians[key], "p99_us": measure.percentile(values, 99)}
-            if not key.startswith("nothing"):
-                row["ratio"] = (base - empty) / max(medians[key] - empty, 1e-3)
-            result[name][key] = row
-    return result
-
-
-def report(rounds: int) -> dict[str, Any]:
-    """Return what :func:`run` measures in the shape that all benchmarks share."""
-    before = measure.environment()
     tables = []
-    for name, rows in run(rounds).items():
-        lines = [
-            {"name": key, "median": row["median_us"], "p99": row["p99_us"], "times faster": row.get("ratio")}
-            for key, row in rows.items()
-        ]
-        tables.append(measure.table(name, "µs per message", "nobody waits", lines))
+    for name, found in times.items():
+        lines = []
+        for key, values in found.items():
+            base = found["encode (rosbags)" if key.startswith("encode") else "rosbags + struct"]
+            faster = None if key.startswith("nothing") else measure.median_ratio(base, values)
+            lines.append(measure.row(key, values, **{"times faster": faster}))
+        tables.append(measure.table(name, "µs per message", "no waiting", lines))
     return measure.report(tables, before)
 
 
 if __name__ == "__main__":
-    measure.main(report, __doc__, 15)
+    measure.main(run, __doc__, 15)

@@ -1,6 +1,6 @@
 """Generation of every type of a distribution: time by step, and size of the text per type.
 
-usage: python benchmarks/bench_generate.py [--rounds N] [--distro NAME] [--json]
+usage: python benchmarks/bench_generate.py [--rounds N] [--json]
 
 Both blocks of each type are built and written into memory, as ``rosplc generate --all-types`` does
 before it writes files. Steps are measured in every round, in turn, so that a slow moment of the
@@ -9,16 +9,20 @@ machine hits them alike.
 
 from __future__ import annotations
 
-import argparse
-import json
 import statistics
-import time
+import sys
 from collections.abc import Callable
+from functools import partial
+from pathlib import Path
 from typing import Any
 
+if __name__ == "__main__":
+    sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from benchmarks import measure
 from rosplc.layout import Layout, compute_layout
 from rosplc.layout.c_header import c_header
-from rosplc.model import DISTROS, TypeStore
+from rosplc.model import TypeStore
 from rosplc.plc.build import build_type_library
 from rosplc.plc.delivery import project_files
 from rosplc.plc.plcopen import plcopen_xml
@@ -60,68 +64,34 @@ def sizes(store: TypeStore, layouts: list[Layout], project: PlcProject) -> dict[
 
 
 def run(rounds: int, distro: str = "jazzy") -> dict[str, Any]:
-    """Measure in ``rounds`` rounds.
-
-    Returns:
-        ``types``: their number; ``steps``: ``median_ms`` and ``worst_ms`` of the rounds by step;
-        ``files`` and ``bytes`` of the whole delivery; ``text_bytes``: median, largest and sum of the
-        Structured Text per type, and which type is the largest.
-    """
-    steps = contenders(distro)
-    times: dict[str, list[float]] = {name: [] for name in steps}
-    for _ in range(rounds):
-        for name, step in steps.items():
-            start = time.perf_counter_ns()
-            step()
-            times[name].append((time.perf_counter_ns() - start) / 1e6)
+    """Measure in ``rounds`` rounds; returns a :func:`measure.report`: time by step, and sizes as facts."""
+    before = measure.environment()
+    steps = {name: partial(_milliseconds, name, step) for name, step in contenders(distro).items()}
+    times = measure.turns(steps, rounds)
     store = TypeStore.bundled(distro)
     layouts = [compute_layout(store, name) for name in store.names()]
     project = build_type_library(store, layouts)
     files = project_files(project, layouts, "rosplc")
     text = sizes(store, layouts, project)
     largest = max(text, key=lambda name: text[name])
-    return {
-        "distro": distro,
+    facts = {
         "types": len(layouts),
-        "steps": {
-            name: {"median_ms": statistics.median(values), "worst_ms": max(values)}
-            for name, values in times.items()
-        },
         "files": len(files),
-        "bytes": {
-            "st": sum(len(content) for path, content in files.items() if path.startswith("st/")),
-            **{path: len(content) for path, content in files.items() if "/" not in path},
-        },
-        "text_bytes": {
-            "median": statistics.median(text.values()),
-            "largest": text[largest],
-            "largest_type": largest,
-            "sum": sum(text.values()),
-        },
+        "bytes of Structured Text": sum(len(each) for path, each in files.items() if path.startswith("st/")),
+        **{f"bytes of {path}": len(content) for path, content in files.items() if "/" not in path},
+        "text per type, median": statistics.median(text.values()),
+        "text per type, largest": text[largest],
+        "largest type": largest,
+        "text per type, sum": sum(text.values()),
     }
+    rows = [measure.row(name, values, worst=max(values)) for name, values in times.items()]
+    title = f"generate --all-types, {distro}"
+    return measure.report([measure.table(title, "ms", "no waiting", rows, facts)], before)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--distro", choices=DISTROS, default="jazzy")
-    parser.add_argument("--json", action="store_true")
-    arguments = parser.parse_args()
-    result = run(arguments.rounds, arguments.distro)
-    if arguments.json:
-        print(json.dumps(result, indent=2))
-        return
-    print(f"{result['types']} types of {result['distro']}, both blocks each: {result['files']} files")
-    print(f"{'ms':<24}{'median':>10}{'worst':>10}")
-    for name, row in result["steps"].items():
-        print(f"  {name:<22}{row['median_ms']:>10.1f}{row['worst_ms']:>10.1f}")
-    print(f"{'bytes':<24}")
-    for name, size in result["bytes"].items():
-        print(f"  {name:<22}{size:>10}")
-    text = result["text_bytes"]
-    print(f"Structured Text per type: median {text['median']:.0f}, largest {text['largest']}", end=" ")
-    print(f"({text['largest_type']}), sum {text['sum']}")
+def _milliseconds(name: str, step: Callable[[], object]) -> dict[str, list[float]]:
+    return {name: [measure.mean_ns(step, 1) / 1e6]}
 
 
 if __name__ == "__main__":
-    main()
+    measure.main(run, __doc__, 5)

@@ -27,8 +27,9 @@ if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks import measure
-from benchmarks.processes import Peer, bridge, ros_domain
-from benchmarks.realtime_peers import TOPIC, TYPE
+from benchmarks.peers import REALTIME_TOPIC, REALTIME_TYPE
+from benchmarks.processes import RosGraph, bridge, peer, ros_domain
+from rosplc_bench.process import Side
 
 ORDINARY, FIFO = "ordinary", "fifo"
 SETTINGS = {ORDINARY: "{}", FIFO: "{policy: fifo, priority: 20, lock_memory: true, gc: off}"}
@@ -44,7 +45,8 @@ def config(name: str, prefix: str) -> str:
             f"prefix: {prefix}",
             "ros: {backend: dds, distro: jazzy}",
             f"realtime: {SETTINGS[name]}",
-            f"topics: {{{TOPIC.format(name)}: {{type: {TYPE}, to: plc, every: true, slots: 1024}}}}",
+            "topics:",
+            f"  {REALTIME_TOPIC.format(name)}: {{type: {REALTIME_TYPE}, to: plc, every: true, slots: 1024}}",
             "",
         )
     )
@@ -74,13 +76,11 @@ def hogs(count: int) -> Iterator[None]:
             each.wait()
 
 
-def one_round(source: Peer, plc: Peer, rate: int, count: int) -> dict[str, list[float]]:
+def one_round(source: Side, plc: Side, rate: int, count: int) -> dict[str, list[float]]:
     """Return the ages in microseconds by bridge."""
-    source.tell(f"{rate} {count}")
-    source.hear()
+    source.ask(f"{rate} {count}")
     time.sleep(0.3)
-    plc.tell("")
-    ages: dict[str, list[float]] = plc.hear()["ages"]
+    ages: dict[str, list[float]] = plc.ask("")["ages"]
     return ages
 
 
@@ -99,7 +99,7 @@ def table_of(title: str, rounds: list[dict[str, list[float]]]) -> dict[str, Any]
                 "p99_ratio": 1.0 if name == ORDINARY else ratio,
             }
         )
-    return measure.table(title, "µs", "bridge: woken by DDS; PLC: sleeps 0.2 ms between looks", rows)
+    return measure.table(title, "µs", "bridge: woken by DDS; PLC: sleeps 0.2 ms between polls", rows)
 
 
 def run(rounds: int, rate: int = 200, count: int = 400) -> dict[str, Any]:
@@ -116,11 +116,12 @@ def run(rounds: int, rate: int = 200, count: int = 400) -> dict[str, Any]:
         for name, prefix in prefixes.items():
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
             stack.enter_context(bridge(folder, config(name, prefix), domain))
-        order = {"prefixes": prefixes}
-        source = stack.enter_context(Peer("realtime_peers", "source", order, domain))
-        plc = stack.enter_context(Peer("realtime_peers", "plc", order, domain))
-        for peer in (source, plc):
-            peer.hear()
+        plan = {"prefixes": prefixes, **RosGraph(domain).plan()}
+        source, plc = (
+            stack.enter_context(peer(role, plan, domain)) for role in ("realtime_source", "realtime_plc")
+        )
+        for side in (source, plc):
+            side.receive()
         one_round(source, plc, rate, 10)  # everything has run once before anything counts
         for _ in range(rounds):
             for title, number in loads.items():

@@ -17,6 +17,7 @@ import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,15 +25,17 @@ if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks import measure
-from benchmarks.bench_channel import CORE, HERE, native
 from rosplc.described import description_of
 from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.plc.build import PlcTask, PlcTopic, build_project
 from rosplc.plc.st_text import object_text
 from rosplc.shm import Direction, Namespace, OwnedChannel
+from rosplc_bench.compiling import CORE
+from rosplc_bench.process import Side
 from rosplc_st.translator import translate
 
+HERE = Path(__file__).resolve().parent
 RUNTIME = HERE.parent / "tests" / "st" / "rosplc_st" / "runtime"
 SLOTS = 32
 TASK = "Bench"
@@ -135,8 +138,8 @@ def run(rounds: int, cases: Mapping[str, Case] | None = None) -> dict[str, Any]:
         for index, (name, case) in enumerate(cases.items()):
             with objects_of(namespace, index, layouts[index]) as names:
                 arguments = (memory, *names, f"READ{index}", f"WRITE{index}", case.batch)
-                with native(program, *arguments, prefix="") as once:
-                    values = measure.turns({"both": once}, rounds)
+                with Side("st_loop", [str(program), *map(str, arguments)]) as loop:
+                    values = measure.turns({"both": partial(loop.ask, "")}, rounds)
             tables.append(compare(name, case, layouts[index], values))
     return measure.report(tables, before)
 

@@ -26,12 +26,11 @@ if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks import measure
-from benchmarks.bench_bridge_latency import ask
-from benchmarks.bench_bridge_latency import config as latency_config
-from benchmarks.bench_bridge_load import config, share
-from benchmarks.latency_peers import SENT, TO_ROS
-from benchmarks.processes import Peer, bridge, cpu_seconds, ros_domain
-from benchmarks.view_peers import VIEWS, recorder, view
+from benchmarks.bench_bridge import begin, latency_topics, load_config
+from benchmarks.peers import SENT, TO_ROS
+from benchmarks.processes import RosGraph, bridge, cpu_seconds, peer, ros_domain, share
+from benchmarks.views import VIEWS, recorder, view
+from rosplc_bench.process import Side
 
 TOPICS = 20
 RATE = 1000
@@ -42,12 +41,12 @@ RATES = (1000, 4000, 8000, 16000, 32000)
 DEPTHS = (4, 16, 64, 256)
 
 
-def arrived(subscriber: Peer, count: int) -> dict[str, list[float]]:
+def arrived(subscriber: Side, count: int) -> dict[str, list[float]]:
     """Return the ages of the messages through the bridge, once they are there, or after three seconds."""
     got: dict[str, list[float]] = {TO_ROS: [], SENT: []}
     for _ in range(30):
         time.sleep(0.1)
-        for name, ages in ask(subscriber).items():
+        for name, ages in subscriber.ask("")["ages"].items():
             got.setdefault(name, []).extend(ages)
         if len(got[TO_ROS]) >= count:
             break
@@ -60,8 +59,7 @@ def views(rounds: int, topics: int, rate: int, seconds: float, settle: float) ->
     turns = rounds * len(VIEWS)
     # More than can be needed: what a view takes to start is not known.
     count = round(rate * turns * (seconds + settle + 20))
-    order = {"topics": topics // 2, "count": count, "rate": rate, "per_scan": 1, "qos_depth": 5000}
-    order["prefix"] = prefix
+    plan: dict[str, Any] = {"topics": topics // 2, "count": count, "rate": rate, "per_scan": 1}
     cpu: dict[str, list[float]] = {}
     own: dict[str, list[float]] = {}
     ages: dict[str, list[list[float]]] = {}
@@ -69,29 +67,24 @@ def views(rounds: int, topics: int, rate: int, seconds: float, settle: float) ->
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         domain = stack.enter_context(ros_domain())
-        text = config(prefix, topics // 2, depth=4096)
-        text += latency_config(prefix).partition("topics:\n")[2]
+        plan |= {"qos_depth": 5000, "prefix": prefix, **RosGraph(domain).plan()}
+        text = load_config(prefix, topics // 2, depth=4096, more=latency_topics())
         process = stack.enter_context(bridge(folder, text, domain))
-        peers = [stack.enter_context(Peer("load_peers", role, order, domain)) for role in ("plc", "ros")]
-        subscriber = stack.enter_context(Peer("latency_peers", "subscriber", order, domain))
-        source = stack.enter_context(Peer("latency_peers", "source", order, domain))
-        for peer in (*peers, subscriber, source):
-            peer.hear()
-        for word in ("go", "more"):
-            for peer in peers:
-                peer.tell(word)
-            if word == "go":
-                for peer in peers:
-                    peer.hear()
+        plc, ros, subscriber, source = (
+            stack.enter_context(peer(role, plan, domain)) for role in ("plc", "ros", "subscriber", "source")
+        )
+        subscriber.receive()
+        source.receive()
+        begin(plc, ros)
         for _ in range(rounds):
             for kind in VIEWS:
                 with view(kind, prefix, folder, domain) as running:
                     time.sleep(settle)
-                    ask(subscriber)
-                    source.tell(f"out {PINGS} {round(PINGS * seconds)}")
+                    subscriber.ask("")
+                    source.send(f"out {PINGS} {round(PINGS * seconds)}")
                     pids = {"bridge": process.pid} | ({"view": running.pid} if running.pid else {})
                     found = share(pids, seconds, 1)
-                    source.hear()
+                    source.receive()
                     got = arrived(subscriber, round(PINGS * seconds))
                 cpu.setdefault(kind, []).append(found["bridge"][0])
                 ages.setdefault(kind, []).append(got[TO_ROS])
@@ -121,7 +114,7 @@ def views(rounds: int, topics: int, rate: int, seconds: float, settle: float) ->
         if ratios:  # else the machine is too busy for anything to arrive, and the row is left out
             values = [age for one in groups for age in one]
             late.append(measure.row(f"beside {name}", values, ratio=statistics.median(ratios)))
-    waiting = "top looks every 500 ms, web as often as a page asks, record and the bridge every 1 ms"
+    waiting = "top polls every 500 ms, web as often as a page asks, record and the bridge every 1 ms"
     return [
         measure.table(f"{title}: CPU", "% of a core", waiting, beside, facts),
         measure.table(f"{title}: PLC → bridge → DDS", "µs", waiting, late),
@@ -134,13 +127,13 @@ def record(topics: int, rate: int, slots: int, seconds: float, folder: Path) -> 
     out = folder / "rate.mcap"
     out.unlink(missing_ok=True)
     count = round(rate * seconds)
-    order = {"prefix": prefix, "topics": topics, "rate": rate, "count": count, "slots": slots}
-    with Peer("view_peers", "feeder", order, 0) as feeder:
-        feeder.hear()
+    plan = {"prefix": prefix, "topics": topics, "rate": rate, "count": count, "slots": slots}
+    with peer("feeder", plan) as feeder:
+        feeder.receive()
         with recorder(prefix, out) as process:
             before, began = sum(cpu_seconds(process.pid)), time.monotonic()
-            feeder.tell("go")
-            sent = feeder.hear()
+            feeder.send("go")
+            sent = feeder.receive_json(seconds + 60)
             used = 100 * (sum(cpu_seconds(process.pid)) - before) / (time.monotonic() - began)
             time.sleep(0.5)
             process.terminate()
@@ -182,7 +175,7 @@ def rates(
         ),
     }
     title = f"record, {topics} topics of 200 B"
-    return [measure.table(title, "% lost", "the recorder looks every 1 ms; nobody else reads", rows, facts)]
+    return [measure.table(title, "% lost", "the recorder polls every 1 ms; nothing else reads", rows, facts)]
 
 
 def page(rounds: int) -> list[dict[str, Any]]:

@@ -15,8 +15,18 @@ from pathlib import Path
 from typing import Any
 
 from rosplc.demo.domain import FreeDomain
+from rosplc_bench.process import Side
 
-__all__ = ["Peer", "RosGraph", "bridge", "cpu_seconds", "environment", "lost_in_bridge", "ros_domain"]
+__all__ = [
+    "RosGraph",
+    "bridge",
+    "cpu_seconds",
+    "environment",
+    "lost_in_bridge",
+    "peer",
+    "ros_domain",
+    "share",
+]
 
 ROOT = Path(__file__).resolve().parent.parent
 _TICKS = os.sysconf("SC_CLK_TCK")
@@ -24,23 +34,12 @@ _TICKS = os.sysconf("SC_CLK_TCK")
 
 @contextmanager
 def ros_domain() -> Iterator[int]:
-    """Give a ROS domain that nobody on this machine uses."""
+    """Give a ROS domain that nothing else on this machine uses."""
     domain = FreeDomain()
     try:
         yield domain.number
     finally:
         domain.close()
-
-
-def environment(domain: int, variables: Mapping[str, str] | None = None) -> dict[str, str]:
-    """Return an environment whose ROS nodes meet on this machine alone."""
-    return {
-        **os.environ,
-        "ROS_DOMAIN_ID": str(domain),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "PYTHONUNBUFFERED": "1",
-        **(variables or {}),
-    }
 
 
 @dataclass(frozen=True)
@@ -66,54 +65,36 @@ class RosGraph:
         own = {self.backend: dict(self.options)} if self.options else {}
         return json.dumps({"backend": self.backend, "distro": self.distro, "domain": self.domain, **own})
 
-    def order(self) -> dict[str, Any]:
+    def plan(self) -> dict[str, Any]:
         """Return what a peer has to know."""
         keys = ("domain", "backend", "distro")
         return {**{key: getattr(self, key) for key in keys}, "options": dict(self.options)}
 
 
-class Peer:
-    """A process that takes words on standard input and answers with lines of JSON."""
+def environment(domain: int, variables: Mapping[str, str] | None = None) -> dict[str, str]:
+    """Return an environment whose ROS nodes find each other on this machine alone."""
+    return {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]),
+        "ROS_DOMAIN_ID": str(domain),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "PYTHONUNBUFFERED": "1",
+        **(variables or {}),
+    }
 
-    def __init__(
-        self,
-        script: str,
-        role: str,
-        order: dict[str, Any],
-        domain: int,
-        variables: Mapping[str, str] | None = None,
-    ) -> None:
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", f"benchmarks.{script}", role, json.dumps(order)],
-            cwd=ROOT,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            env=environment(domain, variables),
-        )
-        self.pid = self._process.pid
 
-    def tell(self, word: str) -> None:
-        """Send a word."""
-        assert self._process.stdin is not None
-        self._process.stdin.write(word + "\n")
-        self._process.stdin.flush()
-
-    def hear(self) -> dict[str, Any]:
-        """Wait for the next answer."""
-        assert self._process.stdout is not None
-        line = self._process.stdout.readline()
-        if not line:
-            raise RuntimeError(f"{self._process.args!r} ended with status {self._process.wait()}")
-        answer: dict[str, Any] = json.loads(line)
-        return answer
-
-    def __enter__(self) -> Peer:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._process.kill()
-        self._process.communicate()
+@contextmanager
+def peer(
+    role: str, plan: Mapping[str, Any], domain: int = 0, variables: Mapping[str, str] | None = None
+) -> Iterator[Side]:
+    """Run a role of :mod:`benchmarks.peers`, which ends with the block."""
+    command = [sys.executable, "-m", "benchmarks.peers", role, json.dumps(plan)]
+    side = Side(role, command, environment(domain, variables))
+    try:
+        yield side
+    finally:
+        side.kill()
+        side.close()
 
 
 @contextmanager
@@ -165,3 +146,19 @@ def cpu_seconds(pid: int) -> tuple[float, float]:
     """Return a process's user and system time."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return int(fields[11]) / _TICKS, int(fields[12]) / _TICKS
+
+
+def share(pids: Mapping[str, int], seconds: float, rounds: int) -> dict[str, list[float]]:
+    """Return the cores that processes use, in percent, round by round: user, system and their sum."""
+    found: dict[str, list[float]] = {}
+    for _ in range(rounds):
+        before = {name: (*cpu_seconds(pid), time.monotonic()) for name, pid in pids.items()}
+        time.sleep(seconds)
+        for name, pid in pids.items():
+            user, system = cpu_seconds(pid)
+            old_user, old_system, then = before[name]
+            took = time.monotonic() - then
+            found.setdefault(f"{name}, user", []).append(100 * (user - old_user) / took)
+            found.setdefault(f"{name}, system", []).append(100 * (system - old_system) / took)
+            found.setdefault(name, []).append(100 * max(0.0, user + system - old_user - old_system) / took)
+    return found

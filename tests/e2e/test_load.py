@@ -1,7 +1,7 @@
 """Twenty topics in each direction at once, over real DDS, with every message counted and compared.
 
 Four programs take part: a ROS peer, the bridge, a PLC, and this one. The peers check each byte of each
-message (benchmarks/load_peers.py).
+message (benchmarks/peers.py).
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from typing import Any
 
 import pytest
 
-from benchmarks.bench_bridge_load import config
-from benchmarks.load_peers import names
-from benchmarks.processes import Peer, bridge
+from benchmarks.bench_bridge import load_config
+from benchmarks.peers import names
+from benchmarks.processes import bridge, peer
 
 TOPICS = 20
 
@@ -25,24 +25,21 @@ def carry(folder: Path, text: str, order: dict[str, Any]) -> tuple[dict[str, Any
     domain = order["domain"]
     with ExitStack() as stack:
         stack.enter_context(bridge(folder, text, domain))
-        peers = [stack.enter_context(Peer("load_peers", role, order, domain)) for role in ("plc", "ros")]
-        for peer in peers:
-            assert peer.hear() == {"ready": True}
-        for peer in peers:
-            peer.tell("go")
-        for peer in peers:
-            assert peer.hear() == {"heard": True}
-        for peer in peers:
-            peer.tell("more")
-        for peer in peers:
-            assert peer.hear()["sent"] == order["count"]
+        peers = [stack.enter_context(peer(role, order, domain)) for role in ("plc", "ros")]
+        for side in peers:
+            assert side.receive_json() == {"ready": True}
+        for side in peers:
+            side.send("go")
+        for side in peers:
+            assert side.receive_json() == {"heard": True}
+        for side in peers:
+            side.send("more")
+        for side in peers:
+            assert side.receive_json(180)["sent"] == order["count"]
         # What is on its way arrives before the PLC and the ROS peer are asked; both keep receiving.
         time.sleep(2.0)
-        answers = []
-        for peer in reversed(peers):
-            peer.tell("stop")
-            answers.append(peer.hear())
-    return answers[0], answers[1]
+        ros, plc = (side.ask("stop") for side in reversed(peers))
+    return ros, plc
 
 
 @pytest.mark.serial
@@ -66,7 +63,7 @@ def test_nothing_is_lost_where_depth_allows_it(
         "qos_depth": 5000,
     }
     order |= {"prefix": shm_prefix, "domain": dds_domain}
-    ros, plc = carry(tmp_path, config(shm_prefix, TOPICS, depth=4096), order)
+    ros, plc = carry(tmp_path, load_config(shm_prefix, TOPICS, depth=4096), order)
     whole = {"received": rate * seconds, "missing": 0, "wrong": 0, "last": rate * seconds}
     assert plc["seen"] == dict.fromkeys(names("in", TOPICS), whole)
     assert ros["seen"] == dict.fromkeys(names("out", TOPICS), whole)
@@ -95,7 +92,7 @@ def test_what_too_small_a_depth_loses_is_counted_to_the_message(
         "qos_depth": 5000,
     }
     order |= {"prefix": shm_prefix, "domain": dds_domain}
-    ros, plc = carry(tmp_path, config(shm_prefix, TOPICS, depth=4, cycle="20ms"), order)
+    ros, plc = carry(tmp_path, load_config(shm_prefix, TOPICS, depth=4, cycle="20ms"), order)
     for seen, lost, kind in ((plc["seen"], plc["lost"], "in"), (ros["seen"], plc["lost"], "out")):
         for topic in names(kind, TOPICS):
             tally = seen[topic]

@@ -8,9 +8,11 @@ from rosplc.model import TypeStore
 
 def test_the_benchmark_reports_every_step():
     """One round gives times for each step, and the sizes of the text of every type."""
-    result = run(1, "humble")
-    assert result["types"] == len(TypeStore.bundled("humble").names())
-    assert {"layouts", "project", "st", "plcopen xml", "import script", "c header"} <= set(result["steps"])
-    assert all(row["worst_ms"] >= row["median_ms"] > 0 for row in result["steps"].values())
-    text = result["text_bytes"]
-    assert 0 < text["median"] <= text["largest"] < text["sum"] <= result["bytes"]["st"]
+    (table,) = run(1, "humble")["tables"]
+    facts = table["facts"]
+    assert facts["types"] == len(TypeStore.bundled("humble").names())
+    steps = {row["name"]: row for row in table["rows"]}
+    assert {"layouts", "project", "st", "plcopen xml", "import script", "c header"} <= set(steps)
+    assert all(row["worst"] >= row["median"] > 0 for row in steps.values())
+    middle, largest, whole = (facts[f"text per type, {which}"] for which in ("median", "largest", "sum"))
+    assert 0 < middle <= largest < whole <= facts["bytes of Structured Text"]

@@ -1,15 +1,7 @@
-"""What stands beside a bridge while its views are measured: the views themselves, and a busy PLC without ROS.
-
-    python -m benchmarks.view_peers feeder|page ORDERS_JSON
-
-``feeder`` owns channels and publishes on all of them at a rate, in turns of a millisecond; ``page`` is what
-an open browser page is to `rosplc web`: it asks for the overview, a message and plots, and reads every
-frame. Both say ``ready`` in a line of JSON, and end with their standard input.
-"""
+"""The views of a bridge as processes: `rosplc top`, `rosplc web` with or without a page, `rosplc record`."""
 
 from __future__ import annotations
 
-import asyncio
 import fcntl
 import json
 import os
@@ -19,78 +11,22 @@ import subprocess
 import sys
 import termios
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmarks.load_peers import STRING, TYPE, Orders, names, paced, patterns, say
-from benchmarks.processes import Peer
-from rosplc.described import description_of
-from rosplc.layout import Limits, compute_layout
-from rosplc.model import TypeStore
-from rosplc.shm import Direction, Namespace, OwnedChannel
+from benchmarks.processes import peer
 
 __all__ = ["VIEWS", "View", "recorder", "view"]
 
 VIEWS = ("nothing", "rosplc top", "rosplc web, no page", "rosplc web, a page", "rosplc record")
 
 
-def feeder(order: dict[str, Any]) -> None:
-    """Publish on channels of its own."""
-    layout = compute_layout(TypeStore.bundled("jazzy"), TYPE, Limits(string=STRING))
-    _, records = patterns()
-    orders = Orders()
-    owned = []
-    for index, topic in enumerate(names("in", order["topics"])):
-        description = description_of(layout, topic, Direction.TO_PLC, bridge="feeder")
-        channel = OwnedChannel.open(
-            Namespace(order["prefix"]), description, record_size=layout.size, slots=order["slots"]
-        )
-        owned.append((channel, channel.writer(), records(index)))
-    say(ready=True)
-    orders.go.wait()
-    number, began = 0, time.monotonic()
-
-    def turn() -> None:
-        nonlocal number
-        while number < (time.monotonic() - began) * order["rate"] and number < order["count"]:
-            number += 1
-            for _, writer, pattern in owned:
-                writer.publish(pattern.of(number))
-        if number == order["count"]:
-            orders.stop.set()
-
-    paced(0.001, orders, turn)
-    say(sent=number, seconds=time.monotonic() - began)
-    threading.Event().wait()  # the channels stay until their reader has read them
-
-
-def page(order: dict[str, Any]) -> None:
-    """Be a page that is open."""
-    import aiohttp
-
-    async def look() -> None:
-        async with (
-            aiohttp.ClientSession() as session,
-            session.ws_connect(order["url"] + "api/live", origin=order["url"].rstrip("/")) as socket,
-        ):
-            one = order["channel"]
-            await socket.send_json({"wants": {"messages": [one], "plots": {one: ["pose.position.x"]}}})
-            await socket.receive_json()
-            say(ready=True)
-            async for message in socket:
-                json.loads(message.data)
-
-    threading.Thread(target=lambda: (sys.stdin.read(), os._exit(0)), daemon=True).start()
-    asyncio.run(look())
-
-
 @dataclass
 class View:
-    """A view that runs: the process to measure, 0 for none, and what it said at its end."""
+    """A view that runs: the process to measure, 0 for none, and what it printed at its end."""
 
     pid: int = 0
     facts: dict[str, Any] | None = None
@@ -121,15 +57,15 @@ def view(kind: str, prefix: str, folder: Path, domain: int) -> Iterator[View]:
             if kind == "rosplc web, no page":
                 yield found
             else:
-                order = {"url": url, "channel": f"{prefix}.t.load.in_0"}
-                with Peer("view_peers", "page", order, domain) as client:
-                    client.hear()
+                plan = {"url": url, "channel": f"{prefix}.t.load.in_0"}
+                with peer("page", plan, domain) as client:
+                    client.receive()
                     yield found
 
 
 @contextmanager
 def recorder(prefix: str, out: Path) -> Iterator[subprocess.Popen[str]]:
-    """Run a recorder; it has begun when the block begins, and says what it did when it is terminated."""
+    """Run a recorder; it has begun when the block begins, and prints what it did when it is terminated."""
     arguments = ["record", "--prefix", prefix, "-o", str(out), "--json"]
     with _process(arguments, errors=subprocess.PIPE) as process:
         assert process.stderr is not None
@@ -157,7 +93,7 @@ def _process(arguments: list[str], errors: int = subprocess.DEVNULL) -> Iterator
 
 @contextmanager
 def _terminal(arguments: list[str]) -> Iterator[int]:
-    """Run a program in a terminal of 120 columns, whose output somebody reads."""
+    """Run a program in a terminal of 120 columns, whose output is read."""
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("4H", 40, 120, 0, 0))
     process = subprocess.Popen(
@@ -189,7 +125,3 @@ def _terminal(arguments: list[str]) -> Iterator[int]:
         process.kill()
         process.wait()
         os.close(ours)
-
-
-if __name__ == "__main__":
-    {"feeder": feeder, "page": page}[sys.argv[1]](json.loads(sys.argv[2]))

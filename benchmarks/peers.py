@@ -1,0 +1,629 @@
+"""The programs around a bridge or in its place, as processes that answer in lines of JSON.
+
+    python -m benchmarks.peers ROLE PLAN_JSON
+
+Messages carry their number and what follows from it, or the CLOCK_MONOTONIC time at which they were sent,
+which all processes of one machine share.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import struct
+import sys
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from rosplc.codec import Codec, Wire
+from rosplc.described import description_of
+from rosplc.layout import Limits, compute_layout
+from rosplc.model import TypeStore
+from rosplc.ros import ROS1, Backend, Qos, open_backend
+from rosplc.shm import Direction, Namespace, OwnedChannel, attach
+from rosplc.shm.classic import ClassicObject, Entry
+from rosplc_bench.process import reply
+
+TYPE = "geometry_msgs/msg/PoseStamped"
+STRING = 119  # the longest frame_id; with it a message has about 200 bytes
+BARE, TO_PLC, TO_ROS, EVERY = "/bench/bare", "/bench/to_plc", "/bench/to_ros", "/bench/every"
+SENT = "since the bridge took it"
+REALTIME_TYPE, REALTIME_TOPIC = "std_msgs/msg/Int64", "/realtime/{}"
+QOS = Qos(reliability="reliable", durability="volatile", depth=5000)
+_POSE, _NUMBER, _STAMP, _TIME = (
+    struct.Struct("<7d"),
+    struct.Struct("<i"),
+    struct.Struct("<iI"),
+    struct.Struct("<q"),
+)
+_CLASSIC_SCAN_S, _HOLD_EVERY_NS = 0.0001, 10_000_000
+_REALTIME_SCAN_S, _PLC_PRIORITY, _SOURCE_PRIORITY = 0.0002, 60, 30
+
+Plan = dict[str, Any]
+
+
+def names(kind: str, count: int) -> list[str]:
+    """Return topic names such as ``/load/in_3``."""
+    return [f"/load/{kind}_{index}" for index in range(count)]
+
+
+class Pattern:
+    """The bytes of one topic's messages; ``number_at`` and the end differ from message to message."""
+
+    def __init__(self, template: bytes, number_at: int, topic: int) -> None:
+        self.bytes = bytearray(template)
+        self._number_at, self._pose_at, self._topic = number_at, len(template) - _POSE.size, topic
+
+    def of(self, number: int) -> bytearray:
+        """Return message ``number``; the buffer is used again."""
+        _NUMBER.pack_into(self.bytes, self._number_at, number)
+        half, topic = number / 2, self._topic
+        _POSE.pack_into(self.bytes, self._pose_at, number, topic, half, -number, number + topic, 0.5, half)
+        return self.bytes
+
+    def number(self, message: bytes | bytearray) -> int:
+        """Return the number that a message carries."""
+        return int(_NUMBER.unpack_from(message, self._number_at)[0])
+
+
+def stamp_places(distro: str) -> tuple[int, int]:
+    """Return where the stamp is on the wire (after CDR's header or ROS 1's seq) and in the record."""
+    return 4, 4 if distro == ROS1 else 0
+
+
+def patterns(distro: str = "jazzy") -> tuple[Callable[[int], Pattern], Callable[[int], Pattern]]:
+    """Return how messages of a topic look on the wire, and how as records."""
+    layout = compute_layout(TypeStore.bundled(distro), TYPE, Limits(string=STRING))
+    codec = Codec(layout, Wire.ROS1 if distro == ROS1 else Wire.CDR)
+    record = bytes(codec.layout.pack({"header": {"frame_id": "f" * STRING}}))
+    wire = codec.encode(record)
+    on_wire, in_record = stamp_places(distro)
+    return (lambda topic: Pattern(wire, on_wire, topic)), (lambda topic: Pattern(record, in_record, topic))
+
+
+def connect(plan: Plan, name: str) -> Backend:
+    """Connect to the plan's ROS graph: by default ROS 2 over DDS."""
+    store = TypeStore.bundled(plan.get("distro", "jazzy"))
+    return open_backend(
+        plan.get("backend", "dds"), store, name, domain=plan.get("domain"), options=plan.get("options")
+    )
+
+
+def stamp(message: bytearray, at: int) -> None:
+    """Write the time into a message."""
+    _STAMP.pack_into(message, at, *divmod(time.monotonic_ns(), 1_000_000_000))
+
+
+def age_us(message: bytes | bytearray, at: int) -> float:
+    """Return how long ago a message was sent, in microseconds."""
+    now = time.monotonic_ns()
+    seconds, nanoseconds = _STAMP.unpack_from(message, at)
+    return float(now - seconds * 1_000_000_000 - nanoseconds) / 1000
+
+
+def wait_for_match(*publishers: Any) -> None:
+    """Wait until each publisher has a subscriber."""
+    while any(not publisher.matched for publisher in publishers):
+        time.sleep(0.05)
+
+
+class Requests:
+    """Standard input, read by a thread: words that were given, and empty lines that ask for a report."""
+
+    def __init__(self) -> None:
+        self._given: dict[str, threading.Event] = {word: threading.Event() for word in ("go", "more")}
+        self._asked = 0
+        self.ended = False
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def _read(self) -> None:
+        for line in sys.stdin:
+            word = line.strip()
+            if word == "stop":
+                break
+            if word:
+                self._given[word].set()
+            else:
+                self._asked += 1
+        self.ended = True
+        for event in self._given.values():
+            event.set()
+
+    def wait(self) -> None:
+        """Wait for ``go`` or the end."""
+        self._given["go"].wait()
+
+    def allowed(self, number: int, count: int) -> bool:
+        """Return whether message ``number`` may be sent: the first after ``go``, others after ``more``."""
+        return number <= count and self._given["go" if number == 1 else "more"].is_set()
+
+    def asked(self) -> bool:
+        """Return whether a report was asked for that has not been given."""
+        if not self._asked:
+            return False
+        self._asked -= 1
+        return True
+
+    def paced(self, period: float, body: Callable[[], None]) -> None:
+        """Run ``body`` every ``period`` seconds until told to stop; late turns are made up for."""
+        due = time.monotonic()
+        while not self.ended:
+            body()
+            due += period
+            time.sleep(max(0.0, due - time.monotonic()))
+
+
+# A loaded bridge: every message is checked
+
+
+@dataclass
+class Tally:
+    """What arrived on one topic."""
+
+    received: int = 0
+    missing: int = 0
+    wrong: int = 0
+    last: int = 0
+
+    def add(self, message: bytes | bytearray, pattern: Pattern) -> None:
+        """Count a message after comparing every byte."""
+        number = pattern.number(message)
+        if number <= self.last or pattern.of(number) != message:
+            self.wrong += 1
+            return
+        self.received += 1
+        self.missing += number - self.last - 1
+        self.last = number
+
+
+class FirstMessages:
+    """Reports once that every topic has received a message: from there on readers count losses."""
+
+    def __init__(self, tallies: dict[str, Tally]) -> None:
+        self._tallies, self._reported = tallies, False
+
+    def check(self) -> None:
+        """Report if it is time."""
+        if not self._reported and all(tally.received for tally in self._tallies.values()):
+            self._reported = True
+            reply(heard=True)
+
+
+def ros(plan: Plan) -> None:
+    """Publish on some topics and subscribe to others, over ROS, at a fixed rate."""
+    wire, _ = patterns(plan.get("distro", "jazzy"))
+    requests = Requests()
+    qos = Qos(reliability="reliable", durability="volatile", depth=plan["qos_depth"])
+    backend = connect(plan, "load")
+    tallies = {topic: Tally() for topic in names("out", plan["topics"])}
+    for index, topic in enumerate(tallies):
+        tally, pattern = tallies[topic], wire(index)
+        backend.subscribe(topic, TYPE, qos, lambda data, _, t=tally, p=pattern: t.add(data, p))  # type: ignore[misc]
+    out = [
+        (backend.advertise(topic, TYPE, qos), wire(index))
+        for index, topic in enumerate(names("in", plan["topics"]))
+    ]
+    while not requests.ended and any(not one.matched for one in backend.status()):
+        time.sleep(0.05)
+    reply(ready=True)
+    requests.wait()
+    number, refused, first = 0, 0, FirstMessages(tallies)
+
+    def turn() -> None:
+        nonlocal number, refused
+        first.check()
+        if requests.allowed(number + 1, plan["count"]):
+            number += 1
+            for publisher, pattern in out:
+                refused += not publisher.write(bytes(pattern.of(number)))
+            if number == plan["count"]:
+                reply(sent=number)
+
+    requests.paced(1 / plan["rate"], turn)
+    lost = {one.topic: one.dropped for one in backend.status()}
+    seen = {topic: asdict(tally) for topic, tally in tallies.items()}
+    reply(seen=seen, sent=number, refused=refused, lost=lost)
+    backend.close()
+
+
+def plc(plan: Plan) -> None:
+    """Be the PLC: each scan takes all that is new and sends ``per_scan`` messages on each topic."""
+    _, records = patterns(plan.get("distro", "jazzy"))
+    requests = Requests()
+    namespace = Namespace(plan["prefix"])
+    tallies = {topic: Tally() for topic in names("in", plan["topics"])}
+    ins, outs = [], []
+    for index, topic in enumerate(tallies):
+        attached = attach(namespace, topic, direction=Direction.TO_PLC, write=True)
+        ins.append((attached.reader("load", observe=False), tallies[topic], records(index)))
+    ends = {
+        topic: attach(namespace, topic, direction=Direction.TO_ROS, write=True)
+        for topic in names("out", plan["topics"])
+    }
+    for index, attached in enumerate(ends.values()):
+        outs.append((attached.writer(beat_ms=5000), records(index)))
+    record = bytearray(len(records(0).bytes))
+    reply(ready=True)
+    number, first, scans = 0, FirstMessages(tallies), 0
+
+    def take() -> None:
+        for reader, tally, pattern in ins:
+            while reader.next(record) is not None:
+                tally.add(record, pattern)
+
+    def scan() -> None:
+        nonlocal number, scans
+        scans += 1
+        if scans % 100 == 0:  # no scan is longer than 20 ms, and the writers promise a beat in 5 s
+            for writer, _ in outs:
+                writer.beat()
+        take()
+        first.check()
+        for _ in range(plan["per_scan"]):
+            if not requests.allowed(number + 1, plan["count"]):
+                break
+            number += 1
+            for writer, pattern in outs:
+                writer.publish(pattern.of(number))
+            if number == plan["count"]:
+                reply(sent=number)
+
+    requests.paced(plan["per_scan"] / plan["rate"], scan)
+    take()
+    lost = {topic: reader.lost for topic, (reader, _, _) in zip(tallies, ins, strict=True)}
+    lost |= {topic: end.snapshot().readers[0].lost for topic, end in ends.items()}
+    reply(seen={topic: asdict(tally) for topic, tally in tallies.items()}, sent=number, lost=lost)
+
+
+def feeder(plan: Plan) -> None:
+    """Be the bridge: publish on channels of its own, in turns of a millisecond."""
+    layout = compute_layout(TypeStore.bundled("jazzy"), TYPE, Limits(string=STRING))
+    _, records = patterns()
+    requests = Requests()
+    owned = []
+    for index, topic in enumerate(names("in", plan["topics"])):
+        description = description_of(layout, topic, Direction.TO_PLC, bridge="feeder")
+        channel = OwnedChannel.open(
+            Namespace(plan["prefix"]), description, record_size=layout.size, slots=plan["slots"]
+        )
+        owned.append((channel, channel.writer(), records(index)))
+    reply(ready=True)
+    requests.wait()
+    number, began = 0, time.monotonic()
+
+    def turn() -> None:
+        nonlocal number
+        while number < (time.monotonic() - began) * plan["rate"] and number < plan["count"]:
+            number += 1
+            for _, writer, pattern in owned:
+                writer.publish(pattern.of(number))
+        if number == plan["count"]:
+            requests.ended = True
+
+    requests.paced(0.001, turn)
+    reply(sent=number, seconds=time.monotonic() - began)
+    threading.Event().wait()  # the channels stay until their reader has read them
+
+
+# Latency and rates
+
+
+def source(plan: Plan) -> None:
+    """Send by turns: ``in``/``out RATE COUNT`` for latency, ``flood TOPIC RATE COUNT`` for rates."""
+    wire, records = patterns(plan["distro"])
+    on_wire, in_record = stamp_places(plan["distro"])
+    message, record = wire(0).of(0), records(0).of(0)
+    backend = connect(plan, "source")
+    publishers = {topic: backend.advertise(topic, TYPE, QOS) for topic in (BARE, TO_PLC, EVERY)}
+    attached = attach(Namespace(plan["prefix"]), TO_ROS, direction=Direction.TO_ROS, write=True)
+    writer = attached.writer(beat_ms=60_000)
+    wait_for_match(*publishers.values())
+    reply(ready=True)
+
+    def send(topic: str) -> None:
+        stamp(message, on_wire)
+        publishers[topic].write(bytes(message))
+
+    def through_memory() -> None:
+        stamp(record, in_record)
+        writer.publish(record)
+
+    for line in sys.stdin:
+        kind, *rest = line.split()
+        if kind == "flood":
+            reply(took=_flood(publishers[rest[0]], bytes(message), float(rest[1]), int(rest[2])))
+            continue
+        half = 0.5 / float(rest[0])
+        due = time.monotonic()
+        for _ in range(int(rest[1])):
+            send(BARE)
+            due += half
+            time.sleep(max(0.0, due - time.monotonic()))
+            send(TO_PLC) if kind == "in" else through_memory()
+            due += half
+            time.sleep(max(0.0, due - time.monotonic()))
+        reply(sent=int(rest[1]))
+    backend.close()
+
+
+def _flood(publisher: Any, payload: bytes, rate: float, count: int) -> float:
+    """Send at a rate, in bursts of a millisecond; return the seconds that it took."""
+    start = time.monotonic()
+    sent = 0
+    while sent < count:
+        due = min(count, int((time.monotonic() - start) * rate) + 1)
+        for _ in range(due - sent):
+            publisher.write(payload)
+        sent = max(sent, due)
+        time.sleep(0.001)
+    return time.monotonic() - start
+
+
+def subscriber(plan: Plan) -> None:
+    """Receive without a bridge; an empty line asks for the ages since the last one.
+
+    Over DDS nothing but the cyclonedds wheel receives, in a WaitSet; DDS' own stamp, which the bridge sets
+    when it has taken a message from shared memory, tells how long that message had waited there.
+    """
+    at, _ = stamp_places(plan["distro"])
+    ages: dict[str, list[float]] = {BARE: [], TO_ROS: [], SENT: []}
+    requests = Requests()
+
+    def report() -> None:
+        if requests.asked():
+            found = {topic: values[:] for topic, values in ages.items()}
+            for topic, values in found.items():
+                del ages[topic][: len(values)]
+            reply(ages=found)
+
+    if plan["backend"] == "dds":
+        _subscribe_plainly(plan, ages, requests, report)
+        return
+    backend = connect(plan, "subscriber")
+    for topic in (BARE, TO_ROS):
+        backend.subscribe(topic, TYPE, QOS, lambda data, _, t=topic: ages[t].append(age_us(data, at)))  # type: ignore[misc]
+    reply(ready=True)
+    while not requests.ended:
+        time.sleep(0.02)
+        report()
+    backend.close()
+
+
+def _subscribe_plainly(
+    plan: Plan, ages: dict[str, list[float]], requests: Requests, report: Callable[[], None]
+) -> None:
+    from cyclonedds._clayer import ddspy_take
+    from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState, WaitSet
+    from cyclonedds.domain import Domain, DomainParticipant
+    from cyclonedds.sub import DataReader
+    from cyclonedds.topic import Topic
+    from cyclonedds.util import duration
+
+    from rosplc.ros.dds.backend import dds_qos
+    from rosplc.ros.dds.config import domain_config
+    from rosplc.ros.dds.idl import IdlTypes, dds_topic
+
+    domain = Domain(plan["domain"], domain_config(os.environ, plan["distro"]))
+    participant = DomainParticipant(plan["domain"])
+    kind = IdlTypes(TypeStore.bundled(plan["distro"]))[TYPE]
+    waitset = WaitSet(participant)
+    anything = SampleState.Any | ViewState.Any | InstanceState.Any
+    readers = {}
+    for topic in (BARE, TO_ROS):
+        reader = DataReader(participant, Topic(participant, dds_topic(topic), kind), dds_qos(QOS, ""))
+        condition = ReadCondition(reader, anything)
+        waitset.attach(condition)
+        readers[topic] = (reader, condition)
+    reply(ready=True)
+    while not requests.ended:
+        waitset.wait(duration(milliseconds=100))
+        for topic, (reader, _) in readers.items():
+            for data, info in ddspy_take(reader._ref, int(anything), 100):
+                if info.valid_data:
+                    ages[topic].append(age_us(data, 4))
+                    if topic == TO_ROS:
+                        ages[SENT].append((time.time_ns() - info.source_timestamp) / 1000)
+        report()
+    del domain
+
+
+def spinner(plan: Plan) -> None:
+    """Poll the record without a pause, as a PLC task on its own core; an empty line asks for the ages."""
+    _, at = stamp_places(plan["distro"])
+    attached = attach(Namespace(plan["prefix"]), TO_PLC, direction=Direction.TO_PLC)
+    reader = attached.reader("spinner")
+    record = bytearray(attached.identity.record_size)
+    requests = Requests()
+    ages: list[float] = []
+    reply(ready=True)
+    while not requests.ended:
+        if reader.latest(record) is not None:
+            ages.append(age_us(record, at))
+        elif requests.asked():
+            reply(ages={TO_PLC: ages})
+            ages = []
+
+
+def counter(plan: Plan) -> None:
+    """Take every record in order, a thousand times a second; an empty line asks how many there were."""
+    attached = attach(Namespace(plan["prefix"]), EVERY, direction=Direction.TO_PLC, write=True)
+    reader = attached.reader("counter", observe=False)
+    record = bytearray(attached.identity.record_size)
+    requests = Requests()
+    count = 0
+    reply(ready=True)
+    while not requests.ended:
+        time.sleep(0.001)
+        while reader.next(record) is not None:
+            count += 1
+        if requests.asked():
+            reply(count=count, lost=reader.lost)
+            count = 0
+
+
+# Real-time settings: a message is the time at which it was sent
+
+
+def realtime_source(plan: Plan) -> None:
+    """Send ``RATE COUNT`` messages to each bridge by turns, with a priority above the bridges'."""
+    os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_SOURCE_PRIORITY))
+    backend = connect(plan, "source")
+    publishers = [
+        backend.advertise(REALTIME_TOPIC.format(name), REALTIME_TYPE, QOS) for name in plan["prefixes"]
+    ]
+    wait_for_match(*publishers)
+    reply(ready=True)
+    for line in sys.stdin:
+        rate, count = line.split()
+        due = time.monotonic()
+        for _ in range(int(count)):
+            for publisher in publishers:
+                publisher.write(b"\0\1\0\0" + _TIME.pack(time.monotonic_ns()))
+                due += 1 / float(rate) / len(publishers)
+                time.sleep(max(0.0, due - time.monotonic()))
+        reply(sent=count)
+    backend.close()
+
+
+def realtime_plc(plan: Plan) -> None:
+    """Poll every bridge's object each 0.2 ms, as a fast task; an empty line asks for the ages in µs."""
+    os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PLC_PRIORITY))
+    readers = {}
+    for name, prefix in plan["prefixes"].items():
+        channel = attach(Namespace(prefix), REALTIME_TOPIC.format(name), direction=Direction.TO_PLC)
+        readers[name] = channel, channel.reader("plc")
+    out = bytearray(8)
+    requests = Requests()
+    ages: dict[str, list[float]] = {name: [] for name in readers}
+    reply(ready=True)
+    while not requests.ended:
+        for name, (_, reader) in readers.items():
+            while reader.next(out) is not None:
+                ages[name].append((time.monotonic_ns() - _TIME.unpack(out)[0]) / 1000)
+        if requests.asked():
+            reply(ages=ages)
+            ages = {name: [] for name in readers}
+        time.sleep(_REALTIME_SCAN_S)
+
+
+# Classic memory beside a channel
+
+
+def classic_plc(plan: Plan) -> None:
+    """Be the PLC of both; requests are JSON: ``do: read`` or ``do: write``."""
+    reply(ready=True)
+    for line in sys.stdin:
+        request = json.loads(line)
+        do = _classic_read if request["do"] == "read" else _classic_write
+        do(request, plan["prefix"], plan["size"])
+
+
+def _classic(name: str, size: int) -> ClassicObject:
+    made = ClassicObject(name, name, size, write=True, recover_after_ns=10**12)
+    made.attach()
+    return made
+
+
+def _enter(memory: ClassicObject) -> None:
+    """Take the lock, however long that takes."""
+    while memory.enter(0) is not Entry.ENTERED:
+        pass
+
+
+def _classic_read(request: Plan, prefix: str, size: int) -> None:
+    """Gather the ages of messages for ``seconds``; each 10 ms stay in the classic lock for ``hold_us``."""
+    memory = _classic(f"{prefix}-classic-in0", size)
+    ages: dict[str, list[float]] = {"classic": [], "channel": []}
+    record = bytearray(size)
+    with attach(Namespace(prefix), "/channel/in0", direction=Direction.TO_PLC) as attached:
+        reader = attached.reader()
+        reader.latest(record)
+        last, now = memory.peek()[:8], time.monotonic_ns()
+        end, hold_at = now + int(request["seconds"] * 1e9), now
+        while (now := time.monotonic_ns()) < end:
+            if request["hold_us"] and now >= hold_at:
+                _enter(memory)
+                time.sleep(request["hold_us"] / 1e6)
+                memory.leave()
+                hold_at = now + _HOLD_EVERY_NS
+            if memory.enter(0) is Entry.ENTERED:
+                image = memory.read()
+                memory.leave()
+                if image is not None and image[:8] != last:
+                    last = image[:8]
+                    ages["classic"].append((time.monotonic_ns() - _TIME.unpack(last)[0]) / 1000)
+            if reader.latest(record) is not None:
+                ages["channel"].append((time.monotonic_ns() - _TIME.unpack_from(record)[0]) / 1000)
+            time.sleep(_CLASSIC_SCAN_S)
+    memory.close()
+    reply(ages=ages)
+
+
+def _classic_write(request: Plan, prefix: str, size: int) -> None:
+    """Write stamped messages at a rate into the first memories or channels."""
+    sends: list[Callable[[bytes], object]] = []
+    closers: list[Callable[[], None]] = []
+    for number in range(request["topics"]):
+        if request["kind"] == "classic":
+            memory = _classic(f"{prefix}-classic-out{number}", size)
+            closers.append(memory.close)
+
+            def locked(record: bytes, memory: ClassicObject = memory) -> None:
+                _enter(memory)
+                memory.write(record)
+                if request["hold_us"]:
+                    time.sleep(request["hold_us"] / 1e6)
+                memory.leave()
+
+            sends.append(locked)
+        else:
+            attached = attach(
+                Namespace(prefix), f"/channel/out{number}", direction=Direction.TO_ROS, write=True
+            )
+            sends.append(attached.writer(60_000).publish)
+            closers.append(attached.close)
+    due = time.monotonic()
+    for _ in range(request["count"]):
+        for send in sends:
+            send(_TIME.pack(time.monotonic_ns()) + bytes(size - 8))
+        due += 1 / request["rate"]
+        time.sleep(max(0.0, due - time.monotonic()))
+    for close in closers:
+        close()
+    reply(written=request["count"] * request["topics"])
+
+
+def page(plan: Plan) -> None:
+    """Be an open page of `rosplc web`: ask for the overview, a message and plots, and read every frame."""
+    import aiohttp
+
+    async def look() -> None:
+        url, one = plan["url"], plan["channel"]
+        async with (
+            aiohttp.ClientSession() as session,
+            session.ws_connect(url + "api/live", origin=url.rstrip("/")) as socket,
+        ):
+            await socket.send_json({"wants": {"messages": [one], "plots": {one: ["pose.position.x"]}}})
+            await socket.receive_json()
+            reply(ready=True)
+            async for message in socket:
+                json.loads(message.data)
+
+    threading.Thread(target=lambda: (sys.stdin.read(), os._exit(0)), daemon=True).start()
+    asyncio.run(look())
+
+
+ROLES = {
+    each.__name__: each
+    for each in (
+        *(ros, plc, feeder, source, subscriber, spinner, counter, page),
+        *(realtime_source, realtime_plc, classic_plc),
+    )
+}
+
+if __name__ == "__main__":
+    ROLES[sys.argv[1]](json.loads(sys.argv[2]))
