@@ -14,9 +14,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from rosplc.errors import RosplcError
-from rosplc.recorder.replay import Player, ReplayOptions
+from rosplc.recorder.replay import Player, ReplayOptions, wait_for_readers
 from rosplc.recorder.source import open_source
-from rosplc.recorder.target import wait_for_readers
 from rosplc.recorder.to_ros import RosTarget
 from rosplc.ros.backend import Qos
 

@@ -100,7 +100,7 @@ Recordings, watching, the page:
     record that is watched | monitor.watch.MAX_RECORD | bytes | not shown
     messages that one page may open | web.wants.MAX_MESSAGES | messages | WEB009
     fields that one page may plot | web.wants.MAX_PLOTS | fields | WEB009
-    path of a field | web.paths.MAX_PATH | characters | WEB009
+    path of a field | web.wants.MAX_PATH | characters | WEB009
 Errors:
     each text of an error | errors.LONGEST_TEXT | characters | its middle is left out
 """

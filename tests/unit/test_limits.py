@@ -444,13 +444,13 @@ def watched(patch: pytest.MonkeyPatch, folder: Path) -> None:
         refused("SHM112", lambda: watch.message(picture.channels[0]), "too large")
 
 
-@beyond("web.wants.MAX_MESSAGES", "web.wants.MAX_PLOTS", "web.paths.MAX_PATH")
+@beyond("web.wants.MAX_MESSAGES", "web.wants.MAX_PLOTS", "web.wants.MAX_PATH")
 def page(patch: pytest.MonkeyPatch, folder: Path) -> None:
-    from rosplc.web import paths, wants
+    from rosplc.web import wants
 
     refused("WEB009", lambda: wants.Wants.of({"messages": ["a"] * (wants.MAX_MESSAGES + 1)}))
     refused("WEB009", lambda: wants.Wants.of({"plots": {"a": ["x"] * (wants.MAX_PLOTS + 1)}}))
-    refused("WEB009", lambda: wants.Wants.of({"plots": {"a": ["x" * (paths.MAX_PATH + 1)]}}))
+    refused("WEB009", lambda: wants.Wants.of({"plots": {"a": ["x" * (wants.MAX_PATH + 1)]}}))
 
 
 @beyond("errors.LONGEST_TEXT")

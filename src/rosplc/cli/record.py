@@ -118,26 +118,53 @@ def command(
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
     """Record channels into MCAP files, which Foxglove, PlotJuggler and `ros2 bag` read."""
+    from rosplc.config.resolve import load_project
+    from rosplc.monitor.expected import expected_of
+    from rosplc.recorder import COMPRESSIONS, RecordingOptions, Selection, Split
+    from rosplc.recorder.store import base_of, dated, free_name
+    from rosplc.shm import Namespace
+
     if repair is not None:
         _repair(repair, output, as_json=as_json, quiet=quiet)
         return
     seconds = duration(length, "--duration") / 1e9
-    options = _options(
-        topics or [],
-        output=output,
+    chosen = next((one for one in COMPRESSIONS if one == compression), None)
+    if chosen is None:
+        raise typer.BadParameter(
+            f"{compression!r} is none of {', '.join(COMPRESSIONS)}", param_hint="--compression"
+        )
+    if keep is None and (trigger or after is not None):
+        raise typer.BadParameter("it needs --keep", param_hint="--trigger" if trigger else "--after")
+    selection = Selection(tuple(topics or ()), tuple(exclude or ()))
+    namespace, expected, qos, distro = Namespace(prefix or "rosplc", directory), None, {}, ""
+    if config is not None:
+        project = load_project(config)
+        if prefix is None:
+            namespace = project.namespace
+        expected, distro = expected_of(project), project.config.settings.ros.distro
+        qos = {plan.topic: plan.qos for plan in project.topics}
+        for plan in project.topics:
+            if plan.classic is not None and plan.topic in selection:
+                warn(f"{plan.topic} is a classic topic, which has no channel: it is not recorded")
+    if output is not None:
+        base = base_of(output)
+    else:
+        base = Path("rosplc") if keep is not None else free_name(dated(Path("rosplc"), time.time_ns()))
+    options = RecordingOptions(
+        namespace=namespace,
+        base=base,
+        selection=selection,
+        split=Split(size(split_size, "--split-size"), duration(split_time, "--split-time")),
         bag=bag,
-        prefix=prefix,
-        config=config,
-        exclude=exclude or [],
-        split_size=split_size,
-        split_time=split_time,
-        compression=compression,
-        keep=keep,
-        memory=memory,
-        trigger=trigger or [],
-        after=after,
+        compression=chosen,
+        qos=qos,
+        distro=distro,
+        keep_ns=duration(keep, "--keep"),
+        memory=size(memory, "--memory"),
+        triggers=tuple(trigger) if trigger else ("stale", "error") if keep is not None else (),
+        after_ns=duration(after, "--after"),
         most_files=most_files,
-        directory=directory,
+        expected=expected,
     )
     _record(options, seconds, quiet=quiet, as_json=as_json)
 
@@ -161,70 +188,6 @@ def _quantity(parse: Callable[[str], int], text: str | None, option: str) -> int
         return 0 if text is None else parse(text)
     except ValueError as error:
         raise typer.BadParameter(str(error), param_hint=option) from None
-
-
-def _options(
-    topics: list[str],
-    *,
-    output: Path | None,
-    bag: bool,
-    prefix: str | None,
-    config: Path | None,
-    exclude: list[str],
-    split_size: str | None,
-    split_time: str | None,
-    compression: str,
-    keep: str | None,
-    memory: str,
-    trigger: list[str],
-    after: str | None,
-    most_files: int,
-    directory: str,
-) -> RecordingOptions:
-    from rosplc.config.resolve import load_project
-    from rosplc.monitor.expected import expected_of
-    from rosplc.recorder import COMPRESSIONS, RecordingOptions, Selection, Split
-    from rosplc.recorder.names import base_of, dated, free_name
-    from rosplc.shm import Namespace
-
-    chosen = next((one for one in COMPRESSIONS if one == compression), None)
-    if chosen is None:
-        raise typer.BadParameter(
-            f"{compression!r} is none of {', '.join(COMPRESSIONS)}", param_hint="--compression"
-        )
-    if keep is None and (trigger or after is not None):
-        raise typer.BadParameter("it needs --keep", param_hint="--trigger" if trigger else "--after")
-    selection = Selection(tuple(topics), tuple(exclude))
-    namespace, expected, qos, distro = Namespace(prefix or "rosplc", directory), None, {}, ""
-    if config is not None:
-        project = load_project(config)
-        if prefix is None:
-            namespace = project.namespace
-        expected, distro = expected_of(project), project.config.settings.ros.distro
-        qos = {plan.topic: plan.qos for plan in project.topics}
-        for plan in project.topics:
-            if plan.classic is not None and plan.topic in selection:
-                warn(f"{plan.topic} is a classic topic, which has no channel: it is not recorded")
-    if output is not None:
-        base = base_of(output)
-    else:
-        base = Path("rosplc") if keep is not None else free_name(dated(Path("rosplc"), time.time_ns()))
-    return RecordingOptions(
-        namespace=namespace,
-        base=base,
-        selection=selection,
-        split=Split(size(split_size, "--split-size"), duration(split_time, "--split-time")),
-        bag=bag,
-        compression=chosen,
-        qos=qos,
-        distro=distro,
-        keep_ns=duration(keep, "--keep"),
-        memory=size(memory, "--memory"),
-        triggers=tuple(trigger) if trigger else ("stale", "error") if keep is not None else (),
-        after_ns=duration(after, "--after"),
-        most_files=most_files,
-        expected=expected,
-    )
 
 
 def _record(options: RecordingOptions, seconds: float, *, quiet: bool, as_json: bool) -> None:
@@ -272,8 +235,8 @@ def _leave_closed_terminal() -> None:
 
 
 def _repair(file: Path, output: Path | None, *, as_json: bool, quiet: bool) -> None:
-    from rosplc.recorder.names import base_of, file_name
     from rosplc.recorder.repair import repair
+    from rosplc.recorder.store import base_of, file_name
 
     base = (
         base_of(output) if output is not None else base_of(file).with_name(f"{base_of(file).name}_repaired")

@@ -17,9 +17,8 @@ from rosplc.cli.watching import Directory
 from rosplc.doctor.words import plural
 
 if TYPE_CHECKING:
-    from rosplc.recorder.replay import Player, ReplayOptions
+    from rosplc.recorder.replay import Player, ReplayOptions, Target
     from rosplc.recorder.source import Source, SourceTopic
-    from rosplc.recorder.target import Target
 
 __all__ = ["EPILOG", "command"]
 
@@ -218,8 +217,7 @@ def _play(
     as_json: bool,
 ) -> None:
     from rosplc.bridge.run import pause, stop_on_signals
-    from rosplc.recorder.replay import Player
-    from rosplc.recorder.target import wait_for_readers
+    from rosplc.recorder.replay import Player, wait_for_readers
 
     player = Player(source, target, topics, options)
     line = ProgressLine(quiet=quiet)

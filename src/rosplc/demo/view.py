@@ -13,7 +13,7 @@ from rich.text import Text
 
 from rosplc.demo.messages import COMMAND, robot_topics
 from rosplc.demo.supervisor import Demo
-from rosplc.monitor.rate import Rate
+from rosplc.monitor.signs import Rate
 
 __all__ = ["LiveView", "ProgressLine"]
 

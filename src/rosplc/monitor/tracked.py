@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 from rosplc.errors import ChannelError
 from rosplc.monitor.expected import Expectation
-from rosplc.monitor.judge import Signs, judge
-from rosplc.monitor.peers import Peers
+from rosplc.monitor.judge import judge
 from rosplc.monitor.picture import ChannelView, ReaderView
 from rosplc.monitor.process import is_starting
-from rosplc.monitor.rate import Rate
+from rosplc.monitor.signs import Peers, Rate
 from rosplc.shm import Attached, Direction, ReaderState, Snapshot, distance
 from rosplc.shm.constants import SLOT_HEADER, STAMP_SYSTEM, UNKNOWN
 from rosplc.shm.header import channel_error
@@ -113,37 +113,17 @@ class Tracked:
         )
         bridge = None if starting else bridge
         lost = _most_lost(snapshot)
-        rate = self._rate.of(self._count, now_ns)
-        signs = Signs(
-            to_plc=self._to_plc,
-            bridge_alive=bridge,
-            bridge_pid=bridge_pid,
-            bridge_starting=starting,
-            plc_alive=plc,
-            plc_claimed=bool(readers) if self._to_plc else bool(writer.epoch),
-            readers=readers,
-            received=writer.head,
-            ros_peers=self._ros_peers(snapshot),
-            stale=bool(limit) and since > limit,
-            moving=bool(rate),
-            refused_lately=self._refused.of(writer.refused, now_ns),
-            lost_lately=self._lost.of(lost, now_ns) and expectation.in_order,
-            silent=bool(limit) and (since > limit + _DEBOUNCE_NS or now_ns < self._settled_ns),
-        )
-        state, words = judge(signs)
-        return ChannelView(
+        seen = ChannelView(
             id=self.name,
             prefix=self.prefix,
             topic=self.description.topic,
             direction=self.direction.word,
             type_name=self.description.type,
             bridge=self.description.bridge,
-            bridge_pid=signs.bridge_pid,
-            state=state,
-            words=words,
-            rate_hz=rate,
+            bridge_pid=bridge_pid,
+            rate_hz=self._rate.of(self._count, now_ns),
             age_ns=age,
-            received=signs.received,
+            received=writer.head,
             lost=lost,
             refused=writer.refused,
             truncated=writer.truncated,
@@ -151,10 +131,10 @@ class Tracked:
             reader_alive=plc if self._to_plc else bridge,
             bridge_alive=bridge,
             plc_alive=plc,
-            plc_claimed=signs.plc_claimed,
-            ros_peers=signs.ros_peers,
-            stale=signs.stale,
-            silent=signs.silent,
+            plc_claimed=bool(readers) if self._to_plc else bool(writer.epoch),
+            ros_peers=self._ros_peers(snapshot),
+            stale=bool(limit) and since > limit,
+            silent=bool(limit) and (since > limit + _DEBOUNCE_NS or now_ns < self._settled_ns),
             stale_after_ns=limit,
             configured=expectation.configured,
             record_size=identity.record_size,
@@ -165,6 +145,13 @@ class Tracked:
             created_ns=identity.created_ns,
             readers=readers,
         )
+        state, words = judge(
+            seen,
+            starting=starting,
+            refused_lately=self._refused.of(writer.refused, now_ns),
+            lost_lately=self._lost.of(lost, now_ns) and expectation.in_order,
+        )
+        return replace(seen, state=state, words=words)
 
     def _follow(self, head: int, now_ns: int, limit: int) -> None:
         if head == self._head:

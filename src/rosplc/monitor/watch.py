@@ -14,7 +14,7 @@ from pathlib import Path
 from rosplc.clock import SYSTEM, Clock
 from rosplc.described import layout_of
 from rosplc.errors import ChannelError
-from rosplc.monitor.classic_watch import ClassicWatch
+from rosplc.monitor.classic import ClassicWatch
 from rosplc.monitor.events import bridge_events, channel_events
 from rosplc.monitor.expected import Expected
 from rosplc.monitor.message import Message, message_of

@@ -16,9 +16,8 @@ from pathlib import Path
 from rosplc._core._native import Group
 from rosplc.clock import SYSTEM, Clock
 from rosplc.errors import ChannelError
-from rosplc.recorder.batch import Batch
 from rosplc.recorder.carried import CarriedChannel, channel_info
-from rosplc.recorder.mcap_write import ChannelInfo
+from rosplc.recorder.mcap_write import Batch, ChannelInfo
 from rosplc.recorder.selection import Selection
 from rosplc.ros import Qos
 from rosplc.shm import Namespace
@@ -40,7 +39,14 @@ _LOSS = 1 << 24
 
 @dataclass
 class TopicCount:
-    """What was taken of a topic, and what was missed."""
+    """What was taken of a topic, and what was missed.
+
+    Attributes:
+        type_name: Its type.
+        received: Messages taken and kept.
+        lost: Messages missed: overwritten before they were read, or dropped because the disk did not keep up.
+        refused: Messages taken that could not be encoded.
+    """
 
     type_name: str
     received: int = 0

@@ -15,18 +15,16 @@ from rosplc._version import __version__
 from rosplc.clock import SYSTEM, Clock
 from rosplc.errors import ChannelError, RecordingError
 from rosplc.monitor import Expected, Watch
-from rosplc.recorder.inlet import Inlet
+from rosplc.recorder.chunks import Outlet, Ring
+from rosplc.recorder.inlet import Inlet, TopicCount
 from rosplc.recorder.mcap_write import Compression, SealedChunk
-from rosplc.recorder.names import dated, free_name
-from rosplc.recorder.outlet import Outlet
-from rosplc.recorder.ring import Ring
 from rosplc.recorder.selection import Selection
-from rosplc.recorder.store import FileStore, Split, Written, try_place
+from rosplc.recorder.store import FileStore, Split, Written, dated, free_name, try_place
 from rosplc.recorder.trigger import Fired, Triggers
 from rosplc.ros import Qos
 from rosplc.shm import Namespace
 
-__all__ = ["Progress", "Recorder", "RecordingOptions", "Result", "TopicResult", "quick_process"]
+__all__ = ["Progress", "Recorder", "RecordingOptions", "Result", "quick_process"]
 
 _LOOK_NS = 250_000_000
 _SETTLE_NS = 200_000_000
@@ -97,23 +95,6 @@ class Progress:
 
 
 @dataclass(frozen=True)
-class TopicResult:
-    """One topic's part of a recording.
-
-    Attributes:
-        type_name: Its type.
-        received: Messages taken and kept.
-        lost: Messages missed: overwritten before they were read, or dropped because the disk did not keep up.
-        refused: Messages taken that could not be encoded.
-    """
-
-    type_name: str
-    received: int
-    lost: int
-    refused: int
-
-
-@dataclass(frozen=True)
 class Result:
     """What a recording became.
 
@@ -127,7 +108,7 @@ class Result:
     """
 
     files: tuple[Written, ...]
-    topics: Mapping[str, TopicResult]
+    topics: Mapping[str, TopicCount]
     seconds: float
     saves: tuple[str, ...] = ()
     unsaved: int = 0
@@ -406,10 +387,10 @@ class Recorder:
             dropped[topic] = dropped.get(topic, 0) + count
         return dropped
 
-    def _topics(self) -> dict[str, TopicResult]:
+    def _topics(self) -> dict[str, TopicCount]:
         dropped = self._dropped()
         return {
-            topic: TopicResult(
+            topic: TopicCount(
                 count.type_name,
                 count.received - dropped.get(topic, 0),
                 count.lost + dropped.get(topic, 0),

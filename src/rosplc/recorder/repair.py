@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rosplc.errors import RecordingError
-from rosplc.recorder.batch import Batch
 from rosplc.recorder.mcap_read import Survey, read_part, survey
-from rosplc.recorder.mcap_write import ChannelInfo, McapFile, seal
+from rosplc.recorder.mcap_write import Batch, ChannelInfo, McapFile, seal
 from rosplc.recorder.store import METADATA, failure
 
 __all__ = ["Repaired", "repair"]

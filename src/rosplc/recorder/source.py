@@ -13,7 +13,7 @@ from rosplc.errors import RecordingError, RosplcError
 from rosplc.model import DISTROS, TypeStore
 from rosplc.recorder.mcap_read import FileMessage, Part, Survey, read_part, survey
 from rosplc.recorder.rosbag2 import qos_of_text
-from rosplc.ros import DEFAULT, Qos
+from rosplc.ros import DEFAULT, ROS1, Qos
 from rosplc.ros.bag import Bag
 from rosplc.ros.plain_file import unreadable_kind
 
@@ -248,7 +248,13 @@ class _BagSource:
         self.start_ns, self.end_ns = self._bag.span()
         self._names: dict[str, str] = {}
         ros1 = self._bag.ros_version == 1
-        known = TypeStore.bundled(self._bag.distro if self._bag.distro in DISTROS else distro)
+        distro = self._bag.distro if self._bag.distro in DISTROS else distro
+        # Without definitions, those of a ROS 2 distribution hold for a ROS 2 recording.
+        known = TypeStore.bundled("jazzy" if distro == ROS1 and not ros1 else distro)
+        if any(not topic.definition for topic in self._bag.topics()):
+            self.notes = (
+                f"{path}: some types have no definition in it: {known.distro}'s are used (--distro)",
+            )
         for topic in self._bag.topics():
             # ROS 1 records a relative name as the node wrote it.
             name = topic.name if topic.name.startswith("/") else f"/{topic.name}"

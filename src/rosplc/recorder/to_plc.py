@@ -19,8 +19,8 @@ from rosplc.errors import ChannelError, CodecError, RecordingError, RosplcError
 from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.recorder.convert import Conversion, renamed, with_types_of
+from rosplc.recorder.replay import TopicCount
 from rosplc.recorder.source import SourceTopic
-from rosplc.recorder.target import TopicCount
 from rosplc.shm import Description, Direction, Namespace, OwnedChannel, attach
 
 __all__ = ["PlcTarget"]

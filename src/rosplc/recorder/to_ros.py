@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping
 from rosplc.errors import RosplcError
 from rosplc.model import TypeStore
 from rosplc.recorder.convert import Conversion, renamed, with_types_of
+from rosplc.recorder.replay import TopicCount
 from rosplc.recorder.source import SourceTopic
-from rosplc.recorder.target import TopicCount
 from rosplc.ros import ROS1, Backend, Publisher, open_backend
 
 __all__ = ["RosTarget"]

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from rosplc.web.access import is_loopback
 from rosplc.web.server import serve
-from rosplc.web.settings import Settings
-from rosplc.web.token import new_token, read_token
+from rosplc.web.settings import Settings, new_token, read_token
 
 __all__ = ["Settings", "is_loopback", "new_token", "read_token", "serve"]

@@ -17,7 +17,7 @@ from aiohttp import web
 from aiohttp.typedefs import Handler, Middleware
 
 from rosplc.errors import RosplcError, WebError
-from rosplc.web.token import same_token
+from rosplc.web.settings import same_token
 
 if TYPE_CHECKING:
     from rosplc.web.settings import Settings

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from rosplc.errors import RosplcError
 from rosplc.web.form import shown
-from rosplc.web.paths import number_at
+from rosplc.web.wants import number_at
 
 if TYPE_CHECKING:
     from rosplc.monitor.message import Message

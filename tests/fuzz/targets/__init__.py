@@ -99,7 +99,7 @@ TARGETS: dict[str, Entry] = {
     "files": Entry(
         "files beside rosplc's own: PLC code and its manifest, folders of `.msg` files, tokens",
         "files",
-        ("rosplc.plc.delivery", "rosplc.doctor.generated", "rosplc.model", "rosplc.web.token"),
+        ("rosplc.plc.delivery", "rosplc.doctor.generated", "rosplc.model", "rosplc.web.settings"),
         2048,
     ),
     "arguments": Entry(

@@ -11,9 +11,8 @@ from rosplc.layout.view import plain
 from rosplc.model import TypeStore
 from rosplc.web.access import wrong_host, wrong_origin
 from rosplc.web.form import form_of, from_form, shown
-from rosplc.web.paths import number_at, parse_path
-from rosplc.web.token import same_token
-from rosplc.web.wants import Wants
+from rosplc.web.settings import same_token
+from rosplc.web.wants import Wants, number_at, parse_path
 from tests.fuzz.choices import Choices
 from tests.fuzz.oracle import refusals
 

@@ -8,7 +8,7 @@ from rosplc.levels import Level
 from rosplc.monitor import Event, State, numbers
 from rosplc.monitor.cells import MARKS, age_text, count_text, rate_text
 from rosplc.monitor.events import grouped
-from rosplc.monitor.rate import Rate
+from rosplc.monitor.signs import Rate
 
 
 def rates(period_ms, *, look_ms, seconds):

@@ -13,9 +13,8 @@ from rosbags.interfaces import QosDurability, QosReliability
 from rosbags.rosbag2 import Reader
 
 from rosplc.errors import RecordingError
-from rosplc.recorder.batch import Batch
 from rosplc.recorder.mcap_read import MAX_CHUNK, read_part, survey
-from rosplc.recorder.mcap_write import COMPRESSIONS, ChannelInfo, Compression, McapFile, seal
+from rosplc.recorder.mcap_write import COMPRESSIONS, Batch, ChannelInfo, Compression, McapFile, seal
 from rosplc.recorder.rosbag2 import qos_of_text, qos_text
 from rosplc.recorder.store import FileStore, Split
 from rosplc.ros import LATCHED, SENSOR_DATA, Qos

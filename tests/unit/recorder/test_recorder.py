@@ -13,9 +13,9 @@ from rosplc.errors import RecordingError
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.recorder import Selection
+from rosplc.recorder.chunks import Ring
 from rosplc.recorder.mcap_write import SealedChunk
-from rosplc.recorder.names import dated, free_name
-from rosplc.recorder.ring import Ring
+from rosplc.recorder.store import dated, free_name
 from rosplc.recorder.trigger import parse_condition
 from rosplc.shm import Direction, Namespace
 from tests.lib.clock import SteppedClock

@@ -20,12 +20,10 @@ from rosplc.errors import ChannelError, RecordingError
 from rosplc.layout import Limits
 from rosplc.model import TypeStore
 from rosplc.recorder import Selection
-from rosplc.recorder.batch import Batch
-from rosplc.recorder.mcap_write import ChannelInfo, McapFile, seal
+from rosplc.recorder.mcap_write import Batch, ChannelInfo, McapFile, seal
 from rosplc.recorder.repair import repair
-from rosplc.recorder.replay import Player, ReplayOptions, chosen_topics
+from rosplc.recorder.replay import Player, ReplayOptions, TopicCount, chosen_topics, wait_for_readers
 from rosplc.recorder.source import Source, open_source
-from rosplc.recorder.target import TopicCount, wait_for_readers
 from rosplc.recorder.to_plc import PlcTarget
 from rosplc.recorder.to_ros import RosTarget
 from rosplc.ros import ROS1, Qos, open_backend
@@ -529,7 +527,7 @@ def test_an_sqlite_recording_without_definitions(encoding: str, tmp_path: Path) 
     topics, remarks = chosen_topics(source, Selection(), {}, to_plc=False)
     assert list(topics) == ["/n"] and list(source.unusable) == ["/x"] and "no definition" in remarks[0]
     Player(source, heap, topics, ReplayOptions(speed=0)).play(never)
-    assert heap.got == [("/n", 7)]
+    assert heap.got == [("/n", 7)] and "humble's are used" in source.notes[0]
 
 
 def test_a_cut_file_is_replayed_and_repaired(tmp_path: Path) -> None:

@@ -19,8 +19,7 @@ from textual.scroll_view import ScrollView
 from textual.strip import Strip
 
 from rosplc.monitor.picture import ChannelView
-from rosplc.monitor.terminal.columns import columns_for, fitted, heading
-from rosplc.monitor.terminal.order import Sorting
+from rosplc.monitor.terminal.columns import Sorting, columns_for, fitted, heading
 from rosplc.monitor.terminal.style import LEVEL_STYLES
 
 __all__ = ["ChannelTable"]
