@@ -40,6 +40,13 @@ class SteppedClock:
             self._changed.notify_all()
             return self._now
 
+    def step(self, seconds: float) -> int:
+        """As :meth:`advance`, and return once every thread that waited before waits again."""
+        threads = len(self._waiting)
+        now = self.advance(seconds)
+        self.until_waiting(threads)
+        return now
+
     def wait(self, event: threading.Event, timeout_ns: int | None = None) -> bool:
         """Wait until ``event`` is set or the stepped time has come; return whether it is set."""
         me = threading.get_ident()

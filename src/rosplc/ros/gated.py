@@ -131,6 +131,7 @@ class GatedBackend:
 
     Attributes:
         active: Whether the gate is open; it is closed at first.
+        check: As given.
     """
 
     def __init__(
@@ -143,7 +144,7 @@ class GatedBackend:
         self.capabilities = inner.capabilities
         self.active = False
         self._inner = inner
-        self._check = check
+        self.check = check
         self._always = frozenset(always)
         self._lock = threading.RLock()
         self._endpoints: list[GatedSubscription | GatedPublisher] = []
@@ -175,7 +176,7 @@ class GatedBackend:
         return publisher
 
     def _add(self, endpoint: GatedSubscription | GatedPublisher) -> None:
-        self._check(endpoint.type_name)
+        self.check(endpoint.type_name)
         with self._lock:
             if self.active:
                 endpoint.open()

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from rosplc.bridge import Bridge
+from rosplc.clock import SYSTEM, Clock
 from rosplc.codec import Codec, Wire
 from rosplc.config import parse_config
 from rosplc.layout import Layout, Limits, compute_layout
@@ -85,8 +86,8 @@ class Cell:
             f"topics:\n{topics}"
         )
 
-    def make(self, topics: str, **arguments: Any) -> Bridge:
-        return Bridge(parse_config(self.config(topics, **arguments)))
+    def make(self, topics: str, *, clock: Clock = SYSTEM, **arguments: Any) -> Bridge:
+        return Bridge(parse_config(self.config(topics, **arguments)), clock=clock)
 
     def start(self, topics: str, **arguments: Any) -> Bridge:
         self.bridge = self.make(topics, **arguments)

@@ -22,7 +22,8 @@ from rosplc.ros import LATCHED, Qos
 from rosplc.ros.memory import MemoryBackend, MemoryPublisher, MemorySubscription, open_backend
 from rosplc.shm import Namespace, OwnedChannel, attach
 from rosplc.shm.constants import IDENTITY, STATE_RETIRED
-from tests.lib.waiting import wait_for
+from tests.lib.clock import SteppedClock
+from tests.lib.waiting import repeat_until, wait_for
 from tests.unit.bridge.conftest import BOTH, DOMAIN, INT, STORE, STRING, Cell, numbers, wire
 
 
@@ -183,7 +184,8 @@ def test_an_object_that_cannot_be_made_is_tried_again(
     cell: Cell, topic: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """A full /dev/shm is an error of the topic for as long as it lasts, and logged once."""
-    bridge = cell.start(BOTH)
+    clock = SteppedClock()
+    bridge = cell.start(BOTH, clock=clock)
 
     def full(*_: object, **__: object) -> None:
         raise ChannelError("SHM117", "no space left")
@@ -191,14 +193,15 @@ def test_an_object_that_cannot_be_made_is_tried_again(
     with monkeypatch.context() as patch:
         patch.setattr(OwnedChannel, "open", full)
         cell.namespace.path(topic).unlink()
-        wait_for(lambda: "SHM117" in bridge.status().topic(topic).problem)
+        repeat_until(lambda: clock.step(1), lambda: "SHM117" in bridge.status().topic(topic).problem)
         assert bridge.status().topic(topic).judgement[0] is Level.ERROR
         cell.publisher("/in", INT).write(wire(INT, {"data": 1}))
         if topic == "/in":
             wait_for(lambda: bridge.status().topic("/in").lost == 1)
-        time.sleep(1.1)
+        for _ in range(3):
+            clock.step(1)
     assert caplog.text.count("no space left") == 1
-    wait_for(lambda: not bridge.status().topic(topic).problem)
+    repeat_until(lambda: clock.step(1), lambda: not bridge.status().topic(topic).problem)
     assert cell.namespace.path(topic).exists()
 
 
@@ -206,7 +209,8 @@ def test_an_object_reopened_during_its_check_is_no_problem(
     cell: Cell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The carrier may open an object again while the keeper looks after it; no error stays behind."""
-    bridge = cell.start(f"  /out: {{type: {INT}, to: ros}}\n")
+    clock = SteppedClock()
+    bridge = cell.start(f"  /out: {{type: {INT}, to: ros}}\n", clock=clock)
     (stream,) = bridge._streams
     port = stream.port
     assert isinstance(port, ChannelPort)
@@ -221,9 +225,9 @@ def test_an_object_reopened_during_its_check_is_no_problem(
         return found
 
     monkeypatch.setattr(OwnedChannel, "still_there", still_there)
-    wait_for(lambda: done)
+    repeat_until(lambda: clock.step(1), lambda: done)
     port.channel = done[0]
-    time.sleep(1.5)  # a check more
+    clock.step(1)  # a check more
     assert not stream.problem
 
 
@@ -356,22 +360,34 @@ def test_both_sides_know_how_many_stand_behind(cell: Cell) -> None:
 
 def test_the_bridge_beats_while_ros_hangs(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
     """A ROS side that does not return stops neither beats nor messages towards the PLC, and is reported."""
-    bridge = cell.start(BOTH)
+    clock = SteppedClock()
+    bridge = cell.start(BOTH, clock=clock)
     incoming, outgoing = cell.plc("/in"), cell.plc("/out")
-    go_on = threading.Event()
-    hang = lambda *_: go_on.wait(20) and None  # noqa: E731
+    go_on, asked, writing = threading.Event(), threading.Event(), threading.Event()
+
+    def hang(*_: object) -> None:
+        asked.set()
+        go_on.wait(100)
+
+    def write(*_: object) -> None:
+        writing.set()
+        go_on.wait(100)
+
     with monkeypatch.context() as patch:
-        patch.setattr(MemoryPublisher, "write", hang)
+        patch.setattr(MemoryPublisher, "write", write)
         patch.setattr(MemoryPublisher, "status", hang)
         patch.setattr(MemorySubscription, "status", hang)
         outgoing.write({"data": 1})
-        wait_for(lambda: bridge._carriers is not None and bridge._carriers.busy_since_ns)
-        time.sleep(1.1)  # the observer hangs too
+        repeat_until(lambda: clock.advance(0.5), writing.is_set)  # it waits for a subscriber first
+        clock.advance(1)
+        assert asked.wait(100)  # the observer hangs too
         before = outgoing.attached.snapshot().readers[0].beat
-        wait_for(lambda: outgoing.attached.snapshot().readers[0].beat >= before + 3)
+        repeat_until(
+            lambda: clock.advance(0.02), lambda: outgoing.attached.snapshot().readers[0].beat >= before + 3
+        )
         bridge._streams[0].on_message(wire(INT, {"data": 2}), 0)  # type: ignore[attr-defined]
         assert wait_for(incoming.read) == {"data": 2}
-    monkeypatch.setattr("rosplc.bridge.engine._STUCK_NS", 1)
+    clock.advance(6)
     assert "has not returned from publishing" in bridge.status().judgement[1]
     go_on.set()
 
@@ -396,12 +412,14 @@ def test_a_configuration_edited_while_running_is_noticed(
     """The status and the log say that a restart is needed; nothing else happens."""
     path = tmp_path / "rosplc.yaml"
     path.write_text(cell.config(BOTH))
-    cell.bridge = Bridge(read_config(path))
-    cell.bridge.start()
-    time.sleep(1.2)
-    assert cell.bridge.status().notes == ()
+    clock = SteppedClock()
+    cell.bridge = bridge = Bridge(read_config(path), clock=clock)
+    bridge.start()
+    clock.until_waiting(2)
+    clock.step(1)
+    assert bridge.status().notes == ()
     path.write_text(cell.config(BOTH) + "\n# a comment\n")
-    wait_for(lambda: cell.bridge is not None and cell.bridge.status().config_changed)
+    repeat_until(lambda: clock.step(1), lambda: bridge.status().config_changed)
     level, message = cell.bridge.status().judgement
     assert level is Level.WARN
     assert "configuration changed on disk" in message
