@@ -12,10 +12,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from rosplc._core._native import distance
 from rosplc.layout import Layout, compute_layout
 from rosplc.model import TypeStore
-from rosplc.shm import Description, Direction, Namespace, OwnedChannel, Region, Writer, attach
+from rosplc.shm import Description, Direction, Namespace, OwnedChannel, Region, Writer, attach, distance
 from rosplc.shm.constants import IDENTITY, WRITER_LINE
 
 TOPIC, TYPE = "/cmd_vel", "geometry_msgs/msg/Twist"

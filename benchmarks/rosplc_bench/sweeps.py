@@ -334,7 +334,7 @@ def memcpy_python(size: int) -> Contender:
 
 def topics_python(made: list[OwnedChannel]) -> Contender:
     """Return the bridge's way over many topics, in one call and one by one; both encode for ROS."""
-    from rosplc._core._native import Group
+    from rosplc.shm import Group
 
     plan = Codec(twist(), Wire.CDR).plan
     writers = [Writer(channel.region, 0, 1000) for channel in made]

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from rosplc._core._native import distance as native_distance
-from rosplc._core._native import next_sequence as native_next
+from rosplc._core import distance as native_distance
+from rosplc._core import next_sequence as native_next
 from rosplc.errors import ChannelError
 from rosplc.shm import Namespace
 from rosplc.shm.names import MAX_NAME, fnv1a

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from rosplc._core._native import Fault
+from rosplc._core import Fault
 from rosplc.bridge.carrier import Carriers
 from rosplc.bridge.port import Context, Counters, Port, Ports, PortStatus
 from rosplc.clock import SYSTEM

@@ -11,7 +11,7 @@ import random
 
 import pytest
 
-from rosplc._core import _native
+import rosplc._core as _native
 from rosplc.codec import Codec, Wire
 from rosplc.errors import ChannelError
 from rosplc.layout import Limits, compute_layout

@@ -104,18 +104,6 @@ def imports(path: Path) -> set[str]:
     return found
 
 
-def test_c_core_is_imported_by_few() -> None:
-    """The part of the dependency rule that import-linter cannot see: it knows no compiled modules."""
-    users = {
-        path.relative_to(PACKAGE).parts[0]
-        for path in PACKAGE.rglob("*.py")
-        if any(name == "rosplc._core" or name.startswith("rosplc._core.") for name in imports(path))
-    }
-    assert "shm" in users
-    # The recorder takes messages with the bridge's own call, and bench measures it.
-    assert users <= {"shm", "codec", "bridge", "recorder", "bench"}
-
-
 def test_no_module_takes_the_public_names_from_the_front_door() -> None:
     """`from rosplc import attach` inside the package would be a way around the dependency rule."""
     for path in sorted(PACKAGE.rglob("*.py")):

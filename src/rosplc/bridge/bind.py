@@ -17,8 +17,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, ClassVar, Literal, Protocol
 
-from rosplc._core._native import Fault
-from rosplc.codec import Codec, Wire
+from rosplc.codec import Codec, Fault, Wire
 from rosplc.described import description_of
 from rosplc.errors import ChannelError, MessageTypeError
 from rosplc.layout import Limits, compute_layout

@@ -6,11 +6,11 @@ import logging
 from abc import ABC, abstractmethod
 from contextlib import suppress
 
-from rosplc._core._native import Fault, Group, Reader, Writer, distance
 from rosplc.bridge.port import Context, PortStatus, Side, Waiting, log
+from rosplc.codec import Fault
 from rosplc.config.objects import describe
 from rosplc.errors import ChannelError
-from rosplc.shm import Liveness, OwnedChannel, Region
+from rosplc.shm import Group, Liveness, OwnedChannel, Reader, Region, Writer, distance
 from rosplc.shm.constants import LINE_SIZE, READER_LINES, READER_LINES_OFFSET, WRITER_LINE
 
 __all__ = ["ChannelPort", "ChannelsToPlc", "ChannelsToRos", "PortToPlc", "PortToRos"]

@@ -11,9 +11,9 @@ import random
 import threading
 from dataclasses import dataclass
 
-from rosplc._core._native import Fault
 from rosplc.bridge.port import Context, PortStatus, Side, Waiting, log
 from rosplc.bridge.status import ClassicStatus
+from rosplc.codec import Fault
 from rosplc.config.quantities import format_duration
 from rosplc.errors import ChannelError
 from rosplc.shm import Direction

@@ -13,10 +13,9 @@ from collections.abc import Hashable
 from dataclasses import dataclass, field
 from typing import Protocol, TypeVar
 
-from rosplc._core._native import Fault
 from rosplc.bridge.status import ClassicStatus
 from rosplc.clock import SYSTEM, Clock
-from rosplc.codec import Codec
+from rosplc.codec import Codec, Fault
 from rosplc.config.resolve import TopicPlan
 from rosplc.shm import Namespace
 

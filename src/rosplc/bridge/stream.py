@@ -8,11 +8,10 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
-from rosplc._core._native import Fault
 from rosplc.bridge.hold import GRACE_NS, Grace, Hold, OnChange, RateLimiter, Silence, Stage, Substitute
 from rosplc.bridge.port import QUIET_NS, Context, Counters, Port, Ports, PortStatus, log
 from rosplc.bridge.status import TopicStatus
-from rosplc.codec import TRUNCATED, Codec, Wire
+from rosplc.codec import TRUNCATED, Codec, Fault, Wire
 from rosplc.config.quantities import format_duration
 from rosplc.config.resolve import TopicPlan
 from rosplc.config.stale_plan import flag_topic

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rosplc._core._native import Fault, Plan
+from rosplc._core import Fault, Plan
 from rosplc.codec.compile import compile_plan
 from rosplc.codec.wire import Wire
 from rosplc.errors import CodecError

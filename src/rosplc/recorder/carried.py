@@ -6,14 +6,13 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 
-from rosplc._core._native import distance
 from rosplc.codec import Codec, Wire
 from rosplc.described import layout_of
 from rosplc.monitor.objects import open_object
 from rosplc.recorder.mcap_write import ChannelInfo
 from rosplc.recorder.rosbag2 import qos_text
 from rosplc.ros import DEFAULT, LATCHED, Qos
-from rosplc.shm import Description, Direction, Reader
+from rosplc.shm import Description, Direction, Reader, distance
 from rosplc.shm.constants import WRITER_LINE
 
 __all__ = ["CarriedChannel", "channel_info"]

@@ -1,6 +1,6 @@
 """Taking every message of the selected channels, in order, as the bridge itself does.
 
-One thread looks at all channels at once (:class:`rosplc._core._native.Group`) and does nothing but put
+One thread looks at all channels at once (:class:`rosplc.shm.Group`) and does nothing but put
 messages into batches; what it missed, it counts. Opening and closing objects is the business of whoever
 calls :meth:`Inlet.look_after`.
 """
@@ -13,14 +13,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from rosplc._core._native import Group
 from rosplc.clock import SYSTEM, Clock
 from rosplc.errors import ChannelError
 from rosplc.recorder.carried import CarriedChannel, channel_info
 from rosplc.recorder.mcap_write import Batch, ChannelInfo
 from rosplc.recorder.selection import Selection
 from rosplc.ros import Qos
-from rosplc.shm import Namespace
+from rosplc.shm import Group, Namespace
 from rosplc.shm.constants import STAMP_SYSTEM
 
 __all__ = ["Inlet", "OnMessage", "TopicCount"]

@@ -6,7 +6,7 @@ bytes; what a record means is the business of :mod:`rosplc.layout` and :mod:`ros
 
 from __future__ import annotations
 
-from rosplc._core._native import Reader, Region, SlotInfo, Writer, distance
+from rosplc._core import Group, Reader, Region, SlotInfo, Writer, distance
 from rosplc.shm.attach import Attached, attach
 from rosplc.shm.claims import ReaderClaim, WriterClaim
 from rosplc.shm.constants import Direction
@@ -21,6 +21,7 @@ __all__ = [
     "Attached",
     "Description",
     "Direction",
+    "Group",
     "Identity",
     "Liveness",
     "Namespace",

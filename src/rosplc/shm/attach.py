@@ -12,7 +12,7 @@ from functools import cached_property
 from pathlib import Path
 from types import TracebackType
 
-from rosplc._core._native import Reader, Region, Writer
+from rosplc._core import Reader, Region, Writer
 from rosplc.shm.claims import ReaderClaim, WriterClaim, start_of
 from rosplc.shm.constants import READER_LINES, Direction
 from rosplc.shm.description import Description

@@ -7,7 +7,7 @@ can use them; :mod:`rosplc.shm.attach` loops over them for everybody else.
 
 from __future__ import annotations
 
-from rosplc._core._native import Reader, Region, Writer
+from rosplc._core import Reader, Region, Writer
 from rosplc.errors import ChannelError
 from rosplc.shm.constants import READER_LINE, READER_LINES, WRITER_LINE, reader_line
 from rosplc.shm.liveness import silence_ns

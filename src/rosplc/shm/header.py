@@ -8,8 +8,8 @@ offset 0   magic version header_size state │ features ×2 kind direction
       96   created ×2 reader_lines identity_crc │ reserved ×4
 ```
 
-:meth:`Identity.parse` takes any bytes and trusts none of them; it checks in the order of
-section 9. The C core repeats the checks when it maps an object.
+:meth:`Identity.parse` takes any bytes and trusts none of them. The C core checks them, in the order of
+section 9; this module explains what it found.
 """
 
 from __future__ import annotations
@@ -18,9 +18,11 @@ import struct
 import zlib
 from dataclasses import dataclass
 
+from rosplc._core import check_identity
 from rosplc.errors import CODES, ChannelError
 from rosplc.shm.constants import (
     HEADER_SIZE,
+    IDENTITY,
     IDENTITY_SIZE,
     KIND_TOPIC,
     LINE_SIZE,
@@ -33,14 +35,19 @@ from rosplc.shm.constants import (
     READER_LINES,
     SLOT_HEADER_SIZE,
     STATE_LIVE,
-    STATE_RETIRED,
     VERSION,
     Direction,
+    ErrorNumber,
 )
 
 __all__ = ["Identity", "channel_error", "layout_id_text", "layout_id_words"]
 
 _FORMAT = struct.Struct("<19I16s5I16x")
+_NAMES = [name for name in IDENTITY if name != "reserved"]
+_GEOMETRY = (
+    *("header_size", "state", "slot_count", "slot_stride", "slot_header_size", "record_size", "slots_offset"),
+    *("object_size", "description_offset", "description_size", "generation", "reader_lines"),
+)
 
 
 def channel_error(number: int, what: str = "", where: str = "") -> ChannelError:
@@ -135,9 +142,13 @@ class Identity:
             creator_pid=creator_pid,
             created_ns=created_ns,
         )
-        reason = identity._inconsistency()
-        if reason:
-            raise ValueError(reason)
+        fits = min(slots, record_size, description_size) > 0 and identity.object_size <= MAX_OBJECT_SIZE
+        if not fits or check_identity(identity.build().ljust(HEADER_SIZE, b"\0"), identity.object_size, 0):
+            raise ValueError(
+                f"{slots} slots of {record_size} bytes, with {description_size} bytes of description: slots "
+                f"are a power of two from {MIN_SLOTS} to {MAX_SLOTS}, records have 1 to {MAX_RECORD_SIZE} "
+                f"bytes, a description 2 to {MAX_DESCRIPTION_SIZE}, the object at most {MAX_OBJECT_SIZE}"
+            )
         return identity
 
     @property
@@ -197,33 +208,16 @@ class Identity:
         Raises:
             ChannelError: SHM103 to SHM111, the first of section 9 that fails.
         """
-        if size < HEADER_SIZE or len(first) < HEADER_SIZE:
-            raise channel_error(
-                103, f"object has {min(size, len(first))} bytes, a header has {HEADER_SIZE}", where
-            )
+        available = size if len(first) >= HEADER_SIZE else len(first)
+        number = check_identity(first, available, direction or 0)
+        if number and not (number == ErrorNumber.RETIRED and accept_retired):
+            raise channel_error(number, _explain(number, first, available, direction), where)
         words = _FORMAT.unpack_from(first)
-        (magic, version, header_size, state, required, optional, kind, way) = words[:8]
-        (count, stride, slot_header, record, start, total, text_at, text_size) = words[8:16]
-        (low, high, generation, bridge_id, pid, created_lo, created_hi, lines, crc) = words[16:]
-        if magic != MAGIC:
-            raise channel_error(104, f"magic is 0x{magic:08X}, not 0x{MAGIC:08X}", where)
-        if version >> 16 != VERSION >> 16:
-            raise channel_error(105, f"format version is {version >> 16}.{version & 0xFFFF}, not 1.x", where)
-        if required:
-            raise channel_error(106, f"features 0x{required:08X} are required and unknown", where)
-        if crc != _crc(first):
-            raise channel_error(107, f"identity_crc is 0x{crc:08X}, not 0x{_crc(first):08X}", where)
-        for name, found, wanted in (
-            ("header_size", header_size, HEADER_SIZE),
-            ("slot_header_size", slot_header, SLOT_HEADER_SIZE),
-            ("reader_lines", lines, READER_LINES),
-        ):
-            if found != wanted:
-                raise channel_error(108, f"{name} is {found}, not {wanted}", where)
-        if state not in (STATE_LIVE, STATE_RETIRED) or generation == 0:
-            raise channel_error(108, f"state is {state} and generation {generation}", where)
-        identity = cls(
-            direction=Direction(way) if way in (1, 2) else Direction.TO_PLC,
+        (version, _, state, _, optional, _, way) = words[1:8]
+        (count, stride, _, record, start, total, text_at, text_size) = words[8:16]
+        (low, high, generation, bridge_id, pid, created_lo, created_hi) = words[16:23]
+        return cls(
+            direction=Direction(way),
             slot_count=count,
             slot_stride=stride,
             record_size=record,
@@ -240,38 +234,27 @@ class Identity:
             version=version,
             features_optional=optional,
         )
-        reason = identity._inconsistency()
-        if reason:
-            raise channel_error(108, reason, where)
-        if size < total:
-            raise channel_error(109, f"object has {size} bytes and says {total}", where)
-        if kind != KIND_TOPIC or way not in (1, 2) or (direction is not None and way != direction):
-            wanted_way = direction.word if direction is not None else "to_plc or to_ros"
-            raise channel_error(110, f"kind is {kind} and direction {way}, not 1 and {wanted_way}", where)
-        if state != STATE_LIVE and not accept_retired:
-            raise channel_error(111, where=where)
-        return identity
 
-    def _inconsistency(self) -> str:
-        """Say which inequality of section 2 fails; empty if none does."""
-        if not MIN_SLOTS <= self.slot_count <= MAX_SLOTS or self.slot_count & (self.slot_count - 1):
-            return f"slot_count is {self.slot_count}, not a power of two from {MIN_SLOTS} to {MAX_SLOTS}"
-        if not 1 <= self.record_size <= MAX_RECORD_SIZE:
-            return f"record_size is {self.record_size}, not 1 to {MAX_RECORD_SIZE}"
-        if self.slot_stride % LINE_SIZE or self.slot_stride < SLOT_HEADER_SIZE + self.record_size:
-            return f"slot_stride is {self.slot_stride} for records of {self.record_size} bytes"
-        if not 2 <= self.description_size <= MAX_DESCRIPTION_SIZE:
-            return f"description_size is {self.description_size}, not 2 to {MAX_DESCRIPTION_SIZE}"
-        if self.description_offset < HEADER_SIZE:
-            return f"description_offset is {self.description_offset}, inside the header"
-        if (
-            self.slots_offset % LINE_SIZE
-            or self.slots_offset < self.description_offset + self.description_size
-        ):
-            return f"slots_offset is {self.slots_offset}"
-        if not self.slots_offset + self.slot_count * self.slot_stride <= self.object_size <= MAX_OBJECT_SIZE:
-            return f"object_size is {self.object_size}, its slots need {self.slot_count * self.slot_stride}"
-        return ""
+
+def _explain(number: int, first: bytes, size: int, direction: Direction | None) -> str:
+    """Say what check ``number`` found; empty where the code's title says it all."""
+    if number == ErrorNumber.TOO_SMALL:
+        return f"object has {size} bytes, a header has {HEADER_SIZE}"
+    words = _FORMAT.unpack_from(first)
+    found = dict(zip(_NAMES, words, strict=True))
+    version = found["version"]
+    wanted_way = direction.word if direction is not None else "to_plc or to_ros"
+    texts = {
+        ErrorNumber.NOT_ROSPLC: f"magic is 0x{found['magic']:08X}, not 0x{MAGIC:08X}",
+        ErrorNumber.VERSION: f"format version is {version >> 16}.{version & 0xFFFF}, not {VERSION >> 16}.x",
+        ErrorNumber.FEATURES: f"features 0x{found['features_required']:08X} are required and unknown",
+        ErrorNumber.IDENTITY: f"identity_crc is 0x{found['identity_crc']:08X}, not 0x{_crc(first):08X}",
+        ErrorNumber.GEOMETRY: "inconsistent: " + ", ".join(f"{name} {found[name]}" for name in _GEOMETRY),
+        ErrorNumber.TRUNCATED: f"object has {size} bytes, and its header {found['object_size']}",
+        ErrorNumber.DIRECTION: f"kind is {found['kind']} and direction {found['direction']}, "
+        f"not {KIND_TOPIC} and {wanted_way}",
+    }
+    return texts.get(ErrorNumber(number), "")
 
 
 def _crc(image: bytes) -> int:

@@ -17,7 +17,7 @@ import weakref
 from pathlib import Path
 from types import TracebackType
 
-from rosplc._core._native import Reader, Region, Writer
+from rosplc._core import Reader, Region, Writer
 from rosplc.errors import ChannelError
 from rosplc.shm.claims import start_of, take_over_line, take_over_writer
 from rosplc.shm.constants import (

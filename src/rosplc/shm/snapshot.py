@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from rosplc._core._native import Region
+from rosplc._core import Region
 from rosplc.shm.constants import CHANGING_WORDS, IDENTITY, IDENTITY_SIZE, LINE_SIZE, READER_LINES
 from rosplc.shm.header import layout_id_text
 

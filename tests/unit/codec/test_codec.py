@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from rosplc._core._native import Fault, Plan
+from rosplc._core import Fault, Plan
 from rosplc.codec import Codec, Wire, compile_plan
 from rosplc.codec.ops import OpCode
 from rosplc.errors import CODES, CodecError

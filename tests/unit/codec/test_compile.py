@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rosplc._core._native import Plan
+from rosplc._core import Plan
 from rosplc.codec import Wire, compile_plan
 from rosplc.codec.ops import MAX_LOOPS, Op, OpCode
 from rosplc.errors import MessageTypeError

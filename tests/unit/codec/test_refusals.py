@@ -6,7 +6,7 @@ import struct
 
 import pytest
 
-from rosplc._core._native import Fault
+from rosplc._core import Fault
 from rosplc.codec import TRUNCATED, Codec, Wire
 from rosplc.errors import CodecError
 from rosplc.layout import Limits, compute_layout

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import pytest
 
-from rosplc._core import _native
+import rosplc._core as _native
 from rosplc.codec import Codec, Wire
 from rosplc.errors import ChannelError
 from rosplc.layout import Limits, compute_layout

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rosplc._core._native import check_identity, distance, next_sequence
+from rosplc._core import check_identity, distance, next_sequence
 from rosplc.errors import CODES, ChannelError
 from rosplc.shm import Direction, Identity
 from rosplc.shm.constants import HEADER_SIZE, IDENTITY, READER_LINE, SLOT_HEADER, WRITER_LINE, ErrorNumber
