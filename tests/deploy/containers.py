@@ -8,7 +8,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from tests.soak.parts import Part
+from tests.soak.processes import Part
 
 __all__ = ["Contained", "contain"]
 

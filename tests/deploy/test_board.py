@@ -15,7 +15,7 @@ from deploy.guest import ENVIRONMENT, guest_memory
 from deploy.run import DeployError, run
 from deploy.wheel import project_version
 from tests.soak.cell import Cell
-from tests.soak.parts import Part
+from tests.soak.processes import Part
 
 ARM = (1, 40)
 """Word size and processor that a program's file states (ELF, EI_CLASS and e_machine)."""
@@ -64,7 +64,7 @@ def test_a_bridge_on_a_board(cell: Cell, board: Board) -> None:
     cell.parts["bridge"].kill()
     cell.ensure()
     cell.await_flow(cell.marks())
-    assert cell.ledger.violations() == {"torn": 0, "invented": 0, "disordered": 0}
+    assert cell.counters.violations() == {"torn": 0, "invented": 0, "disordered": 0}
     memory = guest_memory(cell.parts["bridge"].pid)
     assert memory.own > 0 and memory.files > 0
     assert memory.total < BOARD_KIB / 2

@@ -20,7 +20,7 @@ from tests.deploy.containers import WATCHDOG_S, Contained, contain
 from tests.deploy.machine import need_namespaces
 from tests.lib.waiting import wait_for
 from tests.soak.cell import Cell
-from tests.soak.pattern import IN
+from tests.soak.messages import IN
 
 ROOT = Path(__file__).resolve().parents[2]
 GROUP = 54_323
@@ -78,7 +78,7 @@ def test_two_containers_that_share_memory(cell: Cell, volume: Path) -> None:
     carry(cell)
     with attach(shared, IN[0]) as found:
         assert found.identity.generation == generation
-    assert cell.ledger.violations() == {"torn": 0, "invented": 0, "disordered": 0}
+    assert cell.counters.violations() == {"torn": 0, "invented": 0, "disordered": 0}
 
 
 WRITE = """

@@ -14,7 +14,7 @@ from deploy.run import run
 from deploy.wheel import PIP, build_wheel, project_version
 from rosplc.shm import attach
 from tests.soak.cell import Cell
-from tests.soak.pattern import OUT, TOPICS
+from tests.soak.messages import OUT, TOPICS
 
 NEWER = "99.0"
 WATCHDOG_S = 120.0
@@ -78,7 +78,7 @@ def account(cell: Cell, taken_before: int) -> int:
     cell.wait(lambda: len(set(waiting(cell))) == 1, "the bridge takes what is left")
     cell.await_diagnostics()
     taken, _ = waiting(cell)
-    count = cell.ledger.bridge[topic]
+    count = cell.counters.bridge[topic]
     plc.send(signal.SIGCONT)
     assert int(count["received"] + count["lost"]) == taken - taken_before
     return int(count["lost"])
@@ -109,4 +109,4 @@ def test_bridges_change_places_under_load(cell: Cell, versions: dict[str, Path])
         account(cell, taken)
     assert generations(cell) == objects
     assert cell.parts["plc"].pid == plc and cell.parts["plc"].alive
-    assert cell.ledger.violations() == {"torn": 0, "invented": 0, "disordered": 0}
+    assert cell.counters.violations() == {"torn": 0, "invented": 0, "disordered": 0}

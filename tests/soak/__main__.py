@@ -17,10 +17,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tests.soak.campaign import Campaign, Outcome
-from tests.soak.catalogue import faults_for
 from tests.soak.cell import Cell, WatchdogError
 from tests.soak.draw import draw_series
-from tests.soak.faults import Fault
+from tests.soak.faults import Fault, faults_for
 from tests.soak.mix import run_mix
 from tests.soak.report import summary, to_json
 from tests.soak.results import compact

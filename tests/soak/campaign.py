@@ -2,23 +2,81 @@
 
 from __future__ import annotations
 
+import json
 import os
 import random
 import resource
+import shutil
 import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field, is_dataclass
 from pathlib import Path
 from typing import Any
 
-from tests.soak.bundle import keep
 from tests.soak.cell import SHM, Cell, WatchdogError
 from tests.soak.checks import Checker
 from tests.soak.faults import Fault
-from tests.soak.trend import leaks
+from tests.soak.messages import ALL, TOPICS
+from tests.soak.results import leaks
 
-__all__ = ["Campaign", "Outcome", "Round"]
+_TAIL = 1 << 20
+_STATUS = ("State", "Threads", "VmSize", "RssAnon")
+
+
+def keep(cell: Cell, number: int, round_: Any, seed: int, where: Path) -> None:
+    """Write the bundle of a round.
+
+    Args:
+        cell: The cell, as it stands after the round.
+        number: The round's.
+        round_: The round, a dataclass.
+        seed: The campaign's.
+        where: The folder; made if it is missing.
+    """
+    where.mkdir(parents=True, exist_ok=True)
+    for part in cell.parts.values():
+        (where / part.log.name).write_text(part.told()[-_TAIL:])
+    for path in (cell.config, cell.folder / "counters"):
+        with suppress(OSError):
+            shutil.copy(path, where / path.name)
+    memory = where / "shm"
+    memory.mkdir(exist_ok=True)
+    for path in SHM.glob(f"*{cell.prefix}*"):
+        with suppress(OSError):
+            shutil.copy(path, memory / path.name)
+    plc = f" --plc {cell.plc}" if cell.plc != "python" else ""
+    assert is_dataclass(round_) and not isinstance(round_, type)
+    known = {
+        "round": asdict(round_),
+        "repeat": f"python -m tests.soak --backend {cell.backend}{plc} --seed {seed} "
+        f"--from-round {number} --rounds 1",
+        "topics": {ALL[index]: _numbers(cell, index) for index in range(len(ALL))},
+        "shared memory": sorted(path.name for path in SHM.glob(f"*{cell.prefix}*")),
+        "expected": sorted(cell.expected_objects()),
+        "processes": {name: _process(part.pid) for name, part in cell.parts.items()},
+    }
+    (where / "round.json").write_text(json.dumps(known, indent=1) + "\n")
+
+
+def _numbers(cell: Cell, index: int) -> dict[str, int]:
+    counters = cell.counters.counters[index]
+    found = {name: int(counters[name]) for name in counters.dtype.names}
+    if ALL[index] in TOPICS:
+        bridge = cell.counters.bridge[index]
+        found |= {f"bridge {name}": int(bridge[name]) for name in bridge.dtype.names}
+    return found
+
+
+def _process(pid: int) -> dict[str, str]:
+    try:
+        lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    except OSError:
+        return {"State": "ended"}
+    fields = (line.partition(":") for line in lines)
+    return {name: value.strip() for name, _, value in fields if name in _STATUS}
+
 
 _MOST_VIOLATIONS = 20
 _NOTE_EVERY = 20
@@ -187,7 +245,7 @@ class Campaign:
         outcome.cpu_s = sum(
             sum(resource.getrusage(who)[:2]) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
         )
-        outcome.messages = int(self._cell.ledger.counters["received"].sum())
+        outcome.messages = int(self._cell.counters.counters["received"].sum())
         outcome.unaccounted = checker.unaccounted
         outcome.growth_kb = checker.worst_growth_kb
 
@@ -214,7 +272,7 @@ class Campaign:
     def _start_over(self) -> None:
         """After a round that did not end well: everything anew, so that the next says something again."""
         cell = self._cell
-        cell.ledger.control["flood"] = 1
+        cell.counters.control["flood"] = 1
         for part in cell.parts.values():
             part.send(signal.SIGCONT)
             part.send(signal.SIGABRT)  # the log then tells where each thread was

@@ -14,13 +14,19 @@ from pathlib import Path
 
 from rosplc.demo.domain import FreeDomain
 from rosplc.shm import Namespace
-from tests.soak.ledger import GENERATIONS, Ledger
-from tests.soak.nursery import Nursery
-from tests.soak.parts import Part
-from tests.soak.pattern import ALL, CAPACITY, CLASSIC, ROS_DEPTH, TOPICS, TYPE, towards_plc
+from tests.soak.messages import (
+    ALL,
+    CAPACITY,
+    CLASSIC,
+    GENERATIONS,
+    ROS_DEPTH,
+    TOPICS,
+    TYPE,
+    Counters,
+    towards_plc,
+)
+from tests.soak.processes import ForkServer, Part
 from tests.soak.st import build_program
-
-__all__ = ["Cell", "Extra", "WatchdogError"]
 
 ROOT = Path(__file__).resolve().parents[2]
 WATCHDOG_S = 120.0
@@ -49,7 +55,7 @@ class Cell:
 
     Attributes:
         parts: Name → process.
-        ledger: What was sent and received.
+        counters: What was sent and received.
         extra: Topics beside those that carry patterns.
         options: More keys for the four topics' entries.
     """
@@ -62,7 +68,7 @@ class Cell:
         self.topics = ALL if plc == "st" else TOPICS
         self.prefix = f"soak{secrets.token_hex(4)}"
         self.namespace = Namespace(self.prefix)
-        self.ledger = Ledger(folder / "ledger", create=True)
+        self.counters = Counters(folder / "counters", create=True)
         self.extra = Extra()
         self.options = dict.fromkeys(ALL, "")
         self.config = folder / "soak.yaml"
@@ -73,7 +79,7 @@ class Cell:
         self._port = _free_port()
         self.environment = self._environment()
         modules = ("tests.soak.peers", "tests.soak.plc", *(("tests.soak.st",) if plc == "st" else ()))
-        self._nursery = Nursery(self.environment, backend, modules)
+        self._fork_server = ForkServer(self.environment, backend, modules)
         self.parts: dict[str, Part] = {}
         if backend != "dds":
             self._add("hub", self._hub)
@@ -91,8 +97,8 @@ class Cell:
         return kept
 
     def _add(self, name: str, command: Callable[[], list[str]]) -> None:
-        nursery = None if name in ("hub", "bridge") else self._nursery
-        self.parts[name] = Part(name, command, self.environment, self.folder / f"{name}.log", nursery)
+        fork_server = None if name in ("hub", "bridge") else self._fork_server
+        self.parts[name] = Part(name, command, self.environment, self.folder / f"{name}.log", fork_server)
 
     # -- command lines
 
@@ -113,12 +119,12 @@ class Cell:
     def _next(self, role: str) -> str:
         self._generations += 1
         if self._generations >= GENERATIONS:
-            raise WatchdogError("the ledger is full: no campaign has so many rounds")
+            raise WatchdogError("the counters is full: no campaign has so many rounds")
         self._sender[role] = self._generations
         return str(self._generations)
 
     def _plc(self) -> list[str]:
-        arguments = [str(self.folder / "ledger"), self._next("plc")]
+        arguments = [str(self.folder / "counters"), self._next("plc")]
         if self.plc == "st":
             arguments += [str(self._plc_config), str(self._plc_built)]
         else:
@@ -132,7 +138,7 @@ class Cell:
         return self._peer("subscriber", "0")
 
     def _peer(self, role: str, generation: str) -> list[str]:
-        path = str(self.folder / "ledger")
+        path = str(self.folder / "counters")
         arguments = [role, path, generation, self.backend, self._where, *self.topics]
         return [sys.executable, "-m", "tests.soak.peers", *arguments]
 
@@ -218,7 +224,7 @@ class Cell:
         for part in self.parts.values():
             part.send(signal.SIGCONT)
             part.kill()
-        self._nursery.close()
+        self._fork_server.close()
         if self._domain is not None:
             self._domain.close()
         for path in SHM.glob(f"*{self.prefix}*"):
@@ -231,14 +237,14 @@ class Cell:
         found = []
         for index, topic in enumerate(self.topics):
             generation = self._sender["publisher" if towards_plc(topic) else "plc"]
-            found.append((generation, int(self.ledger.announced[generation, index])))
+            found.append((generation, int(self.counters.announced[generation, index])))
         return found
 
     def flows(self, marks: Iterable[tuple[int, int]]) -> list[str]:
         """Return the topics on which nothing newer than the marks has arrived."""
         silent = []
         for index, (generation, number) in enumerate(marks):
-            came, last = self.ledger.arrived(index)
+            came, last = self.counters.arrived(index)
             if came < generation or (came == generation and last <= number):
                 silent.append(ALL[index])
         return silent
@@ -263,7 +269,7 @@ class Cell:
     def await_diagnostics(self) -> None:
         """Wait until the bridge has said how it stands now, and not how it stood when the subscriber hung."""
         now = time.time_ns()
-        control = self.ledger.control
+        control = self.counters.control
         # A stamp far ahead is one of before the bridge's clock was set right again.
         self.wait(lambda: now < control["stamp_ns"] < now + 600 * 10**9, "diagnostics come")
         seen = int(control["diagnostics"])  # the status was taken a moment before it was stamped

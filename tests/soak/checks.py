@@ -18,10 +18,8 @@ from dataclasses import dataclass, field, replace
 
 from tests.soak.cell import SHM, Cell, WatchdogError
 from tests.soak.faults import Fault
-from tests.soak.parts import Usage
-from tests.soak.pattern import IN, TOPICS
-
-__all__ = ["Checker"]
+from tests.soak.messages import IN, TOPICS
+from tests.soak.processes import Usage
 
 # Who counts what is lost on the way to the PLC, and to ROS. Counters begin again with their process.
 _COUNTERS = {True: {"bridge", "plc"}, False: {"bridge", "subscriber"}}
@@ -75,9 +73,9 @@ class Checker:
         """Note how things stand before a round."""
         # The other way round than at the end: what is counted lags, and must not cover what came before. What
         # was counted shows as missing when the next message has come, and not earlier.
-        counted = [known for _, known in self.cell.ledger.losses()]
+        counted = [known for _, known in self.cell.counters.losses()]
         self.cell.await_flow(self.cell.marks())
-        missing = [lost for lost, _ in self.cell.ledger.losses()]
+        missing = [lost for lost, _ in self.cell.counters.losses()]
         self._before = list(zip(missing, counted, strict=True))
         self._pids = self._processes()
 
@@ -86,10 +84,10 @@ class Checker:
 
     def _losses(self) -> list[tuple[int, int]]:
         # What is missing is read first and what is counted later, so that nothing is counted too late.
-        missing = [lost for lost, _ in self.cell.ledger.losses()]
+        missing = [lost for lost, _ in self.cell.counters.losses()]
         self.cell.await_diagnostics()
         return [
-            (lost, counted) for lost, (_, counted) in zip(missing, self.cell.ledger.losses(), strict=True)
+            (lost, counted) for lost, (_, counted) in zip(missing, self.cell.counters.losses(), strict=True)
         ]
 
     def end(self, fault: Fault) -> list[str]:
@@ -99,7 +97,7 @@ class Checker:
         if dead := [name for name, part in cell.parts.items() if not part.alive]:
             found.append(f"{', '.join(dead)} ended though nobody killed it")
             cell.ensure()
-        for kind, count in cell.ledger.violations().items():
+        for kind, count in cell.counters.violations().items():
             if count > self._wrong.get(kind, 0):
                 found.append(f"{count - self._wrong.get(kind, 0)} messages {kind}")
             self._wrong[kind] = count

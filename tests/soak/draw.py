@@ -9,8 +9,6 @@ from typing import Any
 
 from tests.soak.results import cell_name
 
-__all__ = ["draw_recovery", "draw_series"]
-
 Run = Mapping[str, Any]
 _PARTS = ("bridge", "plc", "publisher", "subscriber", "hub")
 

@@ -17,10 +17,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from rosplc import attach
+from rosplc.shm.semaphore import Semaphore
 from tests.soak.cell import SHM, Cell
-from tests.soak.pattern import CAPACITY, IN, OUT, TOPICS
-
-__all__ = ["FAULTS", "HUB_FAULTS", "Fault"]
+from tests.soak.messages import CAPACITY, CLASSIC, IN, OUT, TOPICS
 
 _FAKETIME = [Path(f"/usr/lib/{arch}-linux-gnu/faketime/libfaketimeMT.so.1") for arch in ("x86_64", "aarch64")]
 
@@ -138,9 +137,9 @@ class Flood(Fault):
     accounted = TOPICS
 
     def inflict(self, cell: Cell, dice: random.Random) -> None:
-        cell.ledger.control["flood"] = 10
+        cell.counters.control["flood"] = 10
         time.sleep(dice.uniform(0.5, 1.5))
-        cell.ledger.control["flood"] = 1
+        cell.counters.control["flood"] = 1
 
 
 class StopInFlood(Fault):
@@ -150,11 +149,11 @@ class StopInFlood(Fault):
     accounted = TOPICS
 
     def inflict(self, cell: Cell, dice: random.Random) -> None:
-        cell.ledger.control["flood"] = 10
+        cell.counters.control["flood"] = 10
         cell.parts["bridge"].send(signal.SIGSTOP)
         time.sleep(dice.uniform(0.5, 2.0))
         cell.parts["bridge"].send(signal.SIGCONT)
-        cell.ledger.control["flood"] = 1
+        cell.counters.control["flood"] = 1
 
 
 class Hang(Fault):
@@ -165,9 +164,9 @@ class Hang(Fault):
 
     def inflict(self, cell: Cell, dice: random.Random) -> None:
         cell.parts["subscriber"].send(signal.SIGSTOP)
-        cell.ledger.control["flood"] = 10
+        cell.counters.control["flood"] = 10
         time.sleep(dice.uniform(1.0, 2.0))
-        cell.ledger.control["flood"] = 1
+        cell.counters.control["flood"] = 1
         # The PLC's way may not depend on a subscriber that hangs.
         cell.wait(_reaches_plc(cell), "the bridge carries to the PLC while a subscriber hangs")
         cell.parts["subscriber"].send(signal.SIGCONT)
@@ -193,7 +192,7 @@ class Remove(Fault):
             cell.remove(dice.sample(names, dice.randint(1, len(names))))
         cell.wait(lambda: cell.expected_objects() <= cell.objects(), "the objects are made again")
         if self._all:
-            cell.ledger.control["reopen"] += 1  # classic objects cannot tell a PLC that they were replaced
+            cell.counters.control["reopen"] += 1  # classic objects cannot tell a PLC that they were replaced
 
 
 class Full(Fault):
@@ -309,7 +308,7 @@ def _shifted(cell: Cell, part: str, step: int) -> Callable[[], bool]:
     clock = "stamp_ns" if part == "bridge" else "publisher_clock_ns"
 
     def is_shifted() -> bool:
-        off = int(cell.ledger.control[clock]) / 1e9 - time.time()
+        off = int(cell.counters.control[clock]) / 1e9 - time.time()
         return abs(off - step) < 10
 
     return is_shifted
@@ -401,3 +400,94 @@ FAULTS: tuple[Fault, ...] = (
 )
 HUB_FAULTS: tuple[Fault, ...] = (Kill("hub"), Restart("hub"), Stop("hub"))
 """What happens to a router or a master, where there is one."""
+
+
+def _stand_still_inside(cell: Cell) -> None:
+    """Have the PLC stop (SIGSTOP) inside the next lock that it gets."""
+    cell.counters.control["stop_inside"] = 1
+    stat = Path(f"/proc/{cell.parts['plc'].pid}/stat")
+    cell.wait(
+        lambda: stat.read_text().rpartition(")")[2].split()[0] == "T", "the PLC stands still inside a lock"
+    )
+
+
+def _held(cell: Cell, topic: str) -> Semaphore:
+    """Take a classic topic's lock, as a third program that shares the memory does."""
+    lock = Semaphore(cell.classic_name(topic))
+    cell.wait(lock.enter, "a third program gets the lock")
+    return lock
+
+
+class KillInside(Fault):
+    """kill -9 of the PLC inside a lock."""
+
+    name = "kill -9 plc inside a lock"
+    ends = frozenset({"plc"})
+    accounted = TOPICS
+
+    def inflict(self, cell: Cell, dice: random.Random) -> None:
+        _stand_still_inside(cell)
+        cell.parts["plc"].kill()
+        cell.parts["plc"].start()
+
+
+class KillBridgeInside(Fault):
+    """kill -9 of the bridge while a lock is taken and never given back: the semaphore knows no difference."""
+
+    name = "kill -9 bridge, a lock taken"
+    ends = frozenset({"bridge"})
+
+    def inflict(self, cell: Cell, dice: random.Random) -> None:
+        lock = _held(cell, dice.choice(CLASSIC))
+        cell.parts["bridge"].kill()
+        cell.parts["bridge"].start()
+        lock.close()
+
+
+class StrangerDies(Fault):
+    """A third program takes a lock and is gone."""
+
+    name = "a third program dies inside a lock"
+    accounted = TOPICS
+
+    def inflict(self, cell: Cell, dice: random.Random) -> None:
+        _held(cell, dice.choice(CLASSIC)).close()
+
+
+class StopInside(Fault):
+    """SIGSTOP of the PLC inside a lock, for less than after what it counts as dead."""
+
+    name = "stop plc inside a lock"
+    accounted = TOPICS
+
+    def inflict(self, cell: Cell, dice: random.Random) -> None:
+        _stand_still_inside(cell)
+        time.sleep(dice.uniform(0.05, 0.8))
+        cell.parts["plc"].send(signal.SIGCONT)
+
+
+class OnlineChange(Fault):
+    """An online change moves every instance of the PLC's program."""
+
+    name = "online change"
+    accounted = TOPICS
+
+    def inflict(self, cell: Cell, dice: random.Random) -> None:
+        for _ in range(dice.randint(1, 3)):
+            cell.counters.control["online_change"] += 1
+            before = int(cell.counters.control["plc_scans"])
+            cell.wait(lambda: cell.counters.control["plc_scans"] > before + 2, "the PLC goes on")  # noqa: B023
+
+
+PLC_FAULTS: tuple[Fault, ...] = (
+    KillInside(), KillBridgeInside(), StrangerDies(), StopInside(), OnlineChange(),
+)  # fmt: skip
+
+
+def faults_for(cell: Cell) -> tuple[Fault, ...]:
+    """Return the faults that there are with a cell's backend and PLC."""
+    return (
+        *FAULTS,
+        *(HUB_FAULTS if "hub" in cell.parts else ()),
+        *(PLC_FAULTS if cell.plc == "st" else ()),
+    )

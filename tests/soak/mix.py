@@ -17,8 +17,6 @@ from typing import IO
 
 from tests.soak.results import compact, recovery_table, run_table, trend_table
 
-__all__ = ["MIX", "Member", "run_mix"]
-
 _SAY_EVERY_S = 30.0
 
 

@@ -12,10 +12,7 @@ from rosplc.codec import Codec, Wire
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.ros import Backend, Qos, open_backend
-from tests.soak.ledger import Ledger
-from tests.soak.pattern import ALL, ROS_DEPTH, TOPICS, TYPE, fill, towards_plc, wire_codec
-
-__all__ = ["main"]
+from tests.soak.messages import ALL, ROS_DEPTH, TOPICS, TYPE, Counters, fill, towards_plc, wire_codec
 
 _PERIOD_S = 0.01
 _RELIABLE = Qos(reliability="reliable", durability="volatile", depth=ROS_DEPTH)
@@ -49,7 +46,7 @@ class _UntilTold:
         return self.told
 
 
-def publish(ledger: Ledger, generation: int, kind: str, where: str, topics: list[str]) -> None:
+def publish(counters: Counters, generation: int, kind: str, where: str, topics: list[str]) -> None:
     """Publish until told to stop, each topic a hundred times a second, or as often as ordered."""
     stop = _UntilTold()
     backend, store = _open(kind, "soak_publisher", where)
@@ -62,16 +59,16 @@ def publish(ledger: Ledger, generation: int, kind: str, where: str, topics: list
         number += 1
         for index, publisher in publishers.items():
             record = codec.layout.pack({"data": fill(index, generation, number)})
-            ledger.announce(index, generation, number)
+            counters.announce(index, generation, number)
             publisher.write(codec.encode(record))
-        ledger.control["publisher_turns"] += 1
-        ledger.control["publisher_clock_ns"] = time.time_ns()
-        due = max(due + _PERIOD_S / max(1, int(ledger.control["flood"])), time.monotonic() - 0.1)
+        counters.control["publisher_turns"] += 1
+        counters.control["publisher_clock_ns"] = time.time_ns()
+        due = max(due + _PERIOD_S / max(1, int(counters.control["flood"])), time.monotonic() - 0.1)
         stop.wait(max(0.0, due - time.monotonic()))
     backend.close()
 
 
-def subscribe(ledger: Ledger, kind: str, where: str, topics: list[str]) -> None:
+def subscribe(counters: Counters, kind: str, where: str, topics: list[str]) -> None:
     """Judge what comes, and pass on what the bridge says of itself."""
     stop = _UntilTold()
     backend, store = _open(kind, "soak_subscriber", where)
@@ -80,7 +77,7 @@ def subscribe(ledger: Ledger, kind: str, where: str, topics: list[str]) -> None:
     def listener(index: int) -> Any:
         def on_message(data: bytes, _stamp_ns: int) -> None:
             message = codec.layout.view(codec.decode(data, truncate=True))
-            ledger.take(index, message.data)
+            counters.take(index, message.data)
 
         return on_message
 
@@ -96,38 +93,38 @@ def subscribe(ledger: Ledger, kind: str, where: str, topics: list[str]) -> None:
         "/diagnostics",
         _DIAGNOSTICS,
         Qos(),
-        lambda data, _: _note(ledger, layout.to_dict(reader.decode(data))),
+        lambda data, _: _note(counters, layout.to_dict(reader.decode(data))),
     )
     before = dict.fromkeys(subscriptions, 0)
     while not stop.wait(0.05):
         for index, subscription in subscriptions.items():
             dropped = subscription.status().dropped
             if index < len(TOPICS):
-                ledger.control["dropped"][index] += dropped - before[index]
+                counters.control["dropped"][index] += dropped - before[index]
             before[index] = dropped
     backend.close()
 
 
-def _note(ledger: Ledger, array: dict[str, Any]) -> None:
+def _note(counters: Counters, array: dict[str, Any]) -> None:
     for status in array["status"]:
         topic = status["name"].rpartition(": ")[2]
         if topic in TOPICS:
             values = {pair["key"]: pair["value"] for pair in status["values"]}
-            for name in ledger.bridge.dtype.names:
-                ledger.bridge[TOPICS.index(topic)][name] = int(values[name])
+            for name in counters.bridge.dtype.names:
+                counters.bridge[TOPICS.index(topic)][name] = int(values[name])
     stamp = array["header"]["stamp"]
-    ledger.control["stamp_ns"] = stamp["sec"] * 10**9 + stamp.get("nanosec", stamp.get("nsec", 0))
-    ledger.control["diagnostics"] += 1
+    counters.control["stamp_ns"] = stamp["sec"] * 10**9 + stamp.get("nanosec", stamp.get("nsec", 0))
+    counters.control["diagnostics"] += 1
 
 
 def main() -> None:
-    """Run until told to stop: arguments are role, ledger, generation, backend, where, topics."""
+    """Run until told to stop: arguments are role, counters, generation, backend, where, topics."""
     role, path, generation, kind, where, *topics = sys.argv[1:]
-    ledger = Ledger(Path(path))
+    counters = Counters(Path(path))
     if role == "publisher":
-        publish(ledger, int(generation), kind, where, topics)
+        publish(counters, int(generation), kind, where, topics)
     else:
-        subscribe(ledger, kind, where, topics)
+        subscribe(counters, kind, where, topics)
 
 
 if __name__ == "__main__":

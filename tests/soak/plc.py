@@ -9,10 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from rosplc.virtual_plc import ReadBlock, VirtualPlc, WriteBlock
-from tests.soak.ledger import Ledger
-from tests.soak.pattern import IN, OUT, fill
-
-__all__ = ["main"]
+from tests.soak.messages import IN, OUT, Counters, fill
 
 _SCAN_S = 0.01
 _BEAT_MS = 100
@@ -21,8 +18,8 @@ _BEAT_MS = 100
 class Program:
     """One PLC program over both directions."""
 
-    def __init__(self, ledger: Ledger, generation: int, prefix: str) -> None:
-        self._ledger = ledger
+    def __init__(self, counters: Counters, generation: int, prefix: str) -> None:
+        self._counters = counters
         self._generation = generation
         modes = ("every", "latest")
         self._reads = [
@@ -35,15 +32,15 @@ class Program:
 
     def __call__(self) -> None:
         """Run one scan."""
-        ledger = self._ledger
+        counters = self._counters
         for index, block in enumerate(self._reads):
             for message in block.each():
-                ledger.take(index, message.data)
-            ledger.counters[index]["block_lost"] += (block.udiLost - self._lost[index]) % 2**32
+                counters.take(index, message.data)
+            counters.counters[index]["block_lost"] += (block.udiLost - self._lost[index]) % 2**32
             self._lost[index] = block.udiLost
         for index, writer in enumerate(self._writes):
             self._write(index, writer)
-        ledger.control["plc_scans"] += 1
+        counters.control["plc_scans"] += 1
 
     def close(self) -> None:
         """Let go of the objects."""
@@ -54,28 +51,28 @@ class Program:
 
     def _write(self, index: int, block: WriteBlock) -> None:
         topic, number = len(IN) + index, self._numbers[index]
-        flood = max(1, int(self._ledger.control["flood"]))
+        flood = max(1, int(self._counters.control["flood"]))
         for _ in range(flood):
             if block.msg is not None:
                 block.xEnable = True
                 block.msg.data = fill(topic, self._generation, number)
-                self._ledger.announce(topic, self._generation, number)
+                self._counters.announce(topic, self._generation, number)
             if not block():
                 return  # the same number again, so that it is no gap
             number = self._numbers[index] = number + 1
 
 
 def main() -> None:
-    """Run until killed: arguments are ledger, generation, and a prefix or the files of Structured Text."""
+    """Run until killed: arguments are counters, generation, and a prefix or the files of Structured Text."""
     path, generation, *rest = sys.argv[1:]
     plc = VirtualPlc()
     program: Any
     if len(rest) == 1:
-        program = Program(Ledger(Path(path)), int(generation), rest[0])
+        program = Program(Counters(Path(path)), int(generation), rest[0])
     else:
         from tests.soak import st  # imports what a PLC in Python need not wait for
 
-        program = st.Program(Ledger(Path(path)), int(generation), Path(rest[0]), Path(rest[1]))
+        program = st.Program(Counters(Path(path)), int(generation), Path(rest[0]), Path(rest[1]))
     plc.task("Soak", _SCAN_S).program(program)
     # A PLC that is stopped in an orderly way gives its claims back; one that is killed cannot.
     signal.signal(signal.SIGTERM, signal.default_int_handler)

@@ -15,8 +15,6 @@ import rosplc
 from tests.soak.campaign import Outcome
 from tests.soak.results import percentile
 
-__all__ = ["machine", "summary", "to_json"]
-
 
 def _by_fault(outcome: Outcome) -> dict[str, dict[str, Any]]:
     table = {}

@@ -18,10 +18,7 @@ from rosplc.plc.build import ProjectOptions
 from rosplc.plc.from_config import plc_project
 from rosplc.plc.instances import instance_names
 from rosplc.plc.st_text import project_texts
-from tests.soak.ledger import Ledger
-from tests.soak.pattern import ALL, CLASSIC, IN, fill, towards_plc
-
-__all__ = ["Program", "build_program"]
+from tests.soak.messages import ALL, CLASSIC, IN, Counters, fill, towards_plc
 
 _READ, _RECORD, _WRITE = "SharedMemory_Read", "Soak_Record", "SharedMemory_Write"
 _PER_SCAN = 64
@@ -90,15 +87,15 @@ class _Reading:
         self._lost = None if topic in CLASSIC else Word(machine, f"{block}.udiLost")
         self._lost_before = 0
 
-    def judge(self, ledger: Ledger) -> None:
-        """Hand over to the ledger what came in this scan."""
+    def judge(self, counters: Counters) -> None:
+        """Hand over to the counters what came in this scan."""
         size = self._layout.size
         for number in range(self._count.get() if self._every else self._new.get()):
             record = self._machine.peek(self._address + number * size, size)
-            ledger.take(self.index, self._layout.view(record).data)
+            counters.take(self.index, self._layout.view(record).data)
         if self._lost is not None:
             lost = self._lost.get()
-            ledger.counters[self.index]["block_lost"] += (lost - self._lost_before) % 2**32
+            counters.counters[self.index]["block_lost"] += (lost - self._lost_before) % 2**32
             self._lost_before = lost
 
 
@@ -113,12 +110,12 @@ class _Writing:
         self._address, _ = machine.find(f"{block}.msg")
         self._number = 1
 
-    def fill(self, ledger: Ledger, generation: int) -> None:
+    def fill(self, counters: Counters, generation: int) -> None:
         """Put the next message into ``msg``."""
         record = self._layout.pack({"data": fill(self.index, generation, self._number)})
         self._machine.poke(self._address, bytes(record))
         self._enable.set(1)
-        ledger.announce(self.index, generation, self._number)
+        counters.announce(self.index, generation, self._number)
 
     def sent(self) -> None:
         """Go on to the next number if the block has published this one."""
@@ -129,16 +126,16 @@ class Program:
     """The Structured Text as a program of the virtual PLC's task.
 
     Args:
-        ledger: Takes what arrived.
+        counters: Takes what arrived.
         generation: This process' number.
         config: The configuration that was generated from.
         built: What :func:`build_program` wrote.
     """
 
-    def __init__(self, ledger: Ledger, generation: int, config: Path, built: Path) -> None:
-        self._ledger = ledger
+    def __init__(self, counters: Counters, generation: int, config: Path, built: Path) -> None:
+        self._counters = counters
         self._generation = generation
-        self._seen = {name: int(ledger.control[name]) for name in ("online_change", "reopen")}
+        self._seen = {name: int(counters.control[name]) for name in ("online_change", "reopen")}
         project = load_project(config)
         classic = any(plan.classic for plan in project.topics)
         self._machine = machine = find_translator().machine(pickle.loads(built.read_bytes()))
@@ -164,23 +161,23 @@ class Program:
 
     def __call__(self) -> None:
         """Run one scan."""
-        ledger, machine = self._ledger, self._machine
+        counters, machine = self._counters, self._machine
         self._obey()
         machine.scan(_READ, step=0)
         machine.scan(_RECORD, step=0)
         for reading in self._reads:
-            reading.judge(ledger)
-        for _ in range(max(1, int(ledger.control["flood"]))):
+            reading.judge(counters)
+        for _ in range(max(1, int(counters.control["flood"]))):
             for writing in self._writes:
-                writing.fill(ledger, self._generation)
+                writing.fill(counters, self._generation)
             machine.scan(_WRITE, step=0)
             for writing in self._writes:
                 writing.sent()
-        ledger.control["plc_scans"] += 1
+        counters.control["plc_scans"] += 1
 
     def _obey(self) -> None:
         """Do what the campaign orders: stand still inside a lock, move all instances, open names again."""
-        control = self._ledger.control
+        control = self._counters.control
         if control["stop_inside"]:
             control["stop_inside"] = 0
             self._machine.option("stop_inside")

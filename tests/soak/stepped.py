@@ -12,8 +12,6 @@ import sys
 import time
 from typing import SupportsIndex
 
-__all__: list[str] = []
-
 
 def _sleep(seconds: float | SupportsIndex) -> None:
     select.select([], [], [], max(0.0, float(seconds)))

@@ -9,8 +9,8 @@ import pytest
 
 from tests.soak.checks import Checker
 from tests.soak.faults import Fault
-from tests.soak.parts import Usage
-from tests.soak.pattern import TOPICS
+from tests.soak.messages import TOPICS
+from tests.soak.processes import Usage
 
 
 class Part:
@@ -39,7 +39,7 @@ class Cell:
         self.backend = backend
         self.parts = {name: Part(number) for number, name in enumerate(names, 100)}
         self.figures = [(0, 0)] * len(TOPICS)
-        self.ledger: Any = self
+        self.counters: Any = self
 
     def losses(self) -> list[tuple[int, int]]:
         return self.figures

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from tests.soak.trend import LEAST_ROUNDS, leaks, trends
+from tests.soak.results import LEAST_ROUNDS, leaks, trends
 
 
 def life(rounds: int, **what: Any) -> list[dict[str, Any]]:

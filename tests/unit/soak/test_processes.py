@@ -10,41 +10,40 @@ from pathlib import Path
 
 import pytest
 
-from tests.soak.ledger import Ledger
-from tests.soak.nursery import Nursery
-from tests.soak.parts import Part
+from tests.soak.messages import Counters
+from tests.soak.processes import ForkServer, Part
 
 pytestmark = pytest.mark.timeout(120)
 
 
 @pytest.fixture
 def plc(tmp_path: Path) -> Iterator[Part]:
-    """Give a PLC that finds no bridge, started from a nursery."""
-    Ledger(tmp_path / "ledger", create=True)
+    """Give a PLC that finds no bridge, started from a fork server."""
+    Counters(tmp_path / "counters", create=True)
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[3])}
-    nursery = Nursery(environment, "memory", ["tests.soak.plc"])
-    command = ["python", "-m", "tests.soak.plc", str(tmp_path / "ledger"), "1", "nobody"]
-    part = Part("plc", lambda: command, environment, tmp_path / "plc.log", nursery)
+    fork_server = ForkServer(environment, "memory", ["tests.soak.plc"])
+    command = ["python", "-m", "tests.soak.plc", str(tmp_path / "counters"), "1", "nobody"]
+    part = Part("plc", lambda: command, environment, tmp_path / "plc.log", fork_server)
     yield part
     part.kill()
-    nursery.close()
+    fork_server.close()
 
 
-def scans(part: Part, ledger: Ledger) -> None:
+def scans(part: Part, counters: Counters) -> None:
     """Wait until the PLC runs scans."""
-    before = int(ledger.control["plc_scans"])
-    while ledger.control["plc_scans"] <= before:
+    before = int(counters.control["plc_scans"])
+    while counters.control["plc_scans"] <= before:
         assert part.alive, part.log.read_text()
         time.sleep(0.01)
 
 
 def test_each_start_is_a_process_of_its_own(plc: Part, tmp_path: Path) -> None:
     """It is a child of this process, runs, ends by kill -9 or in order, and starts again as another."""
-    ledger = Ledger(tmp_path / "ledger")
+    counters = Counters(tmp_path / "counters")
     seen = set()
     for end in (plc.kill, plc.terminate):
         plc.start()
-        scans(plc, ledger)
+        scans(plc, counters)
         seen.add(plc.pid)
         assert Path(f"/proc/{plc.pid}/stat").read_text().rpartition(")")[2].split()[1] == str(os.getpid())
         end()
