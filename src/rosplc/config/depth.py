@@ -19,7 +19,13 @@ _COPY_NS_PER_BYTE = 5
 """A 1 GHz Cortex-A8 copies 1 MiB in 4.7 ms; everything else is faster."""
 
 _PAUSE_NS = 20_000_000
-"""How long the bridge may be kept from running on a loaded machine, for the usual number."""
+"""How long a reader may be kept from running, for the usual number."""
+
+_BRIDGE_PAUSE_NS = 200_000_000
+"""The same for the bridge, on a loaded machine without a real-time kernel."""
+
+_MOST_BYTES = 1 << 20
+"""Records beyond this are not worth the bridge's longer pause."""
 
 _BURST = 16
 """Slots where every message counts and nobody said how fast they come."""
@@ -36,12 +42,14 @@ class Demand:
         visit_ns: Time between two visits of the reader.
         record_size: Bytes of a record.
         every: Every message counts.
+        by_bridge: The reader is the bridge.
     """
 
     period_ns: int
     visit_ns: int
     record_size: int
     every: bool
+    by_bridge: bool = False
 
 
 def least_slots(demand: Demand) -> int:
@@ -53,7 +61,10 @@ def usual_slots(demand: Demand) -> int:
     """Return the number taken where the configuration gives none."""
     if demand.every and not demand.period_ns:
         return _BURST
-    return _slots(demand, _PAUSE_NS)
+    usual = _slots(demand, _PAUSE_NS)
+    if not (demand.every and demand.by_bridge):
+        return usual
+    return max(usual, min(_slots(demand, _BRIDGE_PAUSE_NS), _power(_MOST_BYTES // demand.record_size)))
 
 
 def _slots(demand: Demand, pause_ns: int) -> int:
@@ -64,6 +75,11 @@ def _slots(demand: Demand, pause_ns: int) -> int:
     if demand.every:
         needed = max(needed, 1 + _ceil(demand.visit_ns + pause_ns, demand.period_ns))
     return min(_MOST, max(4, 1 << (needed - 1).bit_length()))
+
+
+def _power(number: int) -> int:
+    """Return the largest power of two that is not above a number."""
+    return 1 << (number.bit_length() - 1) if number else 0
 
 
 def _ceil(value: int, unit: int) -> int:

@@ -272,7 +272,8 @@ def _slots(config: Config, topic: str, entry: TopicSettings, task: str, record_s
     if entry.to == "ros":
         # A PLC publishes a topic at most once per scan; how long a freewheeling scan takes, nobody knows.
         period = cycle if settings.tasks[task].kind == "cyclic" else 0
-        demand = Demand(max(entry.expected_rate_ns or 0, period), settings.tick_ns, record_size, every)
+        fastest = max(entry.expected_rate_ns or 0, period)
+        demand = Demand(fastest, settings.tick_ns, record_size, every, by_bridge=True)
     else:
         # Where neither is given nothing is known, and the usual number stands.
         demand = Demand(max(entry.expected_rate_ns or 0, entry.rate_limit_ns or 0), cycle, record_size, every)

@@ -430,7 +430,7 @@ class TopicSettings(_Section):
     slots: StrictInt | None = _f(
         None,
         "Slots in shared memory, rounded up to a power of two; N slots hold N-1 messages. "
-        "Default: sized by rate and task.",
+        "Default: sized by rate and task; towards ROS so that a bridge may pause for 200 ms.",
         ge=4,
         le=65536,
     )

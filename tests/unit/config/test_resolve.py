@@ -86,15 +86,17 @@ def test_tasks_and_slots() -> None:
         f"  /b: {{type: {TWIST}, to: ros}}\n"
         f"  /c: {{type: {TWIST}, to: plc, slots: 9}}\n"
         f"  /d: {{type: {TWIST}, to: plc, every: true, expected_rate: 1kHz, task: Fast}}\n"
-        f"  /e: {{type: {TWIST}, to: ros, task: Free}}\n",
+        f"  /e: {{type: {TWIST}, to: ros, task: Free}}\n"
+        "  /f: {type: sensor_msgs/msg/Image, to: ros, limits: {data: 100000}, task: Fast}\n",
         "tasks: {Slow: {interval: 20ms}, Fast: {interval: 1ms}, Free: {kind: freewheeling}}",
     )
     assert [(plan.task, plan.slots) for plan in made.topics] == [
-        ("Fast", 32),
-        ("Slow", 4),
+        ("Fast", 256),
+        ("Slow", 16),
         ("Slow", 16),
         ("Fast", 32),
         ("Free", 16),
+        ("Fast", 32),
     ]
     assert list(made.tasks) == ["Slow", "Fast", "Free"]
 
