@@ -8,18 +8,16 @@ from typing import Any, Literal
 from rosplc.errors import ChannelError
 from rosplc.layout import Layout, RecordView
 from rosplc.shm import Attached, Direction, Namespace, Reader, ReaderClaim, SlotInfo
-from rosplc.shm.constants import WRITER_LINE
-from rosplc.virtual_plc.block import IN_USE, SILENT, UNKNOWN, Owner
-from rosplc.virtual_plc.link import Link
-from rosplc.virtual_plc.peer import Peer
-from rosplc.virtual_plc.scan import Scan, current_scan
+from rosplc.shm.constants import UNKNOWN, WRITER_LINE
+from rosplc.virtual_plc.block import Block, Peer
+from rosplc.virtual_plc.scan import Scan
 
 __all__ = ["OnStale", "ReadBlock"]
 
 OnStale = Literal["hold", "zero", "value"]
 
 
-class ReadBlock:
+class ReadBlock(Block):
     """Reads a topic once per scan; the stand-in for a generated ``<Type>_Read``.
 
     Call the instance in every scan, then use its outputs, which carry the names that they
@@ -88,20 +86,16 @@ class ReadBlock:
             raise ValueError(f"{topic}: max_per_cycle must be at least 1")
         if (on_stale == "value") != (stale_value is not None):
             raise ValueError(f'{topic}: on_stale="value" and stale_value go together')
-        self.topic = topic
-        self.xAttached = self.xValid = self.xNew = self.xPeerAlive = False
+        super().__init__(topic, Namespace(prefix, directory), Direction.TO_PLC, layout, beat_ms)
+        self.xValid = self.xNew = False
         self.xFirst = self.xTruncated = self.xSubstituted = self.xRecovered = False
         self.xSourcePresent = False
         self.xStale = stale_after is not None
-        self.udiSequence = self.udiLost = self.udiError = self.uiTaken = 0
+        self.udiLost = self.uiTaken = 0
         self.udiSources: int | None = None
         self.age = 0.0
         self.msg: RecordView | None = None
         self.info: SlotInfo | None = None
-        self.reason = ""
-        self._link = Link(
-            topic, namespace=Namespace(prefix, directory), direction=Direction.TO_PLC, layout=layout
-        )
         self._stale_after_ns = None if stale_after is None else round(stale_after * 1e9)
         self._on_stale = on_stale
         self._stale_value = stale_value
@@ -109,12 +103,8 @@ class ReadBlock:
         self._every = mode == "every"
         self._max_per_cycle = max_per_cycle
         self._latched = latched
-        self._beat_ms = beat_ms
         self._claim: ReaderClaim | None = None
-        self._owner = Owner()
-        self._opened = 0
         self._reader: Reader | None = None
-        self._peer = Peer()
         self._shadow = bytearray()
         self._record = bytearray()
         self._ever_new = False
@@ -123,47 +113,31 @@ class ReadBlock:
         if layout is not None:
             self._use_layout(layout)
 
-    @property
-    def udiReentries(self) -> int:
-        """Calls that were turned away because another task called this instance."""
-        return self._owner.refused
-
-    @property
-    def layout(self) -> Layout | None:
-        """The layout of ``msg``, or None before it is known."""
-        return self._link.layout
-
     def __call__(self) -> bool:
         """Run the block once, at the begin of its scan, and return ``xNew``."""
-        scan = current_scan()
-        if not self._owner.enter(scan):
-            self.udiError, self.reason = IN_USE, "the instance belongs to another task"
-            return False
-        try:
+        with self._entered() as scan:
+            if scan is None:
+                return self._refuse()
             self._run(scan)
-        finally:
-            self._owner.leave()
-        return self.xNew
+            return self.xNew
 
     def next(self) -> bool:
         """With ``mode="every"``: take one more message in this scan and return whether there was one.
 
         ``msg`` then shows it; ``xNew`` stays set, as in the PLC.
         """
-        scan = current_scan()
-        if not self._every or not self._owner.enter(scan):
+        if not self._every:
             return False
-        try:
+        with self._entered() as scan:
             # A link that found another object in this scan has closed the one of this reader.
-            if self._reader is None or self._link.opened != self._opened:
+            if scan is None or self._reader is None or self._link.opened != self._opened:
                 return False
-            return self._take(self._reader, scan)
-        except ChannelError as error:
-            self._link.drop(error)
-            self._reader = self._claim = None
-            return False
-        finally:
-            self._owner.leave()
+            try:
+                return self._take(self._reader, scan)
+            except ChannelError as error:
+                self._link.drop(error)
+                self._reader = self._claim = None
+                return False
 
     def each(self) -> Iterator[RecordView]:
         """Run the block and yield ``msg`` for each message that this scan may take.
@@ -204,8 +178,7 @@ class ReadBlock:
             self.xPeerAlive = False
             self._reader = self._claim = None
         self.udiError, self.reason = self._link.error, self._link.reason
-        if self.udiError == 0 and self._peer.silent:
-            self.udiError, self.reason = SILENT, "the bridge does not beat"
+        self._report_silence()
         self._judge_age(scan)
 
     def _adopt(self, attached: Attached, scan: Scan) -> None:

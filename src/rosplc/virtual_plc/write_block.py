@@ -8,18 +8,16 @@ from typing import Any
 from rosplc.errors import ChannelError
 from rosplc.layout import Layout
 from rosplc.shm import Attached, Direction, Namespace, Writer, WriterClaim
-from rosplc.virtual_plc.block import IN_USE, SILENT, UNKNOWN, Owner
-from rosplc.virtual_plc.link import Link, error_number
+from rosplc.shm.constants import STAMP_PLC, UNKNOWN, ErrorNumber
+from rosplc.virtual_plc.block import Block, Peer
+from rosplc.virtual_plc.link import error_number
 from rosplc.virtual_plc.message import Message
-from rosplc.virtual_plc.peer import Peer
-from rosplc.virtual_plc.scan import Scan, current_scan
+from rosplc.virtual_plc.scan import Scan
 
 __all__ = ["WriteBlock"]
 
-_PLC_CLOCK = 3
 
-
-class WriteBlock:
+class WriteBlock(Block):
     """Publishes ``msg`` on a topic; the stand-in for a generated ``<Type>_Write``.
 
     Set ``msg`` and ``xEnable``, then call the instance once per scan: each call with
@@ -59,39 +57,16 @@ class WriteBlock:
         directory: str = "/dev/shm",
         beat_ms: int = 1000,
     ) -> None:
-        self.topic = topic
+        super().__init__(topic, Namespace(prefix, directory), Direction.TO_ROS, layout, beat_ms)
         self.msg: Any = None if layout is None else Message.initial(layout)
         self.xEnable = False
-        self.xAttached = self.xReady = self.xPeerAlive = self.xPublished = False
-        self.udiSequence = self.udiPublished = self.udiTaken = 0
+        self.xReady = self.xPublished = False
+        self.udiPublished = self.udiTaken = 0
         self.udiSinks: int | None = None
-        self.udiError = 0
-        self.reason = ""
-        self._link = Link(
-            topic,
-            namespace=Namespace(prefix, directory),
-            direction=Direction.TO_ROS,
-            layout=layout,
-            write=True,
-        )
-        self._beat_ms = beat_ms
         self._claim: WriterClaim | None = None
-        self._owner = Owner()
-        self._opened = 0
         self._writer: Writer | None = None
-        self._peer = Peer()
         self._record = bytearray(0 if layout is None else layout.size)
         self._unfilled = False  # msg was made in this call: what the program filled was another
-
-    @property
-    def udiReentries(self) -> int:
-        """Calls that were turned away because another task called this instance."""
-        return self._owner.refused
-
-    @property
-    def layout(self) -> Layout | None:
-        """The layout of ``msg``, or None before it is known."""
-        return self._link.layout
 
     def __call__(self) -> bool:
         """Run the block once and return ``xPublished``.
@@ -99,15 +74,11 @@ class WriteBlock:
         Raises:
             LayoutError: LAY006, if a value in ``msg`` does not fit its field.
         """
-        scan = current_scan()
-        if not self._owner.enter(scan):
-            self.udiError, self.reason = IN_USE, "the instance belongs to another task"
-            return False
-        try:
+        with self._entered() as scan:
+            if scan is None:
+                return self._refuse()
             self._run(scan)
-        finally:
-            self._owner.leave()
-        return self.xPublished
+            return self.xPublished
 
     def close(self) -> None:
         """Release the claim and let go of the object; the next call opens it again."""
@@ -160,7 +131,7 @@ class WriteBlock:
             return
         if self._writer is None:
             # It may stop, so the next scans look again.
-            self.udiError, self.reason = 114, "another writer holds the claim"
+            self.udiError, self.reason = ErrorNumber.CLAIMED.value, "another writer holds the claim"
         else:
             self._claim = None
             self.udiError, self.reason = 0, ""
@@ -172,7 +143,7 @@ class WriteBlock:
             if self.xEnable and not self._unfilled:
                 layout.pack_into(self.msg, self._record)
                 self.udiSequence = writer.publish(
-                    self._record, stamp_ns=time.monotonic_ns(), stamp_clock=_PLC_CLOCK
+                    self._record, stamp_ns=time.monotonic_ns(), stamp_clock=STAMP_PLC
                 )
                 self.udiPublished += 1
                 self.xPublished = True
@@ -199,6 +170,5 @@ class WriteBlock:
         self.udiTaken = line.taken
         self.udiSinks = line.sinks if peer.alive and line.sinks != UNKNOWN else None
         if peer.silent:
-            if self.udiError == 0:
-                self.udiError, self.reason = SILENT, "the bridge does not beat"
+            self._report_silence()
             self._link.look_for_another(scan)

@@ -397,7 +397,7 @@ def test_reentry_at_the_same_moment_is_turned_away(side):
     """A call while another is in progress returns at once."""
     bridge = side("/n", INT, TO_PLC)
     block = reading(bridge)
-    block._owner._busy.acquire()
+    block._busy.acquire()
     results = []
     thread = threading.Thread(target=lambda: results.append(block()))
     thread.start()
