@@ -14,7 +14,7 @@ from pathlib import Path
 from rosplc.codec import Codec, Wire
 from rosplc.layout import Layout
 from rosplc.layout.nodes import ArrayNode, Node, PaddingNode, ScalarNode, SequenceNode, StringNode, StructNode
-from rosplc.plc.build import build_type_library
+from rosplc.plc.build import ProjectOptions, build_type_library
 from rosplc.plc.project import Dut, PlcProject
 from rosplc.plc.st_text import project_texts
 from rosplc.shm import Direction, Namespace, OwnedChannel
@@ -35,9 +35,9 @@ class Crossing:
     texts: dict[str, str]
 
     @classmethod
-    def of(cls, layouts: Sequence[Layout], distro: str) -> Crossing:
+    def of(cls, layouts: Sequence[Layout], distro: str, options: ProjectOptions | None = None) -> Crossing:
         """Generate both blocks of each layout, an instance of each, and a program that joins them."""
-        project = build_type_library(store(distro), layouts)
+        project = build_type_library(store(distro), layouts, options)
         instances, calls = [], ["RosPlc_State.axMayOpen[0] := TRUE;"]
         for index, layout in enumerate(layouts):
             read, write = cls._block(project, layout, "Reads"), cls._block(project, layout, "Writes")

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import pytest
 
 from rosplc.layout import Limits
+from rosplc.plc.build import ProjectOptions
 from rosplc_st.build import ARMHF
 from rosplc_st.translator import Options
 from tests.verification.crossing import Crossing
@@ -27,10 +30,11 @@ def test_sample() -> None:
     Crossing.of([layout_of(name, "jazzy", LIMITS) for name in SAMPLE], "jazzy").run(seed=1, rounds=20)
 
 
-@pytest.mark.parametrize("defined", [(), ("pou: MemoryBarrier.MemoryBarrier",)])
-def test_processor_width_and_barrier(defined: tuple[str, ...]) -> None:
+@pytest.mark.parametrize(("target", "defined"), [("x86", ()), ("arm", ("pou: MemoryBarrier.MemoryBarrier",))])
+def test_processor_width_and_barrier(target: Literal["x86", "arm"], defined: tuple[str, ...]) -> None:
     """Nothing depends on the width of intermediate results or on which fence there is."""
-    crossing = Crossing.of([layout_of(name, "jazzy", LIMITS) for name in SAMPLE[:2]], "jazzy")
+    layouts = [layout_of(name, "jazzy", LIMITS) for name in SAMPLE[:2]]
+    crossing = Crossing.of(layouts, "jazzy", ProjectOptions(target=target))
     crossing.run(seed=2, options=Options(cpu_bits=32 if defined else 64, defined=defined))
 
 

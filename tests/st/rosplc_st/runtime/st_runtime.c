@@ -97,12 +97,12 @@ static size_t countable(size_t size)
 
 static st_uxint open_object(const char *name, uint8_t *psize, uint8_t *result, int flags)
 {
-    st_uxint asked;
+    st_uxint asked = 0;
     char path[4400];
     struct stat about;
     if (!name || !*name || strchr(name, '/') || strlen(name) > 255 || !psize)
         return refuse(result, ERR_PARAMETER);
-    memcpy(&asked, psize, sizeof asked);
+    memcpy(&asked, psize, st_uxint_size);
     if (asked == 0)
         return refuse(result, ERR_PARAMETER);
     if (st_options.cache_names)
@@ -152,7 +152,7 @@ static st_uxint open_object(const char *name, uint8_t *psize, uint8_t *result, i
             st_counters.open_handles++;
             if (st_options.return_size) {
                 st_uxint size = (st_uxint)actual;
-                memcpy(psize, &size, sizeof size);
+                memcpy(psize, &size, st_uxint_size);
             }
             put_result(result, answer);
             return (st_uxint)i + 1;

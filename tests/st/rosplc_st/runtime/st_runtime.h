@@ -11,6 +11,8 @@
 /* A handle and __UXINT have the processor's width. */
 typedef uintptr_t st_uxint;
 #define SHM_INVALID ((st_uxint)-1)
+/* Bytes of the program's own __UXINT: fewer where a program for 32 bits runs on a processor of 64. */
+extern const size_t st_uxint_size;
 
 /* Tables of a translated program. */
 struct st_global { const char *name; void **pointer; size_t size; };

@@ -385,7 +385,8 @@ class _Emitter:
 
     def text(self) -> str:
         """Return the whole C text."""
-        lines = ['#include "st_runtime.h"', "static int st_kept;", *self._types(), *self._forward()]
+        width = f"const size_t st_uxint_size = {self.program.cpu_bits // 8};"
+        lines = ['#include "st_runtime.h"', width, "static int st_kept;", *self._types(), *self._forward()]
         for function in self.program.functions.values():
             lines += self._routine(function, f"F_{function.name}", "")
         for block in self.program.blocks.values():
