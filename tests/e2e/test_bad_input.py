@@ -136,7 +136,7 @@ def node(dds_domain: int) -> Iterator[Callable[..., Backend]]:
             "line 4 already",
         ),
         ("topics:\n  /a: {type: std_msgs/String, to: plc, limits: {data: 0}}\n", "LAY001", 4, "capacity 0"),
-        ("topics:\n\t/a: {}\n", "CFG002", 4, "cannot start any token"),
+        ("topics:\n\t/a: {}\n", "CFG002", 4, "indented with a tab"),
         ("types: {paths: [nowhere]}\n", "CFG001", 3, "does not exist"),
         ("shm: {owner: -1}\ntopics: {/a: {type: std_msgs/Bool, to: plc}}\n", "CFG004", 3, "-1 is not"),
     ],
