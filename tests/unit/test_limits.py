@@ -30,7 +30,8 @@ from rosplc.layout.limits import MAX_SEQUENCE, MAX_STRING
 from rosplc.model import TypeStore, folders, parse, store
 from rosplc.plc import build, classic, delivery
 from rosplc.plc.classic import Classic
-from rosplc.ros import names, words
+from rosplc.ros import _base as words
+from rosplc.ros import names
 from rosplc.shm import Description, Namespace, OwnedChannel, constants
 from rosplc.shm.header import Identity
 from tests.unit.plc.projects import project, read
@@ -223,13 +224,13 @@ def ros_names(patch: pytest.MonkeyPatch, folder: Path) -> None:
     assert names.validate_topic("/" + "a" * (names.LONGEST_NAME - 1))
 
 
-@beyond("ros.words.MOST_REASONS", "ros.words.LONGEST_REASON", "ros.words.MOST_REMEMBERED")
+@beyond("ros._base.MOST_REASONS", "ros._base.LONGEST_REASON", "ros._base.MOST_REMEMBERED")
 def reasons(patch: pytest.MonkeyPatch, folder: Path) -> None:
     text = words.listed(f"{number} \x1b[2J\n" + "x" * 5000 for number in range(500))
     assert text.isprintable()
     assert text.endswith(f"and {500 - words.MOST_REASONS} more")
     assert len(text) < (words.MOST_REASONS + 1) * (words.LONGEST_REASON + 2)
-    said = words.Said()
+    said = words.LogOnce()
     assert sum(said.first(number) for number in range(3 * words.MOST_REMEMBERED)) == words.MOST_REMEMBERED
     assert not said.first(0)
 

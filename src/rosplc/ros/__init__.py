@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from rosplc.clock import SYSTEM, Clock
 from rosplc.errors import BackendError
 from rosplc.ros.arguments import Remapping, RosArguments, split_arguments
 from rosplc.ros.backend import (
@@ -65,8 +66,9 @@ def open_backend(
     remap: Mapping[str, str] | None = None,
     environment: Mapping[str, str] | None = None,
     options: Mapping[str, object] | None = None,
+    clock: Clock = SYSTEM,
 ) -> Backend:
-    """Join the ROS graph as one node.
+    """Connect to the ROS graph as one node.
 
     Args:
         name: One of :data:`BACKENDS`, or ``auto`` (:func:`choose`); the backend's ``name``
@@ -78,6 +80,7 @@ def open_backend(
         remap: Topic → topic (:func:`rosplc.ros.names.resolve_topic`).
         environment: Variables to use in place of the process's own.
         options: The backend's own keys of the configuration (``ros.zenoh``); others have none.
+        clock: Time, for what the backend waits for and stamps.
 
     Raises:
         BackendError: ROS001 if the backend is unknown or its package is missing, ROS002 if
@@ -96,6 +99,13 @@ def open_backend(
             remedy=f"For {name}: {INSTALL.get(name, 'a complete rosplc')}.",
         ) from error
     backend: Backend = module.open_backend(
-        store, node_name, namespace, domain, remap=remap, environment=environment, options=options
+        store,
+        node_name,
+        namespace,
+        domain,
+        remap=remap,
+        environment=environment,
+        options=options,
+        clock=clock,
     )
     return backend

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 from rosplc.errors import BackendError, ChannelError, ConfigError
 from rosplc.ros import RosArguments
+from rosplc.ros._base import domain_number
 from rosplc.ros.arguments import split_arguments
 from rosplc.ros.dds.config import check_peers, domain_config, domain_id
 from rosplc.ros.names import resolve_topic
@@ -44,7 +45,7 @@ def _environment(choices: Choices) -> None:
         lambda: domain_config(environment, distro),
         lambda: check_peers(environment, distro),
         lambda: is_node_uri(read_address(environment).master),
-        lambda: zenoh.domain_id(None, environment),
+        lambda: domain_number(None, environment),
         lambda: zenoh.session_config({}, environment),
     ):
         with refusals(BackendError):

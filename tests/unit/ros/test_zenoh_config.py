@@ -13,7 +13,8 @@ pytest.importorskip("zenoh")
 from rosplc.errors import BackendError
 from rosplc.model import TypeStore
 from rosplc.ros import DEFAULT, open_backend
-from rosplc.ros.zenoh.config import domain_id, session_config
+from rosplc.ros._base import domain_number as domain_id
+from rosplc.ros.zenoh.config import session_config
 
 STRING = "std_msgs/msg/String"
 
@@ -85,7 +86,7 @@ def test_domain() -> None:
     """The domain comes from the argument, then from the environment, then it is 0."""
     assert domain_id(5, {"ROS_DOMAIN_ID": "6"}) == 5
     assert domain_id(None, {"ROS_DOMAIN_ID": "6"}) == 6
-    assert domain_id(None, {}) == 0
+    assert domain_id(None, {}) is None
     with pytest.raises(BackendError, match="ROS010"):
         domain_id(None, {"ROS_DOMAIN_ID": "six"})
 

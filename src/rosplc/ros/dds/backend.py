@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import logging
-import os
 import threading
-import time
-from collections.abc import Mapping
+from collections.abc import Iterator
 from typing import Any, Literal
 
 from cyclonedds.core import DDSException
@@ -18,8 +16,8 @@ from cyclonedds.qos import Qos as DdsQos
 from cyclonedds.sub import DataReader
 from cyclonedds.sub import Subscriber as SubscriberGroup
 
-from rosplc.errors import BackendError
-from rosplc.ros.backend import EndpointInfo, EndpointStatus, GraphInfo, OnMessage, Qos, TypeSource
+from rosplc.ros._base import BaseNode, Context, Opener, graph_info, listed
+from rosplc.ros.backend import EndpointInfo, GraphInfo, OnMessage, Qos
 from rosplc.ros.dds import domain as domains
 from rosplc.ros.dds import native
 from rosplc.ros.dds.config import check_peers, domain_config, domain_id
@@ -28,8 +26,6 @@ from rosplc.ros.dds.graph import Announcer
 from rosplc.ros.dds.idl import IdlTypes, dds_topic, ros_topic, ros_type_name
 from rosplc.ros.dds.log import TRACING, library_log
 from rosplc.ros.dds.peers import Peer, PeerTable, describe, differs, explain
-from rosplc.ros.names import resolve_topic, validate_namespace, validate_node_name
-from rosplc.ros.words import Said, listed
 
 __all__ = ["DdsBackend", "open_backend"]
 
@@ -67,7 +63,7 @@ def dds_qos(qos: Qos, type_hash: str) -> DdsQos:
     return DdsQos(*policies)
 
 
-class DdsBackend:
+class DdsBackend(BaseNode):
     """One ROS 2 node on DDS; see :class:`rosplc.ros.backend.Backend`.
 
     Attributes:
@@ -80,35 +76,19 @@ class DdsBackend:
     name = "dds"
     capabilities = frozenset({"topics", "deadline"})
 
-    def __init__(
-        self,
-        store: TypeSource,
-        node_name: str,
-        namespace: str,
-        domain: int | None,
-        remap: Mapping[str, str],
-        environment: Mapping[str, str],
-    ) -> None:
-        if store.distro == "noetic":
-            raise BackendError(
-                "ROS001", "the dds backend speaks ROS 2; noetic is ROS 1", remedy="Set ros.distro."
-            )
-        self._namespace = validate_namespace(namespace)
-        self._node_name = validate_node_name(node_name)
-        self.node = f"{namespace.rstrip('/')}/{node_name}"
-        self._remap = dict(remap)
-        self._store = store
+    logger = _logger
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(context)
+        store, environment = context.store, context.environment
         self._hashes = store.distro != "humble"
         self._types = IdlTypes(store)
-        self._lock = threading.RLock()
-        self._closed = False
         self._changed = False
         self._endpoints: dict[int, DdsEndpoint] = {}
         self._next_key = _FIRST
         self._suspects: dict[str, int] = {}
-        self._said = Said()
         self._unmatched: dict[tuple[bytes, bytes], int] = {}
-        self.domain = domain_id(domain, environment)
+        self.domain = domain_id(context.domain, environment)
         check_peers(environment, store.distro)
         tracing = TRACING.format(library_log().path)
         domains.enter(self.domain, domain_config(environment, store.distro, tracing))
@@ -146,35 +126,30 @@ class DdsBackend:
     def subscribe(self, topic: str, type_name: str, qos: Qos, on_message: OnMessage) -> DdsSubscription:
         """Receive a topic; see :meth:`rosplc.ros.backend.Backend.subscribe`."""
         with self._lock:
-            entity, details = self._make(topic, type_name, qos, DataReader, lambda: self._subscribers)
-            subscription = DdsSubscription(on_message, entity, *details, self._diagnose, self._forget)
+            details = self._make(topic, type_name, qos, DataReader, lambda: self._subscribers)
+            subscription = DdsSubscription(on_message, *details)
             key = self._adopt(subscription)
-            subscription.condition = self._waitset.attach(entity._ref, key)
+            subscription.condition = self._waitset.attach(subscription._ref, key)
         self._waitset.wake()
         return subscription
 
     def advertise(self, topic: str, type_name: str, qos: Qos) -> DdsPublisher:
         """Send a topic; see :meth:`rosplc.ros.backend.Backend.advertise`."""
         with self._lock:
-            entity, details = self._make(topic, type_name, qos, DataWriter, lambda: self._publishers)
-            publisher = DdsPublisher(entity, *details, self._diagnose, self._forget)
+            publisher = DdsPublisher(*self._make(topic, type_name, qos, DataWriter, lambda: self._publishers))
             self._adopt(publisher)
         self._waitset.wake()
         return publisher
 
-    def _make(
-        self, topic: str, type_name: str, qos: Qos, kind: Any, group: Any
-    ) -> tuple[Any, tuple[Any, ...]]:
-        if self._closed:
-            raise BackendError("ROS009", f"node {self.node} has left the graph")
-        full = resolve_topic(topic, namespace=self._namespace, node_name=self._node_name, remap=self._remap)
-        name = self._store[type_name].name
+    def _make(self, topic: str, type_name: str, qos: Qos, kind: Any, group: Any) -> tuple[Any, ...]:
+        """Open an entity; return the arguments of an endpoint."""
+        full, name = self._resolve(topic, type_name)
         type_hash = self._store.type_hash(name) if self._hashes else ""
         try:
             entity = kind(group(), self._topics(dds_topic(full), self._types[name]), dds_qos(qos, type_hash))
         except DDSException as error:
             raise native.refusal(f"cannot open {full} as {name}", error) from error
-        return entity, (full, name, type_hash, qos)
+        return full, name, qos, self._forget, self._clock, entity, type_hash, self._diagnose
 
     def _adopt(self, endpoint: DdsEndpoint) -> int:
         key = self._next_key
@@ -182,7 +157,7 @@ class DdsBackend:
         self._endpoints[key] = endpoint
         self._announcer.add(endpoint.guid, reader=isinstance(endpoint, DdsSubscription))
         self._changed = True
-        self._suspects.setdefault(dds_topic(endpoint.topic), time.monotonic_ns())
+        self._suspects.setdefault(dds_topic(endpoint.topic), self._clock.monotonic_ns())
         self._find_strangers(endpoint)
         return key
 
@@ -220,16 +195,16 @@ class DdsBackend:
                 if self._changed:
                     self._changed = False
                     self._announcer.announce()
-                if (now := time.monotonic_ns()) >= next_tick:
+                if (now := self._clock.monotonic_ns()) >= next_tick:
                     next_tick = now + _TICK_NS
                     library_log().drain()
                     self._warn(now)
             except Exception:  # a defect; but the other topics have to go on
                 _logger.exception("the receive thread of %s had an error", self.node)
-                time.sleep(0.1)
+                self._clock.sleep(100_000_000)
 
     def _look(self, which: int) -> None:
-        now = time.monotonic_ns()
+        now = self._clock.monotonic_ns()
         with self._lock:
             changed = self._peers.update(which)
             for topic in changed:
@@ -257,7 +232,7 @@ class DdsBackend:
             endpoints = [(k, e) for k, e in self._endpoints.items() if dds_topic(e.topic) in due]
         for key, endpoint in endpoints:
             code, reason = self._diagnose(endpoint)
-            if code and self._said.first((key, reason)):
+            if code and self._logged.first((key, reason)):
                 _logger.warning("%s [%s]", reason, code)
 
     def _diagnose(self, endpoint: DdsEndpoint) -> tuple[str, str]:
@@ -290,7 +265,7 @@ class DdsBackend:
         if fits:
             self._unmatched.pop(key, None)
             return None
-        now = time.monotonic_ns()
+        now = self._clock.monotonic_ns()
         if now - self._unmatched.setdefault(key, now) < _SETTLE_NS:
             self._suspects.setdefault(peer.topic, now)
             return "", f"{describe(peer, name)}, not matched yet"
@@ -302,30 +277,20 @@ class DdsBackend:
 
     # -- looking at it
 
-    def status(self) -> tuple[EndpointStatus, ...]:
-        """Return the state of all endpoints."""
-        with self._lock:
-            endpoints = list(self._endpoints.values())
-        return tuple(endpoint.status() for endpoint in endpoints)
+    def _endpoints_now(self) -> list[DdsEndpoint]:
+        return list(self._endpoints.values())
 
     def graph(self) -> GraphInfo:
         """Return what is seen of the other nodes."""
-        seen = []
-        topics: dict[str, set[str]] = {}
-        for peer in self._peers.all():
-            topic = ros_topic(peer.topic)
-            if topic is None:
-                continue
-            kind = ros_type_name(peer.type_name)
-            topics.setdefault(topic, set()).add(kind)
-            node = self._announcer.node_of(peer.guid)
-            way: Literal["in", "out"] = "out" if peer.writer else "in"
-            seen.append(EndpointInfo(topic, kind, way, node, peer.qos, peer.type_hash, peer.obstacles))
-        return GraphInfo(
-            self._announcer.nodes(),
-            tuple(sorted(seen, key=lambda info: (info.topic, info.direction, info.node))),
-            {topic: tuple(sorted(kinds)) for topic, kinds in sorted(topics.items())},
-        )
+
+        def infos() -> Iterator[EndpointInfo]:
+            for peer in self._peers.all():
+                if (topic := ros_topic(peer.topic)) is not None:
+                    kind, node = ros_type_name(peer.type_name), self._announcer.node_of(peer.guid)
+                    way: Literal["in", "out"] = "out" if peer.writer else "in"
+                    yield EndpointInfo(topic, kind, way, node, peer.qos, peer.type_hash, peer.obstacles)
+
+        return graph_info(self._announcer.nodes(), infos())
 
     def close(self) -> None:
         """Leave the graph; see :meth:`rosplc.ros.backend.Backend.close`."""
@@ -347,17 +312,5 @@ class DdsBackend:
         domains.leave(self.domain)
 
 
-def open_backend(
-    store: TypeSource,
-    node_name: str,
-    namespace: str = "/",
-    domain: int | None = None,
-    *,
-    remap: Mapping[str, str] | None = None,
-    environment: Mapping[str, str] | None = None,
-    options: Mapping[str, object] | None = None,
-) -> DdsBackend:
-    """Join a ROS 2 graph; arguments and errors as for :func:`rosplc.ros.open_backend`; no options."""
-    return DdsBackend(
-        store, node_name, namespace, domain, remap or {}, os.environ if environment is None else environment
-    )
+open_backend = Opener(DdsBackend)
+"""Connect to a ROS 2 graph; arguments and errors as for :func:`rosplc.ros.open_backend`; no options."""

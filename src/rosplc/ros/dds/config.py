@@ -13,6 +13,7 @@ from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 from rosplc.errors import BackendError
+from rosplc.ros._base import domain_number
 
 __all__ = ["MAX_DOMAIN", "check_peers", "domain_config", "domain_id", "receive_buffer"]
 
@@ -42,18 +43,12 @@ _RANGES = ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT")
 
 
 def domain_id(domain: int | None, environment: Mapping[str, str]) -> int:
-    """Return the domain to join: the given one, else ``ROS_DOMAIN_ID``, else 0.
+    """Return the domain: the given one, else ``ROS_DOMAIN_ID``, else 0.
 
     Raises:
         BackendError: ROS010 if it is no number from 0 to 232.
     """
-    source = "ros.domain" if domain is not None else "ROS_DOMAIN_ID"
-    text = str(domain) if domain is not None else environment.get("ROS_DOMAIN_ID") or "0"
-    if not text.isascii() or not text.isdigit() or len(text) > 9 or int(text) > MAX_DOMAIN:
-        raise BackendError(
-            "ROS010", f"{source} is {text[:80]!r}; it is a number from 0 to {MAX_DOMAIN}", where=source
-        )
-    return int(text)
+    return domain_number(domain, environment, MAX_DOMAIN) or 0
 
 
 def receive_buffer() -> int:

@@ -7,15 +7,14 @@ from __future__ import annotations
 
 import logging
 import sys
-import threading
-import time
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Any
 
 from cyclonedds._clayer import ddspy_take, ddspy_write, ddspy_write_ts
 
-from rosplc.errors import BackendError
-from rosplc.ros.backend import EndpointStatus, OnMessage, Qos
+from rosplc.clock import Clock
+from rosplc.ros._base import BaseEndpoint, BasePublisher, BaseSubscription
+from rosplc.ros.backend import OnMessage, Qos
 from rosplc.ros.dds import native
 from rosplc.ros.dds.config import receive_buffer
 from rosplc.ros.dds.idl import dds_topic
@@ -26,98 +25,83 @@ __all__ = ["DdsPublisher", "DdsSubscription"]
 _logger = logging.getLogger("rosplc.ros.dds")
 
 _BATCH = 256  # messages taken from one reader before the others get their turn
-_PADDING = (b"", b"\0", b"\0\0", b"\0\0\0")
 
 Diagnose = Callable[["DdsSubscription | DdsPublisher"], tuple[str, str]]
 """Returns code and words for what keeps peers from matching an endpoint."""
 
-Closed = Callable[["DdsSubscription | DdsPublisher"], None]
 
-
-class _Endpoint:
+class _Endpoint(BaseEndpoint):
     """What both directions have in common.
 
     Args:
-        entity: The wheel's reader or writer.
         topic: The absolute ROS topic name.
         type_name: The ROS type name.
-        type_hash: The ROS type hash; empty on Humble.
         qos: The settings.
-        diagnose: Asked for the reason in :meth:`status`.
         on_close: Called once, before the entity is deleted.
+        clock: Time.
+        entity: The wheel's reader or writer.
+        type_hash: The ROS type hash; empty on Humble.
+        diagnose: Asked for the reason in :meth:`status`.
     """
 
-    direction: Literal["in", "out"]
+    logger = _logger
 
     def __init__(
         self,
-        entity: Any,
         topic: str,
         type_name: str,
-        type_hash: str,
         qos: Qos,
+        on_close: Callable[[Any], None],
+        clock: Clock,
+        entity: Any,
+        type_hash: str,
         diagnose: Diagnose,
-        on_close: Closed,
     ) -> None:
-        self.topic = topic
-        self.type_name = type_name
+        super().__init__(topic, type_name, qos, on_close, clock)
         self.type_hash = type_hash
-        self.qos = qos
         self.guid: bytes = entity.guid.bytes
         self._entity = entity
         self._ref: int = entity._ref
         self._diagnose = diagnose
-        self._on_close = on_close
-        self._lock = threading.RLock()  # re-entrant: on_message may close its own subscription
-        self._closed = False
-        self._messages = 0
-        self._last_ns = 0
 
-    @property
-    def matched(self) -> int:
-        """Peers that exchange messages with this endpoint."""
-        return 0 if self._closed else native.matched_count(self._ref, of_reader=self.direction == "in")
+    def _matched(self) -> int:
+        return native.matched_count(self._ref, of_reader=self.direction == "in")
+
+    def _problem(self) -> tuple[str, str]:
+        return self._diagnose(self)  # type: ignore[arg-type]
 
     def _late(self) -> int:
-        """Times that the deadline passed without a message; 0 if there is none."""
         if not self.qos.deadline_ns:
             return 0
         return native.deadlines_missed(self._ref, of_reader=self.direction == "in")
 
     def matched_handles(self) -> frozenset[int]:
         """Instance handles of the matched peers."""
-        if self._closed:
+        if self.closed:
             return frozenset()
         return native.matched_handles(self._ref, of_reader=self.direction == "in")
 
     def close(self) -> None:
         """Delete the entity; closing twice is harmless."""
-        with self._lock:
-            if self._closed:
-                return
-            self._closed = True
-        self._on_close(self)  # type: ignore[arg-type]
-        native.delete(self._entity)
+        if not self.closed:
+            super().close()
+            native.delete(self._entity)
 
 
-class DdsSubscription(_Endpoint):
+class DdsSubscription(_Endpoint, BaseSubscription):
     """A DDS reader of one topic; see :class:`rosplc.ros.backend.Subscription`."""
 
-    direction: Literal["in"] = "in"
-
     def __init__(self, on_message: OnMessage, *arguments: Any) -> None:
-        super().__init__(*arguments)
+        _Endpoint.__init__(self, *arguments)
         self._on_message = on_message
-        self._failed = 0
-        self._refused = 0
         self.strangers: frozenset[int] = frozenset()  # set by the backend as peers come and go
-        self._dropped_before = library_log().dropped(dds_topic(self.topic))
+        self._refused_strangers = 0
+        self._unfit_before = library_log().dropped(dds_topic(self.topic))
         self.condition = 0  # set by the backend when the receive thread watches the reader
 
-    @property
-    def matched(self) -> int:
+    def _matched(self) -> int:
         """Publishers whose messages are delivered; with a lease, those that show that they live."""
-        matched = len(self.matched_handles() - self.strangers) if self.strangers else super().matched
+        matched = len(self.matched_handles() - self.strangers) if self.strangers else super()._matched()
         if matched and self.qos.lease_ns:
             # Its strangers may be among those alive: at most as many as match.
             return min(matched, native.alive_count(self._ref))
@@ -130,81 +114,44 @@ class DdsSubscription(_Endpoint):
         decode, with values in the wrong fields, so they are refused and counted.
         """
         with self._lock:
-            if self._closed:
+            if self.closed:
                 return
             samples = ddspy_take(self._ref, native.ANY_STATE, _BATCH)
             if samples.__class__ is int:
                 _logger.error("%s: taking messages failed: %s", self.topic, native.refusal("take", samples))
                 return
-            on_message, strangers = self._on_message, self.strangers
-            count = 0
+            strangers = self.strangers
             for payload, info in samples:
                 if not info.valid_data:  # a peer has gone: no message
                     continue
                 if strangers and info.publication_handle in strangers:
-                    self._refused += 1
+                    self._refused_strangers += 1
                     continue
-                count += 1
-                try:
-                    on_message(payload, info.source_timestamp)
-                except Exception:
-                    self._failed += 1
-                    if self._failed == 1:
-                        _logger.exception("%s: the receiver of its messages failed", self.topic)
-                if self._closed:  # by on_message
-                    break
-            if count:
-                self._messages += count
-                self._last_ns = time.time_ns()
+                self._deliver(payload, info.source_timestamp)
+                if self.closed:  # by on_message
+                    return
 
-    def status(self) -> EndpointStatus:
-        """Return the present state."""
-        if self._closed:
-            return EndpointStatus(
-                self.topic,
-                self.type_name,
-                "in",
-                0,
-                self._messages,
-                0,
-                0,
-                self._failed,
-                self._last_ns,
-                "closed",
-                "ROS009",
-            )
+    def _losses(self) -> int:
+        return native.sample_lost(self._ref) + native.sample_rejected(self._ref)
+
+    def _problem(self) -> tuple[str, str]:
         log = library_log()
         log.drain()
-        rejected = log.dropped(dds_topic(self.topic)) - self._dropped_before + self._refused
-        code, reason = self._diagnose(self)
-        if rejected and not reason:
+        self._rejected = log.dropped(dds_topic(self.topic)) - self._unfit_before + self._refused_strangers
+        code, reason = super()._problem()
+        if self._rejected and not reason:
             code = "ROS003"
-            reason = f"{rejected} messages on {self.topic} do not fit {self.type_name} as it is defined here"
-        return EndpointStatus(
-            self.topic,
-            self.type_name,
-            "in",
-            self.matched,
-            self._messages,
-            native.sample_lost(self._ref) + native.sample_rejected(self._ref),
-            rejected,
-            self._failed,
-            self._last_ns,
-            reason,
-            code,
-            self._late(),
-        )
+            reason = (
+                f"{self._rejected} messages on {self.topic} do not fit {self.type_name} as it is defined here"
+            )
+        return code, reason
 
 
-class DdsPublisher(_Endpoint):
+class DdsPublisher(_Endpoint, BasePublisher):
     """A DDS writer of one topic; see :class:`rosplc.ros.backend.Publisher`."""
-
-    direction: Literal["out"] = "out"
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
-        self._dropped = 0
-        self._rejected = 0
         self._large = receive_buffer() or sys.maxsize
 
     def _warn_large(self, size: int) -> None:
@@ -220,49 +167,22 @@ class DdsPublisher(_Endpoint):
 
     def write(self, payload: bytes, stamp_ns: int | None = None) -> bool:
         """Send one message; see :meth:`rosplc.ros.backend.Publisher.write`."""
-        size = len(payload)
-        # The C layer looks at the header without asking whether there is one.
-        if size < 4 or payload[0] != 0 or payload[1] > 1:
-            raise self._refused("it has no header of plain CDR")
-        if size > self._large:
-            self._warn_large(size)
-        if size & 3:
-            payload = bytes(payload) + _PADDING[-size & 3]
+        data = self._checked(payload)  # the C layer would not ask whether there is a header
+        if len(data) > self._large:
+            self._warn_large(len(data))
         with self._lock:
-            if self._closed:
-                raise BackendError("ROS009", f"the publisher of {self.topic} is closed")
-            if stamp_ns is None:
-                code = ddspy_write(self._ref, payload)
-            else:
-                code = ddspy_write_ts(self._ref, payload, stamp_ns)
+            if self.closed:
+                raise self._closed()
+            code = (
+                ddspy_write(self._ref, data)
+                if stamp_ns is None
+                else ddspy_write_ts(self._ref, data, stamp_ns)
+            )
             if code >= 0:
                 self._messages += 1
-                self._last_ns = time.time_ns()
+                self._last_ns = self._clock.time_ns()
                 return True
             if code == native.RETCODE_TIMEOUT:
                 self._dropped += 1
                 return False
-        raise self._refused(f"its {size} bytes do not fit {self.type_name}")
-
-    def _refused(self, why: str) -> BackendError:
-        with self._lock:
-            self._rejected += 1
-        return BackendError("ROS008", f"a message was not sent on {self.topic}: {why}")
-
-    def status(self) -> EndpointStatus:
-        """Return the present state."""
-        code, reason = ("ROS009", "closed") if self._closed else self._diagnose(self)
-        return EndpointStatus(
-            self.topic,
-            self.type_name,
-            "out",
-            self.matched,
-            self._messages,
-            self._dropped,
-            self._rejected,
-            0,
-            self._last_ns,
-            reason,
-            code,
-            0 if self._closed else self._late(),
-        )
+        raise self._refusal(f"its {len(payload)} bytes do not fit {self.type_name}")

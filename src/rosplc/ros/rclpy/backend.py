@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
-import threading
-import time
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, Literal
@@ -14,18 +11,19 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.exceptions import InvalidHandle
 from rclpy.subscription import Subscription as NativeSubscription
 
+from rosplc.clock import SYSTEM, Clock
 from rosplc.errors import BackendError, RosplcError
-from rosplc.ros.backend import EndpointInfo, EndpointStatus, GraphInfo, OnMessage, Qos, TypeSource
-from rosplc.ros.names import join, resolve_topic, validate_namespace, validate_node_name
+from rosplc.ros._base import BaseNode, Context, Opener, check_ros, domain_number, graph_info, listed
+from rosplc.ros.backend import EndpointInfo, GraphInfo, OnMessage, Qos, TypeSource
+from rosplc.ros.names import join, validate_namespace, validate_node_name
 from rosplc.ros.rclpy.endpoint import RclpyPublisher, RclpySubscription
 from rosplc.ros.rclpy.events import create
 from rosplc.ros.rclpy.messages import MessageClasses
-from rosplc.ros.rclpy.options import domain_of, read_options
+from rosplc.ros.rclpy.options import read_options
 from rosplc.ros.rclpy.parameters import show
 from rosplc.ros.rclpy.peers import Peer, explain, read_peers
 from rosplc.ros.rclpy.qos import profile
 from rosplc.ros.rclpy.spin import OwnNode, guard_takes
-from rosplc.ros.words import Said, listed
 
 __all__ = ["RclpyBackend", "from_node", "open_backend"]
 
@@ -37,7 +35,7 @@ _GIVES_STAMPS = hasattr(NativeSubscription, "CallbackType")  # since ROS 2 Iron
 RclpyEndpoint = RclpySubscription | RclpyPublisher
 
 
-class RclpyBackend:
+class RclpyBackend(BaseNode):
     """One node of rclpy; see :class:`rosplc.ros.backend.Backend`.
 
     Made by :func:`open_backend`, with a node and a thread of its own, or by :func:`from_node`, on a
@@ -53,25 +51,19 @@ class RclpyBackend:
     name = "rclpy"
     capabilities = frozenset({"topics"})
 
-    def __init__(self, node: Any, store: TypeSource, remap: Mapping[str, str]) -> None:
-        _refuse_ros1(store)
+    logger = _logger
+
+    def __init__(self, node: Any, store: TypeSource, remap: Mapping[str, str], clock: Clock = SYSTEM) -> None:
+        super().__init__(Context(store, node.get_name(), node.get_namespace(), remap=remap, clock=clock))
         self._node = node
         self._own: OwnNode | None = None
-        self._store = store
-        self._remap = dict(remap)
         self._classes = MessageClasses(store)
-        self._namespace: str = node.get_namespace()
-        self._node_name: str = node.get_name()
-        self.node = join(self._namespace, self._node_name)
         self.domain: int = node.context.get_domain_id()
         # All callbacks in one group: one at a time, whatever executor spins the node.
         self._group = MutuallyExclusiveCallbackGroup()
-        self._lock = threading.RLock()
-        self._closed = False
         self._lost = False
         self._endpoints: list[RclpyEndpoint] = []
         self._short: dict[RclpyEndpoint, int] = {}
-        self._said = Said()
         self._guarded: Any = None  # the executor whose takes are
 
     # -- endpoints
@@ -86,10 +78,10 @@ class RclpyBackend:
 
     def subscribe(self, topic: str, type_name: str, qos: Qos, on_message: OnMessage) -> RclpySubscription:
         """Receive a topic; see :meth:`rosplc.ros.backend.Backend.subscribe`."""
-        full, name, kind = self._names(topic, type_name)
-        native = profile(qos)
+        full, name = self._resolve(topic, type_name)
+        kind, native = self._classes[name], profile(qos)
         subscription = RclpySubscription(
-            on_message, self._fitting, full, name, qos, native, self._diagnose, self._forget
+            on_message, self._fitting, full, name, qos, self._forget, self._clock, native, self._diagnose
         )
         callback = subscription.receive if _GIVES_STAMPS else subscription.receive_plain
         make = partial(
@@ -100,24 +92,16 @@ class RclpyBackend:
 
     def advertise(self, topic: str, type_name: str, qos: Qos) -> RclpyPublisher:
         """Send a topic; see :meth:`rosplc.ros.backend.Backend.advertise`."""
-        full, name, kind = self._names(topic, type_name)
-        native = profile(qos)
-        publisher = RclpyPublisher(full, name, qos, native, self._diagnose, self._forget)
+        full, name = self._resolve(topic, type_name)
+        kind, native = self._classes[name], profile(qos)
+        publisher = RclpyPublisher(full, name, qos, self._forget, self._clock, native, self._diagnose)
         make = partial(self._node.create_publisher, kind, full, native, callback_group=self._group)
         self._open(publisher, make)
         return publisher
 
-    def _names(self, topic: str, type_name: str) -> tuple[str, str, Any]:
-        if self._closed:
-            raise BackendError("ROS009", f"node {self.node} has left the graph")
-        full = resolve_topic(topic, namespace=self._namespace, node_name=self._node_name, remap=self._remap)
-        name = self._store[type_name].name
-        return full, name, self._classes[name]
-
     def _open(self, endpoint: RclpyEndpoint, make: Callable[..., Any]) -> None:
         with self._lock:
-            if self._closed:
-                raise BackendError("ROS009", f"node {self.node} has left the graph")
+            self._usable()
             try:
                 if (executor := self._node.executor) is not None and executor is not self._guarded:
                     self._guarded = executor
@@ -190,7 +174,7 @@ class RclpyBackend:
             with self._lock:
                 self._short.pop(endpoint, None)
             return "", ""
-        now = time.monotonic_ns()
+        now = self._clock.monotonic_ns()
         with self._lock:
             since = self._short.setdefault(endpoint, now)
         if now - since < _SETTLE_NS:
@@ -206,17 +190,14 @@ class RclpyBackend:
             return
         code, reason = self._diagnose(endpoint)
         with self._lock:
-            if not code or not self._said.first((endpoint.topic, reason)):
+            if not code or not self._logged.first((endpoint.topic, reason)):
                 return
         _logger.warning("%s [%s]", reason, code)
 
     # -- looking at it
 
-    def status(self) -> tuple[EndpointStatus, ...]:
-        """Return the state of all endpoints."""
-        with self._lock:
-            endpoints = list(self._endpoints)
-        return tuple(endpoint.status() for endpoint in endpoints)
+    def _endpoints_now(self) -> list[RclpyEndpoint]:
+        return list(self._endpoints)
 
     def graph(self) -> GraphInfo:
         """Return what is seen of the other nodes."""
@@ -234,14 +215,9 @@ class RclpyBackend:
         except RuntimeError as error:  # InvalidHandle too: closed at this moment
             _logger.debug("the graph could not be read: %s", error)
             return GraphInfo()
-        topics: dict[str, set[str]] = {}
-        for peer in found:
-            topics.setdefault(peer.topic, set()).add(peer.type_name)
-        infos = (EndpointInfo(p.topic, p.type_name, p.direction, p.node, p.qos, p.type_hash) for p in found)
-        return GraphInfo(
-            tuple(sorted({join(namespace, name) for name, namespace in names} - {self.node})),
-            tuple(sorted(infos, key=lambda info: (info.topic, info.direction, info.node))),
-            {topic: tuple(sorted(kinds)) for topic, kinds in sorted(topics.items())},
+        return graph_info(
+            {join(namespace, name) for name, namespace in names} - {self.node},
+            (EndpointInfo(p.topic, p.type_name, p.direction, p.node, p.qos, p.type_hash) for p in found),
         )
 
     def lose(self) -> None:
@@ -271,13 +247,6 @@ def _destroy(destroy: Callable[[Any], bool], entity: Any) -> None:
         _logger.debug("destroying an entity failed", exc_info=True)
 
 
-def _refuse_ros1(store: TypeSource) -> None:
-    if store.distro == "noetic":
-        raise BackendError(
-            "ROS001", "the rclpy backend speaks ROS 2; noetic is ROS 1", remedy="Set ros.distro."
-        )
-
-
 def refusal(what: str, error: Exception) -> BackendError:
     """Return ROS002 for whatever rclpy raised."""
     return BackendError("ROS002", f"{what}: {str(error).strip() or type(error).__name__}")
@@ -297,33 +266,16 @@ def from_node(node: Any, store: TypeSource, *, remap: Mapping[str, str] | None =
     return RclpyBackend(node, store, remap or {})
 
 
-def open_backend(
-    store: TypeSource,
-    node_name: str,
-    namespace: str = "/",
-    domain: int | None = None,
-    *,
-    remap: Mapping[str, str] | None = None,
-    environment: Mapping[str, str] | None = None,
-    options: Mapping[str, object] | None = None,
-) -> RclpyBackend:
-    """Join a ROS 2 graph with a context, a node and a thread of its own.
-
-    Arguments and errors are those of :func:`rosplc.ros.open_backend`. ``environment`` serves for
-    ``ROS_DOMAIN_ID`` alone: everything else (RMW_IMPLEMENTATION, ROS_SECURITY_*, discovery) the
-    middleware reads from the process. ``options`` are described in
-    :class:`rosplc.ros.rclpy.options.Options`.
-    """
-    _refuse_ros1(store)
-    chosen = read_options(options or {})
-    validate_node_name(node_name)
-    validate_namespace(namespace)
-    number = domain_of(domain, os.environ if environment is None else environment)
+def _open(context: Context) -> RclpyBackend:
+    check_ros("rclpy", context.store)
+    chosen = read_options(context.options)
+    name, namespace = validate_node_name(context.node_name), validate_namespace(context.namespace)
+    number = domain_number(context.domain, context.environment)
     try:
-        own = OwnNode(node_name, namespace, number, chosen.ros_args)
+        own = OwnNode(name, namespace, number, chosen.ros_args)
     except Exception as error:
-        raise refusal(f"cannot join the graph as {join(namespace, node_name)}", error) from error
-    backend = RclpyBackend(own.node, store, remap or {})
+        raise refusal(f"cannot join the graph as {join(namespace, name)}", error) from error
+    backend = RclpyBackend(own.node, context.store, context.remap, context.clock)
     backend.adopt(own)
     try:
         show(own.node, chosen.parameters)
@@ -332,3 +284,12 @@ def open_backend(
         raise
     own.start(backend.lose)
     return backend
+
+
+open_backend = Opener(_open)
+"""Connect to a ROS 2 graph with a context, a node and a thread of its own.
+
+Arguments and errors are those of :func:`rosplc.ros.open_backend`. ``environment`` serves for
+``ROS_DOMAIN_ID`` alone: everything else (RMW_IMPLEMENTATION, ROS_SECURITY_*, discovery) the
+middleware reads from the process. ``options`` are described in :class:`rosplc.ros.rclpy.options.Options`.
+"""

@@ -1,4 +1,4 @@
-"""What the configuration may say under ``ros.rclpy``, and the ROS domain."""
+"""What the configuration may say under ``ros.rclpy``."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from rosplc.errors import BackendError
 
-__all__ = ["Options", "domain_of", "read_options"]
+__all__ = ["Options", "read_options"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,19 +46,3 @@ def read_options(options: Mapping[str, object]) -> Options:
 
 def _is_shown(value: object) -> bool:
     return isinstance(value, str) or (isinstance(value, list) and all(isinstance(one, str) for one in value))
-
-
-def domain_of(domain: int | None, environment: Mapping[str, str]) -> int | None:
-    """Return the ROS domain, or None to leave the choice to rcl.
-
-    Raises:
-        BackendError: ROS010, ``ROS_DOMAIN_ID`` is no number.
-    """
-    text = environment.get("ROS_DOMAIN_ID") or ""
-    if domain is not None or not text:
-        return domain
-    if not text.isascii() or not text.isdigit() or len(text) > 9:
-        raise BackendError(
-            "ROS010", f"ROS_DOMAIN_ID is {text[:80]!r}; it is a number from 0 up", where="ROS_DOMAIN_ID"
-        )
-    return int(text)

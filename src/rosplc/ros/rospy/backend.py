@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import os
 import threading
-import time
-from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from rosplc.errors import BackendError
-from rosplc.ros.backend import EndpointInfo, EndpointStatus, GraphInfo, OnMessage, Qos, TypeSource
-from rosplc.ros.names import join, resolve_topic, validate_namespace, validate_node_name
+from rosplc.ros._base import BaseNode, Context, Opener, graph_info, listed
+from rosplc.ros.backend import EndpointInfo, GraphInfo, OnMessage, Qos
 from rosplc.ros.rospy.address import read_address
 from rosplc.ros.rospy.handshake import ANY, ros2_name
 from rosplc.ros.rospy.inbound import Incoming, RospySubscription
 from rosplc.ros.rospy.keeper import Endpoint, Keeper, Key
 from rosplc.ros.rospy.outbound import Outgoing, RospyPublisher
 from rosplc.ros.rospy.slave import Servers
-from rosplc.ros.words import Said, listed
 
 __all__ = ["RospyBackend", "open_backend"]
 
@@ -29,7 +26,7 @@ _CONNECTING = 16  # connections that are being made at once
 _SETTLE_NS = 5_000_000_000  # a subscriber that is not there by then cannot reach us
 
 
-class RospyBackend:
+class RospyBackend(BaseNode):
     """One ROS 1 node; see :class:`rosplc.ros.backend.Backend`.
 
     Attributes:
@@ -42,34 +39,17 @@ class RospyBackend:
     name = "rospy"
     capabilities = frozenset({"topics"})
 
-    def __init__(
-        self,
-        store: TypeSource,
-        node_name: str,
-        namespace: str,
-        remap: Mapping[str, str],
-        environment: Mapping[str, str],
-    ) -> None:
-        if store.distro != "noetic":
-            raise BackendError(
-                "ROS001",
-                f"the rospy backend speaks ROS 1; {store.distro or 'this type store'} is ROS 2",
-                remedy="Set ros.distro to noetic.",
-            )
-        self._namespace = validate_namespace(namespace)
-        self._node_name = validate_node_name(node_name)
-        self.node = join(namespace, node_name)
-        self._remap = dict(remap)
-        self._store = store
-        self._lock = threading.RLock()
+    logger = _logger
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(context, ros1=True)
+        environment = context.environment
         self._turn = threading.RLock()
         self._connecting = threading.BoundedSemaphore(_CONNECTING)
-        self._closed = False
         self._ended = ""
         self._endpoints: dict[Key, Endpoint] = {}
         self._handles: dict[int, RospySubscription | RospyPublisher] = {}
         self._missed: dict[tuple[str, str], int] = {}
-        self._said = Said()
         self._keeper: Keeper | None = None
         address = read_address(environment)
         try:
@@ -91,7 +71,9 @@ class RospyBackend:
         """
         with self._lock:
             incoming: Incoming = self._endpoint("in", topic, type_name)
-            subscription = RospySubscription(incoming, qos, on_message, self._diagnose, self._forget)
+            subscription = RospySubscription(
+                incoming, qos, on_message, self._diagnose, self._forget, self._clock
+            )
             incoming.add(subscription)
             self._handles[id(subscription)] = subscription
         self._wake()
@@ -101,16 +83,14 @@ class RospyBackend:
         """Send a topic; raises as :meth:`subscribe` does."""
         with self._lock:
             outgoing: Outgoing = self._endpoint("out", topic, type_name)
-            publisher = RospyPublisher(outgoing, qos, self._diagnose, self._forget, self._usable)
+            publisher = RospyPublisher(outgoing, qos, self._diagnose, self._forget, self._usable, self._clock)
             outgoing.add(publisher)
             self._handles[id(publisher)] = publisher
         self._wake()
         return publisher
 
     def _endpoint(self, direction: str, topic: str, type_name: str) -> Any:
-        self._usable()
-        full = resolve_topic(topic, namespace=self._namespace, node_name=self._node_name, remap=self._remap)
-        name = self._store[type_name].name
+        full, name = self._resolve(topic, type_name)
         known = self._endpoints.get((direction, full))
         if known is not None:
             if known.type_name != name:
@@ -123,7 +103,7 @@ class RospyBackend:
         identity = (self.node, full, name, self._store.md5(name), self._store.definition_text(name))
         made: Endpoint
         if direction == "in":
-            made = Incoming(*identity, self._turn, self._connecting, self._wake)
+            made = Incoming(*identity, self._turn, self._connecting, self._wake, self._clock)
         else:
             made = Outgoing(*identity, self._wake)
         self._endpoints[direction, full] = made
@@ -149,8 +129,7 @@ class RospyBackend:
             self._wake()
 
     def _usable(self) -> None:
-        if self._closed:
-            raise BackendError("ROS009", f"node {self.node} has left the graph")
+        super()._usable()
         if self._ended:
             raise BackendError("ROS015", self._ended)
 
@@ -232,7 +211,7 @@ class RospyBackend:
             code = max(code for code, _ in found)
             reason = listed(sorted(text for _, text in found))
             # ROS014 is said by the keeper, once for all topics.
-            if code and code != "ROS014" and self._said.first((endpoint.topic, reason)):
+            if code and code != "ROS014" and self._logged.first((endpoint.topic, reason)):
                 _logger.warning("%s [%s]", reason, code)
             return code, reason
         if endpoint.matched():
@@ -252,7 +231,7 @@ class RospyBackend:
         found = [wrong for _, wrong in list(outgoing.strangers.values())]
         named = keeper.state.subscribers.get(outgoing.topic, frozenset())
         absent = named - outgoing.subscribers() - set(outgoing.strangers)
-        now = time.monotonic_ns()
+        now = self._clock.monotonic_ns()
         for node in sorted(absent):
             since = self._missed.setdefault((outgoing.topic, node), now)
             text = f"node {node} subscribes to {outgoing.topic}, not connected yet"
@@ -266,11 +245,8 @@ class RospyBackend:
 
     # -- looking at it
 
-    def status(self) -> tuple[EndpointStatus, ...]:
-        """Return the state of all endpoints."""
-        with self._lock:
-            handles = list(self._handles.values())
-        return tuple(handle.status() for handle in handles)
+    def _endpoints_now(self) -> list[RospySubscription | RospyPublisher]:
+        return list(self._handles.values())
 
     def graph(self) -> GraphInfo:
         """Return what the master said of the other nodes, a second ago at most.
@@ -287,7 +263,6 @@ class RospyBackend:
             if link.latching
         }
         seen = []
-        topics: dict[str, tuple[str, ...]] = {}
         for direction, table in (("in", state.subscribers), ("out", state.publishers)):
             for topic, nodes in table.items():
                 kind = ros2_name(state.types.get(topic, ANY))
@@ -295,12 +270,9 @@ class RospyBackend:
                     durable = direction == "out" and (topic, node) in latching
                     qos = Qos(durability="transient_local" if durable else "volatile", depth=1)
                     seen.append(EndpointInfo(topic, kind, "in" if direction == "in" else "out", node, qos))
-                    topics[topic] = () if kind == ANY else (kind,)
-        return GraphInfo(
-            tuple(sorted(state.nodes - {self.node})),
-            tuple(sorted(seen, key=lambda info: (info.topic, info.direction, info.node))),
-            dict(sorted(topics.items())),
-        )
+        found = graph_info(state.nodes - {self.node}, seen)
+        told = {topic: tuple(kind for kind in kinds if kind != ANY) for topic, kinds in found.topics.items()}
+        return replace(found, topics=told)
 
     def close(self) -> None:
         """Leave the graph; see :meth:`rosplc.ros.backend.Backend.close`."""
@@ -322,21 +294,9 @@ class RospyBackend:
                 one.join()
 
 
-def open_backend(
-    store: TypeSource,
-    node_name: str,
-    namespace: str = "/",
-    domain: int | None = None,
-    *,
-    remap: Mapping[str, str] | None = None,
-    environment: Mapping[str, str] | None = None,
-    options: Mapping[str, object] | None = None,
-) -> RospyBackend:
-    """Join a ROS 1 graph; arguments and errors as for :func:`rosplc.ros.open_backend`.
+open_backend = Opener(RospyBackend)
+"""Connect to a ROS 1 graph; arguments and errors as for :func:`rosplc.ros.open_backend`.
 
-    ROS 1 has no domains: ``ROS_MASTER_URI`` tells which graph it is. There are no options. The call
-    returns at once, with or without a master; the node registers as soon as there is one.
-    """
-    return RospyBackend(
-        store, node_name, namespace, remap or {}, os.environ if environment is None else environment
-    )
+ROS 1 has no domains: ``ROS_MASTER_URI`` tells which graph it is. There are no options. The call
+returns at once, with or without a master; the node registers as soon as there is one.
+"""

@@ -9,11 +9,12 @@ from __future__ import annotations
 import logging
 import socket
 import threading
-import time
 from collections.abc import Callable
 from typing import Any
 
-from rosplc.ros.backend import EndpointStatus, OnMessage, Qos
+from rosplc.clock import SYSTEM, Clock
+from rosplc.ros._base import BaseSubscription
+from rosplc.ros.backend import OnMessage, Qos
 from rosplc.ros.rospy.debian import AnyMsg, TCPROSTransport, TransportError, TransportProtocol
 from rosplc.ros.rospy.handshake import (
     ANY,
@@ -214,7 +215,7 @@ class Link:
             if self._transport is not None:
                 self._transport.close()
             self.ended = True
-            self.retry_ns = time.monotonic_ns() + self._pause()
+            self.retry_ns = incoming.clock.monotonic_ns() + self._pause()
             incoming.changed()
 
     def _pause(self) -> int:
@@ -280,6 +281,7 @@ class Incoming:
         turn: Held while a message is handed over: one call at a time in the whole backend.
         connecting: Bounds how many connections are being made at once.
         changed: Called when a connection comes or goes.
+        clock: Time.
     """
 
     direction = "in"
@@ -294,7 +296,9 @@ class Incoming:
         turn: threading.RLock,
         connecting: threading.Semaphore,
         changed: Callable[[], None],
+        clock: Clock = SYSTEM,
     ) -> None:
+        self.clock = clock
         self.caller = caller
         self.topic = topic
         self.type_name = type_name
@@ -320,7 +324,7 @@ class Incoming:
 
     def update(self) -> None:
         """Connect to every publisher that the master names, and leave those that it no longer names."""
-        now = time.monotonic_ns()
+        now = self.clock.monotonic_ns()
         named = dict.fromkeys(self.publishers)
         with self._lock:
             gone = [link for uri, link in self._links.items() if uri not in named and not link.connected]
@@ -343,7 +347,7 @@ class Incoming:
 
     def deliver(self, batch: list[bytes]) -> None:
         """Hand messages to the subscriptions; called by the connections' threads."""
-        stamp_ns = time.time_ns()
+        stamp_ns = self.clock.time_ns()
         with self._turn:
             for subscription in self.subscriptions:
                 subscription.receive(batch, stamp_ns)
@@ -370,10 +374,10 @@ class Incoming:
         return links
 
 
-class RospySubscription:
+class RospySubscription(BaseSubscription):
     """A topic that is being received; see :class:`rosplc.ros.backend.Subscription`."""
 
-    direction = "in"
+    logger = _logger
 
     def __init__(
         self,
@@ -382,21 +386,18 @@ class RospySubscription:
         on_message: OnMessage,
         diagnose: Callable[[Incoming], tuple[str, str]],
         forget: Callable[[RospySubscription], None],
+        clock: Clock = SYSTEM,
     ) -> None:
-        self.topic = incoming.topic
-        self.type_name = incoming.type_name
-        self.qos = qos
+        super().__init__(incoming.topic, incoming.type_name, qos, forget, clock)
         self.incoming = incoming
         self._on_message = on_message
         self._diagnose = diagnose
-        self._forget = forget
-        self._closed = False
-        self._messages = self._dropped = self._failed = self._last_ns = 0
 
-    @property
-    def matched(self) -> int:
-        """Publishers that this subscription receives from."""
-        return 0 if self._closed else self.incoming.matched()
+    def _matched(self) -> int:
+        return self.incoming.matched()
+
+    def _problem(self) -> tuple[str, str]:
+        return self._diagnose(self.incoming)
 
     def receive(self, batch: list[bytes], stamp_ns: int) -> None:
         """Take messages that arrived together; the backend's turn is held."""
@@ -405,36 +406,6 @@ class RospySubscription:
             self._dropped += late
             batch = batch[late:]
         for payload in batch:
-            if self._closed:
+            if self.closed:
                 return
-            self._messages += 1
-            self._last_ns = stamp_ns
-            try:
-                self._on_message(payload, stamp_ns)
-            except Exception:
-                if not self._failed:
-                    _logger.exception("receiving %s failed; further failures are only counted", self.topic)
-                self._failed += 1
-
-    def status(self) -> EndpointStatus:
-        """Return the present state."""
-        code, reason = ("", "closed") if self._closed else self._diagnose(self.incoming)
-        return EndpointStatus(
-            self.topic,
-            self.type_name,
-            "in",
-            matched=self.matched,
-            messages=self._messages,
-            dropped=self._dropped,
-            failed=self._failed,
-            last_ns=self._last_ns,
-            reason=reason,
-            code=code,
-        )
-
-    def close(self) -> None:
-        """Stop receiving; see :meth:`rosplc.ros.backend.Subscription.close`."""
-        if self._closed:
-            return
-        self._closed = True
-        self._forget(self)
+            self._deliver(payload, stamp_ns)

@@ -9,8 +9,9 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from rosplc.errors import BackendError
-from rosplc.ros.backend import EndpointStatus, Qos
+from rosplc.clock import SYSTEM, Clock
+from rosplc.ros._base import BasePublisher
+from rosplc.ros.backend import Qos
 from rosplc.ros.rospy.debian import QueuedConnection, TCPROSPub, TCPROSTransport
 from rosplc.ros.rospy.handshake import ANY, peer_type, write_header
 from rosplc.ros.rospy.inbound import raw_class
@@ -255,13 +256,11 @@ class Outgoing:
         return queues
 
 
-class RospyPublisher:
+class RospyPublisher(BasePublisher):
     """A topic that is being sent; see :class:`rosplc.ros.backend.Publisher`.
 
     ROS 1 carries no source stamp, so ``stamp_ns`` goes no further than the bridge.
     """
-
-    direction = "out"
 
     def __init__(
         self,
@@ -270,23 +269,20 @@ class RospyPublisher:
         diagnose: Callable[[Outgoing], tuple[str, str]],
         forget: Callable[[RospyPublisher], None],
         usable: Callable[[], None],
+        clock: Clock = SYSTEM,
     ) -> None:
-        self.topic = outgoing.topic
-        self.type_name = outgoing.type_name
-        self.qos = qos
+        super().__init__(outgoing.topic, outgoing.type_name, qos, forget, clock)
         self.outgoing = outgoing
         self._latch = qos.durability == "transient_local"
         self._diagnose = diagnose
-        self._forget = forget
         self._usable = usable
-        self._closed = False
         self._count = threading.Lock()
-        self._messages = self._dropped = self._last_ns = 0
 
-    @property
-    def matched(self) -> int:
-        """Subscribers that this publisher sends to."""
-        return 0 if self._closed else self.outgoing.matched()
+    def _matched(self) -> int:
+        return self.outgoing.matched()
+
+    def _problem(self) -> tuple[str, str]:
+        return self._diagnose(self.outgoing)
 
     def write(self, payload: bytes, stamp_ns: int | None = None) -> bool:
         """Send one message; see :meth:`rosplc.ros.backend.Publisher.write`.
@@ -298,35 +294,13 @@ class RospyPublisher:
         Raises:
             BackendError: ROS009 after close, ROS015 if the node was told to leave.
         """
-        if self._closed:
-            raise BackendError("ROS009", f"the publisher of {self.topic} is closed")
+        if self.closed:
+            raise self._closed()
         self._usable()
         lost = self.outgoing.send(bytes(payload), self._latch)
         with self._count:
             # With one subscriber, sent and dropped add up to what was written.
             self._messages += not lost
             self._dropped += lost
-            self._last_ns = time.time_ns()
+            self._last_ns = self._clock.time_ns()
         return not lost
-
-    def status(self) -> EndpointStatus:
-        """Return the present state."""
-        code, reason = ("", "closed") if self._closed else self._diagnose(self.outgoing)
-        return EndpointStatus(
-            self.topic,
-            self.type_name,
-            "out",
-            matched=self.matched,
-            messages=self._messages,
-            dropped=self._dropped,
-            last_ns=self._last_ns,
-            reason=reason,
-            code=code,
-        )
-
-    def close(self) -> None:
-        """Stop sending; closing twice is harmless."""
-        if self._closed:
-            return
-        self._closed = True
-        self._forget(self)

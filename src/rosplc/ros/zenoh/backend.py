@@ -4,21 +4,17 @@ from __future__ import annotations
 
 import itertools
 import logging
-import os
 import queue
 import threading
-import time
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 import zenoh
 
 from rosplc.errors import BackendError
-from rosplc.ros.backend import EndpointStatus, GraphInfo, OnMessage, Qos, TypeSource
-from rosplc.ros.names import resolve_topic, validate_namespace, validate_node_name
-from rosplc.ros.words import Said, listed
-from rosplc.ros.zenoh.config import domain_id, session_config
+from rosplc.ros._base import BaseNode, Context, Opener, domain_number, listed
+from rosplc.ros.backend import GraphInfo, OnMessage, Qos
+from rosplc.ros.zenoh.config import session_config
 from rosplc.ros.zenoh.endpoint import ZenohPublisher, ZenohSubscription
 from rosplc.ros.zenoh.graph import TokenTable, explain, fits
 from rosplc.ros.zenoh.keys import NO_TYPE_HASH
@@ -34,7 +30,7 @@ _TICK_S = 0.5  # how often the receive thread looks at what has no event of its 
 ZenohEndpoint = ZenohSubscription | ZenohPublisher
 
 
-class ZenohBackend:
+class ZenohBackend(BaseNode):
     """One ROS 2 node on Zenoh; see :class:`rosplc.ros.backend.Backend`.
 
     Attributes:
@@ -48,30 +44,13 @@ class ZenohBackend:
     name = "zenoh"
     capabilities = frozenset({"topics"})
 
-    def __init__(
-        self,
-        store: TypeSource,
-        node_name: str,
-        namespace: str,
-        domain: int | None,
-        remap: Mapping[str, str],
-        environment: Mapping[str, str],
-        options: Mapping[str, object],
-    ) -> None:
-        if store.distro == "noetic":
-            raise BackendError(
-                "ROS001", "the zenoh backend speaks ROS 2; noetic is ROS 1", remedy="Set ros.distro."
-            )
-        self._namespace = validate_namespace(namespace)
-        self._node_name = validate_node_name(node_name)
-        self.node = f"{namespace.rstrip('/')}/{node_name}"
-        self._remap = dict(remap)
-        self._store = store
-        self._hashes = store.distro != "humble"
-        self.domain = domain_id(domain, environment)
+    logger = _logger
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(context)
+        self._hashes = context.store.distro != "humble"
+        self.domain = domain_number(context.domain, context.environment) or 0
         self.tokens = TokenTable()
-        self._lock = threading.RLock()
-        self._closed = False
         self._session: Any = None
         self._session_id = ""
         self._declared: list[Any] = []
@@ -79,8 +58,7 @@ class ZenohBackend:
         self._numbers = itertools.count(1)
         self._arrived: queue.SimpleQueue[ZenohSubscription | None] = queue.SimpleQueue()
         self._suspects: set[str] = set()
-        self._said = Said()
-        self._link = Link(session_config(options, environment), self._join)
+        self._link = Link(session_config(context.options, context.environment), self._join)
         self._link.start()
         self._thread = threading.Thread(target=self._run, name=f"rosplc-zenoh-{self.domain}", daemon=True)
         self._thread.start()
@@ -128,7 +106,12 @@ class ZenohBackend:
             number, details = self._details(topic, type_name, qos)
             entity = self._entity("MS", str(number), *details)
             subscription = ZenohSubscription(
-                on_message, self._arrived.put, entity, self._diagnose, lambda _: self._forget(number)
+                on_message,
+                self._arrived.put,
+                entity,
+                self._diagnose,
+                lambda _: self._forget(number),
+                self._clock,
             )
             self._adopt(number, subscription)
         return subscription
@@ -138,15 +121,12 @@ class ZenohBackend:
         with self._lock:
             number, details = self._details(topic, type_name, qos)
             entity = self._entity("MP", str(number), *details)
-            publisher = ZenohPublisher(entity, self._diagnose, lambda _: self._forget(number))
+            publisher = ZenohPublisher(entity, self._diagnose, lambda _: self._forget(number), self._clock)
             self._adopt(number, publisher)
         return publisher
 
     def _details(self, topic: str, type_name: str, qos: Qos) -> tuple[int, tuple[Any, ...]]:
-        if self._closed:
-            raise BackendError("ROS009", f"node {self.node} has left the graph")
-        full = resolve_topic(topic, namespace=self._namespace, node_name=self._node_name, remap=self._remap)
-        name = self._store[type_name].name
+        full, name = self._resolve(topic, type_name)
         type_hash = self._store.type_hash(name) if self._hashes else NO_TYPE_HASH
         return next(self._numbers), (full, name, type_hash, qos)
 
@@ -167,7 +147,7 @@ class ZenohBackend:
     # -- receiving
 
     def _run(self) -> None:
-        next_tick = 0.0
+        next_tick = 0
         while True:
             try:
                 subscription = self._arrived.get(timeout=_TICK_S)
@@ -176,8 +156,8 @@ class ZenohBackend:
                 subscription.deliver()
             except queue.Empty:
                 pass
-            if (now := time.monotonic()) >= next_tick:
-                next_tick = now + _TICK_S
+            if (now := self._clock.monotonic_ns()) >= next_tick:
+                next_tick = now + round(_TICK_S * 1e9)
                 self._tick()
 
     def _tick(self) -> None:
@@ -196,7 +176,7 @@ class ZenohBackend:
             endpoints = [endpoint for endpoint in self._endpoints.values() if endpoint.topic in due]
         for endpoint in endpoints:
             for code, reason in self._problems(endpoint.entity, self._others(endpoint.entity)):
-                if self._said.first((endpoint.topic, reason)):
+                if self._logged.first((endpoint.topic, reason)):
                     _logger.warning("%s%s", reason, f" [{code}]" if code else "")
 
     # -- what is wrong
@@ -222,11 +202,8 @@ class ZenohBackend:
 
     # -- looking at it
 
-    def status(self) -> tuple[EndpointStatus, ...]:
-        """Return the state of all endpoints."""
-        with self._lock:
-            endpoints = list(self._endpoints.values())
-        return tuple(endpoint.status() for endpoint in endpoints)
+    def _endpoints_now(self) -> list[ZenohEndpoint]:
+        return list(self._endpoints.values())
 
     def graph(self) -> GraphInfo:
         """Return what is seen of the other nodes."""
@@ -248,30 +225,10 @@ class ZenohBackend:
         self.tokens.clear()
 
 
-def open_backend(
-    store: TypeSource,
-    node_name: str,
-    namespace: str = "/",
-    domain: int | None = None,
-    *,
-    remap: Mapping[str, str] | None = None,
-    environment: Mapping[str, str] | None = None,
-    options: Mapping[str, object] | None = None,
-) -> ZenohBackend:
-    """Join a ROS 2 graph over Zenoh; arguments and errors as for :func:`rosplc.ros.open_backend`.
+open_backend = Opener(ZenohBackend)
+"""Connect to a ROS 2 graph over Zenoh; arguments and errors as for :func:`rosplc.ros.open_backend`.
 
-    Options (``ros.zenoh``): ``mode`` (``peer`` or ``client``), ``connect`` and ``listen`` (lists
-    of endpoints such as ``tcp/192.168.1.10:7447``), ``config`` (a JSON5 file of Zenoh's).
-
-    Raises:
-        BackendError: ROS013 if an option is not valid, ROS010 if an environment variable is not.
-    """
-    return ZenohBackend(
-        store,
-        node_name,
-        namespace,
-        domain,
-        remap or {},
-        os.environ if environment is None else environment,
-        options or {},
-    )
+Options (``ros.zenoh``): ``mode`` (``peer`` or ``client``), ``connect`` and ``listen`` (lists
+of endpoints such as ``tcp/192.168.1.10:7447``), ``config`` (a JSON5 file of Zenoh's). ROS013 if an option is
+not valid, ROS010 if an environment variable is not.
+"""

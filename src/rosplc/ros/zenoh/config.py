@@ -16,7 +16,7 @@ import zenoh
 
 from rosplc.errors import BackendError
 
-__all__ = ["LARGEST_FILE", "OPTIONS", "SessionConfig", "domain_id", "session_config", "words"]
+__all__ = ["LARGEST_FILE", "OPTIONS", "SessionConfig", "session_config", "words"]
 
 LARGEST_FILE = 1 << 20
 """Bytes that a configuration of Zenoh's may have."""
@@ -67,19 +67,6 @@ class SessionConfig:
     config: Any
     mode: str
     endpoints: tuple[str, ...]
-
-
-def domain_id(domain: int | None, environment: Mapping[str, str]) -> int:
-    """Return the domain to join: the given one, else ``ROS_DOMAIN_ID``, else 0.
-
-    Raises:
-        BackendError: ROS010 if it is no number from 0 up.
-    """
-    source = "ros.domain" if domain is not None else "ROS_DOMAIN_ID"
-    text = str(domain) if domain is not None else environment.get("ROS_DOMAIN_ID") or "0"
-    if not text.isascii() or not text.isdigit() or len(text) > 9:
-        raise BackendError("ROS010", f"{source} is {text[:80]!r}; it is a number from 0 up", where=source)
-    return int(text)
 
 
 def session_config(options: Mapping[str, object], environment: Mapping[str, str]) -> SessionConfig:

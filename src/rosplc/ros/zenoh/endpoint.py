@@ -8,16 +8,16 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 from collections import OrderedDict, deque
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Any
 
 import zenoh
 import zenoh.ext
 
-from rosplc.errors import BackendError
-from rosplc.ros.backend import EndpointStatus, OnMessage, Qos
+from rosplc.clock import SYSTEM, Clock
+from rosplc.ros._base import BaseEndpoint, BasePublisher, BaseSubscription, is_cdr
+from rosplc.ros.backend import OnMessage
 from rosplc.ros.zenoh import attachment
 from rosplc.ros.zenoh.keys import topic_key
 from rosplc.ros.zenoh.tokens import Entity, gid_of
@@ -26,7 +26,6 @@ __all__ = ["ZenohPublisher", "ZenohSubscription"]
 
 _logger = logging.getLogger("rosplc.ros.zenoh")
 
-_PADDING = (b"", b"\0", b"\0\0", b"\0\0\0")
 _HEARTBEAT_S = 0.5  # as rmw_zenoh's reliable and transient_local publishers
 _SENDERS = 1024  # publishers whose sequence numbers a subscription remembers
 _MOST_LOST = 1 << 20  # a larger step in the sequence is no loss but nonsense, and counting begins anew
@@ -35,48 +34,40 @@ Diagnose = Callable[[Entity], tuple[int, str, str]]
 """Returns how many peers match an endpoint, and code and words for what keeps others from it."""
 
 
-class _Endpoint:
+class _Endpoint(BaseEndpoint):
     """What both directions have in common.
 
     Args:
         entity: What the endpoint's token says; the session's id is filled in by :meth:`declare`.
         diagnose: Asked by :meth:`status`.
         on_close: Called once, before the declarations are withdrawn.
+        clock: Time.
     """
 
-    direction: Literal["in", "out"]
+    logger = _logger
 
     def __init__(
-        self,
-        entity: Entity,
-        diagnose: Diagnose,
-        on_close: Callable[[ZenohSubscription | ZenohPublisher], None],
+        self, entity: Entity, diagnose: Diagnose, on_close: Callable[[Any], None], clock: Clock = SYSTEM
     ) -> None:
         assert entity.qos is not None
+        super().__init__(entity.topic, entity.type_name, entity.qos, on_close, clock)
         self.entity = entity
-        self.topic = entity.topic
-        self.type_name = entity.type_name
-        self.qos: Qos = entity.qos
         self._key = topic_key(entity.domain, entity.topic, entity.type_name, entity.type_hash)
         self._diagnose = diagnose
-        self._on_close = on_close
-        self._lock = threading.RLock()
-        self._closed = False
         self._declared: list[Any] = []  # in the order in which they are withdrawn
-        self._messages = 0
-        self._dropped = 0
-        self._rejected = 0
-        self._failed = 0
-        self._last_ns = 0
 
-    @property
-    def matched(self) -> int:
-        """Peers that exchange messages with this endpoint."""
-        return 0 if self._closed or not self._connected() else self._diagnose(self.entity)[0]
+    def _matched(self) -> int:
+        return self._diagnose(self.entity)[0] if self._connected() else 0
 
     def _connected(self) -> bool:
         """Return whether messages take their way, and not the tokens alone."""
         return True
+
+    def _problem(self) -> tuple[str, str]:
+        matched, code, reason = self._diagnose(self.entity)
+        if matched and not self._connected():
+            reason = reason or "Zenoh is about to connect"
+        return code, reason
 
     def declare(self, session: Any, entity: Entity) -> None:
         """Make the endpoint known, first to Zenoh and then to ROS: who sees its token can reach it."""
@@ -85,7 +76,7 @@ class _Endpoint:
         declared = self._declare(session)
         declared.insert(0, session.liveliness().declare_token(entity.token))
         with self._lock:
-            if not self._closed:
+            if not self.closed:
                 self._declared = declared
                 return
         self._withdraw(declared)
@@ -93,15 +84,12 @@ class _Endpoint:
     def _declare(self, session: Any) -> list[Any]:
         raise NotImplementedError
 
-    def _leave(self) -> bool:
+    def close(self) -> None:
+        """Withdraw the declarations; closing twice is harmless."""
+        super().close()
         with self._lock:
-            if self._closed:
-                return False
-            self._closed = True
             declared, self._declared = self._declared, []
-        self._on_close(self)  # type: ignore[arg-type]
         self._withdraw(declared)
-        return True
 
     def _withdraw(self, declared: list[Any]) -> None:
         for one in declared:
@@ -110,46 +98,23 @@ class _Endpoint:
             except zenoh.ZError as error:  # the session is gone already
                 _logger.debug("%s: %s", self.topic, error)
 
-    def status(self) -> EndpointStatus:
-        """Return the present state."""
-        matched, code, reason = (0, "ROS009", "closed") if self._closed else self._diagnose(self.entity)
-        if matched and not self._connected():
-            matched, reason = 0, reason or "Zenoh is about to connect"
-        if not reason and self._rejected and self.direction == "in":
-            reason = f"{self._rejected} messages on {self.topic} were none that a ROS 2 node sends"
-        return EndpointStatus(
-            self.topic,
-            self.type_name,
-            self.direction,
-            matched,
-            self._messages,
-            self._dropped,
-            self._rejected,
-            self._failed,
-            self._last_ns,
-            reason,
-            code,
-        )
-
 
 def _read(sample: Any) -> tuple[bytes, attachment.Attachment]:
     """Return payload and attachment; ValueError if no ROS 2 node would send such a sample."""
     if sample.kind != zenoh.SampleKind.PUT or sample.attachment is None:
         raise ValueError("it has no attachment, as every ROS message has")
     payload = sample.payload.to_bytes()
-    if len(payload) < 4 or payload[0] != 0 or payload[1] > 1:
+    if not is_cdr(payload):
         raise ValueError("it has no header of plain CDR")
     return payload, attachment.unpack(sample.attachment.to_bytes())
 
 
-class ZenohSubscription(_Endpoint):
+class ZenohSubscription(_Endpoint, BaseSubscription):
     """A topic being received; see :class:`rosplc.ros.backend.Subscription`.
 
     Threads of the library put messages into a queue of ``depth``, where the oldest give way; the
     backend's receive thread hands them over.
     """
-
-    direction: Literal["in"] = "in"
 
     def __init__(
         self, on_message: OnMessage, wake: Callable[[ZenohSubscription], None], *arguments: Any
@@ -180,10 +145,10 @@ class ZenohSubscription(_Endpoint):
         try:
             payload, (sequence, stamp_ns, gid) = _read(sample)
         except Exception as error:
-            self._refuse(error)
+            self.refuse(error)
             return
         with self._lock:
-            if self._closed:
+            if self.closed:
                 return
             self._count_missing(gid, sequence)
             self._waiting.append((payload, stamp_ns))
@@ -192,13 +157,6 @@ class ZenohSubscription(_Endpoint):
                 self._dropped += 1
                 return  # the receive thread knows of as many messages as wait
         self._wake(self)
-
-    def _refuse(self, error: Exception) -> None:
-        with self._lock:
-            self._rejected += 1
-            first = self._rejected == 1
-        level = logging.WARNING if first else logging.DEBUG
-        _logger.log(level, "%s: a message was refused: %s", self.topic, error)
 
     def _count_missing(self, gid: bytes, sequence: int) -> None:
         """Count what a publisher sent and did not arrive; the sender drops it where a link is full."""
@@ -216,33 +174,28 @@ class ZenohSubscription(_Endpoint):
         """Hand over one message; called by the receive thread alone."""
         with self._delivering:
             with self._lock:
-                if self._closed or not self._waiting:
+                if self.closed or not self._waiting:
                     return
-                payload, stamp_ns = self._waiting.popleft()
-            self._messages += 1
-            self._last_ns = time.time_ns()
-            try:
-                self._on_message(payload, stamp_ns)
-            except Exception:
-                self._failed += 1
-                if self._failed == 1:
-                    _logger.exception("%s: the receiver of its messages failed", self.topic)
+                message = self._waiting.popleft()
+            self._deliver(*message)
+
+    def _problem(self) -> tuple[str, str]:
+        code, reason = super()._problem()
+        return code, reason or self._refused()
 
     def close(self) -> None:
         """Stop receiving; after the return no callback runs or starts (unless called from it)."""
-        self._leave()
+        super().close()
         with self._delivering:
             self._waiting.clear()
 
 
-class ZenohPublisher(_Endpoint):
+class ZenohPublisher(_Endpoint, BasePublisher):
     """A topic being sent; see :class:`rosplc.ros.backend.Publisher`.
 
     Zenoh drops a message for a peer whose link is full and tells nobody: what ``dropped`` counts
     here is only what the library refused. The receiving side sees the gap in the numbers.
     """
-
-    direction: Literal["out"] = "out"
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
@@ -298,25 +251,17 @@ class ZenohPublisher(_Endpoint):
 
     def write(self, payload: bytes, stamp_ns: int | None = None) -> bool:
         """Send one message; see :meth:`rosplc.ros.backend.Publisher.write`."""
-        size = len(payload)
-        if size < 4 or payload[0] != 0 or payload[1] > 1:
-            with self._lock:
-                self._rejected += 1
-            raise BackendError(
-                "ROS008", f"a message was not sent on {self.topic}: it has no header of plain CDR"
-            )
-        if size & 3:
-            payload = bytes(payload) + _PADDING[-size & 3]
-        now = time.time_ns()
-        stamp_ns = now if stamp_ns is None else stamp_ns
+        data = self._checked(payload)
+        now = self._clock.time_ns()
+        message = (data, now if stamp_ns is None else stamp_ns)
         with self._lock:
-            if self._closed:
-                raise BackendError("ROS009", f"the publisher of {self.topic} is closed")
+            if self.closed:
+                raise self._closed()
             if self._zenoh is None:
-                self._early.append((payload, stamp_ns))
+                self._early.append(message)
             else:
                 try:
-                    self._put(payload, stamp_ns)
+                    self._put(*message)
                 except zenoh.ZError:
                     self._dropped += 1
                     return False
@@ -327,7 +272,3 @@ class ZenohPublisher(_Endpoint):
     def _put(self, payload: bytes, stamp_ns: int) -> None:
         self._sequence += 1
         self._zenoh.put(payload, attachment=attachment.pack(self._sequence, stamp_ns, self._gid))
-
-    def close(self) -> None:
-        """Stop sending; closing twice is harmless."""
-        self._leave()

@@ -11,6 +11,7 @@ import logging
 import threading
 from collections.abc import Iterator
 
+from rosplc.ros._base import graph_info
 from rosplc.ros.backend import EndpointInfo, GraphInfo, incompatibility
 from rosplc.ros.qos import Qos
 from rosplc.ros.zenoh.keys import NO_TYPE_HASH
@@ -89,15 +90,7 @@ class TokenTable:
         """Return the graph without the entities of one session, our own."""
         with self._lock:
             others = [entity for entity in self._entities.values() if entity.session != own]
-        topics: dict[str, set[str]] = {}
-        for entity in others:
-            if entity.topic:
-                topics.setdefault(entity.topic, set()).add(entity.type_name)
-        return GraphInfo(
-            tuple(sorted({entity.full_name for entity in others if entity.kind == "NN"})),
-            tuple(sorted(_infos(others), key=lambda info: (info.topic, info.direction, info.node))),
-            {topic: tuple(sorted(kinds)) for topic, kinds in sorted(topics.items())},
-        )
+        return graph_info((entity.full_name for entity in others if entity.kind == "NN"), _infos(others))
 
 
 def _infos(entities: list[Entity]) -> Iterator[EndpointInfo]:
