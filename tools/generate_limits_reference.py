@@ -69,9 +69,9 @@ Objects in shared memory:
     promise of a beat | shm.constants.MAX_BEAT_MS | ms | counts as that much
 ROS:
     name of a topic | ros.names.LONGEST_NAME | characters | ROS005
-    peers that a reason names | ros.words.MOST_REASONS | peers | the others are counted
-    text about one peer | ros.words.LONGEST_REASON | characters | cut off
-    different reasons in the log | ros.words.MOST_REMEMBERED | reasons | no more are logged
+    peers that a reason names | ros._base.MOST_REASONS | peers | the others are counted
+    text about one peer | ros._base.LONGEST_REASON | characters | cut off
+    different reasons in the log | ros._base.MOST_REMEMBERED | reasons | no more are logged
 ROS over DDS:
     name of a node in an announcement | ros.dds.discovery.LONGEST_NAME | bytes | refused
     nodes or endpoints that it may claim | ros.dds.discovery.MOST_CLAIMED | each | refused

@@ -14,9 +14,8 @@ from rosplc.errors import BackendError, MessageTypeError
 from rosplc.model import TypeStore
 from rosplc.ros.rospy import inbound, slave, wire
 from rosplc.ros.rospy.debian import encode_header
-from rosplc.ros.rospy.handshake import HandshakeError, peer_type, read_header, ros1_name, ros2_name
+from rosplc.ros.rospy.handshake import HandshakeError, mismatch, peer_type, read_header, ros1_name, ros2_name
 from rosplc.ros.rospy.master import Master, RefusedError, UnreachableError, call
-from rosplc.ros.rospy.reasons import mismatch
 from tests.fuzz.choices import Choices
 from tests.fuzz.oracle import refusals
 from tests.fuzz.scratch import emptied

@@ -11,9 +11,10 @@ import zenoh
 
 from rosplc.harmless import harmless
 from rosplc.ros.qos import Qos
-from rosplc.ros.zenoh import attachment, endpoint
+from rosplc.ros.zenoh import endpoint
+from rosplc.ros.zenoh import keys as attachment
 from rosplc.ros.zenoh.graph import TokenTable, explain, fits
-from rosplc.ros.zenoh.qos import decode_qos, encode_qos
+from rosplc.ros.zenoh.keys import decode_qos, encode_qos
 from rosplc.ros.zenoh.tokens import Entity, gid_of, parse_token
 from tests.fuzz.choices import Choices
 

@@ -397,3 +397,9 @@ def test_repetitions_fit_into_a_default_receive_buffer() -> None:
     domain = parsed({})
     assert domain.findtext("Internal/BurstSize/MaxRexmit") == "64KiB"
     assert domain.findtext("Internal/MaxQueuedRexmitBytes") == "16MB"
+
+
+def test_nodes_find_the_bridge_soon_after_an_outage() -> None:
+    """A node that gave the bridge up during an outage waits for its next announcement."""
+    for reach in ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT"):
+        assert parsed({"ROS_AUTOMATIC_DISCOVERY_RANGE": reach}).findtext("Discovery/SPDPInterval") == "2s"

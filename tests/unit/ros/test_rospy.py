@@ -24,9 +24,9 @@ if not Path("/usr/lib/python3/dist-packages/rospy/__init__.py").exists():
 from rosplc.ros.rospy import handshake  # noqa: E402
 from rosplc.ros.rospy.address import read_address  # noqa: E402
 from rosplc.ros.rospy.debian import find  # noqa: E402
+from rosplc.ros.rospy.handshake import mismatch  # noqa: E402
 from rosplc.ros.rospy.inbound import Incoming, RospySubscription, raw_class  # noqa: E402
 from rosplc.ros.rospy.master import Master  # noqa: E402
-from rosplc.ros.rospy.reasons import mismatch  # noqa: E402
 
 NOETIC = TypeStore.bundled("noetic")
 STRING = "std_msgs/msg/String"

@@ -11,7 +11,7 @@ pytest.importorskip("zenoh", reason="no wheel of eclipse-zenoh for this machine"
 import zenoh
 
 from rosplc.ros import Qos
-from rosplc.ros.zenoh import attachment
+from rosplc.ros.zenoh import keys as attachment
 from rosplc.ros.zenoh.endpoint import ZenohSubscription
 from rosplc.ros.zenoh.tokens import Entity
 

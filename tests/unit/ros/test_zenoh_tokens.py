@@ -11,10 +11,9 @@ from zenoh_ros2_sdk.keyexpr import topic_keyexpr
 from zenoh_ros2_sdk.qos import QosProfile
 
 from rosplc.ros import LATCHED, SENSOR_DATA, Qos
-from rosplc.ros.zenoh import attachment
+from rosplc.ros.zenoh import keys as attachment
 from rosplc.ros.zenoh.graph import TokenTable
-from rosplc.ros.zenoh.keys import dds_type_name, ros_type_name, topic_key
-from rosplc.ros.zenoh.qos import decode_qos, encode_qos
+from rosplc.ros.zenoh.keys import dds_type_name, decode_qos, encode_qos, ros_type_name, topic_key
 from rosplc.ros.zenoh.tokens import Entity, gid_of, parse_token
 
 STRING = "std_msgs/msg/String"

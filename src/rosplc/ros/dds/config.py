@@ -39,6 +39,10 @@ _REPETITION = (
     '<HeartbeatInterval max="100ms">20ms</HeartbeatInterval></Internal>'
 )
 
+# Cyclone's own is 8 s: so long a Fast DDS node takes to find a bridge again whose network was down for longer
+# than the lease of 10 s.
+_ANNOUNCING = "<SPDPInterval>2s</SPDPInterval>"
+
 _RANGES = ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT")
 
 
@@ -120,7 +124,7 @@ def domain_config(environment: Mapping[str, str], distro: str, extra: str = "") 
     own = (
         '<CycloneDDS><Domain id="any">'
         + (f"<General>{general}</General>" if general else "")
-        + (f"<Discovery>{discovery}</Discovery>" if discovery else "")
+        + f"<Discovery>{discovery}{_ANNOUNCING}</Discovery>"
         + f"{_COMPATIBILITY}{_REPETITION}{extra}</Domain></CycloneDDS>"
     )
     users = environment.get("CYCLONEDDS_URI", "").strip()

@@ -16,14 +16,11 @@ from rosplc.errors import BackendError, RosplcError
 from rosplc.ros._base import BaseNode, Context, Opener, check_ros, domain_number, graph_info, listed
 from rosplc.ros.backend import EndpointInfo, GraphInfo, OnMessage, Qos, TypeSource
 from rosplc.ros.names import join, validate_namespace, validate_node_name
-from rosplc.ros.rclpy.endpoint import RclpyPublisher, RclpySubscription
-from rosplc.ros.rclpy.events import create
+from rosplc.ros.rclpy.endpoint import RclpyPublisher, RclpySubscription, create
 from rosplc.ros.rclpy.messages import MessageClasses
-from rosplc.ros.rclpy.options import read_options
 from rosplc.ros.rclpy.parameters import show
-from rosplc.ros.rclpy.peers import Peer, explain, read_peers
-from rosplc.ros.rclpy.qos import profile
-from rosplc.ros.rclpy.spin import OwnNode, guard_takes
+from rosplc.ros.rclpy.peers import Peer, explain, profile, read_peers
+from rosplc.ros.rclpy.spin import OwnNode, guard_takes, read_options
 
 __all__ = ["RclpyBackend", "from_node", "open_backend"]
 
@@ -291,5 +288,5 @@ open_backend = Opener(_open)
 
 Arguments and errors are those of :func:`rosplc.ros.open_backend`. ``environment`` serves for
 ``ROS_DOMAIN_ID`` alone: everything else (RMW_IMPLEMENTATION, ROS_SECURITY_*, discovery) the
-middleware reads from the process. ``options`` are described in :class:`rosplc.ros.rclpy.options.Options`.
+middleware reads from the process. ``options`` are described in :class:`rosplc.ros.rclpy.spin.Options`.
 """

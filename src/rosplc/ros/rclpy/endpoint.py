@@ -1,12 +1,15 @@
-"""The bridge's own endpoints on rclpy: bytes in, bytes out, and how they fare.
+"""The bridge's own endpoints on rclpy: bytes in, bytes out, how they fare, and the middleware's events.
 
-The hot paths are :meth:`RclpySubscription.receive` and :meth:`RclpyPublisher.write`.
+The hot paths are :meth:`RclpySubscription.receive` and :meth:`RclpyPublisher.write`. Which events there are
+depends on the version of rclpy and on the middleware, and one that is not supported keeps an endpoint from
+being created. So the events are asked for from many to few.
 """
 
 from __future__ import annotations
 
+import inspect
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from rclpy.exceptions import InvalidHandle
@@ -16,7 +19,7 @@ from rosplc.errors import BackendError
 from rosplc.ros._base import BaseEndpoint, BasePublisher, BaseSubscription, is_cdr
 from rosplc.ros.backend import OnMessage, Qos
 
-__all__ = ["RclpyPublisher", "RclpySubscription"]
+__all__ = ["RclpyPublisher", "RclpySubscription", "create"]
 
 _BATCH = 64  # messages taken from one subscription before the others get their turn
 
@@ -166,3 +169,61 @@ class RclpyPublisher(_Endpoint, BasePublisher):
             self._messages += 1
             self._last_ns = self._clock.time_ns()
         return True
+
+
+try:
+    from rclpy.event_handler import (
+        PublisherEventCallbacks,
+        SubscriptionEventCallbacks,
+        UnsupportedEventTypeError,
+    )
+except ImportError:  # ROS 2 Humble
+    from rclpy.qos_event import (
+        PublisherEventCallbacks,
+        SubscriptionEventCallbacks,
+        UnsupportedEventTypeError,
+    )
+
+
+Endpoint = RclpySubscription | RclpyPublisher
+
+_SETS = (
+    ("incompatible_qos", "incompatible_type", "message_lost"),
+    ("incompatible_qos", "incompatible_type"),
+    (),
+)
+
+
+def create(make: Callable[..., Any], endpoint: Endpoint, look: Callable[[Endpoint], None]) -> Any:
+    """Create an entity with as many events as the middleware supports.
+
+    Args:
+        make: ``create_subscription`` or ``create_publisher`` with all but ``event_callbacks``.
+        endpoint: Whose entity it is.
+        look: Called when a peer does not fit.
+
+    Raises:
+        Exception: Whatever rclpy raises.
+    """
+    for callbacks in _callbacks(endpoint, look):
+        try:
+            return make(event_callbacks=callbacks)
+        except UnsupportedEventTypeError:
+            continue
+    raise AssertionError("an endpoint without events needs no support")
+
+
+def _callbacks(endpoint: Endpoint, look: Callable[[Endpoint], None]) -> Iterator[Any]:
+    def misfit(_event: Any) -> None:
+        look(endpoint)
+
+    def lost(event: Any) -> None:
+        endpoint.lost = event.total_count
+
+    incoming = endpoint.direction == "in"
+    kind = SubscriptionEventCallbacks if incoming else PublisherEventCallbacks
+    known = inspect.signature(kind.__init__).parameters
+    handlers = {"incompatible_qos": misfit, "incompatible_type": misfit, "message_lost": lost}
+    for names in _SETS:
+        # Without the default callbacks: they log through rcl what is said better in the status.
+        yield kind(use_default_callbacks=False, **{name: handlers[name] for name in names if name in known})

@@ -1,4 +1,4 @@
-"""Connection headers (http://wiki.ros.org/ROS/Connection%20Header), read with bounds.
+"""Connection headers (http://wiki.ros.org/ROS/Connection%20Header), read with bounds, and compared.
 
 rospy's own reader believes the announced length, up to 4 GiB, and waits for it without end.
 """
@@ -16,6 +16,7 @@ __all__ = [
     "MOST_HEADER",
     "HandshakeError",
     "connect",
+    "mismatch",
     "peer_type",
     "read_header",
     "ros1_name",
@@ -106,3 +107,25 @@ def ros2_name(name: str) -> str:
 def peer_type(fields: Mapping[str, str]) -> tuple[str, str]:
     """Return type (``package/msg/Name``) and MD5 sum of a header; ``*`` where it does not say."""
     return ros2_name(fields.get("type") or ANY)[:256], (fields.get("md5sum") or ANY)[:64]
+
+
+def mismatch(
+    node: str, verb: str, topic: str, theirs: tuple[str, str], ours: tuple[str, str]
+) -> tuple[str, str] | None:
+    """Return code and words if two types are not the same; None if they are.
+
+    Args:
+        node: The peer's full name.
+        verb: ``publishes`` or ``subscribes to``.
+        topic: The topic.
+        theirs: The peer's type name and MD5 sum; ``*`` stands for any.
+        ours: Ours.
+    """
+    (name, md5), (own_name, own_md5) = theirs, ours
+    does = f"node {node} {verb} {topic} as {name}"
+    if name not in (ANY, own_name):
+        return "ROS003", f"{does}, here it is {own_name}"
+    if md5 not in (ANY, own_md5):
+        does = does if name != ANY else f"node {node} {verb} {topic}"
+        return "ROS003", f"{does} with another definition (md5 {md5} there, {own_md5} here)"
+    return None

@@ -20,13 +20,13 @@ from rosplc.ros.rospy.handshake import (
     ANY,
     HandshakeError,
     connect,
+    mismatch,
     peer_type,
     read_header,
     ros1_name,
     write_header,
 )
 from rosplc.ros.rospy.master import RefusedError, UnreachableError, call, proxy
-from rosplc.ros.rospy.reasons import mismatch
 
 __all__ = [
     "LARGEST_MESSAGE",

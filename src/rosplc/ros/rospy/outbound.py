@@ -13,9 +13,8 @@ from rosplc.clock import SYSTEM, Clock
 from rosplc.ros._base import BasePublisher
 from rosplc.ros.backend import Qos
 from rosplc.ros.rospy.debian import QueuedConnection, TCPROSPub, TCPROSTransport
-from rosplc.ros.rospy.handshake import ANY, peer_type, write_header
+from rosplc.ros.rospy.handshake import ANY, mismatch, peer_type, write_header
 from rosplc.ros.rospy.inbound import raw_class
-from rosplc.ros.rospy.reasons import mismatch
 
 __all__ = ["Outgoing", "RospyPublisher"]
 

@@ -18,8 +18,7 @@ import zenoh.ext
 from rosplc.clock import SYSTEM, Clock
 from rosplc.ros._base import BaseEndpoint, BasePublisher, BaseSubscription, is_cdr
 from rosplc.ros.backend import OnMessage
-from rosplc.ros.zenoh import attachment
-from rosplc.ros.zenoh.keys import topic_key
+from rosplc.ros.zenoh.keys import Attachment, pack, topic_key, unpack
 from rosplc.ros.zenoh.tokens import Entity, gid_of
 
 __all__ = ["ZenohPublisher", "ZenohSubscription"]
@@ -99,14 +98,14 @@ class _Endpoint(BaseEndpoint):
                 _logger.debug("%s: %s", self.topic, error)
 
 
-def _read(sample: Any) -> tuple[bytes, attachment.Attachment]:
+def _read(sample: Any) -> tuple[bytes, Attachment]:
     """Return payload and attachment; ValueError if no ROS 2 node would send such a sample."""
     if sample.kind != zenoh.SampleKind.PUT or sample.attachment is None:
         raise ValueError("it has no attachment, as every ROS message has")
     payload = sample.payload.to_bytes()
     if not is_cdr(payload):
         raise ValueError("it has no header of plain CDR")
-    return payload, attachment.unpack(sample.attachment.to_bytes())
+    return payload, unpack(sample.attachment.to_bytes())
 
 
 class ZenohSubscription(_Endpoint, BaseSubscription):
@@ -271,4 +270,4 @@ class ZenohPublisher(_Endpoint, BasePublisher):
 
     def _put(self, payload: bytes, stamp_ns: int) -> None:
         self._sequence += 1
-        self._zenoh.put(payload, attachment=attachment.pack(self._sequence, stamp_ns, self._gid))
+        self._zenoh.put(payload, attachment=pack(self._sequence, stamp_ns, self._gid))

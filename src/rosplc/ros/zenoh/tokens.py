@@ -17,8 +17,15 @@ import xxhash
 from rosplc.errors import BackendError
 from rosplc.ros.names import join, validate_namespace, validate_node_name, validate_topic
 from rosplc.ros.qos import Qos
-from rosplc.ros.zenoh.keys import NO_TYPE_HASH, dds_type_name, demangle, mangle, ros_type_name
-from rosplc.ros.zenoh.qos import decode_qos, encode_qos
+from rosplc.ros.zenoh.keys import (
+    NO_TYPE_HASH,
+    dds_type_name,
+    decode_qos,
+    demangle,
+    encode_qos,
+    mangle,
+    ros_type_name,
+)
 
 __all__ = ["LONGEST_TOKEN", "Entity", "Kind", "gid_of", "parse_token", "tokens_of_domain"]
 
