@@ -19,7 +19,7 @@ from xml.etree import ElementTree
 from rosplc.layout import Layout
 from rosplc.plc.delivery import project_files
 from rosplc.plc.names import is_reserved
-from rosplc.plc.project import Dut, Gvl, PlcProject, Pou, Variable
+from rosplc.plc.project import Dut, Enumeration, Gvl, Item, PlcProject, Pou, Variable
 from rosplc.plc.st_text import declaration, object_text
 
 __all__ = ["check_project", "tokens"]
@@ -67,7 +67,7 @@ def check_project(project: PlcProject, layouts: list[Layout]) -> None:
         assert not path.startswith("/")
         assert len(path) < 240
         assert all(part.isascii() and part.isprintable() for part in parts), path
-    for item in _objects(project):
+    for item in project.items:
         _check_names(item)
         _check_text(item)
     _check_xml(delivered["rosplc.xml"], project)
@@ -85,27 +85,24 @@ def _generated_part(project: PlcProject) -> PlcProject:
     )
 
 
-def _objects(project: PlcProject) -> list[Dut | Gvl | Pou]:
-    return [*project.duts, *project.gvls, *project.pous]
-
-
 def _written_by_hand(name: str) -> bool:
     return name.startswith("RosPlc_") and name not in ("RosPlc_Settings", "RosPlc_Header_2")
 
 
-def _variables(item: Dut | Gvl | Pou) -> Sequence[Variable]:
+def _variables(item: Item) -> Sequence[Variable]:
     if isinstance(item, Dut):
         return item.members
+    assert not isinstance(item, Enumeration)  # the only one is written by hand
     return [variable for block in item.blocks for variable in block.variables]
 
 
-def _check_names(item: Dut | Gvl | Pou) -> None:
+def _check_names(item: Item) -> None:
     names = [item.name, *(variable.name for variable in _variables(item))]
     assert all(_IDENTIFIER.match(name) and not is_reserved(name) for name in names), names
     assert len({name.upper() for name in names[1:]}) == len(names) - 1, names
 
 
-def _check_text(item: Dut | Gvl | Pou) -> None:
+def _check_text(item: Item) -> None:
     """Each variable is one statement of the declaration, and nothing else is a structure's begin or end."""
     text = object_text(item)
     assert text.isascii()
@@ -117,10 +114,10 @@ def _check_text(item: Dut | Gvl | Pou) -> None:
         ends = words.count("END_VAR")
         assert words == ["VAR_GLOBAL", "END_VAR"] * ends
         assert ends == sum(1 for block in item.blocks if block.variables)
-    else:
+    elif isinstance(item, Pou):
         assert words.count(f"END_{item.kind}") == 1
         assert words.count("END_METHOD") == words.count("METHOD") == len(item.methods)
-    if isinstance(item, Pou):
+    if not isinstance(item, Dut | Gvl):
         return
     assert [statement[:2] for statement in _statements(item)] == [
         [("word", variable.name), ("sign", ":")] for variable in _variables(item)
@@ -152,7 +149,7 @@ def _check_xml(data: bytes, project: PlcProject) -> None:
     ]
     assert [element.get("name") for element in root.iter(f"{space}pou")] == [p.name for p in project.pous]
     texts = {element.text or "" for element in root.iter("{http://www.w3.org/1999/xhtml}xhtml")}
-    for item in _objects(project):
+    for item in project.items:
         assert declaration(item) in texts, item.name
 
 
@@ -162,7 +159,7 @@ def _program() -> str:
 
 
 def _check_script(text: str, project: PlcProject) -> None:
-    """Behind the program stand five statements: four lists of literals, and its start."""
+    """Behind the program are six statements: five lists of literals, and its start."""
     assert text.startswith(_program())
     *lists, start = ast.parse(text.removeprefix(_program())).body
     assert ast.unparse(start) == "main()"
@@ -170,10 +167,10 @@ def _check_script(text: str, project: PlcProject) -> None:
     for statement in lists:
         assert isinstance(statement, ast.Assign)
         values[ast.unparse(statement.targets[0])] = ast.literal_eval(statement.value)
-    assert list(values) == ["LIBRARIES", "NOTES", "TASKS", "OBJECTS"]
+    assert list(values) == ["PROGRAMS", "LIBRARIES", "NOTES", "TASKS", "OBJECTS"]
     assert values["NOTES"] == list(project.notes)
     assert [task["name"] for task in values["TASKS"]] == [task.name for task in project.tasks]
-    items = _objects(project)
+    items = project.items
     assert [one["name"] for one in values["OBJECTS"]] == [item.name for item in items]
     assert [one["declaration"] for one in values["OBJECTS"]] == [declaration(item) for item in items]
 
