@@ -1,8 +1,8 @@
 """The running bridge: opens everything or nothing, carries, looks after itself, leaves cleanly.
 
 Threads: the backend's own call :class:`~rosplc.bridge.stream.ToPlc`; one carrier for each kind of port and
-direction serves the ports; the keeper beats and looks after the objects; the observer asks the ROS side and
-reports. An error in one topic stops no other, and a ROS side that hangs stops no beat.
+direction serves the ports; the heartbeat's looks after the objects too; the reporter's asks the ROS side and
+publishes diagnostics. An error in one topic stops no other, and a ROS side that hangs stops no beat.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ import threading
 from collections.abc import Callable, Collection
 from contextlib import ExitStack
 
+from rosplc.bridge.background import Heartbeat, Reporter
 from rosplc.bridge.carrier import Carriers
 from rosplc.bridge.diagnostics import Diagnostics
-from rosplc.bridge.keeper import Keeper, Observer
 from rosplc.bridge.leftovers import check_names, retire_leftovers
 from rosplc.bridge.port import Context, log
 from rosplc.bridge.realtime import Realtime, contention
@@ -79,7 +79,7 @@ class Bridge:
         self._refused = ""
         self._open = ExitStack()
         self._realtime = Realtime(self.config)
-        self._keeper: Keeper | None = None
+        self._heartbeat: Heartbeat | None = None
         self._warnings: tuple[str, ...] = ()
         self._started_ns = 0
         self._file_seen = self._file_state()
@@ -129,7 +129,7 @@ class Bridge:
             debounce_ns=settings.diagnostics.debounce_ns,
             clock=self._clock,
         )
-        keeper = self._keeper = Keeper(settings.beat_ns, self.beat, self.check, self._clock)
+        heartbeat = self._heartbeat = Heartbeat(settings.beat_ns, self.beat, self.check, self._clock)
         check_names(self.project)
         if self.backend is None:
             self.backend, self._choice = self._ros.open(self._types)
@@ -153,12 +153,12 @@ class Bridge:
             publish = diagnostics.publish
         stack.callback(carriers.stop)
         carriers.replace((), self._streams)
-        keeper.start()
-        stack.callback(keeper.stop)
+        heartbeat.start()
+        stack.callback(heartbeat.stop)
         self._realtime.rest()
-        observer = Observer(settings.diagnostics.period_ns, self.ask, self.status, publish, self._clock)
-        observer.start()
-        stack.callback(observer.stop)
+        reporter = Reporter(settings.diagnostics.period_ns, self.ask, self.status, publish, self._clock)
+        reporter.start()
+        stack.callback(reporter.stop)
 
     def _close_backend(self) -> None:
         if self._owns_backend and self.backend is not None:
@@ -309,17 +309,17 @@ class Bridge:
         Args:
             longest_ns: How long a round may take; several seconds.
         """
-        carriers, keeper, now = self._carriers, self._keeper, self._clock.monotonic_ns()
-        if not self._started_ns or carriers is None or keeper is None:
+        carriers, heartbeat, now = self._carriers, self._heartbeat, self._clock.monotonic_ns()
+        if not self._started_ns or carriers is None or heartbeat is None:
             return "it is not started"
-        if now - keeper.turned_ns > longest_ns:
-            return f"the thread that beats stands still for {(now - keeper.turned_ns) / 1e9:.0f} s"
+        if now - heartbeat.turned_ns > longest_ns:
+            return f"the thread that beats stands still for {(now - heartbeat.turned_ns) / 1e9:.0f} s"
         since = min(carriers.turned_ns, carriers.busy_since_ns or now)
         if now - since > longest_ns:
             return f"the thread that carries towards ROS stands still for {(now - since) / 1e9:.0f} s"
         return ""
 
-    # -- the work of keeper and observer, on their threads
+    # -- the work of heartbeat and reporter, on their threads
 
     def beat(self) -> None:
         """Beat on all lines."""

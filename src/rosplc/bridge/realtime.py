@@ -1,8 +1,8 @@
 """Real-time settings of a bridge: priority and processors of its threads, locked memory, garbage collection.
 
 A thread inherits policy and processors from the one that starts it. So the thread that starts a bridge
-takes them itself, starts the backend, the pump and the keeper, and puts them down again before it starts
-the observer: whatever threads a middleware makes for itself are reached without knowing them.
+takes them itself, starts the backend, the carriers and the heartbeat, and puts them down again before it
+starts the reporter: whatever threads a middleware makes for itself are reached without knowing them.
 """
 
 from __future__ import annotations

@@ -264,8 +264,8 @@ class DiagnosticsSettings(_Section):
 class RealtimeSettings(_Section):
     """Real-time scheduling of the bridge's threads; without it the bridge is an ordinary process.
 
-    It holds for the threads that carry messages and beat: the pump, the keeper and the ROS side's own; not
-    for the observer, which asks and reports.
+    It holds for the threads that carry messages and beat: the carriers, the heartbeat and the ROS side's
+    own; not for the reporter, which asks ROS and publishes diagnostics.
     """
 
     policy: Literal["fifo"] | None = _f(

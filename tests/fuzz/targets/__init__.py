@@ -14,10 +14,6 @@ __all__ = ["TARGETS", "Entry", "Target", "load", "missing"]
 _DEBIAN = (Path("/opt/ros/noetic/lib/python3/dist-packages"), Path("/usr/lib/python3/dist-packages"))
 _DDS = ("cyclonedds", "the wheel cyclonedds is missing")
 _ZENOH = ("zenoh", "the wheel eclipse-zenoh is missing")
-_CONFIGURATION = (
-    "classic_plan", "config", "depth", "problems", "quantities", "resolve", "ros_side", "settings",
-    "stale_plan", "yaml_source",
-)  # fmt: skip
 
 
 class Target(Protocol):
@@ -59,7 +55,7 @@ TARGETS: dict[str, Entry] = {
     "configuration": Entry(
         "`rosplc.yaml`: YAML, settings, types, layouts, the words of `rosplc check`, the PLC project",
         "configuration",
-        tuple(f"rosplc.bridge.{part}" for part in _CONFIGURATION),
+        ("rosplc.config", "rosplc.bridge.ros_side"),
     ),
     "object": Entry(
         "objects in shared memory: headers, self-descriptions and slots, read by every tool that reads them",

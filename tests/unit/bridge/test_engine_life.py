@@ -208,7 +208,7 @@ def test_an_object_that_cannot_be_made_is_tried_again(
 def test_an_object_reopened_during_its_check_is_no_problem(
     cell: Cell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The carrier may open an object again while the keeper looks after it; no error stays behind."""
+    """The carrier may open an object again while the heartbeat looks after it; no error stays behind."""
     clock = SteppedClock()
     bridge = cell.start(f"  /out: {{type: {INT}, to: ros}}\n", clock=clock)
     (stream,) = bridge._streams
@@ -380,7 +380,7 @@ def test_the_bridge_beats_while_ros_hangs(cell: Cell, monkeypatch: pytest.Monkey
         outgoing.write({"data": 1})
         repeat_until(lambda: clock.advance(0.5), writing.is_set)  # it waits for a subscriber first
         clock.advance(1)
-        assert asked.wait(100)  # the observer hangs too
+        assert asked.wait(100)  # the reporter hangs too
         before = outgoing.attached.snapshot().readers[0].beat
         repeat_until(
             lambda: clock.advance(0.02), lambda: outgoing.attached.snapshot().readers[0].beat >= before + 3

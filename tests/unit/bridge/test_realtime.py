@@ -81,12 +81,12 @@ def policies() -> dict[str, tuple[int, int]]:
 
 @needs_fifo
 def test_what_carries_and_beats_has_the_priority(shm_namespace: Namespace) -> None:
-    """Pump and keeper have it; the observer and the program's own thread do not; after the end nobody has."""
+    """Carrier and heartbeat have it, reporter and main thread do not; after the end none has."""
     with Bridge(config(shm_namespace, **FIFO)):
         found = policies()
-        for name in ("rosplc-to-ros", "rosplc-keeper"):
+        for name in ("rosplc-to-ros", "rosplc-heartbeat"):
             assert found[name] == (os.SCHED_FIFO, 3)
-        for name in ("rosplc-observer", "MainThread"):
+        for name in ("rosplc-reporter", "MainThread"):
             assert found[name][0] == os.SCHED_OTHER
     assert policies()["MainThread"][0] == os.SCHED_OTHER
 
@@ -130,8 +130,8 @@ def test_processors(shm_namespace: Namespace) -> None:
     one = min(before)
     with Bridge(config(shm_namespace, affinity=[one])):
         threads = {thread.name: thread.native_id for thread in threading.enumerate()}
-        assert os.sched_getaffinity(threads["rosplc-keeper"] or 0) == {one}
-        assert os.sched_getaffinity(threads["rosplc-observer"] or 0) == before
+        assert os.sched_getaffinity(threads["rosplc-heartbeat"] or 0) == {one}
+        assert os.sched_getaffinity(threads["rosplc-reporter"] or 0) == before
         assert os.sched_getaffinity(0) == before
 
 

@@ -10,7 +10,7 @@ from rosplc.bridge.status import BridgeStatus
 from rosplc.clock import Clock
 from rosplc.errors import RosplcError
 
-__all__ = ["Keeper", "Observer"]
+__all__ = ["Heartbeat", "Reporter"]
 
 _CHECK_NS = 1_000_000_000
 _PATIENCE_S = 5.0
@@ -49,7 +49,7 @@ class _Thread:
             log.exception("%s failed", what)
 
 
-class Keeper(_Thread):
+class Heartbeat(_Thread):
     """Beats, and checks once a second.
 
     Args:
@@ -65,7 +65,7 @@ class Keeper(_Thread):
     def __init__(
         self, beat_ns: int, beat: Callable[[], None], check: Callable[[int], None], clock: Clock
     ) -> None:
-        super().__init__("rosplc-keeper", clock)
+        super().__init__("rosplc-heartbeat", clock)
         self._beat_ns = beat_ns
         self._beat, self._check = beat, check
         self.turned_ns = clock.monotonic_ns()
@@ -84,7 +84,7 @@ class Keeper(_Thread):
             self._clock.wait(self._wake, min(beat_at, check_at) - self._clock.monotonic_ns())
 
 
-class Observer(_Thread):
+class Reporter(_Thread):
     """Asks the ROS side once a second, and publishes the status.
 
     Args:
@@ -103,7 +103,7 @@ class Observer(_Thread):
         publish: Callable[[BridgeStatus], None] | None,
         clock: Clock,
     ) -> None:
-        super().__init__("rosplc-observer", clock)
+        super().__init__("rosplc-reporter", clock)
         self._period_ns = period_ns
         self._ask, self._status, self._publish = ask, status, publish
 
