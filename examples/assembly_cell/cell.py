@@ -14,9 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from examples.assembly_cell.world import PLACING, REMOVING
-from rosplc.demo.child import Child
-from rosplc.demo.cleanup import remove_objects
 from rosplc.demo.domain import FreeDomain
+from rosplc.demo.processes import Child, remove_objects
 from rosplc.errors import SetupError
 
 __all__ = ["FAULTS", "Cell", "Result"]

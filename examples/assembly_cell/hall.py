@@ -15,7 +15,7 @@ from typing import Any
 from examples.assembly_cell.image import Machine
 from examples.assembly_cell.world import World
 from rosplc.codec import Codec, Wire
-from rosplc.demo.pipe import Orders, report
+from rosplc.demo.processes import Commands, report
 from rosplc.errors import RosplcError
 from rosplc.layout import compute_layout
 from rosplc.model import TypeStore
@@ -79,7 +79,7 @@ def facts(world: World) -> dict[str, Any]:
 
 def main() -> None:
     """Run the hall until told to stop: its arguments are domain, file of the wires, number of handles."""
-    orders = Orders("estop", "reset")
+    commands = Commands("estop", "reset")
     world, lock = World(tray=int(sys.argv[3])), threading.Lock()
     machine = Machine(Path(sys.argv[2]))
     try:
@@ -88,12 +88,12 @@ def main() -> None:
         report("error", **error.to_dict())
         sys.exit(1)
     last, said, told = time.monotonic(), 0.0, 0.0
-    while not orders.stop.wait(_STEP_S):
+    while not commands.stop.wait(_STEP_S):
         now = time.monotonic()
         with lock:
             for word, stopped in (("estop", True), ("reset", False)):
-                if orders.others[word].is_set():
-                    orders.others[word].clear()
+                if commands.others[word].is_set():
+                    commands.others[word].clear()
                     world.stopped = stopped
             world.step(min(now - last, _LONGEST_S), press_down=machine.press_down)
             nest = world.nest

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
-from rosplc.demo.pipe import Orders, report
+from rosplc.demo.processes import Commands, report
 from rosplc.virtual_plc import VirtualPlc
 
 __all__ = ["serve"]
@@ -28,12 +28,12 @@ class Program(Protocol):
 
 def serve(program: Program) -> None:
     """Run the program, and report what it does."""
-    orders = Orders()
+    commands = Commands()
     plc = VirtualPlc()
     task = plc.task("RosTask", INTERVAL_S, priority=4)
     task.program(program)
     with plc:
-        while not orders.stop.wait(_REPORT_S):
+        while not commands.stop.wait(_REPORT_S):
             plc.check()
             report("status", scans=task.stats.scans, **program.facts())
     program.close()

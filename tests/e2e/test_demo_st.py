@@ -21,12 +21,11 @@ if shutil.which("gcc") is None:
     pytest.skip("Debian package gcc is missing", allow_module_level=True)
 
 from rosplc.config.resolve import load_project
-from rosplc.demo.messages import COMMAND, command, open_command
+from rosplc.demo.messages import COMMAND, command, open_command, steer
 from rosplc.demo.plan import Plan
 from rosplc.demo.st.checkout import find_translator
 from rosplc.demo.st.sources import CONFIGURATION, MAIN, read_texts, write_configuration, write_texts
 from rosplc.demo.supervisor import Demo, new_plan
-from rosplc.demo.turtle import steer
 from rosplc.errors import GenerationError
 from rosplc.layout import compute_layout
 from rosplc.model import TypeStore

@@ -13,8 +13,7 @@ import threading
 from pathlib import Path
 
 from rosplc.bridge.run import run_bridge
-from rosplc.demo.cleanup import remove_objects
-from rosplc.demo.pipe import report
+from rosplc.demo.processes import remove_objects, report
 from rosplc.errors import RosplcError
 
 __all__ = ["main"]

@@ -1,19 +1,31 @@
-"""The demonstration's messages: built with a number and a seal, checked on arrival.
+"""The demonstration's messages, the simulated robot that sends and obeys them, and their count.
 
-A stamped message carries both in ``header.frame_id`` (``"odom 17 1a2b3c4d"``). A Twist has
-no text field, so the command's number travels in ``linear.z`` and its seal in
-``angular.x``; a robot on wheels has no use for either.
+A stamped message carries its number and a seal in ``header.frame_id`` (``"odom 17 1a2b3c4d"``). A Twist has
+no text field: the command's number is in ``linear.z`` and its seal in ``angular.x``, which a robot on wheels
+does not use.
 """
 
 from __future__ import annotations
 
+import math
 import zlib
 from array import array
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
-__all__ = ["COMMAND", "KINDS", "Kind", "Opened", "command", "open_command", "robot_topics"]
+__all__ = [
+    "COMMAND",
+    "KINDS",
+    "Kind",
+    "Opened",
+    "Tally",
+    "Turtle",
+    "command",
+    "open_command",
+    "robot_topics",
+    "steer",
+]
 
 SECOND_NS = 1_000_000_000
 
@@ -158,3 +170,103 @@ def laser_scan(distances: Sequence[float]) -> dict[str, Any]:
 
 BEAMS = _BEAMS
 JOINTS = len(_JOINTS)
+
+
+_WHEEL_RADIUS = 0.05
+_ROOM_RADIUS = 10.0
+_CORNERS = ((2.0, 0.0), (2.0, 2.0), (0.0, 2.0), (0.0, 0.0))
+
+
+@dataclass(slots=True)
+class Turtle:
+    """Where the robot is and how it moves: metres, radians, seconds."""
+
+    x: float = 0.0
+    y: float = 0.0
+    heading: float = 0.0
+    forward: float = 0.0
+    turn: float = 0.0
+    wheel: float = 0.0
+    way: float = 0.0
+
+    def obey(self, forward: float, turn: float) -> None:
+        """Take over a command."""
+        self.forward, self.turn = forward, turn
+
+    def move(self, seconds: float) -> None:
+        """Go on for ``seconds`` with the present command."""
+        self.heading = math.remainder(self.heading + self.turn * seconds, math.tau)
+        self.x += self.forward * math.cos(self.heading) * seconds
+        self.y += self.forward * math.sin(self.heading) * seconds
+        self.wheel += self.forward / _WHEEL_RADIUS * seconds
+        self.way += abs(self.forward) * seconds
+
+    def contents(self, kind: str) -> dict[str, Any]:
+        """Return what a message of ``kind`` says about the robot now, without its header."""
+        if kind == "pose":
+            half = self.heading / 2
+            orientation = {"x": 0.0, "y": 0.0, "z": math.sin(half), "w": math.cos(half)}
+            return {"pose": {"position": {"x": self.x, "y": self.y, "z": 0.0}, "orientation": orientation}}
+        if kind == "joint_states":
+            return joint_state([self.wheel] * JOINTS, self.forward / _WHEEL_RADIUS)
+        away = math.hypot(self.x, self.y)
+        return laser_scan([_ROOM_RADIUS - away * math.cos(beam * math.tau / BEAMS) for beam in range(BEAMS)])
+
+
+def steer(x: float, y: float, heading: float, corner: int) -> tuple[float, float, int]:
+    """Compute the command that leads round a square: the virtual PLC's control law.
+
+    Args:
+        x: Position, metres.
+        y: Position, metres.
+        heading: Direction, radians.
+        corner: Index of the corner aimed at.
+
+    Returns:
+        Forward speed (m/s), turning speed (rad/s) and the corner to aim at next.
+    """
+    goal_x, goal_y = _CORNERS[corner % len(_CORNERS)]
+    if math.hypot(goal_x - x, goal_y - y) < 0.1:
+        corner = (corner + 1) % len(_CORNERS)
+        goal_x, goal_y = _CORNERS[corner]
+    error = math.remainder(math.atan2(goal_y - y, goal_x - x) - heading, math.tau)
+    turn = max(-2.0, min(2.0, 3.0 * error))
+    forward = 0.5 * max(0.0, math.cos(error))
+    return forward, turn, corner
+
+
+@dataclass(slots=True)
+class Tally:
+    """What one receiver saw of one topic; numbers start at 1.
+
+    Attributes:
+        received: Whole messages with a number that had not been seen.
+        missing: Numbers left out so far.
+        gaps: How often numbers were left out.
+        torn: Messages whose contents do not agree with their seal.
+        repeated: Messages with a number at or below the newest one.
+        newest: The highest number received.
+    """
+
+    received: int = 0
+    missing: int = 0
+    gaps: int = 0
+    torn: int = 0
+    repeated: int = 0
+    newest: int = 0
+
+    def add(self, number: int, *, whole: bool) -> None:
+        """Count one message."""
+        if not whole:
+            self.torn += 1
+        elif number <= self.newest:
+            self.repeated += 1
+        else:
+            self.missing += number - self.newest - 1
+            self.gaps += number > self.newest + 1
+            self.newest = number
+            self.received += 1
+
+    def to_dict(self) -> dict[str, int]:
+        """Return the counters as plain data."""
+        return asdict(self)

@@ -58,7 +58,7 @@ class Plan:
                 "type": kind.type_name,
                 "to": "plc",
                 "every": True,
-                "depth": self.slots,
+                "slots": self.slots,
                 "limits": {"ranges": 64, "intensities": 1} if kind.name == "scan" else {},
             }
             for name, kind in robot_topics(self.topics).items()
@@ -68,7 +68,7 @@ class Plan:
             "type": type_name,
             "to": "ros",
             "every": True,
-            "depth": self.slots,
+            "slots": self.slots,
         }
         return {
             "bridge": "demo",

@@ -8,11 +8,10 @@ import threading
 import time
 from typing import Any
 
-from rosplc.demo.messages import COMMAND, command, robot_topics
-from rosplc.demo.pipe import Orders
+from rosplc.demo.messages import COMMAND, command, robot_topics, steer
 from rosplc.demo.plan import Plan
+from rosplc.demo.processes import Commands
 from rosplc.demo.task import Arrivals, serve
-from rosplc.demo.turtle import steer
 from rosplc.virtual_plc import ReadBlock, WriteBlock
 
 __all__ = ["main"]
@@ -21,8 +20,8 @@ __all__ = ["main"]
 class Program:
     """The PLC program: reads every topic, computes the command from the pose."""
 
-    def __init__(self, plan: Plan, orders: Orders) -> None:
-        self._orders = orders
+    def __init__(self, plan: Plan, commands: Commands) -> None:
+        self._commands = commands
         self._kinds = robot_topics(plan.topics)
         self.reads = {
             topic: ReadBlock(
@@ -52,7 +51,7 @@ class Program:
     def _steer(self) -> None:
         pose = self.reads["/turtle/pose"]
         write = self.write
-        driving = self._orders.go.is_set() and not self._orders.drain.is_set()
+        driving = self._commands.go.is_set() and not self._commands.drain.is_set()
         write.xEnable = driving and pose.xValid and not pose.xStale and write.msg is not None
         if write.xEnable and pose.msg is not None:
             p, q = pose.msg.pose.position, pose.msg.pose.orientation
@@ -84,10 +83,10 @@ def _counters(read: ReadBlock) -> dict[str, int]:
 
 def main() -> None:
     """Run the virtual PLC until told to stop."""
-    orders = Orders()
+    commands = Commands()
     plan = Plan.from_json(sys.argv[1])
-    program = Program(plan, orders)
-    serve(program, plan.interval, orders)
+    program = Program(plan, commands)
+    serve(program, plan.interval, commands)
     for block in program.blocks:
         block.close()
 

@@ -11,11 +11,9 @@ import threading
 import time
 
 from rosplc.codec import Codec, Wire
-from rosplc.demo.messages import COMMAND, SECOND_NS, open_command, robot_topics
-from rosplc.demo.pipe import Orders, report
+from rosplc.demo.messages import COMMAND, SECOND_NS, Tally, Turtle, open_command, robot_topics
 from rosplc.demo.plan import Plan
-from rosplc.demo.tally import Tally
-from rosplc.demo.turtle import Turtle
+from rosplc.demo.processes import Commands, report
 from rosplc.errors import RosplcError
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
@@ -101,25 +99,25 @@ class Robot:
 
 def main() -> None:
     """Run the robot until told to stop."""
-    orders = Orders()
+    commands = Commands()
     try:
         robot = Robot(Plan.from_json(sys.argv[1]))
     except RosplcError as error:
         report("error", **error.to_dict())
         sys.exit(1)
     try:
-        _drive(robot, Plan.from_json(sys.argv[1]), orders)
+        _drive(robot, Plan.from_json(sys.argv[1]), commands)
         report("status", **robot.status())
     finally:
         robot.close()
 
 
-def _drive(robot: Robot, plan: Plan, orders: Orders) -> None:
+def _drive(robot: Robot, plan: Plan, commands: Commands) -> None:
     period = round(SECOND_NS / plan.rate)
     due = time.monotonic_ns()
     reported = 0.0
-    while not orders.stop.is_set():
-        if orders.go.is_set() and not orders.drain.is_set():
+    while not commands.stop.is_set():
+        if commands.go.is_set() and not commands.drain.is_set():
             robot.tick(period / SECOND_NS)
             # Two clocks of one machine would keep one phase for a whole run, and the age at the PLC
             # would depend on the moment of the start. A robot's own clock wanders against the PLC's.
@@ -129,8 +127,8 @@ def _drive(robot: Robot, plan: Plan, orders: Orders) -> None:
             due = time.monotonic_ns() + 10_000_000
         if time.monotonic() - reported >= _STATUS_SECONDS:
             reported = time.monotonic()
-            report("status", drained=orders.drain.is_set(), **robot.status())
-        orders.stop.wait(max(0, due - time.monotonic_ns()) / SECOND_NS)
+            report("status", drained=commands.drain.is_set(), **robot.status())
+        commands.stop.wait(max(0, due - time.monotonic_ns()) / SECOND_NS)
 
 
 if __name__ == "__main__":

@@ -12,9 +12,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from rosplc.demo.child import Child
-from rosplc.demo.cleanup import remove_objects
 from rosplc.demo.plan import Plan
+from rosplc.demo.processes import Child, remove_objects
 from rosplc.demo.result import Outage, Result, collect
 from rosplc.errors import SetupError
 

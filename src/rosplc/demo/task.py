@@ -8,9 +8,8 @@ from collections.abc import Iterable
 from statistics import median, quantiles
 from typing import Any, Protocol
 
-from rosplc.demo.messages import Opened
-from rosplc.demo.pipe import Orders, report
-from rosplc.demo.tally import Tally
+from rosplc.demo.messages import Opened, Tally
+from rosplc.demo.processes import Commands, report
 from rosplc.virtual_plc import VirtualPlc
 
 __all__ = ["Arrivals", "Program", "serve"]
@@ -69,7 +68,7 @@ class Program(Protocol):
         """Run one scan."""
 
 
-def serve(program: Program, interval: float, orders: Orders) -> None:
+def serve(program: Program, interval: float, commands: Commands) -> None:
     """Run ``program`` every ``interval`` seconds and report, until told to stop.
 
     Raises:
@@ -79,13 +78,13 @@ def serve(program: Program, interval: float, orders: Orders) -> None:
     task = plc.task("RosTask", interval, priority=4)
     task.program(program)
     with plc:
-        while not orders.stop.wait(_STATUS_SECONDS):
+        while not commands.stop.wait(_STATUS_SECONDS):
             plc.check()
             with program.lock:
                 state = program.state
             report(
                 "status",
-                drained=orders.drain.is_set(),
+                drained=commands.drain.is_set(),
                 cycle=task.stats.to_dict(),
                 age=program.arrivals.recent(),
                 **state,

@@ -10,14 +10,11 @@ from dataclasses import replace
 import pytest
 
 from rosplc.codec import Codec, Wire
-from rosplc.demo.child import Child
-from rosplc.demo.cleanup import remove_objects
 from rosplc.demo.domain import FreeDomain
-from rosplc.demo.messages import COMMAND, KINDS, command, open_command, robot_topics
+from rosplc.demo.messages import COMMAND, KINDS, Tally, Turtle, command, open_command, robot_topics, steer
 from rosplc.demo.plan import Plan
+from rosplc.demo.processes import Child, remove_objects
 from rosplc.demo.result import Outage, collect
-from rosplc.demo.tally import Tally
-from rosplc.demo.turtle import Turtle, steer
 from rosplc.errors import SetupError
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore

@@ -15,8 +15,8 @@ from typing import Any
 
 from rosplc.config.resolve import load_project
 from rosplc.demo.messages import COMMAND, robot_topics
-from rosplc.demo.pipe import Orders, report
 from rosplc.demo.plan import Plan
+from rosplc.demo.processes import Commands, report
 from rosplc.demo.st.checkout import find_translator
 from rosplc.demo.st.sources import CONFIGURATION, INBOX, MAIN, READ, RECORDER, WRITE, read_texts
 from rosplc.demo.task import Arrivals, serve
@@ -87,11 +87,11 @@ class Block:
 class Program:
     """The Structured Text as a program of the virtual PLC's task."""
 
-    def __init__(self, plan: Plan, orders: Orders, folder: Path) -> None:
+    def __init__(self, plan: Plan, commands: Commands, folder: Path) -> None:
         translator = find_translator()
         self._machine = machine = translator.machine(translator.build(read_texts(folder)))
         machine.start()
-        self._orders = orders
+        self._commands = commands
         self._kinds = robot_topics(plan.topics)
         layouts = {topic.topic: topic.layout for topic in load_project(folder / CONFIGURATION).topics}
         names = instance_names(list(self._kinds))
@@ -114,7 +114,7 @@ class Program:
 
     def __call__(self) -> None:
         """Run one scan, then count what it took."""
-        self._drive.set(self._orders.go.is_set() and not self._orders.drain.is_set())
+        self._drive.set(self._commands.go.is_set() and not self._commands.drain.is_set())
         began = time.perf_counter_ns()
         self._run(READ)
         self._run(RECORDER)
@@ -164,11 +164,11 @@ class Program:
 
 def main() -> None:
     """Run the PLC until told to stop."""
-    orders = Orders()
+    commands = Commands()
     plan = Plan.from_json(sys.argv[1])
     try:
-        program = Program(plan, orders, Path(sys.argv[2]))
-        serve(program, plan.interval, orders)
+        program = Program(plan, commands, Path(sys.argv[2]))
+        serve(program, plan.interval, commands)
     except RosplcError as error:
         report("error", **error.to_dict())
         sys.exit(1)

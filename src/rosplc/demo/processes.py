@@ -1,7 +1,12 @@
-"""One process of the demonstration, as the supervisor holds it."""
+"""The demonstration's processes: how they are started, and the lines of JSON between them and their parent.
+
+A child reads commands from stdin and reports on stdout. The end of stdin means that the parent has ended, for
+any reason, so no child outlives a demonstration.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -9,17 +14,63 @@ import subprocess
 import sys
 import tempfile
 import threading
+from pathlib import Path
 from typing import Any
 
 from rosplc.errors import SetupError
 
-__all__ = ["Child"]
+__all__ = ["Child", "Commands", "remove_objects", "report"]
+
+_lock = threading.Lock()
+
+
+def report(kind: str, **facts: Any) -> None:
+    """Send one report to the parent; a parent that is gone is noticed by :class:`Commands`."""
+    line = json.dumps({"is": kind, **facts}) + "\n"
+    with _lock:
+        try:
+            sys.stdout.write(line)
+            sys.stdout.flush()
+        except (BrokenPipeError, ValueError):
+            pass
+
+
+class Commands:
+    """The parent's commands as events: ``go``, ``drain``, ``stop``, and others that are named.
+
+    Constructing it makes the process deaf to Ctrl-C, which a terminal sends to the whole
+    group: the parent decides what ends when.
+
+    Args:
+        others: More commands.
+
+    Attributes:
+        others: The event of each of them.
+    """
+
+    def __init__(self, *others: str) -> None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        signal.signal(signal.SIGTERM, lambda *_: self.stop.set())
+        self.go = threading.Event()
+        self.drain = threading.Event()
+        self.stop = threading.Event()
+        self.others = {word: threading.Event() for word in others}
+        threading.Thread(target=self._listen, name="commands", daemon=True).start()
+
+    def _listen(self) -> None:
+        events = {"go": self.go, "drain": self.drain, "stop": self.stop, **self.others}
+        for line in sys.stdin:
+            event = events.get(line.strip())
+            if event is not None:
+                event.set()
+        self.stop.set()
+
 
 _LAST_LINES = 15
 
 
 class Child:
-    """A process with orders going in and reports coming out.
+    """A process with commands going in and reports coming out.
 
     Args:
         role: What people call it: robot, bridge or PLC.
@@ -130,3 +181,17 @@ class Child:
         self._log.seek(0)
         lines = self._log.read().splitlines()[-_LAST_LINES:]
         return "\n".join(f"  {self.role}: {line}" for line in lines)
+
+
+def remove_objects(prefix: str, directory: str = "/dev/shm") -> int:
+    """Remove the objects and lock files of ``prefix`` and return how many there were.
+
+    Only for a prefix that was made up for this run: a running bridge's objects must never
+    be removed by others (spec/shm-format.md, M5).
+    """
+    removed = 0
+    for path in Path(directory).glob(f"{prefix}.[tln].*"):
+        with contextlib.suppress(FileNotFoundError):
+            path.unlink()
+            removed += 1
+    return removed
