@@ -228,6 +228,7 @@ class PortToRos(ChannelPort):
         self._retained = False
         self._missed = 0  # while no bridge was running
         self._down_ns = 0
+        self._lived = 0  # the claim of the writer that was seen alive
 
     def _claim(self, channel: OwnedChannel) -> None:
         reader = channel.reader(self._context.beat_ms)
@@ -267,8 +268,11 @@ class PortToRos(ChannelPort):
 
     def _observe(self, region: Region, now_ns: int) -> bool:
         head, epoch, beat, beat_ms = region.words(WRITER_LINE["head"], 4)
-        alive = self._lives(0, beat, beat_ms, head, now_ns)
-        return bool(epoch) and alive
+        if self._lives(0, beat, beat_ms, head, now_ns):
+            self._lived = epoch
+            return bool(epoch)
+        # A program that writes now and then promises no beat: its silence is not its end.
+        return not beat_ms and bool(epoch) and epoch == self._lived
 
     def tell(self, matched: int) -> None:
         """Show the PLC how many subscribers there are."""

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
+import pytest
+
 from rosplc.bridge import Level
 from rosplc.bridge.carrier import Carriers
+from rosplc.bridge.channel import PortToRos
 from rosplc.bridge.port import Context
 from rosplc.bridge.stream import ToPlc
 from rosplc.config import parse_config, resolve
@@ -180,3 +185,18 @@ def test_a_plc_that_stopped_is_an_error_and_one_that_never_ran_is_not(cell: Cell
     assert bridge.status().topic("/out").judgement[0] is Level.ERROR
     assert bridge.status().topic("/never").judgement[0] is Level.WARN
     assert bridge.status().topic("/never").peer_gone_ns is None
+
+
+@pytest.mark.parametrize(("beat_ms", "lives"), [(0, True), (100, False)])
+def test_a_client_that_writes_rarely_is_not_called_dead(beat_ms: int, lives: bool) -> None:
+    """A writer without a promised beat lives until it gives its claim up; one with a promise must keep it."""
+    words = {"head": 1, "epoch": 77, "beat": 0, "beat_ms": beat_ms}
+    region = SimpleNamespace(words=lambda *_: tuple(words.values()))
+    port = object.__new__(PortToRos)
+    port._alive, port._lived = {}, 0
+    assert not port._observe(region, 0), "it may be what a dead one has left"  # type: ignore[arg-type]
+    words["head"] += 1
+    assert port._observe(region, 10**9)  # type: ignore[arg-type]
+    assert port._observe(region, 3600 * 10**9) is lives  # type: ignore[arg-type]
+    words["epoch"] = 0
+    assert not port._observe(region, 3601 * 10**9)  # type: ignore[arg-type]
