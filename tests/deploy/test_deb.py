@@ -136,6 +136,8 @@ def test_life_of_a_package(
     assert place.startswith("/opt/rosplc/lib/")
     libraries = machine.run("sh", "-c", "find /opt/rosplc -name '*.so*' -exec ldd {} + 2>&1")
     assert "not found" not in libraries
+    headers = ("/usr/include/rosplc/channel.h", "/usr/share/pkgconfig/rosplc.pc")
+    machine.run("ls", *headers)
 
     # A service, on a machine where systemd's place is taken by what notes its orders.
     machine.write("/etc/rosplc/cell1.yaml", configuration)
@@ -167,6 +169,7 @@ def test_life_of_a_package(
     machine.run("dpkg", "-r", "rosplc")
     assert "disable --now rosplc@cell1.service" in machine.run("cat", "/var/log/systemctl")
     gone = (
+        *headers,
         "/opt/rosplc",
         "/usr/bin/rosplc",
         "/etc/systemd/system/rosplc@.service",

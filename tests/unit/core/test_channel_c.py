@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import platform
 import subprocess
 from pathlib import Path
 
@@ -114,3 +115,22 @@ def test_scribbled_words_for_long(native: list[str]) -> None:
     """Millions of rounds of scribbling later, every access was inside the object."""
     for seed in range(10, 20):
         assert _run(native, "scribble", 1_000_000, seed)["taken"] > 0
+
+
+@pytest.mark.needs(when=platform.machine() == "x86_64", why="a compiler for x86")
+@pytest.mark.parametrize(
+    ("options", "instruction"),
+    [(["-m64"], "sfence"), (["-m32", "-march=i686", "-msse"], "sfence"), (["-m32", "-march=i586"], "lock")],
+    ids=["x86-64", "i386 with SSE", "i386 without SSE"],
+)
+def test_large_copies_are_ordered(tmp_path: Path, options: list[str], instruction: str) -> None:
+    """The release fence orders the non-temporal stores that a C library may copy with, on every x86."""
+    source, assembly = tmp_path / "fence.c", tmp_path / "fence.s"
+    source.write_text("#include <rosplc/format.h>\nvoid f(uint32_t n) { rosplc_fence_release(n); }\n")
+    (tmp_path / "gnu").mkdir()
+    (tmp_path / "gnu" / "stubs-32.h").touch()  # the one header that only the 32-bit library has
+    includes = [f"-I{_INCLUDE}", f"-I{tmp_path}", "-I/usr/include/x86_64-linux-gnu"]
+    command = ["gcc", "-O2", "-S", *options, *includes, str(source), "-o", str(assembly)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert instruction in assembly.read_text()
