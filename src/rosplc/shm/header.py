@@ -31,7 +31,6 @@ from rosplc.shm.constants import (
     MAX_OBJECT_SIZE,
     MAX_RECORD_SIZE,
     MAX_SLOTS,
-    MIN_SLOTS,
     READER_LINES,
     SLOT_HEADER_SIZE,
     STATE_LIVE,
@@ -145,9 +144,10 @@ class Identity:
         fits = min(slots, record_size, description_size) > 0 and identity.object_size <= MAX_OBJECT_SIZE
         if not fits or check_identity(identity.build().ljust(HEADER_SIZE, b"\0"), identity.object_size, 0):
             raise ValueError(
-                f"{slots} slots of {record_size} bytes, with {description_size} bytes of description: slots "
-                f"are a power of two from {MIN_SLOTS} to {MAX_SLOTS}, records have 1 to {MAX_RECORD_SIZE} "
-                f"bytes, a description 2 to {MAX_DESCRIPTION_SIZE}, the object at most {MAX_OBJECT_SIZE}"
+                f"slot_count {slots}, record_size {record_size}, description_size {description_size}, "
+                f"object_size {identity.object_size}: slot_count is a power of two, 4 to {MAX_SLOTS}, "
+                f"record_size 1 to {MAX_RECORD_SIZE}, description_size 2 to {MAX_DESCRIPTION_SIZE}, "
+                f"object_size at most {MAX_OBJECT_SIZE}"
             )
         return identity
 
