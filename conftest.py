@@ -27,6 +27,8 @@ from typing import Any
 import pytest
 
 ROOT = Path(__file__).resolve().parent
+if importlib.util.find_spec("rclpy"):  # a real one: its traffic stays on this machine
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 FOREIGN = ("tests/deploy", "tests/interop/classic", "tests/interop/ros1", "tests/interop/ros2")
 MISSING_PACKAGE = "Debian package "
 DEFAULT_MINUTES = 2.0

@@ -144,7 +144,8 @@ def foreign(outcome: Outcome) -> None:
     marks = "foreign and not verify"
     run_pytest(outcome, "foreign", f"{marks} and not serial", workers=WORKERS, deadline=ends)
     run_pytest(outcome, "foreign, one at a time", f"{marks} and serial", deadline=ends, may_be_empty=True)
-    places = ["tests/interop/ros2", "tests/conformance/test_backends.py", "tests/unit/ros"]
+    places = ["tests/interop/ros2", "tests/conformance/test_backends.py"]
+    places += ["tests/unit/ros/test_rclpy_signatures.py"]
     if found := sorted((ROOT / ".cache").glob("ros2-*/.ready")):
         python = found[0].parent / "bin" / "python"
         run_pytest(outcome, "real ROS 2", "ros2", python=python, places=places, deadline=ends)

@@ -31,7 +31,7 @@ class Word(NamedTuple):
 
     name: str
     offset: int
-    count: int
+    count: int  # type: ignore[assignment]
     width: int
 
 

@@ -1,0 +1,93 @@
+"""A node on the installed rclpy, driven by lines of JSON: no code of rosplc between it and the network.
+
+Started as ``python peer.py DOMAIN NAME``. It reads from standard input
+``{"subscribe": TOPIC, "type": …, "reliable": …}``, ``{"advertise": TOPIC, "type": …}``,
+``{"echo": TOPIC, "to": TOPIC, "type": …}``, ``{"publish": TOPIC, "payload": BASE64}`` and
+``{"fill": TOPIC, "size": BYTES, "count": N, "period": SECONDS}``. It prints ``{"ready": TOPIC}`` and
+``{"heard": TOPIC, "size": …, "crc": …, "payload": …}``, where the payload is left out if it is large.
+"""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import importlib
+import json
+import sys
+import threading
+import time
+import zlib
+from typing import Any
+
+import rclpy
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message, serialize_message
+
+LARGE = 100_000
+VERBS = ("subscribe", "advertise", "echo", "publish", "fill")
+
+
+def say(**words: object) -> None:
+    """Print one line."""
+    print(json.dumps(words), flush=True)
+
+
+def main() -> None:
+    """Do what the lines say until standard input ends."""
+    rclpy.init(domain_id=int(sys.argv[1]))
+    node = rclpy.create_node(sys.argv[2])
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+
+    def spin() -> None:
+        with contextlib.suppress(ExternalShutdownException):
+            executor.spin()
+
+    thread = threading.Thread(target=spin)
+    thread.start()
+    publishers: dict[str, tuple[Any, Any]] = {}
+    kept = []
+
+    def hear(topic: str, message: Any) -> None:
+        data = serialize_message(message)
+        words = {} if len(data) > LARGE else {"payload": base64.b64encode(data).decode()}
+        say(heard=topic, size=len(data), crc=zlib.crc32(data), **words)
+
+    for line in sys.stdin:
+        order = json.loads(line)
+        topic = next(order[verb] for verb in VERBS if verb in order)
+        if "type" in order:
+            package, _, name = order["type"].split("/")
+            kind = getattr(importlib.import_module(f"{package}.msg"), name)
+            profile = QoSProfile(depth=order.get("depth", 10))
+            if not order.get("reliable", True):
+                profile.reliability = ReliabilityPolicy.BEST_EFFORT
+            if order.get("latched"):
+                profile.durability = DurabilityPolicy.TRANSIENT_LOCAL
+        if "subscribe" in order:
+            kept.append(node.create_subscription(kind, topic, lambda m, topic=topic: hear(topic, m), profile))
+            say(ready=topic)
+        elif "echo" in order:
+            publisher = node.create_publisher(kind, order["to"], profile)
+            kept.append(node.create_subscription(kind, topic, publisher.publish, profile))
+            say(ready=topic)
+        elif "advertise" in order:
+            publishers[topic] = node.create_publisher(kind, topic, profile), kind
+            say(ready=topic)
+        else:
+            publisher, kind = publishers[topic]
+            while not publisher.get_subscription_count():
+                time.sleep(0.01)
+            if "publish" in order:
+                publisher.publish(deserialize_message(base64.b64decode(order["payload"]), kind))
+            else:
+                for number in range(order["count"]):
+                    publisher.publish(kind(data=bytes([number % 256]) * order["size"]))
+                    time.sleep(order["period"])
+    rclpy.try_shutdown()
+    thread.join()
+
+
+if __name__ == "__main__":
+    main()
