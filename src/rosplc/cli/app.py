@@ -28,7 +28,6 @@ from rosplc.cli import (
     types,
     web,
 )
-from rosplc.cli.ros_arguments import RosCommand
 
 __all__ = ["app"]
 
@@ -72,7 +71,7 @@ for _group, _members in _VERBS.items():
         app.command(
             _name,
             epilog=_verb.EPILOG,
-            cls=RosCommand if _verb is run else None,
+            cls=run.RosCommand if _verb is run else None,
             rich_help_panel=_group,
             context_settings={"ignore_unknown_options": True} if _verb is bench else None,
         )(_verb.command)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rosplc.cli.guard import EXIT_FAILURE, EXIT_INTERRUPTED, guarded, print_json
-from rosplc.cli.text import columns, say
+from rosplc.cli.text import say, table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -212,8 +212,7 @@ def _print(result: Result) -> None:
         for flow in result.flows
     ]
     header = ("topic", "way", "sent", "received", "lost", "torn", "repeated", "age ms (p99)")
-    for line in columns(rows, header=header):
-        say(line)
+    table(rows, header=header)
     cycle = result.cycle
     say(
         f"PLC task: {cycle['scans']} scans, {cycle['missed']} missed, "

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rosplc.cli.guard import EXIT_CONFIG, EXIT_FAILURE, guarded, print_json
+from rosplc.cli.options import AsJson
 from rosplc.cli.text import harmless
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ __all__ = ["EPILOG", "command"]
 
 EPILOG = """Examples:
 
-rosplc doctor  —  this machine alone
+rosplc doctor  —  this machine, and rosplc.yaml if this folder has one
 
 rosplc doctor rosplc.yaml  —  and whether this configuration works here: objects, PLC, ROS graph
 
@@ -42,7 +43,10 @@ _INDENT = 10
 @guarded
 def command(
     config: Annotated[
-        Path | None, typer.Argument(help="The configuration; without it the machine alone is examined.")
+        Path | None,
+        typer.Argument(
+            help="The configuration; ./rosplc.yaml by default, else the machine alone is examined."
+        ),
     ] = None,
     plc: Annotated[
         Path | None,
@@ -58,9 +62,9 @@ def command(
         float, typer.Option(metavar="SECONDS", help="How long to look at the ROS graph.", min=1.0, max=60.0)
     ] = 4.0,
     everything: Annotated[bool, typer.Option("--all", "-a", help="Show what is fine, line by line.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
-    """Examine this machine, a configuration and what runs; say what is wrong and what to do."""
+    """Examine this machine, a configuration and what runs; suggest fixes."""
     from rich.console import Console
 
     from rosplc.doctor import Question, examine

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rosplc.cli.guard import guarded, print_json
-from rosplc.cli.text import columns, in_bytes, say, warn
+from rosplc.cli.text import plural, say, table, warn
 
 if TYPE_CHECKING:
     from rosplc.init import Chosen, Draft, Source, Wish
@@ -238,10 +238,7 @@ def _list(source: Source) -> None:
 
     found = source.found
     say(f"{len(found.topics)} topics in {found.where}:\n")
-    for line in columns(
-        rows(found.topics), header=("", "topic", "type", "published by", "subscribed by", "proposal")
-    ):
-        say(line)
+    table(rows(found.topics), header=("", "topic", "type", "published by", "subscribed by", "proposal"))
     say()
 
 
@@ -250,20 +247,15 @@ def _tell(
 ) -> None:
     if sys.stderr.isatty():
         sys.stderr.write("\r\x1b[K")
-    table = []
+    found = []
     for entry in made.entries:
         seen = made.seen.get(entry.topic)
-        rate = (
-            "not listened to"
-            if seen is None
-            else f"{seen.messages} message{'s' if seen.messages != 1 else ''}"
-        )
+        rate = "not listened to" if seen is None else plural(seen.messages, "message")
         if seen is not None and seen.rate_hz:
             rate += f", {seen.rate_hz:.3g} Hz"
         arrow = "ROS → PLC" if entry.to == "plc" else "PLC → ROS"
-        table.append((entry.topic, arrow, entry.type_name, in_bytes(entry.record_bytes), rate))
-    for line in columns(table, header=("topic", "direction", "type", "record", "seen")):
-        say(line)
+        found.append((entry.topic, arrow, entry.type_name, plural(entry.record_bytes, "byte"), rate))
+    table(found, header=("topic", "direction", "type", "record", "seen"))
     say()
     for name, why in left_out.items():
         say(f"Left out: {name}: {why}")
@@ -271,7 +263,7 @@ def _tell(
         say(f"Note: {note}")
     for name, origin in made.origins.items():
         say(f"Saved: {name}, from {origin}")
-    count = f" and {len(files)} definition{'s' if len(files) != 1 else ''} in {output.parent / 'msg'}"
+    count = f" and {plural(len(files), 'definition')} in {output.parent / 'msg'}"
     say(f"Written: {output}{count if files else ''}")
     say("\nNext:")
     steps = [
@@ -279,8 +271,7 @@ def _tell(
         (f"rosplc run {output}", "carry the topics"),
         (f"rosplc generate {output}", "the PLC's half, for CODESYS"),
     ]
-    for line in columns(steps, indent=2):
-        say(line)
+    table(steps, indent=2)
 
 
 def _facts(

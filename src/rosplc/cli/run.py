@@ -6,12 +6,12 @@ import logging
 from typing import Annotated
 
 import typer
+from typer.core import TyperCommand
 
 from rosplc.cli.guard import guarded
 from rosplc.cli.options import ConfigFile, config_file
-from rosplc.cli.ros_arguments import given_to
 
-__all__ = ["EPILOG", "command"]
+__all__ = ["EPILOG", "RosCommand", "command"]
 
 EPILOG = """Examples:
 
@@ -37,6 +37,26 @@ _LEVELS = {
     "error": logging.ERROR,
     "fatal": logging.CRITICAL,
 }
+
+
+_KEY = "rosplc.ros_arguments"
+
+
+class RosCommand(TyperCommand):
+    """Puts ROS arguments aside before the others are parsed; :func:`given_to` returns them."""
+
+    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]
+        """Parse what is left without ROS's arguments."""
+        from rosplc.ros.arguments import split_arguments
+
+        ctx.meta[_KEY], own = split_arguments(args)
+        return super().parse_args(ctx, own)
+
+
+def given_to(context: typer.Context) -> list[str]:
+    """Return the ROS arguments of a command line, in their order."""
+    found: list[str] = context.meta.get(_KEY, [])
+    return found
 
 
 @guarded

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rosplc.cli.guard import guarded, print_json
-from rosplc.cli.text import columns, say, warn
+from rosplc.cli.options import AsJson
+from rosplc.cli.text import say, table, warn
 from rosplc.errors import SetupError
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ def command(
         Path, typer.Option(metavar="DIR", help="Work in this folder instead of /, for images of machines.")
     ] = Path("/"),
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Show what would be done.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Run a bridge as a service of systemd: install it, remove it, or see how it stands."""
     from rosplc.service.install import execute, install_steps, uninstall_steps
@@ -129,5 +130,4 @@ def _show(states: list[dict[str, object]], *, as_json: bool) -> None:
         say("No bridge is installed as a service.")
         return
     rows = [(s["unit"], s["enabled"], s["active"], s["restarts"], s["status"]) for s in states]
-    for line in columns(rows, header=("service", "at start", "now", "restarts", "status")):
-        say(line)
+    table(rows, header=("service", "at start", "now", "restarts", "status"))

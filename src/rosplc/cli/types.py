@@ -9,7 +9,7 @@ import typer
 
 from rosplc.cli.guard import guarded, print_json
 from rosplc.cli.options import AsJson
-from rosplc.cli.text import columns, plural, say
+from rosplc.cli.text import plural, say, table
 from rosplc.errors import BackendError
 
 if TYPE_CHECKING:
@@ -90,8 +90,7 @@ def command(
         if as_json:
             print_json(counts)
         else:
-            for line in columns(((each, count, "types") for each, count in counts.items())):
-                say(line)
+            table((each, count, "types") for each, count in counts.items())
         return
     wire: dict[str, Any] = {}
     if from_topic is not None:
@@ -191,19 +190,14 @@ def _describe(store: TypeStore, layout: Layout) -> None:
     rows = [
         (offset, node.size, path, ros_name(node), iec_name(node)) for path, offset, node in layout.fields()
     ]
-    for line in columns(rows, header=("offset", "bytes", "field", "ROS", "IEC 61131-3")):
-        say(line)
+    table(rows, header=("offset", "bytes", "field", "ROS", "IEC 61131-3"))
     defaults = [(field.name, field.default) for field in message.fields if field.default is not None]
     if defaults:
         say("\nDefault values:")
-        for line in columns(defaults, indent=2):
-            say(line)
+        table(defaults, indent=2)
     if message.constants:
         say("\nConstants:")
-        for line in columns(
-            ((each.name, str(each.type), each.value) for each in message.constants), indent=2
-        ):
-            say(line)
+        table(((each.name, str(each.type), each.value) for each in message.constants), indent=2)
     say("\nDefinition:")
     for line in store.definition_text(layout.type_name).splitlines():
         say(f"  {line}" if line else "")
