@@ -31,7 +31,8 @@ from rosplc.layout import compute_layout
 from rosplc.model import TypeStore
 from rosplc.plc.build import ProjectOptions
 from rosplc.plc.from_config import plc_project
-from tests.e2e.test_demo import alive, demo, objects, prefix_of, processes, wait_until
+from tests.e2e.test_demo import alive, demo, objects, prefix_of, processes
+from tests.lib.waiting import wait_for
 
 # One worker translates first, the others' share would be the same texts again. With nothing in the
 # cache that takes a minute or two.
@@ -54,7 +55,7 @@ def finish(child):
 def test_everything_arrives_in_both_directions():
     """What one side counts as sent the Structured Text took, whole and once, and the status is 0."""
     with demo("--plc", "st", "--duration", "5s", "--json") as child:
-        pids = wait_until(lambda: plc_processes(child), "three processes", 300)
+        pids = wait_for(lambda: plc_processes(child), "three processes", seconds=300)
         prefix = prefix_of(pids)
         out, err = finish(child)
     assert child.returncode == 0, out + err
@@ -96,9 +97,9 @@ def test_many_messages_in_one_scan_are_all_taken():
 def test_a_killed_plc_ends_it_with_a_clear_message():
     """The process that runs the Structured Text is named when it dies, and nothing is left behind."""
     with demo("--plc", "st", "--duration", "600s") as child:
-        pids = wait_until(lambda: plc_processes(child), "three processes", 300)
+        pids = wait_for(lambda: plc_processes(child), "three processes", seconds=300)
         prefix = prefix_of(pids)
-        wait_until(lambda: objects(prefix), "objects in shared memory")
+        wait_for(lambda: objects(prefix), "objects in shared memory")
         folder = Path(Path(f"/proc/{pids['plc']}/cmdline").read_bytes().decode().split("\0")[4])
         assert (folder / "PLC_PRG.st").is_file()
         os.kill(pids["plc"], signal.SIGKILL)
@@ -117,7 +118,7 @@ def test_a_signal_ends_it_and_nothing_is_left(number, tmp_path):
     command = [sys.executable, "-m", "rosplc", "demo", "--plc", "st", "--duration", "600s"]
     environment = {**os.environ, "TMPDIR": str(tmp_path)}
     with subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True) as child:
-        wait_until(lambda: list(tmp_path.glob("rosplc-demo-st-*/PLC_PRG.st")), "the project's folder")
+        wait_for(lambda: list(tmp_path.glob("rosplc-demo-st-*/PLC_PRG.st")), "the project's folder")
         child.send_signal(number)
         _, err = finish(child)
     # CPython ends itself by SIGINT where Ctrl-C came inside an exec(), as dataclasses use it at import.
