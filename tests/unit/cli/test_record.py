@@ -9,17 +9,16 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from rosplc.recorder.mcap_read import survey
 from rosplc.shm import Namespace, attach
 from tests.command import rosplc
+from tests.lib.waiting import wait_for
 from tests.unit.recorder.making import Feed, read_from_the_front
 
 
@@ -70,13 +69,6 @@ def begun(child: subprocess.Popen[str]) -> None:
     raise AssertionError("it ended before it had begun")
 
 
-def soon(condition: Any) -> None:
-    end = time.monotonic() + 60
-    while not condition():
-        assert time.monotonic() < end, "it did not come within a minute"
-        time.sleep(0.02)
-
-
 def test_record_list_and_replay(shm_namespace: Namespace, tmp_path: Path) -> None:
     """A recording of a second says what it has, is listed, and is replayed into a channel."""
     out = tmp_path / "r.mcap"
@@ -102,7 +94,7 @@ def test_ctrl_c_ends_a_recording(shm_namespace: Namespace, tmp_path: Path) -> No
     command = ("record", "--prefix", shm_namespace.prefix, "-o", out, "--bag")
     with talking(shm_namespace), started(*command) as child:
         begun(child)
-        soon(lambda: any(read_from_the_front(path) for path in out.glob("*.mcap")))
+        wait_for(lambda: any(read_from_the_front(path) for path in out.glob("*.mcap")))
         child.send_signal(signal.SIGINT)
         report, _ = child.communicate(timeout=60)
     assert child.returncode == 0 and "messages of 1 topic" in report
@@ -117,7 +109,7 @@ def test_a_signal_saves_a_ring_buffer(shm_namespace: Namespace, tmp_path: Path) 
         begun(child)
         assert not list(tmp_path.iterdir())
         child.send_signal(signal.SIGUSR1)
-        soon(lambda: any(read_from_the_front(path) for path in tmp_path.glob("ring_*.mcap")))
+        wait_for(lambda: any(read_from_the_front(path) for path in tmp_path.glob("ring_*.mcap")))
         child.send_signal(signal.SIGTERM)
         document = json.loads(child.communicate(timeout=60)[0])
     assert child.returncode == 0 and document["saves"] == ["SIGUSR1"] and len(document["files"]) == 1

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +15,7 @@ from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.recorder import Recorder, RecordingOptions, Result
 from rosplc.shm import Direction, Namespace, OwnedChannel, Writer, attach
+from tests.lib.waiting import wait_for
 
 POSE = "geometry_msgs/msg/PoseStamped"
 
@@ -67,14 +67,15 @@ class Feed:
         self.channel.close()
 
 
-def until(condition: Callable[[], object], recorder: Recorder | None = None, seconds: float = 60.0) -> None:
+def until(condition: Callable[[], object], recorder: Recorder | None = None) -> None:
     """Wait for a condition, looking after a recorder meanwhile."""
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "it did not come within a minute"
+
+    def met() -> object:
         if recorder is not None:
             recorder.look_after()
-        time.sleep(0.01)
+        return condition()
+
+    wait_for(met)
 
 
 @contextmanager
