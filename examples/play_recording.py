@@ -16,7 +16,7 @@ from pathlib import Path
 from rosplc.errors import RosplcError
 from rosplc.recorder.replay import Player, ReplayOptions, wait_for_readers
 from rosplc.recorder.source import open_source
-from rosplc.recorder.to_ros import RosTarget
+from rosplc.recorder.targets import RosTarget
 from rosplc.ros.backend import Qos
 
 

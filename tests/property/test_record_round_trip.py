@@ -14,7 +14,7 @@ from rosplc.layout import Limits
 from rosplc.model import DISTROS
 from rosplc.recorder.replay import Player, ReplayOptions
 from rosplc.recorder.source import open_source
-from rosplc.recorder.to_plc import PlcTarget
+from rosplc.recorder.targets import PlcTarget
 from rosplc.shm import Namespace
 from tests.codec_oracle import Oracle, random_value
 from tests.codec_types import hard_store

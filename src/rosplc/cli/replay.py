@@ -106,8 +106,8 @@ def command(
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
     """Replay a recording into channels or onto ROS topics, in its order and at its pace."""
+    from rosplc.recorder.carried import Selection
     from rosplc.recorder.replay import chosen_topics
-    from rosplc.recorder.selection import Selection
     from rosplc.recorder.source import open_source
 
     if not listing and to not in ("plc", "ros"):
@@ -187,7 +187,7 @@ def _plc_target(
     topics: dict[str, SourceTopic], prefix: str | None, config: Path | None, directory: str, distro: str
 ) -> Target:
     from rosplc.config.resolve import load_project
-    from rosplc.recorder.to_plc import PlcTarget
+    from rosplc.recorder.targets import PlcTarget
     from rosplc.shm import Namespace
 
     project = None if config is None else load_project(config)
@@ -198,7 +198,7 @@ def _plc_target(
 
 
 def _ros_target(topics: dict[str, SourceTopic], backend: str, distro: str) -> Target:
-    from rosplc.recorder.to_ros import RosTarget
+    from rosplc.recorder.targets import RosTarget
 
     if backend not in _BACKENDS:
         raise typer.BadParameter(f"{backend!r} is none of {', '.join(_BACKENDS)}", param_hint="--backend")

@@ -5,9 +5,9 @@ from __future__ import annotations
 import warnings
 from typing import Any
 
+from rosplc.recorder.carried import Selection
 from rosplc.recorder.mcap_write import COMPRESSIONS, Compression
 from rosplc.recorder.recorder import Progress, Recorder, RecordingOptions, Result, quick_process
-from rosplc.recorder.selection import Selection
 from rosplc.recorder.store import Split
 
 __all__ = [

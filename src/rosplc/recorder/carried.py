@@ -1,9 +1,11 @@
-"""A channel that is being recorded: what it is called in the file, and how to read it in order."""
+"""Which topics are recorded, what they are called in a file, and how their channels are read in order."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 from rosplc.codec import Codec, Wire
@@ -15,7 +17,36 @@ from rosplc.ros import DEFAULT, LATCHED, Qos
 from rosplc.shm import Description, Direction, Reader, distance
 from rosplc.shm.constants import WRITER_LINE
 
-__all__ = ["CarriedChannel", "channel_info"]
+__all__ = ["CarriedChannel", "Selection", "channel_info"]
+
+
+@dataclass(frozen=True)
+class Selection:
+    """What is taken and what is left out.
+
+    Attributes:
+        topics: Names or patterns such as ``/robot1/*``; empty for all. A ``*`` also matches slashes.
+        exclude: Names or patterns that are left out all the same.
+    """
+
+    topics: tuple[str, ...] = ()
+    exclude: tuple[str, ...] = ()
+
+    def __contains__(self, topic: str) -> bool:
+        """Return whether a topic is meant."""
+        if any(fnmatchcase(topic, _absolute(one)) for one in self.exclude):
+            return False
+        return not self.topics or any(fnmatchcase(topic, _absolute(one)) for one in self.topics)
+
+    def without_match(self, topics: Iterable[str]) -> list[str]:
+        """Return what was asked for and matches none of these topics."""
+        names = list(topics)
+        return [one for one in self.topics if not any(fnmatchcase(name, _absolute(one)) for name in names)]
+
+
+def _absolute(pattern: str) -> str:
+    return pattern if pattern.startswith(("/", "*")) else f"/{pattern}"
+
 
 _NO_COUNT = 1 << 24
 """A distance beyond this is that to a head which somebody scribbled."""

@@ -15,9 +15,8 @@ from pathlib import Path
 
 from rosplc.clock import SYSTEM, Clock
 from rosplc.errors import ChannelError
-from rosplc.recorder.carried import CarriedChannel, channel_info
+from rosplc.recorder.carried import CarriedChannel, Selection, channel_info
 from rosplc.recorder.mcap_write import Batch, ChannelInfo
-from rosplc.recorder.selection import Selection
 from rosplc.ros import Qos
 from rosplc.shm import Group, Namespace
 from rosplc.shm.constants import STAMP_SYSTEM

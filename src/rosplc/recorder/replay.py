@@ -8,7 +8,7 @@ from typing import Literal, Protocol
 
 from rosplc.clock import SYSTEM, Clock
 from rosplc.errors import RecordingError
-from rosplc.recorder.selection import Selection
+from rosplc.recorder.carried import Selection
 from rosplc.recorder.source import Source, SourceTopic
 
 __all__ = ["Player", "ReplayOptions", "Target", "TopicCount", "chosen_topics", "wait_for_readers"]

@@ -24,8 +24,7 @@ from rosplc.recorder.mcap_write import Batch, ChannelInfo, McapFile, seal
 from rosplc.recorder.repair import repair
 from rosplc.recorder.replay import Player, ReplayOptions, TopicCount, chosen_topics, wait_for_readers
 from rosplc.recorder.source import Source, open_source
-from rosplc.recorder.to_plc import PlcTarget
-from rosplc.recorder.to_ros import RosTarget
+from rosplc.recorder.targets import PlcTarget, RosTarget
 from rosplc.ros import ROS1, Qos, open_backend
 from rosplc.ros.bag import Bag
 from rosplc.shm import Direction, Namespace, attach
