@@ -55,7 +55,7 @@ def described_layout(description: Description, *, where: str = "") -> Layout:
     """
     try:
         limits = json.dumps(dict(description.limits), sort_keys=True)
-        layout = _layout(description.type, description.definition, limits)
+        layout = _layout(description.type, description.definition, limits, description.distro)
     except RosplcError as error:
         raise ChannelError(
             "SHM113", f"its type cannot be rebuilt: {error.what} [{error.code}]", where=where
@@ -90,8 +90,10 @@ def layout_of(attached: Attached) -> Layout:
 
 
 @lru_cache(maxsize=256)
-def _layout(type_name: str, definition: str, limits: str) -> Layout:
+def _layout(type_name: str, definition: str, limits: str, distro: str) -> Layout:
     # Re-opening after a bridge's restart happens in the middle of a scan, so a type that is
     # known already must cost nothing.
-    store = TypeStore.from_definition(type_name, definition)
+    found = TypeStore.from_definition(type_name, definition, distro=distro)
+    # Read as its distribution writes it (ROS 1's byte is signed), and given in ROS 2's words.
+    store = TypeStore("", {name: found[name] for name in found.names()})
     return compute_layout(store, type_name, Limits.from_dict(json.loads(limits)))
