@@ -72,7 +72,7 @@ def test_a_program_over_the_old_c_headers(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("distro", ["humble", "jazzy", "noetic"])
 def test_data_types_are_those_of_the_old_release(distro: str, tmp_path: Path) -> None:
-    """For every bundled type the data unit types are the same text, to the byte; but ROS 1's byte has a sign."""
+    """Data unit types of every bundled type are the same text, to the byte; but ROS 1's byte has a sign."""
     for name, place in (("old", environment()), ("new", {**environment(), "PYTHONPATH": str(ROOT / "src")})):
         command = [sys.executable, "-m", "rosplc", "generate", "--all-types", distro, "--out", name]
         subprocess.run(command, cwd=tmp_path, env=place, check=True, capture_output=True)
