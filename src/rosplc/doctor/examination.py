@@ -284,6 +284,14 @@ class _Examination:
             )
         else:
             yield Probe("network interfaces", Area.ROS, lambda: network.multicast(self._q.root / "sys"))
+            rmw = self._q.variables.get("RMW_IMPLEMENTATION", "").strip()
+            backend = "" if wish is None else wish.backend
+            if backend == "dds" or (backend == "rclpy" and rmw != "rmw_zenoh_cpp"):
+                cyclone = backend == "dds" or rmw == "rmw_cyclonedds_cpp"
+                yield Probe("receive buffers", Area.ROS, lambda: self._buffers(cyclone=cyclone))
+
+    def _buffers(self, *, cyclone: bool) -> Iterator[Finding]:
+        return network.receive_buffers(self._subject.topics, self._q.root, cyclone=cyclone)
 
     def _carried(self) -> list[live.Carried]:
         project, objects = self._subject.project, self._objects

@@ -81,6 +81,7 @@ _register("DOC407", _A, _W, "multicast", "No active interface supports multicast
 _register("DOC408", _A, _W, "the ROS master", "No master answers at ROS_MASTER_URI. A bridge starts without it, and connects when it answers (ROS014).", "Start the master.")
 _register("DOC409", _A, _W, "the Zenoh router", "No router answers at this address. A bridge starts without it, and connects when it answers (ROS016).", "Start a router there, or correct ros.zenoh.connect.")
 _register("DOC410", _A, _W, "this machine's address in ROS 1", "Other nodes receive an address that this machine does not have, so they cannot connect.", "Set ROS_IP to an address of this machine, or unset it.")
+_register("DOC411", _A, _W, "receive buffers of sockets", "The largest message of a topic does not fit into the buffer of a DDS subscriber. If it is best effort, most large messages are lost; if both sides are reliable, parts are sent again, which takes time (the finding is then a note).", "Raise net.core.rmem_default on the subscriber's machine, or use reliable on both sides.")
 
 _A = Area.CONFIG
 _register("DOC501", _A, _E, "the configuration", "It cannot be used; `rosplc check` shows the same.", "Correct the named key.")

@@ -7,10 +7,15 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from rosplc.doctor.finding import Finding
+from rosplc.codec import Codec, Wire
+from rosplc.config import TopicPlan
+from rosplc.doctor.finding import Finding, Level
 from rosplc.doctor.kinds import kind
+from rosplc.doctor.words import listed
+from rosplc.ros.buffers import cyclone_buffer, default_buffer, largest_message
+from rosplc.shm import Direction
 
-__all__ = ["answers", "is_local", "master", "multicast", "no_master", "resolve", "routers"]
+__all__ = ["answers", "is_local", "master", "multicast", "no_master", "receive_buffers", "resolve", "routers"]
 
 _UP, _LOOPBACK, _MULTICAST = 0x1, 0x8, 0x1000
 _PATIENCE_S = 2.0
@@ -59,6 +64,43 @@ def multicast(sys: Path) -> Iterator[Finding]:
         yield kind("DOC407").found(what, command="ip link")
     else:
         yield kind("DOC407").found("no interface is up, not even loopback", command="sudo ip link set lo up")
+
+
+def receive_buffers(topics: Sequence[TopicPlan], root: Path, *, cyclone: bool) -> Iterator[Finding]:
+    """Judge whether each topic's largest message fits into its subscribers' buffers.
+
+    Args:
+        topics: The topics; towards ROS, subscribers are taken to have this machine's settings.
+        root: The folder that contains ``proc``.
+        cyclone: Whether the bridge itself uses Cyclone DDS; otherwise Fast DDS.
+    """
+    default = default_buffer(root)
+    if not default:
+        yield kind("DOC003").found(
+            "not visible from here: net.core.rmem_default", "Run the doctor outside the container."
+        )
+        return
+    ours = cyclone_buffer(root) if cyclone else default
+    large, needed, level = [], 0, Level.NOTE
+    for plan in topics:
+        # Counts above a capacity read as the capacity, so this is the largest message.
+        size = len(Codec(plan.layout, Wire.CDR).encode(b"\xff" * plan.layout.size))
+        buffer = ours if plan.direction is Direction.TO_PLC else default
+        if size <= largest_message(buffer):
+            continue
+        large.append(f"{plan.topic} (up to {size} bytes, buffer {buffer})")
+        needed = max(needed, size)
+        if plan.qos.reliability != "reliable":
+            level = Level.WARNING
+    if not large:
+        yield kind("DOC411").fine("the largest messages fit into the sockets' receive buffers")
+        return
+    wanted = max(1 << 22, 1 << needed.bit_length() + 1)
+    yield kind("DOC411").found(
+        f"larger than a receive buffer: {listed(large)}",
+        command=f"sudo sysctl -w net.core.rmem_default={wanted} net.core.rmem_max={wanted}",
+        level=level,
+    )
 
 
 def no_master(uri: str) -> str:

@@ -441,6 +441,19 @@ case(
     lambda s: network.routers(["tcp/[::1]:7447#iface=lo"], call=lambda host, port: ""),
 )
 
+
+def _buffers(default: int) -> Look:
+    def look(stage: Stage) -> Iterable[Finding]:
+        stage.file("proc/sys/net/core/rmem_default", f"{default}\n")
+        stage.file("proc/sys/net/core/rmem_max", f"{default}\n")
+        image = "{type: sensor_msgs/msg/Image, to: ros, limits: {data: 921600}}"
+        return network.receive_buffers(stage.project(f"  /image: {image}\n").topics, stage.root, cyclone=True)
+
+    return look
+
+
+case("DOC411", _buffers(212_992), _buffers(4 << 20))
+
 # The configuration.
 
 

@@ -17,7 +17,7 @@ from rosplc.doctor.graph import Graph, judge_graph
 from rosplc.doctor.kinds import kind
 from rosplc.doctor.look import see_graph
 from rosplc.doctor.machine import logout
-from rosplc.doctor.network import answers, is_local, master
+from rosplc.doctor.network import answers, is_local, master, receive_buffers
 from rosplc.doctor.packages import backend, needed
 from rosplc.doctor.probe import Probe, run_probe
 from rosplc.doctor.processes import find_runtimes, shm_mount
@@ -27,6 +27,7 @@ from rosplc.plc.build import ProjectOptions
 from rosplc.plc.delivery import project_files, write_files
 from rosplc.plc.from_config import plc_project
 from rosplc.ros import EndpointInfo, GraphInfo, Qos, memory
+from rosplc.ros.buffers import cyclone_buffer
 from rosplc.shm import Namespace
 from tests.unit.doctor.stage import OTHER_MOUNT, Stage, problems
 
@@ -356,3 +357,45 @@ def test_an_unknown_plc_user_is_named(stage: Stage) -> None:
     path = stage.file("rosplc.yaml", f"prefix: {stage.namespace.prefix}\n")
     question = Question(path, plc_user="no-such-user", ros=False)
     assert "no user 'no-such-user'" in problems(examination.examine(question).findings)["DOC303"].seen
+
+
+@pytest.mark.parametrize(
+    ("direction", "qos", "cyclone", "level"),
+    [
+        ("ros", "reliable", True, Level.NOTE),
+        ("ros", "best_effort", True, Level.WARNING),
+        # Cyclone's own sockets ask for 1 MiB, of which the kernel allows twice rmem_max here.
+        ("plc", "best_effort", True, Level.OK),
+        ("plc", "best_effort", False, Level.WARNING),
+    ],
+)
+def test_receive_buffers(stage: Stage, direction: str, qos: str, cyclone: bool, level: Level) -> None:
+    """Sizes, buffer and remedy are named; only messages that are not sent again are lost."""
+    for name in ("rmem_default", "rmem_max"):
+        stage.file(f"proc/sys/net/core/{name}", "212992\n")
+    # frame_id, encoding and header take part; the encapsulation and the padding too.
+    settings = f"to: {direction}, qos: {{reliability: {qos}}}, limits: {{data: 300000}}"
+    project = stage.project(f"  /image: {{type: sensor_msgs/msg/Image, {settings}}}\n")
+    (finding,) = receive_buffers(project.topics, stage.root, cyclone=cyclone)
+    assert (finding.code, finding.level) == ("DOC411", level)
+    if level:
+        size = int(finding.seen.partition("up to ")[2].partition(" ")[0])
+        assert 300_000 < size < 301_000 and "buffer 212992" in finding.seen
+        assert finding.command == "sudo sysctl -w net.core.rmem_default=4194304 net.core.rmem_max=4194304"
+
+
+def test_receive_buffers_that_are_not_visible(stage: Stage) -> None:
+    """A container may hide the settings; that is no good result."""
+    (finding,) = receive_buffers((), stage.root, cyclone=True)
+    assert (finding.code, finding.level) == ("DOC003", Level.NOTE)
+
+
+@pytest.mark.parametrize(
+    ("default", "most", "ours"),
+    [(212_992, 212_992, 425_984), (212_992, 4 << 20, 2 << 20), (4 << 20, 4 << 20, 4 << 20), (0, 0, 0)],
+)
+def test_cyclone_asks_for_a_larger_buffer(stage: Stage, default: int, most: int, ours: int) -> None:
+    """Cyclone asks for 1 MiB where the default is smaller; the kernel doubles it, within rmem_max."""
+    stage.file("proc/sys/net/core/rmem_default", f"{default}\n")
+    stage.file("proc/sys/net/core/rmem_max", f"{most}\n")
+    assert cyclone_buffer(stage.root) == ours

@@ -383,7 +383,7 @@ def test_large_messages_name_the_receive_buffer(
     graph: Graph, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A message beyond a default receive buffer is sent, and the log warns once."""
-    monkeypatch.setattr("rosplc.ros.dds.endpoint.receive_buffer", lambda: 1000)
+    monkeypatch.setattr("rosplc.ros.dds.endpoint.default_buffer", lambda: 1000)
     publisher = graph.node("node").advertise("/chatter", STRING, Qos())
     publisher.write(string("x" * 500))
     assert "net.core.rmem_default" not in caplog.text

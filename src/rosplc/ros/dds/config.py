@@ -9,13 +9,12 @@ from __future__ import annotations
 import os
 import socket
 from collections.abc import Mapping
-from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 from rosplc.errors import BackendError
 from rosplc.ros._base import domain_number
 
-__all__ = ["MAX_DOMAIN", "check_peers", "domain_config", "domain_id", "receive_buffer"]
+__all__ = ["MAX_DOMAIN", "check_peers", "domain_config", "domain_id"]
 
 MAX_DOMAIN = 232  # above, port numbers exceed 65535 (DDSI-RTPS 2.2, 9.6.1.1)
 
@@ -53,14 +52,6 @@ def domain_id(domain: int | None, environment: Mapping[str, str]) -> int:
         BackendError: ROS010 if it is no number from 0 to 232.
     """
     return domain_number(domain, environment, MAX_DOMAIN) or 0
-
-
-def receive_buffer() -> int:
-    """Return the bytes that a socket here holds unless it asks for more; 0 if unknown."""
-    try:
-        return int(Path("/proc/sys/net/core/rmem_default").read_text())
-    except (OSError, ValueError):
-        return 0
 
 
 def _discovery_range(environment: Mapping[str, str]) -> str:

@@ -15,8 +15,8 @@ from cyclonedds._clayer import ddspy_take, ddspy_write, ddspy_write_ts
 from rosplc.clock import Clock
 from rosplc.ros._base import BaseEndpoint, BasePublisher, BaseSubscription
 from rosplc.ros.backend import OnMessage, Qos
+from rosplc.ros.buffers import default_buffer, largest_message
 from rosplc.ros.dds import native
-from rosplc.ros.dds.config import receive_buffer
 from rosplc.ros.dds.idl import dds_topic
 from rosplc.ros.dds.log import library_log
 
@@ -152,7 +152,8 @@ class DdsPublisher(_Endpoint, BasePublisher):
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
-        self._large = receive_buffer() or sys.maxsize
+        self._buffer = default_buffer()
+        self._large = largest_message(self._buffer) or sys.maxsize
 
     def _warn_large(self, size: int) -> None:
         _logger.warning(
@@ -161,7 +162,7 @@ class DdsPublisher(_Endpoint, BasePublisher):
             "Raise net.core.rmem_default on their machines, or let them subscribe reliable",
             self.topic,
             size,
-            self._large,
+            self._buffer,
         )
         self._large = sys.maxsize
 
