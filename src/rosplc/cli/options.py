@@ -9,7 +9,7 @@ import typer
 
 from rosplc.errors import ConfigError
 
-__all__ = ["AsJson", "ConfigFile", "Directory", "config_file", "default_config"]
+__all__ = ["AsJson", "ConfigFile", "Directory", "config_file", "default_config", "observed_config"]
 
 _DEFAULT = Path("rosplc.yaml")
 
@@ -23,6 +23,11 @@ Directory = Annotated[str, typer.Option(help="Where the objects are.", hidden=Tr
 def default_config() -> Path | None:
     """Return ./rosplc.yaml if there is one."""
     return _DEFAULT if _DEFAULT.is_file() else None
+
+
+def observed_config(given: Path | None, prefix: str | None) -> Path | None:
+    """Return the configuration of a verb that only looks: ./rosplc.yaml unless one or a prefix is given."""
+    return given or (default_config() if prefix is None else None)
 
 
 def config_file(given: Path | None) -> Path:

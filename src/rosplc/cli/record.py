@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rosplc.cli.guard import guarded, print_json
+from rosplc.cli.options import observed_config
 from rosplc.cli.progress import ProgressLine
 from rosplc.cli.text import columns, in_bytes, say, warn
 from rosplc.cli.watching import Directory
@@ -40,7 +41,7 @@ minutes in memory, and write them when something has happened; Ctrl-C ends it, `
 rosplc record --repair broken.mcap  —  save what is whole of a file that was cut off
 
 It reads every message in order, and nobody notices it. What it could not keep up with is counted, printed,
-and stands in the file. docs/howto/record-and-replay.md has more.
+and written to the file.
 """
 
 _TURN_S = 0.1
@@ -62,12 +63,18 @@ def command(
         bool, typer.Option("--bag", help="Write a folder with a metadata.yaml, as `ros2 bag record` does.")
     ] = False,
     prefix: Annotated[
-        str | None, typer.Option(metavar="NAME", help="The bridge's `prefix:`; by default rosplc.")
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="The bridge's `prefix:`; by default the configuration's, else rosplc.",
+        ),
     ] = None,
     config: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE", help="The bridge's configuration: prefix, QoS and `stale_after:` count."
+            metavar="FILE",
+            help="The bridge's configuration: prefix, QoS and `stale_after:` count; without --prefix, "
+            "rosplc.yaml in this folder by default.",
         ),
     ] = None,
     exclude: Annotated[
@@ -137,7 +144,7 @@ def command(
         raise typer.BadParameter("it needs --keep", param_hint="--trigger" if trigger else "--after")
     selection = Selection(tuple(topics or ()), tuple(exclude or ()))
     namespace, expected, qos, distro = Namespace(prefix or "rosplc", directory), None, {}, ""
-    if config is not None:
+    if (config := observed_config(config, prefix)) is not None:
         project = load_project(config)
         if prefix is None:
             namespace = project.namespace

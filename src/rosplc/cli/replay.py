@@ -35,8 +35,7 @@ rosplc replay robot.bag --to ros --topic /odom --rename /odom:=/test/odom  —  
 
 It plays MCAP files and folders of ROS 2, and ROS 1 bags, also those that were cut off. Towards the PLC it
 takes the bridge's place, so that no bridge may carry these topics meanwhile. Messages are stamped with the
-time at which they are sent; `--stamps original` keeps the recorded stamps. docs/howto/record-and-replay.md
-has more.
+time at which they are sent; `--stamps original` keeps the recorded stamps.
 """
 
 _BACKENDS = ("auto", "dds", "rclpy", "zenoh", "rospy")

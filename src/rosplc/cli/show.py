@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rosplc.cli.guard import EXIT_FAILURE, finite, guarded, print_json
+from rosplc.cli.options import observed_config
 from rosplc.cli.text import columns, in_bytes, say, warn
 from rosplc.cli.watching import nothing_there, settled
 from rosplc.errors import ChannelError
@@ -22,14 +23,7 @@ if TYPE_CHECKING:
     from rosplc.monitor import ChannelView, ObjectState
     from rosplc.monitor.classic import ClassicState
 
-__all__ = ["EPILOG", "classic_facts", "classic_plans", "command", "list_classic", "show_classic"]
-
-
-def classic_plans(config: Path) -> list[TopicPlan]:
-    """Return the classic topics of a configuration. Raises ConfigErrors."""
-    from rosplc.config.resolve import load_project
-
-    return [plan for plan in load_project(config).topics if plan.classic is not None]
+__all__ = ["EPILOG", "classic_facts", "command", "list_classic", "show_classic"]
 
 
 def _look(plan: TopicPlan) -> ClassicState:
@@ -132,7 +126,7 @@ rosplc show /cmd_vel --follow  —  every message from now on
 
 rosplc show /joint_states --count 10 --json  —  ten messages, one JSON document per line
 
-rosplc show --config rosplc.yaml  —  its classic topics too, which cannot describe themselves
+rosplc show --config cell.yaml  —  its classic topics too, which cannot describe themselves
 
 It needs no configuration otherwise, no ROS and no right to write, and nobody notices it.
 """
@@ -150,7 +144,8 @@ def command(
     prefix: Annotated[
         str | None,
         typer.Option(
-            metavar="NAME", help="The bridge's `prefix:`; `rosplc` for one topic, any for the list."
+            metavar="NAME",
+            help="The bridge's `prefix:`; for a topic the configuration's or `rosplc`, any for the list.",
         ),
     ] = None,
     follow: Annotated[bool, typer.Option("--follow", "-f", help="Print messages until Ctrl-C.")] = False,
@@ -165,7 +160,11 @@ def command(
     ] = None,
     config: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="A configuration: show its classic topics too."),
+        typer.Option(
+            metavar="FILE",
+            help="A configuration: its prefix and its classic topics; without --prefix, rosplc.yaml in this "
+            "folder by default.",
+        ),
     ] = None,
     directory: Annotated[str, typer.Option(help="Where the objects stand.", hidden=True)] = "/dev/shm",
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
@@ -173,7 +172,13 @@ def command(
     """Show the message in a topic's shared memory, or list all channels of this machine."""
     from rosplc.api import attach, topics
 
-    classic = classic_plans(config) if config is not None else []
+    classic, own = [], prefix
+    if (file := observed_config(config, prefix)) is not None:
+        from rosplc.config.resolve import load_project
+
+        project = load_project(file)
+        classic = [plan for plan in project.topics if plan.classic is not None]
+        own = prefix or project.namespace.prefix
     if topic is None:
         states = topics(prefix, directory=directory)
         if as_json:
@@ -189,12 +194,12 @@ def command(
         show_classic(plan, follow=follow, count=count, timeout=timeout, as_json=as_json)
         return
     try:
-        channel = attach(topic, prefix=prefix or "rosplc", directory=directory)
+        channel = attach(topic, prefix=own or "rosplc", directory=directory)
     except ChannelError as error:
-        raise _with_hint(error, topic, prefix, directory) from None
+        raise _with_hint(error, topic, own, directory) from None
     with channel:
         live = follow or count is not None
-        view = _view(topic, prefix or "rosplc", directory) if header or not live else None
+        view = _view(topic, own or "rosplc", directory) if header or not live else None
         if header and not as_json:
             _print_header(channel, view)
         if follow or count is not None:
@@ -241,7 +246,7 @@ def _with_classic_hint(error: ChannelError, topic: str) -> ChannelError:
 
 def _list(states: list[ObjectState], prefix: str | None, directory: str) -> None:
     if not states:
-        say(nothing_there(prefix, directory))
+        say(nothing_there([prefix] if prefix else [], directory))
         return
     rows = []
     for state in states:

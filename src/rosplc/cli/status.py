@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from datetime import datetime
 from typing import TYPE_CHECKING, Annotated
 
@@ -21,9 +21,9 @@ __all__ = ["EPILOG", "command"]
 
 EPILOG = """Examples:
 
-rosplc status  —  every channel, and what is wrong
+rosplc status  —  every channel, and what is wrong; in a folder with rosplc.yaml, the channels of its bridge
 
-rosplc status --config rosplc.yaml  —  judged by what the configuration allows
+rosplc status --config cell.yaml  —  the bridge of a configuration, judged by what it allows
 
 rosplc status --json | jq '.channels[] | select(.state != "ok") | .topic'
 
@@ -33,7 +33,6 @@ It looks for about a second, and where nobody beats for three of the beats that 
 as a rule, and longer for a bridge that is starting. It needs no configuration, no ROS and no right to write,
 and nobody notices it. The exit status is 0 only if there are channels and nothing is wrong with any of them,
 and 1 otherwise: it can guard a script. In JSON, `worst` is null where there are no channels.
-docs/howto/watch-channels.md explains each state.
 """
 
 _LEAST_SECONDS = 1.0
@@ -62,18 +61,18 @@ def command(
         elif as_json:
             print_json(picture.as_json())
         else:
-            _print(picture, prefix, directory)
+            _print(picture, watch.prefixes, directory)
         if follow:
             _follow(watch, as_json=as_json)
     if picture.wrong or not picture.channels:
         raise typer.Exit(EXIT_FAILURE)
 
 
-def _print(picture: Picture, prefix: str | None, directory: str) -> None:
+def _print(picture: Picture, prefixes: Collection[str], directory: str) -> None:
     from rosplc.monitor.cells import plc_text, state_text, way_text
 
     if not picture.channels:
-        say(nothing_there(prefix, directory))
+        say(nothing_there(prefixes, directory))
         return
     for bridge in picture.bridges:
         alive = "alive" if bridge.alive else "dead" if bridge.pid else "ended"

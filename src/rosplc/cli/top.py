@@ -20,7 +20,7 @@ EPILOG = """Examples:
 
 rosplc top  —  every channel of this machine; Enter shows the message with live values, ? explains
 
-rosplc top --config rosplc.yaml  —  judged by what the configuration allows, with its classic topics
+rosplc top --config cell.yaml  —  judged by what the configuration allows, with its classic topics
 
 rosplc top --interval 2  —  look every two seconds, over a slow connection
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from rosplc.cli.options import observed_config
 from rosplc.clock import SYSTEM, Clock
 
 if TYPE_CHECKING:
@@ -16,7 +18,10 @@ __all__ = ["Configs", "Directory", "Prefix", "StaleAfter", "nothing_there", "ope
 
 Prefix = Annotated[
     str | None,
-    typer.Option(metavar="NAME", help="Only the bridge with this `prefix:`; every bridge without."),
+    typer.Option(
+        metavar="NAME",
+        help="Only the bridge with this `prefix:`; rosplc.yaml is not read then.",
+    ),
 ]
 Configs = Annotated[
     list[Path] | None,
@@ -24,7 +29,8 @@ Configs = Annotated[
         "--config",
         metavar="FILE",
         help="A configuration: its bridge only, judged by its `stale_after:`, with its classic topics and "
-        "those that have no channel. May be repeated.",
+        "those that have no channel. May be repeated. By default rosplc.yaml in this folder, else every "
+        "bridge of the machine.",
     ),
 ]
 StaleAfter = Annotated[
@@ -39,23 +45,24 @@ _LOOK_NS = 100_000_000
 Directory = Annotated[str, typer.Option(help="Where the objects stand.", hidden=True)]
 
 
-def nothing_there(prefix: str | None, directory: str) -> str:
-    """Return what to say where there are no channels, or none of the prefix that was asked for.
+def nothing_there(prefixes: Collection[str], directory: str) -> str:
+    """Return what to say where there are no channels, or none of the prefixes that were asked for.
 
     Raises:
         ChannelError: SHM123 if the directory cannot be listed.
     """
     from rosplc.monitor import find_objects
 
-    others = sorted({state.prefix for state in find_objects(directory, seconds=0.0)}) if prefix else []
+    others = sorted({state.prefix for state in find_objects(directory, seconds=0.0)}) if prefixes else []
     if not others:
         return "There are no channels on this machine. Start a bridge (rosplc run) or the demo (rosplc demo)."
     named = ", ".join(others[:_NAMED]) + (f" and {len(others) - _NAMED} more" if len(others) > _NAMED else "")
-    return f"There is no channel of prefix {prefix} on this machine; there are channels of prefix {named}."
+    asked = ", ".join(sorted(prefixes))
+    return f"There is no channel of prefix {asked} on this machine; there are channels of prefix {named}."
 
 
 def open_watch(prefix: str | None, configs: list[Path] | None, stale_after: str, directory: str) -> Watch:
-    """Return a watch over the channels that the options ask for.
+    """Return a watch over the channels that the options, or else ./rosplc.yaml, ask for.
 
     Raises:
         BadParameter: ``stale_after`` is no duration.
@@ -72,7 +79,9 @@ def open_watch(prefix: str | None, configs: list[Path] | None, stale_after: str,
         limit = parse_stale(stale_after)
     except ValueError as error:
         raise typer.BadParameter(f"{error}, or never", param_hint="--stale-after") from None
-    expected = replace(expected_by(configs or ()), stale_after_ns=limit)
+    default = observed_config(None, prefix)
+    files = configs or ([] if default is None else [default])
+    expected = replace(expected_by(files), stale_after_ns=limit)
     return Watch(prefix or expected.prefixes or None, directory=directory, expected=expected)
 
 

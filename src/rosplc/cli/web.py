@@ -29,7 +29,7 @@ rosplc web  —  open the address that it prints, on this machine
 
 ssh -t -L 8480:localhost:8480 MACHINE rosplc web  —  the page of another machine, at the same address here
 
-rosplc web --config rosplc.yaml  —  with what a configuration expects of its topics, and its classic topics
+rosplc web --config cell.yaml  —  with what a configuration expects of its topics, and its classic topics
 
 rosplc web --allow-write  —  test messages may be written, by whoever has the token that it prints
 

@@ -66,6 +66,9 @@ class Watch:
         topic: Only this topic; None for all.
         clock: What ages, rates and signs of life are judged by.
 
+    Attributes:
+        prefixes: The prefixes that were asked for; empty for all.
+
     Raises:
         ChannelError: SHM118 if the prefix is not valid.
     """
@@ -82,6 +85,7 @@ class Watch:
         prefixes = (prefix,) if isinstance(prefix, str) else prefix
         self._names = {each: Namespace(each, directory) for each in prefixes or ()}
         self._all = prefixes is None
+        self.prefixes = frozenset(self._names)
         self._topic = topic
         self._clock = clock
         self._directory = directory

@@ -8,6 +8,7 @@ import pty
 import subprocess
 import sys
 import threading
+from pathlib import Path
 
 import pytest
 
@@ -101,6 +102,36 @@ def test_a_configuration_means_its_bridge_only(running, tmp_path, shm_namespace)
     finally:
         other.channel.retire()
     assert {channel["prefix"] for channel in document["channels"]} == {running}
+
+
+def test_a_configuration_in_this_folder_is_the_default(running, tmp_path, shm_namespace, monkeypatch):
+    """The verbs that look use ./rosplc.yaml, unless a file or a prefix is named."""
+    monkeypatch.chdir(tmp_path)
+    topics = "topics: {/cell/state: {type: std_msgs/msg/Float64, to: plc}}\n"
+    Path("rosplc.yaml").write_text(f"bridge: test\nprefix: {running}\n{topics}")
+    other = Side(
+        Namespace(f"{running}x", shm_namespace.directory),
+        "/n",
+        layout_of("std_msgs/msg/Float64"),
+        Direction.TO_PLC,
+    )
+
+    def prefixes(*asked, code=0):
+        document = json.loads(rosplc("status", "--json", *asked, code=code).output)
+        return {channel["prefix"] for channel in document["channels"]}
+
+    try:
+        assert prefixes() == {running}
+        assert prefixes("--prefix", f"{running}x", code=1) == {f"{running}x"}
+        assert "/cell/state" in rosplc("show", "/cell/state").output
+        recorded = json.loads(rosplc("record", "-o", "r", "--duration", "500ms", "--json").stdout)
+        assert list(recorded["topics"]) == ["/cell/state"]
+        Path("rosplc.yaml").write_text(f"bridge: test\nprefix: {running}y\n{topics}")
+        assert prefixes(code=1) == {f"{running}y"}  # configured and missing
+        Path("rosplc.yaml").write_text(f"bridge: test\nprefix: {running}y\ntopics: {{}}\n")
+        assert f"no channel of prefix {running}y on this machine" in rosplc("status", code=1).output
+    finally:
+        other.channel.retire()
 
 
 def test_show_has_age_and_state_and_marks_what_is_dead(running, shm_namespace):
