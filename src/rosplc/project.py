@@ -85,6 +85,7 @@ def check(config: Path | str | Project) -> dict[str, Any]:
             for plan in project.topics
         },
         "memory_bytes": sum(memory(project, plan)["memory_bytes"] for plan in project.topics),
+        "unusable_types": [error.to_dict() for error in project.store.problems()],
         "warnings": warnings(project),
     }
 

@@ -97,8 +97,15 @@ def _explain(project: Project, *, verbose: bool) -> None:
     head = [f"{project.config.path or 'The configuration'} is valid.", *_head(project)]
     total = list(_total(project))
     found = [f"Warning: {text}" for text in warnings(project)]
+    unusable = project.store.problems()
+    if unusable:
+        what = plural(len(unusable), "custom type")
+        more = "" if verbose else " (rosplc check -v)"
+        total.append(f"{what} in types.paths cannot be used; the topics do not need them{more}.")
     if verbose:
-        for line in (*head, *_details(project), *total, *found):
+        # A type that needs another has the other's mistake.
+        listed = dict.fromkeys(f"  {error.where}: {error.what} [{error.code}]" for error in unusable)
+        for line in (*head, *_details(project), *total, *listed, *found):
             say(line)
         return
     if len(found) > _WARNINGS:

@@ -9,7 +9,7 @@ import typer
 
 from rosplc.cli.guard import guarded, print_json
 from rosplc.cli.options import AsJson
-from rosplc.cli.text import plural, say, table
+from rosplc.cli.text import plural, say, table, warn
 from rosplc.errors import BackendError
 
 if TYPE_CHECKING:
@@ -29,6 +29,8 @@ rosplc types geometry_msgs/Twist  —  its fields, offsets and IEC types
 rosplc types sensor_msgs/JointState --limits name=6 --limits position=6
 
 rosplc types my_msgs/Part --path ./msg  —  a custom type
+
+rosplc types --path ~/ws/src  —  all types, those of a workspace too, and which of these cannot be used
 
 rosplc types --from-topic /pose --save ./msg  —  a custom type of ROS 1, asked of a running publisher
 
@@ -112,6 +114,11 @@ def command(
             print_json(names)
         else:
             say("\n".join(names))
+        if name is None:
+            for text in dict.fromkeys(
+                f"{each.where}: {each.what} [{each.code}]" for each in store.problems()
+            ):
+                warn(f"not usable: {text}")
         return
     layout = compute_layout(store, store[name].name, parse_limits(limits or []))
     if as_json:

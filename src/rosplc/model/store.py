@@ -223,6 +223,15 @@ class TypeStore:
             hint = f"; {self._nameless[0].where} was not read: {self._nameless[0].what}"
         return f"{name} is unknown{f' in {self.distro}' if self.distro else ''}{hint}"
 
+    def _remedy(self, name: str) -> str:
+        package = name.partition("/")[0]
+        if any(other.startswith(f"{package}/") for other in self._types):
+            return f"`rosplc types {package}` lists the package's types; add others' folder to types.paths."
+        return (
+            f"Check the spelling with `rosplc types`. Package {package} is not bundled: add its folder to "
+            f"types.paths (`--path` of `rosplc types`); ROS installs it as /opt/ros/DISTRO/share/{package}."
+        )
+
     def _visit(self, name: str, heights: dict[str, int], above: tuple[str, ...], where: str) -> int:
         """Return how deep a type is nested; ``heights`` fills in order of dependency."""
         if name in heights:
@@ -230,7 +239,8 @@ class TypeStore:
         if name in self._broken:
             raise self._broken[name]
         if name not in self._types:
-            raise MessageTypeError("TYP001", self._unknown(name[:80]), where=where)
+            short = name[:80]
+            raise MessageTypeError("TYP001", self._unknown(short), where=where, remedy=self._remedy(short))
         if name in above:
             cycle = " → ".join((*above[above.index(name) :], name))
             raise MessageTypeError("TYP003", cycle, where=where)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -25,6 +26,27 @@ def explained(folder: Path, text: str) -> str:
 
 def made(text: str):
     return check(resolve(parse_config(text)))
+
+
+def test_types_that_cannot_be_used_are_listed(tmp_path: Path) -> None:
+    """A whole workspace is no error, and what of it cannot be carried is named, as text and as JSON."""
+    package = tmp_path / "ws/my_msgs/msg"
+    package.mkdir(parents=True)
+    for name, definition in {"Good": "int8 x", "Wide": "wstring text", "Needs": "Wide wide"}.items():
+        (package / f"{name}.msg").write_text(f"{definition}\n")
+    path = tmp_path / "rosplc.yaml"
+    path.write_text(
+        "ros: {backend: memory}\ntypes: {paths: [ws]}\ntopics: {/a: {type: my_msgs/msg/Good, to: plc}}\n"
+    )
+    mistake = f"{package / 'Wide.msg'}:1: "
+    assert "2 custom types in types.paths cannot be used" in rosplc("check", path).output
+    assert mistake not in rosplc("check", path).output
+    assert rosplc("check", path, "-v").output.count(mistake) == 1
+    facts = json.loads(rosplc("check", path, "--json").output)
+    assert [each["code"] for each in facts["unusable_types"]] == ["TYP004", "TYP004"]
+    listed = rosplc("types", "--path", tmp_path / "ws")
+    assert "my_msgs/msg/Good" in listed.stdout and "my_msgs/msg/Wide" not in listed.stdout
+    assert listed.stderr.count(f"not usable: {mistake}") == 1 and listed.stderr.count("\n") == 1
 
 
 def test_the_plc_program_finds_its_block_by_the_name_that_is_told(tmp_path: Path) -> None:

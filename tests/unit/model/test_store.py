@@ -257,6 +257,20 @@ def test_types_that_contain_themselves_are_refused(text: str) -> None:
     assert caught.value.code == "TYP003"
 
 
+@pytest.mark.parametrize(
+    ("name", "remedy"),
+    [
+        ("my_msgs/msg/Part", "ROS installs it as /opt/ros/DISTRO/share/my_msgs."),
+        ("sensor_msgs/msg/Imagery", "`rosplc types sensor_msgs` lists the package's types"),
+    ],
+)
+def test_an_unknown_type_comes_with_what_to_do(name: str, remedy: str) -> None:
+    """A package that is not bundled has a folder somewhere; one that is has a list."""
+    with pytest.raises(MessageTypeError) as caught:
+        TypeStore.bundled("jazzy")[name]
+    assert caught.value.code == "TYP001" and remedy in caught.value.remedy
+
+
 class TestFolders:
     """Custom types from files."""
 
