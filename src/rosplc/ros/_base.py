@@ -267,7 +267,7 @@ class BaseNode:
 
     Args:
         context: What it is opened with.
-        ros1: Whether the backend is one of ROS 1.
+        ros1: Whether the backend is one of ROS 1; None: it takes the types of both.
 
     Raises:
         BackendError: ROS001 if the types are those of the other ROS, ROS005 for a bad name.
@@ -276,8 +276,9 @@ class BaseNode:
     name: str
     logger = logging.getLogger("rosplc.ros")
 
-    def __init__(self, context: Context, *, ros1: bool = False) -> None:
-        check_ros(self.name, context.store, ros1=ros1)
+    def __init__(self, context: Context, *, ros1: bool | None = False) -> None:
+        if ros1 is not None:
+            check_ros(self.name, context.store, ros1=ros1)
         self._namespace = validate_namespace(context.namespace)
         self._node_name = validate_node_name(context.node_name)
         self.node = join(context.namespace, context.node_name)

@@ -152,7 +152,7 @@ class MemoryBackend(BaseNode):
     capabilities = frozenset({"topics"})
 
     def __init__(self, context: Context) -> None:
-        super().__init__(context)
+        super().__init__(context, ros1=None)
         self.clock = context.clock
         self.domain = domain = domain_number(context.domain, context.environment) or 0
         self.endpoints: list[_Endpoint] = []
