@@ -50,6 +50,10 @@ class Silence:
             self._settled_ns = now_ns + self._debounce_ns
         return True
 
+    def excuse(self, now_ns: int) -> None:
+        """Expect the source to send from now on only: somebody else has heard it meanwhile."""
+        self._since_ns = now_ns
+
     @property
     def due_ns(self) -> int:
         """When the source becomes stale if no message comes before."""

@@ -432,6 +432,18 @@ class ToRos(Stream):
             return f"{type(error).__name__}: {error}", ""
         return None if sent else ("a subscriber does not keep up", "")
 
+    def flush(self, now_ns: int) -> None:
+        """Pass on what waited for its time; no substitute while another bridge carries the topic."""
+        if (substitute := self._substitute) is not None and self._taken_over():
+            self.silence.excuse(now_ns)
+            if substitute.active:
+                substitute.active = False
+                self._show(False)
+        super().flush(now_ns)
+
+    def _taken_over(self) -> bool:
+        return "[SHM116]" in self.problem if self.problem else not self.port.owned()
+
     def _send_substitute(self, now_ns: int) -> None:
         """Publish what takes the PLC's place; it is counted apart, and its loss is no message's."""
         self.hold.forget()

@@ -71,6 +71,30 @@ def test_a_resumed_bridge_repeats_nothing(cell: Cell, monkeypatch: pytest.Monkey
     assert numbers(messages) == [1, 2, 3, 4]
 
 
+@pytest.mark.parametrize("substituting", [False, True])
+def test_no_substitutes_while_another_bridge_carries_the_topic(cell: Cell, substituting: bool) -> None:
+    """It hears no PLC any more, but the other does, and a substitute would contradict the PLC."""
+    entry = ", stale_after: 100ms, on_stale: {value: {data: -7}, period: 20ms}}"
+    first = cell.start(OUT.replace("}", entry))
+    plc = cell.plc("/out")
+    if substituting:
+        wait_for(lambda: first.status().topic("/out").substituting)
+    cell.namespace.lock_path("/out").unlink()
+    with Bridge(parse_config(cell.config(OUT))):
+        wait_for(lambda: "SHM116" in first.status().topic("/out").problem)
+        stage: Any = first._streams[0].hold.stages[-1]
+        before, due = first.status().topic("/out").substituted, stage.due_ns
+        messages = cell.listen("/out", INT)
+        for number in range(5):  # it becomes due again and again, and comes to nothing
+            plc.write({"data": number})
+            wait_for(lambda due=due: stage.due_ns > due + 20_000_000)  # type: ignore[misc]
+            due = stage.due_ns
+        wait_for(lambda: 4 in numbers(messages))
+        assert numbers(messages) == list(range(5))
+        status = first.status().topic("/out")
+        assert (status.substituted, status.substituting) == (before, False)
+
+
 @pytest.mark.parametrize("kind", ["object", "lock file"])
 def test_a_strangers_directory_costs_one_topic(cell: Cell, kind: str) -> None:
     """The topic is not carried and says so, others are; once the directory has gone it is carried."""
