@@ -157,7 +157,7 @@ def test_a_killed_bridge(
     found = doctor(path)
     assert image(shm_namespace) == before
     assert levels(found, "DOC205") == ["note"] and levels(found, "DOC601") == ["note"]
-    assert f"{shm_namespace.prefix}." in found["DOC205"][0]["command"]
+    assert found["DOC205"][0]["command"].endswith(f"--prefix {shm_namespace.prefix}")
     assert levels(doctor(config(TOPICS.splitlines()[0], name="other.yaml")), "DOC206") == ["warning"]
     bridges.append(Bridge(path, shm_namespace))
     fine = {"DOC205": ["ok"], "DOC601": ["ok"]}

@@ -50,14 +50,21 @@ def signed(byte: int) -> int:
     return byte - 256 if byte > 127 else byte
 
 
+def ros1(store: Any) -> bool:
+    """Return whether a byte is signed on both sides, as ROS 1 has it."""
+    return bool(store is rosbags_store("noetic"))
+
+
 def to_rosbags(store: Any, name: str, value: dict[str, Any]) -> Any:
     def convert(node: Any, item: Any) -> Any:
         kind, argument = node
         if kind == Nodetype.BASE:
-            return signed(item) if argument[0] == "byte" else item
+            return signed(item) if argument[0] == "byte" and not ros1(store) else item
         if kind == Nodetype.NAME:
             return to_rosbags(store, argument, item)
         element = argument[0]
+        if element == (Nodetype.BASE, ("byte", 0)) and ros1(store):
+            return np.array(item, dtype="int8").view("uint8")
         if element[0] == Nodetype.BASE and element[1][0] != "string":
             return np.array(item, dtype=DTYPES.get(element[1][0], element[1][0]))
         return [convert(element, each) for each in item]
@@ -72,9 +79,11 @@ def to_plain(store: Any, name: str, message: Any) -> dict[str, Any]:
         if kind == Nodetype.NAME:
             return to_plain(store, argument, item)
         if kind == Nodetype.BASE:
-            return item % 256 if argument[0] == "byte" else item
+            return item % 256 if argument[0] == "byte" and not ros1(store) else item
         if isinstance(item, np.ndarray):
-            return item.astype("uint8").tolist() if argument[0][1][0] == "byte" else item.tolist()
+            if argument[0][1][0] != "byte":
+                return item.tolist()
+            return item.astype("int8" if ros1(store) else "uint8").tolist()
         return [convert(argument[0], each) for each in item]
 
     fields = store.fielddefs[name][1]

@@ -14,6 +14,7 @@ from rosplc.plc.build import PlcTask, PlcTopic, ProjectOptions, build_project
 from rosplc.plc.classic import Classic
 from rosplc.plc.delivery import project_files
 from rosplc.plc.names import is_reserved
+from rosplc.plc.project import Enumeration
 from tests.unit.plc.fake_scriptengine import Project, run
 
 STORE = TypeStore.bundled("jazzy")
@@ -49,6 +50,11 @@ def definitions(draw):
     return "\n".join([*(f"uint8 {name}={number}" for number, name in enumerate(constants)), *lines]) + "\n"
 
 
+def element_names(dut):
+    """Return what a data unit type declares: members, or the names of an enumeration."""
+    return [name for name, _ in dut.values] if isinstance(dut, Enumeration) else [m.name for m in dut.members]
+
+
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(
     texts=st.lists(definitions(), min_size=1, max_size=3),
@@ -80,7 +86,7 @@ def test_any_project_is_well_formed_in_every_delivery(texts, topics, tasks, pins
     made = build_project(store, plans, used, ProjectOptions(pins=pins))
 
     objects = [item.name for item in (*made.duts, *made.gvls, *made.pous)]
-    scopes = [objects, *([m.name for m in dut.members] for dut in made.duts)]
+    scopes = [objects, *(element_names(dut) for dut in made.duts)]
     scopes += [[v.name for b in item.blocks for v in b.variables] for item in (*made.gvls, *made.pous)]
     for scope in scopes:
         assert len({name.upper() for name in scope}) == len(scope)
