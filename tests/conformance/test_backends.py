@@ -365,8 +365,15 @@ def test_malformed_bytes_that_arrive_break_nothing(graph: Harness, bad: bytes) -
         if bad[:2] == b"\0\1":  # without a header it is no part of any message, and of no topic
             repeat_until(lambda bad=bad: send(bad), lambda: inbox.status().rejected)
     else:  # the bridge's codec refuses it
-        assert delivered == [bad] if bad[:2] == b"\0\1" else delivered in ([], [bad])
-        assert len(delivered) + inbox.status().rejected + inbox.status().dropped == 1
+
+        def arrived() -> list[bytes]:
+            return [payload for payload, _ in inbox.since(0) if payload != good]
+
+        # What is sent right after the match may pass a real middleware by.
+        repeat_until(
+            lambda: send(bad), lambda: len(arrived()) + inbox.status().rejected + inbox.status().dropped
+        )
+        assert set(arrived()) <= {bad} and (arrived() or bad[:2] != b"\0\1")
 
 
 def test_unknown_type_is_refused(graph: Harness) -> None:
