@@ -80,7 +80,7 @@ ARCHITECTURES = {
         "armv7l",
         "arm-linux-gnueabihf",
         "qemu-arm",
-        ("python3-numpy", "python3-lz4", "python3-zstandard", "python3-yaml"),
+        ("python3-numpy", "python3-lz4", "python3-zstandard", "python3-yaml", "python3-markupsafe"),
         ("backports.zstd",),
     ),
     "arm64": Architecture("arm64", "aarch64", "aarch64-linux-gnu", "qemu-aarch64"),

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import ast
+import re
 import subprocess
 import sys
 import zipfile
+from importlib.metadata import packages_distributions, requires
 from pathlib import Path
 
 import pytest
@@ -13,6 +16,13 @@ import rosplc
 from deploy.wheel import build_wheel
 
 ROOT = Path(__file__).resolve().parents[2]
+OURS = {"rosplc", "rosplc_st", "rosplc_bench"}
+# For type checkers alone, installed with a ROS, or a requirement of rosbags whose errors it raises.
+ELSEWHERE = {"_typeshed", "apsw", "rclpy", "rcl_interfaces", "rospy", "rosgraph", "builtin_interfaces"}
+
+
+def canonical(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()
 
 
 def run(*command: str, cwd: Path) -> str:
@@ -52,6 +62,21 @@ def test_wheel_holds_package_types_and_core(tmp_path: Path) -> None:
         assert core == {"rosplc/_core/_native.abi3.so"}
         assert "-cp311-abi3-" in wheel.name
     assert {Path(name).name for name in information} >= {"METADATA", "LICENSE", "entry_points.txt"}
+
+
+def test_every_import_is_declared() -> None:
+    """What the package imports is Python's own, its own, or a dependency that it names."""
+    declared = {canonical(re.split(r"[^\w.-]", one)[0]) for one in requires("rosplc") or ()}
+    provides = packages_distributions()
+    for path in (ROOT / "src" / "rosplc").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) and not node.level else []
+            for name in (
+                {name.partition(".")[0] for name in names} - sys.stdlib_module_names - OURS - ELSEWHERE
+            ):
+                found = {canonical(one) for one in provides.get(name, (name,))}
+                assert found & declared, f"{path.name} imports {name}, which pyproject.toml does not name"
 
 
 @pytest.mark.verify(minutes=1)
