@@ -25,7 +25,7 @@ _PACKAGES = ("python3", "python3-venv", "libpython3-dev")
 _HOME = Path("opt/rosplc")
 # Debian's alternatives are not configured where packages were only unpacked.
 _LIBRARIES = "/usr/lib/{0}/blas:/usr/lib/{0}/lapack"
-_OTHER_NAMES = {"python3-yaml": "PyYAML"}
+_OTHER_NAMES = {"python3-yaml": "PyYAML", "python3-markupsafe": "MarkupSafe"}
 """Debian's name of a package → PyPI's, where more than the prefix differs."""
 _ONLY_HERE = {"cyclonedds": "11.0"}
 """What pyproject.toml asks for on x86-64 alone, with a version that it takes."""
