@@ -64,7 +64,7 @@ def write_config(path: Path, recording: Source, prefix: str) -> None:
     folders = path.parent / "msg"
     lines = [
         f"bridge: {prefix}", f"prefix: {prefix}", "ros: {backend: dds, distro: jazzy}",
-        f"types: {{paths: [{folders}]}}", "limits: {string: 200, sequence: 16}",
+        "limits: {string: 200, sequence: 16}",
         "tasks: {RosTask: {interval: 5ms}}", "topics:",
     ]  # fmt: skip
     for topic in recording.topics.values():
@@ -80,6 +80,8 @@ def write_config(path: Path, recording: Source, prefix: str) -> None:
             "qos: {durability: transient_local, depth: 1000}}"
         )
     lines.append(f"  {COMMAND}: {{type: geometry_msgs/msg/Twist, to: ros, slots: 4096}}")
+    if folders.exists():  # not every recording has types that are not bundled
+        lines.insert(0, f"types: {{paths: [{folders}]}}")
     path.write_text("\n".join(lines) + "\n")
 
 
