@@ -10,18 +10,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-__all__ = [
-    "GRACE_NS",
-    "Grace",
-    "Hold",
-    "Item",
-    "OnChange",
-    "RateLimiter",
-    "Retained",
-    "Silence",
-    "Stage",
-    "Substitute",
-]
+__all__ = ["GRACE_NS", "Grace", "Hold", "Item", "OnChange", "RateLimiter", "Silence", "Stage", "Substitute"]
 
 Item = tuple[bytes, int]
 """A message's wire bytes and its stamp, ns since 1970."""
@@ -30,7 +19,6 @@ GRACE_NS = 1_000_000_000
 """How long after the start messages towards ROS may wait for the first subscriber."""
 
 _LOOK_NS = 5_000_000
-_RETRY_NS = 500_000_000
 
 
 class Silence:
@@ -277,43 +265,6 @@ class Grace:
 
     def _ends(self, now_ns: int) -> bool:
         return self.over or now_ns >= self._until_ns or self._matched()
-
-
-class Retained:
-    """A retained message that could not be published, as on an inactive node: tried until one is sent.
-
-    Args:
-        item: The message.
-        now_ns: When it was tried.
-        publish: Sends it; returns whether that succeeded.
-    """
-
-    def __init__(self, item: Item, now_ns: int, publish: Callable[[Item], bool]) -> None:
-        self.due_ns: int | None = now_ns + _RETRY_NS
-        self.skipped = 0
-        self.over = False
-        self._item = item
-        self._publish = publish
-
-    def sent(self) -> None:
-        """A message was sent: what is older is not wanted any more."""
-        self.over = True
-        self.due_ns = 0  # to be left out at once
-
-    def failed(self, item: Item) -> None:
-        """A newer message could not be sent either: it takes the place of the older one."""
-        self._item = item
-
-    def offer(self, item: Item, now_ns: int) -> Sequence[Item]:
-        """Let messages pass."""
-        return (item,)
-
-    def flush(self, now_ns: int, *, anyway: bool = False) -> Sequence[Item]:
-        """Publish the message if it is still wanted."""
-        if not self.over and not anyway:
-            self.over = self._publish(self._item)
-            self.due_ns = None if self.over else now_ns + _RETRY_NS
-        return ()
 
 
 class Substitute:

@@ -8,18 +8,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
-from rosplc.bridge.hold import (
-    GRACE_NS,
-    Grace,
-    Hold,
-    Item,
-    OnChange,
-    RateLimiter,
-    Retained,
-    Silence,
-    Stage,
-    Substitute,
-)
+from rosplc.bridge.hold import GRACE_NS, Grace, Hold, OnChange, RateLimiter, Silence, Stage, Substitute
 from rosplc.bridge.port import QUIET_NS, Context, Counters, Port, Ports, PortStatus, log
 from rosplc.bridge.status import TopicStatus
 from rosplc.codec import TRUNCATED, Codec, Fault, Wire
@@ -345,7 +334,6 @@ class ToRos(Stream):
         self._publisher: Publisher | None = None
         self._substitute: Substitute | None = None
         self._flag: Publisher | None = None
-        self._retained: Retained | None = None
         self._substituted_before = 0
         stages: list[Stage] = []
         if plan.on_change:
@@ -388,19 +376,12 @@ class ToRos(Stream):
         if publisher is None:
             return
         found = self.port.retained() if self.plan.retained else None
-        if found is not None:
-            item = (found[0], self._stamp(*found[1:]))
-            if (failure := self._write(*item)) is not None:
-                self.note(now_ns, f"the retained message was not sent yet: {failure[0]}", failure[1])
-                self._retained = Retained(item, now_ns, self._repeat)
-                self.hold.stages.insert(0, self._retained)
+        if found is not None and (failure := self._write(found[0], self._stamp(*found[1:]))) is not None:
+            self.note(now_ns, f"the retained message was not sent: {failure[0]}", failure[1])
         grace = Grace(
             now_ns + GRACE_NS, self.plan.qos.depth if self.plan.every else 1, lambda: publisher.matched > 0
         )
         self.hold.stages.insert(len(self.hold.stages) - (self._substitute is not None), grace)
-
-    def _repeat(self, item: Item) -> bool:
-        return self.port.owned() and self._write(*item) is None
 
     def _stamp(self, stamp_ns: int, stamp_clock: int) -> int:
         # A stamp of the PLC's own clock means nothing in ROS; the bridge stamps on arrival.
@@ -432,8 +413,6 @@ class ToRos(Stream):
         if (failure := self._write(data, stamp_ns)) is not None:
             count.lost += 1
             self.hold.forget()
-            if self._retained is not None:
-                self._retained.failed((data, stamp_ns))
             self.note(now_ns, f"message not sent: {failure[0]}", failure[1])
             return
         count.published += 1
@@ -451,11 +430,7 @@ class ToRos(Stream):
             return error.what, error.code
         except Exception as error:  # a backend's own mistake must not stop the other streams
             return f"{type(error).__name__}: {error}", ""
-        if not sent:
-            return "a subscriber does not keep up", ""
-        if self._retained is not None:
-            self._retained.sent()
-        return None
+        return None if sent else ("a subscriber does not keep up", "")
 
     def flush(self, now_ns: int) -> None:
         """Pass on what waited for its time; no substitute while another bridge carries the topic."""

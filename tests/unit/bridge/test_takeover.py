@@ -14,7 +14,6 @@ from rosplc.bridge.hold import OnChange
 from rosplc.config import parse_config
 from rosplc.errors import BackendError, ChannelError
 from rosplc.ros import Qos
-from rosplc.ros.gated import GatedBackend
 from rosplc.ros.memory import MemoryBackend, open_backend
 from tests.lib.waiting import wait_for
 from tests.unit.bridge.conftest import BOTH, DOMAIN, INT, STORE, STRING, Cell, numbers, wire
@@ -154,31 +153,6 @@ def test_a_latched_message_outlives_a_restart(cell: Cell, entry: str, expected: 
     plc.write({"data": 8})
     wait_for(lambda: numbers(late) == [*expected, 8])
     assert bridge.status().topic("/out").received == 1
-
-
-@pytest.mark.parametrize("newer", [None, 8])
-def test_a_latched_message_comes_when_an_inactive_node_becomes_active(cell: Cell, newer: int | None) -> None:
-    """A lifecycle node is inactive when its bridge starts; activation publishes the newest message, once."""
-    topics = f"  /out: {{type: {INT}, to: ros, latched: true}}\n"
-    bridge = cell.start(topics)
-    plc = cell.plc("/out")
-    plc.write({"data": 7})
-    wait_for(lambda: bridge.status().topic("/out").published == 1)
-    cell.stop()
-    gate = GatedBackend(open_backend(STORE, "node", domain=DOMAIN))
-    bridge = cell.bridge = Bridge(parse_config(cell.config(topics)), gate)
-    bridge.start()
-    late = cell.listen("/out", INT, Qos(durability="transient_local", depth=10))
-    if newer is not None:
-        plc.write({"data": newer})
-        wait_for(lambda: bridge.status().topic("/out").lost == 1)
-    assert not late
-    gate.activate()
-    expected = [newer or 7]
-    wait_for(lambda: late)
-    plc.write({"data": 9})
-    wait_for(lambda: numbers(late)[-1] == 9)
-    assert numbers(late) == [*expected, 9]
 
 
 def test_messages_of_the_time_without_a_bridge_are_told_apart(cell: Cell) -> None:
