@@ -216,7 +216,7 @@ def torn_read() -> str:
         text(
             memory - 124,
             506,
-            f"look; after {MAX_RETRIES} repetitions in vain the last",
+            f"look; after {MAX_RETRIES} failed repetitions the last",
             "left small",
         ),
         text(memory - 124, 524, "message stays until the next scan.", "left small"),

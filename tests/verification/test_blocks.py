@@ -65,7 +65,7 @@ def test_without_a_proven_fence_the_delayed_rule_is_in_force(
 
 
 def test_silence_is_one_error_until_the_bridge_beats(cell: Cell) -> None:
-    """While an object lies there and no bridge runs, opening it again and again changes no error."""
+    """While an object exists and no bridge runs, opening it again and again changes no error."""
     for topic in ("/plain", "/out"):
         channel = cell.channel(topic)
         end = channel.writer(beat_ms=100) if topic == "/plain" else channel.reader(beat_ms=100)

@@ -391,7 +391,7 @@ class Beats:
                 try:
                     member.beat()
                 except (ChannelError, ValueError):
-                    continue  # write() and read() report it to whoever can act
+                    continue  # write() and read() report it to the caller, who can act
             del members, member  # or this thread would keep alive what nobody else refers to
 
     @classmethod

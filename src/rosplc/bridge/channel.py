@@ -296,7 +296,7 @@ class PortToRos(ChannelPort):
 
 
 class ChannelsToPlc(Waiting):
-    """The channels that the bridge writes: whoever has a message writes it at once."""
+    """The channels that the bridge writes: each thread writes its message at once."""
 
     def __init__(self, context: Context) -> None:
         super().__init__(context.clock)

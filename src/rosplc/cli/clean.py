@@ -127,7 +127,7 @@ def _remove(lock_file: Path, paths: list[Path], *, dry_run: bool) -> list[str]:
 
 
 def _retire(path: Path) -> None:
-    """Tell whoever has the object mapped to leave it."""
+    """Tell every process that has the object mapped to leave it."""
     from rosplc.shm.files import open_plain_file
     from rosplc.shm.owned import retire_file
 

@@ -79,7 +79,7 @@ def list_classic(plans: list[TopicPlan]) -> None:
 def show_classic(
     plan: TopicPlan, *, follow: bool, count: int | None, timeout: float | None, as_json: bool
 ) -> None:
-    """Print what stands in a classic topic's memory; with ``follow`` or ``count`` each change seen."""
+    """Print the content of a classic topic's memory; with ``follow`` or ``count`` each change seen."""
     state = _look(plan)
     if not follow and count is None:
         _print(plan, state, as_json=as_json, one_line=False)

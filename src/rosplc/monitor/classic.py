@@ -153,7 +153,7 @@ class ClassicWatch:
         )
 
     def message(self, elements: int | None = None) -> Message:
-        """Return what stands in the memory.
+        """Return the content of the memory.
 
         Args:
             elements: How many elements of each array are wanted at most; None for all.

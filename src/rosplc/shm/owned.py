@@ -217,7 +217,7 @@ class OwnedChannel:
             return False
 
     def retire(self) -> None:
-        """Tell whoever has the object mapped to leave it, remove its name, and close."""
+        """Tell every process that has the object mapped to leave it, remove its name, and close."""
         self.region.store(IDENTITY["state"], STATE_RETIRED)
         if same_file(self.path, *self._file):
             self.path.unlink(missing_ok=True)

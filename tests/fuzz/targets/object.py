@@ -101,7 +101,7 @@ def check(data: bytes) -> None:
         for view in watch.look().channels:
             with refusals(ChannelError):
                 repr(watch.message(view, 8))
-    look_at_objects(_folder, frozenset(), sleep=lambda _: None)
+    look_at_objects(_folder, {}, sleep=lambda _: None)
     assert [path.name for path in Path(_folder).iterdir()] == [_path.name]
 
 

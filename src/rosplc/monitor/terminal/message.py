@@ -134,7 +134,7 @@ class ValueTree(Tree[str]):
 
         Args:
             values: A message's values.
-            shape: Tells types apart; where it differs from the last one, the tree is made anew.
+            shape: Tells types apart; where it differs from the last one, the tree is built again.
         """
         if shape != self._shape:
             self._shape = shape
