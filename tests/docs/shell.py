@@ -26,13 +26,13 @@ class Shell:
 
     def __init__(self, folder: Path, env: dict[str, str]) -> None:
         self.folder = folder
-        self.env = env
+        self.env = {**env, "PYTHONFAULTHANDLER": "1"}
         self.background: list[Background] = []
         self.terminals: dict[str, Background] = {}
         self.process = subprocess.Popen(
             [*(isolated.command() if isolated.possible() else ()), "bash", "--noprofile", "--norc"],
             cwd=folder,
-            env=env,
+            env=self.env,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
@@ -46,7 +46,7 @@ class Shell:
         self.process.stdin.write(script.encode())
         self.process.stdin.flush()
         # A watchdog, so that a command that waits for ever ends as a failure and not as a hang.
-        watchdog = threading.Timer(COMMAND_SECONDS, lambda: os.killpg(self.process.pid, signal.SIGKILL))
+        watchdog = threading.Timer(COMMAND_SECONDS, self._abort)
         watchdog.start()
         output = b""
         try:
@@ -69,12 +69,23 @@ class Shell:
         self.terminals[name] = job
         return job
 
+    def _abort(self) -> None:
+        """End every program of the page; those in Python print where their threads are."""
+        for number, seconds in ((signal.SIGABRT, 2), (signal.SIGKILL, 0)):
+            for process in (self.process, *(job.process for job in self.background)):
+                with contextlib.suppress(ProcessLookupError):
+                    os.killpg(process.pid, number)
+            time.sleep(seconds)
+
     def close(self) -> None:
-        """End everything that the page started."""
+        """End everything that the page started, and print what its terminals show, for a failure's report."""
         for job in reversed(self.background):
             job.stop()
         os.killpg(self.process.pid, signal.SIGKILL)
         self.process.communicate()
+        for job in self.background:
+            job.thread.join(COMMAND_SECONDS)
+            print(f"--- terminal: {job.command}\n{job.text()}")
 
 
 class Background:
