@@ -17,7 +17,7 @@ from rosplc.bridge.status import BridgeStatus
 from rosplc.config.resolve import Project, load_project
 from rosplc.model import TypeStore
 from rosplc.ros.backend import Backend
-from rosplc.ros.gated import GatedBackend
+from rosplc.ros.lifecycle import LifecycleBackend
 
 __all__ = ["ManagedBridge"]
 
@@ -43,14 +43,14 @@ class ManagedBridge:
     ) -> None:
         self._connect = connect
         self._check = check
-        self._gate: GatedBackend | None = None
+        self._lifecycle: LifecycleBackend | None = None
         self._bridge: Bridge | None = None
         self.project: Project | None = None
 
     @property
     def active(self) -> bool:
         """Whether messages are carried."""
-        return self._gate is not None and self._gate.active
+        return self._lifecycle is not None and self._lifecycle.active
 
     def configure(self, path: Path | str) -> Project:
         """Read a configuration, and open its objects.
@@ -62,14 +62,14 @@ class ManagedBridge:
         self.cleanup()
         project = load_project(path)
         backend = self._connect(project.store)
-        gate = GatedBackend(backend, lambda type_name: self._check(backend, type_name))
-        bridge = Bridge(project, gate)
+        lifecycle = LifecycleBackend(backend, lambda type_name: self._check(backend, type_name))
+        bridge = Bridge(project, lifecycle)
         try:
             bridge.start()
         except BaseException:
-            gate.close()
+            lifecycle.close()
             raise
-        self.project, self._gate, self._bridge = project, gate, bridge
+        self.project, self._lifecycle, self._bridge = project, lifecycle, bridge
         return project
 
     def activate(self) -> None:
@@ -78,28 +78,28 @@ class ManagedBridge:
         Raises:
             RosplcError: A topic cannot be opened; none is then.
         """
-        if self._gate is None:
+        if self._lifecycle is None:
             raise RuntimeError("a bridge is configured before it is activated")
-        self._gate.activate()
+        self._lifecycle.activate()
         _logger.info("the bridge is active")
 
     def deactivate(self) -> None:
         """Stop carrying; the objects stay open."""
-        if self._gate is not None:
-            self._gate.deactivate()
+        if self._lifecycle is not None:
+            self._lifecycle.deactivate()
             _logger.info("the bridge is inactive")
 
     def cleanup(self) -> None:
         """Let go of everything; harmless in every state."""
-        gate, self._gate = self._gate, None
+        lifecycle, self._lifecycle = self._lifecycle, None
         bridge, self._bridge = self._bridge, None
         self.project = None
-        if gate is not None:
-            gate.deactivate()
+        if lifecycle is not None:
+            lifecycle.deactivate()
         if bridge is not None:
             bridge.stop()
-        if gate is not None:
-            gate.close()
+        if lifecycle is not None:
+            lifecycle.close()
 
     def status(self) -> BridgeStatus | None:
         """Return how bridge and topics stand; None while it is not configured."""

@@ -1,8 +1,8 @@
 """A backend whose endpoints exist only while it is active: the ROS side of a lifecycle node.
 
-A managed node that is inactive neither hears nor says anything. Endpoints that were asked for are
-remembered, opened by :meth:`GatedBackend.activate` and closed by :meth:`GatedBackend.deactivate`;
-a latched topic's last messages come again with each activation, as for any late subscriber.
+A managed node that is inactive neither receives nor sends. Endpoints that were asked for are remembered,
+opened by :meth:`LifecycleBackend.activate` and closed by :meth:`LifecycleBackend.deactivate`; a latched
+topic's last messages come again with each activation, as for any late subscriber.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Collection
 from dataclasses import replace
-from typing import Generic, Literal, TypeVar
+from typing import Any
 
 from rosplc.errors import BackendError
 from rosplc.ros.backend import (
@@ -24,89 +24,59 @@ from rosplc.ros.backend import (
     ended_for_good,
 )
 
-__all__ = ["GatedBackend", "GatedPublisher", "GatedSubscription"]
+__all__ = ["LifecycleBackend", "LifecycleEndpoint"]
 
 _INACTIVE = "the node is not active"
+_SUMMED = ("messages", "dropped", "rejected", "failed")
 
-_E = TypeVar("_E", bound=Subscription | Publisher)
 
+class LifecycleEndpoint:
+    """A topic that is received or sent while the backend is active.
 
-class _Gated(Generic[_E]):
-    direction: Literal["in", "out"]
+    Args:
+        before: The status before the first activation: it has topic, type and direction.
+        qos: The settings.
+        make: Opens the endpoint of the backend itself.
+        on_close: Called once, when it is closed for good.
+    """
 
     def __init__(
-        self,
-        topic: str,
-        type_name: str,
-        qos: Qos,
-        make: Callable[[], _E],
-        forget: Callable[[_Gated[_E]], None],
+        self, before: EndpointStatus, qos: Qos, make: Callable[[], Any], on_close: Callable[[Any], None]
     ) -> None:
-        self.topic = topic
-        self.type_name = type_name
-        self.qos = qos
-        self._make = make
-        self._forget = forget
-        self._before = EndpointStatus(topic, type_name, self.direction)
-        self.inner: _E | None = None
-        self.closed = False
+        self.topic, self.type_name, self.qos = before.topic, before.type_name, qos
+        self._before, self._make, self._on_close = before, make, on_close
+        self._inner: Any = None
+        self._closed = False
 
     @property
     def matched(self) -> int:
         """Peers of the open endpoint."""
-        inner = self.inner
-        return 0 if inner is None else inner.matched
+        inner = self._inner
+        return 0 if inner is None else int(inner.matched)
 
     def open(self) -> None:
         """Open the endpoint; raises as the backend does."""
-        if self.inner is None:
-            self.inner = self._make()
-            self.topic = self.inner.topic
+        if self._inner is None:
+            self._inner = self._make()
+            self.topic = self._inner.topic
 
     def shut(self) -> None:
         """Close the endpoint, and keep its counts."""
-        inner, self.inner = self.inner, None
+        inner, self._inner = self._inner, None
         if inner is not None:
             inner.close()
             self._before = self._sum(inner.status())
 
     def _sum(self, now: EndpointStatus) -> EndpointStatus:
-        then = self._before
-        return replace(
-            now,
-            messages=then.messages + now.messages,
-            dropped=then.dropped + now.dropped,
-            rejected=then.rejected + now.rejected,
-            failed=then.failed + now.failed,
-            last_ns=now.last_ns or then.last_ns,
-        )
+        counts = {name: getattr(self._before, name) + getattr(now, name) for name in _SUMMED}
+        return replace(now, last_ns=now.last_ns or self._before.last_ns, **counts)
 
     def status(self) -> EndpointStatus:
         """Return the present state; the counts are those of all activations together."""
-        inner = self.inner
-        if inner is not None:
+        if (inner := self._inner) is not None:
             return self._sum(inner.status())
-        code, reason = ("ROS009", "closed") if self.closed else ("", _INACTIVE)
+        code, reason = ("ROS009", "closed") if self._closed else ("", _INACTIVE)
         return replace(self._before, topic=self.topic, matched=0, code=code, reason=reason)
-
-    def close(self) -> None:
-        """Close it for good; closing twice is harmless."""
-        if not self.closed:
-            self.closed = True
-            self.shut()
-            self._forget(self)
-
-
-class GatedSubscription(_Gated[Subscription]):
-    """A topic that is received while the backend is active."""
-
-    direction: Literal["in"] = "in"
-
-
-class GatedPublisher(_Gated[Publisher]):
-    """A topic that is sent while the backend is active."""
-
-    direction: Literal["out"] = "out"
 
     def write(self, payload: bytes, stamp_ns: int | None = None) -> bool:
         """Send one message.
@@ -114,23 +84,29 @@ class GatedPublisher(_Gated[Publisher]):
         Raises:
             BackendError: ROS009 while the backend is inactive, and as the backend's own publisher.
         """
-        inner = self.inner
-        if inner is None:
-            raise BackendError("ROS009", "closed" if self.closed else _INACTIVE, where=self.topic)
-        return inner.write(payload, stamp_ns)
+        if (inner := self._inner) is None:
+            raise BackendError("ROS009", "closed" if self._closed else _INACTIVE, where=self.topic)
+        return bool(inner.write(payload, stamp_ns))
+
+    def close(self) -> None:
+        """Close it for good; closing twice is harmless."""
+        if not self._closed:
+            self._closed = True
+            self.shut()
+            self._on_close(self)
 
 
-class GatedBackend:
-    """A backend behind a gate; see :class:`rosplc.ros.backend.Backend`.
+class LifecycleBackend:
+    """A backend that is connected while it is active; see :class:`rosplc.ros.backend.Backend`.
 
     Args:
         inner: The backend; closed by :meth:`close`.
         check: Called with the type's name when an endpoint is asked for, to refuse at once what
             could not be opened later.
-        always: Topics that the gate does not hold back.
+        always: Topics that are connected in every state.
 
     Attributes:
-        active: Whether the gate is open; it is closed at first.
+        active: Whether endpoints are open; they are not at first.
         check: As given.
     """
 
@@ -140,49 +116,37 @@ class GatedBackend:
         check: Callable[[str], None] = lambda _: None,
         always: Collection[str] = ("/diagnostics",),
     ) -> None:
-        self.name = inner.name
-        self.capabilities = inner.capabilities
+        self.name, self.capabilities = inner.name, inner.capabilities
         self.active = False
-        self._inner = inner
         self.check = check
-        self._always = frozenset(always)
+        self._inner, self._always = inner, frozenset(always)
         self._lock = threading.RLock()
-        self._endpoints: list[GatedSubscription | GatedPublisher] = []
+        self._endpoints: list[LifecycleEndpoint] = []
 
     def subscribe(self, topic: str, type_name: str, qos: Qos, on_message: OnMessage) -> Subscription:
         """Receive a topic while active; see :meth:`rosplc.ros.backend.Backend.subscribe`."""
-        inner = self._inner
         if topic in self._always:
-            return inner.subscribe(topic, type_name, qos, on_message)
-        subscription = GatedSubscription(
-            topic,
-            type_name,
-            qos,
-            lambda: inner.subscribe(topic, type_name, qos, on_message),
-            self._remove,
-        )
-        self._add(subscription)
-        return subscription
+            return self._inner.subscribe(topic, type_name, qos, on_message)
+        before = EndpointStatus(topic, type_name, "in")
+        return self._add(before, qos, lambda: self._inner.subscribe(topic, type_name, qos, on_message))
 
     def advertise(self, topic: str, type_name: str, qos: Qos) -> Publisher:
         """Send a topic while active; see :meth:`rosplc.ros.backend.Backend.advertise`."""
-        inner = self._inner
         if topic in self._always:
-            return inner.advertise(topic, type_name, qos)
-        publisher = GatedPublisher(
-            topic, type_name, qos, lambda: inner.advertise(topic, type_name, qos), self._remove
-        )
-        self._add(publisher)
-        return publisher
+            return self._inner.advertise(topic, type_name, qos)
+        before = EndpointStatus(topic, type_name, "out")
+        return self._add(before, qos, lambda: self._inner.advertise(topic, type_name, qos))
 
-    def _add(self, endpoint: GatedSubscription | GatedPublisher) -> None:
-        self.check(endpoint.type_name)
+    def _add(self, before: EndpointStatus, qos: Qos, make: Callable[[], Any]) -> LifecycleEndpoint:
+        self.check(before.type_name)
+        endpoint = LifecycleEndpoint(before, qos, make, self._remove)
         with self._lock:
             if self.active:
                 endpoint.open()
             self._endpoints.append(endpoint)
+        return endpoint
 
-    def _remove(self, endpoint: object) -> None:
+    def _remove(self, endpoint: LifecycleEndpoint) -> None:
         with self._lock:
             self._endpoints = [one for one in self._endpoints if one is not endpoint]
 
