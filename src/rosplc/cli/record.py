@@ -18,9 +18,8 @@ import typer
 from rosplc.cli.guard import guarded, print_json
 from rosplc.cli.options import observed_config
 from rosplc.cli.progress import ProgressLine
-from rosplc.cli.text import columns, in_bytes, say, warn
+from rosplc.cli.text import columns, in_bytes, plural, say, warn
 from rosplc.cli.watching import Directory
-from rosplc.doctor.words import plural
 
 if TYPE_CHECKING:
     from rosplc.recorder import Recorder, RecordingOptions, Result

@@ -12,9 +12,8 @@ import typer
 from rosplc.cli.guard import EXIT_FAILURE, guarded, print_json
 from rosplc.cli.progress import ProgressLine
 from rosplc.cli.record import duration
-from rosplc.cli.text import columns, say, warn
+from rosplc.cli.text import columns, plural, say, warn
 from rosplc.cli.watching import Directory
-from rosplc.doctor.words import plural
 
 if TYPE_CHECKING:
     from rosplc.recorder.replay import Player, ReplayOptions, Target

@@ -11,7 +11,8 @@ from rosplc.doctor.finding import Finding
 from rosplc.doctor.generated import Block, Generated
 from rosplc.doctor.kinds import kind
 from rosplc.doctor.objects import Objects
-from rosplc.doctor.words import listed, plural
+from rosplc.doctor.words import listed
+from rosplc.harmless import plural
 from rosplc.shm import Direction, Namespace
 
 __all__ = ["against_config", "against_live", "fences", "files"]

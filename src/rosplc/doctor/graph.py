@@ -14,7 +14,8 @@ from dataclasses import dataclass
 from rosplc.config.resolve import TopicPlan
 from rosplc.doctor.finding import Finding, Level
 from rosplc.doctor.kinds import kind
-from rosplc.doctor.words import listed, plural
+from rosplc.doctor.words import listed
+from rosplc.harmless import plural
 from rosplc.init.domains import elsewhere
 from rosplc.ros import EndpointInfo, GraphInfo, incompatibility
 from rosplc.shm import Direction

@@ -10,7 +10,8 @@ from pathlib import Path
 from rosplc.doctor.finding import Finding, Level
 from rosplc.doctor.kinds import kind
 from rosplc.doctor.objects import Objects, Seen
-from rosplc.doctor.words import listed, plural, user_name
+from rosplc.doctor.words import listed, user_name
+from rosplc.harmless import plural
 from rosplc.shm.constants import STATE_RETIRED
 
 __all__ = ["concerned", "leftovers", "ownership", "soundness"]
@@ -100,7 +101,7 @@ def _temporaries(objects: Objects, prefix: str | None) -> Iterator[Finding]:
         if path.name.partition(".n.")[2].rpartition(".")[0] not in busy
     ]
     if left:
-        what = f"{plural(len(left), 'temporary', 'temporaries')} of a bridge that was killed"
+        what = f"{plural(len(left), 'temporary')} of a bridge that was killed"
         yield kind("DOC207").found(what, command=f"rosplc clean --prefix {left[0].name.partition('.n.')[0]}")
     else:
         yield kind("DOC207").fine("no temporaries are left")

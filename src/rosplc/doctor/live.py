@@ -9,7 +9,8 @@ from rosplc.config.resolve import TopicPlan
 from rosplc.doctor.finding import Finding, Level
 from rosplc.doctor.kinds import kind
 from rosplc.doctor.objects import Objects, Seen
-from rosplc.doctor.words import listed, plural
+from rosplc.doctor.words import listed
+from rosplc.harmless import plural
 from rosplc.monitor.process import is_starting, process_words
 from rosplc.shm import Direction
 

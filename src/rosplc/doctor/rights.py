@@ -9,7 +9,8 @@ from pathlib import Path
 from rosplc.doctor.finding import Finding, Level
 from rosplc.doctor.kinds import kind
 from rosplc.doctor.processes import Mount, Runtime
-from rosplc.doctor.words import group_name, listed, plural, user_name
+from rosplc.doctor.words import group_name, listed, user_name
+from rosplc.harmless import plural
 
 __all__ = ["File", "container", "may_use", "rights", "runtimes", "same_memory"]
 

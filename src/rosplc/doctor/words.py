@@ -8,7 +8,7 @@ import shlex
 from collections.abc import Iterable
 from pathlib import Path
 
-__all__ = ["group_name", "listed", "plural", "remove", "user_name"]
+__all__ = ["group_name", "listed", "remove", "user_name"]
 
 _MOST = 4
 
@@ -19,11 +19,6 @@ def listed(items: Iterable[object], most: int = _MOST) -> str:
     if len(texts) <= most:
         return ", ".join(texts)
     return f"{', '.join(texts[:most])} and {len(texts) - most} more"
-
-
-def plural(count: int, one: str, many: str = "") -> str:
-    """Return ``1 object`` or ``3 objects``."""
-    return f"{count} {one if count == 1 else many or one + 's'}"
 
 
 def remove(paths: Iterable[Path], *, root: bool = False) -> str:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from rosplc.errors import LayoutError
+from rosplc.harmless import plural
 from rosplc.init.found import Seen, Topic
 from rosplc.init.meter import Length
 from rosplc.layout import MAX_SEQUENCE, MAX_STRING, Layout, Limits, compute_layout
@@ -178,10 +179,10 @@ def _tell(draft: _Draft, topic: Topic, to: str, seen: Seen | None) -> None:
         draft.about.append(f"No message was seen in {seen.seconds:.3g} s{why}.")
         return
     rate = f", {seen.rate_hz:.3g} Hz" if seen.rate_hz else ""
-    draft.about.append(f"{_plural(seen.messages, 'message')} seen in {seen.seconds:.3g} s{rate}.")
+    draft.about.append(f"{plural(seen.messages, 'message')} seen in {seen.seconds:.3g} s{rate}.")
     if seen.unreadable:
         draft.about.append(
-            f"{_plural(seen.unreadable, 'message')} did not fit the type: the robot may have another "
+            f"{plural(seen.unreadable, 'message')} did not fit the type: the robot may have another "
             "definition of it."
         )
 
@@ -236,7 +237,7 @@ def _wanted(store: TypeStore, type_name: str, seen: Seen) -> dict[str, Limit]:
 
 def _string(path: str, length: Length) -> Limit:
     capacity = max(_STRING_LEAST, _up(length.most * _STRING_HEADROOM, _STRING_STEP))
-    return Limit(path, min(capacity, MAX_STRING), f"longest seen: {_plural(length.most, 'byte')}")
+    return Limit(path, min(capacity, MAX_STRING), f"longest seen: {plural(length.most, 'byte')}")
 
 
 def _sequence(path: str, length: Length, messages: int) -> Limit:
@@ -277,10 +278,6 @@ def _retained(topic: Topic) -> bool:
 
 def _up(value: float, step: int) -> int:
     return math.ceil(value / step) * step
-
-
-def _plural(count: int, word: str) -> str:
-    return f"{count} {word}" if count == 1 else f"{count} {word}s"
 
 
 def _listed(names: tuple[str, ...]) -> str:
