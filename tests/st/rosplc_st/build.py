@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
-import os
+import pickle
 import shutil
 import subprocess
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 from rosplc_st.translator import Options, Translation, translate
 
@@ -48,6 +51,7 @@ def build(
     toolchain: Toolchain | None = None,
     *,
     program: bool = False,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Build:
     """Translate and compile objects, given as texts by their names.
 
@@ -56,31 +60,51 @@ def build(
         options: What depends on the target.
         toolchain: The compiler; by default the machine's own gcc.
         program: A program that is driven through its stdin, instead of a library.
+        progress: Called with how many unknown texts are parsed, and of how many.
 
     Raises:
         TranslationError: Something is unknown, or CODESYS would refuse it.
         RuntimeError: The C text does not compile: the translator is wrong.
     """
-    toolchain = toolchain or Toolchain()
-    translation = translate(texts, options)
-    runtime = [_HERE / "runtime" / name for name in ("st_runtime.h", *_RUNTIME, "st_main.c")]
-    digest = hashlib.sha256(translation.code.encode())
-    for file in runtime:
-        digest.update(file.read_bytes())
-    digest.update(repr((toolchain, program, _FLAGS)).encode())
+    toolchain, options = toolchain or Toolchain(), options or Options()
+    digest = hashlib.sha256(repr((list(texts.items()), options, toolchain, program, _FLAGS)).encode())
+    digest.update(_sources())
     path = _CACHE / f"{digest.hexdigest()[:32]}{'' if program else '.so'}"
-    if not path.exists():
-        _compile(translation.code, path, toolchain, program)
-    return Build(translation, path, toolchain)
+    declared = path.with_suffix(".pickle")
+    _CACHE.mkdir(parents=True, exist_ok=True)
+    # Other processes are likely to want the same at the same time.
+    with path.with_suffix(".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not declared.exists():
+            translation = translate(texts, options, progress)
+            _compile(translation.code, path, toolchain, program)
+            temporary = path.with_suffix(".new")
+            with temporary.open("wb") as file:
+                _WithoutTrees(file, protocol=5).dump(translation)
+            temporary.replace(declared)
+    return Build(pickle.loads(declared.read_bytes()), path, toolchain)
+
+
+@cache
+def _sources() -> bytes:
+    """Return a digest of the translator and of the runtime."""
+    files = sorted([*_HERE.glob("translator/*.py"), *_HERE.glob("runtime/*")])
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).digest()
+
+
+class _WithoutTrees(pickle.Pickler):
+    """Leaves out the syntax trees: who runs a program needs its variables, and not the parser."""
+
+    def reducer_override(self, obj: Any) -> Any:
+        parsed = type(obj).__module__.partition(".")[0] in ("blark", "lark")
+        return (type(None), ()) if parsed else NotImplemented
 
 
 def _compile(code: str, path: Path, toolchain: Toolchain, program: bool) -> None:
     compiler = shutil.which(toolchain.compiler)
     if compiler is None:
         raise RuntimeError(f"{toolchain.compiler} is missing")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    source = path.with_suffix(f".{os.getpid()}.c")
-    target = path.with_suffix(f".{os.getpid()}.tmp")
+    source, target = path.with_suffix(".c"), path.with_suffix(".tmp")
     source.write_text(code)
     sources = [str(source), *(str(_HERE / "runtime" / name) for name in _RUNTIME)]
     if program:

@@ -43,12 +43,10 @@ class Translator:
             SetupError: SYS001, gcc does not compile it.
         """
         from rosplc_st.build import build
-        from rosplc_st.translator.source import TranslationError, parse_texts
+        from rosplc_st.translator.source import TranslationError
 
         try:
-            # Parsing takes the time; what it found stays in memory for the build.
-            parse_texts(texts, progress=on_parsed)
-            return build(texts)
+            return build(texts, progress=on_parsed)
         except TranslationError as error:
             where = f"{error.file}.st:{error.line}"
             raise GenerationError("PLC004", str(error.what), where=where) from error

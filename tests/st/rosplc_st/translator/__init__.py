@@ -8,6 +8,6 @@ a text (a narrowing assignment, a private method called from outside), so does t
 from __future__ import annotations
 
 from rosplc_st.translator.emit import Options, Translation, translate
-from rosplc_st.translator.source import TranslationError, clear_memory, parse_texts
+from rosplc_st.translator.source import TranslationError
 
-__all__ = ["Options", "Translation", "TranslationError", "clear_memory", "parse_texts", "translate"]
+__all__ = ["Options", "Translation", "TranslationError", "translate"]

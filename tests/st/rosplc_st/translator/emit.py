@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 from rosplc_st.translator import types as t
@@ -41,14 +41,18 @@ class Translation:
     options: Options
 
 
-def translate(texts: Mapping[str, str], options: Options | None = None) -> Translation:
-    """Translate objects, given as texts by their names.
+def translate(
+    texts: Mapping[str, str],
+    options: Options | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Translation:
+    """Translate objects, given as texts by their names; ``progress`` as for parse_texts.
 
     Raises:
         TranslationError: Something is unknown, or CODESYS would refuse it.
     """
     options = options or Options()
-    program = collect(parse_texts(texts, options.defined), options.cpu_bits)
+    program = collect(parse_texts(texts, options.defined, progress), options.cpu_bits)
     emitter = _Emitter(program, options)
     return Translation(emitter.text(), program, options)
 

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-__all__ = ["TranslationError", "Unit", "clear_memory", "parse_texts", "parse_units", "split"]
+__all__ = ["TranslationError", "Unit", "parse_texts", "parse_units", "split"]
 
 _CACHE = Path(__file__).resolve().parents[4] / ".cache" / "blark"
 _VERSION = "0.8.3-1"
@@ -49,11 +49,6 @@ class Unit:
     line: int
     text: str
     attributes: tuple[tuple[str, str], ...]
-
-
-def clear_memory() -> None:
-    """Forget the trees held in memory (not those on disk)."""
-    _memory.clear()
 
 
 def split(name: str, text: str, defined: Iterable[str]) -> list[Unit]:
