@@ -22,6 +22,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from typer.testing import CliRunner
+
 TOPICS = """
 topics:
   /in: {type: geometry_msgs/msg/Twist, to: plc, stale_after: 200ms}
@@ -111,23 +113,21 @@ class Scene:
     def __init__(self, folder: Path) -> None:
         self.folder, self.prefix = folder, f"contract{secrets.token_hex(4)}"
         self.config = folder / "rosplc.yaml"
-        self.environment = {
-            **{key: value for key, value in os.environ.items() if not key.startswith(("ROS", "CYCLONEDDS"))},
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": str(secrets.randbelow(90) + 10),
-        }  # fmt: skip
+        for name in [name for name in os.environ if name.startswith(("ROS", "CYCLONEDDS"))]:
+            del os.environ[name]
+        os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+        os.environ["ROS_DOMAIN_ID"] = str(secrets.randbelow(90) + 10)
         self.config.write_text(
             f"bridge: contract\nprefix: {self.prefix}\nros: {{distro: jazzy, backend: dds}}\n{TOPICS}"
         )
 
-    def rosplc(self, *arguments: str, check: bool = True) -> subprocess.CompletedProcess[str]:
-        """Run a verb."""
-        command = [sys.executable, "-m", "rosplc", *arguments]
-        done = subprocess.run(
-            command, cwd=self.folder, env=self.environment, capture_output=True, text=True,
-            stdin=subprocess.DEVNULL, timeout=WATCHDOG_S * 3, check=False,
-        )  # fmt: skip
-        if check and done.returncode not in (0, 1):
-            raise SystemExit(f"{command} ended with {done.returncode}:\n{done.stdout}{done.stderr}")
+    def rosplc(self, *arguments: str, check: bool = True) -> Any:
+        """Run a verb in this process, which has imported everything once."""
+        from rosplc.cli.app import app
+
+        done = CliRunner().invoke(app, arguments)
+        if check and done.exit_code not in (0, 1):
+            raise SystemExit(f"{arguments} ended with {done.exit_code}:\n{done.output}")
         return done
 
     @contextlib.contextmanager
@@ -135,10 +135,7 @@ class Scene:
         """Have a verb run meanwhile."""
         command = [sys.executable, "-m", "rosplc", *arguments]
         with (self.folder / f"{arguments[0]}.log").open("w") as log:
-            process = subprocess.Popen(
-                command, cwd=self.folder, env=self.environment, stdout=log, stderr=log, text=True,
-                stdin=subprocess.DEVNULL,
-            )  # fmt: skip
+            process = subprocess.Popen(command, stdout=log, stderr=log, text=True, stdin=subprocess.DEVNULL)
             try:
                 yield process
             finally:
@@ -156,7 +153,7 @@ class Scene:
             try:
                 yield name, json.loads(done.stdout)
             except ValueError:
-                raise SystemExit(f"{arguments} printed no JSON:\n{done.stdout}{done.stderr}") from None
+                raise SystemExit(f"{arguments} printed no JSON:\n{done.output}") from None
 
         yield from printed("check", "check", config, "--json")
         yield from printed("generate", "generate", config, "--out", "plc", "--json")
@@ -212,13 +209,14 @@ class Scene:
             "an unknown type": ("types", "no_msgs/msg/Such"),
             "version": ("version",),
         }.items():
-            yield f"exit status of {name}", str(self.rosplc(*arguments, check=False).returncode)
+            yield f"exit status of {name}", str(self.rosplc(*arguments, check=False).exit_code)
 
 
 def contract() -> dict[str, str]:
     """Return all of it."""
     found = dict([*api(), *commands(), *codes()])
     with tempfile.TemporaryDirectory() as folder:
+        os.chdir(folder)
         scene = Scene(Path(folder))
         for name, document in scene.documents():
             found |= {f"--json of {name}: {path}": "key" for path in paths(document)}

@@ -22,6 +22,8 @@ FROZEN: dict[str, str] = json.loads((HERE / "0.1.0.json").read_text("utf-8"))
 INTENDED: dict[str, str] = tomllib.loads((HERE / "intended.toml").read_text("utf-8"))
 LOOSER = {("required", "optional")}
 
+pytestmark = pytest.mark.xdist_group("contract")  # one worker collects
+
 
 @pytest.fixture(scope="module")
 def changed() -> dict[str, tuple[str, str | None]]:
