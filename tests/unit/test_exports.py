@@ -49,7 +49,7 @@ MIDDLEWARE = {"dds": "cyclonedds", "zenoh": "zenoh"}  # backend → what it impo
 
 
 def cases(names: list[str]) -> list[Any]:
-    """Return a parameter per module; those whose middleware has no wheel for this machine are listed as such."""
+    """Return a parameter per module; those whose middleware has no wheel for this machine are listed."""
     return [
         pytest.param(name, marks=pytest.mark.needs(when=found(name), why=f"no middleware for {name}"))
         for name in names
