@@ -36,6 +36,9 @@ help: ## list the targets
 	  || sed -nE 's/^([a-z-]+):.*## (.*)/  make \1: \2/p' $(MAKEFILE_LIST)
 
 # Stamps: a second `make` does nothing; a changed C source rebuilds the core without the network.
+# In a copied tree they are the original's: .venv still belongs to that one, and is made again.
+_ := $(shell [ "$$(cat $(VENV)/.place 2>&1)" = "$$PWD" ] || rm -f $(addprefix $(VENV)/,.base .installed .core))
+
 # To run rosplc takes a third of the packages that its tests take.
 $(VENV)/.base: pyproject.toml setup.py tools/setup.sh
 	@tools/setup.sh base
@@ -48,7 +51,7 @@ $(VENV)/.core: $(VENV)/.base $(CORE_SOURCES)
 
 .PHONY: setup
 setup: $(VENV)/.installed $(VENV)/.core ## create .venv and install rosplc into it
-	@echo "rosplc stands ready in $(VENV)/bin/rosplc"
+	@echo "rosplc is installed: $(VENV)/bin/rosplc"
 
 .PHONY: demo
 demo: $(VENV)/.core ## show the main job: ROS topics to a (virtual) PLC and back

@@ -77,7 +77,7 @@ install() {
         rm -rf "$VENV"
         "$PYTHON" -m venv "$VENV"
     else
-        say "[2/4] $VENV stands, with $("$VENV/bin/python" --version)"
+        say "[2/4] using $VENV, with $("$VENV/bin/python" --version)"
     fi
     pwd >"$VENV/.place"
     : >"$LOG"
