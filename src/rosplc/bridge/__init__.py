@@ -10,15 +10,7 @@ from rosplc.bridge.engine import Bridge
 from rosplc.bridge.run import run_until_signal
 from rosplc.bridge.status import BridgeStatus, Level, TopicStatus
 
-__all__ = [
-    "Binding",
-    "Bridge",
-    "BridgeStatus",
-    "Level",
-    "TopicStatus",
-    "bind",
-    "run_until_signal",
-]
+__all__ = ["Binding", "Bridge", "BridgeStatus", "Level", "TopicStatus", "bind", "run_until_signal"]
 
 _MOVED = (
     "Config", "ConfigErrors", "Project", "TopicPlan", "json_schema", "load_config", "load_project",

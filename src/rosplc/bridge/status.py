@@ -151,12 +151,7 @@ class TopicStatus:
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON; ``direction`` as ``to_plc`` or ``to_ros``."""
         level, message = self.judgement
-        return {
-            **asdict(self),
-            "direction": self.direction.word,
-            "level": level.name,
-            "message": message,
-        }
+        return {**asdict(self), "direction": self.direction.word, "level": level.name, "message": message}
 
 
 @dataclass(frozen=True, slots=True)

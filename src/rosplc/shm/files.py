@@ -102,14 +102,7 @@ def same_file(path: Path, device: int, inode: int) -> bool:
 
 
 def create_complete(
-    path: Path,
-    temporary_prefix: str,
-    head: bytes,
-    size: int,
-    *,
-    mode: int,
-    uid: int | None,
-    gid: int | None,
+    path: Path, temporary_prefix: str, head: bytes, size: int, *, mode: int, uid: int | None, gid: int | None
 ) -> int:
     """Make a file of ``size`` bytes that begins with ``head`` visible, complete or not at all (M1).
 

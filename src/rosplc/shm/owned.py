@@ -327,11 +327,7 @@ def _refuse_foreign(fd: int, path: Path, uid: int, ours: bool) -> None:
 
 
 def _difference(
-    fd: int,
-    description: Description,
-    wanted: Identity,
-    owner: tuple[int, int | None, int],
-    where: str,
+    fd: int, description: Description, wanted: Identity, owner: tuple[int, int | None, int], where: str
 ) -> str:
     """Say why an object cannot be adopted (section 8.3); empty if it can."""
     status = os.fstat(fd)
