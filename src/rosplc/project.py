@@ -124,7 +124,7 @@ def generate(
     *,
     target: Literal["x86", "arm"] | None = None,
     fences: bool = False,
-    programs: str = "SharedMemory",
+    programs: str | None = None,
     pins: bool = False,
     force: bool = False,
 ) -> Delivery:
@@ -135,7 +135,7 @@ def generate(
         folder: The output folder; created where it is missing.
         target: The PLC's processor; None: this machine's.
         fences: On ``"arm"``: the device enables the MemoryBarrier library.
-        programs: What the names of the generated programs begin with.
+        programs: What the names of the generated programs begin with; None: the configuration's ``programs``.
         pins: Give blocks a pin per top-level field, for Ladder and Function Blocks.
         force: Overwrite files that were edited.
 
@@ -144,7 +144,8 @@ def generate(
         GenerationError: The code cannot be generated, or a file was edited (PLC001).
     """
     project = config if isinstance(config, Project) else load_project(config)
-    made = plc_project(project, _options(target, fences, programs, pins))
+    options = _options(target, fences, programs or project.config.settings.programs, pins)
+    made = plc_project(project, options)
     topics = sorted(project.topics, key=lambda plan: plan.topic)  # as the PLC's objects are ordered
     return _deliver(made, [plan.layout for plan in topics], folder, force=force)
 
@@ -233,7 +234,7 @@ def _topic_facts(project: Project, plan: TopicPlan, names: dict[str, tuple[str, 
     instance, block = names.get(plan.topic, (None, None))
     parts = memory(project, plan)
     return {
-        "object": plan.classic.name if plan.classic else project.namespace.object_name(plan.topic),
+        "object": project.object_name(plan),
         "classic": None if plan.classic is None else _classic_facts(plan.classic),
         "type": plan.type_name,
         "to": "plc" if plan.direction == 1 else "ros",

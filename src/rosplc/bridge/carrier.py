@@ -207,18 +207,18 @@ class Carriers:
 
     def __init__(self, context: Context, tick_ns: int) -> None:
         self._context = context
-        kinds: dict[tuple[bool, Direction], tuple[str, Ports[Any]]] = {
+        kinds: dict[tuple[str, Direction], tuple[str, Ports[Any]]] = {
             # Those that a ROS side may hang come first: nothing has changed then.
-            (True, Direction.TO_ROS): ("rosplc-classic-to-ros", ClassicPorts(context, Direction.TO_ROS)),
-            (False, Direction.TO_ROS): ("rosplc-to-ros", ChannelsToRos(context, tick_ns)),
-            (True, Direction.TO_PLC): ("rosplc-classic-to-plc", ClassicPorts(context, Direction.TO_PLC)),
-            (False, Direction.TO_PLC): ("rosplc-to-plc", ChannelsToPlc(context)),
+            ("classic", Direction.TO_ROS): ("rosplc-classic-to-ros", ClassicPorts(context, Direction.TO_ROS)),
+            ("channel", Direction.TO_ROS): ("rosplc-to-ros", ChannelsToRos(context, tick_ns)),
+            ("classic", Direction.TO_PLC): ("rosplc-classic-to-plc", ClassicPorts(context, Direction.TO_PLC)),
+            ("channel", Direction.TO_PLC): ("rosplc-to-plc", ChannelsToPlc(context)),
         }
         self._carriers = {kind: Carrier(name, ports, context.clock) for kind, (name, ports) in kinds.items()}
 
     def of(self, plan: TopicPlan) -> Carrier:
         """Return the carrier of a plan's streams."""
-        return self._carriers[plan.classic is not None, plan.direction]
+        return self._carriers[plan.port, plan.direction]
 
     def make(self, plan: TopicPlan) -> Stream:
         """Return the stream of a plan; nothing is opened yet."""
@@ -238,7 +238,7 @@ class Carriers:
     @property
     def turned_ns(self) -> int:
         """When the thread of the channels towards ROS last began a round."""
-        carrier = self._carriers[False, Direction.TO_ROS]
+        carrier = self._carriers["channel", Direction.TO_ROS]
         return carrier.turned_ns if carrier.running else self._context.clock.monotonic_ns()
 
     def reopen(self, stream: Stream) -> None:

@@ -373,7 +373,7 @@ class ClassicToPlc(ClassicPort):
         last, self._last = self._last, None
         self._try_at_ns = 0
         self.side.renewed()
-        if not self._same and self.side.plan.retained and self._ready is None and last is not None:
+        if not self._same and self.side.plan.latched and self._ready is None and last is not None:
             self._ready = _Ready(b"", last, 0)
 
 
@@ -431,7 +431,7 @@ class ClassicToRos(ClassicPort):
             return
         self._distrusted = None
         if self.side.plan.on_change:
-            if before is None and not self.side.plan.retained:
+            if before is None and not self.side.plan.latched:
                 return  # what was there before does not tell when it was written
             if image == before or (before is None and not any(image)):
                 return

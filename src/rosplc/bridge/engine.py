@@ -101,7 +101,7 @@ class Bridge:
             self._open = stack.pop_all()
         self._realtime.settled()
         self._started_ns = self._clock.monotonic_ns()
-        adopted = sum(stream.plan.classic is None and stream.port.adopted for stream in self._streams)
+        adopted = sum(stream.plan.port == "channel" and stream.port.adopted for stream in self._streams)
         assert self.backend is not None
         log.info(
             "bridge %s carries %d topics over %s (prefix %s, %d objects adopted)",

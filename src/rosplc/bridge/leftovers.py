@@ -23,7 +23,7 @@ def check_names(project: Project) -> None:
     """
     namespace, mode, uid = project.namespace, project.config.settings.shm.mode, user_id(project.config)
     for plan in project.topics:
-        if plan.classic is not None:
+        if plan.port != "channel":
             continue
         path = namespace.lock_path(plan.topic)
         try:
@@ -43,7 +43,7 @@ def retire_leftovers(project: Project) -> None:
     Objects of other bridges, by the name in their self-description, are left alone.
     """
     namespace = project.namespace
-    kept = {namespace.object_name(plan.topic) for plan in project.topics if plan.classic is None}
+    kept = {namespace.object_name(plan.topic) for plan in project.topics if plan.port == "channel"}
     for name in namespace.topics():
         topic = namespace.topic_of(name)
         if topic is None or name in kept:

@@ -16,14 +16,14 @@ from rosplc.bridge.port import log
 from rosplc.bridge.stream import Stream
 from rosplc.clock import Clock
 from rosplc.config.problems import Problems
-from rosplc.config.resolve import Project, TopicPlan
+from rosplc.config.resolve import Project, TopicPlan, object_name
 from rosplc.errors import BackendError, ConfigError, RosplcError
 from rosplc.ros import Backend
 from rosplc.shm import Namespace
 
 __all__ = ["Changes", "Exchange", "compare"]
 
-_MAY_CHANGE = frozenset({"topics", "limits", "types", "tasks"})
+_MAY_CHANGE = frozenset({"topics", "limits", "types", "tasks", "programs"})
 
 
 @dataclass(frozen=True)
@@ -149,10 +149,8 @@ class Exchange:
         self._namespace = namespace
         self._clock = clock
         self._show = show
-        # A channel that becomes classic leaves its object, like a topic that is no more.
-        became = {
-            was.topic for was, now in changes.changed if was.classic is None and now.classic is not None
-        }
+        # A channel that becomes something else leaves its object, like a topic that is no more.
+        became = {was.topic for was, now in changes.changed if was.port == "channel" != now.port}
         self._retiring = {plan.topic for plan in changes.removed} | became
         left = self._retiring | {was.topic for was, _ in changes.changed}
         self._leaving = tuple(stream for stream in running if stream.plan.topic in left)
@@ -244,9 +242,7 @@ class Exchange:
         self._show(self._running)
 
     def _name(self, plan: TopicPlan) -> str:
-        if plan.classic is not None:
-            return plan.classic.name
-        return self._namespace.object_name(plan.topic)
+        return object_name(self._namespace, plan)
 
 
 def _retire(stream: Stream) -> None:

@@ -211,11 +211,11 @@ def _rows(project: Project, plan: TopicPlan, names: tuple[str, str] | None) -> l
     slots = "as configured" if entry.slots is not None else "default"
     stale = f"{plan.stale_after_ns / 1e6:g} ms" if plan.stale_after_ns else "never"
     rows = [("record", f"{plural(plan.layout.size, 'byte')}, layout id {plan.layout.layout_id}")]
-    if plan.classic is None:
+    if plan.port == "channel":
         taken = plural(memory(project, plan)["memory_bytes"], "byte")
         rows.append(("slots", f"{plan.slots} ({slots}), {taken} of shared memory"))
         rows.append(("", _memory_words(project, plan)))
-    else:
+    elif plan.classic is not None:
         rows += _classic_rows(plan, plan.classic)
     if limits := _listed(capacities(plan.layout)):
         rows.append(("limits", limits))

@@ -51,8 +51,13 @@ def command(
         ),
     ] = False,
     programs: Annotated[
-        str, typer.Option(metavar="NAME", help="What the names of the generated programs begin with.")
-    ] = "SharedMemory",
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="What the names of the generated programs begin with; by default the configuration's "
+            "`programs`, which is SharedMemory.",
+        ),
+    ] = None,
     pins: Annotated[
         bool,
         typer.Option("--pins", help="Give blocks a pin per top-level field, for Ladder and Function Blocks."),
@@ -71,7 +76,13 @@ def command(
         )
     else:
         delivery = generate_types(
-            all_types, out, target=target, fences=fences, programs=programs, pins=pins, force=force
+            all_types,
+            out,
+            target=target,
+            fences=fences,
+            programs=programs or "SharedMemory",
+            pins=pins,
+            force=force,
         )
     if as_json:
         print_json({"folder": str(out), **dataclasses.asdict(delivery)})

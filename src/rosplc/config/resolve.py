@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 from rosplc.config.classic_plan import ClassicPlan, classic_name, classic_plan, passes_changes_only
 from rosplc.config.depth import Demand, least_slots, usual_slots
@@ -24,7 +25,7 @@ from rosplc.ros import PRESETS, Qos
 from rosplc.shm import Direction, Namespace
 from rosplc.shm.constants import HEADER_SIZE, LINE_SIZE, MAX_DESCRIPTION_SIZE, MAX_OBJECT_SIZE
 
-__all__ = ["Project", "TopicPlan", "load_config", "load_project", "resolve"]
+__all__ = ["Project", "TopicPlan", "load_config", "load_project", "object_name", "resolve"]
 
 _TO_PLC = Qos(reliability="reliable", durability="volatile", depth=1000)
 _TO_ROS = PRESETS["latched"]
@@ -43,9 +44,8 @@ class TopicPlan:
         qos: Quality of service on the ROS side.
         slots: Slots of the object, a power of two.
         every: Every message counts, in order; otherwise the newest alone.
-        latched: A retained message counts as new for peers that come later.
-        retained: As ``latched``, and asked for in the file: what is older than the bridge counts too. A
-            restart publishes it again; in classic memory it is a message.
+        latched: A message from before counts: a PLC that starts takes it as new, a bridge that starts
+            publishes it again, and in classic memory it is a message.
         task: Name of the PLC task.
         min_interval_ns: Shortest time between two messages passed on; 0 for no limit.
         stale_after_ns: Age at which the last message counts as stale; 0 for never.
@@ -64,7 +64,6 @@ class TopicPlan:
     slots: int = 4
     every: bool = False
     latched: bool = False
-    retained: bool = False
     task: str = ""
     min_interval_ns: int = 0
     stale_after_ns: int = 0
@@ -73,6 +72,11 @@ class TopicPlan:
     truncate: bool = False
     print: bool = False
     classic: ClassicPlan | None = None
+
+    @property
+    def port(self) -> Literal["channel", "classic"]:
+        """The kind of port that carries it: an object of the project's format, or classic memory."""
+        return "channel" if self.classic is None else "classic"
 
 
 @dataclass(frozen=True)
@@ -98,10 +102,19 @@ class Project:
                 return plan
         raise KeyError(name)
 
+    def object_name(self, plan: TopicPlan) -> str:
+        """Return the name of a topic's object or memory, without its directory."""
+        return object_name(self.namespace, plan)
+
     @property
     def tasks(self) -> dict[str, TaskSettings]:
         """The PLC's tasks by name."""
         return self.config.settings.tasks
+
+
+def object_name(namespace: Namespace, plan: TopicPlan) -> str:
+    """Return the name of a topic's object or memory, without its directory."""
+    return namespace.object_name(plan.topic) if plan.classic is None else plan.classic.name
 
 
 def load_config(path: Path | str) -> Config:
@@ -235,11 +248,7 @@ def _plan(config: Config, topic: str, entry: TopicSettings, task: str, layout: L
         qos=qos,
         slots=slots,
         every=every,
-        latched=qos.durability == "transient_local",
-        # Only where it is asked for: towards ROS every topic is latched by default.
-        retained=bool(entry.latched)
-        or entry.qos.durability == "transient_local"
-        or entry.qos.preset == "latched",
+        latched=_latched(entry),
         task=task,
         min_interval_ns=entry.rate_limit_ns or 0,
         stale_after_ns=stale,
@@ -251,15 +260,21 @@ def _plan(config: Config, topic: str, entry: TopicSettings, task: str, layout: L
     )
 
 
+def _latched(entry: TopicSettings) -> bool:
+    if entry.latched is not None:
+        return entry.latched
+    # Only where it is written: towards ROS transient local is the default.
+    preset = PRESETS[entry.qos.preset].durability if entry.qos.preset else "volatile"
+    return (entry.qos.durability or preset) == "transient_local"
+
+
 def _qos(entry: TopicSettings) -> Qos:
     asked = entry.qos
     base = PRESETS[asked.preset] if asked.preset else _TO_PLC if entry.to == "plc" else _TO_ROS
-    durability = asked.durability or base.durability
-    if entry.latched is not None:
-        durability = "transient_local" if entry.latched else "volatile"
+    usual = {None: base.durability, True: "transient_local", False: "volatile"}[entry.latched]
     return Qos(
         asked.reliability or base.reliability,
-        durability,
+        asked.durability or usual,
         asked.depth or base.depth,
         deadline_ns=asked.deadline_ns or 0,
         lease_ns=asked.lease_ns or 0,

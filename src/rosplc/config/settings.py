@@ -315,7 +315,9 @@ class QosSettings(_Section):
     )
     reliability: Literal["reliable", "best_effort"] | None = _f(None, "Whether lost messages are repeated.")
     durability: Literal["volatile", "transient_local"] | None = _f(
-        None, "Whether subscribers that come later get what was sent before."
+        None,
+        "Whether the middleware keeps messages for late subscribers; `to: plc` asks publishers for those. "
+        "Without it a written `latched` decides, else the preset or the direction.",
     )
     depth: StrictInt | None = _f(
         None, "How many messages wait at most (in ROS 1: `queue_size`).", ge=1, le=100_000
@@ -416,11 +418,10 @@ class TopicSettings(_Section):
     )
     latched: bool | None = _f(
         None,
-        "`to: ros`: subscribers that come later get what was sent before; default true. "
-        "`to: plc`: ask publishers for what they sent before, and let the PLC take a retained message "
-        "as new; default false. "
-        "With `classic`, a written `true`: what stands in the memory at the start is a message towards ROS; "
-        "the last message is written again into a memory that was made anew towards the PLC.",
+        "Whether a message in shared memory from before a start counts. `to: plc`: a starting PLC takes it "
+        "as new. `to: ros`: a bridge that starts publishes it again. `classic`: what the memory holds at the "
+        "start is a message towards ROS, and a new memory gets the last message towards the PLC. "
+        "Default: whether `qos` asks for transient local.",
     )
     every: bool | None = _f(
         None,
@@ -475,19 +476,6 @@ class TopicSettings(_Section):
     )
 
     @model_validator(mode="after")
-    def _latched_and_durability_agree(self) -> TopicSettings:
-        durability = self.qos.durability
-        if (
-            self.latched is not None
-            and durability is not None
-            and self.latched != (durability == "transient_local")
-        ):
-            raise ValueError(
-                f"latched: {str(self.latched).lower()} contradicts durability: {durability}; keep one of them"
-            )
-        return self
-
-    @model_validator(mode="after")
     def _classic_memory_holds_one_record(self) -> TopicSettings:
         if self.classic is not None and (self.slots is not None or self.every):
             word = "every: true" if self.every else "slots"
@@ -522,6 +510,9 @@ class Settings(_Section):
         "Tasks of the PLC by name; the first serves topics that name none.",
         min_length=1,
         max_length=MOST_TASKS,
+    )
+    programs: TaskName = _f(
+        "SharedMemory", "What the names of the generated programs begin with; `--programs` wins."
     )
     topics: dict[TopicName, TopicSettings] = _f(
         {}, "Topics by name, as ROS writes them.", max_length=MOST_TOPICS

@@ -72,7 +72,7 @@ def _key(block: Block) -> tuple[str, bool]:
 
 
 def _name(plan: TopicPlan) -> tuple[str, bool]:
-    return (plan.topic, False) if plan.classic is None else (plan.classic.name, True)
+    return (plan.topic if plan.classic is None else plan.classic.name), plan.port == "classic"
 
 
 def _difference(block: Block, plan: TopicPlan) -> str:

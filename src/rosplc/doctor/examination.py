@@ -209,7 +209,7 @@ class _Examination:
             configured = {
                 self._subject.project.namespace.path(p.topic)
                 for p in self._subject.topics
-                if p.classic is None
+                if p.port == "channel"
             }
         yield from leftovers.leftovers(self._objects, self._subject.prefix, configured)
         yield from leftovers.soundness(self._objects, self._subject.prefix)
@@ -300,7 +300,7 @@ class _Examination:
         return [
             live.Carried(plan, objects.of(project.namespace, plan.topic))
             for plan in self._subject.topics
-            if plan.classic is None
+            if plan.port == "channel"
         ]
 
     def _classic_held(self) -> dict[str, bool]:

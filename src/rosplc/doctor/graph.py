@@ -133,7 +133,7 @@ def _qos_remedy(end: EndpointInfo, plan: TopicPlan) -> str:
         settings.append(f"reliability: {theirs.reliability}")
     if theirs.durability != plan.qos.durability:
         settings.append(f"durability: {theirs.durability}")
-    return f"Write `qos: {{{', '.join(settings)}}}` for {plan.topic}, and no `latched:` that contradicts it."
+    return f"Write `qos: {{{', '.join(settings)}}}` for {plan.topic}."
 
 
 def _nobody(graph: Graph, name: str, plan: TopicPlan, *, to_plc: bool) -> Finding:

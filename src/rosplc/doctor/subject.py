@@ -106,10 +106,8 @@ class Subject:
             return 0, 0
         needed = present = 0
         for plan in self.topics:
-            if plan.classic is None:
-                size, path = object_size(self.project, plan), self.project.namespace.path(plan.topic)
-            else:
-                size, path = plan.layout.size, self.directory / plan.classic.name
+            path = self.directory / self.project.object_name(plan)
+            size = object_size(self.project, plan) if plan.port == "channel" else plan.layout.size
             needed += size
             if path.is_file():
                 present += min(size, path.stat().st_blocks * 512)
@@ -131,7 +129,7 @@ class Subject:
             wanted = None
         mode = self.project.config.settings.shm.mode
         for plan in self.topics:
-            names = [plan.topic] if plan.classic is None else [plan.classic.name]
+            names = [plan.topic if plan.port == "channel" else self.project.object_name(plan)]
             if plan.classic is not None and plan.classic.semaphore:
                 names.append(f"sem.{plan.classic.semaphore}")
             for name in names:

@@ -101,12 +101,11 @@ def expected_of(project: Project) -> Expected:
     topics: dict[tuple[str, str], Expectation] = {}
     classic: list[tuple[str, ClassicTopic]] = []
     for plan in project.topics:
-        if plan.classic is None:
+        if plan.port == "channel":
             topics[prefix, plan.topic] = Expectation(plan.stale_after_ns, in_order=plan.every)
-            continue
-        names = plan.classic
-        topic = ClassicTopic(
-            plan.topic, plan.direction, names.name, names.semaphore, plan.layout, plan.stale_after_ns
-        )
-        classic.append((prefix, topic))
+        elif (names := plan.classic) is not None:
+            topic = ClassicTopic(
+                plan.topic, plan.direction, names.name, names.semaphore, plan.layout, plan.stale_after_ns
+            )
+            classic.append((prefix, topic))
     return Expected(topics, tuple(classic), prefixes=frozenset({prefix}))

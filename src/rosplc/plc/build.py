@@ -295,7 +295,7 @@ def _notes(
                 f"{topic.topic}: {topic.layout.type_name} takes {topic.layout.size} bytes, "
                 f"{copies} times in the PLC; check the size of the application's data area"
             )
-        if topic.in_order and topic.direction == "read" and not options.fenced and topic.classic is None:
+        if topic.in_order and topic.direction == "read" and not options.fenced:
             notes.append(
                 f"{topic.topic}: without a memory fence the PLC takes one message in two scans at most; "
                 "if more come for longer, messages are lost, and counted"

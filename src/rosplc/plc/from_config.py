@@ -33,12 +33,12 @@ def _topics(project: Project) -> list[PlcTopic]:
             layout=plan.layout,
             direction="read" if plan.direction == Direction.TO_PLC else "write",
             task=plan.task,
-            object_size=object_size(project, plan) if plan.classic is None else 0,
+            object_size=object_size(project, plan) if plan.port == "channel" else 0,
             stale_after_ns=plan.stale_after_ns,
             on_stale=_on_stale(plan),
             safe=plan.on_stale.value if plan.on_stale.action == "value" else None,
             in_order=plan.every,
-            latched=plan.latched if plan.classic is None else plan.retained,
+            latched=plan.latched,
             classic=None
             if plan.classic is None
             else Classic(plan.classic.name, plan.classic.semaphore, plan.classic.wait_ns),

@@ -29,7 +29,7 @@ class PlcTopic:
             a program puts into ``stSafe``.
         in_order: Take every message, not only the newest.
         latched: Take the state found at the start as a new message.
-        classic: Set for a topic in classic mode; ``object_size`` and ``in_order`` then have no meaning.
+        classic: Set for a topic in classic mode, without ``object_size`` and ``in_order``.
     """
 
     topic: str

@@ -39,7 +39,7 @@ def call(name: str, topic: PlcTopic, task: int, cycle_ns: int) -> str:
             arguments.append(f"uiOnStale := {_ON_STALE[topic.on_stale]}")
         if topic.on_stale == "value" and topic.safe is not None:
             arguments.append(f"stSafe := {SAFE_GVL}.{name}")
-        if topic.in_order and topic.classic is None:
+        if topic.in_order:
             arguments.append("xInOrder := TRUE")
         if topic.latched:
             arguments.append("xLatched := TRUE")

@@ -113,7 +113,7 @@ class PlcTarget:
     def _plan(self, name: str, topic: SourceTopic, project: Project | None, distro: str) -> _Plan:
         own = topic.types(distro)
         for plan in () if project is None else project.topics:
-            if plan.topic == name and plan.classic is None:
+            if plan.topic == name and plan.port == "channel":
                 assert project is not None
                 self._convert(name, topic, own, plan.layout, plan.direction, "the configuration")
                 settings = project.config.settings

@@ -59,7 +59,7 @@ def test_a_change_is_a_message_unless_every_look_is() -> None:
 def test_what_stood_there_before_counts_where_it_is_asked_for() -> None:
     """Latching is every topic's default towards ROS, so only a written one makes an old image a message."""
     entries = ("classic: true", "classic: true, latched: true", "classic: true, qos: latched")
-    assert [plan(f"to: ros, {entry}").retained for entry in entries] == [False, True, True]
+    assert [plan(f"to: ros, {entry}").latched for entry in entries] == [False, True, True]
 
 
 @pytest.mark.parametrize(

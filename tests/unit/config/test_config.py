@@ -194,7 +194,6 @@ def test_defaults() -> None:
         (TOPIC + "on_overflow: cut}}\n", [("CFG004", "c.yaml:1: topics./a.on_overflow")]),
         (TOPIC + "stale_after: soon}}\n", [("CFG004", "c.yaml:1: topics./a.stale_after")]),
         (TOPIC + "latched: maybe}}\n", [("CFG004", "c.yaml:1: topics./a.latched")]),
-        (TOPIC + "latched: true, qos: {durability: volatile}}}\n", [("CFG004", "c.yaml:1: topics./a")]),
     ],
 )  # fmt: skip
 def test_errors(text: str, expected: list[tuple[str, str]]) -> None:

@@ -8,6 +8,7 @@ import pytest
 
 from rosplc.config import ConfigErrors, load_config, load_project, parse_config, resolve
 from rosplc.config.resolve import Project
+from rosplc.project import generate
 from rosplc.ros import Qos
 from rosplc.shm import Direction
 
@@ -40,7 +41,7 @@ def test_a_plan_has_everything_decided() -> None:
         False,
     )
     assert to_ros.qos == Qos("reliable", "transient_local", 1000)
-    assert (to_ros.every, to_ros.latched, to_ros.stale_after_ns) == (True, True, 0)
+    assert (to_ros.every, to_ros.latched, to_ros.stale_after_ns) == (True, False, 0)
     assert to_plc.layout == to_ros.layout
     assert made.topic("/b") is to_ros
     with pytest.raises(KeyError):
@@ -48,24 +49,38 @@ def test_a_plan_has_everything_decided() -> None:
 
 
 @pytest.mark.parametrize(
-    ("entry", "qos"),
+    ("entry", "qos", "latched"),
     [
-        ("to: plc, qos: sensor_data", Qos("best_effort", "volatile", 5)),
-        ("to: ros, qos: default", Qos("reliable", "volatile", 10)),
-        ("to: plc, qos: latched", Qos("reliable", "transient_local", 1000)),
-        ("to: plc, latched: true", Qos("reliable", "transient_local", 1000)),
-        ("to: ros, latched: false", Qos("reliable", "volatile", 1000)),
-        ("to: ros, qos: {depth: 1}", Qos("reliable", "transient_local", 1)),
-        ("to: ros, qos: {preset: sensor_data, depth: 7}", Qos("best_effort", "volatile", 7)),
-        ("to: plc, qos: {reliability: best_effort}", Qos("best_effort", "volatile", 1000)),
-        ("to: ros, qos: {durability: volatile}", Qos("reliable", "volatile", 1000)),
+        ("to: plc, qos: sensor_data", Qos("best_effort", "volatile", 5), False),
+        ("to: ros, qos: default", Qos("reliable", "volatile", 10), False),
+        ("to: plc, qos: latched", Qos("reliable", "transient_local", 1000), True),
+        ("to: plc, latched: true", Qos("reliable", "transient_local", 1000), True),
+        ("to: ros, latched: false", Qos("reliable", "volatile", 1000), False),
+        ("to: ros, qos: {depth: 1}", Qos("reliable", "transient_local", 1), False),
+        ("to: ros, qos: {preset: sensor_data, depth: 7}", Qos("best_effort", "volatile", 7), False),
+        ("to: plc, qos: {reliability: best_effort}", Qos("best_effort", "volatile", 1000), False),
+        ("to: ros, qos: {durability: volatile}", Qos("reliable", "volatile", 1000), False),
+        ("to: ros, latched: true, qos: {durability: volatile}", Qos("reliable", "volatile", 1000), True),
+        ("to: plc, latched: false, qos: latched", Qos("reliable", "volatile", 1000), False),
+        (
+            "to: plc, latched: false, qos: {durability: transient_local}",
+            Qos("reliable", "transient_local", 1000),
+            False,
+        ),
     ],
 )
-def test_quality_of_service(entry: str, qos: Qos) -> None:
-    """Single values stand over the preset, the preset over the direction's default."""
+def test_quality_of_service(entry: str, qos: Qos, latched: bool) -> None:
+    """Single values come before the preset; ``latched`` and durability decide each other's default only."""
     (plan,) = project(f"  /a: {{type: {TWIST}, {entry}}}\n").topics
-    assert plan.qos == qos
-    assert plan.latched is (qos.durability == "transient_local")
+    assert (plan.qos, plan.latched) == (qos, latched)
+
+
+def test_names_of_generated_programs(tmp_path: Path) -> None:
+    """The configuration's prefix holds unless the caller gives one."""
+    made = project(f"  /a: {{type: {TWIST}, to: plc}}\n", "programs: Robot")
+    for given, prefix in ((None, "Robot"), ("Cell", "Cell")):
+        written = generate(made, tmp_path / prefix, programs=given).written
+        assert any(f"{prefix}_Read" in name for name in written)
 
 
 def test_limits_of_file_topic_and_field() -> None:
