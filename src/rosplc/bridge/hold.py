@@ -10,7 +10,8 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-__all__ = ["GRACE_NS", "Grace", "Hold", "Item", "OnChange", "RateLimiter", "Silence", "Stage", "Substitute"]
+__all__ = ["Grace", "Hold", "OnChange", "RateLimiter", "Silence", "Stage", "Substitute", "Unsent"]
+
 
 Item = tuple[bytes, int]
 """A message's wire bytes and its stamp, ns since 1970."""
@@ -19,6 +20,7 @@ GRACE_NS = 1_000_000_000
 """How long after the start messages towards ROS may wait for the first subscriber."""
 
 _LOOK_NS = 5_000_000
+_RETRY_NS = 500_000_000
 
 
 class Silence:
@@ -265,6 +267,36 @@ class Grace:
 
     def _ends(self, now_ns: int) -> bool:
         return self.over or now_ns >= self._until_ns or self._matched()
+
+
+class Unsent:
+    """Keeps one message that could not be sent, as on a node that is not active, and has it tried again."""
+
+    def __init__(self) -> None:
+        self.due_ns: int | None = None
+        self.skipped = 0
+        self.over = False
+        self._item: Item | None = None
+
+    def keep(self, item: Item, now_ns: int) -> None:
+        """Keep a message; :meth:`take` has returned the one before."""
+        self._item, self.due_ns = item, now_ns + _RETRY_NS
+
+    def take(self) -> Item | None:
+        """Return the message that waits, which is then kept no longer."""
+        item, self._item, self.due_ns = self._item, None, None
+        return item
+
+    def offer(self, item: Item, now_ns: int) -> Sequence[Item]:
+        """Let messages pass."""
+        return (item,)
+
+    def flush(self, now_ns: int, *, anyway: bool = False) -> Sequence[Item]:
+        """Return the message that waits, if its time has come."""
+        if self.due_ns is None or (now_ns < self.due_ns and not anyway):
+            return ()
+        item = self.take()
+        return () if item is None else (item,)
 
 
 class Substitute:

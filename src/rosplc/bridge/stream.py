@@ -8,7 +8,8 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
-from rosplc.bridge.hold import GRACE_NS, Grace, Hold, OnChange, RateLimiter, Silence, Stage, Substitute
+from rosplc.bridge import hold
+from rosplc.bridge.hold import Hold, Silence, Stage
 from rosplc.bridge.port import QUIET_NS, Context, Counters, Port, Ports, PortStatus, log
 from rosplc.bridge.status import TopicStatus
 from rosplc.codec import TRUNCATED, Codec, Fault, Wire
@@ -241,9 +242,9 @@ class ToPlc(Stream):
         self._lock = threading.Lock()  # the hold has two users: callback and flush
         stages: list[Stage] = []
         if plan.on_change:
-            stages.append(OnChange(self._record))
+            stages.append(hold.OnChange(self._record))
         if plan.min_interval_ns:
-            stages.append(RateLimiter(plan.min_interval_ns))
+            stages.append(hold.RateLimiter(plan.min_interval_ns))
         self.hold = Hold(stages, self._put)
 
     def connect(self, backend: Backend) -> None:
@@ -332,18 +333,22 @@ class ToRos(Stream):
         super().__init__(plan, context, ports)
         self._time = context.clock.time_ns
         self._publisher: Publisher | None = None
-        self._substitute: Substitute | None = None
+        self._substitute: hold.Substitute | None = None
         self._flag: Publisher | None = None
         self._substituted_before = 0
+        self._unsent = hold.Unsent() if plan.latched else None
+        self._retained: bytes | None = None  # the message from before the start, which is in no counter
         stages: list[Stage] = []
         if plan.on_change:
-            stages.append(OnChange())  # the encoder leaves nothing of unused bytes
+            stages.append(hold.OnChange())  # the encoder leaves nothing of unused bytes
         if plan.min_interval_ns:
-            stages.append(RateLimiter(plan.min_interval_ns))
+            stages.append(hold.RateLimiter(plan.min_interval_ns))
+        if self._unsent is not None:
+            stages.append(self._unsent)
         if plan.on_stale.action == "substitute":
             stale = plan.on_stale
             self._payload = self.codec.encode(stale.record)
-            self._substitute = Substitute(
+            self._substitute = hold.Substitute(
                 self.silence, stale.period_ns, self._send_substitute, self._substitutes
             )
             layout = compute_layout(plan.layout.store, _BOOL)
@@ -375,13 +380,16 @@ class ToRos(Stream):
         publisher = self._publisher
         if publisher is None:
             return
-        found = self.port.retained() if self.plan.retained else None
-        if found is not None and (failure := self._write(found[0], self._stamp(*found[1:]))) is not None:
-            self.note(now_ns, f"the retained message was not sent: {failure[0]}", failure[1])
-        grace = Grace(
-            now_ns + GRACE_NS, self.plan.qos.depth if self.plan.every else 1, lambda: publisher.matched > 0
+        if self.plan.latched and (found := self.port.retained()) is not None:
+            self._retained = found[0]
+            self._send(found[0], self._stamp(*found[1:]), now_ns)
+        grace = hold.Grace(
+            now_ns + hold.GRACE_NS,
+            self.plan.qos.depth if self.plan.every else 1,
+            lambda: publisher.matched > 0,
         )
-        self.hold.stages.insert(len(self.hold.stages) - (self._substitute is not None), grace)
+        last = (self._unsent is not None) + (self._substitute is not None)  # which come after it
+        self.hold.stages.insert(len(self.hold.stages) - last, grace)
 
     def _stamp(self, stamp_ns: int, stamp_clock: int) -> int:
         # A stamp of the PLC's own clock means nothing in ROS; the bridge stamps on arrival.
@@ -403,19 +411,24 @@ class ToRos(Stream):
             self._send(data, stamp, now)
 
     def _send(self, data: bytes, stamp_ns: int, now_ns: int) -> None:
-        count = self.counters
+        count, counted = self.counters, data is not self._retained
         if not self.port.owned():
             # Resumed after a stop: what was taken before is older than what the other bridge has sent.
-            count.lost += 1
+            count.lost += counted
             if not self.problem:
                 self.fail(now_ns, ChannelError("SHM116", "another bridge has taken the topic over"))
             return
+        self._give_up_unsent()
         if (failure := self._write(data, stamp_ns)) is not None:
-            count.lost += 1
+            if self._unsent is not None and failure[1] == "ROS009":
+                self._unsent.keep((data, stamp_ns), now_ns)
+                self.note(now_ns, f"the newest message waits: {failure[0]}", failure[1])
+                return
+            count.lost += counted
             self.hold.forget()
             self.note(now_ns, f"message not sent: {failure[0]}", failure[1])
             return
-        count.published += 1
+        count.published += counted
         if self.plan.print:
             record = self.codec.decode(data)
             log.info("%s: from the PLC: %s", self.plan.topic, self.plan.layout.to_dict(record))
@@ -432,6 +445,16 @@ class ToRos(Stream):
             return f"{type(error).__name__}: {error}", ""
         return None if sent else ("a subscriber does not keep up", "")
 
+    def _give_up_unsent(self) -> None:
+        """Count the message that waits for an active node as lost: something newer takes its place."""
+        if self._unsent is not None and (item := self._unsent.take()) is not None:
+            self.counters.lost += item[0] is not self._retained
+
+    def finish(self, now_ns: int) -> None:
+        """Pass on what waits."""
+        super().finish(now_ns)
+        self._give_up_unsent()
+
     def flush(self, now_ns: int) -> None:
         """Pass on what waited for its time; no substitute while another bridge carries the topic."""
         if (substitute := self._substitute) is not None and self._taken_over():
@@ -447,6 +470,7 @@ class ToRos(Stream):
     def _send_substitute(self, now_ns: int) -> None:
         """Publish what takes the PLC's place; it is counted apart, and its loss is no message's."""
         self.hold.forget()
+        self._give_up_unsent()
         if (failure := self._write(self._payload, self._time())) is None:
             self.counters.substituted += 1
         else:

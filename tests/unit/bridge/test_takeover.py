@@ -14,6 +14,7 @@ from rosplc.bridge.hold import OnChange
 from rosplc.config import parse_config
 from rosplc.errors import BackendError, ChannelError
 from rosplc.ros import Qos
+from rosplc.ros.lifecycle import LifecycleBackend
 from rosplc.ros.memory import MemoryBackend, open_backend
 from tests.lib.waiting import wait_for
 from tests.unit.bridge.conftest import BOTH, DOMAIN, INT, STORE, STRING, Cell, numbers, wire
@@ -153,6 +154,39 @@ def test_a_latched_message_outlives_a_restart(cell: Cell, entry: str, expected: 
     plc.write({"data": 8})
     wait_for(lambda: numbers(late) == [*expected, 8])
     assert bridge.status().topic("/out").received == 1
+
+
+@pytest.mark.parametrize(("newer", "expected"), [([], 7), ([8, 9], 9)])
+def test_a_latched_message_comes_when_an_inactive_node_becomes_active(
+    cell: Cell, newer: list[int], expected: int
+) -> None:
+    """Activation publishes the newest message once; one from before the start is in no counter."""
+    topics = f"  /out: {{type: {INT}, to: ros, latched: true}}\n"
+    bridge = cell.start(topics)
+    plc = cell.plc("/out")
+    plc.write({"data": 7})
+    wait_for(lambda: bridge.status().topic("/out").published == 1)
+    cell.stop()
+    gate = LifecycleBackend(open_backend(STORE, "node", domain=DOMAIN))
+    bridge = cell.bridge = Bridge(parse_config(cell.config(topics)), gate)
+    bridge.start()
+
+    def counts() -> tuple[int, int, int]:
+        status = bridge.status().topic("/out")
+        return status.received, status.published, status.lost
+
+    late = cell.listen("/out", INT, Qos(durability="transient_local", depth=10))
+    for value in newer:
+        plc.write({"data": value})
+    wait_for(lambda: counts() == (len(newer), 0, max(0, len(newer) - 1)))
+    assert not late
+    gate.activate()
+    wait_for(lambda: late)
+    plc.write({"data": 10})
+    wait_for(lambda: len(late) > 1)
+    assert numbers(late) == [expected, 10]
+    wait_for(lambda: counts() == (len(newer) + 1, 1 + bool(newer), max(0, len(newer) - 1)))
+    gate.close()
 
 
 def test_messages_of_the_time_without_a_bridge_are_told_apart(cell: Cell) -> None:
