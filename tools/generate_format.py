@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import sys
+import textwrap
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -117,9 +118,6 @@ def module() -> str:
     """Return the Python module's text."""
     constants = TABLE["constants"]
     names = [name for name in constants if name not in ("TO_PLC", "TO_ROS")]
-    lines_of_words = [line.upper() for line in TABLE["words"]]
-    extra = ["CHANGING_WORDS", "FORMAT", "IDENTITY_SIZE", "READER_LINES_OFFSET"]
-    exported = [*sorted([*names, *extra, *lines_of_words]), "Direction", "ErrorNumber", "reader_line"]
     lines = [
         '"""The numbers of spec/shm-format.md; generated from spec/format.toml by tools/generate_format.py.',
         "",
@@ -131,10 +129,6 @@ def module() -> str:
         "import enum",
         "from typing import Final",
         "",
-        "__all__ = [",
-        *(f'    "{name}",' for name in exported),
-        "]",
-        "",
         'FORMAT: Final = "rosplc 1.0"',
     ]
     lines += [f"{name}: Final = {constants[name][0]}  # {constants[name][1]}" for name in names]
@@ -144,13 +138,32 @@ def module() -> str:
         "CHANGING_WORDS: Final = (HEADER_SIZE - IDENTITY_SIZE) // 4",
         '"""Control words from the writer\'s line to the end of the header."""',
         "",
+        "",
+        "def _offsets(start: int, names: str) -> dict[str, int]:",
+        '    """Return where each word begins; NAME*N has N words of 4 bytes."""',
+        "    found = {}",
+        "    for name in names.split():",
+        '        name, _, count = name.partition("*")',
+        "        found[name] = start",
+        '        start += 4 * int(count or "1")',
+        "    return found",
+        "",
+        "",
     ]
     for line in TABLE["words"]:
         start = SIZES["identity"] if line == "writer_line" else 0
-        lines.append(f"{line.upper()}: Final = {{")
-        lines += [f'    "{word.name}": {start + word.offset},' for word in words(line)]
-        lines += ["}", ""]
+        listed = [
+            f"{word.name}*{word.count * word.width // 4}" if word.count > 1 else word.name
+            for word in words(line)
+        ]
+        rows = textwrap.wrap(" ".join(listed), 96)
+        lines += [f"{line.upper()}: Final = _offsets(", f"    {start},"]
+        lines += [f'    "{row}{" " * (row is not rows[-1])}"' for row in rows[:-1]] + [
+            f'    "{rows[-1]}",',
+            ")",
+        ]
     lines += [
+        "",
         "",
         "class Direction(enum.IntEnum):",
         '    """Which way a channel carries messages."""',

@@ -62,33 +62,19 @@ __all__ = [
 
 # Loaded on first use: every module of rosplc imports this one, and most need none of these.
 _HOME = {
-    "Channel": "rosplc.api",
-    "attach": "rosplc.api",
-    "include_dir": "rosplc.api",
-    "topics": "rosplc.api",
-    "Binding": "rosplc.bridge.bind",
-    "bind": "rosplc.bridge.bind",
-    "ConfigErrors": "rosplc.config",
-    "Project": "rosplc.config",
-    "load_project": "rosplc.config",
-    "BackendError": "rosplc.errors",
-    "ChannelError": "rosplc.errors",
-    "CodecError": "rosplc.errors",
-    "ConfigError": "rosplc.errors",
-    "GenerationError": "rosplc.errors",
-    "LayoutError": "rosplc.errors",
-    "MessageTypeError": "rosplc.errors",
-    "RecordingError": "rosplc.errors",
-    "RosplcError": "rosplc.errors",
-    "SetupError": "rosplc.errors",
-    "WebError": "rosplc.errors",
-    "RecordView": "rosplc.layout",
-    "ObjectState": "rosplc.monitor",
-    "Delivery": "rosplc.project",
-    "check": "rosplc.project",
-    "generate": "rosplc.project",
-    "Direction": "rosplc.shm",
-    "SlotInfo": "rosplc.shm",
+    name: module
+    for module, names in {
+        "rosplc.api": "Channel attach include_dir topics",
+        "rosplc.bridge.bind": "Binding bind",
+        "rosplc.config": "ConfigErrors Project load_project",
+        "rosplc.errors": "BackendError ChannelError CodecError ConfigError GenerationError LayoutError "
+        "MessageTypeError RecordingError RosplcError SetupError WebError",
+        "rosplc.layout": "RecordView",
+        "rosplc.monitor": "ObjectState",
+        "rosplc.project": "Delivery check generate",
+        "rosplc.shm": "Direction SlotInfo",
+    }.items()
+    for name in names.split()
 }
 
 

@@ -27,30 +27,6 @@ from rosplc.config.quantities import Duration, FileMode, Interval, StaleAfter, b
 from rosplc.model import DISTROS
 from rosplc.ros import BACKENDS
 
-__all__ = [
-    "LONGEST_NAME",
-    "LONGEST_TEXT",
-    "LONGEST_TYPE",
-    "MOST_PATHS",
-    "MOST_REMAPPINGS",
-    "MOST_TASKS",
-    "MOST_TOPICS",
-    "ClassicSettings",
-    "DiagnosticsSettings",
-    "LimitSettings",
-    "OnStaleSettings",
-    "QosSettings",
-    "RclpySettings",
-    "RealtimeSettings",
-    "RosSettings",
-    "Settings",
-    "ShmSettings",
-    "TaskSettings",
-    "TopicSettings",
-    "TypesSettings",
-    "ZenohSettings",
-]
-
 LONGEST_NAME = 247
 """Characters of a topic's or namespace's name, as in ROS."""
 LONGEST_TYPE = 255

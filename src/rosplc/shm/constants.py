@@ -8,58 +8,6 @@ from __future__ import annotations
 import enum
 from typing import Final
 
-__all__ = [
-    "CHANGING_WORDS",
-    "CRC_POLYNOMIAL",
-    "DISCONTINUITY",
-    "FEATURES_KNOWN",
-    "FLAG_FIRST",
-    "FLAG_SUBSTITUTED",
-    "FLAG_TRUNCATED",
-    "FNV_OFFSET",
-    "FNV_PRIME",
-    "FORMAT",
-    "HEADER_SIZE",
-    "IDENTITY",
-    "IDENTITY_SIZE",
-    "KIND_TOPIC",
-    "LINE_SIZE",
-    "MAGIC",
-    "MAX_BEAT_MS",
-    "MAX_DESCRIPTION_SIZE",
-    "MAX_NAME",
-    "MAX_OBJECT_SIZE",
-    "MAX_RECORD_SIZE",
-    "MAX_RETRIES",
-    "MAX_SLOTS",
-    "MIN_SILENT_MS",
-    "MIN_SLOTS",
-    "NAME_KEPT",
-    "READER_LINE",
-    "READER_LINES",
-    "READER_LINES_OFFSET",
-    "RULE_DELAYED",
-    "RULE_FENCES",
-    "SILENT_BEATS",
-    "SILENT_MS",
-    "SLOT_HEADER",
-    "SLOT_HEADER_SIZE",
-    "STAMP_NONE",
-    "STAMP_PLC",
-    "STAMP_ROS",
-    "STAMP_SYSTEM",
-    "STATE_LIVE",
-    "STATE_RETIRED",
-    "UNKNOWN",
-    "VERSION",
-    "WINDOW_DELAYED",
-    "WINDOW_FENCES",
-    "WRITER_LINE",
-    "Direction",
-    "ErrorNumber",
-    "reader_line",
-]
-
 FORMAT: Final = "rosplc 1.0"
 MAGIC: Final = 0x434C5052  # the bytes RPLC
 VERSION: Final = 0x00010000  # major * 65536 + minor
@@ -104,79 +52,38 @@ READER_LINES_OFFSET: Final = IDENTITY_SIZE + LINE_SIZE
 CHANGING_WORDS: Final = (HEADER_SIZE - IDENTITY_SIZE) // 4
 """Control words from the writer's line to the end of the header."""
 
-IDENTITY: Final = {
-    "magic": 0,
-    "version": 4,
-    "header_size": 8,
-    "state": 12,
-    "features_required": 16,
-    "features_optional": 20,
-    "kind": 24,
-    "direction": 28,
-    "slot_count": 32,
-    "slot_stride": 36,
-    "slot_header_size": 40,
-    "record_size": 44,
-    "slots_offset": 48,
-    "object_size": 52,
-    "description_offset": 56,
-    "description_size": 60,
-    "layout_id_lo": 64,
-    "layout_id_hi": 68,
-    "generation": 72,
-    "bridge_id": 76,
-    "creator_pid": 92,
-    "created_lo": 96,
-    "created_hi": 100,
-    "reader_lines": 104,
-    "identity_crc": 108,
-    "reserved": 112,
-}
 
-WRITER_LINE: Final = {
-    "head": 128,
-    "writer_epoch": 132,
-    "writer_beat": 136,
-    "writer_beat_ms": 140,
-    "refused": 144,
-    "truncated": 148,
-    "writer_rule": 152,
-    "sources": 156,
-    "writer_pid": 160,
-    "writer_error": 164,
-    "reserved": 168,
-}
+def _offsets(start: int, names: str) -> dict[str, int]:
+    """Return where each word begins; NAME*N has N words of 4 bytes."""
+    found = {}
+    for name in names.split():
+        name, _, count = name.partition("*")
+        found[name] = start
+        start += 4 * int(count or "1")
+    return found
 
-READER_LINE: Final = {
-    "claim": 0,
-    "beat": 4,
-    "beat_ms": 8,
-    "taken": 12,
-    "layout_lo": 16,
-    "layout_hi": 20,
-    "lost": 24,
-    "retries": 28,
-    "generation": 32,
-    "error": 36,
-    "sinks": 40,
-    "pid": 44,
-    "task": 48,
-}
 
-SLOT_HEADER: Final = {
-    "sequence": 0,
-    "length": 4,
-    "flags": 8,
-    "status": 12,
-    "stamp_lo": 16,
-    "stamp_hi": 20,
-    "stamp_clock": 24,
-    "checksum": 28,
-    "correlation_lo": 32,
-    "correlation_hi": 36,
-    "client": 40,
-    "reserved": 56,
-}
+IDENTITY: Final = _offsets(
+    0,
+    "magic version header_size state features_required features_optional kind direction slot_count "
+    "slot_stride slot_header_size record_size slots_offset object_size description_offset "
+    "description_size layout_id_lo layout_id_hi generation bridge_id*4 creator_pid created_lo "
+    "created_hi reader_lines identity_crc reserved*4",
+)
+WRITER_LINE: Final = _offsets(
+    128,
+    "head writer_epoch writer_beat writer_beat_ms refused truncated writer_rule sources writer_pid "
+    "writer_error reserved*6",
+)
+READER_LINE: Final = _offsets(
+    0,
+    "claim beat beat_ms taken layout_lo layout_hi lost retries generation error sinks pid task*4",
+)
+SLOT_HEADER: Final = _offsets(
+    0,
+    "sequence length flags status stamp_lo stamp_hi stamp_clock checksum correlation_lo "
+    "correlation_hi client*4 reserved*2",
+)
 
 
 class Direction(enum.IntEnum):
