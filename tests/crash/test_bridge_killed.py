@@ -10,7 +10,7 @@ import pytest
 
 from rosplc.errors import ChannelError
 from rosplc.shm import Direction, Namespace, attach
-from tests.channels import is_torn, open_channel, pattern, start_child, until
+from tests.lib.channels import is_torn, open_channel, pattern, start_child, until
 
 _TOPIC = "/robot1/cmd_vel"
 
@@ -18,7 +18,7 @@ _TOPIC = "/robot1/cmd_vel"
 _TO_PLC = """
 import sys
 from rosplc.shm import Namespace
-from tests.channels import open_channel, pattern
+from tests.lib.channels import open_channel, pattern
 channel = open_channel(Namespace(sys.argv[1]), record_size=4096)
 writer = channel.writer(beat_ms=50)
 print("ready", channel.adopted, writer.head, flush=True)
@@ -30,7 +30,7 @@ while True:
 _TO_ROS = """
 import sys
 from rosplc.shm import Direction, Namespace
-from tests.channels import open_channel
+from tests.lib.channels import open_channel
 channel = open_channel(Namespace(sys.argv[1]), Direction.TO_ROS, slots=64)
 reader = channel.reader()
 out = bytearray(64)
@@ -45,7 +45,7 @@ while True:
 _CREATOR = """
 import sys
 from rosplc.shm import Namespace
-from tests.channels import open_channel
+from tests.lib.channels import open_channel
 print("ready", flush=True)
 number = int(sys.argv[2])
 while True:
@@ -200,7 +200,7 @@ def test_two_bridges_race_for_one_name(shm_namespace: Namespace) -> None:
 import sys
 from rosplc.errors import ChannelError
 from rosplc.shm import Direction, Namespace
-from tests.channels import open_channel
+from tests.lib.channels import open_channel
 sys.stdin.readline()
 try:
     channel = open_channel(Namespace(sys.argv[1]))

@@ -14,7 +14,7 @@ import pytest
 
 from rosplc.errors import ChannelError
 from rosplc.shm import Namespace, attach
-from tests.channels import open_channel
+from tests.lib.channels import open_channel
 
 _TOPIC = "/robot1/cmd_vel"
 _ROOT = Path(__file__).resolve().parents[2]
@@ -29,7 +29,7 @@ def test_full_directory(tmp_path: Path) -> None:
 import os, sys
 from rosplc.errors import ChannelError
 from rosplc.shm import Namespace, attach
-from tests.channels import open_channel, pattern
+from tests.lib.channels import open_channel, pattern
 namespace = Namespace("full", sys.argv[1])
 small = open_channel(namespace, topic="/small", record_size=64)
 writer = small.writer()

@@ -22,8 +22,8 @@ from rosplc.shm.classic import ClassicObject
 from rosplc.shm.classic_lock import SEMAPHORE_SIZE, ClassicLock
 from rosplc.shm.classic_memory import ClassicMemory
 from rosplc.shm.lock import NameLock
-from tests.channels import describe, open_channel
 from tests.classic_cell import remove, unique_name
+from tests.lib.channels import describe, open_channel
 
 _TOPIC = "/robot1/cmd_vel"
 _BRIDGE, _OTHER, _GROUP = 12345, 12346, 54321

@@ -18,7 +18,7 @@ from rosbags.highlevel import AnyReader
 
 from rosplc.recorder.repair import repair
 from rosplc.shm import Namespace
-from tests.channels import start_child, until
+from tests.lib.channels import start_child, until
 from tests.unit.recorder.making import Feed, read_from_the_front
 
 _ROOT = Path(__file__).resolve().parents[2]

@@ -17,7 +17,7 @@ from rosplc.errors import ChannelError
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.shm import Direction, Namespace, OwnedChannel, attach
-from tests.channels import open_channel
+from tests.lib.channels import open_channel
 
 _TOPIC = "/robot1/state"
 _EXPECTED = {f"SHM{number}" for number in (104, 105, 106, 107, 108, 109, 110, 111, 112, 113, 114, 115)}

@@ -130,7 +130,7 @@ SHARE = """
 import ctypes, os, sys, time
 from rosplc.shm import Namespace
 from rosplc.shm import OwnedChannel
-from tests.channels import describe, pattern
+from tests.lib.channels import describe, pattern
 
 role, prefix, user, group, groups = sys.argv[1], sys.argv[2], *map(int, sys.argv[3:6])
 os.setgroups([groups] if groups else [])

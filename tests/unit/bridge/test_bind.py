@@ -24,7 +24,7 @@ from rosplc.errors import ChannelError, CodecError, LayoutError, MessageTypeErro
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.shm import Namespace, attach
-from tests.channels import start_child
+from tests.lib.channels import start_child
 from tests.lib.waiting import wait_for
 from tests.unit.bridge.conftest import PlcTopic, wire
 

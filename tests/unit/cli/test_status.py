@@ -13,8 +13,9 @@ from pathlib import Path
 import pytest
 
 from rosplc.shm import Direction, Namespace, attach
-from tests.channels import Side, layout_of, until
+from tests.channels import Side, layout_of
 from tests.command import rosplc
+from tests.lib.channels import until
 
 
 @pytest.fixture

@@ -19,7 +19,7 @@ from rosplc.model import TypeStore
 from rosplc.shm import Direction, Namespace, OwnedChannel, attach
 from rosplc.shm.attach import Attached
 from rosplc.shm.constants import READER_LINE, WRITER_LINE, reader_line
-from tests.channels import open_channel
+from tests.lib.channels import open_channel
 
 _TICK = 1_000_000
 _SECOND = 1_000_000_000

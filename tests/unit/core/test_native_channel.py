@@ -15,7 +15,7 @@ from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.shm import Direction, Namespace, attach
 from rosplc.shm.constants import HEADER_SIZE, IDENTITY, WRITER_LINE
-from tests.channels import is_torn, open_channel, pattern
+from tests.lib.channels import is_torn, open_channel, pattern
 
 _TOPIC = "/robot1/cmd_vel"
 

@@ -44,7 +44,7 @@ from rosplc.errors import BackendError
 from rosplc.ros import EndpointInfo, GraphInfo, Qos
 from rosplc.shm import Direction, OwnedChannel
 from rosplc.shm.constants import IDENTITY
-from tests.channels import LAYOUT, open_channel
+from tests.lib.channels import LAYOUT, open_channel
 from tests.unit.doctor.stage import OTHER_MOUNT, Stage, space, variables
 
 Look = Callable[[Stage], Iterable[Finding]]

@@ -15,7 +15,7 @@ from rosplc.doctor.objects import Objects, held_files, look_at_objects
 from rosplc.errors import ChannelError
 from rosplc.shm import Direction, Namespace, attach
 from rosplc.shm.semaphore import Semaphore
-from tests.channels import open_channel, start_child, until
+from tests.lib.channels import open_channel, start_child, until
 from tests.unit.doctor.stage import problems
 
 TOPIC = "/robot1/cmd_vel"
@@ -23,7 +23,7 @@ TOPIC = "/robot1/cmd_vel"
 _OWNER = """
 import sys, time
 from rosplc.shm import Namespace
-from tests.channels import open_channel
+from tests.lib.channels import open_channel
 channel = open_channel(Namespace(sys.argv[1]))
 writer = channel.writer(beat_ms=100)
 print("ready", flush=True)

@@ -11,7 +11,7 @@ import pytest
 from rosplc.errors import ChannelError
 from rosplc.shm import Direction, Namespace, WriterClaim, attach
 from rosplc.shm.constants import IDENTITY, UNKNOWN, WRITER_LINE, reader_line
-from tests.channels import LAYOUT, describe, open_channel, pattern
+from tests.lib.channels import LAYOUT, describe, open_channel, pattern
 
 _TOPIC = "/robot1/cmd_vel"
 

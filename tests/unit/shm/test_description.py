@@ -8,7 +8,7 @@ import pytest
 
 from rosplc.errors import ChannelError
 from rosplc.shm import Description
-from tests.channels import describe
+from tests.lib.channels import describe
 
 
 def test_round_trip() -> None:

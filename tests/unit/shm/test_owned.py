@@ -12,7 +12,7 @@ import pytest
 from rosplc.errors import ChannelError
 from rosplc.shm import Direction, Identity, Namespace, OwnedChannel, attach
 from rosplc.shm.constants import HEADER_SIZE, IDENTITY, STATE_RETIRED, WRITER_LINE
-from tests.channels import describe, open_channel, pattern
+from tests.lib.channels import describe, open_channel, pattern
 
 _TOPIC = "/robot1/cmd_vel"
 

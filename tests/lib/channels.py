@@ -1,0 +1,76 @@
+"""Channels of a made-up type, records that show tearing, and child processes; quick to import for a child."""
+
+from __future__ import annotations
+
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+from rosplc.shm import Description, Direction, Namespace, OwnedChannel
+
+__all__ = ["LAYOUT", "describe", "is_torn", "open_channel", "pattern", "start_child", "until"]
+
+LAYOUT = "0123456789abcdef"
+_ROOT = Path(__file__).resolve().parents[2]
+
+
+def describe(
+    topic: str = "/robot1/cmd_vel", direction: Direction = Direction.TO_PLC, layout_id: str = LAYOUT
+) -> Description:
+    """Return a self-description of a made-up type."""
+    return Description(
+        topic=topic,
+        type="test_msgs/msg/Bytes",
+        distro="jazzy",
+        direction=direction,
+        limits={"string": 80, "sequence": 16, "fields": {}},
+        layout_id=layout_id,
+        bridge="test",
+        definition="uint64[] data\n",
+    )
+
+
+def open_channel(
+    namespace: Namespace,
+    direction: Direction = Direction.TO_PLC,
+    *,
+    topic: str = "/robot1/cmd_vel",
+    record_size: int = 64,
+    slots: int = 4,
+    layout_id: str = LAYOUT,
+) -> OwnedChannel:
+    """Own a channel of a made-up type."""
+    return OwnedChannel.open(
+        namespace, describe(topic, direction, layout_id), record_size=record_size, slots=slots
+    )
+
+
+def pattern(number: int, size: int) -> bytes:
+    """Return a record of ``size`` bytes (a multiple of eight) whose every eight bytes are ``number``."""
+    return struct.pack("<Q", number) * (size // 8)
+
+
+def is_torn(record: bytes | bytearray) -> bool:
+    """Return whether a pattern holds parts of two messages."""
+    return bytes(record[8:]) != bytes(record[:-8])
+
+
+def start_child(script: str, *arguments: object) -> subprocess.Popen[str]:
+    """Start a Python process on a script that sees this checkout; its stdin and stdout are pipes."""
+    return subprocess.Popen(
+        [sys.executable, "-c", script, *map(str, arguments)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        cwd=_ROOT,
+    )
+
+
+def until(child: subprocess.Popen[str], word: str) -> str:
+    """Read a child's lines up to one that begins with ``word``, and return it; the test's timeout watches."""
+    assert child.stdout is not None
+    for line in child.stdout:
+        if line.startswith(word):
+            return line.strip()
+    raise AssertionError(f"the child ended without saying {word!r}")
