@@ -41,10 +41,7 @@ def check_classic(topic: str, classic: Classic) -> None:
 
 def classic_arguments(classic: Classic) -> tuple[tuple[str, str], ...]:
     """Return FB_Init's arguments."""
-    return (
-        ("sMemory", string_literal(classic.name)),
-        ("sSemaphore", string_literal(classic.semaphore)),
-    )
+    return (("sMemory", string_literal(classic.name)), ("sSemaphore", string_literal(classic.semaphore)))
 
 
 def classic_wait(classic: Classic, cycle_ns: int) -> int:

@@ -387,9 +387,7 @@ class McapFile:
             if records:
                 offsets.append(
                     SummaryOffset(
-                        group_opcode=opcode,
-                        group_start=start + before,
-                        group_length=builder.count - before,
+                        group_opcode=opcode, group_start=start + before, group_length=builder.count - before
                     )
                 )
         offsets_at = start + builder.count

@@ -93,11 +93,7 @@ class ReplayOptions:
 
 
 def chosen_topics(
-    source: Source,
-    selection: Selection,
-    rename: Mapping[str, str],
-    *,
-    to_plc: bool,
+    source: Source, selection: Selection, rename: Mapping[str, str], *, to_plc: bool
 ) -> tuple[dict[str, SourceTopic], list[str]]:
     """Return new name → topic of what is to be replayed, and in words what was left out.
 

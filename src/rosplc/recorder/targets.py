@@ -138,13 +138,7 @@ class PlcTarget:
         return _Plan(description, layout, topic.slots or _SLOTS)
 
     def _convert(
-        self,
-        name: str,
-        topic: SourceTopic,
-        own: TypeStore,
-        layout: Layout,
-        direction: Direction,
-        who: str,
+        self, name: str, topic: SourceTopic, own: TypeStore, layout: Layout, direction: Direction, who: str
     ) -> None:
         """Note how a topic's messages become those of a channel.
 

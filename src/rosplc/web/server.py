@@ -94,12 +94,7 @@ def _abort(transport: asyncio.BaseTransport) -> None:
 
 
 def serve(
-    settings: Settings,
-    watch: Watch,
-    *,
-    bind: str,
-    port: int,
-    ready: Callable[[str, int], None],
+    settings: Settings, watch: Watch, *, bind: str, port: int, ready: Callable[[str, int], None]
 ) -> None:
     """Serve the page until SIGINT or SIGTERM.
 
@@ -137,10 +132,7 @@ def _listen(bind: str, port: int) -> socket.socket:
 
 
 async def _serve(
-    settings: Settings,
-    watch: Watch,
-    listener: socket.socket,
-    ready: Callable[[str, int], None],
+    settings: Settings, watch: Watch, listener: socket.socket, ready: Callable[[str, int], None]
 ) -> None:
     ended = asyncio.Event()
     loop = asyncio.get_running_loop()
@@ -148,10 +140,7 @@ async def _serve(
         loop.add_signal_handler(number, ended.set)
     application = make_application(settings, watch, socket.gethostname())
     runner = web.AppRunner(
-        application,
-        access_log=None,
-        shutdown_timeout=_SHUTDOWN_SECONDS,
-        keepalive_timeout=_REQUEST_SECONDS,
+        application, access_log=None, shutdown_timeout=_SHUTDOWN_SECONDS, keepalive_timeout=_REQUEST_SECONDS
     )
     await runner.setup()
     server: asyncio.Server | None = None

@@ -56,7 +56,7 @@ class HelpScreen(Screen[None]):
     HelpScreen Static { padding: 0 1; }
     """
     BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("escape,q,question_mark,f1", "app.pop_screen", "Back", key_display="Esc"),
+        Binding("escape,q,question_mark,f1", "app.pop_screen", "Back", key_display="Esc")
     ]
 
     def compose(self) -> ComposeResult:
