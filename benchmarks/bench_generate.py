@@ -26,9 +26,8 @@ from rosplc.model import TypeStore
 from rosplc.plc.build import build_type_library
 from rosplc.plc.delivery import project_files
 from rosplc.plc.plcopen import plcopen_xml
-from rosplc.plc.project import Dut, Gvl, PlcProject, Pou
+from rosplc.plc.project import Dut, Gvl, PlcProject, Pou, object_text
 from rosplc.plc.script import import_script
-from rosplc.plc.st_text import object_text
 from rosplc.plc.types import DutBuilder
 
 

@@ -28,8 +28,9 @@ from benchmarks import measure
 from rosplc.described import description_of
 from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
-from rosplc.plc.build import PlcTask, PlcTopic, build_project
-from rosplc.plc.st_text import object_text
+from rosplc.plc.build import build_project
+from rosplc.plc.plan import PlcTask, PlcTopic
+from rosplc.plc.project import object_text
 from rosplc.shm import Direction, Namespace, OwnedChannel
 from rosplc_bench.compiling import CORE
 from rosplc_bench.process import Side

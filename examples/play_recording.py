@@ -14,9 +14,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from rosplc.errors import RosplcError
-from rosplc.recorder.replay import Player, ReplayOptions, wait_for_readers
+from rosplc.recorder.replay import Player, ReplayOptions, RosTarget, wait_for_readers
 from rosplc.recorder.source import open_source
-from rosplc.recorder.targets import RosTarget
 from rosplc.ros.backend import Qos
 
 

@@ -91,16 +91,16 @@ ROS 1:
 PLC code:
     tasks | plc.build.MOST_TASKS | tasks | PLC003
     name of a topic | plc.build.LONGEST_TOPIC | characters | PLC006
-    name of a classic memory or semaphore | plc.classic.LONGEST_NAME | characters | PLC007
+    name of a classic memory or semaphore | plc.plan.LONGEST_NAME | characters | PLC007
     list of generated files | plc.delivery.LARGEST_MANIFEST | bytes | PLC001
     generated file that the doctor reads | doctor.generated.LARGEST_FILE | bytes | cut off
 Recordings, watching, the page:
-    what a chunk of a recording may unpack to | recorder.mcap_read.MAX_CHUNK | bytes | REC003
+    what a chunk of a recording may unpack to | recorder.mcap_file.MAX_CHUNK | bytes | REC003
     channels that are watched | monitor.watch.MAX_CHANNELS | channels | the others are not shown
     record that is watched | monitor.watch.MAX_RECORD | bytes | not shown
-    messages that one page may open | web.wants.MAX_MESSAGES | messages | WEB009
-    fields that one page may plot | web.wants.MAX_PLOTS | fields | WEB009
-    path of a field | web.wants.MAX_PATH | characters | WEB009
+    messages that one page may open | web.feed.MAX_MESSAGES | messages | WEB009
+    fields that one page may plot | web.feed.MAX_PLOTS | fields | WEB009
+    path of a field | web.feed.MAX_PATH | characters | WEB009
 Errors:
     each text of an error | errors.LONGEST_TEXT | characters | its middle is left out
 """

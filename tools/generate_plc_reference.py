@@ -8,10 +8,9 @@ from generated_page import REFERENCE, write_or_verify
 from rosplc.errors import CODES
 from rosplc.layout import compute_layout
 from rosplc.model import TypeStore
-from rosplc.plc.base import base_objects, classic_objects
-from rosplc.plc.build import PlcTask, PlcTopic, build_project
-from rosplc.plc.classic import Classic
-from rosplc.plc.helpers import HELPER_NAMES
+from rosplc.plc.base import HELPER_NAMES, base_objects, classic_objects
+from rosplc.plc.build import build_project
+from rosplc.plc.plan import Classic, PlcTask, PlcTopic
 from rosplc.plc.project import Dut, Enumeration, Item, Pou, Variable
 
 PAGE = REFERENCE / "plc-blocks.md"

@@ -12,8 +12,9 @@ from rosplc.described import description_of
 from rosplc.errors import SetupError
 from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
-from rosplc.plc.build import PlcTask, PlcTopic, build_project
-from rosplc.plc.st_text import project_texts
+from rosplc.plc.build import build_project
+from rosplc.plc.plan import PlcTask, PlcTopic
+from rosplc.plc.project import project_texts
 from rosplc.shm import Description, Direction, Namespace, OwnedChannel
 from rosplc_bench.compiling import compile_program, find_library
 from rosplc_bench.pairs import (

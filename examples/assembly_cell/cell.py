@@ -280,9 +280,9 @@ def generate(config: Path, folder: Path) -> Path:
     """Write the PLC project of a configuration with the cell's programs; return what was translated."""
     from rosplc.config.resolve import load_project
     from rosplc.demo.st.checkout import find_translator
-    from rosplc.plc.build import ProjectOptions
+    from rosplc.plc.build import plc_project
     from rosplc.plc.delivery import project_files, write_files
-    from rosplc.plc.from_config import plc_project
+    from rosplc.plc.plan import ProjectOptions
 
     translator = find_translator()
     project = load_project(config)

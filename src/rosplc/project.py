@@ -24,12 +24,10 @@ from rosplc.errors import GenerationError, RosplcError
 from rosplc.harmless import in_bytes
 from rosplc.layout import Layout, SequenceNode, StringNode, compute_layout
 from rosplc.model import TypeStore
-from rosplc.plc.build import ProjectOptions, build_type_library
+from rosplc.plc.build import READ_GVL, WRITE_GVL, build_type_library, plc_project
 from rosplc.plc.delivery import Delivery, project_files, write_files
-from rosplc.plc.from_config import plc_project
-from rosplc.plc.instances import instance_names
-from rosplc.plc.plan import target_of
-from rosplc.plc.programs import READ_GVL, WRITE_GVL
+from rosplc.plc.names import instance_names
+from rosplc.plc.plan import ProjectOptions, target_of
 from rosplc.plc.project import PlcProject
 from rosplc.ros import INSTALL, Choice
 from rosplc.ros.choice import why_not_installed

@@ -16,7 +16,7 @@ import pytest
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
-from rosplc.recorder.repair import repair
+from rosplc.recorder.store import repair
 from rosplc.shm import Namespace
 from tests.lib.channels import start_child, until
 from tests.unit.recorder.making import Feed, read_from_the_front

@@ -29,8 +29,8 @@ from rosplc.demo.supervisor import Demo, new_plan
 from rosplc.errors import GenerationError
 from rosplc.layout import compute_layout
 from rosplc.model import TypeStore
-from rosplc.plc.build import ProjectOptions
-from rosplc.plc.from_config import plc_project
+from rosplc.plc.build import plc_project
+from rosplc.plc.plan import ProjectOptions
 from tests.e2e.test_demo import alive, demo, objects, prefix_of, processes
 from tests.lib.waiting import wait_for
 

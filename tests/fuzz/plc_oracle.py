@@ -19,8 +19,17 @@ from xml.etree import ElementTree
 from rosplc.layout import Layout
 from rosplc.plc.delivery import project_files
 from rosplc.plc.names import is_reserved
-from rosplc.plc.project import Dut, Enumeration, Gvl, Item, PlcProject, Pou, Variable
-from rosplc.plc.st_text import declaration, object_text
+from rosplc.plc.project import (
+    Dut,
+    Enumeration,
+    Gvl,
+    Item,
+    PlcProject,
+    Pou,
+    Variable,
+    declaration,
+    object_text,
+)
 
 __all__ = ["check_project", "tokens"]
 

@@ -8,8 +8,7 @@ import string
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rosplc.plc.literals import string_literal
-from rosplc.plc.names import Scope, is_reserved, legal, type_prefix
+from rosplc.plc.names import Scope, is_reserved, legal, string_literal, type_prefix
 
 # A letter, or one underscore and more; single underscores; none at the end.
 IDENTIFIER = re.compile(r"(?:[A-Za-z]|_(?=[A-Za-z0-9]))(?:_?[A-Za-z0-9])*\Z", re.ASCII)

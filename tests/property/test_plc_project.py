@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
-from rosplc.plc.build import PlcTask, PlcTopic, ProjectOptions, build_project
-from rosplc.plc.classic import Classic
+from rosplc.plc.build import build_project
 from rosplc.plc.delivery import project_files
 from rosplc.plc.names import is_reserved
+from rosplc.plc.plan import Classic, PlcTask, PlcTopic, ProjectOptions
 from rosplc.plc.project import Enumeration
 from tests.unit.plc.fake_scriptengine import Project, run
 

@@ -12,9 +12,8 @@ from mcap.reader import make_reader
 
 from rosplc.layout import Limits
 from rosplc.model import DISTROS
-from rosplc.recorder.replay import Player, ReplayOptions
+from rosplc.recorder.replay import Player, PlcTarget, ReplayOptions
 from rosplc.recorder.source import open_source
-from rosplc.recorder.targets import PlcTarget
 from rosplc.shm import Namespace
 from tests.codec_oracle import Oracle, random_value
 from tests.codec_types import hard_store

@@ -14,10 +14,10 @@ from rosplc.config.resolve import Project, load_project
 from rosplc.demo.st.checkout import find_translator
 from rosplc.demo.st.process import Word
 from rosplc.layout import Layout
-from rosplc.plc.build import ProjectOptions
-from rosplc.plc.from_config import plc_project
-from rosplc.plc.instances import instance_names
-from rosplc.plc.st_text import project_texts
+from rosplc.plc.build import plc_project
+from rosplc.plc.names import instance_names
+from rosplc.plc.plan import ProjectOptions
+from rosplc.plc.project import project_texts
 from tests.soak.messages import ALL, CLASSIC, IN, Counters, fill, towards_plc
 
 _READ, _RECORD, _WRITE = "SharedMemory_Read", "Soak_Record", "SharedMemory_Write"

@@ -28,8 +28,8 @@ from rosplc.layout import Limits, compute_layout
 from rosplc.layout import compute as layout_compute
 from rosplc.layout.limits import MAX_SEQUENCE, MAX_STRING
 from rosplc.model import TypeStore, folders, parse, store
-from rosplc.plc import build, classic, delivery
-from rosplc.plc.classic import Classic
+from rosplc.plc import build, delivery
+from rosplc.plc.plan import LONGEST_NAME, Classic
 from rosplc.ros import _base as words
 from rosplc.ros import names
 from rosplc.shm import Description, Namespace, OwnedChannel, constants
@@ -376,12 +376,12 @@ class _answering:
         self._server.server_close()
 
 
-@beyond("plc.build.MOST_TASKS", "plc.build.LONGEST_TOPIC", "plc.classic.LONGEST_NAME")
+@beyond("plc.build.MOST_TASKS", "plc.build.LONGEST_TOPIC", "plc.plan.LONGEST_NAME")
 def plc_code(patch: pytest.MonkeyPatch, folder: Path) -> None:
     many = [read(f"/t{number}", task=f"T{number}") for number in range(build.MOST_TASKS + 1)]
     refused("PLC003", lambda: project(*many))
     refused("PLC006", lambda: project(read("/" + "a" * build.LONGEST_TOPIC)))
-    memory = Classic("m" * (classic.LONGEST_NAME + 1), "s")
+    memory = Classic("m" * (LONGEST_NAME + 1), "s")
     refused("PLC007", lambda: project(read("/a", classic=memory)))
 
 
@@ -403,11 +403,11 @@ def generated_files(patch: pytest.MonkeyPatch, folder: Path) -> None:
         generated.read_generated(folder)
 
 
-@beyond("recorder.mcap_read.MAX_CHUNK")
+@beyond("recorder.mcap_file.MAX_CHUNK")
 def recordings(patch: pytest.MonkeyPatch, folder: Path) -> None:
     from mcap.writer import Writer
 
-    from rosplc.recorder import mcap_read
+    from rosplc.recorder import mcap_file
 
     path = folder / "a.mcap"
     with path.open("wb") as file:
@@ -416,9 +416,9 @@ def recordings(patch: pytest.MonkeyPatch, folder: Path) -> None:
         channel = writer.register_channel("/a", "cdr", writer.register_schema("a/B", "ros2msg", b""))
         writer.add_message(channel, 1, bytes(500), 1)
         writer.finish()
-    patch.setattr(mcap_read, "MAX_CHUNK", 100)
-    (part,) = mcap_read.survey(path).parts
-    refused("REC003", lambda: mcap_read.read_part(path, part), "100")
+    patch.setattr(mcap_file, "MAX_CHUNK", 100)
+    (part,) = mcap_file.survey(path).parts
+    refused("REC003", lambda: mcap_file.read_part(path, part), "100")
 
 
 @beyond("monitor.watch.MAX_CHANNELS", "monitor.watch.MAX_RECORD")
@@ -445,13 +445,13 @@ def watched(patch: pytest.MonkeyPatch, folder: Path) -> None:
         refused("SHM112", lambda: watch.message(picture.channels[0]), "too large")
 
 
-@beyond("web.wants.MAX_MESSAGES", "web.wants.MAX_PLOTS", "web.wants.MAX_PATH")
+@beyond("web.feed.MAX_MESSAGES", "web.feed.MAX_PLOTS", "web.feed.MAX_PATH")
 def page(patch: pytest.MonkeyPatch, folder: Path) -> None:
-    from rosplc.web import wants
+    from rosplc.web.feed import MAX_MESSAGES, MAX_PATH, MAX_PLOTS, Wants
 
-    refused("WEB009", lambda: wants.Wants.of({"messages": ["a"] * (wants.MAX_MESSAGES + 1)}))
-    refused("WEB009", lambda: wants.Wants.of({"plots": {"a": ["x"] * (wants.MAX_PLOTS + 1)}}))
-    refused("WEB009", lambda: wants.Wants.of({"plots": {"a": ["x" * (wants.MAX_PATH + 1)]}}))
+    refused("WEB009", lambda: Wants.of({"messages": ["a"] * (MAX_MESSAGES + 1)}))
+    refused("WEB009", lambda: Wants.of({"plots": {"a": ["x"] * (MAX_PLOTS + 1)}}))
+    refused("WEB009", lambda: Wants.of({"plots": {"a": ["x" * (MAX_PATH + 1)]}}))
 
 
 @beyond("errors.LONGEST_TEXT")

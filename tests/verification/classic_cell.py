@@ -15,9 +15,9 @@ from types import TracebackType
 from typing import Any
 
 from rosplc.layout import Limits
-from rosplc.plc.build import PlcTask, PlcTopic, ProjectOptions, build_project
-from rosplc.plc.classic import Classic
-from rosplc.plc.st_text import project_texts
+from rosplc.plc.build import build_project
+from rosplc.plc.plan import Classic, PlcTask, PlcTopic, ProjectOptions
+from rosplc.plc.project import project_texts
 from rosplc_st.build import Build, Toolchain, build
 from rosplc_st.machine import LibraryMachine, Machine, ProcessMachine
 from tests.verification.plc_cell import READ, TARGETS, WRITE, layout_of, store

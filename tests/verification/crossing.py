@@ -14,9 +14,9 @@ from pathlib import Path
 from rosplc.codec import Codec, Wire
 from rosplc.layout import Layout
 from rosplc.layout.nodes import ArrayNode, Node, PaddingNode, ScalarNode, SequenceNode, StringNode, StructNode
-from rosplc.plc.build import ProjectOptions, build_type_library
-from rosplc.plc.project import Dut, PlcProject
-from rosplc.plc.st_text import project_texts
+from rosplc.plc.build import build_type_library
+from rosplc.plc.plan import ProjectOptions
+from rosplc.plc.project import Dut, PlcProject, project_texts
 from rosplc.shm import Direction, Namespace, OwnedChannel
 from rosplc_st.build import Toolchain, build
 from rosplc_st.machine import LibraryMachine, Machine, ProcessMachine

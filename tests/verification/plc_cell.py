@@ -15,8 +15,9 @@ import pytest
 
 from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
-from rosplc.plc.build import PlcTask, PlcTopic, ProjectOptions, build_project
-from rosplc.plc.st_text import project_texts
+from rosplc.plc.build import build_project
+from rosplc.plc.plan import PlcTask, PlcTopic, ProjectOptions
+from rosplc.plc.project import project_texts
 from rosplc.shm import Description, Direction, Namespace, OwnedChannel
 from rosplc_st.build import ARMHF, Build, Toolchain, build
 from rosplc_st.machine import LibraryMachine, Machine, ProcessMachine

@@ -9,9 +9,9 @@ from collections.abc import Iterator
 import pytest
 
 from rosplc.layout import Limits
-from rosplc.plc.build import PlcTask, PlcTopic, build_project
-from rosplc.plc.classic import Classic
-from rosplc.plc.st_text import project_texts
+from rosplc.plc.build import build_project
+from rosplc.plc.plan import Classic, PlcTask, PlcTopic
+from rosplc.plc.project import project_texts
 from rosplc_st.build import build
 from tests.verification.classic_cell import JOINTS, TOPICS, ClassicCell, Peer, classic_target, record
 from tests.verification.plc_cell import WRITE, layout_of, store, targets

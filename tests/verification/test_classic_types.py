@@ -10,9 +10,9 @@ from pathlib import Path
 
 from rosplc.codec import Codec, Wire
 from rosplc.layout import Limits
-from rosplc.plc.build import PlcTask, PlcTopic, build_project
-from rosplc.plc.classic import Classic
-from rosplc.plc.st_text import project_texts
+from rosplc.plc.build import build_project
+from rosplc.plc.plan import Classic, PlcTask, PlcTopic
+from rosplc.plc.project import project_texts
 from rosplc_st.build import build
 from rosplc_st.run_project import load_texts
 from tests.verification.classic_cell import ClassicCell, Peer

@@ -11,8 +11,8 @@ from typing import Any, TypeAlias
 import numpy as np
 import pytest
 
+from rosplc.plc.base import HELPER_NAMES
 from rosplc.plc.build import build_type_library
-from rosplc.plc.helpers import HELPER_NAMES
 from rosplc_st.build import Build, build
 from rosplc_st.machine import LibraryMachine
 from rosplc_st.translator import Options

@@ -11,7 +11,8 @@ from typing import Any
 import pytest
 
 from rosplc.layout import Limits
-from rosplc.plc.build import PlcTask, PlcTopic, ProjectOptions, build_project
+from rosplc.plc.build import build_project
+from rosplc.plc.plan import PlcTask, PlcTopic, ProjectOptions
 from rosplc_st.build import build
 from rosplc_st.machine import LibraryMachine, Machine, ProcessMachine
 from tests.verification.plc_cell import READ, TARGETS, layout_of, project_texts, store, targets

@@ -13,7 +13,8 @@ from pathlib import Path
 import pytest
 
 from rosplc.layout import Layout, compute_layout
-from rosplc.plc.build import PlcTask, PlcTopic, build_project
+from rosplc.plc.build import build_project
+from rosplc.plc.plan import PlcTask, PlcTopic
 from rosplc.shm import Direction
 from rosplc_st.build import Build, Toolchain, build
 from rosplc_st.machine import ProcessMachine

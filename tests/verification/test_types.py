@@ -7,7 +7,7 @@ from typing import Literal
 import pytest
 
 from rosplc.layout import Limits
-from rosplc.plc.build import ProjectOptions
+from rosplc.plc.plan import ProjectOptions
 from rosplc_st.build import ARMHF
 from rosplc_st.translator import Options
 from tests.verification.crossing import Crossing

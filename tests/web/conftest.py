@@ -19,7 +19,7 @@ def serving(shm_namespace: Namespace) -> Callable[..., None]:
     from aiohttp.test_utils import TestClient, TestServer
 
     from rosplc.web import Settings
-    from rosplc.web.application import make_application
+    from rosplc.web.server import make_application
 
     def serve(talk: Callable[[Any], Awaitable[None]], **settings: Any) -> None:
         async def run() -> None:

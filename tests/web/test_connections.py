@@ -12,8 +12,7 @@ from aiohttp import web
 
 from rosplc.monitor import Watch
 from rosplc.web import Settings
-from rosplc.web.application import make_application
-from rosplc.web.server import MAX_CONNECTIONS, _listen, open_door
+from rosplc.web.server import MAX_CONNECTIONS, _listen, make_application, open_door
 from tests.web.peers import WATCHDOG
 
 

@@ -9,9 +9,9 @@ import pytest
 
 from rosplc.errors import WebError
 from rosplc.web import new_token, read_token
-from rosplc.web.form import SAFE_INTEGER, form_of, from_form, shown
-from rosplc.web.settings import same_token
-from rosplc.web.wants import MAX_MESSAGES, MAX_PLOTS, Wants, number_at, parse_path
+from rosplc.web.access import same_token
+from rosplc.web.feed import MAX_MESSAGES, MAX_PLOTS, Wants, number_at, parse_path
+from rosplc.web.write import SAFE_INTEGER, form_of, from_form, shown
 from tests.web.peers import layout_of
 
 

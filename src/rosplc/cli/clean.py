@@ -102,7 +102,7 @@ def _remove(lock_file: Path, paths: list[Path], *, dry_run: bool) -> list[str]:
     Raises:
         ChannelError: SHM116 while a bridge holds it; SHM104, SHM119, SHM121 for what is somebody else's.
     """
-    from rosplc.monitor.objects import open_object
+    from rosplc.monitor.watch import open_object
     from rosplc.shm.lock import NameLock
 
     existed = lock_file.exists()

@@ -121,8 +121,8 @@ def _structured_text(plan: Plan) -> Iterator[Path]:
     from rosplc.config.resolve import load_project
     from rosplc.demo.st.checkout import find_translator
     from rosplc.demo.st.sources import CONFIGURATION, read_texts, write_configuration, write_texts
-    from rosplc.plc.build import ProjectOptions
-    from rosplc.plc.from_config import plc_project
+    from rosplc.plc.build import plc_project
+    from rosplc.plc.plan import ProjectOptions
 
     translator = find_translator()
     with tempfile.TemporaryDirectory(prefix="rosplc-demo-st-") as name:

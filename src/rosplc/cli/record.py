@@ -241,8 +241,7 @@ def _leave_closed_terminal() -> None:
 
 
 def _repair(file: Path, output: Path | None, *, as_json: bool, quiet: bool) -> None:
-    from rosplc.recorder.repair import repair
-    from rosplc.recorder.store import base_of, file_name
+    from rosplc.recorder.store import base_of, file_name, repair
 
     base = (
         base_of(output) if output is not None else base_of(file).with_name(f"{base_of(file).name}_repaired")

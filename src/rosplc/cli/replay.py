@@ -104,7 +104,7 @@ def command(
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
     """Replay a recording into channels or onto ROS topics, in its order and at its pace."""
-    from rosplc.recorder.carried import Selection
+    from rosplc.recorder.inlet import Selection
     from rosplc.recorder.replay import chosen_topics
     from rosplc.recorder.source import open_source
 
@@ -185,7 +185,7 @@ def _plc_target(
     topics: dict[str, SourceTopic], prefix: str | None, config: Path | None, directory: str, distro: str
 ) -> Target:
     from rosplc.config.resolve import load_project
-    from rosplc.recorder.targets import PlcTarget
+    from rosplc.recorder.replay import PlcTarget
     from rosplc.shm import Namespace
 
     project = None if config is None else load_project(config)
@@ -196,7 +196,7 @@ def _plc_target(
 
 
 def _ros_target(topics: dict[str, SourceTopic], backend: str, distro: str) -> Target:
-    from rosplc.recorder.targets import RosTarget
+    from rosplc.recorder.replay import RosTarget
 
     if backend not in _BACKENDS:
         raise typer.BadParameter(f"{backend!r} is none of {', '.join(_BACKENDS)}", param_hint="--backend")

@@ -366,7 +366,7 @@ def _print_message(
 
 
 def _state(view: ChannelView | None) -> str:
-    from rosplc.monitor.cells import age_text
+    from rosplc.monitor.picture import age_text
 
     if view is None:
         return ""

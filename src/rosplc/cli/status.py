@@ -69,7 +69,7 @@ def command(
 
 
 def _print(picture: Picture, prefixes: Collection[str], directory: str) -> None:
-    from rosplc.monitor.cells import plc_text, state_text, way_text
+    from rosplc.monitor.picture import plc_text, state_text, way_text
 
     if not picture.channels:
         say(nothing_there(prefixes, directory))
@@ -112,7 +112,7 @@ def _troubles(wrong: tuple[ChannelView, ...], *, several: bool) -> Iterator[str]
 
 
 def _figures(view: ChannelView) -> tuple[str, str, str, str]:
-    from rosplc.monitor.cells import age_text, count_text, rate_text
+    from rosplc.monitor.picture import age_text, count_text, rate_text
 
     lost, refused = count_text(view.lost), count_text(view.refused)
     return rate_text(view.rate_hz), age_text(view.age_ns), lost, refused
@@ -129,7 +129,7 @@ def _follow(watch: Watch, *, as_json: bool) -> None:
 
 
 def _line(event: Event) -> str:
-    from rosplc.monitor.cells import event_text
+    from rosplc.monitor.picture import event_text
 
     clock = datetime.fromtimestamp(event.time_ns / 1e9).strftime("%H:%M:%S")
     return f"{clock} {event_text(event)}"

@@ -228,7 +228,7 @@ def ros_name(node: Node) -> str:
 def iec_name(node: Node) -> str:
     """Return a node's type in IEC 61131-3, messages by their ROS name's last part."""
     from rosplc.layout import ArrayNode, ScalarNode, SequenceNode, StringNode, StructNode
-    from rosplc.plc.literals import IEC_TYPES
+    from rosplc.plc.names import IEC_TYPES
 
     if isinstance(node, ScalarNode):
         return IEC_TYPES[node.kind]

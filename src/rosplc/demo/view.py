@@ -13,7 +13,7 @@ from rich.text import Text
 
 from rosplc.demo.messages import COMMAND, robot_topics
 from rosplc.demo.supervisor import Demo
-from rosplc.monitor.signs import Rate
+from rosplc.monitor.tracked import Rate
 
 __all__ = ["LiveView", "ProgressLine"]
 

@@ -11,7 +11,7 @@ from rosplc.doctor.kinds import kind
 from rosplc.doctor.objects import Objects, Seen
 from rosplc.doctor.words import listed
 from rosplc.harmless import plural
-from rosplc.monitor.process import is_starting, process_words
+from rosplc.monitor.tracked import is_starting, process_words
 from rosplc.shm import Direction
 
 __all__ = ["Carried", "beating", "bridges", "holders", "layouts", "refusals"]

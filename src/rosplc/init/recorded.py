@@ -14,7 +14,7 @@ from rosplc.init.meter import Meter
 from rosplc.init.sample import Sample
 from rosplc.model import DISTROS, TypeStore
 from rosplc.model.parse import full_name
-from rosplc.recorder.mcap_read import survey
+from rosplc.recorder.mcap_file import survey
 from rosplc.ros import ROS1
 from rosplc.ros.bag import Bag, BagTopic
 

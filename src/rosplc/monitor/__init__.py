@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from rosplc.monitor.expected import Expectation, Expected
 from rosplc.monitor.message import Message, numbers
-from rosplc.monitor.picture import BridgeView, ChannelView, Event, Picture, ReaderView
-from rosplc.monitor.snapshot import ObjectState, find_objects
-from rosplc.monitor.states import State
-from rosplc.monitor.watch import Watch
+from rosplc.monitor.picture import BridgeView, ChannelView, Event, Picture, ReaderView, State
+from rosplc.monitor.watch import ObjectState, Watch, find_objects
 
 __all__ = [
     "BridgeView",

@@ -14,8 +14,7 @@ from pathlib import Path
 from rosplc.errors import ChannelError
 from rosplc.monitor.expected import ClassicTopic
 from rosplc.monitor.message import Message, message_of
-from rosplc.monitor.picture import ChannelView
-from rosplc.monitor.states import State
+from rosplc.monitor.picture import ChannelView, State
 from rosplc.shm.classic_memory import ClassicMemory
 from rosplc.shm.who import describe_owner
 

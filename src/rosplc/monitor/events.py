@@ -6,9 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 
 from rosplc.levels import Level
-from rosplc.monitor.judge import silence_words
-from rosplc.monitor.picture import BridgeView, ChannelView, Event
-from rosplc.monitor.states import State
+from rosplc.monitor.picture import BridgeView, ChannelView, Event, State, silence_words
 
 __all__ = ["bridge_events", "channel_events", "grouped"]
 

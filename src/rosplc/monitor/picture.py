@@ -1,15 +1,74 @@
-"""What a look at the machine's channels returns: plain, frozen data."""
+"""What a look at the machine's channels returns: frozen data, states in a word, figures as text.
+
+The states' words and levels are those of ``/diagnostics``, seen from outside: a bridge knows its topics and
+reports more; a look reads the objects, which remain when the bridge is dead.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+import enum
 from dataclasses import dataclass
 from typing import Any
 
-from rosplc.levels import Level
-from rosplc.monitor.states import ALL_WELL, State
+from rosplc.levels import Level, format_age
 
-__all__ = ["BridgeView", "ChannelView", "Event", "Picture", "ReaderView"]
+
+class State(enum.Enum):
+    """How a channel stands. The order is that of severity: the worst stands first.
+
+    The value is the word for people and for JSON.
+    """
+
+    UNREADABLE = "unreadable"
+    """The object cannot be used: damaged, closed to this user, no object of this format."""
+    MISSING = "missing"
+    """The configuration names the topic, and there is no object."""
+    DEAD = "dead"
+    """Bridge or PLC hold a claim, and do not beat any more: killed, stopped, or stuck."""
+    NO_BRIDGE = "no bridge"
+    """The bridge ended in order, and left the last message."""
+    REFUSED = "refused"
+    """Messages did not fit and were refused, within the last ten seconds."""
+    LOST = "lost"
+    """Messages of a topic on which each one counts were lost, within the last ten seconds."""
+    STALE = "stale"
+    """The last message is older than the topic allows."""
+    SILENT = "silent"
+    """No message came yet, for longer than the topic allows."""
+    NO_PLC = "no PLC"
+    """No PLC task reads it, or writes it."""
+    UNKNOWN = "looking"
+    """Looked at for too short a time to say who is alive; or the bridge is starting."""
+    OK = "ok"
+    """Nothing is wrong; perhaps nobody publishes, where that is allowed."""
+
+    @property
+    def severity(self) -> int:
+        """0 for ``ok``, more for what is worse."""
+        return _SEVERITY[self]
+
+    @property
+    def level(self) -> Level:
+        """The level that ``/diagnostics`` gives it."""
+        return _LEVELS.get(self, Level.OK)
+
+
+_SEVERITY = {state: number for number, state in enumerate(reversed(State))}
+_LEVELS = {
+    State.UNREADABLE: Level.ERROR,
+    State.MISSING: Level.ERROR,
+    State.DEAD: Level.ERROR,
+    State.NO_BRIDGE: Level.WARN,
+    State.REFUSED: Level.WARN,
+    State.LOST: Level.WARN,
+    State.STALE: Level.STALE,
+    State.SILENT: Level.STALE,
+    State.NO_PLC: Level.WARN,
+}
+
+ALL_WELL = (State.OK, State.UNKNOWN)
+"""The states in which nothing is wrong."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,3 +287,126 @@ class Picture:
             "events": [each.as_json() for each in self.events],
             "notes": list(self.notes),
         }
+
+
+def judge(
+    seen: ChannelView, *, starting: bool = False, refused_lately: bool = False, lost_lately: bool = False
+) -> tuple[State, str]:
+    """Return how a channel is, in a word and a sentence; of several things the worst counts.
+
+    Args:
+        seen: What was seen of it.
+        starting: Whether the bridge has a claim, and is too young to be expected to beat.
+        refused_lately: Whether messages were refused lately.
+        lost_lately: Whether messages were lost lately where each one counts.
+    """
+    to_plc = seen.direction == "to_plc"
+    if seen.bridge_alive is False:
+        if seen.bridge_pid:
+            return State.DEAD, f"the bridge does not beat any more; it was process {seen.bridge_pid}"
+        return State.NO_BRIDGE, "the bridge has ended; this is what it left"
+    if seen.plc_alive is False and seen.plc_claimed:
+        if to_plc:
+            tasks = ", ".join(reader.task or f"process {reader.pid}" for reader in seen.readers)
+            return State.DEAD, f"the PLC task that reads it does not beat any more: {tasks}"
+        return State.DEAD, "the PLC task that writes it does not beat any more"
+    if starting:
+        return (
+            State.UNKNOWN,
+            f"the bridge is starting, and does not beat yet; it is process {seen.bridge_pid}",
+        )
+    if refused_lately:
+        return State.REFUSED, "messages do not fit and are refused; the bridge's log says why"
+    if lost_lately:
+        return State.LOST, "messages are lost, and each one counts; raise slots: or read more per scan"
+    # Before silence, which begins with time: the same in the first second as in the tenth.
+    if seen.plc_alive is False and not seen.received:
+        return _no_plc(seen)
+    if seen.silent:
+        return (State.STALE if seen.received else State.SILENT), silence_words(seen)
+    if seen.bridge_alive is None or (seen.plc_alive is None and seen.plc_claimed):
+        return State.UNKNOWN, "looking for signs of life"
+    if seen.plc_alive is False:
+        return _no_plc(seen)
+    if seen.ros_peers == 0:
+        return State.OK, "nobody publishes" if to_plc else "nobody subscribes"
+    if not seen.received:
+        return State.OK, "no message yet"
+    return State.OK, "messages come" if seen.rate_hz else "no message at present, which is allowed"
+
+
+def _no_plc(seen: ChannelView) -> tuple[State, str]:
+    if seen.direction != "to_plc":
+        return State.NO_PLC, "no PLC task writes it"
+    nothing = "" if seen.received else f", and {silence_words(seen)}"
+    return State.NO_PLC, f"no PLC task reads it{nothing}"
+
+
+def silence_words(seen: ChannelView) -> str:
+    """Return a sentence on a source that is silent, or was until a moment ago."""
+    to_plc = seen.direction == "to_plc"
+    source = "ROS" if to_plc else "the PLC"
+    nobody = to_plc and seen.ros_peers == 0
+    if not seen.received:
+        return f"no message yet from {source}" + (": nobody publishes" if nobody else "")
+    if not seen.stale:
+        return f"messages come again from {source}, after silence"
+    gone = "; nobody publishes any more" if nobody else ""
+    return f"no message from {source} for longer than it may be silent{gone}"
+
+
+MARKS = {Level.OK: " ", Level.WARN: "!", Level.ERROR: "X", Level.STALE: "~"}
+"""One character per level, for those who cannot tell colours, in any character set."""
+
+
+def state_text(view: ChannelView) -> str:
+    """Return mark and word of the state: ``X dead``."""
+    return f"{MARKS[view.state.level]} {view.state.value}"
+
+
+def rate_text(rate_hz: float | None) -> str:
+    """Return a rate in Hz with three digits; ``-`` while it is not known."""
+    if rate_hz is None:
+        return "-"
+    return f"{rate_hz:.0f}" if rate_hz >= 100 or rate_hz == 0 else f"{rate_hz:.3g}"
+
+
+def age_text(age_ns: int | None) -> str:
+    """Return an age: ``12 ms``, ``1.2 s``, ``14 s``, ``3 min``; ``never`` before the first message."""
+    if age_ns is None:
+        return "never"
+    if age_ns < 100_000_000:
+        return f"{age_ns // 1_000_000} ms"
+    return format_age(age_ns)
+
+
+def count_text(count: int) -> str:
+    """Return a counter in at most five characters: ``99999``, ``12.3M``."""
+    if count < 100_000:
+        return str(count)
+    for unit in "kMG":
+        count_in = count / 1000
+        if count_in < 999.5 or unit == "G":
+            return f"{count_in:.0f}{unit}" if count_in >= 100 else f"{count_in:.3g}{unit}"
+        count = round(count_in)
+    raise AssertionError  # the loop returns
+
+
+def plc_text(view: ChannelView) -> str:
+    """Return how the PLC's side of a channel is: ``alive``, ``dead``, ``none`` or ``?``."""
+    if view.plc_alive:
+        return "alive"
+    if view.plc_alive is None:
+        return "-" if view.classic else "?"
+    return "dead" if view.plc_claimed else "none"
+
+
+def way_text(view: ChannelView) -> str:
+    """Return where the messages go."""
+    return {"to_plc": "→ PLC", "to_ros": "→ ROS"}.get(view.direction, "?")
+
+
+def event_text(event: Event) -> str:
+    """Return an event's place and words, without its time."""
+    place = f"{event.topic}: " if event.topic else ""
+    return f"{MARKS[event.level]} {place}{event.words}"

@@ -2,21 +2,162 @@
 
 from __future__ import annotations
 
+import os
+import time
+from collections import deque
 from collections.abc import Iterable
 from dataclasses import replace
+from pathlib import Path
 
 from rosplc.errors import ChannelError
 from rosplc.monitor.expected import Expectation
-from rosplc.monitor.judge import judge
-from rosplc.monitor.picture import ChannelView, ReaderView
-from rosplc.monitor.process import is_starting
-from rosplc.monitor.signs import Peers, Rate
-from rosplc.shm import Attached, Direction, ReaderState, Snapshot, distance
+from rosplc.monitor.picture import ChannelView, ReaderView, judge
+from rosplc.shm import Attached, Direction, Liveness, ReaderState, Snapshot, distance
 from rosplc.shm.constants import SLOT_HEADER, STAMP_SYSTEM, UNKNOWN
 from rosplc.shm.header import channel_error
 from rosplc.shm.names import Namespace
 
-__all__ = ["Recently", "Tracked"]
+_LEAST_MS = 334
+"""Beats are taken for at least so long: views look seldom, and must not flicker on a busy machine."""
+
+
+class _Peer:
+    def __init__(self, beat_ms: int, now_ns: int) -> None:
+        self.beat_ms = beat_ms
+        period = max(beat_ms, _LEAST_MS) if beat_ms else 0
+        self._liveness = Liveness(period)
+        self.seen = False
+        self._until_ns = now_ns + 3 * min(max(period, _LEAST_MS), 10_000) * 1_000_000
+
+    def look(self, beat: int, count: int, now_ns: int) -> bool | None:
+        if self._liveness.observe(beat, count, now_ns):
+            self.seen = True
+            return True
+        return None if now_ns < self._until_ns else False
+
+
+class Peers:
+    """Judges every claim of one object."""
+
+    def __init__(self) -> None:
+        self._known: dict[int, tuple[int, _Peer]] = {}
+
+    def alive(self, key: int, claim: int, beat_ms: int, beat: int, count: int, now_ns: int) -> bool | None:
+        """Return whether a claimant lives; None before that can be known.
+
+        Args:
+            key: Which line.
+            claim: The claim; 0 is nobody, and nobody is not alive.
+            beat_ms: The period that is promised.
+            beat: The beat.
+            count: What moves as well: head or taken.
+            now_ns: The time of a monotonic clock.
+        """
+        if not claim:
+            self._known.pop(key, None)
+            return False
+        known = self._known.get(key)
+        if known is None or known[0] != claim or known[1].beat_ms != beat_ms:
+            known = self._known[key] = (claim, _Peer(beat_ms, now_ns))
+        return known[1].look(beat, count, now_ns)
+
+    def seen(self, key: int) -> bool:
+        """Return whether the claimant of a line was seen alive, at some time since it claimed."""
+        known = self._known.get(key)
+        return known is not None and known[1].seen
+
+
+_WINDOW_NS = 2_000_000_000
+_LONGEST_NS = 30_000_000_000
+_FEWEST = 4
+_MISSED = 2
+
+
+class Rate:
+    """Messages per second, from looks at the number of messages.
+
+    It counts over the last two seconds, and over up to half a minute where fewer than three messages came
+    in them, so that one message a second reads as 1 and not as 0 and 2 in turn.
+    """
+
+    def __init__(self) -> None:
+        self._changes: deque[tuple[int, int]] = deque()
+
+    def of(self, count: int, now_ns: int) -> float | None:
+        """Note the number at ``now_ns`` of a monotonic clock; return the rate in Hz, None before it is known.
+
+        Args:
+            count: Messages so far; it never falls.
+            now_ns: The time.
+        """
+        changes = self._changes
+        if not changes or changes[-1][1] != count:
+            changes.append((now_ns, count))
+        while len(changes) > _FEWEST and now_ns - changes[1][0] > _WINDOW_NS:
+            changes.popleft()
+        while len(changes) > 1 and now_ns - changes[1][0] > _LONGEST_NS:
+            changes.popleft()
+        (then, before), (last, after) = changes[0], changes[-1]
+        if after == before:
+            # One look tells nothing; the first change after a long time says when, and not how often.
+            return 0.0 if now_ns - then > _WINDOW_NS else None
+        mean = (last - then) / (after - before)
+        late = now_ns - last > max(_MISSED * mean, _WINDOW_NS / 4)
+        if now_ns - last > max(_WINDOW_NS, 5 * mean):
+            return 0.0
+        span = (now_ns if late else last) - then
+        return (after - before) * 1e9 / span if span > 0 else None
+
+
+_STOPPED = ("T", "t")
+_THERE = "that process is there, but hangs"
+_YOUNG_S = 30.0
+"""A bridge claims its objects, joins ROS, and only then beats."""
+_START_TIME = 19
+"""Where the start stands among the fields behind the name, in ticks since the machine's start."""
+
+
+def is_starting(pid: int, proc: Path = Path("/proc"), *, now_s: float | None = None) -> bool:
+    """Return whether a bridge that was not seen to beat is so young that it may not have begun to.
+
+    Args:
+        pid: Its number, as the bridge wrote it; 0 for none.
+        proc: Where the kernel tells; another place is for tests.
+        now_s: Seconds since the machine's start; None asks the clock.
+    """
+    if not pid or process_words(pid, proc) != _THERE:
+        return False
+    now_s = time.clock_gettime(time.CLOCK_BOOTTIME) if now_s is None else now_s
+    try:
+        fields = (proc / str(pid) / "stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2]
+        began_s = int(fields.split()[_START_TIME]) / os.sysconf("SC_CLK_TCK")
+    except (OSError, IndexError, ValueError):
+        return False
+    return now_s - began_s < _YOUNG_S
+
+
+def process_words(pid: int, proc: Path = Path("/proc")) -> str:
+    """Return how a process stands that should be a bridge's and does not beat; empty if that is not known.
+
+    Args:
+        pid: Its number, as the bridge wrote it.
+        proc: Where the kernel tells; another place is for tests.
+    """
+    folder = proc / str(pid)
+    try:
+        # The name in parentheses may hold anything, parentheses too.
+        state = (folder / "stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()[0]
+        command = (folder / "cmdline").read_bytes()
+    except (FileNotFoundError, ProcessLookupError):
+        return "there is no such process here"
+    except (OSError, IndexError):
+        return ""
+    if state == "Z":
+        return "that process has ended"
+    if b"rosplc" not in command and b"python" not in command:
+        return "that number is another program's"
+    return "that process is stopped (SIGSTOP)" if state in _STOPPED else _THERE
+
 
 _RECENT_NS = 10_000_000_000
 _DEBOUNCE_NS = 500_000_000

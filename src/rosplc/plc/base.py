@@ -14,7 +14,9 @@ from typing import Any, Literal, cast
 import jinja2
 
 from rosplc.errors import CODES
-from rosplc.plc.literals import string_literal
+from rosplc.layout import compute_layout
+from rosplc.model import TypeStore
+from rosplc.plc.names import string_literal
 from rosplc.plc.project import (
     Dut,
     Enumeration,
@@ -27,9 +29,8 @@ from rosplc.plc.project import (
     VarBlockKind,
     Variable,
 )
+from rosplc.plc.types import DutBuilder
 from rosplc.shm import constants
-
-__all__ = ["CLASSIC_NAMES", "base_objects", "classic_objects", "parse_object", "read_objects", "render"]
 
 _BASE = (
     "RosPlc_Error", "RosPlc_WriterLine", "RosPlc_ReaderLine", "RosPlc_Header", "RosPlc_SlotHeader",
@@ -192,3 +193,37 @@ def _methods(lines: list[str], where: str) -> Iterable[Method]:
         access = cast(Literal["PUBLIC", "PRIVATE", "PROTECTED"], words[1])
         yield Method(words[2], blocks, "\n".join(body), returns or None, access, comment)
         lines = rest[end + 1 :]
+
+
+# Message type that a helper uses → the helpers, each after those that it calls.
+_TIMES = (
+    "RosPlc_TimeToLtime", "RosPlc_LtimeToTime", "RosPlc_TimeToLdt", "RosPlc_LdtToTime",
+)  # fmt: skip
+_DURATIONS = ("RosPlc_DurationToTime", "RosPlc_TimeToDuration")
+_ANGLES = (
+    "RosPlc_YawPitchRoll", "RosPlc_Atan2", "RosPlc_QuaternionToYpr", "RosPlc_YprToQuaternion",
+)  # fmt: skip
+_GENERAL = ("RosPlc_Handshake", "RosPlc_HandshakeReply")
+_HELPERS = {
+    "builtin_interfaces/msg/Time": _TIMES,
+    "builtin_interfaces/msg/Duration": _DURATIONS,
+    "geometry_msgs/msg/Quaternion": _ANGLES,
+}
+HELPER_NAMES = (*_GENERAL, *_TIMES, *_DURATIONS, *_ANGLES)
+"""Names that no generated object may take, whether or not the helper is part of a project."""
+
+
+def helper_objects(store: TypeStore, builder: DutBuilder, folder: str) -> tuple[Item, ...]:
+    """Return the helpers, and have the message types built that they use.
+
+    Args:
+        store: The types; a helper whose message type is missing is left out.
+        builder: Builds the DUTs.
+        folder: The helpers' folder in the PLC project.
+    """
+    names: list[str] = list(_GENERAL)
+    for type_name, helpers in _HELPERS.items():
+        if type_name in store:
+            builder.add(compute_layout(store, type_name))
+            names += helpers
+    return read_objects("helpers", names, folder)

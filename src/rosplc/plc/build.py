@@ -1,4 +1,4 @@
-"""From topics to a PLC project: everything the technician finds after the import.
+"""From topics, or a configuration, to a PLC project: everything the technician finds after the import.
 
 The order of the output depends on names alone, never on the order of a file or a set, so
 that a second generation from the same input gives the same bytes.
@@ -8,35 +8,114 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Literal
 
 from rosplc._version import __version__
+from rosplc.config.objects import object_size
+from rosplc.config.resolve import Project, TopicPlan
 from rosplc.errors import GenerationError
 from rosplc.layout import Layout
 from rosplc.model import TypeStore
-from rosplc.plc.base import CLASSIC_NAMES, base_objects, classic_objects
+from rosplc.plc.base import CLASSIC_NAMES, HELPER_NAMES, base_objects, classic_objects, helper_objects
 from rosplc.plc.blocks import block
-from rosplc.plc.classic import LIBRARY, check_classic, classic_arguments, classic_wait
-from rosplc.plc.helpers import HELPER_NAMES, helper_objects
-from rosplc.plc.instances import instance_names, plain_name
-from rosplc.plc.literals import literal, string_literal, time_literal
-from rosplc.plc.names import Scope
-from rosplc.plc.plan import UNKNOWN_BEAT_MS, PlcTask, PlcTopic, ProjectOptions, beat_ms
-from rosplc.plc.programs import READ_GVL, SAFE_GVL, WRITE_GVL, call
-from rosplc.plc.programs import programs as programs_of
-from rosplc.plc.project import Dut, Enumeration, Gvl, Item, PlcProject, Pou, VarBlock, Variable
-from rosplc.plc.types import DutBuilder, Renaming
-from rosplc.plc.values import initial_value
+from rosplc.plc.names import Scope, instance_names, literal, plain_name, string_literal, time_literal
+from rosplc.plc.plan import (
+    LIBRARY,
+    UNKNOWN_BEAT_MS,
+    Classic,
+    PlcTask,
+    PlcTopic,
+    ProjectOptions,
+    beat_ms,
+    check_classic,
+    classic_arguments,
+    classic_wait,
+)
+from rosplc.plc.project import Dut, Enumeration, Gvl, Item, PlcProject, Pou, Task, VarBlock, Variable
+from rosplc.plc.types import DutBuilder, Renaming, initial_value
+from rosplc.shm import Direction
 
-__all__ = [
-    "LONGEST_TOPIC",
-    "MOST_TASKS",
-    "PlcTask",
-    "PlcTopic",
-    "ProjectOptions",
-    "build_project",
-    "build_type_library",
-]
+READ_GVL, WRITE_GVL = "ROS_Read", "ROS_Write"
+"""The lists that hold the instances."""
+SAFE_GVL = "ROS_Safe"
+"""The list that holds what a message becomes when its source is silent."""
+_ON_STALE = {"hold": 0, "zero": 1, "value": 2}
+
+
+def call(name: str, topic: PlcTopic, task: int, cycle_ns: int) -> str:
+    """Return the call of a topic's instance, with what the configuration says.
+
+    Args:
+        name: The instance's.
+        topic: What it carries.
+        task: The task's index.
+        cycle_ns: The task's interval; 0 if it has none.
+    """
+    gvl = READ_GVL if topic.direction == "read" else WRITE_GVL
+    arguments = [f"uiTask := {task}", f"udiMapSize := {topic.object_size}"]
+    if topic.classic is not None:
+        arguments[1] = f"tWait := {time_literal(classic_wait(topic.classic, cycle_ns) * 1_000_000)}"
+    if topic.direction == "read":
+        if topic.stale_after_ns:
+            arguments.append(f"tStaleAfter := {time_literal(topic.stale_after_ns)}")
+        if topic.on_stale != "hold":
+            arguments.append(f"uiOnStale := {_ON_STALE[topic.on_stale]}")
+        if topic.on_stale == "value" and topic.safe is not None:
+            arguments.append(f"stSafe := {SAFE_GVL}.{name}")
+        if topic.in_order:
+            arguments.append("xInOrder := TRUE")
+        if topic.latched:
+            arguments.append("xLatched := TRUE")
+    return f"{gvl}.{name}({', '.join(arguments)});"
+
+
+def programs_of(
+    tasks: Sequence[PlcTask],
+    indices: dict[str, int],
+    calls: dict[tuple[str, str], list[str]],
+    options: ProjectOptions,
+    scope: Scope,
+) -> tuple[list[Pou], tuple[Task, ...]]:
+    """Return a reading and a writing program per task that has topics, and the tasks."""
+    programs: list[Pou] = []
+    plc_tasks: list[Task] = []
+    single = sum(1 for task in tasks if any((d, task.name) in calls for d in ("read", "write"))) == 1
+    for task in tasks:
+        names = []
+        for direction in ("read", "write"):
+            lines = calls.get((direction, task.name), [])
+            if not lines and not (direction == "read" and ("write", task.name) in calls):
+                continue
+            wanted = f"{options.programs}_{direction.capitalize()}"
+            name = scope.give(wanted if single else f"{wanted}_{task.name}")
+            body = list(lines)
+            if direction == "read":
+                body.insert(
+                    0, f"RosPlc_State.axMayOpen[{indices[task.name]}] := TRUE; // one open attempt per scan"
+                )
+            what = (
+                "Takes what came from ROS; call it first"
+                if direction == "read"
+                else "Sends to ROS; call it last"
+            )
+            comment = f"{what} in task {task.name}."
+            programs.append(Pou(name, "PROGRAM", (), "\n".join(body), comment=comment, folder=options.folder))
+            names.append(name)
+        if names:
+            plc_tasks.append(
+                Task(
+                    task.name,
+                    task.kind,
+                    task.interval_ns // 1000 if task.kind == "cyclic" else 0,
+                    task.priority,
+                    task.watchdog_ns // 1000,
+                    task.watchdog_sensitivity,
+                    tuple(names),
+                )
+            )
+    return programs, tuple(plc_tasks)
+
 
 _LARGE_DUT = 64 * 1024
 MOST_TASKS = 16  # as many as RosPlc_State.axMayOpen has elements
@@ -301,3 +380,56 @@ def _notes(
                 "if more come for longer, messages are lost, and counted"
             )
     return notes
+
+
+def plc_project(project: Project, options: ProjectOptions) -> PlcProject:
+    """Return the PLC project of a configuration.
+
+    Raises:
+        GenerationError: PLC003, more tasks are used than the blocks serve.
+    """
+    topics, tasks = _topics(project), _tasks(project)
+    settings = project.config.settings
+    return build_project(project.store, topics, tasks, replace(options, prefix=settings.prefix))
+
+
+def _topics(project: Project) -> list[PlcTopic]:
+    return [
+        PlcTopic(
+            topic=plan.topic,
+            layout=plan.layout,
+            direction="read" if plan.direction == Direction.TO_PLC else "write",
+            task=plan.task,
+            object_size=object_size(project, plan) if plan.port == "channel" else 0,
+            stale_after_ns=plan.stale_after_ns,
+            on_stale=_on_stale(plan),
+            safe=plan.on_stale.value if plan.on_stale.action == "value" else None,
+            in_order=plan.every,
+            latched=plan.latched,
+            classic=None
+            if plan.classic is None
+            else Classic(plan.classic.name, plan.classic.semaphore, plan.classic.wait_ns),
+        )
+        for plan in project.topics
+    ]
+
+
+def _on_stale(plan: TopicPlan) -> Literal["hold", "zero", "value"]:
+    action = plan.on_stale.action
+    return "hold" if action == "stop" or action == "substitute" else action
+
+
+def _tasks(project: Project) -> list[PlcTask]:
+    used = {plan.task for plan in project.topics}
+    return [
+        PlcTask(
+            name=name,
+            interval_ns=task.interval_ns,
+            priority=task.priority,
+            kind=task.kind,
+            watchdog_ns=task.watchdog_ns or 0,
+            watchdog_sensitivity=task.watchdog_sensitivity,
+        )
+        for name, task in project.config.settings.tasks.items()
+        if name in used
+    ]

@@ -16,11 +16,10 @@ from pathlib import Path
 from rosplc.errors import GenerationError
 from rosplc.layout import Layout
 from rosplc.layout.c_header import c_header
-from rosplc.plc.classic import LIBRARY
+from rosplc.plc.plan import LIBRARY
 from rosplc.plc.plcopen import plcopen_xml
-from rosplc.plc.project import PlcProject
+from rosplc.plc.project import PlcProject, object_text
 from rosplc.plc.script import import_script
-from rosplc.plc.st_text import object_text
 
 __all__ = ["LARGEST_MANIFEST", "MANIFEST", "Delivery", "project_files", "write_files"]
 

@@ -14,9 +14,19 @@ from collections.abc import Iterable, Iterator, Sequence
 from xml.etree import ElementTree as ET
 
 from rosplc._version import __version__
-from rosplc.plc.literals import IEC_TYPES
-from rosplc.plc.project import Dut, Enumeration, Gvl, Method, PlcProject, Pou, VarBlock, Variable
-from rosplc.plc.st_text import declaration, method_declaration
+from rosplc.plc.names import IEC_TYPES
+from rosplc.plc.project import (
+    Dut,
+    Enumeration,
+    Gvl,
+    Method,
+    PlcProject,
+    Pou,
+    VarBlock,
+    Variable,
+    declaration,
+    method_declaration,
+)
 
 __all__ = ["plcopen_xml"]
 

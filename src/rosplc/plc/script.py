@@ -8,9 +8,8 @@ from __future__ import annotations
 
 from importlib.resources import files
 
-from rosplc.plc.programs import SAFE_GVL
-from rosplc.plc.project import Dut, Enumeration, Gvl, Item, PlcProject, Pou
-from rosplc.plc.st_text import declaration, method_declaration
+from rosplc.plc.build import SAFE_GVL
+from rosplc.plc.project import Dut, Enumeration, Gvl, Item, PlcProject, Pou, declaration, method_declaration
 
 __all__ = ["import_script"]
 

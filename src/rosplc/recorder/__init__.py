@@ -5,8 +5,8 @@ from __future__ import annotations
 import warnings
 from typing import Any
 
-from rosplc.recorder.carried import Selection
-from rosplc.recorder.mcap_write import COMPRESSIONS, Compression
+from rosplc.recorder.inlet import Selection
+from rosplc.recorder.mcap_file import COMPRESSIONS, Compression
 from rosplc.recorder.recorder import Progress, Recorder, RecordingOptions, Result, quick_process
 from rosplc.recorder.store import Split
 

@@ -1,27 +1,166 @@
-"""Taking every message of the selected channels, in order, as the bridge itself does.
+"""Taking every message of the selected channels, in order, and making chunks of them.
 
 One thread looks at all channels at once (:class:`rosplc.shm.Group`) and does nothing but put
-messages into batches; what it missed, it counts. Opening and closing objects is the business of whoever
-calls :meth:`Inlet.look_after`.
+messages into batches; what it missed, it counts. Objects are opened and closed by the caller of
+:meth:`Inlet.look_after`. A second thread compresses.
 """
 
 from __future__ import annotations
 
+import json
+import queue
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 from rosplc.clock import SYSTEM, Clock
+from rosplc.codec import Codec, Wire
+from rosplc.described import layout_of
 from rosplc.errors import ChannelError
-from rosplc.recorder.carried import CarriedChannel, Selection, channel_info
-from rosplc.recorder.mcap_write import Batch, ChannelInfo
-from rosplc.ros import Qos
-from rosplc.shm import Group, Namespace
-from rosplc.shm.constants import STAMP_SYSTEM
+from rosplc.monitor.watch import open_object
+from rosplc.recorder.mcap_file import Batch, ChannelInfo, Compression, SealedChunk, seal
+from rosplc.recorder.store import qos_text
+from rosplc.ros import DEFAULT, LATCHED, Qos
+from rosplc.shm import Description, Direction, Group, Namespace, Reader, distance
+from rosplc.shm.constants import STAMP_SYSTEM, WRITER_LINE
 
-__all__ = ["Inlet", "OnMessage", "TopicCount"]
+
+@dataclass(frozen=True)
+class Selection:
+    """What is taken and what is left out.
+
+    Attributes:
+        topics: Names or patterns such as ``/robot1/*``; empty for all. A ``*`` also matches slashes.
+        exclude: Names or patterns that are left out all the same.
+    """
+
+    topics: tuple[str, ...] = ()
+    exclude: tuple[str, ...] = ()
+
+    def __contains__(self, topic: str) -> bool:
+        """Return whether a topic is meant."""
+        if any(fnmatchcase(topic, _absolute(one)) for one in self.exclude):
+            return False
+        return not self.topics or any(fnmatchcase(topic, _absolute(one)) for one in self.topics)
+
+    def without_match(self, topics: Iterable[str]) -> list[str]:
+        """Return what was asked for and matches none of these topics."""
+        names = list(topics)
+        return [one for one in self.topics if not any(fnmatchcase(name, _absolute(one)) for name in names)]
+
+
+def _absolute(pattern: str) -> str:
+    return pattern if pattern.startswith(("/", "*")) else f"/{pattern}"
+
+
+_NO_COUNT = 1 << 24
+"""A distance beyond this is that to a head which somebody scribbled."""
+
+
+class CarriedChannel:
+    """An object, attached read-only: nobody notices that it is recorded.
+
+    Args:
+        path: The object's file.
+        since_ns: When the recording began (ns since 1970), if it has: then what the object holds already is
+            taken. None: what comes after :meth:`begin` is.
+
+    Attributes:
+        topic: As its description says.
+        description: Its self-description.
+        slots: Its slots; one message less can wait.
+        codec: Record to CDR.
+        reader: Takes every message in order, and counts what it missed.
+        since_creation: Whether the object was made while recording, so that its first message is one to take.
+
+    Raises:
+        ChannelError: As :func:`rosplc.shm.attach`; SHM113 if it does not describe itself.
+    """
+
+    def __init__(self, path: Path, *, since_ns: int | None) -> None:
+        self._attached = open_object(str(path))
+        try:
+            self.description: Description = self._attached.description
+            layout = layout_of(self._attached)
+            # Also of a ROS 1 channel: its store is one of ROS 2, as the description gives no version.
+            self.codec = Codec(layout, Wire.CDR)
+            self.reader: Reader = self._attached.reader(latched=since_ns is not None)
+            self._begun = since_ns is not None
+        except BaseException:
+            self._attached.close()
+            raise
+        self.topic = self.description.topic
+        self.since_creation = since_ns is not None and self._attached.identity.created_ns >= since_ns
+        self.slots = self._attached.identity.slot_count
+
+    def begin(self) -> Reader:
+        """Return the reader, which takes what comes from now on; what came while it was opened is no loss.
+
+        Raises:
+            ChannelError: SHM111, the object has been retired meanwhile.
+        """
+        if not self._begun:
+            self._begun = True
+            self.reader = self._attached.reader()
+        return self.reader
+
+    def still_there(self) -> bool:
+        """Return whether the name still leads to this object."""
+        return self._attached.still_there()
+
+    def untaken(self) -> int:
+        """Return how many messages the object holds that the reader has not taken."""
+        head = self._attached.region.word(WRITER_LINE["head"])
+        if not head or not (self.reader.last or self.since_creation):
+            return 0
+        count = distance(self.reader.last, head, self.slots)
+        return count if count < _NO_COUNT else 0
+
+    def close(self) -> None:
+        """Let go of the object."""
+        self._attached.close()
+
+
+def channel_info(carried: CarriedChannel, number: int, prefix: str, qos: Qos | None) -> ChannelInfo:
+    """Return how a file names a channel; ``qos`` None where no configuration says it."""
+    description, layout = carried.description, carried.codec.layout
+    return ChannelInfo(
+        id=number,
+        topic=description.topic,
+        schema_name=layout.type_name,
+        schema_encoding="ros2msg",
+        schema=layout.store.definition_text(layout.type_name).encode(),
+        encoding="cdr",
+        metadata={
+            "offered_qos_profiles": qos_text(qos or _usual(description)),
+            "topic_type_hash": layout.store.type_hash(layout.type_name),
+            **_own(description, carried.slots, prefix),
+        },
+    )
+
+
+def _usual(description: Description) -> Qos:
+    # Which QoS the bridge uses stands in its configuration alone; these are its defaults.
+    if description.direction is Direction.TO_ROS:
+        return LATCHED
+    return DEFAULT
+
+
+def _own(description: Description, slots: int, prefix: str) -> Mapping[str, str]:
+    """Return what a replay needs to make the same channel again."""
+    return {
+        "rosplc.direction": description.direction.word,
+        "rosplc.limits": json.dumps(dict(description.limits)),
+        "rosplc.layout_id": description.layout_id,
+        "rosplc.slots": str(slots),
+        "rosplc.distro": description.distro,
+        "rosplc.bridge": description.bridge,
+        "rosplc.prefix": prefix,
+    }
+
 
 OnMessage = Callable[[CarriedChannel, bytes, int], None]
 """Called by the taking thread with a channel, a message's CDR and the time; it must be quick."""
@@ -270,3 +409,119 @@ class Inlet:
             add(entry.number, sequence, now, stamp_ns if usable else now, data)
             if entry.on_message is not None:
                 entry.on_message(entry.carried, data, now)
+
+
+class Outlet:
+    """Compresses batches and passes them on, in order; bounded.
+
+    Args:
+        take: Given each chunk, by this outlet's thread.
+        compression: How chunks are compressed.
+        most_bytes: Uncompressed bytes that may wait; what comes beyond is dropped and counted.
+
+    Attributes:
+        dropped: Channel id → messages that were dropped, because the disk does not keep up or failed.
+        error: What ended it before its time; None if nothing has.
+    """
+
+    def __init__(
+        self, take: Callable[[SealedChunk], None], compression: Compression, most_bytes: int = 64 << 20
+    ) -> None:
+        self._take, self._compression, self._most_bytes = take, compression, most_bytes
+        self.dropped: dict[int, int] = {}
+        self.error: Exception | None = None
+        self._waiting = 0
+        self._lock = threading.Lock()
+        self._queue: queue.SimpleQueue[Batch | None] = queue.SimpleQueue()
+        self._thread = threading.Thread(target=self._run, name="rosplc-chunks", daemon=True)
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def put(self, batch: Batch) -> None:
+        """Add a batch; never blocks."""
+        size = len(batch.data)
+        with self._lock:
+            fits = self.error is None and self._waiting + size <= self._most_bytes
+            if fits:
+                self._waiting += size
+        if fits:
+            self._queue.put(batch)
+        else:
+            self._drop(batch)
+
+    def stop(self) -> None:
+        """Pass on what waits, and end."""
+        self._queue.put(None)
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def _run(self) -> None:
+        while (batch := self._queue.get()) is not None:
+            with self._lock:
+                self._waiting -= len(batch.data)
+            if self.error is not None:
+                self._drop(batch)
+                continue
+            try:
+                self._take(seal(batch, self._compression))
+            except Exception as error:  # whoever waits for the recording is told
+                self._drop(batch)
+                with self._lock:
+                    self.error = error
+
+    def _drop(self, batch: Batch) -> None:
+        with self._lock:
+            for channel, count in batch.counts().items():
+                self.dropped[channel] = self.dropped.get(channel, 0) + count
+
+
+_CHUNK_OVERHEAD = 1024
+_CHANNEL_OVERHEAD = 300  # its places in two dictionaries
+"""What a chunk costs beyond its bytes, rounded up."""
+
+
+class Ring:
+    """Keeps chunks for a time and within a size; the oldest give way. From any thread.
+
+    Args:
+        keep_ns: How long a chunk is kept.
+        most_bytes: Bytes that all of them may have.
+        clock: What their age is judged by.
+    """
+
+    def __init__(self, keep_ns: int, most_bytes: int, clock: Clock = SYSTEM) -> None:
+        self._clock = clock
+        self._keep_ns, self._most_bytes = keep_ns, most_bytes
+        self._chunks: deque[tuple[int, int, SealedChunk]] = deque()
+        self._lock = threading.Lock()
+        self.size = 0
+        self.cut_short = False
+        """Whether the size made a chunk give way before its time."""
+
+    def take(self, chunk: SealedChunk) -> None:
+        """Add a chunk."""
+        now = self._clock.monotonic_ns()
+        cost = len(chunk.blob) + _CHUNK_OVERHEAD + _CHANNEL_OVERHEAD * len(chunk.counts)
+        with self._lock:
+            self._chunks.append((now, cost, chunk))
+            self.size += cost
+            while self._chunks and now - self._chunks[0][0] > self._keep_ns:
+                self.size -= self._chunks.popleft()[1]
+            while self.size > self._most_bytes and len(self._chunks) > 1:
+                self.size -= self._chunks.popleft()[1]
+                self.cut_short = True
+
+    def chunks(self) -> list[SealedChunk]:
+        """Return what is kept, the oldest first."""
+        with self._lock:
+            return [chunk for _, _, chunk in self._chunks]
+
+    @property
+    def span_ns(self) -> int:
+        """From the oldest message kept to the newest."""
+        with self._lock:
+            if not self._chunks:
+                return 0
+            return max(0, self._chunks[-1][2].end_ns - self._chunks[0][2].start_ns)

@@ -15,10 +15,8 @@ from rosplc._version import __version__
 from rosplc.clock import SYSTEM, Clock
 from rosplc.errors import ChannelError, RecordingError
 from rosplc.monitor import Expected, Watch
-from rosplc.recorder.carried import Selection
-from rosplc.recorder.chunks import Outlet, Ring
-from rosplc.recorder.inlet import Inlet, TopicCount
-from rosplc.recorder.mcap_write import Compression, SealedChunk
+from rosplc.recorder.inlet import Inlet, Outlet, Ring, Selection, TopicCount
+from rosplc.recorder.mcap_file import Compression, SealedChunk
 from rosplc.recorder.store import FileStore, Split, Written, dated, free_name, try_place
 from rosplc.recorder.trigger import Fired, Triggers
 from rosplc.ros import Qos

@@ -1,23 +1,35 @@
-"""Playing a recording's messages into a target, in their order and at their pace."""
+"""Playing a recording's messages, in their order and at their pace, into channels or ROS topics."""
 
 from __future__ import annotations
 
+import stat
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from pathlib import Path
+from typing import Any, Literal, Protocol
 
+from rosplc.bridge.bind import Binding
 from rosplc.clock import SYSTEM, Clock
-from rosplc.errors import RecordingError
-from rosplc.recorder.carried import Selection
+from rosplc.codec import Codec, Wire
+from rosplc.config.access import group_id, user_id
+from rosplc.config.objects import describe
+from rosplc.config.resolve import Project
+from rosplc.described import description_of, layout_of
+from rosplc.errors import ChannelError, CodecError, RecordingError, RosplcError
+from rosplc.layout import Layout, Limits, compute_layout
+from rosplc.model import TypeStore
+from rosplc.recorder.convert import Conversion, renamed, with_types_of
+from rosplc.recorder.inlet import Selection
 from rosplc.recorder.source import Source, SourceTopic
-
-__all__ = ["Player", "ReplayOptions", "Target", "TopicCount", "chosen_topics", "wait_for_readers"]
+from rosplc.ros import ROS1, Backend, Publisher, open_backend
+from rosplc.shm import Description, Direction, Namespace, OwnedChannel, attach
 
 _LOOK_S = 0.05
 
 
 @dataclass
-class TopicCount:
+class SentCount:
     """What became of one topic's messages."""
 
     sent: int = 0
@@ -35,7 +47,7 @@ class Target(Protocol):
         linger_s: How long to stay after the last message, in seconds.
     """
 
-    counts: dict[str, TopicCount]
+    counts: dict[str, SentCount]
     notes: list[str]
     linger_s: float
 
@@ -204,3 +216,258 @@ class Player:
             for new in names[message.topic]:
                 self.target.send(new, message.data, stamp)
         return base >= 0
+
+
+_SLOTS = 64
+"""Of a channel that neither a configuration nor a recording nor an object describes."""
+
+
+class PlcTarget:
+    """Channels towards the PLC, each made or adopted as a bridge would.
+
+    A channel's limits and depth are those of the configuration, else of the object that is there, else of
+    the recording: so the code in the PLC goes on to fit.
+
+    Args:
+        topics: Name in shared memory → topic.
+        namespace: Where the objects stand.
+        project: A configuration, whose channels these are; None if there is none.
+        distro: Whose definitions hold where the recording has none.
+
+    Raises:
+        ChannelError: SHM116, a bridge or another program writes the channel; SHM117 and others.
+        RecordingError: REC007, the channel belongs to a topic that the PLC writes, or to another type.
+    """
+
+    def __init__(
+        self,
+        topics: Mapping[str, SourceTopic],
+        namespace: Namespace,
+        *,
+        project: Project | None = None,
+        distro: str = "jazzy",
+    ) -> None:
+        self.linger_s = 0.0
+        self._namespace = namespace
+        self._bindings: dict[str, Binding] = {}
+        self._conversions: dict[str, Conversion] = {}
+        self.notes: list[str] = []
+        self.counts = {name: SentCount() for name in topics}
+        self._before: dict[str, tuple[tuple[int, int], ...]] = {}
+        try:
+            plans = [(name, self._plan(name, topic, project, distro)) for name, topic in topics.items()]
+            for name, plan in plans:
+                try:
+                    self._bindings[name] = plan.bind(namespace)
+                except ValueError as error:  # limits that lead to an object of more than 2 GiB
+                    raise RecordingError("REC007", str(error), where=name) from error
+        except BaseException:
+            self.close()
+            raise
+
+    def send(self, topic: str, data: bytes, stamp_ns: int) -> None:
+        """Write a message into the channel; one that does not fit its limits is refused and counted."""
+        count = self.counts[topic]
+        try:
+            self._bindings[topic].write(self._conversions[topic](data), stamp_ns=stamp_ns)
+        except CodecError as error:
+            count.refused += 1
+            count.reason = count.reason or f"{error.where}: {error.what} [{error.code}]"
+        except ChannelError as error:
+            count.lost += 1
+            count.reason = f"{error.what} [{error.code}]"
+        else:
+            count.sent += 1
+
+    def missing(self) -> list[str]:
+        """Return the topics that no PLC task reads: whose reader lines show no life between two calls."""
+        quiet = []
+        for name in self._bindings:
+            now = self._lines(name)
+            before = self._before.setdefault(name, now)
+            if now == before or not any(now):
+                quiet.append(name)
+        return quiet
+
+    def close(self) -> None:
+        """Leave the objects, with their last state."""
+        for binding in self._bindings.values():
+            binding.close()
+
+    def _lines(self, name: str) -> tuple[tuple[int, int], ...]:
+        try:
+            with attach(self._namespace, name) as attached:
+                lines = attached.snapshot().readers
+        except ChannelError:
+            return ()
+        return tuple((line.beat, line.taken) if line.claim else (0, 0) for line in lines)
+
+    def _plan(self, name: str, topic: SourceTopic, project: Project | None, distro: str) -> _Plan:
+        own = topic.types(distro)
+        for plan in () if project is None else project.topics:
+            if plan.topic == name and plan.port == "channel":
+                assert project is not None
+                self._convert(name, topic, own, plan.layout, plan.direction, "the configuration")
+                settings = project.config.settings
+                description = describe(plan, distro=settings.ros.distro, bridge=settings.bridge)
+                owner = {
+                    "mode": settings.shm.mode,
+                    "uid": user_id(project.config),
+                    "gid": group_id(project.config),
+                }
+                return _Plan(description, plan.layout, plan.slots, plan.truncate, owner)
+        there = self._there(name)
+        if there is not None:
+            self._convert(
+                name, topic, own, there.layout, there.description.direction, "the channel that is there"
+            )
+            return there
+        # A ROS 1 bag becomes a channel of the distribution's types, all else one of its own.
+        store = with_types_of(TypeStore.bundled(distro), own, topic.type_name) if topic.ros1 else own
+        layout = _layout(store, renamed(topic.type_name, store), topic.limits)
+        self._convert(name, topic, own, layout, Direction.TO_PLC, "")
+        description = description_of(layout, name, Direction.TO_PLC, bridge="replay")
+        return _Plan(description, layout, topic.slots or _SLOTS)
+
+    def _convert(
+        self, name: str, topic: SourceTopic, own: TypeStore, layout: Layout, direction: Direction, who: str
+    ) -> None:
+        """Note how a topic's messages become those of a channel.
+
+        Raises:
+            RecordingError: REC007, the PLC writes the channel, or it has messages of another type.
+        """
+        if direction is not Direction.TO_PLC:
+            raise RecordingError(
+                "REC007",
+                f"according to {who}, the PLC writes it",
+                where=name,
+                remedy=f"Leave it out with --exclude {name}, or rename it with --rename {name}:=/other.",
+            )
+        if layout.type_name != renamed(topic.type_name, layout.store):
+            what = f"{who} has {layout.type_name}, and it was recorded as {topic.type_name}"
+            raise RecordingError("REC007", what, where=name)
+        self._conversions[name] = conversion = Conversion(
+            own, topic.type_name, layout.store, layout.type_name, from_ros1=topic.ros1, where=name
+        )
+        self.notes += [f"{name}: {note}" for note in conversion.notes]
+
+    def _there(self, name: str) -> _Plan | None:
+        """Return the channel that a bridge left; None if there is none, or one that is to be replaced."""
+        try:
+            with attach(self._namespace, name) as attached:
+                status = Path(attached.path).stat()
+                owner = {"mode": stat.S_IMODE(status.st_mode), "uid": status.st_uid, "gid": status.st_gid}
+                slots = attached.identity.slot_count
+                return _Plan(attached.description, layout_of(attached), slots, owner=owner)
+        except (ChannelError, OSError):
+            return None
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """A channel that is to be opened."""
+
+    description: Description
+    layout: Layout
+    slots: int
+    truncate: bool = False
+    owner: Mapping[str, Any] = field(default_factory=dict)
+
+    def bind(self, namespace: Namespace) -> Binding:
+        def open_channel() -> OwnedChannel:
+            return OwnedChannel.open(
+                namespace, self.description, record_size=self.layout.size, slots=self.slots, **self.owner
+            )
+
+        return Binding(
+            self.description,
+            Codec(self.layout, Wire.CDR),
+            open_channel,
+            None,
+            print=False,
+            truncate=self.truncate,
+            every=False,
+        )
+
+
+def _layout(store: TypeStore, type_name: str, limits: Mapping[str, Any] | None) -> Layout:
+    if limits is not None:
+        with suppress(RosplcError):  # limits of another definition of the type, or made up
+            return compute_layout(store, type_name, Limits.from_dict(dict(limits)))
+    return compute_layout(store, type_name)
+
+
+_LINGER_S = 1.0  # a middleware may still be sending, or repeating what got lost
+
+
+class RosTarget:
+    """Publishers on ROS topics, over any backend.
+
+    Args:
+        topics: Name in ROS → topic.
+        backend: The backend's name, or ``auto``.
+        distro: Whose definitions hold on the wire.
+        domain: The ROS domain; None: ``ROS_DOMAIN_ID``, else 0.
+        join: Opens the backend; for tests.
+
+    Raises:
+        RecordingError: REC007, the recording's definition of a type does not agree with the distribution's.
+        BackendError: ROS001, ROS002 …
+    """
+
+    def __init__(
+        self,
+        topics: Mapping[str, SourceTopic],
+        *,
+        backend: str = "auto",
+        distro: str = "jazzy",
+        domain: int | None = None,
+        join: Callable[..., Backend] = open_backend,
+    ) -> None:
+        self.linger_s = _LINGER_S
+        self.counts = {name: SentCount() for name in topics}
+        self.notes: list[str] = []
+        store = TypeStore.bundled(distro)
+        self._conversions: dict[str, Conversion] = {}
+        for name, topic in topics.items():
+            own = topic.types(distro)
+            store = with_types_of(store, own, topic.type_name)
+            self._conversions[name] = conversion = Conversion(
+                own, topic.type_name, store, renamed(topic.type_name, store),
+                from_ros1=topic.ros1, to_ros1=distro == ROS1, where=name,
+            )  # fmt: skip
+            self.notes += [f"{name}: {note}" for note in conversion.notes]
+        self.backend = join(backend, store, "rosplc_replay", domain=domain)
+        self._publishers: dict[str, Publisher] = {}
+        try:
+            for name, topic in topics.items():
+                self._publishers[name] = self.backend.advertise(
+                    name, renamed(topic.type_name, store), topic.qos
+                )
+        except BaseException:
+            self.backend.close()
+            raise
+
+    def send(self, topic: str, data: bytes, stamp_ns: int) -> None:
+        """Publish a message; one that a subscriber has no room for is counted as lost."""
+        count = self.counts[topic]
+        try:
+            sent = self._publishers[topic].write(self._conversions[topic](data), stamp_ns)
+        except RosplcError as error:
+            count.refused += 1
+            count.reason = count.reason or f"{error.what} [{error.code}]"
+            return
+        if sent:
+            count.sent += 1
+        else:
+            count.lost += 1
+            count.reason = "a subscriber does not keep up"
+
+    def missing(self) -> list[str]:
+        """Return the topics that nobody subscribes to."""
+        return [name for name, publisher in self._publishers.items() if not publisher.matched]
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self.backend.close()

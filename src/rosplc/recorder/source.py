@@ -11,8 +11,8 @@ from typing import Any, Protocol
 
 from rosplc.errors import RecordingError, RosplcError
 from rosplc.model import DISTROS, TypeStore
-from rosplc.recorder.mcap_read import FileMessage, Part, Survey, read_part, survey
-from rosplc.recorder.rosbag2 import qos_of_text
+from rosplc.recorder.mcap_file import FileMessage, Part, Survey, read_part, survey
+from rosplc.recorder.store import qos_of_text
 from rosplc.ros import DEFAULT, ROS1, Qos
 from rosplc.ros.bag import Bag
 from rosplc.ros.plain_file import unreadable_kind

@@ -1,31 +1,160 @@
-"""Where chunks go: into one file, or into several of limited size or time, alone or as a rosbag2 folder."""
+"""Where chunks go: into one file or several of limited size or time, alone or as a rosbag2 folder; repair.
+
+rosbag2's storage plugin for MCAP puts a topic's QoS into the channel's metadata, and everything that
+``metadata.yaml`` says into a metadata record named ``rosbag2`` as well. Version 8 of that format is written,
+the last one with numbers for QoS policies: Humble and Iron read no other, and later releases read it too.
+"""
 
 from __future__ import annotations
 
 import errno
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+import yaml
 
 from rosplc.errors import RecordingError
-from rosplc.recorder.mcap_write import ChannelInfo, McapFile, SealedChunk
-from rosplc.recorder.rosbag2 import RECORD_NAME, BagFile, BagTopic, bag_information, to_yaml
+from rosplc.recorder.mcap_file import (
+    Batch,
+    ChannelInfo,
+    McapFile,
+    SealedChunk,
+    Survey,
+    read_part,
+    seal,
+    survey,
+)
+from rosplc.ros import DEFAULT, Qos
 
-__all__ = [
-    "METADATA",
-    "SUFFIX",
-    "FileStore",
-    "Split",
-    "Written",
-    "base_of",
-    "dated",
-    "failure",
-    "file_name",
-    "free_name",
-    "try_place",
-]
+RECORD_NAME = "rosbag2"
+_VERSION = 8
+# rmw/types.h: rmw_qos_*_policy_e; 0 stands for the middleware's own default.
+_KEEP_LAST = 1
+_RELIABILITY = {"reliable": 1, "best_effort": 2}
+_DURABILITY = {"transient_local": 1, "volatile": 2}
+_AUTOMATIC = 1
+_UNSET = {"sec": 0, "nsec": 0}
+
+
+@dataclass(frozen=True)
+class BagFile:
+    """A file of a bag: its name in the folder, its earliest and latest log time, its messages."""
+
+    name: str
+    start_ns: int
+    end_ns: int
+    messages: int
+
+
+@dataclass(frozen=True)
+class BagTopic:
+    """A topic of a bag."""
+
+    name: str
+    type_name: str
+    qos: str
+    type_hash: str
+    messages: int
+
+
+def qos_text(qos: Qos) -> str:
+    """Return ``offered_qos_profiles`` for what a topic's publisher offers."""
+    profile = {
+        "history": _KEEP_LAST,
+        "depth": qos.depth,
+        "reliability": _RELIABILITY[qos.reliability],
+        "durability": _DURABILITY[qos.durability],
+        "deadline": _time(qos.deadline_ns),
+        "lifespan": _UNSET,
+        "liveliness": _AUTOMATIC if qos.lease_ns else 0,
+        "liveliness_lease_duration": _time(qos.lease_ns),
+        "avoid_ros_namespace_conventions": False,
+    }
+    return to_yaml([profile]).rstrip("\n")
+
+
+def qos_of_text(text: str) -> Qos:
+    """Return what ``offered_qos_profiles`` says of the first publisher, else the default.
+
+    Only what decides who receives what is taken over: promises about time are not, as a replay may
+    be slower than they allow.
+    """
+    try:
+        profile = yaml.safe_load(text)[0]
+        reliability, durability = str(profile["reliability"]), str(profile["durability"])
+        depth = int(profile["depth"])
+    except (yaml.YAMLError, RecursionError, LookupError, TypeError, ValueError):
+        return DEFAULT
+    return Qos(
+        reliability="best_effort" if reliability in ("2", "best_effort") else "reliable",
+        durability="transient_local" if durability in ("1", "transient_local") else "volatile",
+        depth=min(max(depth, DEFAULT.depth), 10_000),
+    )
+
+
+def bag_information(files: Iterable[BagFile], topics: Iterable[BagTopic], distro: str) -> dict[str, Any]:
+    """Return what ``metadata.yaml`` holds."""
+    files = list(files)
+    filled = [file for file in files if file.messages]
+    start = min((file.start_ns for file in filled), default=0)
+    end = max((file.end_ns for file in filled), default=0)
+    return {
+        "rosbag2_bagfile_information": {
+            "version": _VERSION,
+            "storage_identifier": "mcap",
+            "duration": {"nanoseconds": end - start},
+            "starting_time": {"nanoseconds_since_epoch": start},
+            "message_count": sum(file.messages for file in files),
+            "topics_with_message_count": [_topic(topic) for topic in topics],
+            "compression_format": "",
+            "compression_mode": "",
+            "relative_file_paths": [file.name for file in files],
+            "files": [_file(file) for file in files],
+            "custom_data": {},
+            "ros_distro": distro,
+        }
+    }
+
+
+def to_yaml(value: Any) -> str:
+    """Return YAML, without references between equal parts, which rosbag2 would not expect."""
+    return yaml.dump(value, Dumper=_Plain, sort_keys=False, allow_unicode=True)
+
+
+class _Plain(yaml.SafeDumper):
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+
+def _time(ns: int) -> Mapping[str, int]:
+    return {"sec": ns // 10**9, "nsec": ns % 10**9}
+
+
+def _topic(topic: BagTopic) -> dict[str, Any]:
+    return {
+        "topic_metadata": {
+            "name": topic.name,
+            "type": topic.type_name,
+            "serialization_format": "cdr",
+            "offered_qos_profiles": topic.qos,
+            "type_description_hash": topic.type_hash,
+        },
+        "message_count": topic.messages,
+    }
+
+
+def _file(file: BagFile) -> dict[str, Any]:
+    return {
+        "path": file.name,
+        "starting_time": {"nanoseconds_since_epoch": file.start_ns},
+        "duration": {"nanoseconds": file.end_ns - file.start_ns},
+        "message_count": file.messages,
+    }
+
 
 SUFFIX = ".mcap"
 
@@ -62,7 +191,7 @@ def _exists(path: Path) -> bool:
 METADATA = "rosplc"
 """Name of the metadata record that tells what was lost."""
 
-_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 @dataclass(frozen=True)
@@ -305,10 +434,107 @@ def try_place(base: Path) -> None:
 
 def failure(error: OSError, path: Path) -> RecordingError:
     """Return what a failed write means to a person: REC002 where the disk is full, else REC001."""
-    if error.errno in _NO_ROOM:
+    if error.errno in _FULL:
         return RecordingError("REC002", f"no room: {error.strerror}", where=str(path))
     if isinstance(error, FileExistsError):
         what = "there is something at this name already, and nothing is overwritten"
     else:
         what = error.strerror or str(error)
     return RecordingError("REC001", what, where=str(path))
+
+
+_REPAIR = "rosplc.repair"
+
+
+@dataclass(frozen=True)
+class Repaired:
+    """What was saved.
+
+    Attributes:
+        path: The new file.
+        messages: Messages in it.
+        topics: Topic → messages.
+        problem: What was wrong with the old one; empty if nothing was.
+        damaged: Parts of it that could not be read.
+    """
+
+    path: Path
+    messages: int
+    topics: dict[str, int]
+    problem: str
+    damaged: int
+
+
+def repair(source: Path, target: Path, look: Callable[[int], None] = lambda _: None) -> Repaired:
+    """Copy every message that can be read, with its topic and times, into a new and complete file.
+
+    Args:
+        source: The file, which stays as it is.
+        target: The new file; there must be nothing at this name yet.
+        look: Called now and then with the messages saved so far.
+
+    Raises:
+        RecordingError: REC003, nothing of the file can be read; REC001 or REC002, the new one cannot be
+            written.
+    """
+    found = survey(source, count=True)
+    try:
+        file = McapFile(target, found.profile)
+    except OSError as error:
+        raise failure(error, target) from error
+    infos = _known_channels(found)
+    topics: dict[str, int] = {}
+    try:
+        try:
+            for metadata in found.metadata:
+                if metadata.name != METADATA:
+                    continue
+                file.add_metadata(metadata.name, metadata.metadata)
+            for part in found.parts:
+                batch = Batch()
+                for message in read_part(source, part):
+                    info = infos.get(message.channel)
+                    if info is None:
+                        continue
+                    file.declare(info)
+                    batch.add(
+                        message.channel, message.sequence, message.log_ns, message.publish_ns, message.data
+                    )
+                    topics[info.topic] = topics.get(info.topic, 0) + 1
+                if batch:
+                    file.append(seal(batch, "zstd"))
+                look(file.messages)
+            if found.problem:
+                file.add_metadata(
+                    _REPAIR, {"problem": found.problem, "damaged_parts": str(len(found.damaged))}
+                )
+        except OSError as error:
+            raise failure(error, target) from error
+    finally:
+        try:
+            file.finish()
+        except OSError as error:
+            raise failure(error, target) from error
+    if not file.messages:
+        target.unlink()
+        what = found.problem or "it has no messages"
+        remedy = "No whole message is in it: use another copy of it, or record again."
+        raise RecordingError("REC003", f"nothing to save: {what}", where=str(source), remedy=remedy)
+    return Repaired(target, file.messages, topics, found.problem, len(found.damaged))
+
+
+def _known_channels(found: Survey) -> dict[int, ChannelInfo]:
+    infos = {}
+    for number, channel in found.channels.items():
+        schema = found.schemas.get(channel.schema_id)
+        if schema is not None:  # without one nobody can tell what its messages are
+            infos[number] = ChannelInfo(
+                id=number,
+                topic=channel.topic,
+                schema_name=schema.name,
+                schema_encoding=schema.encoding,
+                schema=schema.data,
+                encoding=channel.message_encoding,
+                metadata=channel.metadata,
+            )
+    return infos

@@ -26,8 +26,7 @@ from rosplc.errors import RecordingError
 from rosplc.layout import Layout, RecordView
 from rosplc.layout.nodes import ArrayNode, SequenceNode, StringNode
 from rosplc.monitor import Event
-from rosplc.recorder.carried import CarriedChannel
-from rosplc.recorder.inlet import OnMessage
+from rosplc.recorder.inlet import CarriedChannel, OnMessage
 
 __all__ = ["Condition", "Fired", "Triggers", "parse_condition"]
 

@@ -6,8 +6,7 @@ nothing has to be built. It looks at channels as ``rosplc top`` does and disturb
 
 from __future__ import annotations
 
-from rosplc.web.access import is_loopback
+from rosplc.web.access import Settings, is_loopback, new_token, read_token
 from rosplc.web.server import serve
-from rosplc.web.settings import Settings, new_token, read_token
 
 __all__ = ["Settings", "is_loopback", "new_token", "read_token", "serve"]

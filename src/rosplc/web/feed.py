@@ -1,6 +1,6 @@
-"""What pages are shown: one thread looks at the channels, and pages take what is new to them.
+"""What pages want and are shown: one thread looks at the channels, and pages take what is new to them.
 
-Nothing queues. The newest picture and the newest message of each channel stand here, events and
+Nothing queues. The newest picture and the newest message of each channel are kept here, events and
 plotted samples in lists that forget their oldest. A slow page misses something and costs nothing.
 """
 
@@ -9,20 +9,231 @@ from __future__ import annotations
 import asyncio
 import itertools
 import logging
+import re
+import time
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Set
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any
 
-from rosplc.errors import RosplcError
-from rosplc.web.looker import Look, Looker
+from rosplc.errors import RosplcError, WebError
+from rosplc.monitor.message import Message
+from rosplc.monitor.picture import Event, Picture
+from rosplc.monitor.watch import Watch
+from rosplc.web.write import shown
 
-if TYPE_CHECKING:
-    from rosplc.monitor.picture import Event
-    from rosplc.monitor.watch import Watch
-    from rosplc.web.wants import Wants
+MAX_PATH = 300
+"""Characters of the longest path that is accepted."""
 
-__all__ = ["Feed"]
+_STEP = re.compile(r"(?:^|\.)([A-Za-z_][A-Za-z0-9_]*)|\[([0-9]{1,8})\]")
+
+
+@lru_cache(maxsize=1024)
+def parse_path(text: str) -> tuple[str | int, ...]:
+    """Return the steps of a path: names of fields and indices of elements.
+
+    Raises:
+        ValueError: It is no path.
+    """
+    steps: list[str | int] = []
+    at = 0
+    while at < len(text) <= MAX_PATH:
+        found = _STEP.match(text, at)
+        if found is None or found.end() == at:
+            break
+        steps.append(found[1] if found[2] is None else int(found[2]))
+        at = found.end()
+    if not steps or at != len(text):
+        raise ValueError(f"{text[:80]!r} is no path of a field")
+    return tuple(steps)
+
+
+def number_at(message: Any, path: str) -> float | int | None:
+    """Return the number at a path of a message; None if there is none.
+
+    A bool counts as 0 or 1. NaN and infinities are None: they have no place in a plot.
+    """
+    value = message
+    try:
+        for step in parse_path(path):
+            value = value[step]
+    except (LookupError, TypeError):
+        return None
+    if not isinstance(value, int | float):
+        return None
+    value = int(value) if isinstance(value, bool) else value
+    return value if value - value == 0 else None
+
+
+MAX_MESSAGES = 4
+"""Messages that one page may have open."""
+MAX_PLOTS = 24
+"""Fields that one page may plot."""
+_MAX_ID = 300
+
+
+@dataclass(frozen=True)
+class Wants:
+    """What one page wants.
+
+    Attributes:
+        messages: Ids of channels whose newest message it shows.
+        plots: Per id the paths of the fields that it plots.
+    """
+
+    messages: frozenset[str] = frozenset()
+    plots: dict[str, frozenset[str]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, data: Any) -> Wants:
+        """Return what a page's JSON says.
+
+        Raises:
+            WebError: WEB009, it has another form, or wants more than one page may.
+        """
+        if not isinstance(data, dict):
+            raise _malformed("what a page wants is an object")
+        messages, plots = data.get("messages", []), data.get("plots", {})
+        if not isinstance(messages, list) or not isinstance(plots, dict):
+            raise _malformed("`messages` is a list, `plots` an object")
+        for name in [*messages, *plots]:
+            if not isinstance(name, str) or len(name) > _MAX_ID:
+                raise _malformed("a channel's id is a text")
+        count = 0
+        for paths in plots.values():
+            if not isinstance(paths, list) or not all(isinstance(path, str) for path in paths):
+                raise _malformed("the fields to plot are a list of paths")
+            count += len(paths)
+            for path in paths:
+                try:
+                    parse_path(path)
+                except ValueError as error:
+                    raise _malformed(str(error)) from None
+        if len(messages) > MAX_MESSAGES or count > MAX_PLOTS:
+            raise _malformed(f"a page may open {MAX_MESSAGES} messages and plot {MAX_PLOTS} fields")
+        return cls(frozenset(messages), {name: frozenset(paths) for name, paths in plots.items() if paths})
+
+
+def _malformed(what: str) -> WebError:
+    return WebError("WEB009", what)
+
+
+_PICTURE_SECONDS = 0.5
+_UNWATCHED_SECONDS = 1.0
+_SAMPLE_SECONDS = 0.05
+# What a look, or decoding a large message, costs may be at most this share of the time.
+_SHARE = 0.2
+_STAMP_MS = 500
+
+
+@dataclass
+class Look:
+    """What one turn of looking has found.
+
+    Attributes:
+        picture: All channels, if it was time for them.
+        messages: Of each wanted channel whose message is new, what is shown of it, by id.
+        samples: Per plotted channel the time in ms since 1970 and its fields' values by path.
+    """
+
+    picture: Picture | None = None
+    messages: dict[str, dict[str, Any]] = field(default_factory=dict)
+    samples: dict[str, tuple[float, dict[str, float | None]]] = field(default_factory=dict)
+
+
+class Looker:
+    """Takes looks; for one thread.
+
+    Args:
+        watch: What to look with.
+    """
+
+    def __init__(self, watch: Watch) -> None:
+        self._watch = watch
+        self._due: dict[str, float] = {}
+        self._seen: dict[str, tuple[object, ...]] = {}
+
+    def look(self, wanted: Iterable[Wants]) -> Look:
+        """Look at what pages want, as far as it is time to.
+
+        Raises:
+            RosplcError: The channels cannot be listed.
+        """
+        wanted = list(wanted)
+        messages: Set[str] = frozenset().union(*(each.messages for each in wanted))
+        plots: dict[str, set[str]] = {}
+        for each in wanted:
+            for channel, paths in each.plots.items():
+                plots.setdefault(channel, set()).update(paths)
+        found = Look()
+        if self._is_due(""):
+            started = time.monotonic()
+            found.picture = self._watch.look()
+            self._next("", started, _PICTURE_SECONDS if wanted else _UNWATCHED_SECONDS)
+        for channel in messages | plots.keys():
+            if self._is_due(channel):
+                started = time.monotonic()
+                self._message(found, channel, channel in messages, frozenset(plots.get(channel, ())))
+                self._next(channel, started, _SAMPLE_SECONDS)
+        for channel in self._due.keys() - messages - plots.keys() - {""}:
+            del self._due[channel]
+            self._seen.pop(channel, None)
+        return found
+
+    def _is_due(self, name: str) -> bool:
+        return time.monotonic() >= self._due.get(name, 0.0)
+
+    def _next(self, name: str, started: float, seconds: float) -> None:
+        now = time.monotonic()
+        # A little early rather than a turn late: the turns themselves come at this distance.
+        self._due[name] = max(started + 0.8 * seconds, now + (now - started) * (1 / _SHARE - 1))
+
+    def _message(self, found: Look, channel: str, wanted: bool, paths: Set[str]) -> None:
+        try:
+            message = self._watch.message(channel)
+        except RosplcError as error:
+            self._news(found, channel, ("error", error.code), {"error": error.to_dict()})
+            return
+        if message is None:
+            self._news(found, channel, ("none",), {"none": True})
+            return
+        mark = ("message", message.sequence, message.stamp_ns, message.type_name)
+        # A classic topic's messages have no numbers: each look may have found a new one.
+        if message.sequence and self._seen.get(channel) == (*mark, wanted, paths):
+            return
+        self._seen[channel] = (*mark, wanted, paths)
+        now_ms = time.time_ns() / 1e6
+        if paths:
+            values = {path: number_at(message.values, path) for path in paths}
+            found.samples[channel] = (_time_of(message, now_ms), values)
+        if wanted:
+            found.messages[channel] = _page_form(message)
+
+    def _news(self, found: Look, channel: str, mark: tuple[object, ...], news: dict[str, Any]) -> None:
+        if self._seen.get(channel) != mark:
+            self._seen[channel] = mark
+            found.messages[channel] = news
+
+
+def _time_of(message: Message, now_ms: float) -> float:
+    """Return when a message came: its stamp, if that is of about now, which is more exact than a look."""
+    stamp_ms = message.stamp_ns / 1e6
+    return stamp_ms if message.clock and 0 <= now_ms - stamp_ms < _STAMP_MS else now_ms
+
+
+def _page_form(message: Message) -> dict[str, Any]:
+    return {
+        "type": message.type_name,
+        "sequence": message.sequence,
+        # Nanoseconds since 1970 are beyond what a page can count.
+        "stamp_ms": message.stamp_ns / 1e6 if message.stamp_ns else None,
+        "clock": message.clock,
+        "marks": list(message.marks),
+        "values": shown(message.values),
+    }
+
 
 _log = logging.getLogger("rosplc.web")
 _TURN_SECONDS = 0.05

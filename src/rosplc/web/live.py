@@ -13,12 +13,11 @@ from aiohttp import WSMsgType, web
 from rosplc._version import __version__
 from rosplc.errors import RosplcError, WebError
 from rosplc.web.access import require_token
-from rosplc.web.wants import Wants
+from rosplc.web.feed import Wants
 
 if TYPE_CHECKING:
-    from rosplc.web.feed import Feed
-    from rosplc.web.settings import Settings
-    from rosplc.web.wants import Wants
+    from rosplc.web.access import Settings
+    from rosplc.web.feed import Feed, Wants
 
 __all__ = ["Frames", "Viewers"]
 

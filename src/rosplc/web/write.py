@@ -1,4 +1,6 @@
-"""Writing one test message into a channel that no one else writes.
+"""A message type as the page needs it, and writing one test message into a channel that no one else writes.
+
+Numbers that JavaScript's own numbers cannot hold exactly travel as text, in both directions.
 
 A claim other than 0 is never taken, however long its holder has been silent: Structured Text stores no
 process number, and a PLC in another container or at a breakpoint would find its claim gone. A person frees
@@ -9,18 +11,152 @@ object's name, which a running bridge holds.
 from __future__ import annotations
 
 import stat
+import sys
 import time
 from pathlib import Path
 from typing import Any
 
 from rosplc.described import layout_of
-from rosplc.errors import ChannelError, WebError
+from rosplc.errors import ChannelError, LayoutError, WebError
+from rosplc.layout import (
+    ArrayNode,
+    Layout,
+    Node,
+    PaddingNode,
+    ScalarNode,
+    SequenceNode,
+    StringNode,
+    StructNode,
+)
+from rosplc.model import TypeStore
 from rosplc.shm import Attached, Direction, Namespace, OwnedChannel, Region, Writer
 from rosplc.shm import attach as attach_object
 from rosplc.shm.constants import STAMP_SYSTEM
-from rosplc.web.form import form_of, from_form, refuse_unsafe
 
-__all__ = ["write_message"]
+SAFE_INTEGER = (1 << 53) - 1
+"""The largest whole number that JavaScript's numbers hold exactly."""
+
+_ELEMENTS = 256
+_LARGEST = {"float32": 3.4028235677973366e38, "float64": sys.float_info.max}
+"""Above these a number becomes infinite."""
+
+
+def form_of(layout: Layout) -> dict[str, Any]:
+    """Return a layout as a tree of plain data.
+
+    Every node has ``kind``: ``struct`` (with ``members``, each with its ``name``), ``list`` (with
+    ``element``, ``capacity`` and ``fixed``), ``string`` (``capacity`` in bytes), ``bool``, ``integer``
+    (``low`` and ``high`` as text) or ``float``; and ``type``, as ROS writes it.
+    """
+    return _node(layout.root, layout.store)
+
+
+def _node(node: Node, store: TypeStore) -> dict[str, Any]:
+    if isinstance(node, StructNode):
+        message = store[node.type_name]
+        return {
+            "kind": "struct",
+            "type": node.type_name,
+            "members": [
+                {"name": member.name, **_node(member.node, store)}
+                for member in node.members
+                if not isinstance(member.node, PaddingNode) and member.count_of is None
+            ],
+            "constants": [
+                {"name": constant.name, "type": str(constant.type), "value": shown(constant.value)}
+                for constant in message.constants
+            ],
+        }
+    if isinstance(node, ArrayNode | SequenceNode):
+        element = _node(node.element, store)
+        fixed = isinstance(node, ArrayNode)
+        capacity = node.length if isinstance(node, ArrayNode) else node.capacity
+        text = f"{element['type']}[{capacity if fixed else ''}]"
+        return {"kind": "list", "type": text, "capacity": capacity, "fixed": fixed, "element": element}
+    if isinstance(node, StringNode):
+        return {"kind": "string", "type": "string", "capacity": node.capacity}
+    assert isinstance(node, ScalarNode)
+    if node.kind == "bool":
+        return {"kind": "bool", "type": "bool"}
+    if node.kind.startswith("float"):
+        return {"kind": "float", "type": node.kind}
+    signed = node.kind.startswith("int")
+    bits = 8 * node.size - signed
+    low = -(1 << bits) if signed else 0
+    return {"kind": "integer", "type": node.kind, "low": str(low), "high": str((1 << bits) - 1)}
+
+
+def shown(value: Any, elements: int = _ELEMENTS) -> Any:
+    """Return a message's values as JSON can hold them and a page can show them.
+
+    NaN, infinities and whole numbers beyond :data:`SAFE_INTEGER` become text. A list longer than
+    ``elements`` becomes ``{"first": [...], "count": n}``.
+    """
+    if isinstance(value, bool) or value is None or isinstance(value, str):
+        return value
+    if isinstance(value, int):
+        return value if -SAFE_INTEGER <= value <= SAFE_INTEGER else str(value)
+    if isinstance(value, float):
+        return value if value - value == 0.0 else str(value)
+    if isinstance(value, dict):
+        return {name: shown(item, elements) for name, item in value.items()}
+    if len(value) > elements:
+        return {"first": [shown(item, elements) for item in value[:elements]], "count": len(value)}
+    return [shown(item, elements) for item in value]
+
+
+def from_form(form: dict[str, Any], value: Any) -> Any:
+    """Return what a page sent with text turned back into the numbers it stands for.
+
+    Nothing is checked here: a value that is no number, or does not fit, is refused by the layout,
+    which names the field.
+    """
+    kind = form["kind"]
+    if kind == "struct" and isinstance(value, dict):
+        members = {member["name"]: member for member in form["members"]}
+        return {
+            name: from_form(members[name], item) if name in members else item for name, item in value.items()
+        }
+    if kind == "list" and isinstance(value, list):
+        return [from_form(form["element"], item) for item in value]
+    if kind in ("integer", "float") and isinstance(value, str):
+        try:
+            return int(value, 10) if kind == "integer" else float(value)
+        except ValueError:
+            return value
+    if kind == "integer" and isinstance(value, float) and value.is_integer():
+        return int(value)  # JSON of a page does not tell 3.0 from 3
+    return value
+
+
+def refuse_unsafe(form: dict[str, Any], value: Any, path: str = "", *, not_finite: bool = False) -> None:
+    """Refuse numbers that a machine should not get by a slip of the keyboard.
+
+    Args:
+        form: A node of :func:`form_of`.
+        value: What a page sent for it.
+        path: The node's path, for the error.
+        not_finite: Whether ``nan`` and ``inf`` are meant.
+
+    Raises:
+        LayoutError: LAY006, a number is too large for its type, or not finite without being meant.
+    """
+    if form["kind"] == "struct":
+        for member in form["members"]:
+            if member["name"] in value:
+                inner = f"{path}.{member['name']}" if path else member["name"]
+                refuse_unsafe(member, value[member["name"]], inner, not_finite=not_finite)
+    elif form["kind"] == "list":
+        for index, item in enumerate(value):
+            refuse_unsafe(form["element"], item, f"{path}[{index}]", not_finite=not_finite)
+    elif form["kind"] == "float":
+        number = float(value)
+        meant = str(value).strip().lower().lstrip("+-") in ("nan", "inf", "infinity")
+        if meant and not not_finite:
+            raise LayoutError("LAY006", f"{value} is not a finite number", where=path)
+        if not meant and abs(number) > _LARGEST[form["type"]]:
+            raise LayoutError("LAY006", f"{str(value)[:40]} is too large for {form['type']}", where=path)
+
 
 _BEAT_MS = 1000
 

@@ -60,7 +60,7 @@ TARGETS: dict[str, Entry] = {
     "object": Entry(
         "objects in shared memory: headers, self-descriptions and slots, read by every tool that reads them",
         "object",
-        ("rosplc.shm", "rosplc.described", "rosplc.api", "rosplc.monitor.snapshot", "rosplc.doctor.objects"),
+        ("rosplc.shm", "rosplc.described", "rosplc.api", "rosplc.monitor.watch", "rosplc.doctor.objects"),
         8192,
     ),
     "classic": Entry(
@@ -95,7 +95,7 @@ TARGETS: dict[str, Entry] = {
     "files": Entry(
         "files beside rosplc's own: PLC code and its manifest, folders of `.msg` files, tokens",
         "files",
-        ("rosplc.plc.delivery", "rosplc.doctor.generated", "rosplc.model", "rosplc.web.settings"),
+        ("rosplc.plc.delivery", "rosplc.doctor.generated", "rosplc.model", "rosplc.web.access"),
         2048,
     ),
     "arguments": Entry(

@@ -11,8 +11,8 @@ from rosplc.config.file import parse_config
 from rosplc.config.resolve import resolve
 from rosplc.errors import RosplcError
 from rosplc.plc import base
-from rosplc.plc.build import ProjectOptions
-from rosplc.plc.from_config import plc_project
+from rosplc.plc.build import plc_project
+from rosplc.plc.plan import ProjectOptions
 from rosplc.project import check as facts
 from tests.fuzz.oracle import refusals
 from tests.fuzz.plc_oracle import check_project

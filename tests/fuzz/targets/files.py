@@ -9,7 +9,7 @@ from rosplc.doctor.generated import read_generated
 from rosplc.errors import GenerationError, MessageTypeError, WebError
 from rosplc.model import TypeStore
 from rosplc.plc.delivery import MANIFEST, write_files
-from rosplc.web.settings import read_token
+from rosplc.web.access import read_token
 from tests.fuzz.choices import Choices
 from tests.fuzz.oracle import refusals
 from tests.fuzz.scratch import emptied

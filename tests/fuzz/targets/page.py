@@ -9,10 +9,9 @@ from rosplc.errors import LayoutError, WebError
 from rosplc.layout import Limits, compute_layout
 from rosplc.layout.view import plain
 from rosplc.model import TypeStore
-from rosplc.web.access import wrong_host, wrong_origin
-from rosplc.web.form import form_of, from_form, shown
-from rosplc.web.settings import same_token
-from rosplc.web.wants import Wants, number_at, parse_path
+from rosplc.web.access import same_token, wrong_host, wrong_origin
+from rosplc.web.feed import Wants, number_at, parse_path
+from rosplc.web.write import form_of, from_form, shown
 from tests.fuzz.choices import Choices
 from tests.fuzz.oracle import refusals
 

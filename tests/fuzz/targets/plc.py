@@ -19,8 +19,8 @@ from rosplc.model import (
     TypeStore,
 )
 from rosplc.plc import base
-from rosplc.plc.build import PlcTask, PlcTopic, ProjectOptions, build_project
-from rosplc.plc.classic import Classic
+from rosplc.plc.build import build_project
+from rosplc.plc.plan import Classic, PlcTask, PlcTopic, ProjectOptions
 from tests.fuzz.choices import Choices
 from tests.fuzz.oracle import refusals
 from tests.fuzz.plc_oracle import check_project

@@ -11,9 +11,9 @@ from mcap.writer import CompressionType, Writer
 
 from rosplc.errors import BackendError, MessageTypeError, RecordingError
 from rosplc.model import TypeStore
-from rosplc.recorder.mcap_read import read_part, survey
-from rosplc.recorder.rosbag2 import qos_of_text
+from rosplc.recorder.mcap_file import read_part, survey
 from rosplc.recorder.source import open_source
+from rosplc.recorder.store import qos_of_text
 from tests.fuzz.choices import Choices
 from tests.fuzz.oracle import refusals
 from tests.fuzz.scratch import emptied

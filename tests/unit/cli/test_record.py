@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from rosplc.recorder.mcap_read import survey
+from rosplc.recorder.mcap_file import survey
 from rosplc.shm import Namespace, attach
 from tests.command import rosplc
 from tests.lib.waiting import wait_for

@@ -608,9 +608,9 @@ def _generated(topics: str = TOPICS, *, now: str = "", prefix: str = "") -> Look
 
 
 def _write_code(stage: Stage, topics: str, **options):
-    from rosplc.plc.build import ProjectOptions
+    from rosplc.plc.build import plc_project
     from rosplc.plc.delivery import project_files, write_files
-    from rosplc.plc.from_config import plc_project
+    from rosplc.plc.plan import ProjectOptions
 
     project = stage.project(topics)
     files = project_files(plc_project(project, ProjectOptions(**options)), [], "rosplc")

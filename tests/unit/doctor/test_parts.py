@@ -23,9 +23,9 @@ from rosplc.doctor.probe import Probe, run_probe
 from rosplc.doctor.processes import find_runtimes, shm_mount
 from rosplc.doctor.rights import File, may_use, rights, runtimes, same_memory
 from rosplc.errors import BackendError
-from rosplc.plc.build import ProjectOptions
+from rosplc.plc.build import plc_project
 from rosplc.plc.delivery import project_files, write_files
-from rosplc.plc.from_config import plc_project
+from rosplc.plc.plan import ProjectOptions
 from rosplc.ros import EndpointInfo, GraphInfo, Qos, memory
 from rosplc.ros.buffers import cyclone_buffer
 from rosplc.shm import Namespace

@@ -6,9 +6,9 @@ import pytest
 
 from rosplc.levels import Level
 from rosplc.monitor import Event, State, numbers
-from rosplc.monitor.cells import MARKS, age_text, count_text, rate_text
 from rosplc.monitor.events import grouped
-from rosplc.monitor.signs import Rate
+from rosplc.monitor.picture import MARKS, age_text, count_text, rate_text
+from rosplc.monitor.tracked import Rate
 
 
 def rates(period_ms, *, look_ms, seconds):

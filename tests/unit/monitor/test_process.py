@@ -10,7 +10,7 @@ import time
 
 import pytest
 
-from rosplc.monitor.process import is_starting, process_words
+from rosplc.monitor.tracked import is_starting, process_words
 
 
 def test_a_bridge_is_there_stopped_ended_or_gone():

@@ -6,7 +6,8 @@ from pathlib import Path
 
 from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
-from rosplc.plc.build import PlcTask, PlcTopic, ProjectOptions, build_project
+from rosplc.plc.build import build_project
+from rosplc.plc.plan import PlcTask, PlcTopic, ProjectOptions
 from rosplc.plc.project import Dut, Gvl, PlcProject, Pou
 
 STORE = TypeStore.bundled("jazzy")

@@ -12,8 +12,9 @@ import pytest
 from rosplc._version import __version__
 from rosplc.errors import GenerationError
 from rosplc.layout import Limits
-from rosplc.plc.build import PlcTask, build_project, build_type_library
+from rosplc.plc.build import build_project, build_type_library
 from rosplc.plc.delivery import project_files
+from rosplc.plc.plan import PlcTask
 from rosplc.plc.project import Dut, Gvl, Pou
 from tests.unit.plc.projects import JOINTS, POSE, STORE, TWIST, custom, layout, named, project, read, write
 

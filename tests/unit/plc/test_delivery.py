@@ -11,7 +11,7 @@ import pytest
 from rosplc.errors import GenerationError
 from rosplc.plc.build import build_type_library
 from rosplc.plc.delivery import MANIFEST, project_files, write_files
-from rosplc.plc.st_text import object_text
+from rosplc.plc.project import object_text
 from tests.unit.plc.projects import STORE, layout, project, read, write
 
 FILES = {"st/Types/a.st": b"a\n", "st/b.st": b"b\n", "x.xml": b"<x/>\n"}

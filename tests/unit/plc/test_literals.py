@@ -8,7 +8,7 @@ import struct
 
 import pytest
 
-from rosplc.plc.literals import literal, string_literal, time_literal
+from rosplc.plc.names import literal, string_literal, time_literal
 
 REAL = re.compile(r"-?\d+\.\d+(?:E[+-]?\d+)?\Z")
 

@@ -16,10 +16,18 @@ from lxml import etree
 
 from rosplc.layout import Limits
 from rosplc.model import DISTROS, TypeStore
-from rosplc.plc.build import ProjectOptions, build_type_library
+from rosplc.plc.build import build_type_library
+from rosplc.plc.plan import ProjectOptions
 from rosplc.plc.plcopen import plcopen_xml
-from rosplc.plc.project import Enumeration, PlcProject, Pou, VarBlock, Variable
-from rosplc.plc.st_text import declaration, method_declaration
+from rosplc.plc.project import (
+    Enumeration,
+    PlcProject,
+    Pou,
+    VarBlock,
+    Variable,
+    declaration,
+    method_declaration,
+)
 from tests.unit.plc.projects import JOINTS, STORE, TWIST, custom, layout, project, read, write
 
 PLC = "{http://www.plcopen.org/xml/tc6_0200}"

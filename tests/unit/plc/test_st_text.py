@@ -6,11 +6,9 @@ from importlib.resources import files
 
 import pytest
 
-from rosplc.plc.base import base_objects, parse_object, read_objects, render
-from rosplc.plc.helpers import HELPER_NAMES
+from rosplc.plc.base import HELPER_NAMES, base_objects, parse_object, read_objects, render
 from rosplc.plc.names import is_reserved
-from rosplc.plc.project import Dut, Gvl, Pou
-from rosplc.plc.st_text import declaration, object_text
+from rosplc.plc.project import Dut, Gvl, Pou, declaration, object_text
 from tests.unit.plc.projects import JOINTS, project, read, write
 
 TEMPLATES = sorted(

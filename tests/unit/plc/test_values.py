@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from rosplc.plc.build import PlcTask, PlcTopic, build_project
+from rosplc.plc.build import build_project
+from rosplc.plc.plan import PlcTask, PlcTopic
 from rosplc.plc.plcopen import plcopen_xml
 from rosplc.plc.project import PlcProject
 from rosplc.plc.script import import_script
-from rosplc.plc.types import DutBuilder
-from rosplc.plc.values import initial_value
+from rosplc.plc.types import DutBuilder, initial_value
 from tests.unit.plc.projects import JOINTS, POSE, STORE, TWIST, custom, layout, named, project, read
 
 

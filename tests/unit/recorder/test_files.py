@@ -13,10 +13,18 @@ from rosbags.interfaces import QosDurability, QosReliability
 from rosbags.rosbag2 import Reader
 
 from rosplc.errors import RecordingError
-from rosplc.recorder.mcap_read import MAX_CHUNK, read_part, survey
-from rosplc.recorder.mcap_write import COMPRESSIONS, Batch, ChannelInfo, Compression, McapFile, seal
-from rosplc.recorder.rosbag2 import qos_of_text, qos_text
-from rosplc.recorder.store import FileStore, Split
+from rosplc.recorder.mcap_file import (
+    COMPRESSIONS,
+    MAX_CHUNK,
+    Batch,
+    ChannelInfo,
+    Compression,
+    McapFile,
+    read_part,
+    seal,
+    survey,
+)
+from rosplc.recorder.store import FileStore, Split, qos_of_text, qos_text
 from rosplc.ros import LATCHED, SENSOR_DATA, Qos
 from tests.unit.recorder.making import read_from_the_front
 

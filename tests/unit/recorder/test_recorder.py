@@ -13,8 +13,8 @@ from rosplc.errors import RecordingError
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.recorder import Selection
-from rosplc.recorder.chunks import Ring
-from rosplc.recorder.mcap_write import SealedChunk
+from rosplc.recorder.inlet import Ring
+from rosplc.recorder.mcap_file import SealedChunk
 from rosplc.recorder.store import dated, free_name
 from rosplc.recorder.trigger import parse_condition
 from rosplc.shm import Direction, Namespace
@@ -251,7 +251,7 @@ def test_a_save_that_failed_is_not_told_as_one(
         def full(*_: object) -> None:
             raise OSError(errno.ENOSPC, "No space left on device")
 
-        monkeypatch.setattr("rosplc.recorder.mcap_write.McapFile.append", full)
+        monkeypatch.setattr("rosplc.recorder.mcap_file.McapFile.append", full)
         with pytest.raises(RecordingError, match="REC002"):
             recorder.stop()
     feed.close()

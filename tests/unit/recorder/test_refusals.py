@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from rosplc.errors import RecordingError, RosplcError
-from rosplc.recorder.repair import repair
 from rosplc.recorder.source import open_source
+from rosplc.recorder.store import repair
 from rosplc.ros.bag import Bag
 from tests.e2e.turtle_recording import write_recording
 from tests.unit.init.robots import record

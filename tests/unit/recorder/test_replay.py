@@ -20,11 +20,18 @@ from rosplc.errors import ChannelError, RecordingError
 from rosplc.layout import Limits
 from rosplc.model import TypeStore
 from rosplc.recorder import Selection
-from rosplc.recorder.mcap_write import Batch, ChannelInfo, McapFile, seal
-from rosplc.recorder.repair import repair
-from rosplc.recorder.replay import Player, ReplayOptions, TopicCount, chosen_topics, wait_for_readers
+from rosplc.recorder.mcap_file import Batch, ChannelInfo, McapFile, seal
+from rosplc.recorder.replay import (
+    Player,
+    PlcTarget,
+    ReplayOptions,
+    RosTarget,
+    SentCount,
+    chosen_topics,
+    wait_for_readers,
+)
 from rosplc.recorder.source import Source, open_source
-from rosplc.recorder.targets import PlcTarget, RosTarget
+from rosplc.recorder.store import repair
 from rosplc.ros import ROS1, Qos, open_backend
 from rosplc.ros.bag import Bag
 from rosplc.shm import Direction, Namespace, attach
@@ -43,7 +50,7 @@ class Heap:
         self.got: list[tuple[str, int]] = []
         self.at: list[int] = []
         self.stamps: list[int] = []
-        self.counts: dict[str, TopicCount] = {}
+        self.counts: dict[str, SentCount] = {}
         self.notes: list[str] = []
 
     def send(self, topic: str, data: bytes, stamp_ns: int) -> None:

@@ -22,7 +22,7 @@ from rosplc.demo.st.sources import CONFIGURATION, INBOX, MAIN, READ, RECORDER, W
 from rosplc.demo.task import Arrivals, serve
 from rosplc.errors import CODES, RosplcError, SetupError
 from rosplc.layout import Layout
-from rosplc.plc.instances import instance_names
+from rosplc.plc.names import instance_names
 
 __all__ = ["main"]
 

@@ -11,9 +11,8 @@ from pathlib import Path
 
 from rosplc.demo.messages import robot_topics
 from rosplc.demo.plan import Plan
-from rosplc.plc.instances import instance_names
-from rosplc.plc.project import Gvl, PlcProject, Pou, Variable
-from rosplc.plc.st_text import project_texts
+from rosplc.plc.names import instance_names
+from rosplc.plc.project import Gvl, PlcProject, Pou, Variable, project_texts
 
 __all__ = [
     "CONFIGURATION",

@@ -23,10 +23,9 @@ from rosplc.errors import ChannelError
 from rosplc.harmless import one_line
 from rosplc.layout.view import Excerpt
 from rosplc.levels import Level
-from rosplc.monitor.cells import age_text, count_text, plc_text, rate_text, way_text
 from rosplc.monitor.message import Message, numbers
-from rosplc.monitor.picture import ChannelView, Picture
-from rosplc.monitor.terminal.style import LEVEL_STYLES, plain, state_cell
+from rosplc.monitor.picture import ChannelView, Picture, age_text, count_text, plc_text, rate_text, way_text
+from rosplc.monitor.terminal.table import LEVEL_STYLES, plain, state_cell
 
 if TYPE_CHECKING:
     from rosplc.monitor.watch import Watch

@@ -20,9 +20,7 @@ from rosplc.harmless import one_line
 from rosplc.levels import Level
 from rosplc.monitor.events import grouped
 from rosplc.monitor.picture import BridgeView, ChannelView, Event, Picture
-from rosplc.monitor.terminal.columns import Sorting
-from rosplc.monitor.terminal.style import LEVEL_STYLES, event_line, plain
-from rosplc.monitor.terminal.table import ChannelTable
+from rosplc.monitor.terminal.table import LEVEL_STYLES, ChannelTable, Sorting, event_line, plain
 
 __all__ = ["OverviewScreen"]
 
