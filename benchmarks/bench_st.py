@@ -32,7 +32,7 @@ from rosplc.plc.build import build_project
 from rosplc.plc.plan import PlcTask, PlcTopic
 from rosplc.plc.project import object_text
 from rosplc.shm import Direction, Namespace, OwnedChannel
-from rosplc_bench.compiling import CORE
+from rosplc_bench.compiling import CORE, SOURCES
 from rosplc_bench.process import Side
 from rosplc_st.translator import translate
 
@@ -94,7 +94,8 @@ def build(folder: Path, objects: Mapping[str, str]) -> Path:
     source.write_text(translate(objects).code)
     flags = ("-std=gnu11", "-O2", "-w", "-fwrapv", "-fno-strict-aliasing")
     sources = (HERE / "st_loop.c", source, RUNTIME / "st_runtime.c", RUNTIME / "st_semaphore.c")
-    subprocess.run([compiler, *flags, "-I", CORE, "-I", RUNTIME, "-o", program, *sources, "-lm"], check=True)
+    headers = [f"-I{folder}" for folder in (CORE, SOURCES, RUNTIME)]
+    subprocess.run([compiler, *flags, *headers, "-o", program, *sources, "-lm", "-pthread"], check=True)
     return program
 
 

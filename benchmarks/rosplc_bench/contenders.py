@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import secrets
+from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
+from typing import TypeAlias
 
 from rosplc.demo.st.checkout import Translator, find_translator
 from rosplc.described import description_of
@@ -29,6 +31,7 @@ from rosplc_bench.pairs import (
     SPINS,
     TWO_CORES,
     TWO_CORES_BLOCKING,
+    Arrangement,
     Contender,
     Pair,
     Place,
@@ -36,12 +39,14 @@ from rosplc_bench.pairs import (
     python_side,
     start_pair,
 )
+from rosplc_bench.report import text
 from rosplc_bench.run import NAMES_FILE, Missing, need
+
+Start: TypeAlias = Callable[[Place], Pair]
 
 QUESTION, ANSWER = "/question", "/answer"
 """The topics: what A sends to B, the PLC, and what B sends back."""
 
-_CYCLES = {each.name: CYCLE for each in CYCLIC}
 _TYPE, _DEFINITION = "bench_msgs/msg/Registers", "uint16[100] values\n"
 
 
@@ -57,13 +62,6 @@ def describe(topic: str, direction: Direction) -> Description:
     return description_of(layout(), topic, direction, bridge="bench")
 
 
-_BUSY = {
-    ONE_CORE_BUSY.name: SPINS,
-    ONE_CORE_YIELD.name: Way("yield", "polls when it gets the core back (sched_yield)"),
-    ONE_CORE_CYCLE.name: CYCLE,
-}
-
-
 def objects(place: Place) -> tuple[str, str]:
     """Make an object for each direction; return the paths of the one towards B and the one towards A."""
     namespace = Namespace("rosplc", place.folder)
@@ -74,176 +72,70 @@ def objects(place: Place) -> tuple[str, str]:
     return paths[0], paths[1]
 
 
-def _same_program(name: str, place: Place, source: str, *tail: str) -> Pair:
-    """Start both sides of a program in C."""
-    program = str(compile_program(source, place.cache))
-    return start_pair(name, place, a=[program, "A", *tail], b=[program, "B", *tail])
+def _c(source: str, *tail: str) -> Start:
+    """Return what starts both sides of a program in C."""
+
+    def start(place: Place) -> Pair:
+        program = str(compile_program(source, place.cache))
+        given = (*_places(source, place), *tail)
+        return start_pair(f"{source} in C", place, [program, "A", *given], [program, "B", *given])
+
+    return start
 
 
-def _start_semaphore(place: Place, *more: str) -> Pair:
-    tail = (str(place.folder / "areas"), *place.names, *more)
-    return _same_program("shared memory and semaphore", place, "semaphore", *tail)
+def _places(source: str, place: Place) -> tuple[str, ...]:
+    if source == "channel":
+        return *objects(place), *place.names
+    areas = str(place.folder / "areas")
+    return (areas,) if source == "bare" else (areas, *place.names)
 
 
-def _start_libmodbus(place: Place, requests: str) -> Pair:
-    options = find_library("libmodbus", "libmodbus-dev")
-    client = compile_program("modbus_client", place.cache, options=options)
-    server = compile_program("modbus_server", place.cache, options=options)
-    a, b = [str(client), "A", requests], [str(server), "B"]
-    return start_pair("libmodbus", place, a=a, b=b, order="BA", pass_on=True)
+def _libmodbus(requests: str) -> Start:
+    def start(place: Place) -> Pair:
+        program = str(
+            compile_program("modbus", place.cache, options=find_library("libmodbus", "libmodbus-dev"))
+        )
+        return start_pair("libmodbus", place, [program, "A", requests], [program, "B"], server=True)
+
+    return start
 
 
-def _start_python(place: Place, module: str, *tail: object, package: str = "", server: bool = False) -> Pair:
-    """Start both sides of a peer in Python; with ``server`` B first, which names its place."""
-    if package:
-        need(package)
-    a, b = (python_side(module, side, *tail) for side in "AB")
-    return start_pair(module, place, a=a, b=b, order="BA" if server else "AB", pass_on=server)
+def _python(module: str, package: str = "", *, server: bool = False) -> Start:
+    """Return what starts both sides of a peer in Python; with ``server`` B first, which names its place."""
+
+    def start(place: Place) -> Pair:
+        if package:
+            need(package)
+        file = place.folder / "areas" if module == "semaphore" else place.folder
+        tail = () if server else (file, *place.names)
+        a, b = (python_side(module, side, *tail) for side in "AB")
+        return start_pair(module, place, a, b, server=server)
+
+    return start
 
 
-def _start_iceoryx(place: Place, kind: str) -> Pair:
-    # Its objects in /dev/shm are in no folder: they begin with this unique name instead. It is short, because
-    # its listeners are sockets in the file system, whose paths have 107 characters at most.
-    prefix = f"rb{secrets.token_hex(4)}_"
-    need("iceoryx2")
-    (place.folder / NAMES_FILE).write_text(prefix)
-    try:
-        pair = _start_python(place, "iceoryx", place.folder, prefix, kind)
-    except BaseException:
-        _remove_files(prefix)
-        raise
-    pair.on_release(lambda: _remove_files(prefix))
-    return pair
+def _iceoryx(kind: str) -> Start:
+    def start(place: Place) -> Pair:
+        # Its objects in /dev/shm are in no folder: they begin with this unique name instead. It is short,
+        # because its listeners are sockets in the file system, whose paths have 107 characters at most.
+        prefix = f"rb{secrets.token_hex(4)}_"
+        need("iceoryx2")
+        (place.folder / NAMES_FILE).write_text(prefix)
 
+        def remove() -> None:
+            for path in Path("/dev/shm").glob(f"{prefix}*"):
+                path.unlink(missing_ok=True)
 
-def _remove_files(prefix: str) -> None:
-    for path in Path("/dev/shm").glob(f"{prefix}*"):
-        path.unlink(missing_ok=True)
+        a, b = (python_side("iceoryx", side, place.folder, prefix, kind) for side in "AB")
+        try:
+            pair = start_pair("iceoryx", place, a, b)
+        except BaseException:
+            remove()
+            raise
+        pair.on_release(remove)
+        return pair
 
-
-BARE = Contender(
-    "bare",
-    "bare flag and copy, C",
-    "a flag in its own cache line and a copy of the same 200 bytes: the physical limit, without any "
-    "protection",
-    {TWO_CORES.name: SPINS},
-    lambda place: _same_program("bare exchange", place, "bare", str(place.folder / "boxes")),
-)
-ROSPLC_C = Contender(
-    "rosplc-c",
-    "rosplc channel, C",
-    "the C core's own headers: claims, fences, sequence checks and both liveness words as in every program "
-    "that uses them; to block, its two sides "
-    "wake each other with a POSIX semaphore beside the channel",
-    {
-        TWO_CORES.name: SPINS,
-        ONE_CORE.name: RINGS,
-        TWO_CORES_BLOCKING.name: RINGS,
-        **_BUSY,
-        **_CYCLES,
-    },
-    lambda place: _same_program("rosplc in C", place, "rosplc_peer", *objects(place), *place.names),
-)
-SEMAPHORE_C = Contender(
-    "semaphore-c",
-    "shared memory and semaphore, C",
-    "shared memory with a named semaphore as its lock; the reader takes the lock, copies, and polls until "
-    "the numbers differ",
-    {
-        TWO_CORES.name: Way("spin", "spins (lock, copy, compare)"),
-        **_BUSY,
-        **_CYCLES,
-    },
-    _start_semaphore,
-)
-SIGNAL_C = Contender(
-    "signal-c",
-    "semaphores as signals, C",
-    "the same memory and semaphores, but the writer posts the semaphore and the reader waits for it",
-    dict.fromkeys((ONE_CORE.name, TWO_CORES_BLOCKING.name), Way("block", "sleeps on the semaphore")),
-    lambda place: _start_semaphore(place, "signal"),
-)
-
-
-_BLOCKING = {TWO_CORES.name: BLOCKS, ONE_CORE.name: BLOCKS}
-
-
-LIBMODBUS = Contender(
-    "libmodbus",
-    "Modbus TCP, libmodbus (FC16, FC03)",
-    "libmodbus client and server in C over the loopback interface, with the library's own settings (it sends "
-    "at once, TCP_NODELAY); one request writes 100 registers, one reads 100",
-    {**_BLOCKING, **_CYCLES, ONE_CORE_CYCLE.name: CYCLE},
-    lambda place: _start_libmodbus(place, "separate"),
-)
-LIBMODBUS_FC23 = Contender(
-    "libmodbus-fc23",
-    "Modbus TCP, libmodbus (FC23)",
-    "the same with the one request that writes 100 registers and reads 100 others",
-    _BLOCKING,
-    lambda place: _start_libmodbus(place, "combined"),
-)
-PYMODBUS = Contender(
-    "pymodbus",
-    "Modbus TCP, pymodbus",
-    "pymodbus' synchronous client, which takes less time than its asynchronous one, and its server, with "
-    "their own settings and no log; FC16 and FC03",
-    {**_BLOCKING, **_CYCLES},
-    lambda place: _start_python(place, "modbus", package="pymodbus", server=True),
-)
-
-
-ROSPLC_PYTHON = Contender(
-    "rosplc-python",
-    "rosplc channel, Python",
-    "rosplc.shm: Writer.publish and Reader.update with records of bytes, in the C extension; to "
-    "block, its two sides wake each other with a POSIX semaphore (posix_ipc) beside the channel",
-    {TWO_CORES.name: SPINS, ONE_CORE.name: RINGS, **_CYCLES},
-    lambda place: _start_python(place, "channel", place.folder, *place.names),
-    {ONE_CORE.name: "posix_ipc"},
-)
-ROSPLC_TYPED = Contender(
-    "rosplc-python-typed",
-    "rosplc channel, Python, typed messages",
-    "the same, but B attaches with rosplc.attach and reads and writes messages with fields, lists of Python "
-    "integers, as scripts do",
-    {TWO_CORES.name: SPINS, **_CYCLES},
-    lambda place: _start_python(place, "typed_channel", place.folder, *place.names),
-)
-SEMAPHORE_PYTHON = Contender(
-    "semaphore-python",
-    "shared memory and semaphore, Python",
-    "the same as in C, with posix_ipc: lock, copy, compare, poll",
-    {TWO_CORES.name: Way("spin", "spins (lock, copy, compare)"), **_CYCLES},
-    lambda place: _start_python(
-        place, "semaphore", place.folder / "areas", *place.names, package="posix_ipc"
-    ),
-)
-ASYNCUA = Contender(
-    "asyncua",
-    "OPC UA, asyncua",
-    "asyncua's client writes one node and reads another, each an array and one request of a session that "
-    "stays; its server adds one in the callback behind a write, which spares a subscription; without "
-    "security and without a log",
-    {TWO_CORES.name: BLOCKS, ONE_CORE.name: BLOCKS, **_CYCLES},
-    lambda place: _start_python(place, "opcua", package="asyncua", server=True),
-)
-ICEORYX = Contender(
-    "iceoryx2",
-    "iceoryx2, Python, publish and subscribe",
-    "iceoryx2's Python package: a loaned sample, filled in place; to sleep, its events; its own settings but "
-    "for the names of its files",
-    {TWO_CORES.name: SPINS, ONE_CORE.name: Way("block", "sleeps on an iceoryx2 event"), **_CYCLES},
-    lambda place: _start_iceoryx(place, "bytes"),
-)
-ICEORYX_BLACKBOARD = Contender(
-    "iceoryx2-blackboard",
-    "iceoryx2, Python, blackboard",
-    "iceoryx2's Python package: an entry of its blackboard for each direction; to sleep, its events; its own "
-    "settings but for the names of its files",
-    {TWO_CORES.name: SPINS, ONE_CORE.name: Way("block", "sleeps on an iceoryx2 event"), **_CYCLES},
-    lambda place: _start_iceoryx(place, "blackboard"),
-)
+    return start
 
 
 _PROGRAM = """\
@@ -298,46 +190,66 @@ def _compile(translator: Translator, cache: Path) -> Path:
     return compile_program("st_host", cache, extra=extra, options=(*_FLAGS, f"-I{runtime}", "-lm"))
 
 
-def _start_structured_text(place: Place) -> Pair:
+def _structured_text(place: Place) -> Pair:
     try:
         translator = find_translator()
     except SetupError as error:
         remedy = "run rosplc-bench from a checkout of the sources, after `make setup` there"
         raise Missing(error.what, remedy) from error
     plc = str(_compile(translator, place.cache))
-    peer = str(compile_program("rosplc_peer", place.cache))
-    return start_pair(
-        "rosplc and Structured Text",
-        place,
-        a=[peer, "A", *objects(place), *place.names],
-        b=[plc, "B", str(place.folder)],
-    )
+    peer = str(compile_program("channel", place.cache))
+    a = [peer, "A", *objects(place), *place.names]
+    return start_pair("rosplc and Structured Text", place, a, [plc, "B", str(place.folder)])
 
 
-ROSPLC_ST = Contender(
-    "rosplc-st",
-    "rosplc channel, C ↔ Structured Text",
-    "A is the C core, B the generated Read and Write blocks and a program in Structured Text, translated to "
-    "C by the sources' translator and scanned without a pause or in its cycle; CODESYS' compiler makes other "
-    "code of it",
-    {TWO_CORES.name: SPINS, **_CYCLES},
-    _start_structured_text,
+_SPIN, _SOCKET, _CYCLES = (
+    {TWO_CORES: SPINS},
+    {TWO_CORES: BLOCKS, ONE_CORE: BLOCKS},
+    dict.fromkeys(CYCLIC, CYCLE),
 )
+_LOCKED = {TWO_CORES: Way("spin", "spins (lock, copy, compare)")}
+_YIELD = Way("yield", "polls when it gets the core back (sched_yield)")
+_BUSY = {ONE_CORE_BUSY: SPINS, ONE_CORE_YIELD: _YIELD, ONE_CORE_CYCLE: CYCLE}
+_SIGNALS = dict.fromkeys((ONE_CORE, TWO_CORES_BLOCKING), Way("block", "sleeps on the semaphore"))
+_RINGS = dict.fromkeys((ONE_CORE, TWO_CORES_BLOCKING), RINGS)
+_EVENTS = {TWO_CORES: SPINS, ONE_CORE: Way("block", "sleeps on an iceoryx2 event"), **_CYCLES}
+_SHM, _TCP = "shared memory and semaphore", "Modbus TCP"
+_TABLE: tuple[tuple[str, str, Mapping[Arrangement, Way], Start], ...] = (
+    ("bare", "bare flag and copy, C", _SPIN, _c("bare")),
+    ("rosplc-c", "rosplc channel, C", {**_SPIN, **_RINGS, **_BUSY, **_CYCLES}, _c("channel")),
+    ("rosplc-st", "rosplc channel, C ↔ Structured Text", {**_SPIN, **_CYCLES}, _structured_text),
+    ("rosplc-python", "rosplc channel, Python", {**_SPIN, ONE_CORE: RINGS, **_CYCLES}, _python("channel")),
+    (
+        "rosplc-python-typed",
+        "rosplc channel, Python, typed messages",
+        {**_SPIN, **_CYCLES},
+        _python("typed_channel"),
+    ),
+    ("semaphore-c", f"{_SHM}, C", {**_LOCKED, **_BUSY, **_CYCLES}, _c("semaphore")),
+    ("signal-c", "semaphores as signals, C", _SIGNALS, _c("semaphore", "signal")),
+    ("semaphore-python", f"{_SHM}, Python", {**_LOCKED, **_CYCLES}, _python("semaphore", "posix_ipc")),
+    ("iceoryx2", "iceoryx2, Python, publish and subscribe", _EVENTS, _iceoryx("bytes")),
+    ("iceoryx2-blackboard", "iceoryx2, Python, blackboard", _EVENTS, _iceoryx("blackboard")),
+    (
+        "libmodbus",
+        f"{_TCP}, libmodbus (FC16, FC03)",
+        {**_SOCKET, **_CYCLES, ONE_CORE_CYCLE: CYCLE},
+        _libmodbus("separate"),
+    ),
+    ("libmodbus-fc23", f"{_TCP}, libmodbus (FC23)", _SOCKET, _libmodbus("combined")),
+    ("pymodbus", f"{_TCP}, pymodbus", {**_SOCKET, **_CYCLES}, _python("modbus", "pymodbus", server=True)),
+    ("asyncua", "OPC UA, asyncua", {**_SOCKET, **_CYCLES}, _python("opcua", "asyncua", server=True)),
+)
+"""Name, title, ways to wait, and what starts it. What exactly is measured is in ``texts.md``."""
 
-
-CONTENDERS: tuple[Contender, ...] = (
-    BARE,
-    ROSPLC_C,
-    ROSPLC_ST,
-    ROSPLC_PYTHON,
-    ROSPLC_TYPED,
-    SEMAPHORE_C,
-    SIGNAL_C,
-    SEMAPHORE_PYTHON,
-    ICEORYX,
-    ICEORYX_BLACKBOARD,
-    LIBMODBUS,
-    LIBMODBUS_FC23,
-    PYMODBUS,
-    ASYNCUA,
+CONTENDERS = tuple(
+    Contender(
+        name,
+        title,
+        text(f"about {name}"),
+        {here.name: way for here, way in ways.items()},
+        start,
+        {ONE_CORE.name: "posix_ipc"} if name == "rosplc-python" else {},
+    )
+    for name, title, ways, start in _TABLE
 )

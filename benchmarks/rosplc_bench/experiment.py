@@ -8,11 +8,11 @@ of shared memory.
 from __future__ import annotations
 
 import statistics
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from rosplc_bench.contenders import CONTENDERS, LIBMODBUS, ROSPLC_C, SEMAPHORE_C, SIGNAL_C
-from rosplc_bench.figures import Cell, Figure, Series, cell_text
+from rosplc_bench.contenders import CONTENDERS
+from rosplc_bench.draw import Cell, Figure, Series, cell_text
 from rosplc_bench.machine import load_average
 from rosplc_bench.pairs import (
     ARRANGEMENTS,
@@ -26,22 +26,16 @@ from rosplc_bench.pairs import (
     Arrangement,
     take_turns,
 )
-from rosplc_bench.report import Page, Section, Table, median_ratio, shown
+from rosplc_bench.report import Page, Section, Table, median_ratio, paragraphs, shown, text
 from rosplc_bench.run import Context
 
-MODBUS_S = {10: 0.075, 50: 0.371, 100: 0.750, 200: 1.515, 300: 2.278, 400: 3.055, 500: 3.820, 1000: 7.657}
+_MODBUS = (0.075, 0.371, 0.750, 1.515, 2.278, 3.055, 3.820, 7.657)
+_SHARED_MEMORY = (0.039, 0.181, 0.350, 0.683, 1.018, 1.352, 1.684, 3.353)
+MODBUS_S = dict(zip(CYCLES, _MODBUS, strict=True))
 """Table 5.1 of the thesis, Modbus TCP: seconds by number of cycles."""
-SHARED_MEMORY_S = {
-    10: 0.039,
-    50: 0.181,
-    100: 0.350,
-    200: 0.683,
-    300: 1.018,
-    400: 1.352,
-    500: 1.684,
-    1000: 3.353,
-}
+SHARED_MEMORY_S = dict(zip(CYCLES, _SHARED_MEMORY, strict=True))
 """Table 5.2 of the thesis, shared memory with a semaphore."""
+REFERENCE_RATIO = MODBUS_S[1000] / SHARED_MEMORY_S[1000]
 REFERENCE_KBIT_S = {"Modbus TCP": 423, "shared memory": 919}
 """The rates of the thesis, from its figure 5.4 and the text above it."""
 BITS_PER_CYCLE = 3200
@@ -111,106 +105,84 @@ def run(context: Context) -> dict[str, Any]:
     """Measure; see :class:`rosplc_bench.report.Section`."""
     before = load_average()[0]
     arrangements = take_turns(context, CONTENDERS, ARRANGEMENTS)
-    load = [before, load_average()[0]]
-    return {"cycles": list(CYCLES), "load": load, "arrangements": arrangements}
+    return {"cycles": list(CYCLES), "load": [before, load_average()[0]], "arrangements": arrangements}
 
 
 def render(data: Mapping[str, Any]) -> Page:
     """Return tables and figures of what was measured; see :class:`rosplc_bench.report.Section`."""
     found = Found(data["arrangements"])
-    cycles: list[int] = data["cycles"]
-    measured = [arrangement for arrangement in found if arrangement["contenders"]]
     tables = [table for table in (_ratios(found),) if table.rows]
     figures: list[Figure] = []
-    for arrangement in measured:
-        tables += [
-            _by_cycles(
-                arrangement,
-                "duration by number of cycles (ms)",
-                dict.fromkeys(cycles, 1000.0),
-                "The reference rows are tables 5.1 and 5.2 of the thesis. Medians of the rounds; empty: more "
-                "cycles than fit into a turn of this run.",
-            ),
-            _by_cycles(
-                arrangement,
-                "transmission rate (kbit/s, 3,200 bits a cycle)",
-                dict.fromkeys(cycles),
-                f"The thesis states {REFERENCE_KBIT_S['Modbus TCP']} and "
-                f"{REFERENCE_KBIT_S['shared memory']} kbit/s; the reference rows are computed from its "
-                "durations.",
-            ),
-            _latencies(arrangement),
-        ]
-        figures += [_duration_figure(arrangement), _rate_figure(arrangement)]
+    thesis = {"modbus": REFERENCE_KBIT_S["Modbus TCP"], "memory": REFERENCE_KBIT_S["shared memory"]}
+    for each in found:
+        if each["contenders"]:
+            tables += [
+                _by_cycles(
+                    each, "duration by number of cycles (ms)", data["cycles"], text("experiment durations")
+                ),
+                _by_cycles(
+                    each,
+                    "transmission rate (kbit/s, 3,200 bits a cycle)",
+                    data["cycles"],
+                    text("experiment rates", **thesis),
+                    rate=True,
+                ),
+                _latencies(each),
+            ]
+            figures += [_duration_figure(each), _rate_figure(each)]
     about = {each["title"]: each["about"] for arrangement in found for each in arrangement["contenders"]}
+    wrong, runs = _counts(found)
     return Page(
-        lead=("\n".join(f"* **{title}**: {text}." for title, text in about.items()),) if about else (),
+        lead=("\n".join(f"* **{title}**: {words}." for title, words in about.items()),) if about else (),
         tables=tuple(tables),
         figures=tuple(figures),
-        after=_after(found),
+        after=paragraphs("experiment after", wrong=wrong, runs=runs),
         summary=tuple(_summary(found)),
     )
 
 
+_PYTHON = ("pymodbus", "asyncua", "iceoryx2", "iceoryx2-blackboard")
 _COMPARED = (
     (TWO_CORES, "in C", "rosplc-c", ("bare", "libmodbus", "semaphore-c")),
-    (
-        TWO_CORES,
-        "in Python",
-        "rosplc-python",
-        ("pymodbus", "asyncua", "semaphore-python", "iceoryx2", "iceoryx2-blackboard"),
-    ),
+    (TWO_CORES, "in Python", "rosplc-python", (*_PYTHON[:2], "semaphore-python", *_PYTHON[2:])),
     (ONE_CORE, "in C", "rosplc-c", ("libmodbus", "libmodbus-fc23", "signal-c")),
-    (ONE_CORE, "in Python", "rosplc-python", ("pymodbus", "asyncua", "iceoryx2", "iceoryx2-blackboard")),
+    (ONE_CORE, "in Python", "rosplc-python", _PYTHON),
 )
 
 
 def _ratios(found: Found) -> Table:
     rows: list[tuple[Cell, ...]] = []
     for arrangement, language, ours, others in _COMPARED:
-        entries = found.entries(arrangement.name)
-        for other in others:
-            if other in entries and ours in entries:
-                rows.append(
-                    (
-                        f"{arrangement.title}, {language}",
-                        f"{entries[other]['title']} ({entries[other]['waits']})",
-                        found.median(arrangement.name, other),
-                        found.median(arrangement.name, ours),
-                        found.ratio(arrangement.name, other, ours),
-                        found.ratio(arrangement.name, other, ours, "p99_us"),
-                    )
-                )
+        here = arrangement.name
+        entries = found.entries(here)
+        for other in others if ours in entries else ():
+            if other in entries:
+                times = (found.median(here, each) for each in (other, ours))
+                ratios = (found.ratio(here, other, ours, key) for key in ("run_us", "p99_us"))
+                compared = f"{entries[other]['title']} ({entries[other]['waits']})"
+                rows.append((f"{arrangement.title}, {language}", compared, *times, *ratios))
     return Table(
         "Compared with rosplc's channel: time of one cycle, there and back",
         ("", "compared", "its median run, µs", "rosplc's, µs", "ratio", "ratio of the 99th percentiles"),
         tuple(rows),
         "the first column names the arrangement, the second how the compared side waits",
-        "A ratio is the median of the rounds' ratios. Where other programs use the cores, the 99th "
-        "percentiles show those programs.",
+        text("experiment ratios"),
     )
 
 
 def _by_cycles(
-    arrangement: Mapping[str, Any], what: str, scale: Mapping[int, float | None], note: str
+    arrangement: Mapping[str, Any], what: str, cycles: Sequence[int], note: str, *, rate: bool = False
 ) -> Table:
-    """Return durations in seconds times ``scale``, or the rates where it is None."""
-    lines: list[tuple[str, str, Mapping[int, float]]] = [
+    """Return durations in milliseconds, or the rates."""
+    rows: list[tuple[Cell, ...]] = []
+    for name, waits, seconds in (
         (f"Modbus TCP ({_REFERENCE})", "not stated", MODBUS_S),
         (f"shared memory, semaphore ({_REFERENCE})", "not stated", SHARED_MEMORY_S),
         *((each["title"], each["waits"], durations(each)) for each in arrangement["contenders"]),
-    ]
-    rows: list[tuple[Cell, ...]] = []
-    for name, waits, seconds in lines:
-        cells: list[Cell] = []
-        for count, factor in scale.items():
-            if count not in seconds:
-                cells.append(None)
-            else:
-                value = seconds[count]
-                cells.append(kbit_per_second(count, value) if factor is None else value * factor)
-        rows.append((name, waits, *cells))
-    header = ("", "waits", *map(str, scale))
+    ):
+        found = {n: kbit_per_second(n, value) if rate else value * 1000 for n, value in seconds.items()}
+        rows.append((name, waits, *map(found.get, cycles)))
+    header = ("", "waits", *map(str, cycles))
     return Table(f"{arrangement['title']}: {what}", header, tuple(rows), arrangement["waiting"], note)
 
 
@@ -232,9 +204,7 @@ def _latencies(arrangement: Mapping[str, Any]) -> Table:
         tuple(name for name, _ in columns),
         tuple(tuple(cell(each) for _, cell in columns) for each in arrangement["contenders"]),
         arrangement["waiting"],
-        "The median run is the median of the runs' mean cycles; ratios are computed from it. Of fewer than "
-        "100 cycles there is no p99, of fewer than 1,000 no p99.9. CPU is processor time of both processes "
-        "per cycle, including the warm-up and start of a turn.",
+        text("experiment latencies"),
     )
 
 
@@ -280,22 +250,6 @@ def _counts(found: Found) -> tuple[int, int]:
     return sum(entry["wrong"] for entry in entries), sum(entry["runs"] for entry in entries)
 
 
-def _after(found: Found) -> tuple[str, ...]:
-    wrong, runs = _counts(found)
-    return (
-        f"Torn, lost or repeated messages would leave other values than twice the number of cycles: "
-        f"**{wrong} of {runs} runs** did.",
-        "Each cycle includes the two additions and one reading of the clock, the same for every contender "
-        "of a language: 100 additions and about 25 ns in C, one numpy addition of 100 numbers per side in "
-        "Python.",
-        "The same for all: 200 bytes each way, both processes pinned and started before, a connection or "
-        "session that stays, a warm-up that does not count, one message under way at a time. rosplc's two "
-        "methods are called directly in Python; where a contender needs several calls for one message, or a "
-        "comparison to find what is new, a function of a few lines joins them, as its users would write it. "
-        "In each round every contender has its turn, in another order.",
-    )
-
-
 _COLUMNS = {
     TWO_CORES.name: ("two cores,", "spinning"),
     ONE_CORE.name: ("one core,", "asleep"),
@@ -327,8 +281,7 @@ def _summary(found: Found) -> Iterator[str]:
     wrong, runs = _counts(found)
     if runs:
         yield f"Torn, lost or repeated messages: {wrong} of {runs:,} runs ended with wrong values."
-        ratio = MODBUS_S[1000] / SHARED_MEMORY_S[1000]
-        yield f"In the thesis, shared memory was {cell_text(ratio)} times as fast as Modbus TCP."
+        yield f"In the thesis, shared memory was {cell_text(REFERENCE_RATIO)} times as fast as Modbus TCP."
 
 
 def _summary_table(found: Found) -> Iterator[str]:
@@ -370,9 +323,7 @@ def _range(found: Found, arrangement: Arrangement) -> str:
 EXPERIMENT = Section(
     "experiment",
     "100 numbers there and back",
-    "Two processes exchange 100 unsigned integers of 16 bits: A writes 100, B reads them, adds one to each "
-    "and writes 100 back, A reads and adds one; for 10 to 1000 cycles. The final values prove that nothing "
-    "was torn, lost or repeated.",
+    text("experiment question"),
     run,
     render,
     tuple(contender.name for contender in CONTENDERS),
@@ -381,7 +332,8 @@ EXPERIMENT = Section(
 
 # What waiting costs
 
-_WAITERS = (SEMAPHORE_C, SIGNAL_C, ROSPLC_C, LIBMODBUS)
+_NAMES = ("semaphore-c", "signal-c", "rosplc-c", "libmodbus")
+_WAITERS = [each for name in _NAMES for each in CONTENDERS if each.name == name]
 
 
 def run_waiting(context: Context) -> dict[str, Any]:
@@ -398,101 +350,57 @@ def render_waiting(data: Mapping[str, Any]) -> Page:
         for name, values in (("Modbus TCP", MODBUS_S), ("shared memory", SHARED_MEMORY_S))
     ]
     for arrangement in found:
-        for name, entry in found.entries(arrangement["name"]).items():
-            middle, cpu, share = (
-                found.median(arrangement["name"], name, key) for key in ("run_us", "cpu_us", "cpu_share")
-            )
-            rows.append(
-                (
-                    entry["title"],
-                    arrangement["title"],
-                    entry["waits"],
-                    middle,
-                    entry["all"]["p50_us"],
-                    shown(entry["all"], "p99"),
-                    cpu,
-                    None if share is None else share * 100,
-                )
-            )
-            label = f"{entry['title']}; {arrangement['title'].lower()}"
+        here, where = arrangement["name"], arrangement["title"]
+        for name, entry in found.entries(here).items():
+            middle, cpu, share = (found.median(here, name, key) for key in ("run_us", "cpu_us", "cpu_share"))
+            times = (middle, entry["all"]["p50_us"], shown(entry["all"], "p99"), cpu)
+            percent = None if share is None else share * 100
+            rows.append((entry["title"], where, entry["waits"], *times, percent))
+            label = f"{entry['title']}; {where.lower()}"
             bars.append(Series(label, (), (middle or 0.0,), group_of(label)))
     if not rows:
         return Page()
+    title = "One cycle, there and back, by the way to wait"
     table = Table(
-        "One cycle, there and back, by the way to wait (µs)",
+        f"{title} (µs)",
         ("", "where", "waits", "median run", "p50", "p99", "CPU of both", "CPU, % of one core"),
         tuple(rows),
         "the second and third column tell where and how",
         f"A cycle in the thesis: {MODBUS_S[1000]:.3f} ms over Modbus TCP, {SHARED_MEMORY_S[1000]:.3f} ms "
         "over shared memory.",
     )
-    title = "One cycle, there and back, by the way to wait"
     figure = Figure("waiting", title, "", "µs (logarithmic)", tuple(bars), kind="bars", y_log=True)
-    return Page(tables=(table,), figures=(figure,), after=_meaning(found), summary=_waiting_summary(found))
+    return Page((), (table,), (figure,), tuple(_meaning(found)), tuple(_waiting_summary(found)))
 
 
-def _meaning(found: Found) -> tuple[str, ...]:
+def _meaning(found: Found) -> Iterator[str]:
     each = [seconds / count * 1000 for count, seconds in SHARED_MEMORY_S.items()]
-    text = [
-        f"In the thesis, a cycle over shared memory takes {min(each):.2f} to {max(each):.2f} ms, with ten "
-        "cycles as with a thousand: a constant, as of a wait, and thousands of times what copying 200 bytes "
-        "takes."
-    ]
-    busy = found.median(ONE_CORE_BUSY.name, "semaphore-c")
-    alone = found.median(TWO_CORES.name, "semaphore-c")
-    if busy is not None and alone is not None:
-        text.append(
-            f"On one core of this machine the same design takes {cell_text(busy)} µs a cycle when it polls "
-            f"without a pause, and {cell_text(alone)} µs on two cores, where neither side waits for a core: "
-            f"**all but {cell_text(alone)} µs of that cycle is waiting** for the scheduler to take the core "
-            "from the side that polls."
-        )
+    busy, alone = (found.median(here.name, "semaphore-c") for here in (ONE_CORE_BUSY, TWO_CORES))
+    across, asleep = (found.median(here.name, "rosplc-c") for here in (TWO_CORES_BLOCKING, ONE_CORE))
     slept = found.median(ONE_CORE.name, "signal-c")
-    if busy is not None and slept is not None:
-        text.append(
-            "The same memory and semaphores, with the semaphore as a signal instead of a lock, take "
-            f"{cell_text(slept)} µs: {cell_text(busy / slept)} times less, and only the way to wait differs."
-        )
-    across = found.median(TWO_CORES_BLOCKING.name, "rosplc-c")
-    asleep = found.median(ONE_CORE.name, "rosplc-c")
-    if across is not None and asleep is not None:
-        text.append(
-            "With each side asleep on its own core, a cycle over rosplc's channel takes "
-            f"{cell_text(across)} µs; where both share one core, {cell_text(asleep)} µs. An idle core must "
-            "itself be woken first, in a virtual machine by the host."
-        )
     modbus = found.ratio(ONE_CORE.name, "libmodbus", "rosplc-c")
-    if modbus is not None:
-        ratio = MODBUS_S[1000] / SHARED_MEMORY_S[1000]
-        text.append(
-            "With equal waiting, both asleep on one core until they are woken, libmodbus takes "
-            f"{cell_text(modbus)} times as long as rosplc's channel; the thesis found {cell_text(ratio)}. "
-            "It does not state how its programs waited. Its CODESYS side ran in the cycle of a task, and a "
-            "cycle of a few milliseconds on one or both sides explains both of its figures as well: that is "
-            "an inference."
+    times = busy / slept if busy and slept else None
+    yield text("waiting always", least=min(each), most=max(each))
+    for key, values in (
+        ("busy", {"busy": busy, "alone": alone}),
+        ("signal", {"slept": slept, "times": times}),
+        ("asleep", {"across": across, "asleep": asleep}),
+        ("equal", {"modbus": modbus, "thesis": REFERENCE_RATIO}),
+    ):
+        if None not in values.values():
+            yield text(f"waiting {key}", **{name: cell_text(value) for name, value in values.items()})
+
+
+def _waiting_summary(found: Found) -> Iterator[str]:
+    busy, alone = (found.median(here.name, "semaphore-c") for here in (ONE_CORE_BUSY, TWO_CORES))
+    if busy is not None and alone is not None:
+        yield (
+            "Shared memory and a semaphore on one core, polling without a pause: "
+            f"{cell_text(busy / 1000)} ms a cycle, all but {cell_text(alone)} µs of it waiting "
+            f"(in the thesis: {SHARED_MEMORY_S[1000]:.2f} ms)."
         )
-    return tuple(text)
-
-
-def _waiting_summary(found: Found) -> tuple[str, ...]:
-    busy = found.median(ONE_CORE_BUSY.name, "semaphore-c")
-    alone = found.median(TWO_CORES.name, "semaphore-c")
-    if busy is None or alone is None:
-        return ()
-    return (
-        f"Shared memory and a semaphore on one core, polling without a pause: {cell_text(busy / 1000)} ms a "
-        f"cycle, all but {cell_text(alone)} µs of it waiting (in the thesis: {SHARED_MEMORY_S[1000]:.2f} "
-        "ms).",
-    )
 
 
 WAITING_SECTION = Section(
-    "waiting",
-    "What waiting costs",
-    "The BeagleBone of the thesis has one core. Here its design, shared memory with a semaphore as a lock, "
-    "runs on one core of this machine, and only the way to wait changes; two cores, where neither side "
-    "waits for a core, show what the exchange itself costs.",
-    run_waiting,
-    render_waiting,
-    tuple(contender.name for contender in _WAITERS),
+    "waiting", "What waiting costs", text("waiting question"), run_waiting, render_waiting, _NAMES
 )

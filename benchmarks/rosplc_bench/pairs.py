@@ -16,7 +16,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
 from typing import Any, NamedTuple
 
 from rosplc.errors import SetupError
@@ -25,8 +24,7 @@ from rosplc_bench.report import distribution
 from rosplc_bench.run import Context, Missing, need
 
 
-@dataclass(frozen=True)
-class Arrangement:
+class Arrangement(NamedTuple):
     """Where the processes run.
 
     Attributes:
@@ -46,8 +44,7 @@ class Arrangement:
     slow: bool = False
 
 
-@dataclass(frozen=True)
-class Way:
+class Way(NamedTuple):
     """How one contender waits in an arrangement.
 
     Attributes:
@@ -59,75 +56,98 @@ class Way:
     words: str
 
 
-TWO_CORES = Arrangement(
-    "two-cores",
-    "Two cores, spinning",
-    2,
-    0,
-    "each process has a core of its own and polls without a pause (spins) where the contender allows it; "
-    "the column names those that block instead",
+_SPIN = (
+    "each process has a core of its own and polls without a pause (spins) where the contender allows it; the "
+    "column names those that block instead"
 )
-ONE_CORE = Arrangement(
-    "one-core",
-    "One core, blocking",
-    1,
-    0,
-    "both processes share one core, as on a BeagleBone, and sleep until they are woken",
-)
+_BLOCK = "both processes share one core, as on a BeagleBone, and sleep until they are woken"
+_APART = "each process has a core of its own and sleeps until it is woken"
 _SHARED = "both processes share one core; the column shows what the waiting side does"
-ONE_CORE_BUSY = Arrangement("one-core-busy", "One core, polling without a pause", 1, 0, _SHARED, True)
-ONE_CORE_YIELD = Arrangement("one-core-yield", "One core, yielding between two polls", 1, 0, _SHARED)
-ONE_CORE_CYCLE = Arrangement(
-    "one-core-cycle", "One core, polling every millisecond", 1, 1_000_000, _SHARED, True
-)
-TWO_CORES_BLOCKING = Arrangement(
-    "two-cores-blocking",
-    "Two cores, blocking",
-    2,
-    0,
-    "each process has a core of its own and sleeps until it is woken",
-)
 _CYCLE = (
     "both programs are cyclic and poll once per period, B half a period after A; each has a core of its own "
     "where there are two"
 )
+_MS = 1_000_000
+TWO_CORES = Arrangement("two-cores", "Two cores, spinning", 2, 0, _SPIN)
+ONE_CORE = Arrangement("one-core", "One core, blocking", 1, 0, _BLOCK)
+ONE_CORE_BUSY = Arrangement("one-core-busy", "One core, polling without a pause", 1, 0, _SHARED, True)
+ONE_CORE_YIELD = Arrangement("one-core-yield", "One core, yielding between two polls", 1, 0, _SHARED)
+ONE_CORE_CYCLE = Arrangement("one-core-cycle", "One core, polling every millisecond", 1, _MS, _SHARED, True)
+TWO_CORES_BLOCKING = Arrangement("two-cores-blocking", "Two cores, blocking", 2, 0, _APART)
 CYCLIC = (
-    Arrangement("cycle-1ms", "Polling in a cycle of 1 ms", 2, 1_000_000, _CYCLE, True),
-    Arrangement("cycle-10ms", "Polling in a cycle of 10 ms", 2, 10_000_000, _CYCLE, True),
+    Arrangement("cycle-1ms", "Polling in a cycle of 1 ms", 2, _MS, _CYCLE, True),
+    Arrangement("cycle-10ms", "Polling in a cycle of 10 ms", 2, 10 * _MS, _CYCLE, True),
 )
 ARRANGEMENTS = (TWO_CORES, ONE_CORE, *CYCLIC)
 """Those of the experiment, in the order of the report."""
-
 WAITING = (ONE_CORE_BUSY, ONE_CORE_YIELD, ONE_CORE_CYCLE, ONE_CORE, TWO_CORES_BLOCKING)
 """Those that show what waiting alone does."""
 
+SPINS = Way("spin", "spins")
+BLOCKS = Way("block", "blocks in the socket")
+RINGS = Way("block", "sleeps on a named semaphore beside it")
+CYCLE = Way("cycle", "polls once per period")
 
 _TURN_SECONDS = 320.0  # a little longer than the processes' own watchdog
 
 
-@dataclass(frozen=True)
-class Turn:
+class Plan(NamedTuple):
+    """How much one contender does in a turn.
+
+    Attributes:
+        warmup: Cycles before, not counted; at least 2.
+        repeats: How often it runs the list.
+        cycles: How many cycles each run has; each at least 2, or else nothing changes.
+    """
+
+    warmup: int
+    repeats: int
+    cycles: tuple[int, ...]
+
+    @property
+    def total(self) -> int:
+        """Cycles in all, warm-up included."""
+        return self.warmup + self.repeats * sum(self.cycles)
+
+
+class Turn(NamedTuple):
     """What one turn gave.
 
     Attributes:
-        cycles: The numbers of cycles that were run, in order.
+        plan: What was run.
         durations_ns: One list per repetition: how long each number of cycles took.
         spent_ns: Every cycle's time, there and back.
         wrong: Runs whose final values were not what they must be.
         runs: Runs in all.
         cpu_ns: Processor time of both processes, warm-up included.
         wall_ns: The time that it took, warm-up included.
-        all_cycles: Cycles in all, warm-up included.
     """
 
-    cycles: tuple[int, ...]
+    plan: Plan
     durations_ns: list[list[int]]
     spent_ns: list[int]
     wrong: int
     runs: int
     cpu_ns: float
     wall_ns: float
-    all_cycles: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the figures of a round, as JSON holds them."""
+        counts = self.plan.cycles
+        per_cycle = [
+            duration / count / 1000
+            for durations in self.durations_ns
+            for count, duration in zip(counts, durations, strict=True)
+        ]
+        columns = zip(counts, zip(*self.durations_ns, strict=True), strict=True)
+        return {
+            # A run's mean, and of the runs the median: a rate, and yet no interruption of one run decides it.
+            "run_us": statistics.median(per_cycle),
+            "durations_s": {str(count): statistics.median(values) / 1e9 for count, values in columns},
+            **distribution(self.spent_ns),
+            "cpu_us": self.cpu_ns / self.plan.total / 1000,
+            "cpu_share": self.cpu_ns / self.wall_ns,
+        }
 
 
 class Pair:
@@ -144,45 +164,23 @@ class Pair:
         self.b = b
         self._releases = [release]
 
-    def turn(
-        self,
-        arrangement: Arrangement,
-        way: Way,
-        cores: Sequence[int],
-        *,
-        warmup: int,
-        repeats: int,
-        cycles: Sequence[int],
-    ) -> Turn:
+    def turn(self, arrangement: Arrangement, way: Way, cores: Sequence[int], plan: Plan) -> Turn:
         """Run the experiment once.
-
-        Args:
-            arrangement: Where the processes run.
-            way: How they wait.
-            cores: The cores that may be used.
-            warmup: Cycles before, not counted; at least 2.
-            repeats: How often the whole list of cycles is run.
-            cycles: How many cycles each run has; each at least 2, or else nothing changes.
 
         Raises:
             SetupError: SYS002, a process failed, or hangs.
         """
-        second = cores[min(1, len(cores) - 1)] if arrangement.cores > 1 else cores[0]
         pin([self.a.pid], cores[0])
-        pin([self.b.pid], second)
-        total = warmup + repeats * sum(cycles)
+        pin([self.b.pid], cores[min(arrangement.cores, len(cores)) - 1])
         words = f"{way.order} {arrangement.period_ns}"
-        cpu = self._cpu()
-        began = time.perf_counter_ns()
-        self.b.send(f"answer {words} {total}")
+        cpu, began = self._cpu(), time.perf_counter_ns()
+        self.b.send(f"answer {words} {plan.total}")
         self.b.receive()
-        self.a.send(f"run {words} {warmup} {repeats} {' '.join(map(str, cycles))}")
+        self.a.send(f"run {words} {plan.warmup} {plan.repeats} {' '.join(map(str, plan.cycles))}")
         facts = self.a.receive_json(_TURN_SECONDS)
         wall_ns, cpu_ns = time.perf_counter_ns() - began, (self._cpu() - cpu) * 1e9
         spent = self.a.receive_json()
-        return Turn(
-            tuple(cycles), facts["durations_ns"], spent, facts["wrong"], facts["runs"], cpu_ns, wall_ns, total
-        )
+        return Turn(plan, facts["durations_ns"], spent, facts["wrong"], facts["runs"], cpu_ns, wall_ns)
 
     def _cpu(self) -> float:
         return self.a.cpu_seconds() + self.b.cpu_seconds()
@@ -207,19 +205,11 @@ class Pair:
     def __enter__(self) -> Pair:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
         if error is None:
             self.close()
         else:
             self.kill()
-
-
-SPINS = Way("spin", "spins")
-BLOCKS = Way("block", "blocks in the socket")
-RINGS = Way("block", "sleeps on a named semaphore beside it")
-CYCLE = Way("cycle", "polls once per period")
 
 
 @dataclass(frozen=True)
@@ -244,10 +234,9 @@ class Place:
         return cls(folder, (f"{name}.a", f"{name}.b"), cache)
 
     def remove_semaphores(self) -> None:
-        """Take the semaphores' names away; who has them open keeps them."""
+        """Take the semaphores' names away; a process that has them open keeps them."""
         for name in self.names:
-            with contextlib.suppress(FileNotFoundError):
-                Path(f"/dev/shm/sem.{name[1:]}").unlink()
+            Path(f"/dev/shm/sem.{name[1:]}").unlink(missing_ok=True)
 
 
 @dataclass(frozen=True)
@@ -271,27 +260,7 @@ class Contender:
     needs: Mapping[str, str] = field(default_factory=dict)
 
 
-def ready(side: Side) -> str:
-    """Wait until a side has started; return what it prints beyond that.
-
-    Raises:
-        SetupError: SYS002, it did not start.
-    """
-    word, _, rest = side.receive().partition(" ")
-    if word != "ready":
-        raise SetupError("SYS002", f"{word} {rest}".strip())
-    return rest
-
-
-def start_pair(
-    name: str,
-    place: Place,
-    *,
-    a: Sequence[str],
-    b: Sequence[str],
-    order: str = "AB",
-    pass_on: bool = False,
-) -> Pair:
+def start_pair(name: str, place: Place, a: Sequence[str], b: Sequence[str], *, server: bool = False) -> Pair:
     """Start two programs one after the other and wait for both.
 
     Args:
@@ -299,26 +268,31 @@ def start_pair(
         place: Where they share.
         a: A's command.
         b: B's command.
-        order: "AB" or "BA": who is first.
-        pass_on: Whether the second gets as a further argument what the first said.
+        server: Whether B starts first, and A gets as a further argument what B prints: its place.
+
+    Raises:
+        SetupError: SYS002, one of them did not start.
     """
-    sides: dict[str, Side] = {}
-    commands = {"A": list(a), "B": list(b)}
-    extra: list[str] = []
-    try:
-        for letter in order:
-            sides[letter] = Side(f"{name}, side {letter}", commands[letter] + extra)
-            said = ready(sides[letter])
-            extra = [said] if pass_on else []
-    except BaseException:
-        for side in sides.values():
-            side.kill()
-            side.close()
-        place.remove_semaphores()
-        raise
-    # Both have them open: without names nothing can be left behind, whatever happens from here on.
+    with contextlib.ExitStack() as failed:
+        # Both have them open by the end: without names nothing can be left behind, whatever happens then.
+        failed.callback(place.remove_semaphores)
+
+        def start(letter: str, command: Sequence[str]) -> tuple[Side, str]:
+            side = failed.enter_context(Side(f"{name}, side {letter}", command))
+            failed.callback(side.kill)
+            word, _, rest = side.receive().partition(" ")
+            if word != "ready":
+                raise SetupError("SYS002", f"{word} {rest}".strip())
+            return side, rest
+
+        if server:
+            second, place_of_b = start("B", b)
+            first, _ = start("A", [*a, place_of_b])
+        else:
+            (first, _), (second, _) = start("A", a), start("B", b)
+        failed.pop_all()
     place.remove_semaphores()
-    return Pair(sides["A"], sides["B"], place.remove_semaphores)
+    return Pair(first, second, place.remove_semaphores)
 
 
 def python_side(module: str, side: str, *arguments: object) -> list[str]:
@@ -329,28 +303,13 @@ def python_side(module: str, side: str, *arguments: object) -> list[str]:
 CYCLES = (10, 50, 100, 200, 300, 400, 500, 1000)
 """The numbers of cycles in one run."""
 
-_CALIBRATION = 10
 _SHORT_TURN_NS = 100e6  # a fast contender runs the whole list as often as fits into this
 _MOST_REPEATS = 40
 _ENOUGH_MEMORY_KIB = 1 << 20
 
 
-class Plan(NamedTuple):
-    """How much one contender does in a turn.
-
-    Attributes:
-        warmup: Cycles before.
-        repeats: How often it runs the list.
-        cycles: The list: those of :data:`CYCLES` that fit into the time.
-    """
-
-    warmup: int
-    repeats: int
-    cycles: tuple[int, ...]
-
-
 def plan_turn(cycle_ns: float, seconds: float, *, repeat: bool) -> Plan:
-    """Return the plan for a contender whose cycle takes so long.
+    """Return the plan for a contender whose cycle takes so long: those of :data:`CYCLES` that fit.
 
     Args:
         cycle_ns: What one cycle takes.
@@ -368,51 +327,10 @@ def plan_turn(cycle_ns: float, seconds: float, *, repeat: bool) -> Plan:
     return Plan(200 if cycle_ns < 50_000 else 20, max(1, min(_MOST_REPEATS, repeats)), tuple(cycles))
 
 
-class _Pairs:
-    """The pairs that run: kept from turn to turn where the machine has the memory for it."""
-
-    def __init__(self, context: Context) -> None:
-        self._context = context
-        self._pairs: dict[str, Pair] = {}
-
-    def get(self, contender: Contender) -> Pair:
-        """Return a contender's pair, started if it is not running."""
-        if contender.name not in self._pairs:
-            place = Place.under(self._context.scratch, contender.name, self._context.cache)
-            self._pairs[contender.name] = contender.start(place)
-        return self._pairs[contender.name]
-
-    def release(self, contender: Contender) -> None:
-        """End a contender's pair if memory is short."""
-        if _available_memory_kib() < _ENOUGH_MEMORY_KIB:
-            self._pairs.pop(contender.name).close()
-
-    def drop(self, contender: Contender) -> None:
-        """End a contender's pair by force."""
-        pair = self._pairs.pop(contender.name, None)
-        if pair is not None:
-            pair.kill()
-
-    def __enter__(self) -> _Pairs:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        for pair in self._pairs.values():
-            if error is None:
-                pair.close()
-            else:
-                pair.kill()
-        self._pairs.clear()
-
-
-def _available_memory_kib() -> int:
-    with open("/proc/meminfo", encoding="ascii") as file:
-        for line in file:
-            if line.startswith("MemAvailable:"):
-                return int(line.split()[1])
-    return 0
+def _memory_is_short() -> bool:
+    lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
+    available = (int(line.split()[1]) for line in lines if line.startswith("MemAvailable:"))
+    return next(available, 0) < _ENOUGH_MEMORY_KIB
 
 
 def take_turns(
@@ -423,52 +341,55 @@ def take_turns(
     What is missing on this machine is skipped, what fails or ends with wrong values is noted as
     failed; both in the context.
     """
-    possible = [each for each in arrangements if _possible(context, each)]
-    wanted = [each for each in contenders if context.wants(each.name)]
-    steps = sum(
-        1 + _rounds(context, arrangement)
-        for arrangement in possible
-        for contender in wanted
-        if arrangement.name in contender.ways
-    )
-    with _Pairs(context) as pairs:
-        run = _Run(context, pairs, steps)
-        return [run.arrangement(each, wanted) for each in possible]
+    with _Turns(context) as turns:
+        possible = [each for each in arrangements if turns.possible(each)]
+        wanted = [each for each in contenders if context.wants(each.name)]
+        turns.steps = sum(
+            1 + turns.rounds(here) for here in possible for each in wanted if here.name in each.ways
+        )
+        return [turns.arrangement(each, wanted) for each in possible]
 
 
-def _possible(context: Context, arrangement: Arrangement) -> bool:
-    # Cyclic programs hardly ever meet on a core; those that spin would wait for each other there.
-    if arrangement.cores <= len(context.cores) or arrangement.period_ns:
-        return True
-    context.skip(arrangement.title, f"it needs {arrangement.cores} cores, this machine gives one")
-    return False
+class _Turns:
+    """The state of one :func:`take_turns`: pairs keep running where the machine has the memory for it."""
 
-
-def _rounds(context: Context, arrangement: Arrangement) -> int:
-    return context.effort.slow_rounds if arrangement.slow else context.effort.rounds
-
-
-class _Run:
-    """The state of one :func:`take_turns`."""
-
-    def __init__(self, context: Context, pairs: _Pairs, steps: int) -> None:
+    def __init__(self, context: Context) -> None:
         self._context = context
-        self._pairs = pairs
-        self._steps = steps
-        self._done = 0
+        self._pairs: dict[str, Pair] = {}
         self._out: set[str] = set()
+        self._done = self.steps = 0
+
+    def __enter__(self) -> _Turns:
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        for pair in self._pairs.values():
+            pair.__exit__(*error)
+
+    def rounds(self, arrangement: Arrangement) -> int:
+        """Return how many rounds an arrangement has."""
+        effort = self._context.effort
+        return effort.slow_rounds if arrangement.slow else effort.rounds
+
+    def possible(self, arrangement: Arrangement) -> bool:
+        """Return whether the machine has the cores; note if not."""
+        # Cyclic programs hardly ever meet on a core; those that spin would wait for each other there.
+        if arrangement.cores <= len(self._context.cores) or arrangement.period_ns:
+            return True
+        reason = f"it needs {arrangement.cores} cores, this machine gives one"
+        self._context.skip(arrangement.title, reason)
+        return False
 
     def arrangement(self, arrangement: Arrangement, contenders: Sequence[Contender]) -> dict[str, Any]:
         """Measure one arrangement."""
         here = [each for each in contenders if arrangement.name in each.ways and self._can(each, arrangement)]
-        plans = {each.name: self._calibrate(arrangement, each) for each in here}
+        plans = [self._calibrate(arrangement, each) for each in here]
         turns: dict[str, list[Turn]] = {each.name: [] for each in here}
-        for number in range(_rounds(self._context, arrangement)):
+        order = list(zip(here, plans, strict=True))
+        for number in range(self.rounds(arrangement)):
             first = number % max(1, len(here))
-            for contender in here[first:] + here[:first]:
-                plan = plans[contender.name]
-                turn = None if plan is None else self._turn(arrangement, contender, plan)
-                if turn is not None:
+            for contender, plan in order[first:] + order[:first]:
+                if plan is not None and (turn := self._turn(arrangement, contender, plan)) is not None:
                     turns[contender.name].append(turn)
         return {
             "name": arrangement.name,
@@ -483,13 +404,12 @@ class _Run:
             if arrangement.name in contender.needs:
                 need(contender.needs[arrangement.name])
         except Missing as missing:
-            what = f"{contender.title}, {arrangement.title}"
-            self._context.skip(what, missing.reason, missing.remedy)
+            self._context.skip(f"{contender.title}, {arrangement.title}", missing.reason, missing.remedy)
             return False
         return True
 
     def _calibrate(self, arrangement: Arrangement, contender: Contender) -> Plan | None:
-        turn = self._turn(arrangement, contender, Plan(2, 1, (_CALIBRATION,)))
+        turn = self._turn(arrangement, contender, Plan(2, 1, (10,)))
         if turn is None:
             return None
         # The lower quartile: some cycles may have waited for the other side to come up, or for a core.
@@ -499,32 +419,29 @@ class _Run:
         return plan_turn(max(cycle_ns, 1.0), seconds, repeat=not arrangement.slow)
 
     def _turn(self, arrangement: Arrangement, contender: Contender, plan: Plan) -> Turn | None:
-        context = self._context
-        context.notify(self._done, self._steps, f"{arrangement.title}, {contender.title}")
+        context, name = self._context, contender.name
+        context.notify(self._done, self.steps, f"{arrangement.title}, {contender.title}")
         self._done += 1
-        if contender.name in self._out:
+        if name in self._out:
             return None
+        what = f"{contender.title}, {arrangement.title}"
         try:
-            turn = self._pairs.get(contender).turn(
-                arrangement,
-                contender.ways[arrangement.name],
-                context.cores,
-                warmup=plan.warmup,
-                repeats=plan.repeats,
-                cycles=plan.cycles,
-            )
-            self._pairs.release(contender)
+            if name not in self._pairs:
+                self._pairs[name] = contender.start(Place.under(context.scratch, name, context.cache))
+            turn = self._pairs[name].turn(arrangement, contender.ways[arrangement.name], context.cores, plan)
+            if _memory_is_short():
+                self._pairs.pop(name).close()
         except Missing as missing:
             context.skip(contender.title, missing.reason, missing.remedy)
         except SetupError as error:
-            context.fail(f"{contender.title}, {arrangement.title}", error.what)
+            context.fail(what, error.what)
         else:
             if turn.wrong:
-                reason = f"{turn.wrong} of {turn.runs} runs ended with wrong values"
-                context.fail(f"{contender.title}, {arrangement.title}", reason)
+                context.fail(what, f"{turn.wrong} of {turn.runs} runs ended with wrong values")
             return turn
-        self._pairs.drop(contender)
-        self._out.add(contender.name)
+        self._out.add(name)
+        if name in self._pairs:
+            self._pairs.pop(name).kill()
         return None
 
 
@@ -534,28 +451,8 @@ def _entry(contender: Contender, arrangement: Arrangement, turns: Sequence[Turn]
         "title": contender.title,
         "about": contender.about,
         "waits": contender.ways[arrangement.name].words,
-        "rounds": [_round(turn) for turn in turns],
-        "all": distribution([value for turn in turns for value in turn.spent_ns]),
+        "rounds": [turn.to_dict() for turn in turns],
+        "all": distribution(value for turn in turns for value in turn.spent_ns),
         "runs": sum(turn.runs for turn in turns),
         "wrong": sum(turn.wrong for turn in turns),
-    }
-
-
-def _round(turn: Turn) -> dict[str, Any]:
-    by_count = zip(*turn.durations_ns, strict=True)
-    per_cycle = [
-        duration / count / 1000
-        for durations in turn.durations_ns
-        for count, duration in zip(turn.cycles, durations, strict=True)
-    ]
-    return {
-        # A run's mean, and of the runs the median: a rate, and yet no interruption of one run decides it.
-        "run_us": statistics.median(per_cycle),
-        "durations_s": {
-            str(count): statistics.median(values) / 1e9
-            for count, values in zip(turn.cycles, by_count, strict=True)
-        },
-        **distribution(turn.spent_ns),
-        "cpu_us": turn.cpu_ns / turn.all_cycles / 1000,
-        "cpu_share": turn.cpu_ns / turn.wall_ns,
     }

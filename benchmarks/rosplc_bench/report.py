@@ -9,17 +9,19 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import re
 import statistics
 import tempfile
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from rosplc.errors import SetupError
 from rosplc_bench import draw
-from rosplc_bench.figures import Cell, Figure, cell_text
+from rosplc_bench.draw import Cell, Figure, cell_text
 from rosplc_bench.machine import busy, cores_text
 
 SCHEMA = "rosplc-bench 1"
@@ -182,6 +184,27 @@ def render(report: Report, sections: Mapping[str, Section]) -> dict[str, Page]:
             what = f"its section {each.section!r} lacks something: {type(error).__name__}: {error}"
             raise SetupError("SYS007", what) from error
     return pages
+
+
+# Texts
+
+
+@cache
+def _texts() -> dict[str, str]:
+    parts = re.split(
+        r"^## (.+)\n", Path(__file__).with_name("texts.md").read_text("utf-8"), flags=re.MULTILINE
+    )
+    return dict(zip(parts[1::2], parts[2::2], strict=True))
+
+
+def paragraphs(key: str, **values: object) -> tuple[str, ...]:
+    """Return the paragraphs of ``texts.md`` with this key, filled in."""
+    return tuple(" ".join(each.split()) for each in _texts()[key].strip().format(**values).split("\n\n"))
+
+
+def text(key: str, **values: object) -> str:
+    """Return the same as one paragraph."""
+    return " ".join(paragraphs(key, **values))
 
 
 # Statistics

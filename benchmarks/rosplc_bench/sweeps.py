@@ -18,7 +18,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 from rosplc.codec import Codec, Wire
 from rosplc.errors import ChannelError, SetupError
@@ -26,13 +26,15 @@ from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.shm import Description, Direction, Namespace, OwnedChannel, Reader, Writer
 from rosplc_bench.compiling import compile_with_modbus
-from rosplc_bench.figures import Cell, Figure, Series
+from rosplc_bench.draw import Cell, Figure, Series
 from rosplc_bench.process import WATCHDOG_S, Side, free_port, python, reply, requests
 from rosplc_bench.protocols import ModbusClient, OpcUaClient, Variable, serve_modbus, serve_opcua
-from rosplc_bench.report import Page, Section, Table
+from rosplc_bench.report import Page, Section, Table, paragraphs, text
 from rosplc_bench.run import Context, Missing, need
 
 Contender: TypeAlias = Callable[[int], Mapping[str, float]]
+Medians: TypeAlias = Mapping[str, Mapping[int, float]]
+Scale: TypeAlias = Callable[[float, float], float]
 
 FIELDS = 6
 """Numbers of a topic: those of a Twist."""
@@ -45,30 +47,32 @@ _SLOW_MS = 250.0
 _FILES_PER_TOPIC, _FILES_BESIDE = 3, 200
 
 _SIZES = (8, 64, 512, 4096, 32768, 262144, 2097152, 8388608)
-_EFFORTS: dict[str, dict[str, Any]] = {
-    "quick": {
-        "rounds": 1,
-        "turn_ms": 2.0,
-        "sizes": (8, 512, 32768, 8388608),
-        "topics": (1, 10, 100),
-        "server_most": 10,
-    },
-    "default": {
-        "rounds": 3,
-        "turn_ms": 5.0,
-        "sizes": _SIZES,
-        "topics": (1, 10, 100, 1000),
-        "server_most": 100,
-    },
-    "full": {
-        "rounds": 9,
-        "turn_ms": 30.0,
-        "sizes": _SIZES,
-        "topics": (1, 3, 10, 30, 100, 300, 1000),
-        "server_most": 1000,
-    },
+
+
+class Amount(NamedTuple):
+    """How much is measured.
+
+    Attributes:
+        rounds: How often all take turns.
+        turn_ms: How long a turn may take.
+        sizes: Sizes of a message.
+        topics: Numbers of topics.
+        server_most: The most topics asked of OPC UA's server, which makes its nodes slowly.
+    """
+
+    rounds: int
+    turn_ms: float
+    sizes: tuple[int, ...]
+    topics: tuple[int, ...]
+    server_most: int
+
+
+_AMOUNTS = {
+    "quick": Amount(1, 2.0, (8, 512, 32768, 8388608), (1, 10, 100), 10),
+    "default": Amount(3, 5.0, _SIZES, (1, 10, 100, 1000), 100),
+    "full": Amount(9, 30.0, _SIZES, (1, 3, 10, 30, 100, 300, 1000), 1000),
 }
-"""By effort; ``server_most``: the most topics asked of OPC UA's server, which makes its nodes slowly."""
+"""By effort."""
 
 PAYLOAD_NAMES = {
     "memcpy": "memcpy in and out (C)",
@@ -95,39 +99,35 @@ TOPIC_NAMES = {
 
 def run(context: Context) -> dict[str, Any]:
     """Measure; see :class:`rosplc_bench.report.Section`."""
-    effort = _EFFORTS[context.effort.name]
+    amount = _AMOUNTS[context.effort.name]
     if not any(context.wants(name) for name in SECTION.contenders):
         return {}
-    data: dict[str, Any] = {"payload": [], "topics": [], "server_most": effort["server_most"]}
+    data: dict[str, Any] = {"payload": [], "topics": [], "server_most": amount.server_most}
     with ExitStack() as stack:
-        sweep = Sweep(context, effort, stack)
-        total = len(effort["sizes"]) + len(effort["topics"])
-        for done, size in enumerate(effort["sizes"]):
-            context.notify(done, total, f"one message of {size} bytes")
+        sweep = Sweep(context, amount, stack)
+        steps = [("payload", "size", size) for size in amount.sizes]
+        steps += [("topics", "topics", count) for count in amount.topics]
+        for done, (kind, key, value) in enumerate(steps):
+            what = f"one message of {value} bytes" if kind == "payload" else f"{value} topics"
+            context.notify(done, len(steps), what)
             try:
-                with ExitStack() as here:
-                    found = _turns(context, sweep.payload(size, here), effort)
+                with ExitStack() as here, _files(_FILES_PER_TOPIC * value if kind == "topics" else 0):
+                    found = _turns(context, getattr(sweep, kind)(value, here), amount)
+            except Missing as missing:
+                context.skip(what, missing.reason, missing.remedy)
             except ChannelError as error:
                 if error.code != "SHM117":
                     raise
-                context.skip(f"one message of {size} bytes", error.what, "make room in /dev/shm")
-                continue
-            data["payload"] += [{"size": size, "contender": name, "ns": ns} for name, ns in found.items()]
-        for done, count in enumerate(effort["topics"]):
-            context.notify(len(effort["sizes"]) + done, total, f"{count} topics")
-            try:
-                with ExitStack() as here, _files(_FILES_PER_TOPIC * count + _FILES_BESIDE):
-                    found = _turns(context, sweep.topics(count, here), effort)
-            except Missing as missing:
-                context.skip(f"{count} topics", missing.reason, missing.remedy)
-                continue
-            data["topics"] += [{"topics": count, "contender": name, "ns": ns} for name, ns in found.items()]
+                context.skip(what, error.what, "make room in /dev/shm")
+            else:
+                data[kind] += [{key: value, "contender": name, "ns": ns} for name, ns in found.items()]
     return data
 
 
 @contextmanager
 def _files(count: int) -> Iterator[None]:
     """Allow this process to hold so many open files; an object's owner holds one for its lock."""
+    count += _FILES_BESIDE
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if soft == resource.RLIM_INFINITY or soft >= count:
         yield
@@ -142,29 +142,23 @@ def _files(count: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
 
 
-def _turns(
-    context: Context, contenders: Iterable[Contender], effort: dict[str, Any]
-) -> dict[str, list[float]]:
+def _turns(context: Context, contenders: Iterable[Contender], amount: Amount) -> dict[str, list[float]]:
     """Let all measure once per round; return what each found, by name."""
     values: dict[str, list[float]] = {}
-    counts: dict[Contender, int] = {}
-    for number in range(-1, effort["rounds"]):
-        for contender in contenders:
-            if number >= 0 and contender not in counts:
-                continue  # it failed, or takes too long to be asked again
+    counts = dict.fromkeys(contenders, 0)
+    for _ in range(amount.rounds):
+        for contender, count in tuple(counts.items()):
             try:
-                if number < 0:
-                    counts[contender] = _calibrated(contender, effort["turn_ms"])
-                    continue
+                counts[contender] = count or _calibrated(contender, amount.turn_ms)
                 found = contender(counts[contender])
             except Exception as error:  # one that fails is no reason to lose the others
                 context.fail("sweeps", f"{type(error).__name__}: {error}")
-                counts.pop(contender, None)
+                del counts[contender]
                 continue
             for name, ns in found.items():
                 values.setdefault(name, []).append(ns)
             if max(found.values()) > _SLOW_MS * 1e6:
-                del counts[contender]
+                del counts[contender]  # it takes too long to be asked again
     return {name: found for name, found in values.items() if context.wants(name)}
 
 
@@ -179,15 +173,13 @@ def _calibrated(contender: Contender, turn_ms: float) -> int:
 class Sweep:
     """What lives through all sizes: the servers, and the compiled program."""
 
-    def __init__(self, context: Context, effort: dict[str, Any], stack: ExitStack) -> None:
-        self._scratch = context.scratch
-        self._most = int(effort["server_most"])
+    def __init__(self, context: Context, amount: Amount, stack: ExitStack) -> None:
+        self._scratch, self._most = context.scratch, amount.server_most
         self._program, self._modbus_port = _native(context, stack)
         self._pymodbus_port = self._server(context, "modbus", "pymodbus", stack)
         port = self._server(context, "opcua", "asyncua", stack)
-        self._opcua: OpcUaClient | None = None
-        if port:
-            self._opcua = OpcUaClient(port)
+        self._opcua = OpcUaClient(port) if port else None
+        if self._opcua is not None:
             stack.callback(self._opcua.close)
 
     def _server(self, context: Context, method: str, package: str, stack: ExitStack) -> int:
@@ -268,19 +260,10 @@ def channels(folder: Path, count: int, size: int, stack: ExitStack) -> list[Owne
     namespace = Namespace(f"sweep-{secrets.token_hex(4)}", str(folder))
     made = []
     for index in range(count):
-        about = Description(
-            f"/topic{index}",
-            "std_msgs/msg/Empty",
-            "jazzy",
-            Direction.TO_ROS,
-            {},
-            "0" * 16,
-            "bench",
-            "uint8 x",
-        )
-        channel = OwnedChannel.open(namespace, about, record_size=size)
-        stack.callback(channel.retire)  # the memory is wanted for the next size
-        made.append(channel)
+        topic = (f"/topic{index}", "std_msgs/msg/Empty", "jazzy")
+        about = Description(*topic, Direction.TO_ROS, {}, "0" * 16, "bench", "uint8 x")
+        made.append(OwnedChannel.open(namespace, about, record_size=size))
+        stack.callback(made[-1].retire)  # the memory is wanted for the next size
     return made
 
 
@@ -439,61 +422,27 @@ def opcua_topics(client: OpcUaClient, topics: int) -> Contender:
     return measure
 
 
-_WAITING = (
-    "rosplc, memcpy and semaphore: no waiting, one process writes and takes; Modbus and OPC UA: the "
-    "client sleeps until the answer to each request comes, the server until a request comes, on whichever "
-    "cores the kernel chooses"
-)
-
-
 def render(data: Mapping[str, Any]) -> Page:
     """Return the page; see :class:`rosplc_bench.report.Section`."""
-    payload = _medians(data["payload"], "size")
-    topics = _medians(data["topics"], "topics")
+    payload, topics = _medians(data["payload"], "size"), _medians(data["topics"], "topics")
+    one_way = _table("One message one way by its size, µs", "size", PAYLOAD_NAMES, payload, _microseconds)
+    by_number = "Messages per second by number of topics (a Twist each)"
+    waits = "only Modbus and OPC UA wait, for answers"
+    sizes, numbers = (
+        _series(PAYLOAD_NAMES, payload, _microseconds),
+        _series(TOPIC_NAMES, topics, _per_second),
+    )
+    many = f"Messages per second over so many topics ({waits})"
     return Page(
-        lead=_LEAD,
-        tables=(
-            _table(
-                "One message one way by its size, µs",
-                "size",
-                PAYLOAD_NAMES,
-                payload,
-                _microseconds,
-                "Medians of the rounds. Shared memory: written and taken; Modbus and OPC UA: written and "
-                "acknowledged. Modbus takes 246 bytes per request and has addresses for 128 KiB in all.",
-            ),
-            _table(
-                "Messages per second by number of topics (a Twist each)",
-                "topics",
-                TOPIC_NAMES,
-                topics,
-                _per_second,
-                "Medians of the rounds. In a round every topic is written once and read once. rosplc from "
-                "Python also encodes each message for ROS, as the bridge does; Modbus carries 32-bit "
-                "numbers.",
-            ),
-        ),
+        lead=paragraphs("sweeps lead"),
+        tables=(one_way, _table(by_number, "topics", TOPIC_NAMES, topics, _per_second)),
         figures=(
             Figure(
-                "sweep-payload",
-                "One message one way (only Modbus and OPC UA wait, for answers)",
-                "bytes",
-                "µs",
-                _series(PAYLOAD_NAMES, payload, _microseconds),
-                x_log=True,
-                y_log=True,
+                "sweep-payload", f"One message one way ({waits})", "bytes", "µs", sizes, "lines", True, True
             ),
-            Figure(
-                "sweep-topics",
-                "Messages per second over so many topics (only Modbus and OPC UA wait, for answers)",
-                "topics",
-                "messages per second",
-                _series(TOPIC_NAMES, topics, _per_second),
-                x_log=True,
-                y_log=True,
-            ),
+            Figure("sweep-topics", many, "topics", "messages per second", numbers, "lines", True, True),
         ),
-        after=_after(data),
+        after=paragraphs("sweeps after", most=data["server_most"]),
         summary=_summary(payload, topics),
     )
 
@@ -513,37 +462,31 @@ def _medians(entries: list[Mapping[str, Any]], key: str) -> dict[str, dict[int, 
     return found
 
 
-def _series(names: Mapping[str, str], found: Mapping[str, Mapping[int, float]], y: Any) -> tuple[Series, ...]:
+def _series(names: Mapping[str, str], found: Medians, y: Scale) -> tuple[Series, ...]:
     return tuple(
         Series(
             name,
             tuple(map(float, found[key])),
             tuple(y(x, ns) for x, ns in found[key].items()),
-            group="rosplc" if key.startswith("rosplc") else "",
+            "rosplc" if key.startswith("rosplc") else "",
         )
         for key, name in names.items()
         if key in found
     )
 
 
-def _table(
-    title: str,
-    first: str,
-    names: Mapping[str, str],
-    found: Mapping[str, Mapping[int, float]],
-    y: Any,
-    note: str,
-) -> Table:
-    shown = [key for key in names if key in found]
-    points = sorted({x for values in found.values() for x in values})
+def _table(title: str, first: str, names: Mapping[str, str], found: Medians, y: Scale) -> Table:
+    shown = {name: found[key] for key, name in names.items() if key in found}
+    points = sorted({x for values in shown.values() for x in values})
     rows: list[tuple[Cell, ...]] = [
         (
             _size(x) if first == "size" else x,
-            *(y(x, found[key][x]) if x in found[key] else None for key in shown),
+            *(y(x, values[x]) if x in values else None for values in shown.values()),
         )
         for x in points
     ]
-    return Table(title, (first, *(names[key] for key in shown)), tuple(rows), _WAITING, note)
+    note = text("sweeps payload" if first == "size" else "sweeps topics")
+    return Table(title, (first, *shown), tuple(rows), text("sweeps waiting"), note)
 
 
 def _size(size: int) -> str:
@@ -553,9 +496,7 @@ def _size(size: int) -> str:
     return f"{size} B"
 
 
-def _summary(
-    payload: Mapping[str, Mapping[int, float]], topics: Mapping[str, Mapping[int, float]]
-) -> tuple[str, ...]:
+def _summary(payload: Medians, topics: Medians) -> tuple[str, ...]:
     lines = []
     if "rosplc" in payload and "memcpy" in payload:
         size = max(payload["rosplc"])
@@ -569,29 +510,6 @@ def _summary(
             f"in one call for all, {most / single[most] * 1e3:.2f} one by one."
         )
     return tuple(lines)
-
-
-_LEAD = (
-    "By size: one message is written and taken (shared memory), or written and acknowledged (Modbus, "
-    "OPC UA). By topics: each topic gets a new message, and all are read. Every value that arrives is "
-    "checked.",
-)
-
-
-def _after(data: Mapping[str, Any]) -> tuple[str, ...]:
-    return (
-        "**What this means.** Up to a few kilobytes the call dominates, not the bytes: nanoseconds in C, a "
-        "fraction of a microsecond from Python. Beyond that, shared memory costs what memcpy costs (a take "
-        "from Python copies once more, into a private buffer, so that a rejected copy is never visible), "
-        "and the semaphore is locked for as long as the copy takes. A request travels through the kernel to "
-        "another process and back, many times if the message does not fit into one.",
-        "**What it does not.** Nothing waits for a message here, so this is not latency: see the "
-        "experiment's tables. Data that fits stays in the caches of one core, which favours shared memory; "
-        "between two cores each cache line travels once more. The semaphore is an unnamed one in the shared "
-        "memory, which is what a named one maps too. "
-        f"asyncua's server was asked for at most {data['server_most']:,} topics, because it creates nodes "
-        "slowly.",
-    )
 
 
 SECTION = Section(

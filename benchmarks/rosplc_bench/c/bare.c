@@ -1,9 +1,9 @@
 /* The physical limit: a flag in a cache line of its own, and a copy of the same 200 bytes. Nothing is checked,
- * nobody may die, and a reader that is late reads the next message's bytes.
+ * no side may die, and a reader that is late reads the next message's bytes.
  *
  *   bare SIDE FILE
  */
-#include "shared.h"
+#include "exchange.h"
 
 typedef struct {
     _Alignas(64) uint32_t flag;
@@ -26,14 +26,6 @@ static int transport_try(uint16_t *values)
     taken++;
     memcpy(values, in->values, BYTES);
     return 1;
-}
-
-static void transport_ring(void) {}
-
-static void transport_sleep(void)
-{
-    fprintf(stderr, "nobody can sleep on a flag\n");
-    exit(2);
 }
 
 int main(int argc, char **argv)

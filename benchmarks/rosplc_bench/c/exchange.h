@@ -1,7 +1,7 @@
 /* The experiment's two sides, over whatever carries the bytes.
  *
  * A writes 100 numbers, B reads them, adds one to each and writes them back, A reads and adds one. A program
- * defines the four functions below and calls exchange_main(). Orders come as lines on standard input:
+ * defines transport_send and transport_try and calls exchange_main(). Orders come as lines on standard input:
  *
  *   to B   answer WAIT PERIOD_NS TOTAL                        prints `answering`, then answers TOTAL times
  *   to A   run WAIT PERIOD_NS WARMUP REPEATS CYCLES...        prints two lines of JSON: what came of it, and
@@ -13,49 +13,15 @@
 #ifndef ROSPLC_BENCH_EXCHANGE_H
 #define ROSPLC_BENCH_EXCHANGE_H
 
-#ifndef _GNU_SOURCE
-#define _GNU_SOURCE
-#endif
-#include <errno.h>
-#include <sched.h>
-#include <signal.h>
-#include <stdint.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-#include <sys/prctl.h>
-#include <time.h>
-#include <unistd.h>
+#include "common.h"
 
-#define COUNT 100
-#define BYTES (COUNT * 2)
 #define MAX_RUNS 16
-#define WATCHDOG 300 /* seconds for one order; who waits longer has lost its peer */
-
-enum { SPIN, YIELD, BLOCK, CYCLE };
 
 static void transport_send(const uint16_t *values);
-static int transport_try(uint16_t *values);  /* 1: took something new */
-static void transport_ring(void);            /* wake the other; called after sending, with BLOCK only */
-static void transport_sleep(void);           /* until the other has rung; with BLOCK only */
+static int transport_try(uint16_t *values); /* 1: took something new */
 
-static struct {
-    int wait;
-    uint64_t period, phase; /* ns */
-} order;
-
-static __attribute__((unused)) void stop(const char *what)
-{
-    perror(what);
-    exit(1);
-}
-
-static uint64_t now_ns(void)
-{
-    struct timespec t;
-    clock_gettime(CLOCK_MONOTONIC, &t);
-    return (uint64_t)t.tv_sec * 1000000000u + (uint64_t)t.tv_nsec;
-}
+/* With BLOCK: posted after sending, and waited for; a request of Modbus needs neither. */
+static sem_t *out_bell, *in_bell;
 
 static void relax(void)
 {
@@ -64,20 +30,6 @@ static void relax(void)
 #elif defined(__arm__) || defined(__aarch64__)
     __asm__ volatile("yield" ::: "memory");
 #endif
-}
-
-static uint64_t next_tick(void)
-{
-    uint64_t now = now_ns();
-    return (now - order.phase) / order.period * order.period + order.period + order.phase;
-}
-
-static void sleep_to_tick(void)
-{
-    uint64_t tick = next_tick();
-    struct timespec t = {(time_t)(tick / 1000000000u), (long)(tick % 1000000000u)};
-    while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &t, NULL) == EINTR)
-        ;
 }
 
 static void increment(uint16_t *values)
@@ -89,8 +41,8 @@ static void increment(uint16_t *values)
 static void send_values(const uint16_t *values)
 {
     transport_send(values);
-    if (order.wait == BLOCK)
-        transport_ring();
+    if (order.wait == BLOCK && out_bell)
+        sem_post(out_bell);
 }
 
 static void receive_values(uint16_t *values)
@@ -106,12 +58,13 @@ static void receive_values(uint16_t *values)
         break;
     case BLOCK: /* one ring for each message, so nothing is left over for the next */
         do
-            transport_sleep();
+            if (in_bell)
+                down(in_bell);
         while (!transport_try(values));
         break;
     default:
         do
-            sleep_to_tick();
+            sleep_until(next_tick());
         while (!transport_try(values));
     }
 }
@@ -121,8 +74,7 @@ static void receive_values(uint16_t *values)
 static void answer(long total)
 {
     uint16_t values[COUNT];
-    printf("answering\n");
-    fflush(stdout);
+    say("answering");
     for (long i = 0; i < total; i++) {
         receive_values(values);
         increment(values);
@@ -135,7 +87,7 @@ static uint64_t run(long cycles, uint64_t *spent, int *wrong)
     uint16_t values[COUNT] = {0};
     uint64_t start, before;
     if (order.wait == CYCLE)
-        sleep_to_tick();
+        sleep_until(next_tick());
     start = before = now_ns();
     for (long i = 0; i < cycles; i++) {
         uint64_t now;
@@ -174,61 +126,20 @@ static void measure(long warmup, long repeats, const long *cycles, int count)
             done += cycles[i];
         }
     printf("{\"runs\": %ld, \"wrong\": %d, \"durations_ns\": [", repeats * count, wrong);
-    for (long r = 0; r < repeats; r++) {
-        printf("%s[", r ? ", " : "");
-        for (int i = 0; i < count; i++)
-            printf("%s%llu", i ? ", " : "", (unsigned long long)durations[r * count + i]);
-        printf("]");
-    }
-    printf("]}\n[");
-    for (long i = 0; i < done; i++)
-        printf("%s%llu", i ? "," : "", (unsigned long long)spent[i]);
-    printf("]\n");
+    for (long r = 0; r < repeats; r++)
+        print_list(r ? ", " : "", durations + r * count, count);
+    print_list("]}\n", spent, done);
+    puts("");
     fflush(stdout);
     free(spent);
     free(durations);
 }
 
-/* ---------------------------------------------------------------- orders */
-
-static long number(const char *text)
-{
-    long value = text ? atol(text) : 0;
-    if (value < 0 || (value == 0 && (!text || strcmp(text, "0")))) {
-        fprintf(stderr, "an order lacks a number\n");
-        exit(2);
-    }
-    return value;
-}
-
-static __attribute__((unused)) void set_order(char side)
-{
-    const char *word = strtok(NULL, " \n");
-    static const char *const words[] = {"spin", "yield", "block", "cycle"};
-    order.wait = -1;
-    for (int i = 0; word && i < 4; i++)
-        if (!strcmp(word, words[i]))
-            order.wait = i;
-    order.period = (uint64_t)number(strtok(NULL, " \n"));
-    order.phase = side == 'B' ? order.period / 2 : 0;
-    if (order.wait < 0 || (order.wait == CYCLE && !order.period)) {
-        fprintf(stderr, "an order lacks a way to wait\n");
-        exit(2);
-    }
-}
-
-static __attribute__((unused)) void prepare(void)
-{
-    prctl(PR_SET_PDEATHSIG, SIGKILL);
-    signal(SIGPIPE, SIG_DFL);
-}
-
-static __attribute__((unused)) void exchange_main(char side)
+static void exchange_main(char side)
 {
     static char line[4096];
     prepare();
-    printf("ready\n");
-    fflush(stdout);
+    say("ready");
     while (fgets(line, sizeof line, stdin)) {
         const char *word = strtok(line, " \n");
         long cycles[MAX_RUNS], warmup, repeats;

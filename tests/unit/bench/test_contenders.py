@@ -24,6 +24,7 @@ from rosplc_bench.pairs import (
     ONE_CORE,
     WAITING,
     Pair,
+    Plan,
     start_pair,
     take_turns,
 )
@@ -66,9 +67,9 @@ def test_values_come_through(contender: Contender, scratch: Path, cache: Path) -
         for arrangement in dict.fromkeys((*ARRANGEMENTS, *WAITING)):
             if arrangement.name not in contender.ways:
                 continue
-            cycles = [4] if arrangement.slow else [10, 20]
+            cycles = (4,) if arrangement.slow else (10, 20)
             way = contender.ways[arrangement.name]
-            turn = pair.turn(arrangement, way, CORES, warmup=2, repeats=2, cycles=cycles)
+            turn = pair.turn(arrangement, way, CORES, Plan(2, 2, cycles))
             assert turn.wrong == 0 and turn.runs == 2 * len(cycles)
             assert len(turn.spent_ns) == 2 * sum(cycles) and all(value > 0 for value in turn.spent_ns)
             assert [sum(turn.spent_ns)] == [sum(map(sum, turn.durations_ns))]
@@ -113,7 +114,7 @@ def test_a_contender_with_wrong_values_is_reported_as_failed(
     def begin(place: Place) -> Pair:
         tail = [str(place.folder / "areas"), *place.names]
         a, b = ([sys.executable, str(script), side, *tail] for side in "AB")
-        return start_pair("liar", place, a=a, b=b)
+        return start_pair("liar", place, a, b)
 
     liar = Contender("liar", "A liar", "wrong", {CYCLIC[0].name: CYCLE}, begin)
     context = Context(Effort("test", 1, 0.1, 1, 0.1), scratch, cache, CORES)
@@ -127,7 +128,7 @@ def test_a_process_that_ends_is_an_error_with_its_words(scratch: Path, cache: Pa
     place = Place.under(scratch, "ends", cache)
     command = [sys.executable, "-c", "import sys; sys.exit('no such board')"]
     with pytest.raises(SetupError, match="no such board"):
-        start_pair("ends", place, a=command, b=command)
+        start_pair("ends", place, command, command)
 
 
 def test_a_process_that_dies_in_a_turn_is_an_error(scratch: Path, cache: Path) -> None:
@@ -138,9 +139,9 @@ def test_a_process_that_dies_in_a_turn_is_an_error(scratch: Path, cache: Path) -
         "os.kill(os.getpid(), 9)"
     )
     command = [sys.executable, "-c", script]
-    with start_pair("dies", place, a=command, b=command) as pair:
+    with start_pair("dies", place, command, command) as pair:
         with pytest.raises(SetupError, match=r"SIGKILL|printed"):
-            pair.turn(ONE_CORE, BLOCKS, CORES[:1], warmup=2, repeats=1, cycles=[2])
+            pair.turn(ONE_CORE, BLOCKS, CORES[:1], Plan(2, 1, (2,)))
         pair.kill()
 
 

@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from rosplc.errors import SetupError
-from rosplc_bench.draw import draw
-from rosplc_bench.figures import Figure, Series, cell_text
+from rosplc_bench.draw import Figure, Series, cell_text, draw
 from rosplc_bench.report import (
     SCHEMA,
     Failure,

@@ -15,9 +15,9 @@ from rosplc.errors import SetupError
 from rosplc_bench import sweeps
 from rosplc_bench.report import table_lines
 from rosplc_bench.run import EFFORTS, Context
-from rosplc_bench.sweeps import PAYLOAD_NAMES, TOPIC_NAMES
+from rosplc_bench.sweeps import PAYLOAD_NAMES, TOPIC_NAMES, Amount
 
-EFFORT = {"rounds": 1, "turn_ms": 0.5, "sizes": (8, 1000, 200_000), "topics": (1, 30), "server_most": 5}
+AMOUNT = Amount(1, 0.5, (8, 1000, 200_000), (1, 30), 5)
 
 
 @pytest.fixture
@@ -34,14 +34,14 @@ def test_every_contender(context: Context, monkeypatch: pytest.MonkeyPatch) -> N
         pytest.skip("Debian package pkg-config is missing")
     if subprocess.run(["pkg-config", "--exists", "libmodbus"], check=False).returncode:
         pytest.skip("Debian package libmodbus-dev is missing")
-    monkeypatch.setitem(sweeps._EFFORTS, "quick", EFFORT)
+    monkeypatch.setitem(sweeps._AMOUNTS, "quick", AMOUNT)
     data = json.loads(json.dumps(sweeps.run(context)))
     assert not context.failures and not context.skips
     payload = {(one["contender"], one["size"]) for one in data["payload"]}
     assert payload == {
         (name, size)
         for name in PAYLOAD_NAMES
-        for size in EFFORT["sizes"]  # type: ignore[attr-defined]
+        for size in AMOUNT.sizes
         if not ("modbus" in name and size == 200_000)
     }
     topics = {(one["contender"], one["topics"]) for one in data["topics"]}
@@ -63,7 +63,7 @@ def test_a_contender_that_fails_is_named_and_left_out(context: Context) -> None:
     def wrong(_count: int) -> Mapping[str, float]:
         raise SetupError("SYS002", "what arrived is not what was sent")
 
-    found = sweeps._turns(context, [wrong, lambda _count: {"memcpy": 1.0}], EFFORT)
+    found = sweeps._turns(context, [wrong, lambda _count: {"memcpy": 1.0}], AMOUNT)
     assert found == {"memcpy": [1.0]}
     assert len(context.failures) == 1
     assert "not what was sent" in context.failures[0].reason
@@ -72,7 +72,7 @@ def test_a_contender_that_fails_is_named_and_left_out(context: Context) -> None:
 def test_who_is_slow_is_asked_once(context: Context) -> None:
     """A contender that takes very long for one message is measured in the first round only."""
     slow = {"asyncua": sweeps._SLOW_MS * 2e6}
-    found = sweeps._turns(context, [lambda _count: slow], {**EFFORT, "rounds": 5})
+    found = sweeps._turns(context, [lambda _count: slow], AMOUNT._replace(rounds=5))
     assert found == {"asyncua": [slow["asyncua"]]}
 
 
@@ -87,7 +87,7 @@ def test_a_server_that_does_not_come_up_takes_no_other_along(
     context: Context, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A server that ends or hangs is a failure with its name; shared memory is measured all the same."""
-    monkeypatch.setitem(sweeps._EFFORTS, "quick", {**EFFORT, "sizes": (8,), "topics": (1,)})
+    monkeypatch.setitem(sweeps._AMOUNTS, "quick", AMOUNT._replace(sizes=(8,), topics=(1,)))
     monkeypatch.setattr(sweeps, "python", lambda *_: [sys.executable, "-c", "raise SystemExit(3)"])
     context.only = ("asyncua", "rosplc-python")
     data = sweeps.run(context)

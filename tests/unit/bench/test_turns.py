@@ -16,6 +16,7 @@ from rosplc_bench.pairs import (
     TWO_CORES,
     Contender,
     Place,
+    Plan,
     Turn,
     Way,
     plan_turn,
@@ -33,21 +34,21 @@ class FakePair:
     def __init__(self, name: str, cycle_ns: int, log: list[str], wrong: int = 0, error: str = "") -> None:
         self.name, self.cycle_ns, self.log, self.wrong, self.error = name, cycle_ns, log, wrong, error
 
-    def turn(
-        self, arrangement: Any, way: Way, cores: Any, *, warmup: int, repeats: int, cycles: tuple[int, ...]
-    ) -> Turn:
+    def turn(self, arrangement: Any, way: Way, cores: Any, plan: Plan) -> Turn:
         if self.error:
             raise SetupError("SYS002", self.error)
         self.log.append(self.name)
-        durations_ns = [[count * self.cycle_ns for count in cycles] for _ in range(repeats)]
-        spent = [self.cycle_ns] * (sum(cycles) * repeats)
-        runs = repeats * len(cycles)
-        return Turn(tuple(cycles), durations_ns, spent, self.wrong, runs, 1e3, 1e3, len(spent))
+        durations_ns = [[count * self.cycle_ns for count in plan.cycles] for _ in range(plan.repeats)]
+        spent = [self.cycle_ns] * (sum(plan.cycles) * plan.repeats)
+        return Turn(plan, durations_ns, spent, self.wrong, plan.repeats * len(plan.cycles), 1e3, 1e3)
 
     def close(self) -> None:
         self.log.append(f"{self.name} closed")
 
     kill = close
+
+    def __exit__(self, *_error: object) -> None:
+        self.close()
 
 
 def contender(name: str, pair: FakePair | Missing, arrangement: str = ONE_CORE.name) -> Contender:

@@ -48,7 +48,7 @@ def test_the_wheel_holds_every_file_and_follows_the_version(wheel: Path) -> None
     expected = {
         str(path.relative_to(BENCHMARKS))
         for path in (BENCHMARKS / "rosplc_bench").rglob("*")
-        if path.suffix in (".py", ".c", ".h")
+        if path.suffix in (".py", ".c", ".h", ".md")
     }
     assert expected == {name for name in archive.namelist() if ".dist-info/" not in name}
     (name,) = (name for name in archive.namelist() if name.endswith("METADATA"))
