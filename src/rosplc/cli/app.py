@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -20,6 +20,7 @@ from rosplc.cli import (
     release,
     reload,
     replay,
+    ros,
     run,
     service,
     show,
@@ -50,10 +51,11 @@ rosplc doctor  —  problems of machine and configuration, with fixes
 `rosplc VERB --help` explains a verb; `rosplc explain CODE` an error.
 """
 
-_VERBS = {
+_VERBS: dict[str, dict[str, Any]] = {
     "Set up": {"demo": demo, "init": init, "check": check, "generate": generate, "types": types},
     "Run": {"run": run, "reload": reload, "service": service, "release": release, "clean": clean},
     "Watch": {"status": status, "show": show, "top": top, "web": web, "record": record, "replay": replay},
+    "ROS": {"list": ros.LIST, "echo": ros.ECHO, "hz": ros.HZ, "pub": ros.PUB},
     "Diagnose": {"doctor": doctor, "explain": explain, "bench": bench},
 }
 

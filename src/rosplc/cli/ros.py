@@ -1,0 +1,323 @@
+"""``rosplc list``, ``echo``, ``hz``, ``pub``: ROS topics without a ROS installation, as in ros2cli."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import logging
+import queue
+import statistics
+import time
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from rosplc.cli.guard import finite, guarded, print_json
+from rosplc.cli.options import AsJson, default_config
+from rosplc.cli.text import say, warn
+
+if TYPE_CHECKING:
+    from rosplc.bridge.ros_side import LiveTypes
+    from rosplc.init.definitions import Definitions
+    from rosplc.ros import Backend, Qos
+
+__all__ = ["ECHO", "HZ", "LIST", "PUB", "Verb"]
+
+_LOOK_S = 5.0
+"""How long to look for a topic at most; the graph is complete earlier where it is small."""
+_WINDOW = 10_000
+
+_Topic = Annotated[str, typer.Argument(help="The topic's name.")]
+_Backend = Annotated[str | None, typer.Option(metavar="NAME", help="The way into ROS, as `ros.backend`.")]
+_Distro = Annotated[str | None, typer.Option(metavar="NAME", help="The ROS distribution.")]
+_Domain = Annotated[int | None, typer.Option(metavar="NUMBER", help="The ROS domain.")]
+_Types = Annotated[
+    list[Path] | None, typer.Option(metavar="FOLDER", help="A folder with .msg files; may be repeated.")
+]
+_EPILOG = """
+
+Backend, distribution, domain and types come from the options, else from `./rosplc.yaml`, else from the
+environment (`ROS_DISTRO`, `ROS_DOMAIN_ID`).
+"""
+
+
+@dataclass(frozen=True)
+class Verb:
+    """A verb with what is printed below its help."""
+
+    command: Any
+    EPILOG: str
+
+
+@dataclass
+class _Node:
+    """A node of its own in the graph, and the types that it knows."""
+
+    backend: Backend
+    definitions: Definitions
+    types: LiveTypes
+
+    def type_of(self, topic: str, named: str | None) -> str:
+        """Return the full name of a topic's type, asked for or seen in the graph; it is known then."""
+        from rosplc.errors import MessageTypeError
+        from rosplc.model.parse import full_name
+
+        if named is None:
+            types = self.graph(topic).topics.get(topic, ())
+            if len(types) != 1:
+                seen = f"has several types: {', '.join(types)}" if types else "was not seen in the graph"
+                raise typer.BadParameter(f"{topic} {seen}; name the type after the topic", param_hint="TOPIC")
+            named = types[0]
+        name = full_name(named)
+        if not self.definitions.find_installed(name):
+            store = self.definitions.store
+            remedy = "Name the folder of its package with --types, or source the setup.bash that has it."
+            raise MessageTypeError("TYP001", f"{name} is unknown in {store.distro}", remedy=remedy)
+        self.types.store = self.definitions.store
+        return name
+
+    def graph(self, *topics: str) -> Any:
+        """Return the graph once it has settled."""
+        from rosplc.ros import settled_graph
+
+        return settled_graph(self.backend.graph, _LOOK_S, topics)
+
+    @contextlib.contextmanager
+    def messages(self, topic: str, type_name: str) -> Iterator[queue.SimpleQueue[tuple[float, bytes]]]:
+        """Receive a topic into a queue of (arrival in s, bytes), with a QoS that its publishers meet."""
+        arrived: queue.SimpleQueue[tuple[float, bytes]] = queue.SimpleQueue()
+        offered = [
+            end.qos for end in self.backend.graph().endpoints if (end.topic, end.direction) == (topic, "out")
+        ]
+
+        def take(data: bytes, _: int) -> None:
+            arrived.put((time.monotonic(), data))
+
+        subscription = self.backend.subscribe(topic, type_name, _qos_for(offered), take)
+        try:
+            yield arrived
+        finally:
+            subscription.close()
+
+
+def _qos_for(offered: list[Qos]) -> Qos:
+    from rosplc.ros import Qos
+
+    reliable = all(qos.reliability == "reliable" for qos in offered)
+    latched = bool(offered) and all(qos.durability == "transient_local" for qos in offered)
+    return Qos(
+        "reliable" if reliable else "best_effort", "transient_local" if latched else "volatile", depth=100
+    )
+
+
+@contextlib.contextmanager
+def _node(
+    backend: str | None, distro: str | None, domain: int | None, types: list[Path] | None
+) -> Iterator[_Node]:
+    import os
+
+    from rosplc.bridge.ros_side import LiveTypes, RosSide
+    from rosplc.config import Config, read_config
+    from rosplc.init.definitions import Definitions
+    from rosplc.init.live import distro_here
+
+    logging.getLogger("rosplc").addHandler(logging.NullHandler())
+    keys: dict[str, Any] = {}
+    folders = list(types or ())
+    if (path := default_config()) is not None:
+        config = read_config(path)
+        keys = config.settings.ros.model_dump(exclude_unset=True, exclude={"node_name", "namespace", "remap"})
+        folders += [config.base / folder for folder in config.settings.types.paths]
+    given = {"backend": backend, "distro": distro, "domain": domain}
+    keys |= {key: value for key, value in given.items() if value is not None}
+    if "distro" not in keys:
+        keys["distro"] = distro_here(keys.get("backend", "auto"), os.environ)[0]
+    side = RosSide(Config.from_dict({"ros": {**keys, "node_name": f"rosplc_cli_{os.getpid()}"}}))
+    definitions = Definitions(keys["distro"], folders)
+    live = LiveTypes(definitions.store)
+    joined, _ = side.open(live)
+    node = _Node(joined, definitions, live)
+    try:
+        yield node
+    finally:
+        joined.close()
+
+
+@guarded
+def _list(
+    show_types: Annotated[bool, typer.Option("--show-types", "-t", help="Print the types, too.")] = False,
+    count: Annotated[bool, typer.Option("--count-topics", "-c", help="Print their number only.")] = False,
+    backend: _Backend = None,
+    distro: _Distro = None,
+    domain: _Domain = None,
+    types: _Types = None,
+    as_json: AsJson = False,
+) -> None:
+    """List the topics of the ROS graph."""
+    with _node(backend, distro, domain, types) as node:
+        topics = node.graph().topics
+    if as_json:
+        print_json({name: list(kinds) for name, kinds in topics.items()})
+    elif count:
+        say(str(len(topics)))
+    else:
+        for name, kinds in topics.items():
+            say(f"{name} [{', '.join(kinds)}]" if show_types else name)
+
+
+@guarded
+def _echo(
+    topic: _Topic,
+    message_type: Annotated[str | None, typer.Argument(help="Its type; else the graph is asked.")] = None,
+    once: Annotated[bool, typer.Option("--once", help="Print the first message and end.")] = False,
+    field: Annotated[str | None, typer.Option(metavar="PATH", help="Print this field only.")] = None,
+    full_length: Annotated[
+        bool, typer.Option("--full-length", "-f", help="Print long arrays and strings whole.")
+    ] = False,
+    backend: _Backend = None,
+    distro: _Distro = None,
+    domain: _Domain = None,
+    types: _Types = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document per line.")] = False,
+) -> None:
+    """Print the messages of a ROS topic."""
+    import json
+
+    from rosplc.cli.ros_text import Reader, as_yaml
+    from rosplc.errors import RosplcError
+
+    with _node(backend, distro, domain, types) as node:
+        type_name = node.type_of(topic, message_type)
+        read = Reader(node.definitions.store, type_name)
+        with node.messages(topic, type_name) as arrived:
+            while True:
+                _, data = _next(arrived)
+                try:
+                    value: Any = read(data)
+                except RosplcError as error:
+                    warn(f"{topic}: {error.what} [{error.code}]")
+                    continue
+                for part in field.split(".") if field else ():
+                    if not isinstance(value, dict) or part not in value:
+                        raise typer.BadParameter(f"{type_name} has no field {field}", param_hint="--field")
+                    value = value[part]
+                if as_json:
+                    typer.echo(json.dumps(finite(value)))
+                else:
+                    say(f"{as_yaml(value, whole=full_length).removesuffix('...' + chr(10)).rstrip()}\n---")
+                if once:
+                    return
+
+
+@guarded
+def _hz(
+    topic: _Topic,
+    window: Annotated[
+        int, typer.Option("--window", "-w", min=2, help="Messages that the average is made of.")
+    ] = _WINDOW,
+    backend: _Backend = None,
+    distro: _Distro = None,
+    domain: _Domain = None,
+    types: _Types = None,
+) -> None:
+    """Print the rate at which a ROS topic's messages arrive, every second."""
+    with (
+        _node(backend, distro, domain, types) as node,
+        node.messages(topic, node.type_of(topic, None)) as arrived,
+    ):
+        times: deque[float] = deque(maxlen=window)
+        shown = time.monotonic()
+        while True:
+            times.append(_next(arrived)[0])
+            if len(times) > 1 and times[-1] - shown >= 1.0:
+                shown = times[-1]
+                gaps = [after - before for before, after in itertools.pairwise(times)]
+                say(f"average rate: {len(gaps) / sum(gaps):.3f}")
+                scatter = f"std dev: {statistics.pstdev(gaps):.5f}s window: {len(times)}"
+                typer.echo(f"\tmin: {min(gaps):.3f}s max: {max(gaps):.3f}s {scatter}")
+
+
+def _next(arrived: queue.SimpleQueue[tuple[float, bytes]]) -> tuple[float, bytes]:
+    # With a time-out, so that Ctrl-C is seen.
+    while True:
+        with contextlib.suppress(queue.Empty):
+            return arrived.get(timeout=0.1)
+
+
+@guarded
+def _pub(
+    topic: _Topic,
+    message_type: Annotated[str, typer.Argument(help="Its type, such as geometry_msgs/msg/Twist.")],
+    values: Annotated[str, typer.Argument(help="Fields as YAML; others have their defaults.")] = "{}",
+    rate: Annotated[float, typer.Option("--rate", "-r", min=0.001, help="Messages per second.")] = 1.0,
+    once: Annotated[bool, typer.Option("--once", "-1", help="Publish one message and end.")] = False,
+    times: Annotated[
+        int | None, typer.Option("--times", "-t", min=1, help="Publish so many messages and end.")
+    ] = None,
+    wait: Annotated[
+        int | None,
+        typer.Option(
+            "--wait-matching-subscriptions",
+            "-w",
+            min=0,
+            help="Wait for so many subscribers; by default 1 with --once and --times, else 0.",
+        ),
+    ] = None,
+    qos_reliability: Annotated[str, typer.Option(help="`reliable` or `best_effort`.")] = "reliable",
+    qos_durability: Annotated[str, typer.Option(help="`volatile` or `transient_local`.")] = "volatile",
+    qos_depth: Annotated[int, typer.Option(help="Messages that wait at most.")] = 10,
+    backend: _Backend = None,
+    distro: _Distro = None,
+    domain: _Domain = None,
+    types: _Types = None,
+) -> None:
+    """Publish messages on a ROS topic."""
+    import yaml
+
+    from rosplc.cli.ros_text import Reader, as_python, encode
+    from rosplc.ros import Qos
+
+    try:
+        given = yaml.safe_load(values) or {}
+    except yaml.YAMLError as error:
+        raise typer.BadParameter(f"no YAML: {error}", param_hint="VALUES") from None
+    if not isinstance(given, dict):
+        raise typer.BadParameter("give the fields as YAML, such as '{data: 1.5}'", param_hint="VALUES")
+    qos = Qos(qos_reliability, qos_durability, qos_depth)  # type: ignore[arg-type]
+    most = 1 if once else times
+    with _node(backend, distro, domain, types) as node:
+        name = node.type_of(topic, message_type)
+        store = node.definitions.store
+        shown = as_python(store, name, Reader(store, name)(encode(store, name, given)))
+        publisher = node.backend.advertise(topic, name, qos)
+        wanted = (1 if most else 0) if wait is None else wait
+        for look in itertools.count():
+            if publisher.matched >= wanted:
+                break
+            if look % 10 == 0:
+                say(f"Waiting for at least {wanted} matching subscription(s)...")
+            time.sleep(0.1)
+        say("publisher: beginning loop")
+        due = time.monotonic()
+        for number in itertools.count(1):
+            publisher.write(encode(store, name, given))
+            say(f"publishing #{number}: {shown}\n")
+            if number == most:
+                time.sleep(0.1)  # as ros2cli's --keep-alive: what was written is delivered
+                return
+            due += 1 / rate
+            time.sleep(max(0.0, due - time.monotonic()))
+
+
+LIST = Verb(_list, f"Examples:\n\nrosplc list -t  —  every topic with its type{_EPILOG}")
+ECHO = Verb(_echo, f"Examples:\n\nrosplc echo /cmd_vel --once  —  the next message{_EPILOG}")
+HZ = Verb(_hz, f"Examples:\n\nrosplc hz /scan  —  every second until Ctrl-C{_EPILOG}")
+PUB = Verb(
+    _pub,
+    "Examples:\n\nrosplc pub -r 10 /cmd_vel geometry_msgs/msg/Twist '{linear: {x: 0.5}}'  —  ten per second"
+    + _EPILOG,
+)

@@ -1,0 +1,136 @@
+"""ROS messages as people write and read them: YAML in, YAML and Python's notation out, as ros2cli has it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import yaml
+
+from rosplc.codec import Codec, Wire
+from rosplc.errors import LayoutError
+from rosplc.init.meter import Meter
+from rosplc.layout import Limits, compute_layout
+from rosplc.layout.compute import limit_paths
+from rosplc.model import ArrayType, NamedType, SequenceType, TypeStore
+
+__all__ = ["Reader", "as_python", "as_yaml", "encode"]
+
+_SHOWN = 128
+"""Elements and characters that are shown of a long array or string, as ``ros2 topic echo`` does."""
+_MOST_PER_BYTE, _MOST_SPARE = 64, 1 << 24
+"""How much larger than its message a record may be: nested sequences of differing lengths multiply."""
+
+
+def _wire(store: TypeStore) -> Wire:
+    return Wire.CDR if store.ros_version == 2 else Wire.ROS1
+
+
+class Reader:
+    """Decodes messages of one type, whatever their lengths.
+
+    Args:
+        store: Knows the type.
+        type_name: Its full name.
+    """
+
+    def __init__(self, store: TypeStore, type_name: str) -> None:
+        self._store, self._type_name = store, type_name
+        self._meter = Meter(store, type_name, store.ros_version)
+        self._codec: Codec | None = None
+        self._capacities: dict[str, int] = {}
+
+    def __call__(self, data: bytes) -> dict[str, Any]:
+        """Return a message as nested dicts and lists.
+
+        Raises:
+            CodecError: The bytes are no message of the type.
+            LayoutError: LAY003, its sequences are too large to be shown.
+        """
+        self._meter.measure(data)
+        capacities = {path: max(1, length.most) for path, length in self._meter.lengths.items()}
+        if self._codec is None or capacities != self._capacities:
+            layout = compute_layout(
+                self._store, self._type_name, Limits(string=1, sequence=1, fields=capacities)
+            )
+            if layout.size > _MOST_PER_BYTE * len(data) + _MOST_SPARE:
+                raise LayoutError(
+                    "LAY003", f"a message of {len(data)} bytes needs {layout.size} bytes to be shown"
+                )
+            self._codec, self._capacities = Codec(layout, _wire(self._store)), capacities
+        return self._codec.layout.to_dict(self._codec.decode(data))
+
+
+def encode(store: TypeStore, type_name: str, value: Mapping[str, Any]) -> bytes:
+    """Return the message that values make; what they lack has its default.
+
+    ``header: auto`` and ``stamp: now`` become the present time, as in ``ros2 topic pub``.
+
+    Raises:
+        LayoutError: LAY006, naming the field that does not fit.
+    """
+    value = _with_time(store, type_name, value)
+    lengths: dict[str, int] = {}
+    _note_lengths(value, "", lengths)
+    known = set(limit_paths(store, type_name))
+    capacities = {path: max(1, length) for path, length in lengths.items() if path in known}
+    layout = compute_layout(store, type_name, Limits(fields=capacities))
+    return Codec(layout, _wire(store)).encode(layout.pack(value))
+
+
+def _with_time(store: TypeStore, type_name: str, value: Any) -> Any:
+    nanoseconds = "nanosec" if store.ros_version == 2 else "nsec"
+    if type_name == "std_msgs/msg/Header" and value == "auto":
+        value = {"stamp": "now"}
+    if type_name == "builtin_interfaces/msg/Time" and value == "now":
+        seconds, rest = divmod(time.time_ns(), 10**9)
+        return {"sec": seconds, nanoseconds: rest}
+    if not isinstance(value, Mapping):
+        return value
+    types = {each.name: each.type for each in store[type_name].fields}
+    return {
+        name: _with_time(store, kind.name, part) if isinstance(kind := types.get(name), NamedType) else part
+        for name, part in value.items()
+    }
+
+
+def _note_lengths(value: Any, path: str, lengths: dict[str, int]) -> None:
+    if isinstance(value, Mapping):
+        for name, part in value.items():
+            _note_lengths(part, f"{path}.{name}" if path else str(name), lengths)
+    elif isinstance(value, (str, bytes, list)):
+        length = len(value.encode("utf-8", "surrogateescape") if isinstance(value, str) else value)
+        lengths[path] = max(length, lengths.get(path, 0))
+        for part in value if isinstance(value, list) else ():
+            _note_lengths(part, f"{path}[]", lengths)
+
+
+def as_yaml(value: Any, *, whole: bool = False) -> str:
+    """Return a message as ``ros2 topic echo`` prints it, without the line between two messages."""
+    shown = value if whole else _shortened(value)
+    return yaml.safe_dump(shown, sort_keys=False, allow_unicode=True, width=2**31, default_flow_style=False)
+
+
+def _shortened(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _shortened(part) for name, part in value.items()}
+    if isinstance(value, (list, tuple, bytes)):
+        return [*map(_shortened, value[:_SHOWN]), *(["..."] if len(value) > _SHOWN else [])]
+    return f"{value[:_SHOWN]}..." if isinstance(value, str) and len(value) > _SHOWN else value
+
+
+def as_python(store: TypeStore, type_name: str, value: Any) -> str:
+    """Return a message as Python's ``repr`` of it is in ROS 2, such as ``std_msgs.msg.Bool(data=True)``."""
+    parts = []
+    for field in store[type_name].fields:
+        part, kind = value[field.name], field.type
+        inner = kind.element if isinstance(kind, (ArrayType, SequenceType)) else kind
+        if not isinstance(inner, NamedType):
+            text = repr(list(part) if isinstance(part, bytes) else part)
+        elif inner is kind:
+            text = as_python(store, inner.name, part)
+        else:
+            text = f"[{', '.join(as_python(store, inner.name, each) for each in part)}]"
+        parts.append(f"{field.name}={text}")
+    return f"{type_name.replace('/', '.')}({', '.join(parts)})"
