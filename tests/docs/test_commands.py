@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import fcntl
 import os
-import random
 import re
 import sys
 import tempfile
@@ -16,6 +15,7 @@ import pytest
 
 from tests.docs.pages import LANGUAGES_THAT_RUN, Block, blocks, normal, pattern
 from tests.docs.shell import COMMAND_SECONDS, Shell
+from tests.interop.graphs import free_domain
 from tests.lib import isolated
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -75,12 +75,12 @@ def shell(tmp_path: Path) -> Iterator[Shell]:
         "LANG": "C.UTF-8",
         "COLUMNS": "100",
         "NO_COLOR": "1",
-        # Away from the default domain: a robot on this network is no part of the test.
-        "ROS_DOMAIN_ID": str(random.randrange(20, 100)),
     }
-    shell = Shell(tmp_path, env)
-    yield shell
-    shell.close()
+    # Neither a robot on this network nor another test is part of the page.
+    with free_domain() as domain:
+        shell = Shell(tmp_path, {**env, "ROS_DOMAIN_ID": str(domain)})
+        yield shell
+        shell.close()
     if not isolated.possible():
         for path in objects() - before:
             path.unlink(missing_ok=True)
