@@ -54,6 +54,14 @@ def minutes_of(item: pytest.Item) -> float:
     return 0.0 if marker is None else float(marker.kwargs.get("minutes", DEFAULT_MINUTES))
 
 
+def turn(item: pytest.Item) -> tuple[float, bool]:
+    """Return what sorts tests: short ones first, so that a time budget reaches as many as it can.
+
+    Of those of the first tier whole systems come first, so that no worker waits at the end for another's.
+    """
+    return minutes_of(item), item.path.is_relative_to(ROOT / "tests" / "unit")
+
+
 @functools.cache
 def installed_packages() -> frozenset[str]:
     """Return the Debian packages of this machine; none where there is no dpkg."""
@@ -97,8 +105,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     ]
     config.stash[_LEDGER].absent.update((item.nodeid, lacks[item]) for item in gone)
     config.hook.pytest_deselected(items=gone)
-    # Short ones first: a time budget then reaches as many as it can.
-    items[:] = sorted((item for item in items if item not in set(gone)), key=minutes_of)
+    absent = set(gone)
+    items[:] = sorted((item for item in items if item not in absent), key=turn)
 
 
 @pytest.hookimpl(tryfirst=True)

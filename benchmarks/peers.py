@@ -180,17 +180,20 @@ class Tally:
         self.last = number
 
 
-class FirstMessages:
-    """Reports once that every topic has received a message: from there on readers count losses."""
+class Milestones:
+    """Reports once that every topic has received a message; with ``until_last`` also that it has the last.
 
-    def __init__(self, tallies: dict[str, Tally]) -> None:
-        self._tallies, self._reported = tallies, False
+    From the first message on readers count losses.
+    """
+
+    def __init__(self, tallies: dict[str, Tally], plan: Plan) -> None:
+        self._tallies = tallies
+        self._left = [("heard", 1), *([("arrived", plan["count"])] if plan.get("until_last") else [])]
 
     def check(self) -> None:
         """Report if it is time."""
-        if not self._reported and all(tally.received for tally in self._tallies.values()):
-            self._reported = True
-            reply(heard=True)
+        if self._left and all(tally.last >= self._left[0][1] for tally in self._tallies.values()):
+            reply(**{self._left.pop(0)[0]: True})
 
 
 def ros(plan: Plan) -> None:
@@ -211,11 +214,11 @@ def ros(plan: Plan) -> None:
         time.sleep(0.05)
     reply(ready=True)
     requests.wait()
-    number, refused, first = 0, 0, FirstMessages(tallies)
+    number, refused, milestones = 0, 0, Milestones(tallies, plan)
 
     def turn() -> None:
         nonlocal number, refused
-        first.check()
+        milestones.check()
         if requests.allowed(number + 1, plan["count"]):
             number += 1
             for publisher, pattern in out:
@@ -248,7 +251,7 @@ def plc(plan: Plan) -> None:
         outs.append((attached.writer(beat_ms=5000), records(index)))
     record = bytearray(len(records(0).bytes))
     reply(ready=True)
-    number, first, scans = 0, FirstMessages(tallies), 0
+    number, milestones, scans = 0, Milestones(tallies, plan), 0
 
     def take() -> None:
         for reader, tally, pattern in ins:
@@ -262,7 +265,7 @@ def plc(plan: Plan) -> None:
             for writer, _ in outs:
                 writer.beat()
         take()
-        first.check()
+        milestones.check()
         for _ in range(plan["per_scan"]):
             if not requests.allowed(number + 1, plan["count"]):
                 break

@@ -111,7 +111,6 @@ def equal(left: Any, right: Any) -> bool:
     return bool(left == right) or (left != left and right != right)
 
 
-@pytest.mark.serial
 @pytest.mark.timeout(240)
 @pytest.mark.parametrize("source", recordings())
 def test_every_recorded_message_arrives_equal_and_every_answer_comes_back(

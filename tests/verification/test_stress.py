@@ -152,7 +152,6 @@ def write_stress(built: Build, seconds: float, fenced: bool) -> tuple[int, int]:
         return taken, torn
 
 
-@pytest.mark.serial
 @pytest.mark.parametrize("fenced", [True, False], ids=["fences", "delayed"])
 def test_reader(fenced: bool) -> None:
     """Structured Text never takes a torn message, or an older one, from a writer that never pauses."""
@@ -161,7 +160,6 @@ def test_reader(fenced: bool) -> None:
     assert counted["udiNew"] >= 100
 
 
-@pytest.mark.serial
 @pytest.mark.parametrize("fenced", [True, False], ids=["fences", "delayed"])
 def test_writer(fenced: bool) -> None:
     """A bridge never takes a torn message, or an older one, from Structured Text that never pauses."""

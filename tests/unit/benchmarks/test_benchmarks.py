@@ -69,7 +69,6 @@ def test_a_benchmark_prints_json(capsys: pytest.CaptureFixture[str], monkeypatch
     assert json.loads(capsys.readouterr().out) == {"rounds": 3}
 
 
-@pytest.mark.serial
 def test_the_classic_benchmark() -> None:
     """Classic memory and channel carry the same messages both ways, also while the lock is held."""
     found = rows(bench_classic.run(1, messages=50, topics=2))
@@ -95,7 +94,6 @@ def check_backends(titles: tuple[str, ...] | None) -> dict[str, object]:
     return report
 
 
-@pytest.mark.serial
 def test_the_benchmark_of_the_backends() -> None:
     """Bare and bridged messages are measured in both directions, with rates and CPU."""
     pytest.importorskip("cyclonedds", reason="no wheel of cyclonedds for this machine")

@@ -23,28 +23,20 @@ def _build(folder: Path, compiler: str, *options: str) -> str:
     return str(target)
 
 
-@pytest.fixture(scope="module")
-def programs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[str]]:
-    return {}
+def _kind(name: str, *marks: pytest.MarkDecorator) -> object:
+    """Return a parameter whose tests run in one worker, which builds the program once."""
+    return pytest.param(name, marks=[*marks, pytest.mark.xdist_group(f"channel-{name}")])
 
 
 _ARMHF = pytest.mark.needs("gcc-arm-linux-gnueabihf", "libc6-dev-armhf-cross", "qemu-user")
 
 
-@pytest.fixture(params=["native", "sanitized", pytest.param("armhf", marks=_ARMHF)])
-def program(
-    request: pytest.FixtureRequest, programs: dict[str, list[str]], tmp_path_factory: pytest.TempPathFactory
-) -> list[str]:
-    kind = request.param
-    if kind not in programs:
-        folder = tmp_path_factory.mktemp(kind)
-        if kind == "native":
-            programs[kind] = [_build(folder, "gcc")]
-        elif kind == "sanitized":
-            programs[kind] = [_build(folder, "gcc", *_SANITIZE)]
-        else:
-            programs[kind] = ["qemu-arm", _build(folder, "arm-linux-gnueabihf-gcc", "-static")]
-    return programs[kind]
+@pytest.fixture(scope="module", params=[_kind("native"), _kind("sanitized"), _kind("armhf", _ARMHF)])
+def program(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    folder = tmp_path_factory.mktemp(request.param)
+    if request.param == "armhf":
+        return ["qemu-arm", _build(folder, "arm-linux-gnueabihf-gcc", "-static")]
+    return [_build(folder, "gcc", *(_SANITIZE if request.param == "sanitized" else ()))]
 
 
 def _run(command: list[str], *arguments: object) -> dict[str, int]:
@@ -83,7 +75,6 @@ def native(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     return [_build(tmp_path_factory.mktemp("torn"), "gcc")]
 
 
-@pytest.mark.serial
 @pytest.mark.parametrize("mode", ["checked", "next"])
 @pytest.mark.parametrize(("size", "slots"), [(8, 4), (200, 4), (200, 8), (4096, 4), (65536, 4), (1048576, 4)])
 def test_torn_messages(native: list[str], size: int, slots: int, mode: str) -> None:
@@ -93,7 +84,6 @@ def test_torn_messages(native: list[str], size: int, slots: int, mode: str) -> N
     assert result["accepted"] > 0
 
 
-@pytest.mark.serial
 @pytest.mark.needs(when=(os.cpu_count() or 1) > 1, why="tearing needs two cores to be seen")
 @pytest.mark.parametrize("size", [4096, 65536])
 def test_tearing_can_be_seen(native: list[str], size: int) -> None:
