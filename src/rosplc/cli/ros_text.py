@@ -6,6 +6,7 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
+import numpy
 import yaml
 
 from rosplc.codec import Codec, Wire
@@ -13,7 +14,7 @@ from rosplc.errors import LayoutError
 from rosplc.init.meter import Meter
 from rosplc.layout import Limits, compute_layout
 from rosplc.layout.compute import limit_paths
-from rosplc.model import ArrayType, NamedType, SequenceType, TypeStore
+from rosplc.model import ArrayType, NamedType, PrimitiveType, SequenceType, TypeStore
 
 __all__ = ["Reader", "as_python", "as_yaml", "encode"]
 
@@ -21,6 +22,7 @@ _SHOWN = 128
 """Elements and characters that are shown of a long array or string, as ``ros2 topic echo`` does."""
 _MOST_PER_BYTE, _MOST_SPARE = 64, 1 << 24
 """How much larger than its message a record may be: nested sequences of differing lengths multiply."""
+_NUMPY = {"char": "uint8"}
 
 
 def _wire(store: TypeStore) -> Wire:
@@ -126,7 +128,15 @@ def as_python(store: TypeStore, type_name: str, value: Any) -> str:
     for field in store[type_name].fields:
         part, kind = value[field.name], field.type
         inner = kind.element if isinstance(kind, (ArrayType, SequenceType)) else kind
-        if not isinstance(inner, NamedType):
+        if (
+            isinstance(inner, PrimitiveType)
+            and isinstance(kind, ArrayType)
+            and inner.name not in ("bool", "byte")
+        ):
+            text = repr(numpy.array(list(part), _NUMPY.get(inner.name, inner.name)))
+        elif isinstance(inner, PrimitiveType) and inner.name == "byte":
+            text = repr(bytes([part]) if inner is kind else [bytes([each]) for each in part])
+        elif not isinstance(inner, NamedType):
             text = repr(list(part) if isinstance(part, bytes) else part)
         elif inner is kind:
             text = as_python(store, inner.name, part)
