@@ -524,4 +524,6 @@ class Ring:
         with self._lock:
             if not self._chunks:
                 return 0
-            return max(0, self._chunks[-1][2].end_ns - self._chunks[0][2].start_ns)
+            return max(
+                0, self._chunks[-1][2].index.message_end_time - self._chunks[0][2].index.message_start_time
+            )

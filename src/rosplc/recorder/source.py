@@ -5,19 +5,18 @@ from __future__ import annotations
 import heapq
 import json
 from collections.abc import Collection, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
 from rosplc.errors import RecordingError, RosplcError
 from rosplc.model import DISTROS, TypeStore
-from rosplc.recorder.mcap_file import FileMessage, Part, Survey, read_part, survey
+from rosplc.recorder.mcap_file import Channel, Message, Part, Schema, Survey, read_part, survey
 from rosplc.recorder.store import qos_of_text
 from rosplc.ros import DEFAULT, ROS1, Qos
 from rosplc.ros.bag import Bag
 from rosplc.ros.plain_file import unreadable_kind
-
-__all__ = ["McapSource", "Source", "SourceMessage", "SourceTopic", "open_source"]
 
 _OPEN_PARTS = 64
 """Chunks that overlap in time and are put in order; a file made to hold more costs order, not memory."""
@@ -117,9 +116,7 @@ def open_source(path: Path, distro: str = "jazzy") -> Source:
     if what:
         raise RecordingError("REC003", what, where=str(path), remedy=remedy)
     files = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
-    if path.is_dir() and not files:
-        return _BagSource(path, distro)
-    if not path.is_dir() and path.suffix in (".bag", ".db3"):
+    if not files or (not path.is_dir() and path.suffix in (".bag", ".db3")):
         return _BagSource(path, distro)
     return McapSource(files)
 
@@ -131,9 +128,7 @@ class McapSource:
         self._surveys = [survey(file) for file in files]
         self.topics: dict[str, SourceTopic] = {}
         self.unusable: dict[str, str] = {}
-        self._names: list[dict[int, str]] = []
-        for found in self._surveys:
-            self._names.append(self._add(found))
+        self._names = [self._add(found) for found in self._surveys]
         parts = [part for found in self._surveys for part in found.parts]
         self.start_ns = min((part.start_ns for part in parts), default=0)
         self.end_ns = max((part.end_ns for part in parts), default=0)
@@ -152,89 +147,89 @@ class McapSource:
         Raises:
             RecordingError: REC003, the file is damaged; before that, everything up to there was given.
         """
-        waiting = sorted(
-            (
-                (part.start_ns, number, part)
-                for number, found in enumerate(self._surveys)
-                for part in found.parts
-                if part.end_ns >= start_ns and part.start_ns <= end_ns
-            ),
-            key=lambda entry: entry[0],
-        )
-        heap: list[tuple[int, int, int, _Run]] = []
-        at = 0
-        while heap or at < len(waiting):
-            while at < len(waiting) and (
-                not heap or (waiting[at][0] <= heap[0][0] and len(heap) < _OPEN_PARTS)
-            ):
-                _, number, part = waiting[at]
-                run = self._run(number, part, topics, start_ns, end_ns)
-                if run is not None:  # equal times in the order of the file
-                    heapq.heappush(heap, (run.time_ns, number, part.offset, run))
-                at += 1
-            if not heap:
+        waiting = [
+            (part.start_ns, number, part.offset, part)
+            for number, found in enumerate(self._surveys)
+            for part in found.parts
+            if part.end_ns >= start_ns and part.start_ns <= end_ns
+        ]
+        waiting.sort(reverse=True)  # the next one last
+        heap: list[tuple[int, int, int, Message, Iterator[Message]]] = []
+
+        def add(number: int, offset: int, run: Iterator[Message]) -> None:
+            for one in run:  # equal times in the order of the file
+                heapq.heappush(heap, (one.log_time, number, offset, one, run))
                 return
-            _, number, offset, run = heapq.heappop(heap)
-            yield run.take()
-            if run:
-                heapq.heappush(heap, (run.time_ns, number, offset, run))
+
+        while heap or waiting:
+            while waiting and (not heap or (waiting[-1][0] <= heap[0][0] and len(heap) < _OPEN_PARTS)):
+                _, number, offset, part = waiting.pop()
+                add(number, offset, self._run(number, part, topics, start_ns, end_ns))
+            if heap:
+                _, number, offset, one, run = heapq.heappop(heap)
+                yield SourceMessage(
+                    self._names[number][one.channel_id], one.log_time, one.publish_time, one.data
+                )
+                add(number, offset, run)
 
     def _run(
         self, number: int, part: Part, topics: Collection[str], start_ns: int, end_ns: int
-    ) -> _Run | None:
-        names = {channel: name for channel, name in self._names[number].items() if name in topics}
+    ) -> Iterator[Message]:
+        """Yield the wanted messages of one part in order of time; equal times stay in the file's order."""
+        wanted = {channel for channel, name in self._names[number].items() if name in topics}
         messages = [
             one
             for one in read_part(self._surveys[number].path, part)
-            if one.channel in names and start_ns <= one.log_ns <= end_ns
+            if one.channel_id in wanted and start_ns <= one.log_time <= end_ns
         ]
-        return _Run(messages, names) if messages else None
+        messages.sort(key=lambda one: one.log_time)
+        messages.reverse()
+        while messages:  # from the end, so that what was given is let go of
+            yield messages.pop()
 
     def _add(self, found: Survey) -> dict[int, str]:
         """Note a file's topics; return channel id → topic of those that can be replayed."""
         names = {}
         for number, channel in found.channels.items():
-            schema = found.schemas.get(channel.schema_id)
+            name, schema = channel.topic, found.schemas.get(channel.schema_id)
             if channel.message_encoding != "cdr" or schema is None or schema.encoding != "ros2msg":
                 encoding = "none" if schema is None else schema.encoding or "none"
-                self.unusable[channel.topic] = (
+                self.unusable[name] = (
                     f"its messages are {channel.message_encoding or 'of no known encoding'} with a schema of "
                     f"{encoding}; cdr with ros2msg is needed"
                 )
                 continue
-            topic = _topic(
-                channel.topic, schema.name, schema.data, channel.metadata, found.counts.get(number, 0)
-            )
-            known = self.topics.get(channel.topic)
+            topic = _topic(channel, schema, found.counts[number])
+            known = self.topics.get(name)
             if known is not None:
                 if (known.type_name, known.definition) != (topic.type_name, topic.definition):
-                    self.unusable[channel.topic] = "it was recorded with two different definitions"
+                    self.unusable[name] = "it was recorded with two different definitions"
                     continue
                 topic = replace(topic, count=known.count + topic.count)
-            self.topics[channel.topic] = topic
-            names[number] = channel.topic
+            self.topics[name] = topic
+            names[number] = name
         return names
 
 
-class _Run:
-    """The messages of one part, not yet given."""
-
-    def __init__(self, messages: list[FileMessage], names: Mapping[int, str]) -> None:
-        # Equal times stay in the order of the file; the last is the next: a list gives up its end cheaply.
-        messages.sort(key=lambda one: one.log_ns)
-        messages.reverse()
-        self._messages, self._names = messages, names
-
-    def __bool__(self) -> bool:
-        return bool(self._messages)
-
-    @property
-    def time_ns(self) -> int:
-        return self._messages[-1].log_ns
-
-    def take(self) -> SourceMessage:
-        one = self._messages.pop()
-        return SourceMessage(self._names[one.channel], one.log_ns, one.publish_ns, one.data)
+def _topic(channel: Channel, schema: Schema, count: int) -> SourceTopic:
+    metadata = channel.metadata
+    direction = metadata.get("rosplc.direction", "")
+    limits, slots = None, 0
+    with suppress(KeyError, ValueError, RecursionError):
+        if direction:
+            found, slots = json.loads(metadata["rosplc.limits"]), int(metadata["rosplc.slots"])
+            limits = found if isinstance(found, dict) else None
+    return SourceTopic(
+        name=channel.topic,
+        type_name=schema.name,
+        definition=schema.data.decode("utf-8", "replace"),
+        count=count,
+        qos=qos_of_text(metadata.get("offered_qos_profiles", "")),
+        direction=direction if direction in ("to_plc", "to_ros") else "",
+        limits=limits,
+        slots=slots if 4 <= slots <= 65536 and slots & (slots - 1) == 0 else 0,
+        distro=metadata.get("rosplc.distro", ""),
+    )
 
 
 class _BagSource:
@@ -287,25 +282,3 @@ class _BagSource:
     def close(self) -> None:
         """Close the file."""
         self._bag.close()
-
-
-def _topic(name: str, type_name: str, schema: bytes, metadata: Mapping[str, str], count: int) -> SourceTopic:
-    direction = metadata.get("rosplc.direction", "")
-    limits, slots = None, 0
-    try:
-        if direction:
-            found = json.loads(metadata["rosplc.limits"])
-            limits, slots = (found if isinstance(found, dict) else None), int(metadata["rosplc.slots"])
-    except (KeyError, ValueError, RecursionError):
-        limits, slots = None, 0
-    return SourceTopic(
-        name=name,
-        type_name=type_name,
-        definition=schema.decode("utf-8", "replace"),
-        count=count,
-        qos=qos_of_text(metadata.get("offered_qos_profiles", "")),
-        direction=direction if direction in ("to_plc", "to_ros") else "",
-        limits=limits,
-        slots=slots if 4 <= slots <= 65536 and slots & (slots - 1) == 0 else 0,
-        distro=metadata.get("rosplc.distro", ""),
-    )

@@ -10,7 +10,9 @@ from __future__ import annotations
 import errno
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,16 +20,7 @@ from typing import Any
 import yaml
 
 from rosplc.errors import RecordingError
-from rosplc.recorder.mcap_file import (
-    Batch,
-    ChannelInfo,
-    McapFile,
-    SealedChunk,
-    Survey,
-    read_part,
-    seal,
-    survey,
-)
+from rosplc.recorder.mcap_file import Batch, ChannelInfo, McapFile, SealedChunk, read_part, seal, survey
 from rosplc.ros import DEFAULT, Qos
 
 RECORD_NAME = "rosbag2"
@@ -38,27 +31,6 @@ _RELIABILITY = {"reliable": 1, "best_effort": 2}
 _DURABILITY = {"transient_local": 1, "volatile": 2}
 _AUTOMATIC = 1
 _UNSET = {"sec": 0, "nsec": 0}
-
-
-@dataclass(frozen=True)
-class BagFile:
-    """A file of a bag: its name in the folder, its earliest and latest log time, its messages."""
-
-    name: str
-    start_ns: int
-    end_ns: int
-    messages: int
-
-
-@dataclass(frozen=True)
-class BagTopic:
-    """A topic of a bag."""
-
-    name: str
-    type_name: str
-    qos: str
-    type_hash: str
-    messages: int
 
 
 def qos_text(qos: Qos) -> str:
@@ -96,27 +68,46 @@ def qos_of_text(text: str) -> Qos:
     )
 
 
-def bag_information(files: Iterable[BagFile], topics: Iterable[BagTopic], distro: str) -> dict[str, Any]:
-    """Return what ``metadata.yaml`` holds."""
-    files = list(files)
+def bag_information(
+    files: Sequence[Written], topics: Iterable[tuple[ChannelInfo, int]], distro: str
+) -> dict[str, Any]:
+    """Return what ``metadata.yaml`` holds, below its only key."""
     filled = [file for file in files if file.messages]
     start = min((file.start_ns for file in filled), default=0)
     end = max((file.end_ns for file in filled), default=0)
     return {
-        "rosbag2_bagfile_information": {
-            "version": _VERSION,
-            "storage_identifier": "mcap",
-            "duration": {"nanoseconds": end - start},
-            "starting_time": {"nanoseconds_since_epoch": start},
-            "message_count": sum(file.messages for file in files),
-            "topics_with_message_count": [_topic(topic) for topic in topics],
-            "compression_format": "",
-            "compression_mode": "",
-            "relative_file_paths": [file.name for file in files],
-            "files": [_file(file) for file in files],
-            "custom_data": {},
-            "ros_distro": distro,
-        }
+        "version": _VERSION,
+        "storage_identifier": "mcap",
+        "duration": {"nanoseconds": end - start},
+        "starting_time": {"nanoseconds_since_epoch": start},
+        "message_count": sum(file.messages for file in files),
+        "topics_with_message_count": [
+            {
+                "topic_metadata": {
+                    "name": channel.topic,
+                    "type": channel.schema_name,
+                    "serialization_format": "cdr",
+                    "offered_qos_profiles": channel.metadata.get("offered_qos_profiles", ""),
+                    "type_description_hash": channel.metadata.get("topic_type_hash", ""),
+                },
+                "message_count": count,
+            }
+            for channel, count in topics
+        ],
+        "compression_format": "",
+        "compression_mode": "",
+        "relative_file_paths": [file.path.name for file in files],
+        "files": [
+            {
+                "path": file.path.name,
+                "starting_time": {"nanoseconds_since_epoch": file.start_ns},
+                "duration": {"nanoseconds": file.end_ns - file.start_ns},
+                "message_count": file.messages,
+            }
+            for file in files
+        ],
+        "custom_data": {},
+        "ros_distro": distro,
     }
 
 
@@ -132,28 +123,6 @@ class _Plain(yaml.SafeDumper):
 
 def _time(ns: int) -> Mapping[str, int]:
     return {"sec": ns // 10**9, "nsec": ns % 10**9}
-
-
-def _topic(topic: BagTopic) -> dict[str, Any]:
-    return {
-        "topic_metadata": {
-            "name": topic.name,
-            "type": topic.type_name,
-            "serialization_format": "cdr",
-            "offered_qos_profiles": topic.qos,
-            "type_description_hash": topic.type_hash,
-        },
-        "message_count": topic.messages,
-    }
-
-
-def _file(file: BagFile) -> dict[str, Any]:
-    return {
-        "path": file.name,
-        "starting_time": {"nanoseconds_since_epoch": file.start_ns},
-        "duration": {"nanoseconds": file.end_ns - file.start_ns},
-        "message_count": file.messages,
-    }
 
 
 SUFFIX = ".mcap"
@@ -222,6 +191,11 @@ class Written:
     counts: Mapping[str, int]
     complete: bool
 
+    @property
+    def messages(self) -> int:
+        """Messages of all topics."""
+        return sum(self.counts.values())
+
     def to_dict(self) -> dict[str, object]:
         """Return plain data for JSON."""
         return {
@@ -229,7 +203,7 @@ class Written:
             "bytes": self.size,
             "start_ns": self.start_ns,
             "end_ns": self.end_ns,
-            "messages": sum(self.counts.values()),
+            "messages": self.messages,
             "topics": dict(self.counts),
             "complete": self.complete,
         }
@@ -268,16 +242,13 @@ class FileStore:
         self._base, self._channels, self._facts = base, channels, facts
         self._split = split or Split()
         self._bag, self._distro = bag, distro
-        self._files: list[BagFile] = []
-        self._counts: dict[int, int] = {}
+        self._counts: Counter[int] = Counter()
         self._said: Mapping[str, str] = {}
         self.written: list[Written] = []
-        self.taken_back: dict[int, int] = {}
+        self.taken_back: Counter[int] = Counter()
         if bag:
-            try:
+            with _writing(base):
                 base.mkdir(parents=True)
-            except OSError as error:
-                raise failure(error, base) from error
             self._write_metadata()
         self._file: McapFile | None = self._open()
 
@@ -286,25 +257,22 @@ class FileStore:
         """Bytes written, all files together."""
         return sum(file.size for file in self.written) + (0 if self._file is None else self._file.size)
 
-    @property
-    def path(self) -> Path:
-        """The file that is being written, or was last."""
-        return self._file.path if self._file is not None else self.written[-1].path
-
     def take(self, chunk: SealedChunk) -> None:
         """Write a chunk."""
-        file = self._file
+        file, split = self._file, self._split
         assert file is not None
-        if file.messages and self._due(file, chunk):
+        too_large = split.size and file.size + len(chunk.blob) > split.size
+        too_long = split.time_ns and chunk.index.message_end_time - file.start_ns >= split.time_ns
+        if file.messages and (too_large or too_long):
             self._close(file)
             file = self._file = self._open()
-        try:
+        with _writing(file.path):
             for channel in chunk.counts:
                 file.declare(self._channels[channel])
             file.append(chunk)
-            self._say(file)
-        except OSError as error:
-            raise failure(error, file.path) from error
+            for name, facts in self._news().items():
+                file.add_metadata(name, facts)
+                self._said = facts
 
     def finish(self) -> None:
         """Finish the last file; harmless twice."""
@@ -317,105 +285,72 @@ class FileStore:
         Raises:
             RecordingError: REC001.
         """
-        try:
+        with _writing(self._base):
             for one in self.written:
                 one.path.unlink()
             if self._bag:
                 (self._base / "metadata.yaml").unlink()
                 self._base.rmdir()
-        except OSError as error:
-            raise failure(error, self._base) from error
-
-    def _due(self, file: McapFile, chunk: SealedChunk) -> bool:
-        size, time_ns = self._split.size, self._split.time_ns
-        return bool(
-            (size and file.size + len(chunk.blob) > size)
-            or (time_ns and chunk.end_ns - file.start_ns >= time_ns)
-        )
 
     def _open(self) -> McapFile:
         parts = self._bag or self._split != Split()
         base = self._base / self._base.name if self._bag else self._base
         path = file_name(base, len(self.written) if parts else None)
-        try:
+        with _writing(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             file = McapFile(path)
-        except OSError as error:
-            raise failure(error, path) from error
-        try:
-            # Without a record of this name, newer releases of rosbag2 read QoS as a newer format.
-            file.add_metadata(RECORD_NAME, self._information([BagFile(path.name, 0, 0, 0)], {}))
-        except OSError as error:
-            file.close()
-            raise failure(error, path) from error
+            try:
+                # Without a record of this name, newer releases of rosbag2 read QoS as a newer format.
+                file.add_metadata(RECORD_NAME, self._information(file))
+            except OSError:
+                file.close()
+                raise
         self._said = {}
         return file
 
-    def _say(self, file: McapFile) -> None:
+    def _news(self) -> dict[str, Mapping[str, str]]:
+        """Return the metadata record with facts that the file does not have yet."""
         facts = self._facts()
-        if facts != self._said:
-            file.add_metadata(METADATA, facts)
-            self._said = facts
+        return {METADATA: facts} if facts != self._said else {}
 
     def _close(self, file: McapFile) -> None:
         self._file = None
 
         def last_words() -> dict[str, Mapping[str, str]]:
-            for channel, count in file.taken_back.items():
-                self.taken_back[channel] = count
-            entry = BagFile(file.path.name, file.start_ns, file.end_ns, file.messages)
-            facts = self._facts()
-            said: dict[str, Mapping[str, str]] = {METADATA: facts} if facts != self._said else {}
-            return {**said, RECORD_NAME: self._information([entry], file.counts)}
+            self.taken_back |= file.taken_back
+            return {**self._news(), RECORD_NAME: self._information(file)}
 
-        failed: OSError | None = None
         try:
-            file.finish(last_words)
-        except OSError as error:
-            failed = error
-        self.written.append(self._summary(file))
-        self._files.append(BagFile(file.path.name, file.start_ns, file.end_ns, file.messages))
-        for channel, count in file.counts.items():
-            self._counts[channel] = self._counts.get(channel, 0) + count
-        if failed is not None:
-            raise failure(failed, file.path) from failed
+            with _writing(file.path):
+                file.finish(last_words)
+        finally:
+            self.written.append(self._summary(file))
+            self._counts.update(file.counts)
         if self._bag:
             self._write_metadata()
 
     def _summary(self, file: McapFile) -> Written:
-        counts: dict[str, int] = {}
+        counts: Counter[str] = Counter()
         for channel, count in file.counts.items():
-            topic = self._channels[channel].topic
-            counts[topic] = counts.get(topic, 0) + count
+            counts[self._channels[channel].topic] += count
         return Written(file.path, file.size, file.start_ns, file.end_ns, counts, file.finished)
 
-    def _information(self, files: list[BagFile], counts: Mapping[int, int]) -> dict[str, str]:
-        return {"serialized_metadata": self._yaml(files, counts, whole=False)}
+    def _information(self, file: McapFile) -> dict[str, str]:
+        return {"serialized_metadata": to_yaml(self._contents([self._summary(file)], file.counts))}
 
-    def _yaml(self, files: list[BagFile], counts: Mapping[int, int], *, whole: bool) -> str:
-        topics = [
-            BagTopic(
-                channel.topic,
-                channel.schema_name,
-                channel.metadata.get("offered_qos_profiles", ""),
-                channel.metadata.get("topic_type_hash", ""),
-                counts[number],
-            )
-            for number, channel in sorted(dict(self._channels).items())
-            if number in counts
-        ]
-        distros = (one.metadata.get("rosplc.distro", "") for one in list(self._channels.values()))
-        information = bag_information(files, topics, self._distro or next(distros, ""))
-        return to_yaml(information if whole else information["rosbag2_bagfile_information"])
+    def _contents(self, files: list[Written], counts: Mapping[int, int]) -> dict[str, Any]:
+        channels = dict(self._channels)
+        topics = [(channels[number], counts[number]) for number in sorted(channels) if number in counts]
+        distros = (one.metadata.get("rosplc.distro", "") for one in channels.values())
+        return bag_information(files, topics, self._distro or next(distros, ""))
 
     def _write_metadata(self) -> None:
         path = self._base / "metadata.yaml"
-        try:
+        with _writing(path):
             temporary = path.with_suffix(".tmp")
-            temporary.write_text(self._yaml(self._files, self._counts, whole=True), encoding="utf-8")
+            contents = {"rosbag2_bagfile_information": self._contents(self.written, self._counts)}
+            temporary.write_text(to_yaml(contents), encoding="utf-8")
             temporary.replace(path)
-        except OSError as error:
-            raise failure(error, path) from error
 
 
 def try_place(base: Path) -> None:
@@ -424,23 +359,24 @@ def try_place(base: Path) -> None:
     Raises:
         RecordingError: REC001 or REC002, as it would be raised then.
     """
-    try:
+    with _writing(base.parent):
         base.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=base.parent):
             pass
+
+
+@contextmanager
+def _writing(path: Path) -> Iterator[None]:
+    """Turn a failed write into what it means to a person: REC002 where the disk is full, else REC001."""
+    try:
+        yield
     except OSError as error:
-        raise failure(error, base.parent) from error
-
-
-def failure(error: OSError, path: Path) -> RecordingError:
-    """Return what a failed write means to a person: REC002 where the disk is full, else REC001."""
-    if error.errno in _FULL:
-        return RecordingError("REC002", f"no room: {error.strerror}", where=str(path))
-    if isinstance(error, FileExistsError):
-        what = "there is something at this name already, and nothing is overwritten"
-    else:
+        if error.errno in _FULL:
+            raise RecordingError("REC002", f"no room: {error.strerror}", where=str(path)) from error
         what = error.strerror or str(error)
-    return RecordingError("REC001", what, where=str(path))
+        if isinstance(error, FileExistsError):
+            what = "there is something at this name already, and nothing is overwritten"
+        raise RecordingError("REC001", what, where=str(path)) from error
 
 
 _REPAIR = "rosplc.repair"
@@ -478,63 +414,39 @@ def repair(source: Path, target: Path, look: Callable[[int], None] = lambda _: N
             written.
     """
     found = survey(source, count=True)
-    try:
+    infos = {}
+    for number, channel in found.channels.items():
+        schema = found.schemas.get(channel.schema_id)
+        if schema is not None:  # without one it is unknown what its messages are
+            infos[number] = ChannelInfo(
+                number, channel.topic, schema.name, schema.encoding, schema.data,
+                channel.message_encoding, channel.metadata,
+            )  # fmt: skip
+    topics: Counter[str] = Counter()
+    with _writing(target):
         file = McapFile(target, found.profile)
-    except OSError as error:
-        raise failure(error, target) from error
-    infos = _known_channels(found)
-    topics: dict[str, int] = {}
-    try:
         try:
             for metadata in found.metadata:
-                if metadata.name != METADATA:
-                    continue
-                file.add_metadata(metadata.name, metadata.metadata)
+                if metadata.name == METADATA:
+                    file.add_metadata(metadata.name, metadata.metadata)
             for part in found.parts:
                 batch = Batch()
-                for message in read_part(source, part):
-                    info = infos.get(message.channel)
-                    if info is None:
-                        continue
-                    file.declare(info)
-                    batch.add(
-                        message.channel, message.sequence, message.log_ns, message.publish_ns, message.data
-                    )
-                    topics[info.topic] = topics.get(info.topic, 0) + 1
+                for one in read_part(source, part):
+                    if one.channel_id in infos:
+                        file.declare(infos[one.channel_id])
+                        batch.add(one.channel_id, one.sequence, one.log_time, one.publish_time, one.data)
+                        topics[infos[one.channel_id].topic] += 1
                 if batch:
                     file.append(seal(batch, "zstd"))
                 look(file.messages)
             if found.problem:
-                file.add_metadata(
-                    _REPAIR, {"problem": found.problem, "damaged_parts": str(len(found.damaged))}
-                )
-        except OSError as error:
-            raise failure(error, target) from error
-    finally:
-        try:
+                damage = {"problem": found.problem, "damaged_parts": str(len(found.damaged))}
+                file.add_metadata(_REPAIR, damage)
+        finally:
             file.finish()
-        except OSError as error:
-            raise failure(error, target) from error
     if not file.messages:
         target.unlink()
         what = found.problem or "it has no messages"
         remedy = "No whole message is in it: use another copy of it, or record again."
         raise RecordingError("REC003", f"nothing to save: {what}", where=str(source), remedy=remedy)
     return Repaired(target, file.messages, topics, found.problem, len(found.damaged))
-
-
-def _known_channels(found: Survey) -> dict[int, ChannelInfo]:
-    infos = {}
-    for number, channel in found.channels.items():
-        schema = found.schemas.get(channel.schema_id)
-        if schema is not None:  # without one nobody can tell what its messages are
-            infos[number] = ChannelInfo(
-                id=number,
-                topic=channel.topic,
-                schema_name=schema.name,
-                schema_encoding=schema.encoding,
-                schema=schema.data,
-                encoding=channel.message_encoding,
-                metadata=channel.metadata,
-            )
-    return infos

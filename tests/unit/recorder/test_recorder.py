@@ -14,7 +14,7 @@ from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.recorder import Selection
 from rosplc.recorder.inlet import Ring
-from rosplc.recorder.mcap_file import SealedChunk
+from rosplc.recorder.mcap_file import ChunkIndex, SealedChunk
 from rosplc.recorder.store import dated, free_name
 from rosplc.recorder.trigger import parse_condition
 from rosplc.shm import Direction, Namespace
@@ -271,7 +271,7 @@ def test_triggers_without_a_channel_are_known(shm_namespace: Namespace, tmp_path
 
 
 def chunk(size: int) -> SealedChunk:
-    return SealedChunk(bytes(size), size, {}, 0, 0, "", size, size, {1: 1})
+    return SealedChunk(bytes(size), ChunkIndex(size, 0, "", size, 0, 0, {}, 0, size), {1: 1})
 
 
 def test_a_ring_stays_within_its_size_and_time() -> None:
