@@ -23,8 +23,6 @@ from rosplc.model.types import (
     StringType,
 )
 
-__all__ = ["RENAMED", "Conversion", "renamed", "with_types_of"]
-
 RENAMED = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage", "rosgraph_msgs/msg/Log": "rcl_interfaces/msg/Log"}
 """ROS 1 type → the ROS 2 type that took its place."""
 

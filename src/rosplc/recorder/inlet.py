@@ -10,9 +10,9 @@ from __future__ import annotations
 import json
 import queue
 import threading
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 
@@ -127,39 +127,22 @@ class CarriedChannel:
 def channel_info(carried: CarriedChannel, number: int, prefix: str, qos: Qos | None) -> ChannelInfo:
     """Return how a file names a channel; ``qos`` None where no configuration says it."""
     description, layout = carried.description, carried.codec.layout
-    return ChannelInfo(
-        id=number,
-        topic=description.topic,
-        schema_name=layout.type_name,
-        schema_encoding="ros2msg",
-        schema=layout.store.definition_text(layout.type_name).encode(),
-        encoding="cdr",
-        metadata={
-            "offered_qos_profiles": qos_text(qos or _usual(description)),
-            "topic_type_hash": layout.store.type_hash(layout.type_name),
-            **_own(description, carried.slots, prefix),
-        },
-    )
-
-
-def _usual(description: Description) -> Qos:
-    # Which QoS the bridge uses stands in its configuration alone; these are its defaults.
-    if description.direction is Direction.TO_ROS:
-        return LATCHED
-    return DEFAULT
-
-
-def _own(description: Description, slots: int, prefix: str) -> Mapping[str, str]:
-    """Return what a replay needs to make the same channel again."""
-    return {
+    # Which QoS the bridge uses is in its configuration alone; these are its defaults.
+    qos = qos or (LATCHED if description.direction is Direction.TO_ROS else DEFAULT)
+    metadata = {
+        "offered_qos_profiles": qos_text(qos),
+        "topic_type_hash": layout.store.type_hash(layout.type_name),
+        # What a replay needs to make the same channel again.
         "rosplc.direction": description.direction.word,
         "rosplc.limits": json.dumps(dict(description.limits)),
         "rosplc.layout_id": description.layout_id,
-        "rosplc.slots": str(slots),
+        "rosplc.slots": str(carried.slots),
         "rosplc.distro": description.distro,
         "rosplc.bridge": description.bridge,
         "rosplc.prefix": prefix,
     }
+    definition = layout.store.definition_text(layout.type_name).encode()
+    return ChannelInfo(number, carried.topic, layout.type_name, "ros2msg", definition, "cdr", metadata)
 
 
 OnMessage = Callable[[CarriedChannel, bytes, int], None]
@@ -202,7 +185,7 @@ class _Entry:
     on_message: OnMessage | None
     index: int = -1
     broken: bool = False
-    lost: int = field(default=0)
+    lost: int = 0
     first: bool = True
 
     def note_losses(self) -> None:
@@ -326,9 +309,8 @@ class Inlet:
 
     def _number(self, carried: CarriedChannel) -> int:
         """Return the channel's id: the same again after a restart, another one for another layout."""
-        info = channel_info(
-            carried, len(self.channels) + 1, self._namespace.prefix, self._qos.get(carried.topic)
-        )
+        prefix, qos = self._namespace.prefix, self._qos.get(carried.topic)
+        info = channel_info(carried, len(self.channels) + 1, prefix, qos)
         key = (info.topic, info.schema, info.metadata["rosplc.layout_id"])
         number = self._numbers.setdefault(key, info.id)
         self.channels.setdefault(number, info)
@@ -385,10 +367,8 @@ class Inlet:
             while self._jobs:
                 self._jobs.popleft()()
             self._ready.set()
-            full = (
-                len(batch.data) >= self._chunk_bytes or self._clock.monotonic_ns() - since >= self._flush_ns
-            )
-            if batch and (full or last):
+            full = len(batch.data) >= self._chunk_bytes
+            if batch and (full or last or self._clock.monotonic_ns() - since >= self._flush_ns):
                 self._put(batch)
                 batch = Batch()
             if last and not messages:
@@ -428,7 +408,7 @@ class Outlet:
         self, take: Callable[[SealedChunk], None], compression: Compression, most_bytes: int = 64 << 20
     ) -> None:
         self._take, self._compression, self._most_bytes = take, compression, most_bytes
-        self.dropped: dict[int, int] = {}
+        self.dropped: Counter[int] = Counter()
         self.error: Exception | None = None
         self._waiting = 0
         self._lock = threading.Lock()
@@ -473,8 +453,7 @@ class Outlet:
 
     def _drop(self, batch: Batch) -> None:
         with self._lock:
-            for channel, count in batch.counts().items():
-                self.dropped[channel] = self.dropped.get(channel, 0) + count
+            self.dropped.update(batch.counts())
 
 
 _CHUNK_OVERHEAD = 1024

@@ -6,9 +6,10 @@ import gc
 import json
 import sys
 import threading
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from rosplc._version import __version__
@@ -21,8 +22,6 @@ from rosplc.recorder.store import FileStore, Split, Written, dated, free_name, t
 from rosplc.recorder.trigger import Fired, Triggers
 from rosplc.ros import Qos
 from rosplc.shm import Namespace
-
-__all__ = ["Progress", "Recorder", "RecordingOptions", "Result", "quick_process"]
 
 _LOOK_NS = 250_000_000
 _SETTLE_NS = 200_000_000
@@ -176,12 +175,8 @@ class Recorder:
         self._store = None if self._ring is not None else self._new_store(options.base, {})
         self._watch: Watch | None = None
         if self._triggers.watches:
-            self._watch = Watch(
-                options.namespace.prefix,
-                directory=str(options.namespace.directory),
-                expected=options.expected,
-                clock=clock,
-            )
+            prefix, directory = options.namespace.prefix, str(options.namespace.directory)
+            self._watch = Watch(prefix, directory=directory, expected=options.expected, clock=clock)
         self._files: list[Written] = []
         self._saves: list[str] = []
         self._waiting: list[Fired] = []
@@ -207,7 +202,7 @@ class Recorder:
         self._outlet.start()
         try:
             self.inlet.start()
-            self._raise_problem()
+            self._raise_failure()
         except BaseException:
             self.stop()
             raise
@@ -231,12 +226,14 @@ class Recorder:
                     if not event.topic or event.topic in self.options.selection
                 ]
                 self._triggers.see(seen)
-        for error in (self.inlet.error, self._outlet.error, self._save_error):
-            if error is not None:
-                raise error
-        self._raise_problem()
+        self._raise_failure()
         if self._ring is not None:
             self._trigger(now)
+
+    def _raise_failure(self) -> None:
+        for error in (self.inlet.error, self._outlet.error, self._save_error, *self._triggers.problems):
+            if error is not None:
+                raise error
 
     def trigger(self, reason: str) -> None:
         """Save the ring buffer, as a trigger would; from any thread."""
@@ -291,14 +288,9 @@ class Recorder:
             if failure is None and not any(count.received for count in self.inlet.counts.values()):
                 self._store.discard()
                 self._files = []
-        self.result = Result(
-            tuple(self._files),
-            self._topics(),
-            seconds,
-            tuple(self._saves),
-            self._unsaved,
-            self._ring is not None and self._ring.cut_short,
-        )
+        files, saves = tuple(self._files), tuple(self._saves)
+        cut_short = self._ring is not None and self._ring.cut_short
+        self.result = Result(files, self._topics(), seconds, saves, self._unsaved, cut_short)
         if failure is not None:
             raise failure
         return self.result
@@ -307,22 +299,14 @@ class Recorder:
         return (self._clock.monotonic_ns() - self._began) / 1e9
 
     def _take(self, chunk: SealedChunk) -> None:
-        if self._ring is not None:
-            self._ring.take(chunk)
-        else:
-            assert self._store is not None
-            self._store.take(chunk)
+        target = self._ring or self._store
+        assert target is not None
+        target.take(chunk)
 
     def _new_store(self, base: Path, more: Mapping[str, str]) -> FileStore:
         options = self.options
-        return FileStore(
-            base,
-            self.inlet.channels,
-            lambda: {**self._facts(), **more},
-            split=options.split,
-            bag=options.bag,
-            distro=options.distro,
-        )
+        facts, split, bag = lambda: {**self._facts(), **more}, options.split, options.bag
+        return FileStore(base, self.inlet.channels, facts, split=split, bag=bag, distro=options.distro)
 
     # -- the ring buffer
 
@@ -373,27 +357,17 @@ class Recorder:
 
     # -- facts
 
-    def _raise_problem(self) -> None:
-        if self._triggers.problems:
-            raise self._triggers.problems[0]
-
-    def _dropped(self) -> dict[str, int]:
-        dropped: dict[str, int] = {}
-        taken_back = [] if self._store is None else list(self._store.taken_back.items())
-        for number, count in [*self._outlet.dropped.items(), *taken_back]:
-            topic = self.inlet.channels[number].topic
-            dropped[topic] = dropped.get(topic, 0) + count
+    def _dropped(self) -> Counter[str]:
+        dropped: Counter[str] = Counter()
+        taken_back = Counter() if self._store is None else self._store.taken_back
+        for number, count in [*self._outlet.dropped.items(), *taken_back.items()]:
+            dropped[self.inlet.channels[number].topic] += count
         return dropped
 
     def _topics(self) -> dict[str, TopicCount]:
         dropped = self._dropped()
         return {
-            topic: TopicCount(
-                count.type_name,
-                count.received - dropped.get(topic, 0),
-                count.lost + dropped.get(topic, 0),
-                count.refused,
-            )
+            topic: replace(count, received=count.received - dropped[topic], lost=count.lost + dropped[topic])
             for topic, count in sorted(self.inlet.counts.copy().items())
         }
 

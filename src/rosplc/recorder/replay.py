@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import stat
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,7 +16,7 @@ from rosplc.config.access import group_id, user_id
 from rosplc.config.objects import describe
 from rosplc.config.resolve import Project
 from rosplc.described import description_of, layout_of
-from rosplc.errors import ChannelError, CodecError, RecordingError, RosplcError
+from rosplc.errors import ChannelError, RecordingError, RosplcError
 from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.recorder.convert import Conversion, renamed, with_types_of
@@ -222,7 +222,39 @@ _SLOTS = 64
 """Of a channel that neither a configuration nor a recording nor an object describes."""
 
 
-class PlcTarget:
+class _Converting:
+    """Counts what becomes of messages, and converts them on the way; ``write`` returns why one is lost."""
+
+    def __init__(self, topics: Collection[str]) -> None:
+        self.counts = {name: SentCount() for name in topics}
+        self.notes: list[str] = []
+        self._conversions: dict[str, Conversion] = {}
+
+    def write(self, topic: str, data: bytes, stamp_ns: int) -> str:
+        raise NotImplementedError
+
+    def _convert_by(self, name: str, conversion: Conversion) -> None:
+        self._conversions[name] = conversion
+        self.notes += [f"{name}: {note}" for note in conversion.notes]
+
+    def send(self, topic: str, data: bytes, stamp_ns: int) -> None:
+        """Convert a message and pass it on; what is refused or lost is counted."""
+        count = self.counts[topic]
+        try:
+            lost = self.write(topic, self._conversions[topic](data), stamp_ns)
+        except RosplcError as error:
+            count.refused += 1
+            where = f"{error.where}: " if error.where else ""
+            count.reason = count.reason or f"{where}{error.what} [{error.code}]"
+            return
+        if lost:
+            count.lost += 1
+            count.reason = lost
+        else:
+            count.sent += 1
+
+
+class PlcTarget(_Converting):
     """Channels towards the PLC, each made or adopted as a bridge would.
 
     A channel's limits and depth are those of the configuration, else of the object that is there, else of
@@ -247,12 +279,10 @@ class PlcTarget:
         project: Project | None = None,
         distro: str = "jazzy",
     ) -> None:
+        super().__init__(topics)
         self.linger_s = 0.0
         self._namespace = namespace
         self._bindings: dict[str, Binding] = {}
-        self._conversions: dict[str, Conversion] = {}
-        self.notes: list[str] = []
-        self.counts = {name: SentCount() for name in topics}
         self._before: dict[str, tuple[tuple[int, int], ...]] = {}
         try:
             plans = [(name, self._plan(name, topic, project, distro)) for name, topic in topics.items()]
@@ -265,19 +295,13 @@ class PlcTarget:
             self.close()
             raise
 
-    def send(self, topic: str, data: bytes, stamp_ns: int) -> None:
-        """Write a message into the channel; one that does not fit its limits is refused and counted."""
-        count = self.counts[topic]
+    def write(self, topic: str, data: bytes, stamp_ns: int) -> str:
+        """Write a message into the channel; one that does not fit its limits is refused."""
         try:
-            self._bindings[topic].write(self._conversions[topic](data), stamp_ns=stamp_ns)
-        except CodecError as error:
-            count.refused += 1
-            count.reason = count.reason or f"{error.where}: {error.what} [{error.code}]"
+            self._bindings[topic].write(data, stamp_ns=stamp_ns)
         except ChannelError as error:
-            count.lost += 1
-            count.reason = f"{error.what} [{error.code}]"
-        else:
-            count.sent += 1
+            return f"{error.what} [{error.code}]"
+        return ""
 
     def missing(self) -> list[str]:
         """Return the topics that no PLC task reads: whose reader lines show no life between two calls."""
@@ -347,10 +371,9 @@ class PlcTarget:
         if layout.type_name != renamed(topic.type_name, layout.store):
             what = f"{who} has {layout.type_name}, and it was recorded as {topic.type_name}"
             raise RecordingError("REC007", what, where=name)
-        self._conversions[name] = conversion = Conversion(
-            own, topic.type_name, layout.store, layout.type_name, from_ros1=topic.ros1, where=name
-        )
-        self.notes += [f"{name}: {note}" for note in conversion.notes]
+        wanted = layout.type_name
+        conversion = Conversion(own, topic.type_name, layout.store, wanted, from_ros1=topic.ros1, where=name)
+        self._convert_by(name, conversion)
 
     def _there(self, name: str) -> _Plan | None:
         """Return the channel that a bridge left; None if there is none, or one that is to be replaced."""
@@ -401,7 +424,7 @@ def _layout(store: TypeStore, type_name: str, limits: Mapping[str, Any] | None) 
 _LINGER_S = 1.0  # a middleware may still be sending, or repeating what got lost
 
 
-class RosTarget:
+class RosTarget(_Converting):
     """Publishers on ROS topics, over any backend.
 
     Args:
@@ -425,19 +448,17 @@ class RosTarget:
         domain: int | None = None,
         join: Callable[..., Backend] = open_backend,
     ) -> None:
+        super().__init__(topics)
         self.linger_s = _LINGER_S
-        self.counts = {name: SentCount() for name in topics}
-        self.notes: list[str] = []
         store = TypeStore.bundled(distro)
-        self._conversions: dict[str, Conversion] = {}
         for name, topic in topics.items():
             own = topic.types(distro)
             store = with_types_of(store, own, topic.type_name)
-            self._conversions[name] = conversion = Conversion(
+            conversion = Conversion(
                 own, topic.type_name, store, renamed(topic.type_name, store),
                 from_ros1=topic.ros1, to_ros1=distro == ROS1, where=name,
             )  # fmt: skip
-            self.notes += [f"{name}: {note}" for note in conversion.notes]
+            self._convert_by(name, conversion)
         self.backend = join(backend, store, "rosplc_replay", domain=domain)
         self._publishers: dict[str, Publisher] = {}
         try:
@@ -449,20 +470,9 @@ class RosTarget:
             self.backend.close()
             raise
 
-    def send(self, topic: str, data: bytes, stamp_ns: int) -> None:
-        """Publish a message; one that a subscriber has no room for is counted as lost."""
-        count = self.counts[topic]
-        try:
-            sent = self._publishers[topic].write(self._conversions[topic](data), stamp_ns)
-        except RosplcError as error:
-            count.refused += 1
-            count.reason = count.reason or f"{error.what} [{error.code}]"
-            return
-        if sent:
-            count.sent += 1
-        else:
-            count.lost += 1
-            count.reason = "a subscriber does not keep up"
+    def write(self, topic: str, data: bytes, stamp_ns: int) -> str:
+        """Publish a message; one that a subscriber has no room for is lost."""
+        return "" if self._publishers[topic].write(data, stamp_ns) else "a subscriber does not keep up"
 
     def missing(self) -> list[str]:
         """Return the topics that nobody subscribes to."""

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import operator
 import re
-import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -28,10 +27,8 @@ from rosplc.layout.nodes import ArrayNode, SequenceNode, StringNode
 from rosplc.monitor import Event
 from rosplc.recorder.inlet import CarriedChannel, OnMessage
 
-__all__ = ["Condition", "Fired", "Triggers", "parse_condition"]
-
-_STALE = ("stale",)
-_ERROR = ("refused", "lost", "plc-gone", "bridge-gone", "unreadable")
+_KINDS = {"stale": ("stale",), "error": ("refused", "lost", "plc-gone", "bridge-gone", "unreadable")}
+"""Word → the kinds of events that it stands for."""
 _OPERATORS: dict[str, Callable[[Any, Any], bool]] = {
     "==": operator.eq, "!=": operator.ne, ">=": operator.ge, "<=": operator.le,
     ">": operator.gt, "<": operator.lt,
@@ -146,14 +143,9 @@ class Triggers:
 
     def __init__(self, texts: Iterable[str]) -> None:
         texts = list(texts)
-        kinds: list[str] = []
-        for word, members in (("stale", _STALE), ("error", _ERROR)):
-            if word in texts:
-                kinds += members
-        self._kinds = frozenset(kinds)
-        self.conditions = tuple(parse_condition(text) for text in texts if text not in ("stale", "error"))
+        self._kinds = {kind for text in texts for kind in _KINDS.get(text, ())}
+        self.conditions = tuple(parse_condition(text) for text in texts if text not in _KINDS)
         self._fired: deque[Fired] = deque()
-        self._lock = threading.Lock()
         self.problems: list[RecordingError] = []
 
     @property
