@@ -12,7 +12,8 @@ import pytest
 
 from rosplc._core import Fault
 from rosplc.bridge.carrier import Carriers
-from rosplc.bridge.port import Context, Counters, Port, Ports, PortStatus
+from rosplc.bridge.port import Context, Counters, Port, Ports
+from rosplc.bridge.status import PortStatus
 from rosplc.clock import SYSTEM
 from rosplc.codec import Codec, Wire
 from rosplc.config import parse_config, resolve

@@ -21,6 +21,7 @@ from rosplc.shm import Namespace, OwnedChannel, attach
 from rosplc.shm.classic import ClassicObject
 from rosplc.shm.classic_lock import SEMAPHORE_SIZE, ClassicLock
 from rosplc.shm.classic_memory import ClassicMemory
+from rosplc.shm.files import Rights
 from rosplc.shm.lock import NameLock
 from tests.classic_cell import remove, unique_name
 from tests.lib.channels import describe, open_channel
@@ -311,7 +312,7 @@ def test_bridge_of_a_plain_user_works_with_its_group(shared: Namespace) -> None:
         with open_channel(shared) as channel:
             assert channel.adopted
             channel.retire()
-        NameLock(shared.lock_path(_TOPIC), mode=0o660).release()
+        NameLock(shared.lock_path(_TOPIC), Rights()).release()
 
     run_as(_BRIDGE, live)
     found = shared.lock_path(_TOPIC).stat()

@@ -1,26 +1,53 @@
-"""Two threads beside the data path: one beats and looks after objects, one asks ROS and reports."""
+"""Threads beside the data path, which do something once in a while."""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from rosplc.bridge.port import log
-from rosplc.bridge.status import BridgeStatus
 from rosplc.clock import Clock
 from rosplc.errors import RosplcError
 
-__all__ = ["Heartbeat", "Reporter"]
+__all__ = ["Duty", "Rounds"]
 
-_CHECK_NS = 1_000_000_000
 _PATIENCE_S = 5.0
 
 
-class _Thread:
-    """A thread that can be asked to stop, and whose work may fail without ending it."""
+@dataclass
+class Duty:
+    """Something to be done once per period; when it fails it is logged, and done again.
 
-    def __init__(self, name: str, clock: Clock) -> None:
+    Attributes:
+        what: In words, for the log.
+        period_ns: Time between two times.
+        work: Does it.
+        due_ns: When it is due first, after the start; later the monotonic time.
+    """
+
+    what: str
+    period_ns: int
+    work: Callable[[], None]
+    due_ns: int = 0
+
+
+class Rounds:
+    """A thread that looks after its duties.
+
+    Args:
+        name: The thread's.
+        clock: Time.
+        duties: What it does.
+
+    Attributes:
+        turned_ns: When it last began a round.
+    """
+
+    def __init__(self, name: str, clock: Clock, *duties: Duty) -> None:
         self._clock = clock
+        self._duties = duties
+        self.turned_ns = clock.monotonic_ns()
         self._wake = threading.Event()
         self._stopping = False
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
@@ -38,85 +65,22 @@ class _Thread:
             log.error("%s does not end; it is left behind", self._thread.name)
 
     def _run(self) -> None:
-        raise NotImplementedError
-
-    def _guard(self, what: str, work: Callable[[], None]) -> None:
-        try:
-            work()
-        except RosplcError as error:
-            log.warning("%s failed: %s", what, error)
-        except Exception:
-            log.exception("%s failed", what)
-
-
-class Heartbeat(_Thread):
-    """Beats, and checks once a second.
-
-    Args:
-        beat_ns: Time between two beats.
-        beat: Beats on all lines.
-        check: Looks after the objects; gets the time.
-        clock: Time.
-
-    Attributes:
-        turned_ns: When it last began a round, at least one a second.
-    """
-
-    def __init__(
-        self, beat_ns: int, beat: Callable[[], None], check: Callable[[int], None], clock: Clock
-    ) -> None:
-        super().__init__("rosplc-heartbeat", clock)
-        self._beat_ns = beat_ns
-        self._beat, self._check = beat, check
-        self.turned_ns = clock.monotonic_ns()
-
-    def _run(self) -> None:
-        beat_at = check_at = self._clock.monotonic_ns()
+        for duty in self._duties:
+            duty.due_ns += self._clock.monotonic_ns()
         while not self._stopping:
             self.turned_ns = now = self._clock.monotonic_ns()
-            if now >= beat_at:
-                self._guard("beating", self._beat)
-                # A machine that was suspended owes no beats.
-                beat_at = max(beat_at + self._beat_ns, now)
-            if now >= check_at:
-                self._guard("checking", lambda: self._check(self._clock.monotonic_ns()))
-                check_at = now + _CHECK_NS
-            self._clock.wait(self._wake, min(beat_at, check_at) - self._clock.monotonic_ns())
+            for duty in self._duties:
+                if now >= duty.due_ns:
+                    self._do(duty)
+                    # A machine that was suspended owes nothing.
+                    duty.due_ns = max(duty.due_ns + duty.period_ns, now)
+            due = min(duty.due_ns for duty in self._duties)
+            self._clock.wait(self._wake, due - self._clock.monotonic_ns())
 
-
-class Reporter(_Thread):
-    """Asks the ROS side once a second, and publishes the status.
-
-    Args:
-        period_ns: Time between two publications.
-        ask: Asks how the topics stand; gets the time.
-        status: Returns the bridge's status.
-        publish: Sends it; None where it is not wanted.
-        clock: Time.
-    """
-
-    def __init__(
-        self,
-        period_ns: int,
-        ask: Callable[[int], None],
-        status: Callable[[], BridgeStatus],
-        publish: Callable[[BridgeStatus], None] | None,
-        clock: Clock,
-    ) -> None:
-        super().__init__("rosplc-reporter", clock)
-        self._period_ns = period_ns
-        self._ask, self._status, self._publish = ask, status, publish
-
-    def _run(self) -> None:
-        ask_at = self._clock.monotonic_ns()
-        report_at = ask_at + self._period_ns
-        while not self._stopping:
-            now = self._clock.monotonic_ns()
-            if now >= ask_at:
-                self._guard("asking ROS", lambda: self._ask(self._clock.monotonic_ns()))
-                ask_at = now + _CHECK_NS
-            if now >= report_at:
-                if (publish := self._publish) is not None:
-                    self._guard("reporting", lambda publish=publish: publish(self._status()))  # type: ignore[misc]
-                report_at = now + self._period_ns
-            self._clock.wait(self._wake, min(ask_at, report_at) - self._clock.monotonic_ns())
+    def _do(self, duty: Duty) -> None:
+        try:
+            duty.work()
+        except RosplcError as error:
+            log.warning("%s failed: %s", duty.what, error)
+        except Exception:
+            log.exception("%s failed", duty.what)

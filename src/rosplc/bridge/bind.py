@@ -10,19 +10,18 @@ import importlib
 import logging
 import os
 import threading
-import time
 import weakref
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from types import TracebackType
-from typing import Any, ClassVar, Literal, Protocol
+from typing import Any, ClassVar, Literal
 
+from rosplc.clock import SYSTEM, Clock
 from rosplc.codec import Codec, Fault, Wire
 from rosplc.described import description_of
 from rosplc.errors import ChannelError, MessageTypeError
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import DISTROS, TypeStore
-from rosplc.shm import Description, Direction, Namespace, OwnedChannel, Reader, Writer
+from rosplc.shm import Description, Direction, Namespace, OwnedChannel
 
 __all__ = ["Binding", "bind"]
 
@@ -50,6 +49,7 @@ def bind(
     mode: int = 0o660,
     gid: int | None = None,
     name: str = "bind",
+    clock: Clock = SYSTEM,
 ) -> Binding:
     """Create, or adopt, a topic's object and own it until :meth:`Binding.close`.
 
@@ -73,6 +73,7 @@ def bind(
         mode: Its permission bits.
         gid: Its group; None for this process's.
         name: What the self-description calls this program.
+        clock: Time, for stamps and for the next look at the object.
 
     Raises:
         ChannelError: SHM116 if a bridge or another program holds the name; SHM117, SHM118, SHM119.
@@ -104,7 +105,14 @@ def bind(
         )
 
     return Binding(
-        description, codec, open_channel, message_class, print=print, truncate=truncate, every=every
+        description,
+        codec,
+        open_channel,
+        message_class,
+        clock=clock,
+        print=print,
+        truncate=truncate,
+        every=every,
     )
 
 
@@ -126,6 +134,7 @@ class Binding:
         open_channel: Any,
         message_class: type | None,
         *,
+        clock: Clock = SYSTEM,
         print: bool,
         truncate: bool,
         every: bool,
@@ -135,14 +144,14 @@ class Binding:
         self._codec = codec
         self._open_channel = open_channel
         self._message_class = message_class
+        self._clock = clock
         self._print, self._truncate, self._every = print, truncate, every
         if print:
             _be_heard()
         self._to_plc = description.direction is Direction.TO_PLC
         self._lock = threading.RLock()
         self._record = bytearray(self.layout.size)
-        self._writer: Writer | None = None
-        self._reader: Reader | None = None
+        self._user: Any = None  # the writer or the reader
         self._channel: OwnedChannel | None = None
         self.closed = False
         self._open()
@@ -171,26 +180,29 @@ class Binding:
         """
         if not self._to_plc:
             raise ChannelError("SHM110", "this binding reads what the PLC sends", where=self.topic)
-        stamp = time.time_ns() if stamp_ns is None else stamp_ns
-        with self._lock:
-            self._look_after()
-            try:
-                sequence = self._put(message, stamp)
-            except ChannelError:
-                self._reopen()
-                sequence = self._put(message, stamp)
+        stamp = self._clock.time_ns() if stamp_ns is None else stamp_ns
+        sequence: int = self._use(lambda: self._put(message, stamp))
         if self._print:
             _log.info("%s was written: %s", self.topic, self._shown(message))
         return sequence
 
-    def _put(self, message: Any, stamp_ns: int) -> int:
-        assert self._writer is not None
+    def _use(self, work: Callable[[], Any]) -> Any:
+        """Do something with the object, a second time with a new one if the first was retired."""
+        with self._lock:
+            self._look_after()
+            try:
+                return work()
+            except ChannelError:
+                self._reopen()
+                return work()
+
+    def _put(self, message: Any, stamp_ns: int) -> Any:
         clock = 1 if stamp_ns else 0
         if not isinstance(message, (bytes, bytearray, memoryview)):
             record = self.layout.pack(message)
-            return self._writer.publish(record, stamp_ns=stamp_ns, stamp_clock=clock)
+            return self._user.publish(record, stamp_ns=stamp_ns, stamp_clock=clock)
         try:
-            return self._writer.publish_wire(
+            return self._user.publish_wire(
                 self._codec.plan, message, truncate=self._truncate, stamp_ns=stamp_ns, stamp_clock=clock
             )[0]
         except Fault as fault:
@@ -221,33 +233,25 @@ class Binding:
     def _take(self) -> bytes | None:
         if self._to_plc:
             raise ChannelError("SHM110", "this binding writes to the PLC", where=self.topic)
-        with self._lock:
-            self._look_after()
-            try:
-                record = self._next()
-            except ChannelError:
-                self._reopen()
-                record = self._next()
+        record: bytes | None = self._use(self._next)
         if record is not None and self._print:
             _log.info("%s was read: %s", self.topic, self.layout.to_dict(record))
         return record
 
     def _next(self) -> bytes | None:
-        assert self._reader is not None
-        found = self._reader.next(self._record) if self._every else self._reader.latest(self._record)
+        found = self._user.next(self._record) if self._every else self._user.latest(self._record)
         return None if found is None else bytes(self._record)
 
     @property
     def lost(self) -> int:
         """Messages from the PLC that were overwritten before they were read, since the object was opened."""
-        return 0 if self._reader is None else self._reader.lost
+        return 0 if self._to_plc or self._user is None else int(self._user.lost)
 
     def beat(self) -> None:
         """Show that this process lives; the background thread does it ten times a second."""
         with self._lock:
-            for user in (self._writer, self._reader):
-                if user is not None:
-                    user.beat()
+            if self._user is not None:
+                self._user.beat()
 
     def close(self) -> None:
         """Leave the object, with its last state, for the PLC and the next owner; harmless twice."""
@@ -258,23 +262,17 @@ class Binding:
     def __enter__(self) -> Binding:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _open(self) -> None:
         channel: OwnedChannel = self._open_channel()
-        if self._to_plc:
-            self._writer = channel.writer(BEAT_MS)
-        else:
-            self._reader = channel.reader(BEAT_MS)
+        self._user = channel.writer(BEAT_MS) if self._to_plc else channel.reader(BEAT_MS)
         self._channel = channel
-        self._looked_ns = time.monotonic_ns()
+        self._looked_ns = self._clock.monotonic_ns()
 
     def _leave(self) -> None:
-        channel, self._channel = self._channel, None
-        self._writer = self._reader = None
+        channel, self._channel, self._user = self._channel, None, None
         if channel is not None:
             channel.close()
 
@@ -287,11 +285,12 @@ class Binding:
         """Check about once a second that the name still leads to the object."""
         if self.closed:
             raise ValueError(f"the binding of {self.topic} is closed")
-        now = time.monotonic_ns()
-        if self._channel is None or (now - self._looked_ns >= _LOOK_NS and not self._channel.still_there()):
+        now = self._clock.monotonic_ns()
+        if self._channel is not None and now - self._looked_ns < _LOOK_NS:
+            return
+        if self._channel is None or not self._channel.still_there():
             self._reopen()
-        elif now - self._looked_ns >= _LOOK_NS:
-            self._looked_ns = now
+        self._looked_ns = now
 
     def _shown(self, message: Any) -> Any:
         if isinstance(message, (bytes, bytearray, memoryview)):
@@ -351,26 +350,15 @@ def deserialize(message_class: type, data: bytes) -> Any:
     return importlib.import_module("rclpy.serialization").deserialize_message(data, message_class)
 
 
-class Beating(Protocol):
-    """What can be kept alive."""
-
-    @property
-    def closed(self) -> bool:
-        """Whether it needs no beat any more."""
-
-    def beat(self) -> None:
-        """Show that it lives."""
-
-
 class Beats:
     """The thread and its members; it ends when the last member has gone."""
 
-    _all: ClassVar[weakref.WeakSet[Beating]] = weakref.WeakSet()
+    _all: ClassVar[weakref.WeakSet[Binding]] = weakref.WeakSet()
     _lock = threading.Lock()
     _running = False
 
     @classmethod
-    def add(cls, member: Beating) -> None:
+    def add(cls, member: Binding) -> None:
         """Beat for a member until it is closed or nobody refers to it any more."""
         with cls._lock:
             cls._all.add(member)
@@ -381,7 +369,7 @@ class Beats:
     @classmethod
     def _run(cls) -> None:
         while True:
-            time.sleep(BEAT_MS / 1e3)
+            SYSTEM.sleep(BEAT_MS * 1_000_000)
             with cls._lock:
                 members = [member for member in cls._all if not member.closed]
                 if not members:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable, Collection, Iterable
+from concurrent.futures import Future, wait
 from typing import Any
 
 from rosplc.bridge.channel import ChannelsToPlc, ChannelsToRos
@@ -15,47 +16,10 @@ from rosplc.clock import Clock
 from rosplc.config.resolve import TopicPlan
 from rosplc.shm import Direction
 
-__all__ = ["Carrier", "Carriers", "Job"]
+__all__ = ["Carrier", "Carriers"]
 
 _HANGS = "the ROS side does not return from publishing; the bridge leaves it behind"
 _PATIENCE_S = 5.0
-
-
-class Job:
-    """A piece of work, done by the thread that calls it, unless its giver has taken it back before.
-
-    Args:
-        work: What is to be done; it must not wait for anything.
-    """
-
-    def __init__(self, work: Callable[[], None]) -> None:
-        self._work = work
-        self._claim = threading.Lock()
-        self._done = threading.Event()
-        self._error: Exception | None = None
-
-    def __call__(self) -> None:
-        """Do the work, if it is still wanted."""
-        if not self._claim.acquire(blocking=False):
-            return
-        try:
-            self._work()
-        except Exception as error:  # it is the giver's, not this thread's
-            self._error = error
-        self._done.set()
-
-    def wait(self, timeout: float = _PATIENCE_S) -> bool:
-        """Wait until it is done; False if it was not begun within ``timeout`` seconds: it is then taken back.
-
-        Raises:
-            Exception: What the work raised.
-        """
-        if not self._done.wait(timeout) and self._claim.acquire(blocking=False):
-            return False
-        self._done.wait()  # begun, and it waits for nothing
-        if self._error is not None:
-            raise self._error
-        return True
 
 
 class Carrier:
@@ -129,10 +93,24 @@ class Carrier:
             if self._streams:
                 self._start()
             return True
-        job = Job(lambda: self._replace(leaving, coming))
-        self._jobs.append(job)
+        done: Future[None] = Future()
+
+        def work() -> None:
+            if not done.set_running_or_notify_cancel():
+                return
+            try:
+                self._replace(leaving, coming)
+                done.set_result(None)
+            except Exception as error:  # it is the giver's, not this thread's
+                done.set_exception(error)
+
+        self._jobs.append(work)
         self.ports.wake()
-        return job.wait()
+        wait((done,), _PATIENCE_S)
+        if not done.done() and done.cancel():
+            return False
+        done.result()  # begun, and it waits for nothing
+        return True
 
     def _replace(self, leaving: Collection[Stream], coming: Collection[Stream]) -> None:
         for stream in leaving:

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import logging
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from contextlib import suppress
+from dataclasses import replace
+from typing import Generic, TypeVar
 
-from rosplc.bridge.port import Context, PortStatus, Side, Waiting, log
+from rosplc.bridge.port import Context, Port, Ports, Side, Waiting, log
+from rosplc.bridge.status import PortStatus
 from rosplc.codec import Fault
 from rosplc.config.objects import describe
 from rosplc.errors import ChannelError
 from rosplc.shm import Group, Liveness, OwnedChannel, Reader, Region, Writer, distance
 from rosplc.shm.constants import LINE_SIZE, READER_LINES, READER_LINES_OFFSET, WRITER_LINE
+from rosplc.shm.snapshot import task_name
+
+_U = TypeVar("_U", Writer, Reader)
 
 __all__ = ["ChannelPort", "ChannelsToPlc", "ChannelsToRos", "PortToPlc", "PortToRos"]
 
@@ -24,7 +30,7 @@ _ALERT_NS = 10_000_000_000
 """How long after a message the configured tick holds, whether a writer beats or not."""
 
 
-class ChannelPort(ABC):
+class ChannelPort(Port, Generic[_U]):
     """One channel that this bridge owns.
 
     Args:
@@ -33,11 +39,14 @@ class ChannelPort(ABC):
 
     Attributes:
         channel: The object; None while there is none.
+        user: The writer or reader on it, likewise.
+        peer_alive: Whether the PLC's side beats.
     """
 
     def __init__(self, side: Side, context: Context) -> None:
         self.side = side
         self.channel: OwnedChannel | None = None
+        self.user: _U | None = None
         self.adopted = False
         self._context = context
         self._alive: dict[int, tuple[int, Liveness]] = {}
@@ -53,13 +62,11 @@ class ChannelPort(ABC):
             describe(plan, distro=context.distro, bridge=context.bridge),
             record_size=plan.layout.size,
             slots=plan.slots,
-            mode=context.mode,
-            uid=context.uid,
-            gid=context.gid,
+            **vars(context.rights),
             bridge_id=context.bridge_id,
         )
         try:
-            self._claim(channel)
+            self.user = self._claim(channel)
         except BaseException:
             channel.close()
             raise
@@ -72,29 +79,29 @@ class ChannelPort(ABC):
 
     def close(self) -> None:
         """Leave the object with its last state."""
-        channel, self.channel = self.channel, None
-        self._unclaim()
+        channel, self.channel, self.user = self.channel, None, None
         if channel is not None:
             channel.close()
 
     def retire(self) -> None:
         """Give the object up: its users are told, and its name is free."""
-        channel = self.channel
-        self._unclaim()
+        channel, self.user = self.channel, None
         if channel is not None:
             channel.retire()
         self.close()
 
     @abstractmethod
-    def _claim(self, channel: OwnedChannel) -> None:
+    def _claim(self, channel: OwnedChannel) -> _U:
         """Claim what this side claims of an object."""
 
-    @abstractmethod
-    def _unclaim(self) -> None:
-        """Stop using the object."""
+    def beat(self) -> None:
+        """Show that this side lives."""
+        if (user := self.user) is not None:
+            with suppress(ValueError):  # closed at this moment: the carrier opens it again
+                user.beat()
 
     def check(self, now_ns: int) -> bool:
-        """Look after object and peer; return whether it must be opened again."""
+        """Look after object and peer; what lost its claim, or failed, must be opened again."""
         channel = self.channel  # another thread may open it again meanwhile
         if channel is None:
             return True
@@ -107,7 +114,7 @@ class ChannelPort(ABC):
         elif self.peer_alive:
             self._peer_gone_ns = now_ns
         self.peer_alive = alive
-        return False
+        return not self.owned()
 
     @abstractmethod
     def _observe(self, region: Region, now_ns: int) -> bool:
@@ -123,60 +130,27 @@ class ChannelPort(ABC):
             known = self._alive[key] = (beat_ms, Liveness(beat_ms))
         return known[1].observe(beat, count, now_ns)
 
-    def put(self, data: bytes, stamp_ns: int, flags: int, now_ns: int) -> None:
-        """Refuse: the direction is the other one."""
-        raise ChannelError("SHM110", "only the PLC writes towards ROS", where=self.side.plan.topic)
-
-    def owned(self) -> bool:
-        """Return True: what this bridge writes carries its claim."""
-        return True
-
-    def retained(self) -> tuple[bytes, int, int] | None:
-        """Return None."""
-        return None
-
-    def _lost(self) -> int:
-        return 0
-
-    def loss(self, count: int) -> str:
-        """Describe why messages were lost, and what helps."""
-        return f"{count} messages were lost on the way in; raise qos: {{depth: …}} if they come in bursts"
-
     def status(self, now_ns: int) -> PortStatus:
         """Return what is known of the PLC."""
-        lost, every = self._lost(), self.side.plan.every
-        return PortStatus(
-            self.peer_alive, self._peer_gone_ns, self._tasks, lost if every else 0, 0 if every else lost
-        )
+        gone = None if self._peer_gone_ns is None else max(0, now_ns - self._peer_gone_ns)
+        return PortStatus(peer_alive=self.peer_alive, peer_gone_ns=gone, tasks=self._tasks)
 
 
-class PortToPlc(ChannelPort):
+class PortToPlc(ChannelPort[Writer]):
     """A channel that the bridge writes."""
 
-    def __init__(self, side: Side, context: Context) -> None:
-        super().__init__(side, context)
-        self.writer: Writer | None = None
-
-    def _claim(self, channel: OwnedChannel) -> None:
-        self.writer = channel.writer(self._context.beat_ms)
+    def _claim(self, channel: OwnedChannel) -> Writer:
+        writer = channel.writer(self._context.beat_ms)
         self.side.renewed()
+        return writer
 
-    def _unclaim(self) -> None:
-        self.writer = None
-
-    def beat(self) -> None:
-        """Show that the writer lives."""
-        if (writer := self.writer) is not None:
-            with suppress(ValueError):  # closed at this moment
-                writer.beat()
-
-    def check(self, now_ns: int) -> bool:
-        """Look after the object; a writer that failed means that it must be opened again."""
-        return super().check(now_ns) or self.writer is None
+    def owned(self) -> bool:
+        """Return whether the writer works."""
+        return self.user is not None
 
     def put(self, data: bytes, stamp_ns: int, flags: int, now_ns: int) -> None:
         """Convert a message straight into its slot."""
-        writer, side = self.writer, self.side
+        writer, side = self.user, self.side
         if writer is None:
             side.counters.lost += 1
             return
@@ -195,8 +169,8 @@ class PortToPlc(ChannelPort):
             # Retired, damaged, claimed or just closed: the next check opens the name again.
             side.counters.lost += 1
             side.renewed()
-            if self.writer is writer:
-                self.writer = None
+            if self.user is writer:
+                self.user = None
                 side.fail(now_ns, error)
         else:
             side.delivered(data, cut)
@@ -207,63 +181,60 @@ class PortToPlc(ChannelPort):
         for at in range(0, len(words), _LINE_WORDS):
             claim, beat, beat_ms, taken = words[at : at + 4]
             if claim and self._lives(at, beat, beat_ms, taken, now_ns):
-                name = b"".join(word.to_bytes(4, "little") for word in words[at + 12 : at + 16])
-                tasks.append(name.split(b"\0")[0].decode("utf-8", "replace"))
+                tasks.append(task_name(words[at + 12 : at + 16]))
         self._tasks = tuple(tasks)
         return bool(tasks)
 
     def tell(self, matched: int) -> None:
         """Show the PLC how many publishers there are."""
-        if (writer := self.writer) is not None:
+        if (writer := self.user) is not None:
             writer.set_sources(matched)
 
+    def loss(self, count: int) -> str:
+        """Describe why messages were lost, and what helps."""
+        return f"{count} messages were lost on the way in; raise qos: {{depth: …}} if they come in bursts"
 
-class PortToRos(ChannelPort):
+
+class PortToRos(ChannelPort[Reader]):
     """A channel that the bridge reads."""
 
     def __init__(self, side: Side, context: Context) -> None:
         super().__init__(side, context)
-        self.reader: Reader | None = None
         self._lost_before = 0  # by readers that are no more
         self._retained = False
         self._missed = 0  # while no bridge was running
         self._down_ns = 0
         self._lived = 0  # the claim of the writer that was seen alive
 
-    def _claim(self, channel: OwnedChannel) -> None:
+    def _claim(self, channel: OwnedChannel) -> Reader:
         reader = channel.reader(self._context.beat_ms)
         head = channel.region.word(WRITER_LINE["head"])
         ahead = distance(reader.last, head, channel.identity.slot_count) if head and reader.last else 0
         self._retained = channel.adopted and bool(head) and not ahead
         self._missed = max(0, ahead - (channel.identity.slot_count - 1)) if channel.adopted else 0
         self._down_ns = channel.unowned_ns
-        self.reader = reader
+        return reader
 
-    def _unclaim(self) -> None:
-        reader, self.reader = self.reader, None
-        if reader is not None:
-            self._lost_before += reader.lost
+    def close(self) -> None:
+        """Leave the object with its last state."""
+        self._lost_before += 0 if self.user is None else self.user.lost
+        super().close()
 
-    def beat(self) -> None:
-        """Show that the reader lives."""
-        if (reader := self.reader) is not None:
-            with suppress(ValueError):  # closed at this moment: the carrier opens it again
-                reader.beat()
-
-    def check(self, now_ns: int) -> bool:
-        """Look after the object; a reader that lost its line to another bridge must be opened again."""
-        return super().check(now_ns) or not self.owned()
+    def retire(self) -> None:
+        """Give the object up: its users are told, and its name is free."""
+        self._lost_before += 0 if self.user is None else self.user.lost
+        super().retire()
 
     def owned(self) -> bool:
         """Return whether the line is still this reader's: another bridge's claim is seen at once."""
-        reader = self.reader
+        reader = self.user
         return reader is not None and reader.line is not None
 
     def retained(self) -> tuple[bytes, int, int] | None:
         """Return the message that the object holds if an earlier bridge has taken it."""
-        if not self._retained or self.reader is None:
+        if not self._retained or self.user is None:
             return None
-        found = self.reader.peek_wire(self.side.codec.plan)
+        found = self.user.peek_wire(self.side.codec.plan)
         return None if found is None else (found[0], found[1].stamp_ns, found[1].stamp_clock)
 
     def _observe(self, region: Region, now_ns: int) -> bool:
@@ -276,12 +247,15 @@ class PortToRos(ChannelPort):
 
     def tell(self, matched: int) -> None:
         """Show the PLC how many subscribers there are."""
-        if (reader := self.reader) is not None:
+        if (reader := self.user) is not None:
             reader.set_sinks(matched)
 
-    def _lost(self) -> int:
-        reader = self.reader
-        return self._lost_before + (0 if reader is None else reader.lost)
+    def status(self, now_ns: int) -> PortStatus:
+        """Return what is known of the PLC."""
+        reader = self.user
+        lost = self._lost_before + (0 if reader is None else reader.lost)
+        every = self.side.plan.every
+        return replace(super().status(now_ns), lost=lost if every else 0, skipped=0 if every else lost)
 
     def loss(self, count: int) -> str:
         """Describe why messages were lost; those of the time without a bridge are told apart, once."""
@@ -295,29 +269,15 @@ class PortToRos(ChannelPort):
         return down if missed == count else f"{down}; {lost}"
 
 
-class ChannelsToPlc(Waiting):
-    """The channels that the bridge writes: each thread writes its message at once."""
-
-    def __init__(self, context: Context) -> None:
-        super().__init__(context.clock)
-        self._context = context
+class ChannelsToPlc(Waiting[PortToPlc]):
+    """The channels that the bridge writes: who has a message writes it at once, and nothing is polled."""
 
     def make(self, side: Side) -> PortToPlc:
         """Return the port of a stream."""
         return PortToPlc(side, self._context)
 
-    def add(self, port: PortToPlc) -> None:
-        """Nothing has to be polled."""
 
-    def remove(self, port: PortToPlc) -> None:
-        """Nothing had to be polled."""
-
-    def take(self, now_ns: int) -> tuple[int | None, list[PortToPlc]]:
-        """Nothing is taken."""
-        return None, []
-
-
-class ChannelsToRos:
+class ChannelsToRos(Ports[PortToRos]):
     """The channels that the bridge reads, with one native call per tick for all of them.
 
     Args:
@@ -339,10 +299,10 @@ class ChannelsToRos:
 
     def add(self, port: PortToRos) -> None:
         """Look for messages of an open port."""
-        if port.reader is not None:
+        if port.user is not None:
             plan = port.side.plan
             mode = _IN_ORDER if plan.every else 0
-            self._ports[self._group.add_reader(port.reader, port.side.codec.plan, mode, plan.slots)] = port
+            self._ports[self._group.add_reader(port.user, port.side.codec.plan, mode, plan.slots)] = port
 
     def remove(self, port: PortToRos) -> None:
         """Look no more."""

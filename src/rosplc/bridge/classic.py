@@ -9,10 +9,11 @@ from __future__ import annotations
 import logging
 import random
 import threading
+from abc import abstractmethod
 from dataclasses import dataclass
 
-from rosplc.bridge.port import Context, PortStatus, Side, Waiting, log
-from rosplc.bridge.status import ClassicStatus
+from rosplc.bridge.port import Context, Port, Side, Waiting, log
+from rosplc.bridge.status import ClassicStatus, PortStatus
 from rosplc.codec import Fault
 from rosplc.config.quantities import format_duration
 from rosplc.errors import ChannelError
@@ -35,8 +36,8 @@ _LAZY_POLL_NS = 10_000_000
 _ALERT_NS = 10_000_000_000
 
 
-class ClassicPort:
-    """The memory of a classic stream with its lock; used by one thread.
+class ClassicPort(Port):
+    """The memory of a classic stream with its lock, used by one thread; nothing in it can beat or tell.
 
     Args:
         side: The stream; its plan has ``classic`` set.
@@ -58,10 +59,9 @@ class ClassicPort:
             side.plan.layout.size,
             write=side.plan.direction is Direction.TO_PLC,
             recover_after_ns=classic.recover_after_ns,
-            mode=context.mode,
-            uid=context.uid,
-            gid=context.gid,
+            rights=context.rights,
         )
+        self._replaced = 0  # messages that a newer one replaced
         self._timeouts = 0  # attempts to take the lock that did not succeed in time
         self._fresh = False  # the memory appeared while its name was watched
         self._same = False  # the memory is that of the attachment before: the semaphore alone was replaced
@@ -95,29 +95,9 @@ class ClassicPort:
         """Leave memory and semaphore with their last state."""
         self._object.close()
 
-    retire = close
-
-    def beat(self) -> None:
-        """There is no beat in such a memory."""
-
-    def tell(self, matched: int) -> None:
-        """There is no room for the number of peers in such a memory."""
-
-    def check(self, now_ns: int) -> bool:
-        """Return whether another bridge has taken the memory; everything else is seen to by :meth:`turn`."""
-        return not self.owned()
-
     def owned(self) -> bool:
         """Return whether the lock file is still this bridge's."""
         return self._object.owned()
-
-    def retained(self) -> tuple[bytes, int, int] | None:
-        """Return None: with ``latched`` the image that is found is a message as any other."""
-        return None
-
-    def put(self, data: bytes, stamp_ns: int, flags: int, now_ns: int) -> None:
-        """Refuse: the direction is the other one."""
-        raise ChannelError("SHM110", "only the PLC writes towards ROS", where=self.side.plan.topic)
 
     def turn(self, now_ns: int) -> int:
         """Do what is due; return when the next turn is wanted."""
@@ -141,22 +121,15 @@ class ClassicPort:
             recovered=self._object.recovered,
             mended=self._object.mended,
         )
-        return PortStatus(skipped=self._skipped(), classic=classic)
+        return PortStatus(skipped=self._replaced, classic=classic, peer_alive=None)
 
-    def _skipped(self) -> int:
-        return 0
-
-    def loss(self, count: int) -> str:
-        """Describe why messages were lost, and what helps."""
-        raise NotImplementedError
-
+    @abstractmethod
     def _turn(self, now_ns: int) -> int:
         """As :meth:`turn`; errors let go of the object."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _attached(self) -> None:
         """Another object has been attached, or a lock."""
-        raise NotImplementedError
 
     def _tend(self, now_ns: int) -> bool:
         """Attach, follow a replacement, judge the lock; return whether it was freed for a dead holder."""
@@ -280,15 +253,14 @@ class _Ready:
 class ClassicToPlc(ClassicPort):
     """A memory that the bridge writes: the newest message, under the lock."""
 
-    def __init__(self, side: Side, context: Context, wake: Waiting) -> None:
+    def __init__(self, side: Side, context: Context, ports: ClassicPorts) -> None:
         super().__init__(side, context)
-        self._waiting = wake
+        self._ports = ports
         self._pending: bytes | None = None  # as it came
         self._pending_lock = threading.Lock()
         self._ready: _Ready | None = None  # converted, waiting for the lock
         self._last: bytes | None = None  # what was written
         self._late = False  # what waits could not be written in time
-        self._replaced = 0
         self._try_at_ns = 0
 
     def put(self, data: bytes, stamp_ns: int, flags: int, now_ns: int) -> None:
@@ -297,14 +269,11 @@ class ClassicToPlc(ClassicPort):
             if self._pending is not None:
                 self._superseded()
             self._pending = data
-        self._waiting.wake()
+        self._ports.wake()
 
     def loss(self, count: int) -> str:
         """Describe why messages were lost."""
         return f"{count} messages were lost: the lock was not free, or there was no memory"
-
-    def _skipped(self) -> int:
-        return self._replaced
 
     def _turn(self, now_ns: int) -> int:
         self._tend(now_ns)
@@ -462,7 +431,7 @@ class ClassicToRos(ClassicPort):
         return now_ns - now_ns % period + period
 
 
-class ClassicPorts(Waiting):
+class ClassicPorts(Waiting[ClassicPort]):
     """The classic ports of one direction.
 
     Args:
@@ -471,8 +440,7 @@ class ClassicPorts(Waiting):
     """
 
     def __init__(self, context: Context, direction: Direction) -> None:
-        super().__init__(context.clock)
-        self._context = context
+        super().__init__(context)
         self._direction = direction
         self._ports: list[ClassicPort] = []
 

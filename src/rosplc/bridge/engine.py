@@ -12,7 +12,7 @@ import threading
 from collections.abc import Callable, Collection
 from contextlib import ExitStack
 
-from rosplc.bridge.background import Heartbeat, Reporter
+from rosplc.bridge.background import Duty, Rounds
 from rosplc.bridge.carrier import Carriers
 from rosplc.bridge.diagnostics import Diagnostics
 from rosplc.bridge.leftovers import check_names, retire_leftovers
@@ -23,7 +23,7 @@ from rosplc.bridge.ros_side import LiveTypes, RosSide
 from rosplc.bridge.status import BridgeStatus
 from rosplc.bridge.stream import Stream
 from rosplc.clock import SYSTEM, Clock
-from rosplc.config.access import group_id, open_doors, user_id
+from rosplc.config.access import open_doors, rights
 from rosplc.config.file import Config, read_config
 from rosplc.config.resolve import Project, resolve
 from rosplc.errors import ChannelError, RosplcError
@@ -31,6 +31,7 @@ from rosplc.ros import Backend, Choice, RosArguments, ended_for_good
 
 __all__ = ["Bridge"]
 
+_CHECK_NS = 1_000_000_000
 _STUCK_NS = 5_000_000_000
 _APPLY = "`rosplc reload` or a restart of the bridge applies it"
 _FOREIGN = ("SHM103", "SHM104", "SHM119", "SHM121")
@@ -79,7 +80,7 @@ class Bridge:
         self._refused = ""
         self._open = ExitStack()
         self._realtime = Realtime(self.config)
-        self._heartbeat: Heartbeat | None = None
+        self._heartbeat: Rounds | None = None
         self._warnings: tuple[str, ...] = ()
         self._started_ns = 0
         self._file_seen = self._file_state()
@@ -122,14 +123,17 @@ class Bridge:
             bridge=settings.bridge,
             bridge_id=secrets.token_bytes(16),
             distro=settings.ros.distro,
-            mode=settings.shm.mode,
-            uid=user_id(self.config),
-            gid=group_id(self.config),
+            rights=rights(self.config),
             beat_ns=settings.beat_ns,
             debounce_ns=settings.diagnostics.debounce_ns,
             clock=self._clock,
         )
-        heartbeat = self._heartbeat = Heartbeat(settings.beat_ns, self.beat, self.check, self._clock)
+        heartbeat = self._heartbeat = Rounds(
+            "rosplc-heartbeat",
+            self._clock,
+            Duty("beating", settings.beat_ns, self.beat),
+            Duty("checking", _CHECK_NS, lambda: self.check(self._clock.monotonic_ns())),
+        )
         check_names(self.project)
         if self.backend is None:
             self.backend, self._choice = self._ros.open(self._types)
@@ -146,17 +150,20 @@ class Bridge:
         stack.callback(self._disconnect)
         for stream in self._streams:
             stream.connect(self.backend)
-        publish = None
+        duties = [Duty("asking ROS", _CHECK_NS, lambda: self.ask(self._clock.monotonic_ns()))]
         if settings.diagnostics.enabled:
             diagnostics = Diagnostics(self.project.store, self.backend, self._clock)
             stack.callback(diagnostics.close)
-            publish = diagnostics.publish
+            period = settings.diagnostics.period_ns
+            duties.append(
+                Duty("reporting", period, lambda: diagnostics.publish(self.status()), due_ns=period)
+            )
         stack.callback(carriers.stop)
         carriers.replace((), self._streams)
         heartbeat.start()
         stack.callback(heartbeat.stop)
         self._realtime.rest()
-        reporter = Reporter(settings.diagnostics.period_ns, self.ask, self.status, publish, self._clock)
+        reporter = Rounds("rosplc-reporter", self._clock, *duties)
         reporter.start()
         stack.callback(reporter.stop)
 

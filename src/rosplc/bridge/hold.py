@@ -6,9 +6,9 @@ A message passes the stages in order. A stage lets it through, drops it, or keep
 
 from __future__ import annotations
 
+import threading
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import Protocol
 
 __all__ = ["Grace", "Hold", "OnChange", "RateLimiter", "Silence", "Stage", "Substitute", "Unsent"]
 
@@ -76,30 +76,35 @@ class Silence:
         return None if self.last_ns is None else max(0, now_ns - self.last_ns)
 
 
-class Stage(Protocol):
-    """One reason to hold messages back.
+class Stage:
+    """One reason to hold messages back; this one lets all through.
 
     Attributes:
+        due_ns: When :meth:`flush` wants to be called; None if nothing waits.
         skipped: Messages that were held back for good, on purpose.
         over: Whether the stage has become useless and can be left out from now on.
+        clears: Whether everything else is sent before its own time.
     """
 
-    skipped: int
-    over: bool
-
-    @property
-    def due_ns(self) -> int | None:
-        """When :meth:`flush` wants to be called; None if nothing waits."""
+    due_ns: int | None = None
+    skipped = 0
+    over = False
+    clears = False
 
     def offer(self, item: Item, now_ns: int) -> Sequence[Item]:
         """Take a message; return what may continue now."""
+        return (item,)
 
     def flush(self, now_ns: int, *, anyway: bool = False) -> Sequence[Item]:
         """Return what waited and may continue now, or with ``anyway`` all of it."""
+        return ()
+
+    def forget(self) -> None:
+        """The receiver does not have the last message."""
 
 
 class Hold:
-    """The stages of one stream; the caller locks where several threads use it.
+    """The stages of one stream; from any thread.
 
     Args:
         stages: In the order in which messages pass them.
@@ -110,6 +115,7 @@ class Hold:
         self.stages = list(stages)
         self._send = send
         self._skipped = 0  # of stages that are over
+        self._lock = threading.RLock()
 
     @property
     def due_ns(self) -> int | None:
@@ -121,21 +127,23 @@ class Hold:
         """Messages held back on purpose."""
         return self._skipped + sum(stage.skipped for stage in self.stages)
 
-    def offer(self, item: Item, now_ns: int) -> None:
-        """Send a message, or hold it back."""
-        self._pass(0, [item], now_ns)
+    def offer(self, item: Item, now_ns: int) -> bool:
+        """Send a message, or hold it back; return whether something waits from now on."""
+        with self._lock:
+            before = self.due_ns
+            self._pass(0, [item], now_ns)
+            return before is None and self.due_ns is not None
 
     def flush(self, now_ns: int, *, anyway: bool = False) -> None:
         """Send what waited for its time, or with ``anyway`` all that waits."""
-        if self.stages and isinstance(last := self.stages[-1], Substitute) and last.due_ns <= now_ns:
-            anyway = True  # what the PLC sent comes before what takes its place
-        for number, stage in enumerate(self.stages):
-            due = stage.due_ns
-            if anyway or (due is not None and due <= now_ns):
-                self._pass(number + 1, stage.flush(now_ns, anyway=anyway), now_ns)
-        over = [stage for stage in self.stages if stage.over]
-        if over:
-            self._skipped += sum(stage.skipped for stage in over)
+        with self._lock:
+            # What the PLC sent comes before what takes its place.
+            anyway = anyway or any(stage.clears and (stage.due_ns or 0) <= now_ns for stage in self.stages)
+            for number, stage in enumerate(self.stages):
+                due = stage.due_ns
+                if anyway or (due is not None and due <= now_ns):
+                    self._pass(number + 1, stage.flush(now_ns, anyway=anyway), now_ns)
+            self._skipped += sum(stage.skipped for stage in self.stages if stage.over)
             self.stages = [stage for stage in self.stages if not stage.over]
 
     def _pass(self, start: int, items: Sequence[Item], now_ns: int) -> None:
@@ -147,11 +155,10 @@ class Hold:
     def forget(self) -> None:
         """The receiver does not have the last message: the same again is news to it."""
         for stage in self.stages:
-            if isinstance(stage, OnChange):
-                stage.last = None
+            stage.forget()
 
 
-class OnChange:
+class OnChange(Stage):
     """Lets a message through if it differs from the one before.
 
     Args:
@@ -159,9 +166,6 @@ class OnChange:
     """
 
     def __init__(self, key: Callable[[bytes], bytes | None] = lambda data: data) -> None:
-        self.due_ns: int | None = None
-        self.skipped = 0
-        self.over = False
         self.last: bytes | None = None
         self._key = key
 
@@ -175,12 +179,12 @@ class OnChange:
             self.last = key
         return (item,)
 
-    def flush(self, now_ns: int, *, anyway: bool = False) -> Sequence[Item]:
-        """Nothing waits here."""
-        return ()
+    def forget(self) -> None:
+        """The same message again is news."""
+        self.last = None
 
 
-class RateLimiter:
+class RateLimiter(Stage):
     """Lets one message through per interval; in between the newest waits, and the last is never dropped.
 
     Args:
@@ -188,9 +192,6 @@ class RateLimiter:
     """
 
     def __init__(self, interval_ns: int) -> None:
-        self.due_ns: int | None = None
-        self.skipped = 0
-        self.over = False
         self._interval_ns = interval_ns
         self._open_ns: int | None = None
         self._waiting: Item | None = None
@@ -216,7 +217,7 @@ class RateLimiter:
         return (item,)
 
 
-class Grace:
+class Grace(Stage):
     """The first moment of a topic towards ROS: what comes before any subscriber is there waits, briefly.
 
     A PLC writes while the bridge is down; the bridge starts and finds the message at once, but its
@@ -230,9 +231,7 @@ class Grace:
     """
 
     def __init__(self, until_ns: int, most: int, matched: Callable[[], bool]) -> None:
-        self.due_ns: int | None = until_ns
-        self.skipped = 0
-        self.over = False
+        self.due_ns = until_ns
         self._until_ns = until_ns
         self._most = most
         self._matched = matched
@@ -269,14 +268,10 @@ class Grace:
         return self.over or now_ns >= self._until_ns or self._matched()
 
 
-class Unsent:
+class Unsent(Stage):
     """Keeps one message that could not be sent, as on a node that is not active, and has it tried again."""
 
-    def __init__(self) -> None:
-        self.due_ns: int | None = None
-        self.skipped = 0
-        self.over = False
-        self._item: Item | None = None
+    _item: Item | None = None
 
     def keep(self, item: Item, now_ns: int) -> None:
         """Keep a message; :meth:`take` has returned the one before."""
@@ -287,10 +282,6 @@ class Unsent:
         item, self._item, self.due_ns = self._item, None, None
         return item
 
-    def offer(self, item: Item, now_ns: int) -> Sequence[Item]:
-        """Let messages pass."""
-        return (item,)
-
     def flush(self, now_ns: int, *, anyway: bool = False) -> Sequence[Item]:
         """Return the message that waits, if its time has come."""
         if self.due_ns is None or (now_ns < self.due_ns and not anyway):
@@ -299,7 +290,7 @@ class Unsent:
         return () if item is None else (item,)
 
 
-class Substitute:
+class Substitute(Stage):
     """Publishes a message of the configuration's at a steady rate while the PLC is silent.
 
     Args:
@@ -312,6 +303,8 @@ class Substitute:
         active: Whether the PLC is silent, and substitutes are published.
     """
 
+    clears = True
+
     def __init__(
         self,
         silence: Silence,
@@ -320,15 +313,13 @@ class Substitute:
         changed: Callable[[bool], None],
     ) -> None:
         self.active = False
-        self.skipped = 0
-        self.over = False
         self._silence = silence
         self._period_ns = period_ns
         self._publish, self._changed = publish, changed
         self._next_ns = 0
 
     @property
-    def due_ns(self) -> int:
+    def due_ns(self) -> int:  # type: ignore[override]
         """When the next substitute is due, if the PLC stays silent."""
         return max(self._silence.due_ns, self._next_ns)
 

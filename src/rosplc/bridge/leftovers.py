@@ -6,7 +6,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from rosplc.bridge.port import log
-from rosplc.config.access import group_id, user_id
+from rosplc.config.access import rights
 from rosplc.config.resolve import Project
 from rosplc.errors import ChannelError
 from rosplc.shm import Direction, OwnedChannel, attach
@@ -21,13 +21,13 @@ def check_names(project: Project) -> None:
     Raises:
         ChannelError: SHM116, or what keeps all locks from being taken.
     """
-    namespace, mode, uid = project.namespace, project.config.settings.shm.mode, user_id(project.config)
+    namespace, allowed = project.namespace, rights(project.config)
     for plan in project.topics:
         if plan.port != "channel":
             continue
         path = namespace.lock_path(plan.topic)
         try:
-            NameLock(path, mode=mode, uid=uid).release()
+            NameLock(path, allowed).release()
         except ChannelError as error:
             if error.code in ("SHM119", "SHM121"):
                 continue  # a stranger's: a problem of this topic alone
@@ -98,9 +98,7 @@ def _retire(project: Project, topic: str) -> None:
         description,
         record_size=identity.record_size,
         slots=identity.slot_count,
-        mode=project.config.settings.shm.mode,
-        uid=user_id(project.config),
-        gid=group_id(project.config),
+        **vars(rights(project.config)),
     )
     channel.retire()
     log.info("%s has left the configuration; its object is retired", topic)

@@ -13,13 +13,15 @@ from collections.abc import Hashable
 from dataclasses import dataclass, field
 from typing import Protocol, TypeVar
 
-from rosplc.bridge.status import ClassicStatus
+from rosplc.bridge.status import PortStatus
 from rosplc.clock import SYSTEM, Clock
 from rosplc.codec import Codec, Fault
 from rosplc.config.resolve import TopicPlan
+from rosplc.errors import ChannelError
 from rosplc.shm import Namespace
+from rosplc.shm.files import USUAL, Rights
 
-__all__ = ["Context", "Counters", "Port", "PortStatus", "Ports", "RepeatedWarnings", "Side", "Waiting", "log"]
+__all__ = ["Context", "Counters", "Port", "Ports", "RepeatedWarnings", "Side", "Waiting", "log"]
 
 log = logging.getLogger("rosplc.bridge")
 
@@ -59,9 +61,7 @@ class Context:
         bridge: The bridge's name.
         bridge_id: 16 random bytes, drawn at start.
         distro: The ROS distribution.
-        mode: Permission bits of the objects.
-        uid: Their owner; None for this process's.
-        gid: Their group; None for this process's.
+        rights: Mode, owner and group of the objects.
         beat_ns: The beat that is promised.
         debounce_ns: How long silence must last beyond what a topic allows before it is reported, and how long
             its end.
@@ -73,9 +73,7 @@ class Context:
     bridge: str
     bridge_id: bytes
     distro: str
-    mode: int = 0o660
-    uid: int | None = None
-    gid: int | None = None
+    rights: Rights = USUAL
     beat_ns: int = 100_000_000
     debounce_ns: int = 500_000_000
     clock: Clock = SYSTEM
@@ -98,28 +96,6 @@ class Counters:
     truncated: int = 0
     substituted: int = 0
     recovered: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class PortStatus:
-    """What a port knows of the PLC and its memory.
-
-    Attributes:
-        peer_alive: Whether the PLC's side beats; None where that cannot be known.
-        peer_gone_ns: When the PLC's side, having been there, was missed first (monotonic); None if it is
-            there, or never was.
-        tasks: Names of the PLC's reading tasks.
-        lost: Messages that the PLC overwrote before they were taken, every one of which counted.
-        skipped: Messages that a newer one replaced on purpose.
-        classic: Memory and lock of classic mode.
-    """
-
-    peer_alive: bool | None = None
-    peer_gone_ns: int | None = None
-    tasks: tuple[str, ...] = ()
-    lost: int = 0
-    skipped: int = 0
-    classic: ClassicStatus | None = None
 
 
 class Side(Protocol):
@@ -157,17 +133,15 @@ class Side(Protocol):
 
 
 class Port(Protocol):
-    """The PLC's side of one stream.
+    """The PLC's side of one stream; what has a body is what a port does that does not say otherwise.
 
     Attributes:
         adopted: Whether :meth:`open` found an object and kept it; never asked before that.
+        side: The stream.
     """
 
     adopted: bool
-
-    @property
-    def side(self) -> Side:
-        """The stream."""
+    side: Side
 
     def open(self) -> None:
         """Create or adopt the object, and claim it.
@@ -181,9 +155,11 @@ class Port(Protocol):
 
     def retire(self) -> None:
         """Give the object up, so that its users are told and its name is free; and close."""
+        self.close()
 
     def beat(self) -> None:
         """Show that this side lives; from any thread."""
+        return
 
     def check(self, now_ns: int) -> bool:
         """Look after object and peer, about once a second; return whether it must be opened again.
@@ -191,18 +167,23 @@ class Port(Protocol):
         Raises:
             ChannelError: The object cannot be used any more.
         """
+        return not self.owned()
 
     def put(self, data: bytes, stamp_ns: int, flags: int, now_ns: int) -> None:
         """Convert a message and give it to the PLC, now or soon; every outcome is told to the stream."""
+        raise ChannelError("SHM110", "only the PLC writes towards ROS", where=self.side.plan.topic)
 
     def owned(self) -> bool:
         """Return whether this bridge still is the one that carries the object; towards ROS."""
+        return True
 
     def retained(self) -> tuple[bytes, int, int] | None:
         """Return the PLC's last message, if an earlier bridge took it: bytes, stamp and its clock."""
+        return None
 
     def tell(self, matched: int) -> None:
         """Show the PLC how many ROS peers there are."""
+        return
 
     def loss(self, count: int) -> str:
         """Describe why messages were lost, and what helps."""
@@ -222,9 +203,11 @@ class Ports(Protocol[_P]):
 
     def add(self, port: _P) -> None:
         """Serve an open port from now on."""
+        return
 
     def remove(self, port: _P) -> None:
         """Serve a port no more; harmless if it is not served."""
+        return
 
     def poll(self, due_ns: int | None) -> None:
         """Sleep until there is news, until a point in monotonic time, or until :meth:`wake`."""
@@ -239,20 +222,22 @@ class Ports(Protocol[_P]):
             When the next call is due at the latest, None if nothing waits; and ports that must be opened
             again.
         """
+        return None, []
 
 
-class Waiting:
-    """The sleep of ports that nothing but time and :meth:`wake` ends."""
+class Waiting(Ports[_P]):
+    """Ports whose sleep nothing but time and :meth:`wake` ends."""
 
-    def __init__(self, clock: Clock) -> None:
-        self._clock = clock
+    def __init__(self, context: Context) -> None:
+        self._context = context
         self._event = threading.Event()
 
     def poll(self, due_ns: int | None) -> None:
         """Sleep until a point in time or :meth:`wake`."""
-        wait = None if due_ns is None else due_ns - self._clock.monotonic_ns()
+        clock = self._context.clock
+        wait = None if due_ns is None else due_ns - clock.monotonic_ns()
         if wait is None or wait > 0:
-            self._clock.wait(self._event, wait)
+            clock.wait(self._event, wait)
         self._event.clear()
 
     def wake(self) -> None:

@@ -13,7 +13,6 @@ import gc
 import os
 import resource
 import threading
-from types import TracebackType
 
 from rosplc.config.file import Config
 from rosplc.errors import SetupError
@@ -70,9 +69,7 @@ class Realtime:
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._undo()
 
     def rest(self) -> None:

@@ -8,7 +8,6 @@ import resource
 import select
 import signal
 import threading
-import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
@@ -18,6 +17,7 @@ from types import FrameType
 from rosplc.bridge.engine import Bridge
 from rosplc.bridge.port import log
 from rosplc.bridge.status import BridgeStatus, Level
+from rosplc.clock import SYSTEM, Clock
 from rosplc.config.problems import may_pass
 from rosplc.config.resolve import load_project
 from rosplc.errors import BackendError, ConfigError, RosplcError, SetupError
@@ -91,14 +91,14 @@ def on_terminal() -> bool:
     return True
 
 
-def pause(stop: threading.Event, seconds: float) -> bool:
+def pause(stop: threading.Event, seconds: float, clock: Clock = SYSTEM) -> bool:
     """Wait until ``stop`` is set, for ``seconds`` at most; return whether it is.
 
     For the main thread, where a signal's handler sets the event: in ``Event.wait`` it could interrupt the
     moment in which that holds the event's lock, and wait for the lock in ``Event.set`` for ever.
     """
-    end = time.monotonic() + seconds
-    while not stop.is_set() and (rest := end - time.monotonic()) > 0:
+    end = clock.monotonic_ns() + round(seconds * 1e9)
+    while not stop.is_set() and (rest := (end - clock.monotonic_ns()) / 1e9) > 0:
         select.select([], [], [], min(rest, _LOOK_AGAIN_S))
     return stop.is_set()
 
@@ -141,7 +141,8 @@ class News:
     then run after the wait, which may be never. The interpreter writes into this pipe as a signal comes.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Clock = SYSTEM) -> None:
+        self._clock = clock
         self._items: deque[int | str] = deque()
         self._read, self._write = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
         self._before = -1
@@ -166,9 +167,10 @@ class News:
 
     def wait(self, seconds: float | None) -> list[int | str]:
         """Return what has come; an empty list if nothing has within the time."""
-        end = None if seconds is None else time.monotonic() + seconds
+        now = self._clock.monotonic_ns
+        end = None if seconds is None else now() + round(seconds * 1e9)
         while not self._items:
-            rest = None if end is None else end - time.monotonic()
+            rest = None if end is None else (end - now()) / 1e9
             if rest is not None and rest <= 0:
                 return []
             if select.select([self._read], [], [], rest)[0]:

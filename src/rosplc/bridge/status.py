@@ -8,7 +8,7 @@ from typing import Any
 from rosplc.levels import Level, format_age
 from rosplc.shm import Direction
 
-__all__ = ["BridgeStatus", "ClassicStatus", "Level", "TopicStatus", "format_age"]
+__all__ = ["BridgeStatus", "ClassicStatus", "Level", "PortStatus", "TopicStatus", "format_age"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,9 +44,32 @@ class ClassicStatus:
         return f"{state}, {self.timeouts} timeouts, {self.recovered} freed, {self.mended} corrected"
 
 
-@dataclass(frozen=True, slots=True)
-class TopicStatus:
-    """One topic as it stands.
+@dataclass(frozen=True, kw_only=True)
+class PortStatus:
+    """What a port knows of the PLC and its memory.
+
+    Attributes:
+        skipped: Messages held back on purpose: rate limit, unchanged, replaced by a newer one.
+        lost: Messages that came too fast, or while there was no object or no room.
+        peer_alive: Whether the PLC's side beats: a reader for ``to: plc``, the writer for ``to: ros``.
+            None where that cannot be known: classic memory has no beat.
+        peer_gone_ns: Time since the PLC's side, having been there, was missed; None if it is there, or
+            never was.
+        tasks: Names of the PLC's reading tasks (``to: plc``).
+        classic: Memory and lock of a classic topic; None for a channel.
+    """
+
+    skipped: int = 0
+    lost: int = 0
+    peer_alive: bool | None = False
+    peer_gone_ns: int | None = None
+    tasks: tuple[str, ...] = ()
+    classic: ClassicStatus | None = None
+
+
+@dataclass(frozen=True)
+class TopicStatus(PortStatus):
+    """The state of one topic, with that of its port.
 
     Attributes:
         topic: As ROS writes it.
@@ -55,8 +78,6 @@ class TopicStatus:
         matched: ROS publishers or subscribers on the other side; 0 also before start.
         received: Messages that came in, from ROS or from the PLC.
         published: Messages passed on.
-        skipped: Messages held back on purpose: rate limit, unchanged.
-        lost: Messages that came too fast, or while there was no object or no room.
         refused: Messages that could not be converted or that the other side refused.
         truncated: Messages passed on with something cut off.
         deadlines_missed: Times that the QoS' deadline passed without a message; 0 where there is none.
@@ -68,16 +89,10 @@ class TopicStatus:
         substituting: Whether substitutes are published now in a silent PLC's place.
         substituted: Substitutes published in a silent PLC's place; they are in no other number.
         recovered: How often messages came again after the source was stale.
-        peer_alive: Whether the PLC's side beats: a reader for ``to: plc``, the writer for ``to: ros``.
-            None where that cannot be known: classic memory has no beat.
-        peer_gone_ns: Time since the PLC's side, having been there, was missed; None if it is there, or
-            never was.
-        tasks: Names of the PLC's reading tasks (``to: plc``).
         problem: Why the topic cannot be carried at present; empty if it is.
         reason: In words, what is wrong or was wrong last; empty if all is well.
         code: The error code that goes with ``reason``; empty if there is none.
         recent: Whether ``reason`` is from the last ten seconds, or still holds.
-        classic: Memory and lock of a classic topic; None for a channel.
     """
 
     topic: str
@@ -86,8 +101,6 @@ class TopicStatus:
     matched: int = 0
     received: int = 0
     published: int = 0
-    skipped: int = 0
-    lost: int = 0
     refused: int = 0
     truncated: int = 0
     deadlines_missed: int = 0
@@ -98,14 +111,10 @@ class TopicStatus:
     silent: bool = False
     substituted: int = 0
     recovered: int = 0
-    peer_alive: bool | None = False
-    peer_gone_ns: int | None = None
-    tasks: tuple[str, ...] = ()
     problem: str = ""
     reason: str = ""
     code: str = ""
     recent: bool = False
-    classic: ClassicStatus | None = None
 
     def _staleness(self, to_plc: bool) -> str:
         source = "ROS publisher" if to_plc else "the PLC"
@@ -154,7 +163,7 @@ class TopicStatus:
         return {**asdict(self), "direction": self.direction.word, "level": level.name, "message": message}
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class BridgeStatus:
     """A bridge and its topics as they stand.
 
@@ -197,12 +206,8 @@ class BridgeStatus:
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""
         level, message = self.judgement
-        own = {
-            name: getattr(self, name) for name in ("bridge", "backend", "backend_why", "running", "uptime_ns")
-        }
         return {
-            **own,
-            "config_changed": self.config_changed,
+            **vars(self),
             "notes": list(self.notes),
             "level": level.name,
             "message": message,

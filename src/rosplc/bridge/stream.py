@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextlib import suppress
@@ -10,7 +9,7 @@ from typing import Any
 
 from rosplc.bridge import hold
 from rosplc.bridge.hold import Hold, Silence, Stage
-from rosplc.bridge.port import QUIET_NS, Context, Counters, Port, Ports, PortStatus, log
+from rosplc.bridge.port import QUIET_NS, Context, Counters, Port, Ports, log
 from rosplc.bridge.status import TopicStatus
 from rosplc.codec import TRUNCATED, Codec, Fault, Wire
 from rosplc.config.quantities import format_duration
@@ -19,6 +18,7 @@ from rosplc.config.stale_plan import flag_topic
 from rosplc.errors import BackendError, ChannelError, RosplcError
 from rosplc.layout import compute_layout
 from rosplc.ros import Backend, EndpointStatus, Publisher, Qos, Subscription
+from rosplc.shm import Direction
 from rosplc.shm.constants import FLAG_FIRST, STAMP_SYSTEM
 
 __all__ = ["Stream", "ToPlc", "ToRos"]
@@ -46,7 +46,10 @@ class Stream(ABC):
         problem: Why it cannot be carried at present; empty if it is.
         silence: Since when its source has been silent.
         hold: What holds its messages back.
+        substituting: Whether something else is passed on in the source's place.
     """
+
+    substituting = False
 
     def __init__(self, plan: TopicPlan, context: Context, ports: Ports[Any]) -> None:
         self.plan = plan
@@ -54,31 +57,47 @@ class Stream(ABC):
         self.codec = Codec(plan.layout, Wire.ROS1 if plan.layout.store.ros_version == 1 else Wire.CDR)
         self.counters = Counters()
         self.problem = ""
+        self._endpoint: Subscription | Publisher | None = None
         self._now = context.clock.monotonic_ns
         now = self._now()
         self.silence = Silence(plan.stale_after_ns, context.debounce_ns, now)
-        self.hold = Hold((), lambda *_: None)
         self._reason: tuple[str, str, int] | None = None  # words, code, when
         self._lost_before = 0
         self._rate = 0.0
         self._rate_from: tuple[int, int] = (now, 0)
+        stages: list[Stage] = []
+        if plan.on_change:
+            stages.append(hold.OnChange(self._key))
+        if plan.min_interval_ns:
+            stages.append(hold.RateLimiter(plan.min_interval_ns))
+        self.hold = Hold(stages, self._send)
         self.port: Port = ports.make(self)
+
+    @abstractmethod
+    def _key(self, data: bytes) -> bytes | None:
+        """Return what tells messages apart with ``on_change``; None where nothing does."""
+
+    @abstractmethod
+    def _send(self, data: bytes, stamp_ns: int, now_ns: int) -> None:
+        """Pass on what nothing holds back any more."""
 
     # -- life
 
-    @abstractmethod
     def connect(self, backend: Backend) -> None:
         """Subscribe or advertise. Raises as the backend does; BackendError ROS019."""
-
-    def _check_backend(self, backend: Backend) -> None:
-        """Raise BackendError ROS019 if the backend would pass over what the topic's QoS promises."""
         if self.plan.qos.promises and "deadline" not in backend.capabilities:
             what = f"the {backend.name} backend carries neither deadline nor lease"
             raise BackendError("ROS019", what, where=self.plan.topic)
+        self._connect(backend)
 
     @abstractmethod
+    def _connect(self, backend: Backend) -> None:
+        """As :meth:`connect`."""
+
     def disconnect(self) -> None:
         """Take the endpoint off the graph; harmless twice."""
+        if self._endpoint is not None:
+            self._endpoint.close()
 
     @abstractmethod
     def begin(self, now_ns: int) -> None:
@@ -114,7 +133,7 @@ class Stream(ABC):
         endpoint = self.endpoint()
         if endpoint is not None:
             self._tell(endpoint.matched)
-        lost = self._lost(endpoint, self.port.status(now_ns))
+        lost = self._lost(endpoint, self.port.status(now_ns).lost)
         if lost > self._lost_before:
             # What lost a message a moment ago may have been noted with a better reason.
             if self._reason is None or now_ns - self._reason[2] > _EXPLAINED_NS:
@@ -146,6 +165,18 @@ class Stream(ABC):
         """A message has reached the PLC."""
         raise NotImplementedError
 
+    def _came(self, now_ns: int) -> bool:
+        """Count a message; return whether its source was stale before it."""
+        self.counters.received += 1
+        recovered = self.silence.heard(now_ns)
+        self.counters.recovered += recovered
+        return recovered
+
+    def _print(self, way: str, data: bytes) -> None:
+        if self.plan.print:
+            record = self.codec.decode(data, truncate=self.plan.truncate)
+            log.info("%s: %s the PLC: %s", self.plan.topic, way, self.plan.layout.to_dict(record))
+
     def refuse(self, fault: Fault, now_ns: int) -> None:
         """Count and explain a message that cannot be converted."""
         self.counters.refused += 1
@@ -172,53 +203,41 @@ class Stream(ABC):
 
     # -- status
 
-    @abstractmethod
     def endpoint(self) -> EndpointStatus | None:
         """Return the state of the ROS side's endpoint, None before there is one."""
+        return None if self._endpoint is None else self._endpoint.status()
 
-    def _lost(self, endpoint: EndpointStatus | None, port: PortStatus) -> int:
-        return self.counters.lost + port.lost
-
-    @property
-    def substituting(self) -> bool:
-        """Whether something else is passed on in the source's place."""
-        return False
+    def _lost(self, endpoint: EndpointStatus | None, by_port: int) -> int:
+        # What a publisher drops was noticed when it was given the message.
+        counts = endpoint is not None and self.plan.direction is Direction.TO_PLC
+        return self.counters.lost + by_port + (endpoint.dropped if endpoint and counts else 0)
 
     def status(self, now_ns: int) -> TopicStatus:
         """Return the stream's present state."""
-        plan, count, silence, port = self.plan, self.counters, self.silence, self.port.status(now_ns)
-        endpoint = self.endpoint()
+        plan, silence, endpoint, port = self.plan, self.silence, self.endpoint(), self.port.status(now_ns)
         reason, code, when = self._reason or ("", "", 0)
         recent = bool(reason) and now_ns - when < QUIET_NS
         if endpoint is not None and endpoint.code and not recent:
             reason, code, recent = endpoint.reason, endpoint.code, True
+        found = vars(port) | vars(self.counters) | {"lost": self._lost(endpoint, port.lost)}
+        found["skipped"] += self.hold.skipped
+        if endpoint is not None:
+            found["refused"] += endpoint.rejected
+            found |= {"matched": endpoint.matched, "deadlines_missed": endpoint.late}
         return TopicStatus(
             topic=plan.topic,
             type_name=plan.type_name,
             direction=plan.direction,
-            matched=endpoint.matched if endpoint else 0,
-            received=count.received,
-            published=count.published,
-            skipped=self.hold.skipped + port.skipped,
-            lost=self._lost(endpoint, port),
-            refused=count.refused + (endpoint.rejected if endpoint else 0),
-            truncated=count.truncated,
-            deadlines_missed=endpoint.late if endpoint else 0,
             rate_hz=self._rate,
             age_ns=silence.age_ns(now_ns),
             stale=silence.stale(now_ns),
             silent=silence.reported(now_ns),
             substituting=self.substituting,
-            substituted=count.substituted,
-            recovered=count.recovered,
-            peer_alive=port.peer_alive,
-            peer_gone_ns=None if port.peer_gone_ns is None else max(0, now_ns - port.peer_gone_ns),
-            tasks=port.tasks,
             problem=self.problem,
             reason=reason,
             code=code,
             recent=recent,
-            classic=port.classic,
+            **found,
         )
 
 
@@ -236,27 +255,12 @@ class ToPlc(Stream):
         self, plan: TopicPlan, context: Context, ports: Ports[Any], on_due: Callable[[], None]
     ) -> None:
         super().__init__(plan, context, ports)
-        self._subscription: Subscription | None = None
         self._on_due = on_due
         self._first = True
-        self._lock = threading.Lock()  # the hold has two users: callback and flush
-        stages: list[Stage] = []
-        if plan.on_change:
-            stages.append(hold.OnChange(self._record))
-        if plan.min_interval_ns:
-            stages.append(hold.RateLimiter(plan.min_interval_ns))
-        self.hold = Hold(stages, self._put)
 
-    def connect(self, backend: Backend) -> None:
-        """Subscribe."""
-        self._check_backend(backend)
+    def _connect(self, backend: Backend) -> None:
         plan = self.plan
-        self._subscription = backend.subscribe(plan.topic, plan.type_name, plan.qos, self.on_message)
-
-    def disconnect(self) -> None:
-        """End the subscription."""
-        if self._subscription is not None:
-            self._subscription.close()
+        self._endpoint = backend.subscribe(plan.topic, plan.type_name, plan.qos, self.on_message)
 
     def begin(self, now_ns: int) -> None:
         """The next message is marked as the first."""
@@ -265,38 +269,21 @@ class ToPlc(Stream):
     def on_message(self, data: bytes, stamp_ns: int) -> None:
         """Take a message from the backend."""
         now = self._now()
-        self.counters.received += 1
-        if self.silence.heard(now):
-            self.counters.recovered += 1
+        if self._came(now):
             self._first = True
         if not self.hold.stages:
-            self.port.put(data, stamp_ns, FLAG_FIRST if self._first else 0, now)
-            return
-        with self._lock:
-            before = self.hold.due_ns
-            self.hold.offer((data, stamp_ns), now)
-            waits = before is None and self.hold.due_ns is not None
-        if waits:
+            self._send(data, stamp_ns, now)
+        elif self.hold.offer((data, stamp_ns), now):
             self._on_due()
 
-    def _put(self, data: bytes, stamp_ns: int, now_ns: int) -> None:
+    def _send(self, data: bytes, stamp_ns: int, now_ns: int) -> None:
         self.port.put(data, stamp_ns, FLAG_FIRST if self._first else 0, now_ns)
 
-    def _record(self, data: bytes) -> bytes | None:
-        """Return a message as the PLC has it: different bytes on the wire may be the same message."""
+    def _key(self, data: bytes) -> bytes | None:
+        # As the PLC has it: different bytes on the wire may be the same message.
         with suppress(Fault):  # the port finds out again, and explains
             return self.codec.plan.decode(data, self.plan.truncate)[0]
         return None
-
-    def flush(self, now_ns: int) -> None:
-        """Pass on what waited for its time."""
-        with self._lock:
-            super().flush(now_ns)
-
-    def finish(self, now_ns: int) -> None:
-        """Pass on what waits."""
-        with self._lock:
-            super().finish(now_ns)
 
     def delivered(self, data: bytes, flags: int) -> None:
         """A message has reached the PLC."""
@@ -304,9 +291,7 @@ class ToPlc(Stream):
         self.counters.published += 1
         if flags & TRUNCATED:
             self.counters.truncated += 1
-        if self.plan.print:
-            record = self.codec.decode(data, truncate=self.plan.truncate)
-            log.info("%s: to the PLC: %s", self.plan.topic, self.plan.layout.to_dict(record))
+        self._print("to", data)
 
     def renewed(self) -> None:
         """Another object is open: the next message is marked as the first."""
@@ -317,13 +302,6 @@ class ToPlc(Stream):
         if not matched:
             self._first = True  # the next publisher is another source, or the same one back again
         super()._tell(matched)
-
-    def endpoint(self) -> EndpointStatus | None:
-        """Return the state of the subscription."""
-        return None if self._subscription is None else self._subscription.status()
-
-    def _lost(self, endpoint: EndpointStatus | None, port: PortStatus) -> int:
-        return super()._lost(endpoint, port) + (endpoint.dropped if endpoint else 0)
 
 
 class ToRos(Stream):
@@ -338,13 +316,8 @@ class ToRos(Stream):
         self._substituted_before = 0
         self._unsent = hold.Unsent() if plan.latched else None
         self._retained: bytes | None = None  # the message from before the start, which is in no counter
-        stages: list[Stage] = []
-        if plan.on_change:
-            stages.append(hold.OnChange())  # the encoder leaves nothing of unused bytes
-        if plan.min_interval_ns:
-            stages.append(hold.RateLimiter(plan.min_interval_ns))
         if self._unsent is not None:
-            stages.append(self._unsent)
+            self.hold.stages.append(self._unsent)
         if plan.on_stale.action == "substitute":
             stale = plan.on_stale
             self._payload = self.codec.encode(stale.record)
@@ -354,14 +327,14 @@ class ToRos(Stream):
             layout = compute_layout(plan.layout.store, _BOOL)
             flag = Codec(layout, self.codec.wire)
             self._flags = {state: flag.encode(layout.pack({"data": state})) for state in (False, True)}
-            stages.append(self._substitute)
-        self.hold = Hold(stages, self._send)
+            self.hold.stages.append(self._substitute)
 
-    def connect(self, backend: Backend) -> None:
-        """Advertise."""
-        self._check_backend(backend)
+    def _key(self, data: bytes) -> bytes:
+        return data  # the encoder leaves nothing of unused bytes
+
+    def _connect(self, backend: Backend) -> None:
         plan = self.plan
-        self._publisher = backend.advertise(plan.topic, plan.type_name, plan.qos)
+        self._endpoint = self._publisher = backend.advertise(plan.topic, plan.type_name, plan.qos)
         if self._substitute is not None:
             # A ROS message has no room for a flag: another topic tells whether substitutes are published.
             self._flag = backend.advertise(flag_topic(plan.topic), _BOOL, _FLAG_QOS)
@@ -369,8 +342,7 @@ class ToRos(Stream):
 
     def disconnect(self) -> None:
         """Withdraw the publisher."""
-        if self._publisher is not None:
-            self._publisher.close()
+        super().disconnect()
         flag, self._flag = self._flag, None
         if flag is not None:
             flag.close()
@@ -383,11 +355,8 @@ class ToRos(Stream):
         if self.plan.latched and (found := self.port.retained()) is not None:
             self._retained = found[0]
             self._send(found[0], self._stamp(*found[1:]), now_ns)
-        grace = hold.Grace(
-            now_ns + hold.GRACE_NS,
-            self.plan.qos.depth if self.plan.every else 1,
-            lambda: publisher.matched > 0,
-        )
+        most = self.plan.qos.depth if self.plan.every else 1
+        grace = hold.Grace(now_ns + hold.GRACE_NS, most, lambda: publisher.matched > 0)
         last = (self._unsent is not None) + (self._substitute is not None)  # which come after it
         self.hold.stages.insert(len(self.hold.stages) - last, grace)
 
@@ -398,12 +367,9 @@ class ToRos(Stream):
     def receive(self, data: bytes, flags: int, stamp_ns: int, stamp_clock: int) -> None:
         """Pass on a message that was taken."""
         now = self._now()
-        count = self.counters
-        count.received += 1
-        if self.silence.heard(now):
-            count.recovered += 1
+        self._came(now)
         if flags & TRUNCATED:
-            count.truncated += 1
+            self.counters.truncated += 1
         stamp = self._stamp(stamp_ns, stamp_clock)
         if self.hold.stages:
             self.hold.offer((data, stamp), now)
@@ -419,19 +385,16 @@ class ToRos(Stream):
                 self.fail(now_ns, ChannelError("SHM116", "another bridge has taken the topic over"))
             return
         self._give_up_unsent()
-        if (failure := self._write(data, stamp_ns)) is not None:
-            if self._unsent is not None and failure[1] == "ROS009":
-                self._unsent.keep((data, stamp_ns), now_ns)
-                self.note(now_ns, f"the newest message waits: {failure[0]}", failure[1])
-                return
+        if (failure := self._write(data, stamp_ns)) is None:
+            count.published += counted
+            self._print("from", data)
+        elif self._unsent is not None and failure[1] == "ROS009":
+            self._unsent.keep((data, stamp_ns), now_ns)
+            self.note(now_ns, f"the newest message waits: {failure[0]}", failure[1])
+        else:
             count.lost += counted
             self.hold.forget()
             self.note(now_ns, f"message not sent: {failure[0]}", failure[1])
-            return
-        count.published += counted
-        if self.plan.print:
-            record = self.codec.decode(data)
-            log.info("%s: from the PLC: %s", self.plan.topic, self.plan.layout.to_dict(record))
 
     def _write(self, data: bytes, stamp_ns: int) -> tuple[str, str] | None:
         """Publish; return why that failed, as words and an error's code, else None."""
@@ -488,15 +451,7 @@ class ToRos(Stream):
         self._show(active)
 
     def _show(self, active: bool) -> None:
+        self.substituting = active
         if self._flag is not None:
             with suppress(RosplcError):  # the topic's own messages meet the same trouble, and it is noted
                 self._flag.write(self._flags[active])
-
-    @property
-    def substituting(self) -> bool:
-        """Whether substitutes are published now."""
-        return self._substitute is not None and self._substitute.active
-
-    def endpoint(self) -> EndpointStatus | None:
-        """Return the state of the publisher."""
-        return None if self._publisher is None else self._publisher.status()

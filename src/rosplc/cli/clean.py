@@ -103,10 +103,11 @@ def _remove(lock_file: Path, paths: list[Path], *, dry_run: bool) -> list[str]:
         ChannelError: SHM116 while a bridge holds it; SHM104, SHM119, SHM121 for what is somebody else's.
     """
     from rosplc.monitor.watch import open_object
+    from rosplc.shm.files import Rights
     from rosplc.shm.lock import NameLock
 
     existed = lock_file.exists()
-    lock = NameLock(lock_file, mode=lock_file.stat().st_mode if existed else 0o600)
+    lock = NameLock(lock_file, Rights(lock_file.stat().st_mode if existed else 0o600))
     try:
         names = []
         for path in sorted(paths, key=lambda path: path == lock_file):

@@ -5,13 +5,15 @@ from __future__ import annotations
 import grp
 import pwd
 import stat
+from collections.abc import Callable
 from pathlib import Path
 
 from rosplc.config.file import Config
 from rosplc.config.problems import Absent
 from rosplc.errors import ConfigError
+from rosplc.shm.files import Rights
 
-__all__ = ["group_id", "open_doors", "user_id"]
+__all__ = ["group_id", "open_doors", "rights", "user_id"]
 
 _LARGEST_ID = 2**32 - 2
 
@@ -38,37 +40,32 @@ def open_doors(config: Config) -> list[str]:
     return found
 
 
+def rights(config: Config) -> Rights:
+    """Return mode, owner and group of the objects. Raises CFG004 for an unknown user or group."""
+    return Rights(config.settings.shm.mode, user_id(config), group_id(config))
+
+
 def user_id(config: Config) -> int | None:
     """Return ``shm.owner`` as a number. Raises CFG004 at its line if there is no such user."""
-    owner = config.settings.shm.owner
-    if not isinstance(owner, str):
-        return _checked(config, "owner", owner)
-    try:
-        return pwd.getpwnam(owner).pw_uid
-    except KeyError:
-        raise _unknown(config, "owner", f"there is no user {owner!r} on this machine") from None
+    return _id(config, "owner", "user", lambda name: pwd.getpwnam(name).pw_uid)
 
 
 def group_id(config: Config) -> int | None:
     """Return ``shm.group`` as a number. Raises CFG004 at its line if there is no such group."""
-    group = config.settings.shm.group
-    if not isinstance(group, str):
-        return _checked(config, "group", group)
-    try:
-        return grp.getgrnam(group).gr_gid
-    except KeyError:
-        raise _unknown(config, "group", f"there is no group {group!r} on this machine") from None
+    return _id(config, "group", "group", lambda name: grp.getgrnam(name).gr_gid)
 
 
-def _checked(config: Config, key: str, number: int | None) -> int | None:
+def _id(config: Config, key: str, kind: str, find: Callable[[str], int]) -> int | None:
+    given: str | int | None = getattr(config.settings.shm, key)
+    place = config.source.place(("shm", key))
+    if isinstance(given, str):
+        try:
+            return find(given)
+        except KeyError:
+            what = f"there is no {kind} {given!r} on this machine"
+            remedy = "Create it, or name another; `getent passwd` and `getent group` list them."
+            raise Absent("CFG004", what, where=place, remedy=remedy) from None
     # -1 and its unsigned twin would mean "leave it as it is" to the kernel.
-    if number is not None and not 0 <= number <= _LARGEST_ID:
-        raise ConfigError(
-            "CFG004", f"{number} is not within 0 … {_LARGEST_ID}", where=config.source.place(("shm", key))
-        )
-    return number
-
-
-def _unknown(config: Config, key: str, what: str) -> ConfigError:
-    remedy = "Create it, or name another; `getent passwd` and `getent group` list them."
-    return Absent("CFG004", what, where=config.source.place(("shm", key)), remedy=remedy)
+    if given is not None and not 0 <= given <= _LARGEST_ID:
+        raise ConfigError("CFG004", f"{given} is not within 0 … {_LARGEST_ID}", where=place)
+    return given

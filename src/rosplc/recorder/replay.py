@@ -12,7 +12,7 @@ from typing import Any, Literal, Protocol
 from rosplc.bridge.bind import Binding
 from rosplc.clock import SYSTEM, Clock
 from rosplc.codec import Codec, Wire
-from rosplc.config.access import group_id, user_id
+from rosplc.config.access import rights
 from rosplc.config.objects import describe
 from rosplc.config.resolve import Project
 from rosplc.described import description_of, layout_of
@@ -334,11 +334,7 @@ class PlcTarget(_Converting):
                 self._convert(name, topic, own, plan.layout, plan.direction, "the configuration")
                 settings = project.config.settings
                 description = describe(plan, distro=settings.ros.distro, bridge=settings.bridge)
-                owner = {
-                    "mode": settings.shm.mode,
-                    "uid": user_id(project.config),
-                    "gid": group_id(project.config),
-                }
+                owner = vars(rights(project.config))
                 return _Plan(description, plan.layout, plan.slots, plan.truncate, owner)
         there = self._there(name)
         if there is not None:

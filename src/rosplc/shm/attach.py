@@ -10,7 +10,6 @@ import os
 import time
 from functools import cached_property
 from pathlib import Path
-from types import TracebackType
 
 from rosplc._core import Reader, Region, Writer
 from rosplc.shm.claims import ReaderClaim, WriterClaim, start_of
@@ -181,9 +180,7 @@ class Attached:
     def __enter__(self) -> Attached:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _writable(self) -> None:

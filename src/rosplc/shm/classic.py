@@ -7,21 +7,14 @@ therefore compared with what the names lead to before and after every use, and a
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 from rosplc.shm.classic_lock import ClassicLock, Entry
 from rosplc.shm.classic_memory import ClassicMemory
+from rosplc.shm.files import USUAL, Rights
 from rosplc.shm.lock import NameLock
 
 __all__ = ["ClassicObject", "Entry"]
-
-
-@dataclass(frozen=True)
-class _Rights:
-    mode: int
-    uid: int | None
-    gid: int | None
 
 
 class ClassicObject:
@@ -33,9 +26,7 @@ class ClassicObject:
         record_size: Bytes of the record.
         write: Whether this side writes the record.
         recover_after_ns: As for :class:`~rosplc.shm.classic_lock.ClassicLock`.
-        mode: Permission bits of what is made here.
-        uid: Owner of what is made here; None for this process's.
-        gid: Group of what is made here; None for this process's.
+        rights: Of what is made here.
         directory: Where the objects lie.
 
     Attributes:
@@ -54,9 +45,7 @@ class ClassicObject:
         *,
         write: bool,
         recover_after_ns: int,
-        mode: int = 0o660,
-        uid: int | None = None,
-        gid: int | None = None,
+        rights: Rights = USUAL,
         directory: Path | str = "/dev/shm",
     ) -> None:
         self.name, self.semaphore, self.record_size = name, semaphore, record_size
@@ -66,7 +55,7 @@ class ClassicObject:
         self._directory = Path(directory)
         self._write = write
         self._recover_after_ns = recover_after_ns
-        self._rights = _Rights(mode, uid, gid)
+        self._rights = rights
         self._claim: NameLock | None = None
         self._counted = (0, 0)
 
@@ -92,7 +81,7 @@ class ClassicObject:
             ChannelError: SHM116 if one has it, and the others of :class:`~rosplc.shm.lock.NameLock`.
         """
         path = self._directory / f"rosplc.classic.{self.name}"
-        self._claim = NameLock(path, mode=self._rights.mode, uid=self._rights.uid, gid=self._rights.gid)
+        self._claim = NameLock(path, self._rights)
 
     def owned(self) -> bool:
         """Return whether the claim of :meth:`claim` still holds."""
@@ -106,24 +95,13 @@ class ClassicObject:
                 :class:`~rosplc.shm.classic_lock.ClassicLock`.
         """
         self.detach()
-        rights = self._rights
         memory = ClassicMemory(
-            self._directory / self.name,
-            self.record_size,
-            write=self._write,
-            mode=rights.mode,
-            uid=rights.uid,
-            gid=rights.gid,
+            self._directory / self.name, self.record_size, write=self._write, rights=self._rights
         )
         try:
             if self.semaphore:
                 self.lock = ClassicLock(
-                    self.semaphore,
-                    self._recover_after_ns,
-                    mode=rights.mode,
-                    uid=rights.uid,
-                    gid=rights.gid,
-                    directory=self._directory,
+                    self.semaphore, self._recover_after_ns, rights=self._rights, directory=self._directory
                 )
         except BaseException:
             memory.close()

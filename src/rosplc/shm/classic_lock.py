@@ -17,8 +17,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from rosplc.errors import ChannelError
-from rosplc.shm.classic_memory import give_away
-from rosplc.shm.files import open_plain_file, same_file
+from rosplc.shm.files import USUAL, Rights, open_plain_file, same_file
 from rosplc.shm.header import channel_error
 from rosplc.shm.semaphore import Semaphore
 from rosplc.shm.who import describe_owner
@@ -52,9 +51,7 @@ class ClassicLock:
     Args:
         name: Without a slash and without ``sem.``.
         recover_after_ns: See :class:`rosplc.config.classic_plan.ClassicPlan`.
-        mode: Permission bits of a new one.
-        uid: Owner of a new one; None for this process's.
-        gid: Group of a new one; None for this process's.
+        rights: Of a new one.
         directory: Where the C library keeps semaphores.
 
     Attributes:
@@ -74,9 +71,7 @@ class ClassicLock:
         name: str,
         recover_after_ns: int,
         *,
-        mode: int = 0o660,
-        uid: int | None = None,
-        gid: int | None = None,
+        rights: Rights = USUAL,
         directory: Path | str = "/dev/shm",
     ) -> None:
         self.name = name
@@ -88,7 +83,7 @@ class ClassicLock:
         self._recover_after_ns = recover_after_ns
         self._looked_ns = 0
         self._looks = 0
-        self._semaphore, self._identity = self._open(mode, uid, gid)
+        self._semaphore, self._identity = self._open(rights)
 
     @property
     def value(self) -> int:
@@ -160,12 +155,12 @@ class ClassicLock:
         self.doubtful = True
         return Entry.RECOVERED
 
-    def _open(self, mode: int, uid: int | None, gid: int | None) -> tuple[Semaphore, tuple[int, int]]:
+    def _open(self, rights: Rights) -> tuple[Semaphore, tuple[int, int]]:
         while True:
             try:
                 found = self.path.lstat()
             except FileNotFoundError:
-                self._create(mode, uid, gid)
+                self._create(rights)
                 continue
             except OSError as error:
                 raise channel_error(123, error.strerror or "", str(self.path)) from error
@@ -182,7 +177,7 @@ class ClassicLock:
             except PermissionError as error:
                 if found.st_uid == os.geteuid() and found.st_mode & 0o600 != 0o600:
                     # Made by this very user, who passed O_RDWR for the mode and so gave it no rights at all.
-                    _open_up(self.path, found, mode)
+                    _open_up(self.path, found, rights.mode)
                     continue
                 raise _denied(self.path) from error
             except OSError as error:
@@ -208,9 +203,9 @@ class ClassicLock:
         if shared != _SHARED or value > _LARGEST:
             raise channel_error(128, "its content is none of a semaphore", str(self.path))
 
-    def _create(self, mode: int, uid: int | None, gid: int | None) -> None:
+    def _create(self, rights: Rights) -> None:
         try:
-            made = Semaphore(self.name, create=True, mode=mode)
+            made = Semaphore(self.name, create=True, mode=rights.mode)
         except FileExistsError:
             return
         except OSError as error:
@@ -223,7 +218,7 @@ class ClassicLock:
             return  # replaced at this moment: the other side's is as good, or opening it says why not
         try:
             if os.fstat(fd).st_uid == os.geteuid():
-                give_away(fd, self.path, mode, uid, gid)
+                rights.give(fd, self.path)
         finally:
             os.close(fd)
 

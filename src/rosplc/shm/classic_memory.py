@@ -14,15 +14,14 @@ import re
 import secrets
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
 
 from rosplc.errors import ChannelError
-from rosplc.shm.files import open_plain_file, refuse_second_name, same_file
+from rosplc.shm.files import USUAL, Rights, open_plain_file, refuse_second_name, same_file
 from rosplc.shm.header import channel_error
 from rosplc.shm.semaphore import read_at, size_of, write_at
 from rosplc.shm.who import describe_owner
 
-__all__ = ["ClassicMemory", "give_away"]
+__all__ = ["ClassicMemory"]
 
 _TEMPORARY = re.compile(r"rosplc\.new\.[0-9a-f]{16}")
 
@@ -34,9 +33,7 @@ class ClassicMemory:
         path: Its file.
         record_size: Bytes of the record.
         write: Whether it is written too; without it rights to read are enough.
-        mode: Permission bits of a new one.
-        uid: Owner of a new one; None for this process's.
-        gid: Group of a new one; None for this process's.
+        rights: Of a new one.
 
     Attributes:
         path: As given.
@@ -56,9 +53,7 @@ class ClassicMemory:
         record_size: int,
         *,
         write: bool = True,
-        mode: int = 0o660,
-        uid: int | None = None,
-        gid: int | None = None,
+        rights: Rights = USUAL,
     ) -> None:
         self.path = path
         self.record_size = record_size
@@ -74,7 +69,7 @@ class ClassicMemory:
                     raise _denied(path) from error
                 if error.code != "SHM101":
                     raise
-                self.created = _create(path, record_size, mode, uid, gid)
+                self.created = _create(path, record_size, rights)
         try:
             found = os.fstat(self._fd)
             self.identity = found.st_dev, found.st_ino
@@ -119,9 +114,7 @@ class ClassicMemory:
     def __enter__(self) -> ClassicMemory:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _large_enough(self, size: int) -> None:
@@ -133,7 +126,7 @@ class ClassicMemory:
         raise channel_error(129, what, str(self.path))
 
 
-def _create(path: Path, size: int, mode: int, uid: int | None, gid: int | None) -> bool:
+def _create(path: Path, size: int, rights: Rights) -> bool:
     """Make a zeroed object visible complete, or leave the one that somebody else made meanwhile."""
     temporary = path.parent / f"rosplc.new.{secrets.token_hex(8)}"
     fd = open_plain_file(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL, denied=123)
@@ -142,7 +135,7 @@ def _create(path: Path, size: int, mode: int, uid: int | None, gid: int | None) 
             os.posix_fallocate(fd, 0, size)
         except OSError as error:
             raise channel_error(117, f"{size} bytes: {error.strerror}", str(path)) from error
-        give_away(fd, path, mode, uid, gid)
+        rights.give(fd, path)
         try:
             os.link(temporary, path)  # unlike a rename it replaces nothing
         except FileExistsError:
@@ -162,16 +155,6 @@ def _remove_own_leftover(directory: Path, identity: tuple[int, int]) -> None:
         if _TEMPORARY.fullmatch(name.name) and same_file(name, *identity):
             with suppress(OSError):
                 name.unlink()
-
-
-def give_away(fd: int, path: Path, mode: int, uid: int | None, gid: int | None) -> None:
-    """Set owner, group and mode of a file. Raises SHM102 where that is not allowed."""
-    try:
-        if uid is not None or gid is not None:
-            os.fchown(fd, -1 if uid is None else uid, -1 if gid is None else gid)
-        os.fchmod(fd, mode)
-    except PermissionError as error:
-        raise channel_error(102, f"cannot give it to user {uid}, group {gid}", str(path)) from error
 
 
 def _denied(path: Path) -> ChannelError:

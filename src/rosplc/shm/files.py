@@ -6,13 +6,14 @@ import errno
 import os
 import secrets
 import stat
+from dataclasses import dataclass
 from pathlib import Path
 
 from rosplc.errors import ChannelError
 from rosplc.shm.constants import HEADER_SIZE
 from rosplc.shm.header import channel_error
 
-__all__ = ["create_complete", "open_plain_file", "read_header", "refuse_second_name", "same_file"]
+__all__ = ["Rights", "create_complete", "open_plain_file", "read_header", "refuse_second_name", "same_file"]
 
 _NO_PLAIN_FILE = {
     # What the kernel says of these ("too many levels of symbolic links") is about something else.
@@ -22,6 +23,28 @@ _NO_PLAIN_FILE = {
 }
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.ENOMEM)
 _ATTEMPTS = 16
+
+
+@dataclass(frozen=True)
+class Rights:
+    """Permission bits, owner and group of what is made; None for this process's."""
+
+    mode: int = 0o660
+    uid: int | None = None
+    gid: int | None = None
+
+    def give(self, fd: int, path: Path) -> None:
+        """Set them. Raises SHM102 where that is not allowed."""
+        try:
+            if self.uid is not None or self.gid is not None:
+                os.fchown(fd, -1 if self.uid is None else self.uid, -1 if self.gid is None else self.gid)
+            os.fchmod(fd, self.mode)
+        except PermissionError as error:
+            what = f"cannot give it to user {self.uid}, group {self.gid}"
+            raise channel_error(102, what, str(path)) from error
+
+
+USUAL = Rights()
 
 
 def open_plain_file(path: Path, flags: int, *, denied: int = 102, mode: int = 0o600) -> int:
@@ -101,9 +124,7 @@ def same_file(path: Path, device: int, inode: int) -> bool:
     return (found.st_dev, found.st_ino) == (device, inode)
 
 
-def create_complete(
-    path: Path, temporary_prefix: str, head: bytes, size: int, *, mode: int, uid: int | None, gid: int | None
-) -> int:
+def create_complete(path: Path, temporary_prefix: str, head: bytes, size: int, rights: Rights) -> int:
     """Make a file of ``size`` bytes that begins with ``head`` visible, complete or not at all (M1).
 
     Returns:
@@ -115,7 +136,13 @@ def create_complete(
     """
     temporary, fd = _new_file(path.parent, temporary_prefix)
     try:
-        _fill(fd, temporary, head, size, mode=mode, uid=uid, gid=gid)
+        try:
+            os.posix_fallocate(fd, 0, size)
+            os.pwrite(fd, head, 0)
+        except OSError as error:
+            number = 117 if error.errno in _NO_ROOM else 123
+            raise channel_error(number, f"{size} bytes: {error.strerror}", str(path.parent)) from error
+        rights.give(fd, temporary)
         try:
             temporary.rename(path)
         except IsADirectoryError as error:
@@ -141,20 +168,3 @@ def _new_file(directory: Path, prefix: str) -> tuple[Path, int]:
             if not isinstance(error.__cause__, FileExistsError) or attempt == _ATTEMPTS - 1:
                 raise
     raise AssertionError  # the loop returns or raises
-
-
-def _fill(
-    fd: int, path: Path, head: bytes, size: int, *, mode: int, uid: int | None, gid: int | None
-) -> None:
-    try:
-        os.posix_fallocate(fd, 0, size)
-        os.pwrite(fd, head, 0)
-    except OSError as error:
-        number = 117 if error.errno in _NO_ROOM else 123
-        raise channel_error(number, f"{size} bytes: {error.strerror}", str(path.parent)) from error
-    try:
-        if uid is not None or gid is not None:
-            os.fchown(fd, -1 if uid is None else uid, -1 if gid is None else gid)
-        os.fchmod(fd, mode)
-    except PermissionError as error:
-        raise channel_error(102, f"cannot give the object to user {uid}, group {gid}", str(path)) from error

@@ -16,7 +16,8 @@ from __future__ import annotations
 
 import struct
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 from rosplc._core import check_identity
 from rosplc.errors import CODES, ChannelError
@@ -43,6 +44,10 @@ __all__ = ["Identity", "channel_error", "layout_id_text", "layout_id_words"]
 
 _FORMAT = struct.Struct("<19I16s5I16x")
 _NAMES = [name for name in IDENTITY if name != "reserved"]
+_FIXED = {
+    "magic": MAGIC, "header_size": HEADER_SIZE, "features_required": 0, "kind": KIND_TOPIC,
+    "slot_header_size": SLOT_HEADER_SIZE, "reader_lines": READER_LINES, "identity_crc": 0,
+}  # fmt: skip
 _GEOMETRY = (
     *("header_size", "state", "slot_count", "slot_stride", "slot_header_size", "record_size", "slots_offset"),
     *("object_size", "description_offset", "description_size", "generation", "reader_lines"),
@@ -105,20 +110,14 @@ class Identity:
     features_optional: int = 0
 
     @classmethod
-    def plan(
-        cls,
-        *,
-        direction: Direction,
-        slots: int,
-        record_size: int,
-        description_size: int,
-        layout_id: str,
-        generation: int,
-        bridge_id: bytes,
-        creator_pid: int = 0,
-        created_ns: int = 0,
-    ) -> Identity:
+    def plan(cls, *, slots: int, record_size: int, description_size: int, **others: Any) -> Identity:
         """Lay out a new object: self-description at 512, then the slots, each part on a new line.
+
+        Args:
+            slots: How many.
+            record_size: Bytes of a record.
+            description_size: Bytes of the self-description.
+            **others: ``direction``, ``layout_id``, ``generation``, ``bridge_id``, …
 
         Raises:
             ValueError: If the number of slots is no power of two from 4 to 65536, the record is not
@@ -127,7 +126,6 @@ class Identity:
         stride = _round_up(SLOT_HEADER_SIZE + record_size)
         start = _round_up(HEADER_SIZE + description_size)
         identity = cls(
-            direction=direction,
             slot_count=slots,
             slot_stride=stride,
             record_size=record_size,
@@ -135,11 +133,7 @@ class Identity:
             object_size=start + slots * stride,
             description_offset=HEADER_SIZE,
             description_size=description_size,
-            layout_id=layout_id,
-            generation=generation,
-            bridge_id=bridge_id,
-            creator_pid=creator_pid,
-            created_ns=created_ns,
+            **others,
         )
         fits = min(slots, record_size, description_size) > 0 and identity.object_size <= MAX_OBJECT_SIZE
         if not fits or check_identity(identity.build().ljust(HEADER_SIZE, b"\0"), identity.object_size, 0):
@@ -158,32 +152,19 @@ class Identity:
 
     def build(self) -> bytes:
         """Return lines 0 and 1, 128 bytes, with their CRC."""
-        image = _FORMAT.pack(
-            MAGIC,
-            self.version,
-            HEADER_SIZE,
-            self.state,
-            0,
-            self.features_optional,
-            KIND_TOPIC,
-            self.direction,
-            self.slot_count,
-            self.slot_stride,
-            SLOT_HEADER_SIZE,
-            self.record_size,
-            self.slots_offset,
-            self.object_size,
-            self.description_offset,
-            self.description_size,
-            *self.layout_words,
-            self.generation,
-            self.bridge_id,
-            self.creator_pid & 0xFFFFFFFF,
-            self.created_ns & 0xFFFFFFFF,
-            self.created_ns >> 32,
-            READER_LINES,
-            0,
+        low, high = self.layout_words
+        words = (
+            _FIXED
+            | vars(self)
+            | {
+                "layout_id_lo": low,
+                "layout_id_hi": high,
+                "creator_pid": self.creator_pid & 0xFFFFFFFF,
+                "created_lo": self.created_ns & 0xFFFFFFFF,
+                "created_hi": self.created_ns >> 32,
+            }
         )
+        image = _FORMAT.pack(*(words[name] for name in _NAMES))
         return image[:108] + struct.pack("<I", _crc(image)) + image[112:]
 
     @classmethod
@@ -212,36 +193,22 @@ class Identity:
         number = check_identity(first, available, direction or 0)
         if number and not (number == ErrorNumber.RETIRED and accept_retired):
             raise channel_error(number, _explain(number, first, available, direction), where)
-        words = _FORMAT.unpack_from(first)
-        (version, _, state, _, optional, _, way) = words[1:8]
-        (count, stride, _, record, start, total, text_at, text_size) = words[8:16]
-        (low, high, generation, bridge_id, pid, created_lo, created_hi) = words[16:23]
-        return cls(
-            direction=Direction(way),
-            slot_count=count,
-            slot_stride=stride,
-            record_size=record,
-            slots_offset=start,
-            object_size=total,
-            description_offset=text_at,
-            description_size=text_size,
-            layout_id=layout_id_text(low, high),
-            generation=generation,
-            bridge_id=bridge_id,
-            creator_pid=pid,
-            created_ns=created_hi << 32 | created_lo,
-            state=state,
-            version=version,
-            features_optional=optional,
-        )
+        words = _words(first)
+        own = {field.name: words[field.name] for field in fields(cls) if field.name in words}
+        own["direction"] = Direction(words["direction"])
+        layout_id = layout_id_text(words["layout_id_lo"], words["layout_id_hi"])
+        return cls(**own, layout_id=layout_id, created_ns=words["created_hi"] << 32 | words["created_lo"])
+
+
+def _words(first: bytes) -> dict[str, Any]:
+    return dict(zip(_NAMES, _FORMAT.unpack_from(first), strict=True))
 
 
 def _explain(number: int, first: bytes, size: int, direction: Direction | None) -> str:
     """Say what check ``number`` found; empty where the code's title says it all."""
     if number == ErrorNumber.TOO_SMALL:
         return f"object has {size} bytes, a header has {HEADER_SIZE}"
-    words = _FORMAT.unpack_from(first)
-    found = dict(zip(_NAMES, words, strict=True))
+    found = _words(first)
     version = found["version"]
     wanted_way = direction.word if direction is not None else "to_plc or to_ros"
     texts = {

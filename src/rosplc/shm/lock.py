@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 
 from rosplc.errors import ChannelError
-from rosplc.shm.files import open_plain_file, refuse_second_name, same_file
+from rosplc.shm.files import Rights, open_plain_file, refuse_second_name, same_file
 from rosplc.shm.header import channel_error
 from rosplc.shm.who import user_name
 
@@ -28,9 +28,8 @@ class NameLock:
 
     Args:
         path: The lock file.
-        mode: Permission bits of the object; the lock file gets them too.
-        uid: Who may own an older lock file besides this process's user and root.
-        gid: Group of the object; the lock file is given to it.
+        rights: The object's: the lock file gets its mode and group, and its owner, as this process's user and
+            root, may own an older lock file.
 
     Raises:
         ChannelError: SHM116 if another bridge holds it, SHM119 if the file is another user's,
@@ -38,7 +37,7 @@ class NameLock:
             SHM123 if the directory cannot be used.
     """
 
-    def __init__(self, path: Path, *, mode: int, uid: int | None = None, gid: int | None = None) -> None:
+    def __init__(self, path: Path, rights: Rights) -> None:
         self.path = path
         self.unheld_ns = 0
         self._fd = -1
@@ -58,14 +57,14 @@ class NameLock:
                 break
             self.release()
         try:
-            self._refuse_foreign(uid)
-            self._share(mode & 0o666, gid)
+            self._refuse_foreign(rights.uid)
+            self._share(rights.mode & 0o666, rights.gid)
             status = os.fstat(self._fd)
             if status.st_size:  # an object has been there, and so has a holder
                 self.unheld_ns = max(0, time.time_ns() - status.st_mtime_ns)
         except OSError as error:
             self.release()
-            what = f"cannot give the lock file to group {gid}: {error.strerror}"
+            what = f"cannot give the lock file to group {rights.gid}: {error.strerror}"
             raise channel_error(102, what, str(path)) from error
         except BaseException:
             self.release()

@@ -15,7 +15,6 @@ import struct
 import time
 import weakref
 from pathlib import Path
-from types import TracebackType
 
 from rosplc._core import Reader, Region, Writer
 from rosplc.errors import ChannelError
@@ -34,7 +33,14 @@ from rosplc.shm.constants import (
     reader_line,
 )
 from rosplc.shm.description import Description
-from rosplc.shm.files import create_complete, open_plain_file, read_header, refuse_second_name, same_file
+from rosplc.shm.files import (
+    Rights,
+    create_complete,
+    open_plain_file,
+    read_header,
+    refuse_second_name,
+    same_file,
+)
 from rosplc.shm.header import Identity, channel_error
 from rosplc.shm.lock import NameLock
 from rosplc.shm.names import Namespace
@@ -131,24 +137,17 @@ class OwnedChannel:
             creator_pid=os.getpid(),
             created_ns=time.time_ns(),
         )
-        owner = (os.geteuid() if uid is None else uid, gid, stat.S_IMODE(mode))
-        lock = NameLock(namespace.lock_path(description.topic), mode=mode, uid=uid, gid=gid)
+        rights = Rights(mode, uid, gid)
+        lock = NameLock(namespace.lock_path(description.topic), rights)
         fd = -1
         ours = lock.held_an_object
         try:
             _sweep(path.parent, namespace.temporary_prefix(description.topic))
-            fd, reason = _adopt(path, description, identity, owner, ours)
+            fd, reason = _adopt(path, description, identity, rights, ours)
             lock.remember_object(True)
             if fd < 0:
-                fd = create_complete(
-                    path,
-                    namespace.temporary_prefix(description.topic),
-                    _image(identity, text),
-                    identity.object_size,
-                    mode=mode,
-                    uid=uid,
-                    gid=gid,
-                )
+                prefix, image = namespace.temporary_prefix(description.topic), _image(identity, text)
+                fd = create_complete(path, prefix, image, identity.object_size, rights)
             return cls(lock, fd, namespace, description, reason)
         except BaseException:
             with contextlib.suppress(OSError):
@@ -239,9 +238,7 @@ class OwnedChannel:
     def __enter__(self) -> OwnedChannel:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 
@@ -282,7 +279,7 @@ def _sweep(directory: Path, temporary_prefix: str) -> None:
 
 
 def _adopt(
-    path: Path, description: Description, wanted: Identity, owner: tuple[int, int | None, int], ours: bool
+    path: Path, description: Description, wanted: Identity, rights: Rights, ours: bool
 ) -> tuple[int, str | None]:
     """Return the descriptor of the object to adopt and None, or -1 and why not, the object being retired.
 
@@ -296,8 +293,8 @@ def _adopt(
             raise
         return -1, ""
     try:
-        _refuse_foreign(fd, path, owner[0], ours)
-        reason = _difference(fd, description, wanted, owner, str(path))
+        _refuse_foreign(fd, path, rights.uid, ours)
+        reason = _difference(fd, description, wanted, rights, str(path))
         if not reason:
             return fd, None
         retire_file(fd)
@@ -308,7 +305,7 @@ def _adopt(
     return -1, reason
 
 
-def _refuse_foreign(fd: int, path: Path, uid: int, ours: bool) -> None:
+def _refuse_foreign(fd: int, path: Path, uid: int | None, ours: bool) -> None:
     """Raise SHM119, SHM121, SHM103 or SHM104 for what no bridge of this user has made."""
     status = os.fstat(fd)
     if status.st_uid not in (os.geteuid(), uid):
@@ -326,18 +323,18 @@ def _refuse_foreign(fd: int, path: Path, uid: int, ours: bool) -> None:
     )
 
 
-def _difference(
-    fd: int, description: Description, wanted: Identity, owner: tuple[int, int | None, int], where: str
-) -> str:
+def _difference(fd: int, description: Description, wanted: Identity, rights: Rights, where: str) -> str:
     """Say why an object cannot be adopted (section 8.3); empty if it can."""
     status = os.fstat(fd)
-    uid, gid, mode = owner
+    uid = os.geteuid() if rights.uid is None else rights.uid
     first, size = read_header(fd)
     try:
         found = Identity.parse(first, size, direction=wanted.direction, where=where)
     except ChannelError as error:
         return f"{error.what} [{error.code}]"
-    if (status.st_uid, stat.S_IMODE(status.st_mode)) != (uid, mode) or gid not in (None, status.st_gid):
+    group = status.st_gid if rights.gid is None else rights.gid
+    here = status.st_uid, status.st_gid, stat.S_IMODE(status.st_mode)
+    if here != (uid, group, stat.S_IMODE(rights.mode)):
         # Named, as it may have been open to everybody until now.
         return f"owner, group or mode differ: it was {describe_status(status)}"
     for name in ("layout_id", "record_size", "slot_count", "slot_stride"):

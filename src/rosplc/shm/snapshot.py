@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from rosplc._core import Region
 from rosplc.shm.constants import CHANGING_WORDS, IDENTITY, IDENTITY_SIZE, LINE_SIZE, READER_LINES
 from rosplc.shm.header import layout_id_text
 
-__all__ = ["ReaderState", "Snapshot", "WriterState"]
+__all__ = ["ReaderState", "Snapshot", "WriterState", "task_name"]
 
 _WORDS = LINE_SIZE // 4
 
@@ -72,21 +73,15 @@ class Snapshot:
         return cls(region.word(IDENTITY["state"]), WriterState(*lines[0][:10]), readers)
 
 
+def task_name(words: Sequence[int]) -> str:
+    """Return the name in the last words of a reader line."""
+    name = b"".join(word.to_bytes(4, "little") for word in words).split(b"\0")[0]
+    return name.decode("utf-8", "replace")
+
+
 def _reader(index: int, words: tuple[int, ...]) -> ReaderState:
     claim, beat, beat_ms, taken, low, high, lost, retries, generation, error, sinks, pid = words[:12]
-    name = b"".join(word.to_bytes(4, "little") for word in words[12:16]).split(b"\0")[0]
+    layout, task = layout_id_text(low, high), task_name(words[12:16])
     return ReaderState(
-        index=index,
-        claim=claim,
-        beat=beat,
-        beat_ms=beat_ms,
-        taken=taken,
-        layout_id=layout_id_text(low, high),
-        lost=lost,
-        retries=retries,
-        generation=generation,
-        error=error,
-        sinks=sinks,
-        pid=pid,
-        task=name.decode("utf-8", "replace"),
+        index, claim, beat, beat_ms, taken, layout, lost, retries, generation, error, sinks, pid, task
     )

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rosplc.bridge import stream
+from rosplc.bridge import hold
 from rosplc.bridge.hold import Grace, Hold, OnChange, RateLimiter, Silence, Stage, Substitute
 from tests.lib.waiting import wait_for
 from tests.unit.bridge.conftest import INT, Cell, numbers
@@ -141,7 +141,7 @@ def test_subscriber_that_finds_the_bridge_late_misses_nothing(
     cell: Cell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Volatile subscribers get what was written before the start; other topics wait for nobody."""
-    monkeypatch.setattr(stream, "GRACE_NS", 10**15)  # no machine is too slow for this test
+    monkeypatch.setattr(hold, "GRACE_NS", 10**15)  # no machine is too slow for this test
     cell.start(TOPICS)
     out, other = cell.plc("/out"), cell.plc("/other")
     cell.stop()
@@ -163,12 +163,12 @@ def test_subscriber_that_finds_the_bridge_late_misses_nothing(
 
 def test_nobody_comes_and_nothing_is_kept_for_ever(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without a subscriber messages go out when the time is over, or when the bridge stops."""
-    monkeypatch.setattr(stream, "GRACE_NS", 50_000_000)
+    monkeypatch.setattr(hold, "GRACE_NS", 50_000_000)
     bridge = cell.start(TOPICS)
     cell.plc("/out").write({"data": 1})
     wait_for(lambda: bridge.status().topic("/out").published == 1)
     cell.stop()
-    monkeypatch.setattr(stream, "GRACE_NS", 10**15)
+    monkeypatch.setattr(hold, "GRACE_NS", 10**15)
     bridge = cell.start(TOPICS)
     cell.plc("/other").write({"data": 2})
     wait_for(lambda: bridge.status().topic("/other").received == 1)

@@ -15,6 +15,7 @@ from rosplc.errors import BackendError, ChannelError
 from rosplc.ros import Qos
 from rosplc.ros.memory import MemoryBackend, open_backend
 from rosplc.shm import Namespace
+from rosplc.shm.files import Rights
 from rosplc.shm.lock import NameLock
 from tests.lib.waiting import wait_for
 from tests.unit.bridge.conftest import BOTH, DOMAIN, INT, STORE, STRING, Cell, numbers, wire
@@ -230,7 +231,7 @@ def test_a_broken_file_changes_nothing(tmp_path: Path, cell: Cell, caplog: pytes
 def test_a_name_that_is_taken_refuses_all(cell: Cell) -> None:
     """If an added topic's name is another bridge's, the others are not added either, and nothing is left."""
     bridge = cell.start(BOTH)
-    lock = NameLock(cell.namespace.lock_path("/b"), mode=0o660)
+    lock = NameLock(cell.namespace.lock_path("/b"), Rights())
     more = f"  /a: {{type: {INT}, to: plc}}\n  /b: {{type: {INT}, to: plc}}\n"
     with pytest.raises(ChannelError, match="SHM116"):
         reload(cell, BOTH + more)

@@ -14,6 +14,7 @@ from rosplc.errors import ChannelError
 from rosplc.shm.classic import ClassicObject, Entry
 from rosplc.shm.classic_lock import SEMAPHORE_SIZE, ClassicLock
 from rosplc.shm.classic_memory import ClassicMemory
+from rosplc.shm.files import Rights
 from tests.classic_cell import remove, unique_name
 
 SECOND = 10**9
@@ -45,7 +46,7 @@ def watch(lock: ClassicLock, start_ns: int, end_ns: int, step_ns: int = 5 * MILL
 
 def test_a_missing_memory_is_made_zeroed_and_whole(tmp_path: Path) -> None:
     """What is made has the record's size, zeros and the mode that was asked for, and no leftovers."""
-    with ClassicMemory(tmp_path / "io", 48, mode=0o640) as memory:
+    with ClassicMemory(tmp_path / "io", 48, rights=Rights(0o640)) as memory:
         assert memory.created and memory.size == 48 and memory.read() == bytes(48)
         assert (tmp_path / "io").stat().st_mode & 0o777 == 0o640
     assert [path.name for path in tmp_path.iterdir()] == ["io"]
@@ -123,7 +124,7 @@ def test_rights_that_are_missing_are_named(tmp_path: Path, name: str) -> None:
 
 def test_a_lock_is_made_free_with_the_mode_asked_for(name: str) -> None:
     """A new semaphore lets in one, and its group may use it."""
-    lock = ClassicLock(name, SECOND, mode=0o660)
+    lock = ClassicLock(name, SECOND, rights=Rights(0o660))
     assert lock.created and lock.value == 1
     assert lock.path.stat().st_mode & 0o777 == 0o660
     assert lock.enter(0) is Entry.ENTERED and lock.enter(0) is Entry.BUSY
