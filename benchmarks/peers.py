@@ -9,15 +9,18 @@ which all processes of one machine share.
 from __future__ import annotations
 
 import asyncio
+import itertools
 import json
 import os
 import struct
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass
-from typing import Any
+from functools import partial
+from typing import Any, TypeVar
 
 from rosplc.codec import Codec, Wire
 from rosplc.described import description_of
@@ -44,6 +47,7 @@ _CLASSIC_SCAN_S, _HOLD_EVERY_NS = 0.0001, 10_000_000
 _REALTIME_SCAN_S, _PLC_PRIORITY, _SOURCE_PRIORITY = 0.0002, 60, 30
 
 Plan = dict[str, Any]
+T = TypeVar("T")
 
 
 def names(kind: str, count: int) -> list[str]:
@@ -111,6 +115,15 @@ def wait_for_match(*publishers: Any) -> None:
         time.sleep(0.05)
 
 
+def paced(period: float, turns: Iterable[T] | None = None) -> Iterator[T]:
+    """Yield each turn, by default without end, at its time on a grid of ``period`` seconds."""
+    due = time.monotonic()
+    for turn in itertools.count() if turns is None else turns:
+        yield turn  # type: ignore[misc]
+        due += period
+        time.sleep(max(0.0, due - time.monotonic()))
+
+
 class Requests:
     """Standard input, read by a thread: words that were given, and empty lines that ask for a report."""
 
@@ -148,13 +161,9 @@ class Requests:
         self._asked -= 1
         return True
 
-    def paced(self, period: float, body: Callable[[], None]) -> None:
-        """Run ``body`` every ``period`` seconds until told to stop; late turns are made up for."""
-        due = time.monotonic()
-        while not self.ended:
-            body()
-            due += period
-            time.sleep(max(0.0, due - time.monotonic()))
+    def paced(self, period: float) -> Iterator[int]:
+        """Yield every ``period`` seconds until told to stop; late turns are made up for."""
+        return itertools.takewhile(lambda _: not self.ended, paced(period))
 
 
 # A loaded bridge: every message is checked
@@ -179,107 +188,106 @@ class Tally:
         self.missing += number - self.last - 1
         self.last = number
 
+    def receiver(self, pattern: Pattern) -> Callable[[bytes, int], None]:
+        """Return what a backend calls with each message."""
+        return lambda data, _stamp_ns: self.add(data, pattern)
 
-class Milestones:
-    """Reports once that every topic has received a message; with ``until_last`` also that it has the last.
 
-    From the first message on readers count losses.
+class Load:
+    """One end of a load: sends numbered messages when it may, and checks what arrives.
+
+    It reports once that every topic has received a message: from there on readers count losses. With
+    ``until_last`` in the plan it also reports that every topic has the last one.
     """
 
-    def __init__(self, tallies: dict[str, Tally], plan: Plan) -> None:
-        self._tallies = tallies
-        self._left = [("heard", 1), *([("arrived", plan["count"])] if plan.get("until_last") else [])]
+    def __init__(self, plan: Plan, seen: list[str]) -> None:
+        self._plan, self.requests, self.number = plan, Requests(), 0
+        self.tallies = {topic: Tally() for topic in seen}
+        self._milestones = [("heard", 1), *([("arrived", plan["count"])] if plan.get("until_last") else [])]
 
     def check(self) -> None:
-        """Report if it is time."""
-        if self._left and all(tally.last >= self._left[0][1] for tally in self._tallies.values()):
-            reply(**{self._left.pop(0)[0]: True})
+        """Report a milestone if it is reached."""
+        if self._milestones and all(tally.last >= self._milestones[0][1] for tally in self.tallies.values()):
+            reply(**{self._milestones.pop(0)[0]: True})
+
+    def send(self, publish: Callable[[int], None]) -> bool:
+        """Publish the next message if it may be sent; report the last; return whether it was sent."""
+        allowed = self.requests.allowed(self.number + 1, self._plan["count"])
+        if allowed:
+            self.number += 1
+            publish(self.number)
+            if self.number == self._plan["count"]:
+                reply(sent=self.number)
+        return allowed
+
+    def report(self, lost: dict[str, int], **more: int) -> None:
+        """Report what was seen and sent."""
+        seen = {topic: asdict(tally) for topic, tally in self.tallies.items()}
+        reply(seen=seen, sent=self.number, lost=lost, **more)
 
 
 def ros(plan: Plan) -> None:
     """Publish on some topics and subscribe to others, over ROS, at a fixed rate."""
     wire, _ = patterns(plan.get("distro", "jazzy"))
-    requests = Requests()
+    load = Load(plan, names("out", plan["topics"]))
     qos = Qos(reliability="reliable", durability="volatile", depth=plan["qos_depth"])
     backend = connect(plan, "load")
-    tallies = {topic: Tally() for topic in names("out", plan["topics"])}
-    for index, topic in enumerate(tallies):
-        tally, pattern = tallies[topic], wire(index)
-        backend.subscribe(topic, TYPE, qos, lambda data, _, t=tally, p=pattern: t.add(data, p))  # type: ignore[misc]
-    out = [
-        (backend.advertise(topic, TYPE, qos), wire(index))
-        for index, topic in enumerate(names("in", plan["topics"]))
-    ]
-    while not requests.ended and any(not one.matched for one in backend.status()):
+    for index, (topic, tally) in enumerate(load.tallies.items()):
+        backend.subscribe(topic, TYPE, qos, tally.receiver(wire(index)))
+    topics = enumerate(names("in", plan["topics"]))
+    out = [(backend.advertise(topic, TYPE, qos), wire(index)) for index, topic in topics]
+    while not load.requests.ended and any(not one.matched for one in backend.status()):
         time.sleep(0.05)
     reply(ready=True)
-    requests.wait()
-    number, refused, milestones = 0, 0, Milestones(tallies, plan)
+    load.requests.wait()
+    refused = 0
 
-    def turn() -> None:
-        nonlocal number, refused
-        milestones.check()
-        if requests.allowed(number + 1, plan["count"]):
-            number += 1
-            for publisher, pattern in out:
-                refused += not publisher.write(bytes(pattern.of(number)))
-            if number == plan["count"]:
-                reply(sent=number)
+    def publish(number: int) -> None:
+        nonlocal refused
+        refused += sum(not publisher.write(bytes(pattern.of(number))) for publisher, pattern in out)
 
-    requests.paced(1 / plan["rate"], turn)
-    lost = {one.topic: one.dropped for one in backend.status()}
-    seen = {topic: asdict(tally) for topic, tally in tallies.items()}
-    reply(seen=seen, sent=number, refused=refused, lost=lost)
+    for _ in load.requests.paced(1 / plan["rate"]):
+        load.check()
+        load.send(publish)
+    load.report({one.topic: one.dropped for one in backend.status()}, refused=refused)
     backend.close()
 
 
 def plc(plan: Plan) -> None:
     """Be the PLC: each scan takes all that is new and sends ``per_scan`` messages on each topic."""
     _, records = patterns(plan.get("distro", "jazzy"))
-    requests = Requests()
-    namespace = Namespace(plan["prefix"])
-    tallies = {topic: Tally() for topic in names("in", plan["topics"])}
-    ins, outs = [], []
-    for index, topic in enumerate(tallies):
-        attached = attach(namespace, topic, direction=Direction.TO_PLC, write=True)
-        ins.append((attached.reader("load", observe=False), tallies[topic], records(index)))
-    ends = {
-        topic: attach(namespace, topic, direction=Direction.TO_ROS, write=True)
-        for topic in names("out", plan["topics"])
-    }
-    for index, attached in enumerate(ends.values()):
-        outs.append((attached.writer(beat_ms=5000), records(index)))
+    load = Load(plan, names("in", plan["topics"]))
+    attached = partial(attach, Namespace(plan["prefix"]), write=True)
+    ins = [
+        (attached(topic, direction=Direction.TO_PLC).reader("load", observe=False), tally, records(index))
+        for index, (topic, tally) in enumerate(load.tallies.items())
+    ]
+    ends = {topic: attached(topic, direction=Direction.TO_ROS) for topic in names("out", plan["topics"])}
+    outs = [(end.writer(beat_ms=5000), records(index)) for index, end in enumerate(ends.values())]
     record = bytearray(len(records(0).bytes))
     reply(ready=True)
-    number, milestones, scans = 0, Milestones(tallies, plan), 0
 
     def take() -> None:
         for reader, tally, pattern in ins:
             while reader.next(record) is not None:
                 tally.add(record, pattern)
 
-    def scan() -> None:
-        nonlocal number, scans
-        scans += 1
-        if scans % 100 == 0:  # no scan is longer than 20 ms, and the writers promise a beat in 5 s
+    def publish(number: int) -> None:
+        for writer, pattern in outs:
+            writer.publish(pattern.of(number))
+
+    for scan in load.requests.paced(plan["per_scan"] / plan["rate"]):
+        if scan % 100 == 99:  # no scan is longer than 20 ms, and the writers promise a beat in 5 s
             for writer, _ in outs:
                 writer.beat()
         take()
-        milestones.check()
+        load.check()
         for _ in range(plan["per_scan"]):
-            if not requests.allowed(number + 1, plan["count"]):
+            if not load.send(publish):
                 break
-            number += 1
-            for writer, pattern in outs:
-                writer.publish(pattern.of(number))
-            if number == plan["count"]:
-                reply(sent=number)
-
-    requests.paced(plan["per_scan"] / plan["rate"], scan)
     take()
-    lost = {topic: reader.lost for topic, (reader, _, _) in zip(tallies, ins, strict=True)}
-    lost |= {topic: end.snapshot().readers[0].lost for topic, end in ends.items()}
-    reply(seen={topic: asdict(tally) for topic, tally in tallies.items()}, sent=number, lost=lost)
+    lost = {topic: reader.lost for topic, (reader, _, _) in zip(load.tallies, ins, strict=True)}
+    load.report(lost | {topic: end.snapshot().readers[0].lost for topic, end in ends.items()})
 
 
 def feeder(plan: Plan) -> None:
@@ -287,27 +295,22 @@ def feeder(plan: Plan) -> None:
     layout = compute_layout(TypeStore.bundled("jazzy"), TYPE, Limits(string=STRING))
     _, records = patterns()
     requests = Requests()
+    namespace, size, slots = Namespace(plan["prefix"]), layout.size, plan["slots"]
     owned = []
     for index, topic in enumerate(names("in", plan["topics"])):
-        description = description_of(layout, topic, Direction.TO_PLC, bridge="feeder")
-        channel = OwnedChannel.open(
-            Namespace(plan["prefix"]), description, record_size=layout.size, slots=plan["slots"]
-        )
+        about = description_of(layout, topic, Direction.TO_PLC, bridge="feeder")
+        channel = OwnedChannel.open(namespace, about, record_size=size, slots=slots)
         owned.append((channel, channel.writer(), records(index)))
     reply(ready=True)
     requests.wait()
     number, began = 0, time.monotonic()
-
-    def turn() -> None:
-        nonlocal number
+    for _ in requests.paced(0.001):
         while number < (time.monotonic() - began) * plan["rate"] and number < plan["count"]:
             number += 1
             for _, writer, pattern in owned:
                 writer.publish(pattern.of(number))
         if number == plan["count"]:
-            requests.ended = True
-
-    requests.paced(0.001, turn)
+            break
     reply(sent=number, seconds=time.monotonic() - began)
     threading.Event().wait()  # the channels stay until their reader has read them
 
@@ -340,15 +343,13 @@ def source(plan: Plan) -> None:
         if kind == "flood":
             reply(took=_flood(publishers[rest[0]], bytes(message), float(rest[1]), int(rest[2])))
             continue
-        half = 0.5 / float(rest[0])
-        due = time.monotonic()
-        for _ in range(int(rest[1])):
-            send(BARE)
-            due += half
-            time.sleep(max(0.0, due - time.monotonic()))
-            send(TO_PLC) if kind == "in" else through_memory()
-            due += half
-            time.sleep(max(0.0, due - time.monotonic()))
+        for half in paced(0.5 / float(rest[0]), range(2 * int(rest[1]))):
+            if half % 2 == 0:
+                send(BARE)
+            elif kind == "in":
+                send(TO_PLC)
+            else:
+                through_memory()
         reply(sent=int(rest[1]))
     backend.close()
 
@@ -482,12 +483,8 @@ def realtime_source(plan: Plan) -> None:
     reply(ready=True)
     for line in sys.stdin:
         rate, count = line.split()
-        due = time.monotonic()
-        for _ in range(int(count)):
-            for publisher in publishers:
-                publisher.write(b"\0\1\0\0" + _TIME.pack(time.monotonic_ns()))
-                due += 1 / float(rate) / len(publishers)
-                time.sleep(max(0.0, due - time.monotonic()))
+        for publisher in paced(1 / float(rate) / len(publishers), publishers * int(count)):
+            publisher.write(b"\0\1\0\0" + _TIME.pack(time.monotonic_ns()))
         reply(sent=count)
     backend.close()
 
@@ -568,35 +565,29 @@ def _classic_read(request: Plan, prefix: str, size: int) -> None:
 
 def _classic_write(request: Plan, prefix: str, size: int) -> None:
     """Write stamped messages at a rate into the first memories or channels."""
-    sends: list[Callable[[bytes], object]] = []
-    closers: list[Callable[[], None]] = []
-    for number in range(request["topics"]):
-        if request["kind"] == "classic":
-            memory = _classic(f"{prefix}-classic-out{number}", size)
-            closers.append(memory.close)
 
-            def locked(record: bytes, memory: ClassicObject = memory) -> None:
-                _enter(memory)
-                memory.write(record)
-                if request["hold_us"]:
-                    time.sleep(request["hold_us"] / 1e6)
-                memory.leave()
+    def locked(memory: ClassicObject, record: bytes) -> None:
+        _enter(memory)
+        memory.write(record)
+        if request["hold_us"]:
+            time.sleep(request["hold_us"] / 1e6)
+        memory.leave()
 
-            sends.append(locked)
-        else:
-            attached = attach(
-                Namespace(prefix), f"/channel/out{number}", direction=Direction.TO_ROS, write=True
-            )
-            sends.append(attached.writer(60_000).publish)
-            closers.append(attached.close)
-    due = time.monotonic()
-    for _ in range(request["count"]):
-        for send in sends:
-            send(_TIME.pack(time.monotonic_ns()) + bytes(size - 8))
-        due += 1 / request["rate"]
-        time.sleep(max(0.0, due - time.monotonic()))
-    for close in closers:
-        close()
+    with ExitStack() as stack:
+        sends: list[Callable[[bytes], object]] = []
+        for number in range(request["topics"]):
+            if request["kind"] == "classic":
+                memory = _classic(f"{prefix}-classic-out{number}", size)
+                stack.callback(memory.close)
+                sends.append(partial(locked, memory))
+            else:
+                topic = f"/channel/out{number}"
+                attached = attach(Namespace(prefix), topic, direction=Direction.TO_ROS, write=True)
+                stack.callback(attached.close)
+                sends.append(attached.writer(60_000).publish)
+        for _ in paced(1 / request["rate"], range(request["count"])):
+            for send in sends:
+                send(_TIME.pack(time.monotonic_ns()) + bytes(size - 8))
     reply(written=request["count"] * request["topics"])
 
 

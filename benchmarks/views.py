@@ -18,8 +18,9 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.processes import peer
+from rosplc_bench.process import Side
 
-__all__ = ["VIEWS", "View", "recorder", "view"]
+__all__ = ["VIEWS", "View", "recorder", "rosplc", "view", "web"]
 
 VIEWS = ("nothing", "rosplc top", "rosplc web, no page", "rosplc web, a page", "rosplc record")
 
@@ -39,7 +40,7 @@ def view(kind: str, prefix: str, folder: Path, domain: int) -> Iterator[View]:
     if kind == "nothing":
         yield found
     elif kind == "rosplc top":
-        with _terminal(["top", "--prefix", prefix]) as found.pid:
+        with _terminal("top", "--prefix", prefix) as found.pid:
             yield found
     elif kind == "rosplc record":
         out = folder / "record.mcap"
@@ -50,10 +51,7 @@ def view(kind: str, prefix: str, folder: Path, domain: int) -> Iterator[View]:
             process.terminate()
             found.facts = json.loads(process.communicate()[0])
     else:
-        with _process(["web", "--prefix", prefix, "--port", "0", "--json"]) as process:
-            found.pid = process.pid
-            assert process.stdout is not None
-            url = json.loads(process.stdout.readline())["url"]
+        with web(prefix) as (url, found.pid):
             if kind == "rosplc web, no page":
                 yield found
             else:
@@ -63,48 +61,47 @@ def view(kind: str, prefix: str, folder: Path, domain: int) -> Iterator[View]:
                     yield found
 
 
+def rosplc(*arguments: str) -> list[str]:
+    """Return a command line of rosplc."""
+    return [sys.executable, "-m", "rosplc", *arguments]
+
+
+@contextmanager
+def web(prefix: str) -> Iterator[tuple[str, int]]:
+    """Run ``rosplc web``; give its address and process."""
+    with Side("web", rosplc("web", "--prefix", prefix, "--port", "0", "--json")) as server:
+        try:
+            yield server.receive_json()["url"], server.pid
+        finally:
+            server.kill()
+
+
 @contextmanager
 def recorder(prefix: str, out: Path) -> Iterator[subprocess.Popen[str]]:
     """Run a recorder; it has begun when the block begins, and prints what it did when it is terminated."""
-    arguments = ["record", "--prefix", prefix, "-o", str(out), "--json"]
-    with _process(arguments, errors=subprocess.PIPE) as process:
-        assert process.stderr is not None
-        while "Ctrl-C" not in (line := process.stderr.readline()):
-            if not line:
-                raise RuntimeError("the recorder ended")
-        yield process
-
-
-@contextmanager
-def _process(arguments: list[str], errors: int = subprocess.DEVNULL) -> Iterator[subprocess.Popen[str]]:
-    process = subprocess.Popen(
-        [sys.executable, "-m", "rosplc", *arguments],
-        stdout=subprocess.PIPE,
-        stderr=errors,
-        text=True,
-    )
-    try:
-        yield process
-    finally:
-        if process.poll() is None:
+    command = rosplc("record", "--prefix", prefix, "-o", str(out), "--json")
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True) as process:
+        try:
+            assert process.stderr is not None
+            while "Ctrl-C" not in (line := process.stderr.readline()):
+                if not line:
+                    raise RuntimeError("the recorder ended")
+            yield process
+        finally:
             process.kill()
-            process.communicate()
 
 
 @contextmanager
-def _terminal(arguments: list[str]) -> Iterator[int]:
+def _terminal(*arguments: str) -> Iterator[int]:
     """Run a program in a terminal of 120 columns, whose output is read."""
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("4H", 40, 120, 0, 0))
+    environment = {**os.environ, "TERM": "xterm-256color"}
     process = subprocess.Popen(
-        [sys.executable, "-m", "rosplc", *arguments],
-        stdin=theirs,
-        stdout=theirs,
-        stderr=theirs,
-        env={**os.environ, "TERM": "xterm-256color"},
+        rosplc(*arguments), stdin=theirs, stdout=theirs, stderr=theirs, env=environment
     )
     os.close(theirs)
-
     drawn = threading.Event()
 
     def read() -> None:
@@ -114,8 +111,7 @@ def _terminal(arguments: list[str]) -> Iterator[int]:
         except OSError:
             pass  # the program has ended
 
-    reader = threading.Thread(target=read, daemon=True)
-    reader.start()
+    threading.Thread(target=read, daemon=True).start()
     try:
         drawn.wait(60)
         yield process.pid

@@ -9,9 +9,7 @@ browser has changed the text of its field. Server and browser share the machine 
 
 from __future__ import annotations
 
-import json
 import secrets
-import subprocess
 import sys
 import threading
 import time
@@ -22,9 +20,11 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import measure
-from benchmarks.processes import cpu_seconds
+from benchmarks.processes import cpu_seconds, environment
+from benchmarks.views import web
 from benchmarks.web_machine import COMMANDS, SOURCES, UNUSED
 from rosplc import bind
+from rosplc_bench.process import Side
 
 CHROMIUM = "/usr/bin/chromium"
 CHANNELS = 200
@@ -112,22 +112,12 @@ def _share(pid: int, work: Any) -> float:
 def _machine(channels: int) -> Iterator[tuple[str, str, int]]:
     prefix = f"bench-{secrets.token_hex(4)}"
     more = channels - len(SOURCES) - len(COMMANDS) - len(UNUSED)
-    root = Path(__file__).resolve().parent.parent
-    commands = (
-        [sys.executable, "-m", "benchmarks.web_machine", "bridge", prefix, str(more)],
-        [sys.executable, "-m", "rosplc", "web", "--prefix", prefix, "--port", "0", "--json"],
-    )
-    children = [
-        subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=root)
-        for command in commands
-    ]
+    command = [sys.executable, "-m", "benchmarks.web_machine", "bridge", prefix, str(more)]
     try:
-        lines = [child.stdout.readline() for child in children if child.stdout]
-        yield prefix, json.loads(lines[1])["url"], children[1].pid
+        with Side("machine", command, environment(0)) as machine, web(prefix) as (url, pid):
+            machine.receive()
+            yield prefix, url, pid
     finally:
-        for child in children:
-            child.kill()
-            child.wait()
         for left in Path("/dev/shm").glob(f"{prefix}.*"):
             left.unlink()
 
