@@ -12,23 +12,20 @@ import argparse
 import json
 from pathlib import Path
 
+from generated_page import ROOT, filled, write_or_verify
 from rosplc_bench.cli import SECTIONS
 from rosplc_bench.draw import draw
 from rosplc_bench.report import Report, markdown_body, render
 
-DOCS = Path(__file__).resolve().parent.parent / "docs"
+DOCS = ROOT / "docs"
 PAGE = DOCS / "explanation" / "comparison.md"
 IMAGES = DOCS / "images" / "bench"
 REPORT = IMAGES / "report.json"
-BEGIN, END = "<!-- results: begin; written by tools/generate_comparison.py -->", "<!-- results: end -->"
 
 
 def page(report: Report) -> str:
     """Return the whole page with the report's results in their place."""
-    before, _, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
-    _, _, after = rest.partition(END)
-    body = "\n".join(markdown_body(report, SECTIONS, "../images/bench/")).rstrip()
-    return f"{before}{BEGIN}\n\n{body}\n\n{END}{after}"
+    return filled(PAGE, {"results": "\n".join(markdown_body(report, SECTIONS, "../images/bench/"))})
 
 
 def main() -> int:
@@ -39,10 +36,7 @@ def main() -> int:
     arguments = parser.parse_args()
     report = Report.from_json(arguments.report.read_text(encoding="utf-8"), str(arguments.report))
     if arguments.verify:
-        if PAGE.read_text(encoding="utf-8") == page(report):
-            return 0
-        print(f"{PAGE} is not what {arguments.report} gives: run tools/generate_comparison.py")
-        return 1
+        return write_or_verify(PAGE, page(report), verify=True)
     IMAGES.mkdir(parents=True, exist_ok=True)
     for old in (*IMAGES.glob("*.svg"), *IMAGES.glob("*.png")):
         old.unlink()
@@ -52,8 +46,7 @@ def main() -> int:
             for path in draw(figure, IMAGES):
                 if path.suffix == ".png":
                     path.unlink()  # the page shows the SVG
-    PAGE.write_text(page(report), encoding="utf-8")
-    return 0
+    return write_or_verify(PAGE, page(report), verify=False)
 
 
 if __name__ == "__main__":

@@ -14,11 +14,12 @@ import sys
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parent.parent
+from generated_page import ROOT, filled, write_or_verify
+
 sys.path.insert(0, str(ROOT))
 
-from tests.soak.draw import draw_recovery, draw_series  # noqa: E402
-from tests.soak.results import (  # noqa: E402
+from tests.soak.draw import draw_recovery, draw_series
+from tests.soak.results import (
     cell_name,
     compact,
     processes,
@@ -30,8 +31,6 @@ from tests.soak.results import (  # noqa: E402
 PAGE = ROOT / "docs" / "explanation" / "fault-campaign.md"
 IMAGES = ROOT / "docs" / "images" / "soak"
 RUNS = IMAGES / "runs.json"
-BEGIN = "<!-- figures: begin; written by tools/generate_fault_campaign.py -->"
-END = "<!-- figures: end -->"
 
 
 def drawn(runs: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
@@ -92,9 +91,7 @@ def body(runs: list[dict[str, Any]]) -> list[str]:
 
 def page(runs: list[dict[str, Any]]) -> str:
     """Return the whole page with the runs' figures in their place."""
-    before, _, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
-    _, _, after = rest.partition(END)
-    return f"{before}{BEGIN}\n\n" + "\n".join(body(runs)).rstrip() + f"\n\n{END}{after}"
+    return filled(PAGE, {"figures": "\n".join(body(runs))})
 
 
 def main() -> int:
@@ -108,10 +105,7 @@ def main() -> int:
     else:
         runs = json.loads(RUNS.read_text(encoding="utf-8"))
     if arguments.verify:
-        if PAGE.read_text(encoding="utf-8") == page(runs):
-            return 0
-        print(f"{PAGE} is not what {RUNS} gives: run tools/generate_fault_campaign.py")
-        return 1
+        return write_or_verify(PAGE, page(runs), verify=True)
     IMAGES.mkdir(parents=True, exist_ok=True)
     for old in IMAGES.glob("*.svg"):
         old.unlink()
@@ -119,8 +113,7 @@ def main() -> int:
     for name, run in drawn(runs).items():
         draw_series(run, IMAGES / name)
     draw_recovery(runs, IMAGES / "recovery.svg")
-    PAGE.write_text(page(runs), encoding="utf-8")
-    return 0
+    return write_or_verify(PAGE, page(runs), verify=False)
 
 
 if __name__ == "__main__":

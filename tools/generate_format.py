@@ -9,10 +9,9 @@ from __future__ import annotations
 import re
 import sys
 import textwrap
-from pathlib import Path
 from typing import Any, NamedTuple
 
-from generated_page import write_or_verify
+from generated_page import ROOT, run
 from rosplc.errors import CODES
 
 if sys.version_info >= (3, 11):
@@ -20,7 +19,6 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib  # pytest's
 
-ROOT = Path(__file__).resolve().parent.parent
 HEADER = ROOT / "src/rosplc/include/rosplc/numbers.h"
 MODULE = ROOT / "src/rosplc/shm/constants.py"
 TABLE: dict[str, Any] = tomllib.loads((ROOT / "spec/format.toml").read_text(encoding="utf-8"))
@@ -193,7 +191,4 @@ def module() -> str:
 
 
 if __name__ == "__main__":
-    outcomes = [
-        write_or_verify(path, text, __doc__) for path, text in ((HEADER, header()), (MODULE, module()))
-    ]
-    raise SystemExit(max(outcomes))
+    raise SystemExit(run(__doc__, {HEADER: header(), MODULE: module()}))
