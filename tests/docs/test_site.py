@@ -211,7 +211,8 @@ def test_a_command_is_copied_without_its_prompt_and_output(browser: Any, served:
     context.set_default_timeout(WATCHDOG_MS)
     page = context.new_page()
     page.goto(served + "tutorial/first-steps/")
-    page.locator(".highlight:has(.gp) button.md-code__button").first.click()
+    shown = page.locator(".highlight:has(.gp)", has_text="rosplc demo --duration 3s").first
+    shown.locator("button.md-code__button").click()
     page.wait_for_function("navigator.clipboard.readText().then(text => text !== '')")
     assert page.evaluate("navigator.clipboard.readText()") == "rosplc demo --duration 3s"
     context.close()
