@@ -20,17 +20,17 @@ from rosplc.model.types import ArrayType, MessageType, NamedType, PrimitiveType,
 
 class _Installation(importlib.abc.MetaPathFinder, importlib.abc.Loader):
     def __init__(self) -> None:
-        self.store = TypeStore.bundled("jazzy")
-        self.without: frozenset[str] = frozenset()
+        self.use(TypeStore.bundled("jazzy"), frozenset())
 
-    def packages(self) -> set[str]:
-        return {name.split("/")[0] for name in self.store.names()} - self.without
+    def use(self, store: TypeStore, without: frozenset[str]) -> None:
+        self.store, self.without = store, without
+        self.packages = {name.split("/")[0] for name in store.names()} - without
 
     def find_spec(self, fullname: str, path: Any, target: Any = None) -> Any:
         package, _, rest = fullname.partition(".")
         if package in self.without:
             raise ModuleNotFoundError(f"No module named {package!r}", name=package)
-        if package not in self.packages() or rest not in ("", "msg"):
+        if package not in self.packages or rest not in ("", "msg"):
             return None
         return importlib.machinery.ModuleSpec(fullname, self, is_package=not rest)
 
@@ -51,7 +51,7 @@ _installation = _Installation()
 
 def install() -> None:
     """Make the packages importable."""
-    for name in [name for name in sys.modules if name.split(".")[0] in _installation.packages()]:
+    for name in [name for name in sys.modules if name.split(".")[0] in _installation.packages]:
         del sys.modules[name]  # ROS 1's, imported before by a process that this one was forked from
     if _installation not in sys.meta_path:
         sys.meta_path.insert(0, _installation)  # before ROS 1's packages, if this machine has them
@@ -65,11 +65,11 @@ def uninstall() -> None:
 
 def change(store: TypeStore, without: Iterable[str] = ()) -> None:
     """Install other definitions, or no longer these packages."""
-    for package in _installation.packages():
+    for package in _installation.packages:
         for name in (package, f"{package}.msg"):
             if getattr(sys.modules.get(name), "__loader__", None) is _installation:
                 del sys.modules[name]
-    _installation.store, _installation.without = store, frozenset(without)
+    _installation.use(store, frozenset(without))
 
 
 def _make(store: TypeStore, message: MessageType) -> type:
