@@ -52,9 +52,9 @@ def run(folder: Path, *options: str, **env: str) -> tuple[int, str, Any]:
         key: value for key, value in os.environ.items() if not key.startswith(("CI", "ROSPLC", "PYTEST"))
     }
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-rA", "-p", "no:cacheprovider", *options],
+        [sys.executable, "-m", "pytest", "-rA", "-p", "no:cacheprovider", "-p", "xdist", *options],
         cwd=folder,
-        env={**clean, "ROSPLC_REPORT": str(report), **env},
+        env={**clean, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "ROSPLC_REPORT": str(report), **env},
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
@@ -113,8 +113,9 @@ def test_module_that_lacks_a_package_fails_in_ci(folder: Path) -> None:
     assert status not in (0, 5), output
 
 
-@pytest.mark.parametrize("workers", [(), ("-n", "2")], ids=["one process", "xdist"])
-@pytest.mark.parametrize(("left", "reached"), [(0.0, 0), (600.0, 1), (3600.0, 2)])
+@pytest.mark.parametrize(
+    ("left", "reached", "workers"), [(0.0, 0, ()), (600.0, 1, ()), (600.0, 1, ("-n", "2")), (3600.0, 2, ())]
+)
 def test_what_does_not_fit_into_the_time_is_not_reached(
     folder: Path, left: float, reached: int, workers: tuple[str, ...]
 ) -> None:

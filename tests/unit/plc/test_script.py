@@ -259,7 +259,7 @@ def test_an_aborted_run_is_completed_by_the_next_one(ide):
     script = import_script(made)
     whole = Project()
     run(script, whole)
-    for stop in range(0, len(whole.changes), 2):
+    for stop in range(0, len(whole.changes), 7):
         broken = Project(returns=ide.returns, abort_after=stop)
         with pytest.raises(Aborted):
             run(script, broken)
