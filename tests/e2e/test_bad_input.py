@@ -24,6 +24,7 @@ from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.ros import DEFAULT, Backend, Qos, open_backend
 from rosplc.shm import Namespace
+from tests.command import rosplc as command
 from tests.lib.waiting import wait_for
 
 INT, STRING = "std_msgs/msg/Int32", "std_msgs/msg/String"
@@ -142,18 +143,10 @@ def node(dds_domain: int) -> Iterator[Callable[..., Backend]]:
     ],
 )
 def test_configuration(
-    config: Callable[..., Path],
-    run: Callable[..., Bridge],
-    shm_prefix: str,
-    topics: str,
-    code: str,
-    line: int,
-    words: str,
+    config: Callable[..., Path], shm_prefix: str, topics: str, code: str, line: int, words: str
 ) -> None:
     """What is wrong in the file ends the bridge with status 2, code, line and words; nothing is made."""
-    bridge = run(config(topics))
-    assert bridge.ends() == 2
-    text = "\n".join(bridge.said)
+    text = command("run", config(topics), code=2).stderr
     assert code in text
     assert words in text
     assert f"rosplc.yaml:{line}" in text

@@ -54,7 +54,7 @@ def finish(child):
 
 def test_everything_arrives_in_both_directions():
     """What one side counts as sent the Structured Text took, whole and once, and the status is 0."""
-    with demo("--plc", "st", "--duration", "5s", "--json") as child:
+    with demo("--plc", "st", "--duration", "3s", "--json") as child:
         pids = wait_for(lambda: plc_processes(child), "three processes", seconds=300)
         prefix = prefix_of(pids)
         out, err = finish(child)

@@ -169,6 +169,7 @@ def test_the_ros_side_counts_what_comes_back(robot: tuple[Line, Any, Translator]
     assert (report["error"], report["strings"]) == (0.0, 1)
 
 
+@pytest.mark.foreign
 def test_the_whole_comparison(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """All three ways carry messages; rosplc's come through whole and exact, registers lose what they lose."""
     pytest.importorskip("cyclonedds")

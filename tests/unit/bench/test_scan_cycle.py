@@ -28,6 +28,7 @@ def context(tmp_path: Path) -> Context:
     return Context(EFFORTS["default"], tmp_path, tmp_path, (0,))
 
 
+@pytest.mark.foreign
 def test_every_method_and_condition(context: Context, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every method exchanges messages in every condition, rosplc none that is torn, and the page shows it."""
     monkeypatch.setitem(scan_cycle._EFFORTS, "default", (1, 0.02, 5, 20))

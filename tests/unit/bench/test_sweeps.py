@@ -26,6 +26,7 @@ def context(tmp_path: Path) -> Context:
     return Context(EFFORTS["quick"], tmp_path, tmp_path, (0,))
 
 
+@pytest.mark.foreign
 def test_every_contender(context: Context, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each contender takes part as far as it can, and the tables leave out what it cannot."""
     if shutil.which("gcc") is None:

@@ -57,6 +57,7 @@ def test_the_wheel_holds_every_file_and_follows_the_version(wheel: Path) -> None
     assert f"\nRequires-Dist: rosplc=={rosplc.__version__}\n" in metadata
 
 
+@pytest.mark.foreign
 def test_both_wheels_compare_without_the_sources(wheel: Path, tmp_path: Path) -> None:
     """Installed from wheels, the command measures, writes its report and its pictures, and shows it again."""
     pytest.importorskip("matplotlib")
