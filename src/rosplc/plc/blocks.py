@@ -17,8 +17,6 @@ from rosplc.plc.names import Scope
 from rosplc.plc.project import Pou
 from rosplc.plc.types import DutBuilder
 
-__all__ = ["block"]
-
 
 @dataclass(frozen=True)
 class _Pin:

@@ -32,7 +32,7 @@ from rosplc.plc.plan import (
     classic_arguments,
     classic_wait,
 )
-from rosplc.plc.project import Dut, Enumeration, Gvl, Item, PlcProject, Pou, Task, VarBlock, Variable
+from rosplc.plc.project import Dut, Enumeration, Gvl, PlcProject, Pou, Task, VarBlock, Variable
 from rosplc.plc.types import DutBuilder, Renaming, initial_value
 from rosplc.shm import Direction
 
@@ -40,6 +40,10 @@ READ_GVL, WRITE_GVL = "ROS_Read", "ROS_Write"
 """The lists that hold the instances."""
 SAFE_GVL = "ROS_Safe"
 """The list that holds what a message becomes when its source is silent."""
+_PROGRAMS = {
+    "read": "Takes what came from ROS; call it first",
+    "write": "Sends to ROS; call it last",
+}
 _ON_STALE = {"hold": 0, "zero": 1, "value": 2}
 
 
@@ -72,7 +76,6 @@ def call(name: str, topic: PlcTopic, task: int, cycle_ns: int) -> str:
 
 def programs_of(
     tasks: Sequence[PlcTask],
-    indices: dict[str, int],
     calls: dict[tuple[str, str], list[str]],
     options: ProjectOptions,
     scope: Scope,
@@ -80,40 +83,21 @@ def programs_of(
     """Return a reading and a writing program per task that has topics, and the tasks."""
     programs: list[Pou] = []
     plc_tasks: list[Task] = []
-    single = sum(1 for task in tasks if any((d, task.name) in calls for d in ("read", "write"))) == 1
-    for task in tasks:
+    used = {task for _, task in calls}
+    for index, task in enumerate(tasks):
         names = []
-        for direction in ("read", "write"):
+        for direction, what in _PROGRAMS.items():
             lines = calls.get((direction, task.name), [])
-            if not lines and not (direction == "read" and ("write", task.name) in calls):
-                continue
-            wanted = f"{options.programs}_{direction.capitalize()}"
-            name = scope.give(wanted if single else f"{wanted}_{task.name}")
-            body = list(lines)
-            if direction == "read":
-                body.insert(
-                    0, f"RosPlc_State.axMayOpen[{indices[task.name]}] := TRUE; // one open attempt per scan"
-                )
-            what = (
-                "Takes what came from ROS; call it first"
-                if direction == "read"
-                else "Sends to ROS; call it last"
-            )
-            comment = f"{what} in task {task.name}."
-            programs.append(Pou(name, "PROGRAM", (), "\n".join(body), comment=comment, folder=options.folder))
-            names.append(name)
+            if direction == "read" and task.name in used:
+                opening = f"RosPlc_State.axMayOpen[{index}] := TRUE; // one open attempt per scan"
+                lines = [opening, *lines]
+            if lines:
+                wanted = f"{options.programs}_{direction.capitalize()}"
+                names.append(scope.give(wanted if len(used) == 1 else f"{wanted}_{task.name}"))
+                comment, text = f"{what} in task {task.name}.", "\n".join(lines)
+                programs.append(Pou(names[-1], "PROGRAM", (), text, comment=comment, folder=options.folder))
         if names:
-            plc_tasks.append(
-                Task(
-                    task.name,
-                    task.kind,
-                    task.interval_ns // 1000 if task.kind == "cyclic" else 0,
-                    task.priority,
-                    task.watchdog_ns // 1000,
-                    task.watchdog_sensitivity,
-                    tuple(names),
-                )
-            )
+            plc_tasks.append(Task(task, tuple(names)))
     return programs, tuple(plc_tasks)
 
 
@@ -158,6 +142,8 @@ def build_project(
     topics: Sequence[PlcTopic],
     tasks: Sequence[PlcTask],
     options: ProjectOptions | None = None,
+    *,
+    layouts: Sequence[Layout] = (),
 ) -> PlcProject:
     """Return the project for a set of topics.
 
@@ -166,6 +152,7 @@ def build_project(
         topics: Every topic once.
         tasks: Every task that a topic names; at most 16.
         options: See :class:`ProjectOptions`.
+        layouts: Layouts that get both blocks, whether or not a topic has them.
 
     Raises:
         GenerationError: PLC003, there are more tasks than the blocks serve; PLC005, two tasks have
@@ -179,13 +166,17 @@ def build_project(
     _check_tasks(tasks)
     _check_topics(topics)
     topics = sorted(topics, key=lambda item: item.topic)
-    base = base_objects(f"{options.folder}/Base")
-    libraries = _LIBRARIES
+    base, libraries = base_objects(f"{options.folder}/Base"), _LIBRARIES
     if any(topic.classic for topic in topics):
         base = (*base, *classic_objects(f"{options.folder}/Base"))
         libraries = (*_LIBRARIES, LIBRARY)
-    builder = _builder(store, options, base)
+    # All objects share one namespace with those that are written by hand.
+    own = (*CLASSIC_NAMES, *HELPER_NAMES, READ_GVL, WRITE_GVL, SAFE_GVL, _SETTINGS_GVL)
+    builder = DutBuilder(store, f"{options.folder}/Types", Scope([*(item.name for item in base), *own]))
     blocks = _Blocks(builder, options)
+    for layout in sorted(layouts, key=lambda item: item.type_name):
+        blocks.name(layout, "read")
+        blocks.name(layout, "write")
     names = {
         direction: instance_names([topic.topic for topic in topics if topic.direction == direction])
         for direction in ("read", "write")
@@ -205,26 +196,27 @@ def build_project(
         if topic.classic is not None:
             argument = classic_arguments(topic.classic)
         instances[topic.direction].append(Variable(name, block_name, None, _what(topic), argument))
-        calls.setdefault((topic.direction, topic.task), []).append(
-            call(name, topic, indices[topic.task], cycles[topic.task])
-        )
-    programs, plc_tasks = programs_of(order, indices, calls, options, builder.scope)
-    gvls = [*(item for item in base if isinstance(item, Gvl)), _settings(options, order), *builder.constants]
-    for direction, name in (("read", READ_GVL), ("write", WRITE_GVL)):
-        if instances[direction]:
-            block_ = VarBlock("VAR_GLOBAL", tuple(instances[direction]))
-            comment = "One function block per topic; programs of the project use their outputs."
-            if direction == "write":
-                comment = "One function block per topic; programs of the project set msg."
-            gvls.append(Gvl(name, (block_,), (("qualified_only", ""),), comment, options.folder))
-    if safe := _safe(topics, names["read"], builder):
-        gvls.append(Gvl(SAFE_GVL, (safe,), (("qualified_only", ""),), _SAFE_COMMENT, options.folder))
+        line = call(name, topic, indices[topic.task], cycles[topic.task])
+        calls.setdefault((topic.direction, topic.task), []).append(line)
+    programs, plc_tasks = programs_of(order, calls, options, builder.scope)
     helpers = helper_objects(store, builder, f"{options.folder}/Helpers")
+    hand_written = (*base, *helpers)
+    gvls = [*(item for item in base if isinstance(item, Gvl)), _settings(options, order), *builder.constants]
+
+    def add_list(name: str, variables: Sequence[Variable], comment: str, *, constant: bool = False) -> None:
+        if variables:
+            block_ = VarBlock("VAR_GLOBAL", tuple(variables), constant)
+            gvls.append(Gvl(name, (block_,), (("qualified_only", ""),), comment, options.folder))
+
+    one_each = "One function block per topic; programs of the project"
+    add_list(READ_GVL, instances["read"], f"{one_each} use their outputs.")
+    add_list(WRITE_GVL, instances["write"], f"{one_each} set msg.")
+    add_list(SAFE_GVL, _safe(topics, names["read"], builder), _SAFE_COMMENT, constant=True)
     return PlcProject(
         options.folder,
-        duts=(*_duts(*base, *helpers), *builder.duts),
+        duts=(*(item for item in hand_written if isinstance(item, Dut | Enumeration)), *builder.duts),
         gvls=tuple(gvls),
-        pous=(*(item for item in (*base, *helpers) if isinstance(item, Pou)), *blocks.pous, *programs),
+        pous=(*(item for item in hand_written if isinstance(item, Pou)), *blocks.pous, *programs),
         tasks=plc_tasks,
         libraries=libraries,
         notes=tuple(_notes(builder, renamings, topics, cycles, options)),
@@ -236,26 +228,7 @@ def build_type_library(
     store: TypeStore, layouts: Sequence[Layout], options: ProjectOptions | None = None
 ) -> PlcProject:
     """Return a project with both blocks of each layout and no topics or tasks."""
-    options = options or ProjectOptions()
-    base = base_objects(f"{options.folder}/Base")
-    builder = _builder(store, options, base)
-    blocks = _Blocks(builder, options)
-    for layout in sorted(layouts, key=lambda item: item.type_name):
-        blocks.name(layout, "read")
-        blocks.name(layout, "write")
-    helpers = helper_objects(store, builder, f"{options.folder}/Helpers")
-    return PlcProject(
-        options.folder,
-        duts=(*_duts(*base, *helpers), *builder.duts),
-        gvls=(*(item for item in base if isinstance(item, Gvl)), _settings(options, ()), *builder.constants),
-        pous=(*(item for item in (*base, *helpers) if isinstance(item, Pou)), *blocks.pous),
-        libraries=_LIBRARIES,
-        notes=tuple(_notes(builder, [], (), {}, options)),
-    )
-
-
-def _duts(*items: Item) -> list[Dut | Enumeration]:
-    return [item for item in items if isinstance(item, (Dut, Enumeration))]
+    return build_project(store, (), (), options, layouts=layouts)
 
 
 def _check_tasks(tasks: Sequence[PlcTask]) -> None:
@@ -286,20 +259,6 @@ def _check_name(pattern: re.Pattern[str], name: str, where: str) -> None:
         raise GenerationError("PLC008", f"{name[:80]!r} is none", where=where)
 
 
-def _builder(store: TypeStore, options: ProjectOptions, base: Sequence[Item]) -> DutBuilder:
-    """Return a builder whose scope knows the hand-written objects: all objects share one namespace."""
-    taken = [
-        *(item.name for item in base),
-        *CLASSIC_NAMES,
-        *HELPER_NAMES,
-        READ_GVL,
-        WRITE_GVL,
-        SAFE_GVL,
-        _SETTINGS_GVL,
-    ]
-    return DutBuilder(store, f"{options.folder}/Types", scope=Scope(taken))
-
-
 def _settings(options: ProjectOptions, tasks: Sequence[PlcTask]) -> Gvl:
     beats = [str(max(beat_ms(task), options.beat_ms)) for task in tasks]
     if len(beats) < MOST_TASKS:
@@ -326,9 +285,9 @@ def _settings(options: ProjectOptions, tasks: Sequence[PlcTask]) -> Gvl:
     return Gvl(_SETTINGS_GVL, (block,), (("qualified_only", ""),), comment, f"{options.folder}/Base")
 
 
-def _safe(topics: Sequence[PlcTopic], names: dict[str, str], builder: DutBuilder) -> VarBlock | None:
-    """Return the constants that topics fall back to; None if there are none."""
-    found = [
+def _safe(topics: Sequence[PlcTopic], names: dict[str, str], builder: DutBuilder) -> list[Variable]:
+    """Return the constants that topics fall back to."""
+    return [
         Variable(
             names[topic.topic],
             builder.add(topic.layout),
@@ -338,7 +297,6 @@ def _safe(topics: Sequence[PlcTopic], names: dict[str, str], builder: DutBuilder
         for topic in topics
         if topic.direction == "read" and topic.on_stale == "value" and topic.safe is not None
     ]
-    return VarBlock("VAR_GLOBAL", tuple(found), constant=True) if found else None
 
 
 def _what(topic: PlcTopic) -> str:

@@ -21,8 +21,6 @@ from rosplc.plc.plcopen import plcopen_xml
 from rosplc.plc.project import PlcProject, object_text
 from rosplc.plc.script import import_script
 
-__all__ = ["LARGEST_MANIFEST", "MANIFEST", "Delivery", "project_files", "write_files"]
-
 MANIFEST = ".rosplc-manifest.json"
 LARGEST_MANIFEST = 16 << 20
 """Bytes of the list of generated files; one of ten thousand files has two million."""

@@ -19,6 +19,7 @@ from rosplc.plc.project import (
     Dut,
     Enumeration,
     Gvl,
+    Item,
     Method,
     PlcProject,
     Pou,
@@ -28,8 +29,6 @@ from rosplc.plc.project import (
     method_declaration,
 )
 
-__all__ = ["plcopen_xml"]
-
 _NAMESPACE = "http://www.plcopen.org/xml/tc6_0200"
 _XHTML = "http://www.w3.org/1999/xhtml"
 _DATA = "http://www.3s-software.com/plcopenxml"
@@ -38,6 +37,9 @@ _WHEN = "2000-01-01T00:00:00"  # the file depends on its input alone, not on the
 LIBRARY_NAMESPACES = {"SysTypes2 Interfaces": "SysTypes"}
 """Namespaces that are not the library's name."""
 _ELEMENTARY = frozenset({*IEC_TYPES.values(), "WORD", "DWORD", "LWORD", "TIME", "DATE", "DT", "TOD"})
+_NOT_SET = (
+    "HideWhenReferencedAsDependency", "PublishSymbolsInContainer", "SystemLibrary", "LinkAllContent",
+)  # fmt: skip
 _POU_TYPES = {"FUNCTION_BLOCK": "functionBlock", "FUNCTION": "function", "PROGRAM": "program"}
 _SECTIONS = {
     "VAR_INPUT": "inputVars",
@@ -46,7 +48,6 @@ _SECTIONS = {
     "VAR": "localVars",
     "VAR_TEMP": "tempVars",
 }
-_SECTION_ORDER = ("VAR_INPUT", "VAR_OUTPUT", "VAR_IN_OUT", "VAR", "VAR_TEMP")
 _ARRAY = re.compile(r"ARRAY\[(?P<lower>[^.\]]+)\.\.(?P<upper>[^\]]+)\] OF (?P<element>.+)\Z")
 _STRING = re.compile(r"STRING\((?P<length>\d+)\)\Z")
 
@@ -74,19 +75,13 @@ def plcopen_xml(project: PlcProject) -> bytes:
 
 
 def _header(root: ET.Element, name: str) -> None:
-    ET.SubElement(
-        root,
-        "fileHeader",
-        companyName="",
-        productName="rosplc",
-        productVersion=__version__,
-        creationDateTime=_WHEN,
-    )
+    product = {"companyName": "", "productName": "rosplc", "productVersion": __version__}
+    ET.SubElement(root, "fileHeader", product, creationDateTime=_WHEN)
     content = ET.SubElement(root, "contentHeader", name=name, modificationDateTime=_WHEN)
     coordinates = ET.SubElement(content, "coordinateInfo")
     for language in ("fbd", "ld", "sfc"):
         ET.SubElement(ET.SubElement(coordinates, language), "scaling", x="1", y="1")
-    _ = ET.SubElement(_data(ET.SubElement(content, "addData"), "projectinformation"), "ProjectInformation")
+    ET.SubElement(_data(ET.SubElement(content, "addData"), "projectinformation"), "ProjectInformation")
 
 
 def _data(parent: ET.Element, name: str, unknown: str = "implementation") -> ET.Element:
@@ -102,9 +97,9 @@ def _documentation(parent: ET.Element, text: str) -> None:
         _xhtml(ET.SubElement(parent, "documentation"), text)
 
 
-def _object_id(extra: ET.Element, name: str) -> None:
-    data = _data(extra, "objectid", "discard")
-    ET.SubElement(data, "ObjectId").text = _identity(name)
+def _identify(extra: ET.Element, item: Item) -> None:
+    _plain_text(_data(extra, "interfaceasplaintext"), declaration(item))
+    ET.SubElement(_data(extra, "objectid", "discard"), "ObjectId").text = _identity(item.name)
 
 
 def _identity(name: str) -> str:
@@ -134,9 +129,8 @@ def _variable(parent: ET.Element, variable: Variable) -> None:
     if variable.initial is not None:
         _initial(ET.SubElement(element, "initialValue"), variable.initial)
     if variable.arguments:
-        assignments = ET.SubElement(
-            _data(ET.SubElement(element, "addData"), "inputassignments"), "InputAssignments"
-        )
+        data = _data(ET.SubElement(element, "addData"), "inputassignments")
+        assignments = ET.SubElement(data, "InputAssignments")
         for name, value in variable.arguments:
             assignment = ET.SubElement(assignments, "InputAssignment")
             ET.SubElement(assignment, "Name").text = name
@@ -198,8 +192,7 @@ def _data_type(parent: ET.Element, dut: Dut | Enumeration) -> None:
             _variable(struct, member)
     extra = ET.SubElement(element, "addData")
     _attributes(extra, dut.attributes)
-    _plain_text(_data(extra, "interfaceasplaintext"), declaration(dut))
-    _object_id(extra, dut.name)
+    _identify(extra, dut)
     _documentation(element, dut.comment)
 
 
@@ -214,11 +207,10 @@ def _interface(parent: ET.Element, blocks: Sequence[VarBlock], return_type: str 
     interface = ET.SubElement(parent, "interface")
     if return_type:
         _type(ET.SubElement(interface, "returnType"), return_type)
-    for section in _SECTION_ORDER:
+    for section, tag in _SECTIONS.items():
         for block in blocks:
             if block.kind == section and block.variables:
-                attributes = {"constant": "true"} if block.constant else {}
-                element = ET.SubElement(interface, _SECTIONS[section], attributes)
+                element = ET.SubElement(interface, tag, {"constant": "true"} if block.constant else {})
                 for variable in block.variables:
                     _variable(element, variable)
     return interface
@@ -243,14 +235,12 @@ def _pou(parent: ET.Element, pou: Pou) -> None:
     extra = ET.SubElement(element, "addData")
     for method in pou.methods:
         _method(_data(extra, "method"), pou, method)
-    _plain_text(_data(extra, "interfaceasplaintext"), declaration(pou))
-    _object_id(extra, pou.name)
+    _identify(extra, pou)
 
 
 def _method(parent: ET.Element, pou: Pou, method: Method) -> None:
-    element = ET.SubElement(
-        parent, "Method", name=method.name, ObjectId=_identity(f"{pou.name}.{method.name}")
-    )
+    identity = _identity(f"{pou.name}.{method.name}")
+    element = ET.SubElement(parent, "Method", name=method.name, ObjectId=identity)
     interface = _interface(element, method.blocks, method.return_type)
     if method.access != "PUBLIC":
         extra = _data(ET.SubElement(interface, "addData"), "accessmodifiers")
@@ -271,8 +261,7 @@ def _gvl(parent: ET.Element, gvl: Gvl) -> None:
         if index == 0:
             extra = ET.SubElement(element, "addData")
             _attributes(extra, gvl.attributes)
-            _plain_text(_data(extra, "interfaceasplaintext"), declaration(gvl))
-            _object_id(extra, gvl.name)
+            _identify(extra, gvl)
         _documentation(element, gvl.comment if index == 0 else "")
 
 
@@ -281,17 +270,9 @@ def _libraries(extra: ET.Element, project: PlcProject) -> None:
         return
     element = ET.SubElement(_data(extra, "libraries"), "Libraries")
     for library in project.libraries:
-        ET.SubElement(
-            element,
-            "Library",
-            Name=f"#{library}",
-            Namespace=LIBRARY_NAMESPACES.get(library, library),
-            HideWhenReferencedAsDependency="false",
-            PublishSymbolsInContainer="false",
-            SystemLibrary="false",
-            LinkAllContent="false",
-            DefaultResolution=f"{library}, * (System)",
-        )
+        names = {"Name": f"#{library}", "Namespace": LIBRARY_NAMESPACES.get(library, library)}
+        resolution = {"DefaultResolution": f"{library}, * (System)"}
+        ET.SubElement(element, "Library", {**names, **dict.fromkeys(_NOT_SET, "false"), **resolution})
 
 
 def _structure(extra: ET.Element, project: PlcProject) -> None:

@@ -9,7 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import Literal, NamedTuple, TypeAlias
+
+from rosplc.plc.plan import PlcTask
 
 VarBlockKind: TypeAlias = Literal[
     "VAR_INPUT", "VAR_OUTPUT", "VAR_IN_OUT", "VAR", "VAR_TEMP", "VAR_GLOBAL", "VAR_IN_OUT CONSTANT"
@@ -113,27 +115,11 @@ Item: TypeAlias = "Dut | Enumeration | Gvl | Pou"
 """An object of the project."""
 
 
-@dataclass(frozen=True, slots=True)
-class Task:
-    """A task of the task configuration.
+class Task(NamedTuple):
+    """A task of the task configuration, and the programs that it calls, in order."""
 
-    Attributes:
-        name: Its name in the task configuration.
-        kind: ``"cyclic"`` or ``"freewheeling"``.
-        interval_us: The cycle time in microseconds; 0 for a freewheeling task.
-        priority: 0 (highest) to 31.
-        watchdog_us: The watchdog time in microseconds; 0 for none.
-        watchdog_sensitivity: How many excesses in a row raise it.
-        programs: The programs that it calls, in order.
-    """
-
-    name: str
-    kind: Literal["cyclic", "freewheeling"]
-    interval_us: int
-    priority: int
-    watchdog_us: int = 0
-    watchdog_sensitivity: int = 1
-    programs: tuple[str, ...] = ()
+    task: PlcTask
+    programs: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)

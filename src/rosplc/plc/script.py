@@ -11,8 +11,6 @@ from importlib.resources import files
 from rosplc.plc.build import SAFE_GVL
 from rosplc.plc.project import Dut, Enumeration, Gvl, Item, PlcProject, Pou, declaration, method_declaration
 
-__all__ = ["import_script"]
-
 _KINDS = {Dut: "DUT", Enumeration: "ENUM", Gvl: "GVL"}
 
 
@@ -28,13 +26,15 @@ def import_script(project: PlcProject) -> str:
         "]",
         "TASKS = [",
     ]
-    for task in project.tasks:
+    for task, programs in project.tasks:
+        cyclic = task.kind == "cyclic"
+        interval_us = task.interval_ns // 1000 if cyclic else 0
         lines += [
             "    {",
-            f"        'name': {_text(task.name)}, 'cyclic': {task.kind == 'cyclic'},",
-            f"        'interval_us': {task.interval_us}, 'priority': {task.priority},",
-            f"        'watchdog_us': {task.watchdog_us}, 'sensitivity': {task.watchdog_sensitivity},",
-            f"        'programs': [{', '.join(_text(name) for name in task.programs)}],",
+            f"        'name': {_text(task.name)}, 'cyclic': {cyclic},",
+            f"        'interval_us': {interval_us}, 'priority': {task.priority},",
+            f"        'watchdog_us': {task.watchdog_ns // 1000}, 'sensitivity': {task.watchdog_sensitivity},",
+            f"        'programs': [{', '.join(_text(name) for name in programs)}],",
             "    },",
         ]
     lines += ["]", "OBJECTS = ["]

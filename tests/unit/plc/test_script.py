@@ -47,14 +47,14 @@ def expected(made):
         tree[path] = (mark(item.name) + declaration(item), text)
         for method in item.methods if isinstance(item, Pou) else ():
             tree[f"{path}/{method.name}"] = (method_declaration(method), method.implementation)
-    for task in made.tasks:
-        watchdog = (str(task.watchdog_us // 1000), "ms", "1") if task.watchdog_us else None
+    for task, programs in made.tasks:
+        watchdog = (str(task.watchdog_ns // 1_000_000), "ms", "1") if task.watchdog_ns else None
         tree[f"/Task Configuration/{task.name}"] = {
             "kind": task.kind.capitalize(),
-            "interval": (f"t#{task.interval_us // 1000}ms", "ms"),
+            "interval": (f"t#{task.interval_ns // 1_000_000}ms", "ms"),
             "priority": str(task.priority),
             "watchdog": watchdog,
-            "calls": list(task.programs),
+            "calls": list(programs),
         }
     return tree
 
