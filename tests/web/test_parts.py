@@ -8,10 +8,12 @@ import math
 import pytest
 
 from rosplc.errors import WebError
+from rosplc.monitor import Picture
 from rosplc.web import new_token, read_token
 from rosplc.web.access import same_token
-from rosplc.web.feed import MAX_MESSAGES, MAX_PLOTS, Wants, number_at, parse_path
+from rosplc.web.feed import MAX_MESSAGES, MAX_PLOTS, Looker, Wants, number_at, parse_path
 from rosplc.web.write import SAFE_INTEGER, form_of, from_form, shown
+from tests.lib.clock import SteppedClock
 from tests.web.peers import layout_of
 
 
@@ -165,3 +167,31 @@ def test_a_missing_token_file_is_an_error(tmp_path) -> None:
     with pytest.raises(WebError, match=r"WEB002.*") as caught:
         read_token(tmp_path / "none")
     assert "No such file" in str(caught.value)
+
+
+class Counting:
+    """A watch whose clock a test steps, and that counts its looks."""
+
+    def __init__(self) -> None:
+        self.clock, self.looks = SteppedClock(), 0
+
+    def look(self) -> Picture:
+        self.looks += 1
+        self.clock.advance(0.1)  # what a look costs
+        return Picture(self.clock.time_ns(), ())
+
+
+def test_channels_are_looked_at_seldom_while_no_page_is_open() -> None:
+    """A picture is due after a second, or after half a second while a page watches."""
+    watch = Counting()
+    looker = Looker(watch)  # type: ignore[arg-type]
+    assert looker.look([]).picture is not None
+    assert looker.look([]).picture is None
+    watch.clock.advance(0.69)
+    assert looker.look([]).picture is None
+    watch.clock.advance(0.02)
+    assert looker.look([Wants()]).picture is not None
+    watch.clock.advance(0.39)
+    assert looker.look([Wants()]).picture is None
+    watch.clock.advance(0.02)
+    assert looker.look([Wants()]).picture is not None and watch.looks == 3

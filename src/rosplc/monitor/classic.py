@@ -18,8 +18,6 @@ from rosplc.monitor.picture import ChannelView, State
 from rosplc.shm.classic_memory import ClassicMemory
 from rosplc.shm.who import describe_owner
 
-__all__ = ["ClassicState", "ClassicWatch", "look_at"]
-
 _ATTEMPTS = 100
 
 

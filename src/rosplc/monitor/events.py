@@ -8,8 +8,6 @@ from dataclasses import replace
 from rosplc.levels import Level
 from rosplc.monitor.picture import BridgeView, ChannelView, Event, State, silence_words
 
-__all__ = ["bridge_events", "channel_events", "grouped"]
-
 _NO_SILENCE = (State.DEAD, State.NO_BRIDGE, State.MISSING, State.UNKNOWN)
 """States with an event of their own, or too little known: that messages stop then is no further event."""
 

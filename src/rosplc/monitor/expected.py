@@ -10,8 +10,6 @@ from rosplc.config.resolve import Project, load_project
 from rosplc.layout import Layout
 from rosplc.shm import Direction
 
-__all__ = ["ClassicTopic", "Expectation", "Expected", "default_expectation", "expected_by", "expected_of"]
-
 _STALE_TO_PLC_NS = 1_000_000_000
 
 

@@ -18,8 +18,6 @@ from rosplc.shm.constants import (
     STAMP_SYSTEM,
 )
 
-__all__ = ["Message", "marks_of", "message_of", "numbers"]
-
 _MARKS = ((FLAG_FIRST, "first"), (FLAG_TRUNCATED, "truncated"), (FLAG_SUBSTITUTED, "substituted"))
 _CLOCKS = {STAMP_SYSTEM: "system", STAMP_ROS: "ros", STAMP_PLC: "plc"}
 

@@ -89,6 +89,7 @@ class Watch:
 
     Attributes:
         prefixes: The prefixes that were asked for; empty for all.
+        clock: As given.
 
     Raises:
         ChannelError: SHM118 if the prefix is not valid.
@@ -108,7 +109,7 @@ class Watch:
         self._all = prefixes is None
         self.prefixes = frozenset(self._names)
         self._topic = topic
-        self._clock = clock
+        self.clock = clock
         self._directory = directory
         self._expected = expected or Expected()
         self._tracked: dict[str, tuple[_File, Tracked]] = {}
@@ -143,7 +144,7 @@ class Watch:
         Raises:
             ChannelError: SHM123 if the directory cannot be listed.
         """
-        now, wall = self._clock.monotonic_ns(), self._clock.time_ns()
+        now, wall = self.clock.monotonic_ns(), self.clock.time_ns()
         files, notes = self._list()
         for name in [name for name in self._tracked if name not in files]:
             self._drop(name)

@@ -10,7 +10,6 @@ import asyncio
 import itertools
 import logging
 import re
-import time
 from collections import deque
 from collections.abc import Callable, Iterable, Set
 from concurrent.futures import ThreadPoolExecutor
@@ -120,11 +119,11 @@ def _malformed(what: str) -> WebError:
     return WebError("WEB009", what)
 
 
-_PICTURE_SECONDS = 0.5
-_UNWATCHED_SECONDS = 1.0
-_SAMPLE_SECONDS = 0.05
-# What a look, or decoding a large message, costs may be at most this share of the time.
-_SHARE = 0.2
+_PICTURE_NS = 500_000_000
+_UNWATCHED_NS = 1_000_000_000
+_SAMPLE_NS = 50_000_000
+# A look, or decoding a large message, is followed by a pause of so many times as long.
+_PAUSE = 4
 _STAMP_MS = 500
 
 
@@ -151,8 +150,8 @@ class Looker:
     """
 
     def __init__(self, watch: Watch) -> None:
-        self._watch = watch
-        self._due: dict[str, float] = {}
+        self._watch, self._clock = watch, watch.clock
+        self._due: dict[str, int] = {}
         self._seen: dict[str, tuple[object, ...]] = {}
 
     def look(self, wanted: Iterable[Wants]) -> Look:
@@ -169,26 +168,26 @@ class Looker:
                 plots.setdefault(channel, set()).update(paths)
         found = Look()
         if self._is_due(""):
-            started = time.monotonic()
+            started = self._clock.monotonic_ns()
             found.picture = self._watch.look()
-            self._next("", started, _PICTURE_SECONDS if wanted else _UNWATCHED_SECONDS)
+            self._next("", started, _PICTURE_NS if wanted else _UNWATCHED_NS)
         for channel in messages | plots.keys():
             if self._is_due(channel):
-                started = time.monotonic()
+                started = self._clock.monotonic_ns()
                 self._message(found, channel, channel in messages, frozenset(plots.get(channel, ())))
-                self._next(channel, started, _SAMPLE_SECONDS)
+                self._next(channel, started, _SAMPLE_NS)
         for channel in self._due.keys() - messages - plots.keys() - {""}:
             del self._due[channel]
             self._seen.pop(channel, None)
         return found
 
     def _is_due(self, name: str) -> bool:
-        return time.monotonic() >= self._due.get(name, 0.0)
+        return self._clock.monotonic_ns() >= self._due.get(name, 0)
 
-    def _next(self, name: str, started: float, seconds: float) -> None:
-        now = time.monotonic()
+    def _next(self, name: str, started: int, period_ns: int) -> None:
+        now = self._clock.monotonic_ns()
         # A little early rather than a turn late: the turns themselves come at this distance.
-        self._due[name] = max(started + 0.8 * seconds, now + (now - started) * (1 / _SHARE - 1))
+        self._due[name] = max(started + period_ns * 4 // 5, now + (now - started) * _PAUSE)
 
     def _message(self, found: Look, channel: str, wanted: bool, paths: Set[str]) -> None:
         try:
@@ -204,7 +203,7 @@ class Looker:
         if message.sequence and self._seen.get(channel) == (*mark, wanted, paths):
             return
         self._seen[channel] = (*mark, wanted, paths)
-        now_ms = time.time_ns() / 1e6
+        now_ms = self._clock.time_ns() / 1e6
         if paths:
             values = {path: number_at(message.values, path) for path in paths}
             found.samples[channel] = (_time_of(message, now_ms), values)
@@ -256,6 +255,7 @@ class Feed:
         messages: The newest message of each wanted channel, with a number that grows.
         samples: Per plotted channel its newest samples: number, ms since 1970, value by path.
         failure: Why the last look failed; empty if it did not.
+        clock: What looks go by.
     """
 
     def __init__(self, watch: Watch, wanted: Callable[[], Iterable[Wants]]) -> None:
@@ -265,6 +265,7 @@ class Feed:
         self.messages: dict[str, tuple[int, dict[str, Any]]] = {}
         self.samples: dict[str, deque[tuple[int, float, dict[str, float | None]]]] = {}
         self.failure = ""
+        self.clock = watch.clock
         self._wanted = wanted
         self._looker = Looker(watch)
         self._numbers = itertools.count(1)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-import time
 from typing import TYPE_CHECKING, Any
 
 from aiohttp import WSMsgType, web
@@ -18,8 +17,6 @@ from rosplc.web.feed import Wants
 if TYPE_CHECKING:
     from rosplc.web.access import Settings
     from rosplc.web.feed import Feed, Wants
-
-__all__ = ["Frames", "Viewers"]
 
 
 class Frames:
@@ -182,7 +179,7 @@ class Viewers:
             "version": __version__,
             "machine": self._machine,
             "write": self._settings.allow_write,
-            "time_ms": time.time_ns() / 1e6,
+            "time_ms": self.feed.clock.time_ns() / 1e6,
         }
         await _send(socket, {"hello": hello})
         sending = asyncio.create_task(self._send_frames(socket, request))

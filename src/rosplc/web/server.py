@@ -9,7 +9,6 @@ import json
 import logging
 import signal
 import socket
-import time
 from collections.abc import AsyncIterator, Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -163,7 +162,7 @@ class _Api:
         namespace = Namespace(view["prefix"], self._settings.directory)
         who = f"the page at {request.remote}"
         try:
-            write = partial(write_message, not_finite=wish.get("not_finite") is True)
+            write = partial(write_message, not_finite=wish.get("not_finite") is True, clock=self.feed.clock)
             sequence = await self._in_thread(write, namespace, view["topic"], layout, message)
         except RosplcError as error:
             self._note("write-refused", Level.WARN, view, f"{who} may not write: {error.what} [{error.code}]")
@@ -205,8 +204,8 @@ class _Api:
 
     def _note(self, kind: str, level: Level, view: dict[str, Any], words: str) -> None:
         _log.log(logging.INFO if level is Level.OK else logging.WARNING, "%s: %s", view["topic"], words)
-        event = Event(time.time_ns(), kind, level, view["id"], view["prefix"], view["topic"], words)
-        self.feed.note(event)
+        now = self.feed.clock.time_ns()
+        self.feed.note(Event(now, kind, level, view["id"], view["prefix"], view["topic"], words))
 
 
 def _refuse_constant(name: str) -> float:

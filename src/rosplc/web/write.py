@@ -12,10 +12,10 @@ from __future__ import annotations
 
 import stat
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
+from rosplc.clock import SYSTEM, Clock
 from rosplc.described import layout_of
 from rosplc.errors import ChannelError, LayoutError, WebError
 from rosplc.layout import (
@@ -162,7 +162,13 @@ _BEAT_MS = 1000
 
 
 def write_message(
-    namespace: Namespace, topic: str, layout_id: str, message: dict[str, Any], *, not_finite: bool = False
+    namespace: Namespace,
+    topic: str,
+    layout_id: str,
+    message: dict[str, Any],
+    *,
+    not_finite: bool = False,
+    clock: Clock = SYSTEM,
 ) -> int:
     """Write one message and return its sequence number.
 
@@ -172,6 +178,7 @@ def write_message(
         layout_id: The layout that the message was made for.
         message: Nested dicts and lists; what it lacks takes its initial value. Numbers may be text.
         not_finite: Whether NaN and infinities are meant.
+        clock: What the message is stamped by.
 
     Raises:
         WebError: WEB010, another writer has the channel, or the channel has another layout by now.
@@ -193,9 +200,10 @@ def write_message(
         refuse_unsafe(form, message, not_finite=not_finite)
         _refuse_other_writer(attached, topic)
         if attached.identity.direction is Direction.TO_PLC:
-            return _to_plc(namespace, attached, record)
+            return _to_plc(namespace, attached, record, clock.time_ns())
     with attach_object(namespace, topic, write=True) as attached:
-        return _publish(attached.region, attached.identity.layout_id == layout_id, topic, record)
+        same_layout = attached.identity.layout_id == layout_id
+        return _publish(attached.region, same_layout, topic, record, clock.time_ns())
 
 
 def _refuse_other_writer(attached: Attached, topic: str) -> None:
@@ -222,7 +230,7 @@ def _name_of(pid: int) -> str:
     return f" ({name})"
 
 
-def _publish(region: Region, same_layout: bool, topic: str, record: bytes) -> int:
+def _publish(region: Region, same_layout: bool, topic: str, record: bytes, stamp_ns: int) -> int:
     """Claim a free writer's line, publish, and give the claim back."""
     try:
         writer = Writer(region, 0, _BEAT_MS)
@@ -233,12 +241,12 @@ def _publish(region: Region, same_layout: bool, topic: str, record: bytes) -> in
     try:
         if not same_layout:  # replaced between two looks
             raise WebError("WEB010", "the channel has another layout by now", where=topic)
-        return writer.publish(record, stamp_ns=time.time_ns(), stamp_clock=STAMP_SYSTEM)
+        return writer.publish(record, stamp_ns=stamp_ns, stamp_clock=STAMP_SYSTEM)
     finally:
         writer.release()
 
 
-def _to_plc(namespace: Namespace, attached: Attached, record: bytes) -> int:
+def _to_plc(namespace: Namespace, attached: Attached, record: bytes, stamp_ns: int) -> int:
     found = Path(attached.path).stat()
     try:
         with OwnedChannel.open(
@@ -250,7 +258,7 @@ def _to_plc(namespace: Namespace, attached: Attached, record: bytes) -> int:
             uid=found.st_uid,
             gid=found.st_gid,
         ) as channel:
-            return _publish(channel.region, True, channel.description.topic, record)
+            return _publish(channel.region, True, channel.description.topic, record, stamp_ns)
     except ChannelError as error:
         if error.code == "SHM116":
             what = "a bridge has the channel, and writes what comes from ROS"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections import deque
 from collections.abc import Iterable
 from contextlib import suppress
@@ -29,8 +28,6 @@ from rosplc.monitor.terminal.table import LEVEL_STYLES, plain, state_cell
 
 if TYPE_CHECKING:
     from rosplc.monitor.watch import Watch
-
-__all__ = ["ELEMENTS", "Course", "History", "MessageScreen", "ValueTree"]
 
 _LOOKS = 600
 _FIELDS = 2000
@@ -257,13 +254,13 @@ class MessageScreen(Screen[None]):
 
     def __init__(self, watch: Watch, channel: ChannelView, seconds: float) -> None:
         super().__init__()
-        self._watch = watch
+        self._watch, self._clock = watch, watch.clock
         self._channel = channel
         self._seconds = seconds
         self._history = History()
         self._path = ""
         self._shape: object = None
-        self._next = 0.0
+        self._next = 0
 
     def compose(self) -> ComposeResult:
         """Make heading, tree, course and keys."""
@@ -297,7 +294,7 @@ class MessageScreen(Screen[None]):
             return
         self._channel = found
         self._head()
-        if time.monotonic() >= self._next:
+        if self._clock.monotonic_ns() >= self._next:
             self._take()
 
     def _head(self) -> None:
@@ -316,7 +313,7 @@ class MessageScreen(Screen[None]):
         self._say(view.words)
 
     def _take(self) -> None:
-        began = time.thread_time()
+        began = self._clock.monotonic_ns()
         try:
             message = self._watch.message(self._channel, ELEMENTS)
         except ChannelError as error:
@@ -324,7 +321,8 @@ class MessageScreen(Screen[None]):
             return
         finally:
             # A large message takes its time: no more than a tenth of it is spent on decoding.
-            self._next = time.monotonic() + _SHARE * (time.thread_time() - began)
+            now = self._clock.monotonic_ns()
+            self._next = now + _SHARE * (now - began)
         if message is None:
             self._say("no message yet")
             return

@@ -22,8 +22,6 @@ from rosplc.monitor.events import grouped
 from rosplc.monitor.picture import BridgeView, ChannelView, Event, Picture
 from rosplc.monitor.terminal.table import LEVEL_STYLES, ChannelTable, Sorting, event_line, plain
 
-__all__ = ["OverviewScreen"]
-
 _NONE = "There are no channels on this machine. Start a bridge (rosplc run) or the demo (rosplc demo)."
 _EVENT_LINES = ((18, 2), (24, 4), (36, 8))
 
