@@ -14,12 +14,9 @@ from typing import Any, Literal
 
 from rosplc.bridge.realtime import contention
 from rosplc.bridge.ros_side import choose_backend
-from rosplc.config.access import open_doors
-from rosplc.config.classic_plan import ClassicPlan
-from rosplc.config.objects import object_plan
+from rosplc.config.plans import ClassicPlan, flag_topic
 from rosplc.config.quantities import format_duration
-from rosplc.config.resolve import Project, TopicPlan, load_project
-from rosplc.config.stale_plan import flag_topic
+from rosplc.config.resolve import Project, TopicPlan, load_project, object_plan, open_doors
 from rosplc.errors import GenerationError, RosplcError
 from rosplc.harmless import in_bytes
 from rosplc.layout import Layout, SequenceNode, StringNode, compute_layout

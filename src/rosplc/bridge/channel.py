@@ -11,7 +11,7 @@ from typing import Generic, TypeVar
 from rosplc.bridge.port import Context, Port, Ports, Side, Waiting, log
 from rosplc.bridge.status import PortStatus
 from rosplc.codec import Fault
-from rosplc.config.objects import describe
+from rosplc.config.resolve import describe
 from rosplc.errors import ChannelError
 from rosplc.shm import Group, Liveness, OwnedChannel, Reader, Region, Writer, distance
 from rosplc.shm.constants import LINE_SIZE, READER_LINES, READER_LINES_OFFSET, WRITER_LINE

@@ -23,6 +23,7 @@ TYPE = "diagnostic_msgs/msg/DiagnosticArray"
 _STATUS = "diagnostic_msgs/msg/DiagnosticStatus"
 
 _VALUES = 20
+_COUNTERS = ("received", "published", "skipped", "lost", "refused", "truncated", "substituted", "recovered")
 _TEXT = 240
 _PER_MESSAGE = 32
 """Statuses in one message; aggregators merge by name, and small messages pass every transport."""
@@ -123,14 +124,7 @@ def _values(topic: TopicStatus) -> dict[str, str]:
         "age": "never" if topic.age_ns is None else format_age(topic.age_ns),
         "matched": str(topic.matched),
         "PLC alive": "unknown" if topic.peer_alive is None else str(topic.peer_alive),
-        "received": str(topic.received),
-        "published": str(topic.published),
-        "skipped": str(topic.skipped),
-        "lost": str(topic.lost),
-        "refused": str(topic.refused),
-        "truncated": str(topic.truncated),
-        "substituted": str(topic.substituted),
-        "recovered": str(topic.recovered),
+        **{name: str(getattr(topic, name)) for name in _COUNTERS},
         "reason": topic.reason,
     }
     if topic.deadlines_missed:

@@ -23,9 +23,8 @@ from rosplc.bridge.ros_side import LiveTypes, RosSide
 from rosplc.bridge.status import BridgeStatus
 from rosplc.bridge.stream import Stream
 from rosplc.clock import SYSTEM, Clock
-from rosplc.config.access import open_doors, rights
 from rosplc.config.file import Config, read_config
-from rosplc.config.resolve import Project, resolve
+from rosplc.config.resolve import Project, open_doors, resolve, rights
 from rosplc.errors import ChannelError, RosplcError
 from rosplc.ros import Backend, Choice, RosArguments, ended_for_good
 

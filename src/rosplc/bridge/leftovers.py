@@ -6,8 +6,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from rosplc.bridge.port import log
-from rosplc.config.access import rights
-from rosplc.config.resolve import Project
+from rosplc.config.resolve import Project, rights
 from rosplc.errors import ChannelError
 from rosplc.shm import Direction, OwnedChannel, attach
 from rosplc.shm.lock import NameLock

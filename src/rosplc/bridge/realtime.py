@@ -98,12 +98,8 @@ class Realtime:
         """
         if not self._tidies:
             return
-        self._since_full_s += 1
-        if self._since_full_s >= _FULL_COLLECTION_S:
-            self._since_full_s = 0
-            gc.collect()
-        else:
-            gc.collect(0)
+        self._since_full_s = (self._since_full_s + 1) % _FULL_COLLECTION_S
+        gc.collect(0 if self._since_full_s else 2)
 
     def _undo(self) -> None:
         self.rest()
@@ -129,34 +125,28 @@ class Realtime:
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(wanted.priority))
         except PermissionError:
             limit, _ = resource.getrlimit(resource.RLIMIT_RTPRIO)
-            raise SetupError(
-                "SYS010",
+            raise self._refused(
+                "priority",
                 f"SCHED_FIFO priority {wanted.priority} is not permitted (the limit is {limit})",
-                where=self._place("priority"),
-                remedy=f"LimitRTPRIO={wanted.priority} in the unit (rosplc service install writes it), "
+                f"LimitRTPRIO={wanted.priority} in the unit (rosplc service install writes it), "
                 f"`@plc - rtprio {wanted.priority}` in /etc/security/limits.d, or the capability "
                 "CAP_SYS_NICE; in a container --ulimit rtprio=… or --cap-add SYS_NICE.",
             ) from None
 
+    def _refused(self, key: str, what: str, remedy: str) -> SetupError:
+        return SetupError("SYS010", what, where=self._config.source.place(("realtime", key)), remedy=remedy)
+
     def _pin(self, processors: set[int], here: set[int]) -> None:
+        missing = sorted(processors - here)
         try:
             os.sched_setaffinity(0, processors)
+            if os.sched_getaffinity(0) == processors:
+                return
+            what = f"there is no processor {', '.join(map(str, missing))} for this process"
         except (OSError, ValueError, OverflowError) as error:
-            missing, listed = sorted(processors - here), ", ".join(map(str, sorted(here)))
-            raise SetupError(
-                "SYS010",
-                f"processors {missing or sorted(processors)} cannot be used: {error}",
-                where=self._place("affinity"),
-                remedy=f"This process may use: {listed}.",
-            ) from None
-        if os.sched_getaffinity(0) != processors:
-            missing, listed = sorted(processors - here), ", ".join(map(str, sorted(here)))
-            raise SetupError(
-                "SYS010",
-                f"there is no processor {', '.join(map(str, missing))} for this process",
-                where=self._place("affinity"),
-                remedy=f"This process may use: {listed}.",
-            )
+            what = f"processors {missing or sorted(processors)} cannot be used: {error}"
+        remedy = f"This process may use: {', '.join(map(str, sorted(here)))}."
+        raise self._refused("affinity", what, remedy)
 
     def _lock_memory(self) -> None:
         limit, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
@@ -170,18 +160,14 @@ class Realtime:
         else:
             number = errno.EPERM
         if number:
-            raise SetupError(
-                "SYS010",
+            raise self._refused(
+                "lock_memory",
                 f"memory cannot be locked: {os.strerror(number)} (the limit is {_in_words(limit)})",
-                where=self._place("lock_memory"),
-                remedy="LimitMEMLOCK=infinity in the systemd unit (rosplc service install writes it), "
+                "LimitMEMLOCK=infinity in the systemd unit (rosplc service install writes it), "
                 "`@plc - memlock unlimited` in /etc/security/limits.d, or the capability CAP_IPC_LOCK; in a "
                 "container --ulimit memlock=-1.",
             )
         self._locked = True
-
-    def _place(self, key: str) -> str:
-        return self._config.source.place(("realtime", key))
 
 
 def _in_words(limit: int) -> str:

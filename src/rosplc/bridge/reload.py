@@ -8,7 +8,7 @@ are open are the others let go of. What fails later is undone: the streams are o
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from rosplc.bridge.carrier import Carriers
@@ -46,11 +46,8 @@ class Changes:
         return bool(self.added or self.removed or self.changed)
 
     def __str__(self) -> str:
-        named = (
-            ("added", self.added),
-            ("removed", self.removed),
-            ("changed", tuple(new for _, new in self.changed)),
-        )
+        changed = tuple(new for _, new in self.changed)
+        named = (("added", self.added), ("removed", self.removed), ("changed", changed))
         parts = [f"{word} {', '.join(plan.topic for plan in plans)}" for word, plans in named if plans]
         return "; ".join([*parts, f"{len(self.kept)} topics stay as they are"])
 
@@ -119,10 +116,11 @@ def _refuse_redefined(new: Project, used: Mapping[str, str], problems: Problems)
             problems.add(ConfigError("CFG012", what, where=source.place(key)), source.line(key))
 
 
+@dataclass
 class Exchange:
     """Carry other streams; those that are kept are not touched.
 
-    Args:
+    Attributes:
         changes: What is to change.
         running: The streams that are carried.
         carriers: What carries them.
@@ -132,30 +130,23 @@ class Exchange:
         show: Takes the streams that are open at each moment, so that they beat.
     """
 
-    def __init__(
-        self,
-        changes: Changes,
-        running: tuple[Stream, ...],
-        carriers: Carriers,
-        backend: Backend,
-        namespace: Namespace,
-        clock: Clock,
-        show: Callable[[tuple[Stream, ...]], None],
-    ) -> None:
-        self._changes = changes
-        self._running = running
-        self._carriers = carriers
-        self._backend = backend
-        self._namespace = namespace
-        self._clock = clock
-        self._show = show
+    changes: Changes
+    running: tuple[Stream, ...]
+    carriers: Carriers
+    backend: Backend
+    namespace: Namespace
+    clock: Clock
+    show: Callable[[tuple[Stream, ...]], None]
+    _new: list[Stream] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        changes = self.changes
         # A channel that becomes something else leaves its object, like a topic that is no more.
         became = {was.topic for was, now in changes.changed if was.port == "channel" != now.port}
         self._retiring = {plan.topic for plan in changes.removed} | became
         left = self._retiring | {was.topic for was, _ in changes.changed}
-        self._leaving = tuple(stream for stream in running if stream.plan.topic in left)
-        self._kept = tuple(stream for stream in running if stream.plan.topic not in left)
-        self._new: list[Stream] = []
+        self._leaving = tuple(stream for stream in self.running if stream.plan.topic in left)
+        self._kept = tuple(stream for stream in self.running if stream.plan.topic not in left)
 
     def run(self) -> tuple[Stream, ...]:
         """Return the streams that are carried now.
@@ -165,16 +156,16 @@ class Exchange:
                 carried again.
         """
         taken = {self._name(stream.plan) for stream in self._leaving}
-        first = [plan for plan in self._changes.added if self._name(plan) not in taken]
-        rest = [plan for plan in self._changes.added if self._name(plan) in taken]
-        rest += [now for _, now in self._changes.changed]
+        first = [plan for plan in self.changes.added if self._name(plan) not in taken]
+        rest = [plan for plan in self.changes.added if self._name(plan) in taken]
+        rest += [now for _, now in self.changes.changed]
         needed = {self._name(plan) for plan in rest}
         try:
             self._open(first)
             self._replace(self._leaving, self._new)
         except BaseException:
             self._drop_new()
-            self._show(self._running)
+            self.show(self.running)
             raise
         begun = tuple(self._new)
         try:
@@ -195,14 +186,14 @@ class Exchange:
 
     def _open(self, plans: Iterable[TopicPlan]) -> None:
         for plan in plans:
-            stream = self._carriers.make(plan)
+            stream = self.carriers.make(plan)
             stream.port.open()
             self._new.append(stream)
-            stream.connect(self._backend)
-            self._show((*self._running, *self._new))
+            stream.connect(self.backend)
+            self.show((*self.running, *self._new))
 
     def _replace(self, leaving: Collection[Stream], coming: Collection[Stream]) -> None:
-        if not self._carriers.replace(leaving, coming):
+        if not self.carriers.replace(leaving, coming):
             raise BackendError("ROS018", "the ROS side does not return from publishing")
 
     def _drop_new(self) -> None:
@@ -217,32 +208,28 @@ class Exchange:
 
     def _restore(self, begun: tuple[Stream, ...]) -> None:
         """Carry what was carried before, after something went wrong half-way."""
-        self._carriers.replace(begun, ())
+        self.carriers.replace(begun, ())
         self._drop_new()
         again = []
         for stream in self._leaving:
             stream.port.close()
-            renewed = self._carriers.make(stream.plan)
+            renewed = self.carriers.make(stream.plan)
             try:
                 renewed.port.open()
-            except (RosplcError, OSError) as error:
-                renewed.fail(
-                    self._clock.monotonic_ns(), error
-                )  # as after a removed object: the next check opens it
+            except (RosplcError, OSError) as error:  # as after a removed object: the next check opens it
+                renewed.fail(self.clock.monotonic_ns(), error)
             try:
-                renewed.connect(self._backend)
+                renewed.connect(self.backend)
             except RosplcError as error:
                 log.error("%s: %s; restart the bridge", stream.plan.topic, error)
             again.append(renewed)
-        self._carriers.replace((), again)
-        order = [stream.plan.topic for stream in self._running]
-        self._running = tuple(
-            sorted((*self._kept, *again), key=lambda stream: order.index(stream.plan.topic))
-        )
-        self._show(self._running)
+        self.carriers.replace((), again)
+        order = [stream.plan.topic for stream in self.running]
+        self.running = tuple(sorted((*self._kept, *again), key=lambda stream: order.index(stream.plan.topic)))
+        self.show(self.running)
 
     def _name(self, plan: TopicPlan) -> str:
-        return object_name(self._namespace, plan)
+        return object_name(self.namespace, plan)
 
 
 def _retire(stream: Stream) -> None:

@@ -12,8 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from rosplc.config.file import Config
-from rosplc.config.resolve import TopicPlan
-from rosplc.config.ros_section import OWN_SETTINGS
+from rosplc.config.resolve import OWN_SETTINGS, TopicPlan
 from rosplc.model import TypeStore
 from rosplc.model.types import MessageType
 from rosplc.ros import ROS1, Backend, Choice, RosArguments, TypeSource, choose, open_backend

@@ -12,9 +12,9 @@ from rosplc.bridge.hold import Hold, Silence, Stage
 from rosplc.bridge.port import QUIET_NS, Context, Counters, Port, Ports, log
 from rosplc.bridge.status import TopicStatus
 from rosplc.codec import TRUNCATED, Codec, Fault, Wire
+from rosplc.config.plans import flag_topic
 from rosplc.config.quantities import format_duration
 from rosplc.config.resolve import TopicPlan
-from rosplc.config.stale_plan import flag_topic
 from rosplc.errors import BackendError, ChannelError, RosplcError
 from rosplc.layout import compute_layout
 from rosplc.ros import Backend, EndpointStatus, Publisher, Qos, Subscription

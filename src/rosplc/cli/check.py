@@ -15,7 +15,7 @@ from rosplc.cli.text import columns, plural, say, terminal_width, warn, wrap
 from rosplc.errors import RosplcError
 
 if TYPE_CHECKING:
-    from rosplc.config.classic_plan import ClassicPlan
+    from rosplc.config.plans import ClassicPlan
     from rosplc.config.resolve import Project, TopicPlan
 
 __all__ = ["EPILOG", "command"]

@@ -6,27 +6,42 @@ configuration disturbs no running system.
 
 from __future__ import annotations
 
+import grp
+import pwd
+import stat
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from rosplc.config.classic_plan import ClassicPlan, classic_name, classic_plan, passes_changes_only
-from rosplc.config.depth import Demand, least_slots, usual_slots
 from rosplc.config.file import Config, read_config
+from rosplc.config.plans import (
+    ClassicPlan,
+    Demand,
+    StalePlan,
+    classic_name,
+    classic_plan,
+    least_slots,
+    passes_changes_only,
+    stale_plan,
+    usual_slots,
+)  # fmt: skip
 from rosplc.config.problems import Absent, Problems, relocated
 from rosplc.config.quantities import format_duration
-from rosplc.config.ros_section import check_ros
 from rosplc.config.settings import TaskSettings, TopicSettings
-from rosplc.config.stale_plan import StalePlan, stale_plan
+from rosplc.described import description_of
 from rosplc.errors import ConfigError, LayoutError, RosplcError
 from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
-from rosplc.ros import PRESETS, Qos
-from rosplc.shm import Direction, Namespace
+from rosplc.ros import PRESETS, ROS1, Qos
+from rosplc.shm import Description, Direction, Identity, Namespace
 from rosplc.shm.constants import HEADER_SIZE, LINE_SIZE, MAX_DESCRIPTION_SIZE, MAX_OBJECT_SIZE
+from rosplc.shm.files import Rights
 
-__all__ = ["Project", "TopicPlan", "load_config", "load_project", "object_name", "resolve"]
-
+OWN_SETTINGS = ("zenoh", "rclpy")
+"""Backends with a section of their own."""
+_ROS2 = ("dds", "rclpy", "zenoh")
+_LARGEST_ID = 2**32 - 2
 _TO_PLC = Qos(reliability="reliable", durability="volatile", depth=1000)
 _TO_ROS = PRESETS["latched"]
 _STALE_NS = {"plc": 1_000_000_000, "ros": 0}
@@ -303,3 +318,111 @@ def _slots(config: Config, topic: str, entry: TopicSettings, task: str, record_s
         )
         raise ConfigError("CFG008", what, where=config.source.place(("topics", topic, "slots")))
     return slots
+
+
+def check_ros(config: Config, problems: Problems) -> None:
+    """Note what contradicts itself in the section ``ros``."""
+    ros, source = config.settings.ros, config.source
+
+    def refuse(key: tuple[str, ...], what: str, remedy: str = "", code: str = "CFG004") -> None:
+        error = ConfigError(code, what, where=source.place(key), remedy=remedy)
+        problems.add(error, source.line(key))
+
+    if ros.backend in _ROS2 and ros.distro == ROS1:
+        what = f"the {ros.backend} backend speaks ROS 2, and {ROS1} is ROS 1"
+        refuse(("ros", "backend"), what, "Write `backend: rospy` (or auto), or a distro of ROS 2.")
+    if ros.backend == "rospy" and ros.distro != ROS1:
+        known = "" if "distro" in ros.model_fields_set else " (the default)"
+        what = f"the rospy backend speaks ROS 1, and {ros.distro}{known} is ROS 2"
+        refuse(("ros", "backend"), what, f"Write `distro: {ROS1}`, or `backend: auto`.")
+    for name in OWN_SETTINGS:
+        if getattr(ros, name) is None:
+            continue
+        if ros.backend not in ("auto", name):
+            what = f"settings of the {name} backend, while the backend is {ros.backend}"
+            refuse(("ros", name), what, f"Write `backend: {name}`, or remove them.")
+        elif ros.distro == ROS1:
+            what = f"settings of the {name} backend, which speaks ROS 2; {ROS1} is ROS 1"
+            refuse(("ros", name), what, "Remove them, or choose a distro of ROS 2.")
+    if ros.zenoh is not None and ros.zenoh.config is not None:
+        path = config.base / ros.zenoh.config
+        if not path.is_file():
+            refuse(("ros", "zenoh", "config"), f"{path} is no file", "Correct the path.", "CFG001")
+
+
+def describe(plan: TopicPlan, *, distro: str, bridge: str) -> Description:
+    """Return the self-description of a topic's object (spec/shm-format.md, section 6)."""
+    return description_of(plan.layout, plan.topic, plan.direction, bridge=bridge, distro=distro)
+
+
+def object_plan(project: Project, plan: TopicPlan) -> Identity:
+    """Return the geometry that the bridge's object for a topic will have; who made it is left open."""
+    settings = project.config.settings
+    description = describe(plan, distro=settings.ros.distro, bridge=settings.bridge)
+    return Identity.plan(
+        direction=plan.direction,
+        slots=plan.slots,
+        record_size=plan.layout.size,
+        description_size=len(description.to_json()),
+        layout_id=plan.layout.layout_id,
+        generation=1,
+        bridge_id=bytes(16),
+    )
+
+
+def object_size(project: Project, plan: TopicPlan) -> int:
+    """Return the bytes that the bridge's object for a topic will have."""
+    return object_plan(project, plan).object_size
+
+
+def open_doors(config: Config) -> list[str]:
+    """Return a sentence for each way in which every user of the machine may read or write the objects."""
+    shm = config.settings.shm
+    found = []
+    if shm.mode & 0o006:
+        verbs = {0o2: "write", 0o4: "read", 0o6: "read and write"}[shm.mode & 0o006]
+        found.append(
+            f"shm.mode {shm.mode:04o} lets every user of this machine {verbs} the objects; "
+            'use "0660" and a group in shm.group'
+        )
+    try:
+        mode = Path(shm.directory).stat().st_mode
+    except OSError:
+        return found  # opening it says so
+    if mode & stat.S_IWOTH and not mode & stat.S_ISVTX:
+        found.append(
+            f"{shm.directory} is {stat.S_IMODE(mode):04o}: every user of this machine may remove and replace "
+            f"the objects there; `chmod +t {shm.directory}` keeps users apart"
+        )
+    return found
+
+
+def rights(config: Config) -> Rights:
+    """Return mode, owner and group of the objects. Raises CFG004 for an unknown user or group."""
+    return Rights(config.settings.shm.mode, user_id(config), group_id(config))
+
+
+def user_id(config: Config) -> int | None:
+    """Return ``shm.owner`` as a number. Raises CFG004 at its line if there is no such user."""
+    return _id(config, "owner", "user", lambda name: pwd.getpwnam(name).pw_uid)
+
+
+def group_id(config: Config) -> int | None:
+    """Return ``shm.group`` as a number. Raises CFG004 at its line if there is no such group."""
+    return _id(config, "group", "group", lambda name: grp.getgrnam(name).gr_gid)
+
+
+def _id(config: Config, key: str, kind: str, find: Callable[[str], int]) -> int | None:
+    given: str | int | None = getattr(config.settings.shm, key)
+    place = config.source.place(("shm", key))
+    if isinstance(given, str):
+        try:
+            return find(given)
+        except KeyError:
+            what = f"there is no {kind} {given!r} on this machine"
+            remedy = "Create it, or name another; `getent passwd` and `getent group` list them."
+            raise Absent("CFG004", what, where=place, remedy=remedy) from None
+    # -1 and its unsigned twin would mean "leave it as it is" to the kernel.
+    if given is not None and not 0 <= given <= _LARGEST_ID:
+        raise ConfigError("CFG004", f"{given} is not within 0 … {_LARGEST_ID}", where=place)
+    return given

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from rosplc.config.classic_plan import ClassicPlan
+from rosplc.config.plans import ClassicPlan
 from rosplc.doctor.finding import Finding
 from rosplc.doctor.kinds import kind
 from rosplc.doctor.words import listed, remove, user_name

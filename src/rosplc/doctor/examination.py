@@ -15,7 +15,7 @@ from pathlib import Path
 from rosplc._version import __version__
 from rosplc.bridge.ros_side import choose_backend
 from rosplc.config import ConfigErrors, Project, load_project
-from rosplc.config.access import group_id, user_id
+from rosplc.config.resolve import group_id, user_id
 from rosplc.doctor import (
     classic,
     code,

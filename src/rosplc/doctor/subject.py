@@ -8,8 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from rosplc.config import Project, TopicPlan
-from rosplc.config.access import group_id, user_id
-from rosplc.config.objects import object_size
+from rosplc.config.resolve import group_id, object_size, user_id
 from rosplc.doctor.environment import Wish
 from rosplc.doctor.leftovers import concerned
 from rosplc.doctor.objects import Objects

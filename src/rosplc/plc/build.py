@@ -12,8 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from rosplc._version import __version__
-from rosplc.config.objects import object_size
-from rosplc.config.resolve import Project, TopicPlan
+from rosplc.config.resolve import Project, TopicPlan, object_size
 from rosplc.errors import GenerationError
 from rosplc.layout import Layout
 from rosplc.model import TypeStore

@@ -12,9 +12,7 @@ from typing import Any, Literal, Protocol
 from rosplc.bridge.bind import Binding
 from rosplc.clock import SYSTEM, Clock
 from rosplc.codec import Codec, Wire
-from rosplc.config.access import rights
-from rosplc.config.objects import describe
-from rosplc.config.resolve import Project
+from rosplc.config.resolve import Project, describe, rights
 from rosplc.described import description_of, layout_of
 from rosplc.errors import ChannelError, RecordingError, RosplcError
 from rosplc.layout import Layout, Limits, compute_layout

@@ -9,8 +9,8 @@ import sys
 from pathlib import Path
 
 from rosplc.bridge.realtime import contention
-from rosplc.config.access import open_doors
 from rosplc.config.file import Config, read_config
+from rosplc.config.resolve import open_doors
 from rosplc.errors import SetupError
 from rosplc.service.unit import Plan
 

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import os
 import time
+from abc import ABC, abstractmethod
 from functools import cached_property
 from pathlib import Path
+from typing import TypeVar
 
 from rosplc._core import Reader, Region, Writer
 from rosplc.shm.claims import ReaderClaim, WriterClaim, start_of
@@ -20,9 +22,10 @@ from rosplc.shm.header import Identity, channel_error
 from rosplc.shm.names import Namespace
 from rosplc.shm.snapshot import Snapshot
 
-__all__ = ["Attached", "attach"]
+__all__ = ["Attached", "Mapped", "attach"]
 
 _LOOK_NS = 5_000_000
+_M = TypeVar("_M", bound="Mapped")
 
 
 def attach(
@@ -58,12 +61,41 @@ def attach(
         os.close(fd)
 
 
-class Attached:
+class Mapped(ABC):
     """A mapped object; a context manager that closes it.
 
     Attributes:
         identity: The validated private copy of lines 0 and 1.
         region: The mapping.
+    """
+
+    def __init__(self, fd: int, path: str, direction: Direction | None, write: bool) -> None:
+        self._first, size = read_header(fd)
+        self.identity = Identity.parse(self._first, size, direction=direction, where=path)
+        self.region = Region(fd, self._first, write, path)
+        status = os.fstat(fd)
+        self._file = (status.st_dev, status.st_ino)
+        self._users: list[Reader | Writer] = []
+
+    def snapshot(self) -> Snapshot:
+        """Return all counters and beats as they are now."""
+        return Snapshot.of(self.region)
+
+    @abstractmethod
+    def close(self) -> None:
+        """Give claims back and unmap; a second call does nothing."""
+
+    def __enter__(self: _M) -> _M:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+class Attached(Mapped):
+    """An object that somebody else has made.
+
+    Attributes:
         path: The object's path.
     """
 
@@ -76,19 +108,17 @@ class Attached:
         direction: Direction | None,
         write: bool,
     ) -> None:
-        first, size = read_header(fd)
+        super().__init__(fd, path, direction, write)
         self.path = path
-        self.identity = Identity.parse(first, size, direction=direction, where=path)
-        if layout_id is not None and layout_id != self.identity.layout_id:
-            raise channel_error(112, f"layout id is {self.identity.layout_id}, {layout_id} is expected", path)
-        if record_size is not None and record_size != self.identity.record_size:
-            raise channel_error(
-                112, f"records have {self.identity.record_size} bytes, not {record_size}", path
-            )
-        self.region = Region(fd, first, write, path)
-        status = os.fstat(fd)
-        self._file = (status.st_dev, status.st_ino)
-        self._users: list[Reader | Writer] = []
+        found = self.identity
+        what = ""
+        if layout_id not in (None, found.layout_id):
+            what = f"layout id is {found.layout_id}, {layout_id} is expected"
+        elif record_size not in (None, found.record_size):
+            what = f"records have {found.record_size} bytes, not {record_size}"
+        if what:
+            self.close()
+            raise channel_error(112, what, path)
 
     @cached_property
     def description(self) -> Description:
@@ -158,10 +188,6 @@ class Attached:
             before = now
             time.sleep(_LOOK_NS / 1e9)
 
-    def snapshot(self) -> Snapshot:
-        """Return all counters and beats as they are now."""
-        return Snapshot.of(self.region)
-
     def valid(self) -> None:
         """Raise SHM111 or SHM112 if the object has been retired or damaged; then attach again."""
         self.region.check()
@@ -176,12 +202,6 @@ class Attached:
             user.release()
         self._users.clear()
         self.region.close()
-
-    def __enter__(self) -> Attached:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _writable(self) -> None:
         if not self.region.writable:

@@ -7,12 +7,17 @@ can use them; :mod:`rosplc.shm.attach` loops over them for everybody else.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TypeVar
+
 from rosplc._core import Reader, Region, Writer
 from rosplc.errors import ChannelError
 from rosplc.shm.constants import READER_LINE, READER_LINES, WRITER_LINE, reader_line
 from rosplc.shm.liveness import silence_ns
 
 __all__ = ["ReaderClaim", "WriterClaim", "start_of", "take_over_line", "take_over_writer"]
+
+_T = TypeVar("_T")
 
 
 class _Silence:
@@ -46,7 +51,7 @@ class WriterClaim:
         head, epoch, beat, beat_ms = self._region.words(WRITER_LINE["head"], 4)
         if epoch and not self._silence.lasts((head, epoch, beat), now_ns, silence_ns(beat_ms)):
             return None
-        return _try_writer(self._region, epoch, self._beat_ms)
+        return _unless_claimed(lambda: Writer(self._region, epoch, self._beat_ms))
 
 
 class ReaderClaim:
@@ -73,23 +78,26 @@ class ReaderClaim:
                 return True
         return False
 
+    def take_over(self, index: int) -> bool:
+        """Claim a line from whoever has it now; return whether that was still the one who has it."""
+        return self._try(index, self._region.word(reader_line(index)))
+
     def patience_ns(self) -> int:
         """Return after how long one of the lines must have been silent, if its holder is gone."""
         return max(silence_ns(self._region.words(reader_line(index), 3)[2]) for index in self._lines)
 
     def _try(self, index: int, expected: int) -> bool:
-        try:
+        def claim() -> bool:
             self._reader.claim(index, expected, self._beat_ms, self._task)
-        except ChannelError as error:
-            if error.code != "SHM114":
-                raise
-            return False
-        return True
+            return True
+
+        return bool(_unless_claimed(claim))
 
 
-def _try_writer(region: Region, expected: int, beat_ms: int) -> Writer | None:
+def _unless_claimed(claim: Callable[[], _T]) -> _T | None:
+    """Return None where another was faster (SHM114)."""
     try:
-        return Writer(region, expected, beat_ms)
+        return claim()
     except ChannelError as error:
         if error.code != "SHM114":
             raise
@@ -99,21 +107,16 @@ def _try_writer(region: Region, expected: int, beat_ms: int) -> Writer | None:
 def take_over_writer(region: Region, beat_ms: int) -> Writer:
     """Claim the writer's line whoever holds it: for the bridge that holds the name's lock."""
     while True:
-        writer = _try_writer(region, region.word(WRITER_LINE["writer_epoch"]), beat_ms)
-        if writer is not None:
+        epoch = region.word(WRITER_LINE["writer_epoch"])
+        if (writer := _unless_claimed(lambda epoch=epoch: Writer(region, epoch, beat_ms))) is not None:  # type: ignore[misc]
             return writer
 
 
 def take_over_line(region: Region, reader: Reader, index: int, beat_ms: int, task: str) -> None:
     """Claim a reader line whoever holds it: for the bridge that holds the name's lock."""
-    while True:
-        try:
-            reader.claim(index, region.word(reader_line(index)), beat_ms, task)
-        except ChannelError as error:
-            if error.code != "SHM114":
-                raise
-        else:
-            return
+    claim = ReaderClaim(region, reader, beat_ms, task, range(index, index + 1))
+    while not claim.take_over(index):
+        pass
 
 
 def start_of(region: Region, *, latched: bool, line: int | None = None) -> int:

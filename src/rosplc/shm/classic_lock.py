@@ -50,7 +50,7 @@ class ClassicLock:
 
     Args:
         name: Without a slash and without ``sem.``.
-        recover_after_ns: See :class:`rosplc.config.classic_plan.ClassicPlan`.
+        recover_after_ns: See :class:`rosplc.config.plans.ClassicPlan`.
         rights: Of a new one.
         directory: Where the C library keeps semaphores.
 

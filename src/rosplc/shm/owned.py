@@ -16,8 +16,9 @@ import time
 import weakref
 from pathlib import Path
 
-from rosplc._core import Reader, Region, Writer
+from rosplc._core import Reader, Writer
 from rosplc.errors import ChannelError
+from rosplc.shm.attach import Mapped
 from rosplc.shm.claims import start_of, take_over_line, take_over_writer
 from rosplc.shm.constants import (
     HEADER_SIZE,
@@ -44,7 +45,6 @@ from rosplc.shm.files import (
 from rosplc.shm.header import Identity, channel_error
 from rosplc.shm.lock import NameLock
 from rosplc.shm.names import Namespace
-from rosplc.shm.snapshot import Snapshot
 from rosplc.shm.who import describe_status, user_name
 
 __all__ = ["OwnedChannel", "retire_file"]
@@ -52,7 +52,7 @@ __all__ = ["OwnedChannel", "retire_file"]
 _LOOKS = 100
 
 
-class OwnedChannel:
+class OwnedChannel(Mapped):
     """An object that this process created or adopted, and whose name it holds; a context manager.
 
     Use :meth:`open`. In a process that is forked off, the parent's channels are closed.
@@ -77,19 +77,13 @@ class OwnedChannel:
         replaced_reason: str | None,
     ) -> None:
         self.path = namespace.path(description.topic)
-        first, size = read_header(fd)
-        self.identity = Identity.parse(first, size, direction=description.direction, where=str(self.path))
-        self.region = Region(fd, first, True, str(self.path))
+        super().__init__(fd, str(self.path), description.direction, True)
         self.description = description
         self.adopted = replaced_reason is None
         self.replaced_reason = replaced_reason or ""
         self.generation = self.identity.generation
         self.unowned_ns = lock.unheld_ns
         self._lock = lock
-        self._first = first[:IDENTITY_SIZE]
-        status = os.fstat(fd)
-        self._file = (status.st_dev, status.st_ino)
-        self._users: list[Reader | Writer] = []
         _owned.add(self)
 
     @classmethod
@@ -190,10 +184,6 @@ class OwnedChannel:
         self._users.append(reader)
         return reader
 
-    def snapshot(self) -> Snapshot:
-        """Return all counters and beats as they are now."""
-        return Snapshot.of(self.region)
-
     def still_there(self) -> bool:
         """Return whether names lead to this object and its lock, and its identity is undamaged.
 
@@ -206,7 +196,7 @@ class OwnedChannel:
             and self._lock.still_there()
             # First the size: whoever cut the object to nothing made looking at it deadly.
             and self._whole()
-            and self.region.read(0, IDENTITY_SIZE) == self._first
+            and self.region.read(0, IDENTITY_SIZE) == self._first[:IDENTITY_SIZE]
         )
 
     def _whole(self) -> bool:
@@ -234,12 +224,6 @@ class OwnedChannel:
         self._users.clear()
         self.region.close()
         self._lock.release()
-
-    def __enter__(self) -> OwnedChannel:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 _owned: weakref.WeakSet[OwnedChannel] = weakref.WeakSet()

@@ -10,7 +10,7 @@ from rosplc.layout import Layout, RecordView
 from rosplc.shm import Attached, Direction, Namespace, Reader, ReaderClaim, SlotInfo
 from rosplc.shm.constants import UNKNOWN, WRITER_LINE
 from rosplc.virtual_plc.block import Block, Peer
-from rosplc.virtual_plc.scan import Scan
+from rosplc.virtual_plc.task import Scan
 
 __all__ = ["OnStale", "ReadBlock"]
 
@@ -130,12 +130,12 @@ class ReadBlock(Block):
             return False
         with self._entered() as scan:
             # A link that found another object in this scan has closed the one of this reader.
-            if scan is None or self._reader is None or self._link.opened != self._opened:
+            if scan is None or self._reader is None or self._opened_times != self._opened:
                 return False
             try:
                 return self._take(self._reader, scan)
             except ChannelError as error:
-                self._link.drop(error)
+                self._drop(error)
                 self._reader = self._claim = None
                 return False
 
@@ -151,7 +151,7 @@ class ReadBlock(Block):
 
     def close(self) -> None:
         """Let go of the object; the next call opens it again."""
-        self._link.close()
+        self._detach()
         self._reader = self._claim = None
         self.xAttached = self.xPeerAlive = False
 
@@ -162,8 +162,8 @@ class ReadBlock(Block):
         if self._since_ns is None:
             self._since_ns = scan.now_ns
         try:
-            attached = self._link.follow(scan)
-            if attached is not None and self._link.opened != self._opened:
+            attached = self._follow(scan)
+            if attached is not None and self._opened_times != self._opened:
                 self._adopt(attached, scan)
             if attached is not None and self._reader is not None:
                 if self._claim is not None and self._claim.attempt(scan.now_ns):
@@ -172,17 +172,17 @@ class ReadBlock(Block):
                 self._reader.beat()
                 self._watch(attached, scan)
         except ChannelError as error:  # retired between the check and the copy, or not readable
-            self._link.drop(error)
-        self.xAttached = self._link.attached is not None
+            self._drop(error)
+        self.xAttached = self._attached is not None
         if not self.xAttached:
             self.xPeerAlive = False
             self._reader = self._claim = None
-        self.udiError, self.reason = self._link.error, self._link.reason
+        self.udiError, self.reason = self._failure
         self._report_silence()
         self._judge_age(scan)
 
     def _adopt(self, attached: Attached, scan: Scan) -> None:
-        layout = self._link.layout
+        layout = self.layout
         assert layout is not None  # an open link has one
         latched = self._latched and self._opened == 0
         self._reader = attached.reader(latched=latched)
@@ -190,7 +190,7 @@ class ReadBlock(Block):
         self._claim = None
         if attached.region.writable:
             self._claim = ReaderClaim(attached.region, self._reader, self._beat_ms, scan.task, range(4))
-        self._opened = self._link.opened
+        self._opened = self._opened_times
         self._peer = Peer()
         if self.msg is None or len(self._record) != layout.size:
             self._use_layout(layout)
@@ -219,8 +219,8 @@ class ReadBlock(Block):
         self.udiLost += info.lost
         self._show(info)
         # The mark may be on a skipped message; a change of the claim and the silence are seen all the same.
-        assert self._link.attached is not None
-        epoch = self._link.attached.region.words(WRITER_LINE["writer_epoch"], 1)[0]
+        assert self._attached is not None
+        epoch = self._attached.region.words(WRITER_LINE["writer_epoch"], 1)[0]
         another = epoch not in (0, self._writer)
         self.xRecovered = self.xFirst or self.xStale or another or not self._ever_new
         self._writer = epoch or self._writer
@@ -243,7 +243,7 @@ class ReadBlock(Block):
             self.udiSources = state.sources
             self.xSourcePresent = state.sources > 0
         if peer.silent:
-            self._link.look_for_another(scan)
+            self._look_for_another(scan)
 
     def _judge_age(self, scan: Scan) -> None:
         age_ns = max(0, scan.now_ns - (scan.now_ns if self._since_ns is None else self._since_ns))

@@ -1,4 +1,4 @@
-"""A cyclic task: it calls its programs at absolute times, as a PLC's scheduler does."""
+"""A virtual PLC: cyclic tasks that call their programs at absolute times, as a PLC's scheduler does."""
 
 from __future__ import annotations
 
@@ -7,12 +7,97 @@ import os
 import threading
 import time
 from collections.abc import Callable, Iterable
-from typing import TypeAlias
+from dataclasses import dataclass
+from typing import Any, TypeAlias
 
-from rosplc.virtual_plc.scan import Scan, enter_scan, leave_scan
-from rosplc.virtual_plc.stats import CycleStats
+__all__ = ["CycleStats", "Program", "Scan", "Task", "TaskState", "VirtualPlc", "current_scan", "enter_scan"]
 
-__all__ = ["Program", "Task", "TaskState"]
+
+@dataclass(slots=True)
+class Scan:
+    """One scan of one task; outside a task (a notebook, a test) every call counts as a scan of its own.
+
+    A PLC makes at most one attempt to open an object per scan over all blocks (spec/shm-format.md, 8.6).
+
+    Attributes:
+        task: The task's name, empty outside a task.
+        number: Counts the task's scans from 1; 0 outside a task.
+        now_ns: The monotonic clock at the scan's start, nanoseconds.
+        may_open: Whether this scan still has its one attempt to open an object.
+    """
+
+    task: str
+    number: int
+    now_ns: int
+    may_open: bool = True
+
+    def claim_open(self) -> bool:
+        """Take the scan's one attempt to open an object; False if it is gone."""
+        had, self.may_open = self.may_open, False
+        return had
+
+
+_local = threading.local()
+
+
+def current_scan() -> Scan:
+    """Return the scan that the calling thread is in, or a fresh one outside a task."""
+    scan: Scan | None = getattr(_local, "scan", None)
+    return Scan("", 0, time.monotonic_ns()) if scan is None else scan
+
+
+def enter_scan(scan: Scan | None) -> None:
+    """Make ``scan`` the calling thread's scan; None ends it."""
+    _local.scan = scan
+
+
+@dataclass(slots=True)
+class CycleStats:
+    """Counters of one task; every time is in nanoseconds.
+
+    Attributes:
+        scans: Scans that ran.
+        missed: Scans that did not run because the one before took too long, or because the
+            machine was late by a whole interval.
+        jitter_max: The most by which a scan began after its time.
+        cycle_last: Duration of the last scan.
+        cycle_min: Shortest scan; 0 before the first.
+        cycle_max: Longest scan.
+        cycle_sum: Sum over all scans, for the mean.
+        watchdog_excesses: Scans that took longer than the watchdog time.
+    """
+
+    scans: int = 0
+    missed: int = 0
+    jitter_max: int = 0
+    cycle_last: int = 0
+    cycle_min: int = 0
+    cycle_max: int = 0
+    cycle_sum: int = 0
+    watchdog_excesses: int = 0
+
+    @property
+    def cycle_mean(self) -> float:
+        """Mean duration of a scan in nanoseconds; 0 before the first."""
+        return self.cycle_sum / self.scans if self.scans else 0.0
+
+    def add(self, lateness: int, duration: int) -> None:
+        """Count one scan that began ``lateness`` ns after its time and took ``duration`` ns."""
+        self.scans += 1
+        self.jitter_max = max(self.jitter_max, lateness)
+        self.cycle_last = duration
+        self.cycle_min = duration if self.scans == 1 else min(self.cycle_min, duration)
+        self.cycle_max = max(self.cycle_max, duration)
+        self.cycle_sum += duration
+
+    def to_dict(self) -> dict[str, int | float]:
+        """Return the counters as plain data, times in microseconds."""
+        times = ("jitter_max", "cycle_last", "cycle_min", "cycle_mean", "cycle_max")
+        counts = ("scans", "missed", "watchdog_excesses")
+        return {name: getattr(self, name) for name in counts} | {
+            f"{name}_us": getattr(self, name) / 1000 for name in times
+        }
+
 
 Program: TypeAlias = Callable[[], object]
 """A program takes nothing: like a PROGRAM in a PLC it keeps its state in its own objects."""
@@ -62,14 +147,14 @@ class Task:
         programs: Iterable[Program] = (),
         realtime: bool = False,
     ) -> None:
-        if not interval > 0:
-            raise ValueError(f"task {name}: interval must be above 0 s, not {interval}")
-        if not 0 <= priority <= 31:
-            raise ValueError(f"task {name}: priority must be 0 to 31, not {priority}")
-        if watchdog is not None and not watchdog > 0:
-            raise ValueError(f"task {name}: watchdog must be above 0 s, not {watchdog}")
-        if watchdog_sensitivity < 1:
-            raise ValueError(f"task {name}: watchdog_sensitivity must be at least 1")
+        for sound, what in (
+            (interval > 0, f"interval must be above 0 s, not {interval}"),
+            (0 <= priority <= 31, f"priority must be 0 to 31, not {priority}"),
+            (watchdog is None or watchdog > 0, f"watchdog must be above 0 s, not {watchdog}"),
+            (watchdog_sensitivity >= 1, "watchdog_sensitivity must be at least 1"),
+        ):
+            if not sound:
+                raise ValueError(f"task {name}: {what}")
         self.name = name
         self.priority = priority
         self.interval_ns = max(1, round(interval * 1e9))
@@ -98,12 +183,8 @@ class Task:
         A thread cannot be halted from outside, so a program that never returns is
         reported here rather than stopped.
         """
-        began = self._scan_began_ns
-        return (
-            began is not None
-            and self.watchdog_ns is not None
-            and time.monotonic_ns() - began > self.watchdog_ns
-        )
+        began, allowed = self._scan_began_ns, self.watchdog_ns
+        return began is not None and allowed is not None and time.monotonic_ns() - began > allowed
 
     def scan(self, due_ns: int | None = None) -> None:
         """Run one scan now, in the calling thread.
@@ -124,7 +205,7 @@ class Task:
             self.error, self.state = error, TaskState.EXCEPTION
             raise
         finally:
-            leave_scan()
+            enter_scan(None)
             self._scan_began_ns = None
             duration = time.monotonic_ns() - began
             self.stats.add(max(0, began - (began if due_ns is None else due_ns)), duration)
@@ -206,3 +287,77 @@ class Task:
         except PermissionError:
             return "SCHED_OTHER (SCHED_FIFO is not permitted to this user)"
         return f"SCHED_FIFO {fifo}"
+
+
+class VirtualPlc:
+    """A stand-in for a soft-PLC: tasks with programs, run as threads of this process.
+
+    Use it as a context manager, or call :meth:`start` and :meth:`stop`::
+
+        plc = VirtualPlc()
+        task = plc.task("RosTask", interval=0.01)
+
+        @task.program
+        def main() -> None: ...
+
+        plc.run(duration=10.0)
+    """
+
+    def __init__(self) -> None:
+        self.tasks: list[Task] = []
+
+    def task(self, name: str, interval: float, **options: Any) -> Task:
+        """Add a cyclic task and return it; the arguments are those of :class:`Task`."""
+        if any(task.name == name for task in self.tasks):
+            raise ValueError(f"a task named {name} exists already")
+        self.tasks.append(Task(name, interval, **options))
+        return self.tasks[-1]
+
+    def start(self) -> None:
+        """Start all tasks, the highest priority first."""
+        for task in sorted(self.tasks, key=lambda task: task.priority):
+            task.start()
+
+    def stop(self) -> None:
+        """Stop all tasks, each after the scan in progress."""
+        for task in self.tasks:
+            task.stop()
+
+    def check(self) -> None:
+        """Raise what halted a task, if one has halted.
+
+        Raises:
+            BaseException: What a program raised; TimeoutError from the watchdog.
+        """
+        for task in self.tasks:
+            if task.state is TaskState.EXCEPTION and task.error is not None:
+                raise task.error
+            if task.overdue:
+                raise TimeoutError(f"task {task.name}: the scan in progress exceeds the watchdog")
+
+    def run(self, duration: float | None = None) -> None:
+        """Start, run for ``duration`` seconds (None: until Ctrl-C, or a task halts), and stop.
+
+        Raises:
+            BaseException: What halted a task; with a duration KeyboardInterrupt, too.
+        """
+        end = None if duration is None else time.monotonic() + duration
+        self.start()
+        try:
+            while end is None or time.monotonic() < end:
+                self.check()
+                rest = 0.05 if end is None else min(0.05, end - time.monotonic())
+                time.sleep(max(0.0, rest))
+        except KeyboardInterrupt:
+            if duration is not None:
+                raise
+        finally:
+            self.stop()
+        self.check()
+
+    def __enter__(self) -> VirtualPlc:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()

@@ -3,18 +3,110 @@
 from __future__ import annotations
 
 import time
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, NoReturn
 
 from rosplc.errors import ChannelError
-from rosplc.layout import Layout
+from rosplc.layout import Layout, RecordView, StructNode
 from rosplc.shm import Attached, Direction, Namespace, Writer, WriterClaim
 from rosplc.shm.constants import STAMP_PLC, UNKNOWN, ErrorNumber
-from rosplc.virtual_plc.block import Block, Peer
-from rosplc.virtual_plc.link import error_number
-from rosplc.virtual_plc.message import Message
-from rosplc.virtual_plc.scan import Scan
+from rosplc.virtual_plc.block import Block, Peer, error_number
+from rosplc.virtual_plc.task import Scan
 
-__all__ = ["WriteBlock"]
+__all__ = ["Message", "WriteBlock"]
+
+
+class Message:
+    """A message with settable fields; ``Layout.pack`` accepts it.
+
+    Nested messages are :class:`Message` objects, arrays and sequences are lists, strings are
+    ``str``. A field that the type does not have cannot be set; whether a value fits its
+    field shows when the message is packed.
+    """
+
+    __slots__ = ("_type_name", "_values")
+
+    _type_name: str
+    _values: dict[str, Any]
+
+    def __init__(self, type_name: str, values: dict[str, Any]) -> None:
+        put = object.__setattr__
+        put(self, "_type_name", type_name)
+        put(self, "_values", values)
+
+    @classmethod
+    def initial(cls, layout: Layout) -> Message:
+        """Return a message with the type's default values."""
+        return cls.of(layout, layout.view(layout.initial()))
+
+    @classmethod
+    def of(cls, layout: Layout, view: RecordView) -> Message:
+        """Return a copy of a record that can be changed."""
+        return _copy(layout.root, view)
+
+    def update(self, values: Mapping[str, Any]) -> None:
+        """Set the named fields; a mapping for a nested message sets only what it names.
+
+        Raises:
+            AttributeError: A name is no field of the type.
+        """
+        for name, value in values.items():
+            present = getattr(self, name)
+            if isinstance(present, Message) and isinstance(value, Mapping):
+                present.update(value)
+            else:
+                self._values[name] = value
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):  # no ROS field does; copy and pickle look for such names early
+            raise AttributeError(name)
+        try:
+            return self._values[name]
+        except KeyError:
+            self._refuse(name)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name not in self._values:
+            self._refuse(name)
+        if isinstance(value, Mapping) and isinstance(self._values[name], Message):
+            self._values[name].update(value)
+        else:
+            self._values[name] = value
+
+    def __reduce__(self) -> tuple[object, ...]:
+        # The usual way would set the slots by name, which __setattr__ refuses.
+        return (Message, (self._type_name, self._values))
+
+    def __dir__(self) -> list[str]:
+        return [*super().__dir__(), *self._values]
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Message):
+            return NotImplemented
+        return self._type_name == other._type_name and self._values == other._values
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __repr__(self) -> str:
+        fields = ", ".join(f"{name}={value!r}" for name, value in self._values.items())
+        return f"{self._type_name.rpartition('/')[2]}({fields})"
+
+    def _refuse(self, name: str) -> NoReturn:
+        fields = ", ".join(self._values) or "none"
+        raise AttributeError(f"{self._type_name} has no field {name!r}; its fields: {fields}")
+
+
+def _copy(node: StructNode, view: RecordView) -> Message:
+    values = {}
+    for member in node.members:
+        if not member.name or member.count_of is not None:
+            continue
+        value, element = getattr(view, member.name), getattr(member.node, "element", member.node)
+        if isinstance(element, StructNode):
+            several = isinstance(value, list)
+            value = [_copy(element, item) for item in value] if several else _copy(element, value)
+        values[member.name] = value
+    return Message(node.type_name, values)
 
 
 class WriteBlock(Block):
@@ -84,34 +176,34 @@ class WriteBlock(Block):
         """Release the claim and let go of the object; the next call opens it again."""
         if self._writer is not None:
             self._writer.release()
-        self._link.close()
+        self._detach()
         self._writer = self._claim = None
         self._peer = Peer()
         self.xReady = False
 
     def _run(self, scan: Scan) -> None:
         self.xPublished = self._unfilled = False
-        attached = self._link.follow(scan)
-        if attached is not None and self._link.opened != self._opened:
+        attached = self._follow(scan)
+        if attached is not None and self._opened_times != self._opened:
             self._adopt(attached)
         if attached is not None:
             if self._writer is None:
                 self._claim_line(attached, scan)
             if self._writer is not None:
                 self._publish(self._writer)
-        if self._link.attached is not None:
-            self._watch(self._link.attached, scan)
+        if self._attached is not None:
+            self._watch(self._attached, scan)
         else:
             self.xReady = self.xPeerAlive = False
             self.udiSinks = None
             self._writer = self._claim = None
-            self.udiError, self.reason = self._link.error, self._link.reason
-        self.xAttached = self._link.attached is not None
+            self.udiError, self.reason = self._failure
+        self.xAttached = self._attached is not None
 
     def _adopt(self, attached: Attached) -> None:
-        layout = self._link.layout
+        layout = self.layout
         assert layout is not None  # an open link has one
-        self._opened = self._link.opened
+        self._opened = self._opened_times
         self._writer = self._claim = None
         self._peer = Peer()
         self.xReady = False
@@ -127,7 +219,7 @@ class WriteBlock(Block):
                 self._claim = attached.writer_claim(self._beat_ms)
             self._writer = self._claim.attempt(scan.now_ns)
         except ChannelError as error:
-            self._link.drop(error)
+            self._drop(error)
             return
         if self._writer is None:
             # It may stop, so the next scans look again.
@@ -137,7 +229,7 @@ class WriteBlock(Block):
             self.udiError, self.reason = 0, ""
 
     def _publish(self, writer: Writer) -> None:
-        layout = self._link.layout
+        layout = self.layout
         assert layout is not None
         try:
             if self.xEnable and not self._unfilled:
@@ -156,7 +248,7 @@ class WriteBlock(Block):
                 # Whoever has it now keeps it: a new claim waits for that one's silence.
                 self.udiError, self.reason = error_number(error), str(error)
             else:
-                self._link.drop(error)
+                self._drop(error)
             return
         self.xReady = True
         self.udiError, self.reason = 0, ""
@@ -171,4 +263,4 @@ class WriteBlock(Block):
         self.udiSinks = line.sinks if peer.alive and line.sinks != UNKNOWN else None
         if peer.silent:
             self._report_silence()
-            self._link.look_for_another(scan)
+            self._look_for_another(scan)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from rosplc.bridge.port import QUIET_NS, RepeatedWarnings
 from rosplc.bridge.status import BridgeStatus, Level, TopicStatus, format_age
-from rosplc.config.depth import Demand, least_slots, usual_slots
+from rosplc.config.plans import Demand, least_slots, usual_slots
 from rosplc.config.quantities import format_duration, parse_duration, parse_mode, parse_rate
 from rosplc.shm import Direction
 

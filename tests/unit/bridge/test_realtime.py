@@ -17,9 +17,8 @@ import pytest
 
 from rosplc.bridge.engine import Bridge
 from rosplc.bridge.realtime import Realtime, contention
-from rosplc.config.access import open_doors
 from rosplc.config.file import Config
-from rosplc.config.resolve import resolve
+from rosplc.config.resolve import open_doors, resolve
 from rosplc.errors import RosplcError, SetupError
 from rosplc.project import warnings
 from rosplc.shm import Namespace

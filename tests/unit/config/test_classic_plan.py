@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from rosplc.config import ConfigErrors, parse_config, resolve
-from rosplc.config.classic_plan import ClassicPlan, classic_name
+from rosplc.config.plans import ClassicPlan, classic_name
 from rosplc.config.resolve import TopicPlan
 
 

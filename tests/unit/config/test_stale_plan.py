@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from rosplc.config import ConfigErrors, parse_config, resolve
-from rosplc.config.stale_plan import StalePlan
+from rosplc.config.plans import StalePlan
 
 TWIST = "geometry_msgs/msg/Twist"
 

@@ -7,7 +7,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from rosplc.config.classic_plan import ClassicPlan
+from rosplc.config.plans import ClassicPlan
 from rosplc.doctor import Level
 from rosplc.doctor.classic import locks
 from rosplc.doctor.leftovers import soundness

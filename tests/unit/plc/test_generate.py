@@ -7,8 +7,7 @@ import json
 import pytest
 import yaml
 
-from rosplc.config.objects import object_size
-from rosplc.config.resolve import load_project
+from rosplc.config.resolve import load_project, object_size
 from rosplc.layout import Limits
 from rosplc.model import TypeStore
 from rosplc.plc.delivery import MANIFEST

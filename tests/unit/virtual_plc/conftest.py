@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from rosplc.shm import Direction
-from rosplc.virtual_plc.scan import Scan, enter_scan, leave_scan
+from rosplc.virtual_plc.task import Scan, enter_scan
 from tests.channels import Side, layout_of
 
 
@@ -37,7 +37,7 @@ class Scans:
             for block in blocks:
                 block()
         finally:
-            leave_scan()
+            enter_scan(None)
 
 
 @pytest.fixture

@@ -7,9 +7,7 @@ import time
 
 import pytest
 
-from rosplc.virtual_plc.plc import VirtualPlc
-from rosplc.virtual_plc.scan import current_scan
-from rosplc.virtual_plc.task import Task, TaskState
+from rosplc.virtual_plc.task import Task, TaskState, VirtualPlc, current_scan
 from tests.lib.waiting import wait_for
 
 

@@ -1,4 +1,4 @@
-"""What the configuration decides about a source that falls silent: ``on_stale``."""
+"""What the configuration decides about one topic: classic memory, a silent source, the number of slots."""
 
 from __future__ import annotations
 
@@ -13,8 +13,80 @@ from rosplc.config.quantities import format_duration, parse_duration
 from rosplc.config.settings import OnStaleSettings, TopicSettings
 from rosplc.errors import ConfigError, LayoutError
 from rosplc.layout import Layout
+from rosplc.shm.names import MAX_NAME
 
-__all__ = ["StalePlan", "flag_topic", "stale_plan"]
+__all__ = ["ClassicPlan", "Demand", "StalePlan", "classic_name", "classic_plan", "flag_topic", "least_slots"]
+
+
+@dataclass(frozen=True)
+class ClassicPlan:
+    """A topic whose record stands alone at offset 0 of a shared memory, guarded by a semaphore.
+
+    Attributes:
+        name: The memory's name, without a slash: ``/dev/shm/NAME``.
+        semaphore: The semaphore's name, ``/dev/shm/sem.NAME``; empty if nothing guards the memory.
+        wait_ns: How long a side tries to get the lock before it leaves it for the next time.
+        recover_after_ns: How long the lock must be held, without any sign of life, before its
+            holder counts as dead.
+        poll_ns: Towards ROS: time between two looks at the memory.
+    """
+
+    name: str
+    semaphore: str
+    wait_ns: int
+    recover_after_ns: int
+    poll_ns: int = 1_000_000
+
+
+def classic_name(topic: str) -> str:
+    """Return the name that a topic's memory has by default: ``/robot1/cmd_vel`` is ``robot1.cmd_vel``.
+
+    A topic without a namespace keeps its name, as existing projects have it. A name in shared
+    memory has no slash, and a topic no dot, so no two topics get one name.
+    """
+    return topic[1:].replace("/", ".")
+
+
+def passes_changes_only(entry: TopicSettings) -> bool:
+    """Return whether a topic passes on changes alone; nothing else tells of news in classic memory."""
+    by_default = entry.classic is not None and entry.to == "ros" and "on_change" not in entry.model_fields_set
+    return entry.on_change or by_default
+
+
+def classic_plan(config: Config, topic: str, entry: TopicSettings, task: str) -> ClassicPlan | None:
+    """Return what a topic's entry says about classic mode; None if it is carried over a channel.
+
+    Raises:
+        ConfigError: CFG004 for a name that cannot be had, or another directory than /dev/shm.
+    """
+    asked, settings = entry.classic, config.settings
+    if asked is None:
+        return None
+    name = asked.name or classic_name(topic)
+    where = config.source.place(("topics", topic, "classic"))
+    if len(name) > MAX_NAME:
+        what = f"the name {name!r} has {len(name)} characters; a PLC's STRING holds {MAX_NAME}"
+        raise ConfigError("CFG004", what, where=where, remedy="Give a shorter one with classic: {name: …}.")
+    if name.startswith(settings.prefix + "."):
+        what = f"the name {name!r} begins with {settings.prefix}., as this bridge's own objects do"
+        raise ConfigError("CFG004", what, where=where, remedy="Give another with classic: {name: …}.")
+    if settings.shm.directory != "/dev/shm":
+        what = (
+            f"classic topics lie in /dev/shm, where semaphores are; shm.directory is {settings.shm.directory}"
+        )
+        raise ConfigError("CFG004", what, where=where)
+    poll = settings.tick_ns
+    if not passes_changes_only(entry) and entry.to == "ros":
+        # Every look is a message here; a PLC has something new to say once per cycle at most.
+        poll = entry.rate_limit_ns or entry.expected_rate_ns or settings.tasks[task].interval_ns
+    return ClassicPlan(
+        name=name,
+        semaphore="" if asked.semaphore == "none" else asked.semaphore or name,
+        wait_ns=asked.wait_ns,
+        recover_after_ns=asked.recover_after_ns,
+        poll_ns=poll,
+    )
+
 
 _SHORTEST_NS = parse_duration("1ms")
 
@@ -143,3 +215,81 @@ def _leaves(value: Any, path: tuple[str | int, ...]) -> Iterator[tuple[tuple[str
             yield from _leaves(item, (*path, index))
     else:
         yield path, value
+
+
+# Slots (spec/shm-format.md, section 7.3): a reader accepts a copy only if the writer has published at most
+# N-2 messages meanwhile, so N-2 periods must outlast a copy plus a preemption. And where every message
+# counts, N-1 messages must outlast the time between two visits of the reader.
+
+_PREEMPTION_NS = 1_000_000
+"""A PLC task or another process in between; a board without a real-time kernel has more."""
+
+_COPY_NS_PER_BYTE = 5
+"""A 1 GHz Cortex-A8 copies 1 MiB in 4.7 ms; everything else is faster."""
+
+_PAUSE_NS = 20_000_000
+"""How long a reader may be kept from running, for the usual number."""
+
+_BRIDGE_PAUSE_NS = 200_000_000
+"""The same for the bridge, on a loaded machine without a real-time kernel."""
+
+_MOST_BYTES = 1 << 20
+"""Records beyond this are not worth the bridge's longer pause."""
+
+_BURST = 16
+"""Slots where every message counts and nobody said how fast they come."""
+
+_MOST = 65536
+
+
+@dataclass(frozen=True)
+class Demand:
+    """What the slots have to stand.
+
+    Attributes:
+        period_ns: Shortest time between two messages; 0 if unknown.
+        visit_ns: Time between two visits of the reader.
+        record_size: Bytes of a record.
+        every: Every message counts.
+        by_bridge: The reader is the bridge.
+    """
+
+    period_ns: int
+    visit_ns: int
+    record_size: int
+    every: bool
+    by_bridge: bool = False
+
+
+def least_slots(demand: Demand) -> int:
+    """Return the number below which messages are certain to be lost or copies to be refused."""
+    return _slots(demand, _PREEMPTION_NS)
+
+
+def usual_slots(demand: Demand) -> int:
+    """Return the number taken where the configuration gives none."""
+    if demand.every and not demand.period_ns:
+        return _BURST
+    usual = _slots(demand, _PAUSE_NS)
+    if not (demand.every and demand.by_bridge):
+        return usual
+    return max(usual, min(_slots(demand, _BRIDGE_PAUSE_NS), _power(_MOST_BYTES // demand.record_size)))
+
+
+def _slots(demand: Demand, pause_ns: int) -> int:
+    if not demand.period_ns:
+        return 4
+    copy_ns = demand.record_size * _COPY_NS_PER_BYTE + _PREEMPTION_NS
+    needed = 2 + _ceil(copy_ns, demand.period_ns)
+    if demand.every:
+        needed = max(needed, 1 + _ceil(demand.visit_ns + pause_ns, demand.period_ns))
+    return min(_MOST, max(4, 1 << (needed - 1).bit_length()))
+
+
+def _power(number: int) -> int:
+    """Return the largest power of two that is not above a number."""
+    return 1 << (number.bit_length() - 1) if number else 0
+
+
+def _ceil(value: int, unit: int) -> int:
+    return -(-value // unit)
