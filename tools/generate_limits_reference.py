@@ -73,13 +73,13 @@ ROS:
     text about one peer | ros._base.LONGEST_REASON | characters | cut off
     different reasons in the log | ros._base.MOST_REMEMBERED | reasons | no more are logged
 ROS over DDS:
-    name of a node in an announcement | ros.dds.discovery.LONGEST_NAME | bytes | refused
-    nodes or endpoints that it may claim | ros.dds.discovery.MOST_CLAIMED | each | refused
+    name of a node in an announcement | ros.dds.graph.LONGEST_NAME | bytes | refused
+    nodes or endpoints that it may claim | ros.dds.graph.MOST_CLAIMED | each | refused
     participants whose announcements are kept | ros.dds.graph.MOST_PARTICIPANTS | participants | not kept
     domain | ros.dds.config.MAX_DOMAIN |  | ROS010
 ROS over Zenoh:
-    liveliness token | ros.zenoh.tokens.LONGEST_TOKEN | characters | refused, counted
-    tokens that are kept | ros.zenoh.graph.MOST_TOKENS | tokens | refused, counted
+    liveliness token | ros.zenoh.keys.LONGEST_TOKEN | characters | refused, counted
+    tokens that are kept | ros.zenoh.keys.MOST_TOKENS | tokens | refused, counted
     configuration file of Zenoh's | ros.zenoh.config.LARGEST_FILE | bytes | ROS013, ROS010
 ROS 1:
     connection header | ros.rospy.handshake.MOST_HEADER | bytes | connection closed

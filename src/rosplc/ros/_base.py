@@ -1,4 +1,4 @@
-"""What the backends share: a node's names, an endpoint's counts and delivery, how a node is opened."""
+"""What the backends share: a node and its endpoints, counts and delivery, and why a peer does not match."""
 
 from __future__ import annotations
 
@@ -7,30 +7,36 @@ import os
 import threading
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Generic, Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 from rosplc.clock import SYSTEM, Clock
 from rosplc.errors import BackendError
 from rosplc.harmless import one_line
 from rosplc.ros.backend import EndpointInfo, EndpointStatus, GraphInfo, OnMessage, Qos, TypeSource
 from rosplc.ros.names import join, resolve_topic, validate_namespace, validate_node_name
+from rosplc.ros.qos import incompatibility
 
 __all__ = [
     "LONGEST_REASON",
     "MOST_REASONS",
     "MOST_REMEMBERED",
+    "SETTLE_NS",
     "BaseEndpoint",
     "BaseNode",
     "BasePublisher",
     "BaseSubscription",
     "Context",
     "LogOnce",
-    "Opener",
+    "Problem",
     "check_ros",
+    "describe",
+    "differs",
     "domain_number",
+    "explain",
     "graph_info",
     "is_cdr",
     "listed",
+    "opener",
 ]
 
 MOST_REASONS = 8
@@ -40,8 +46,11 @@ LONGEST_REASON = 500
 MOST_REMEMBERED = 1000
 """Reasons that a backend remembers to have logged; further ones are not logged."""
 
-_PADDING = (b"", b"\0", b"\0\0", b"\0\0\0")
+Problem = tuple[str, str]
+"""An error code, or an empty text, and words."""
 
+SETTLE_NS = 1_000_000_000  # matching may take a moment; nothing is called a mismatch before
+_PADDING = (b"", b"\0", b"\0\0", b"\0\0\0")
 _B = TypeVar("_B")
 
 
@@ -59,29 +68,14 @@ class Context:
     clock: Clock = SYSTEM
 
 
-class Opener(Generic[_B]):
-    """A backend module's ``open_backend``; its arguments are those of :func:`rosplc.ros.open_backend`."""
+def opener(make: Callable[[Context], _B]) -> Callable[..., _B]:
+    """Return a backend module's ``open_backend``; it takes what :func:`rosplc.ros.open_backend` does."""
 
-    def __init__(self, make: Callable[[Context], _B]) -> None:
-        self._make = make
+    def open_backend(store: TypeSource, node_name: str, *places: Any, **others: Any) -> _B:
+        given = {key: value for key, value in others.items() if value is not None}
+        return make(Context(store, node_name, *places, **given))
 
-    def __call__(
-        self,
-        store: TypeSource,
-        node_name: str,
-        namespace: str = "/",
-        domain: int | None = None,
-        *,
-        remap: Mapping[str, str] | None = None,
-        environment: Mapping[str, str] | None = None,
-        options: Mapping[str, object] | None = None,
-        clock: Clock = SYSTEM,
-    ) -> _B:
-        """Open the node."""
-        variables = os.environ if environment is None else environment
-        return self._make(
-            Context(store, node_name, namespace, domain, remap or {}, variables, options or {}, clock)
-        )
+    return open_backend
 
 
 def domain_number(domain: int | None, environment: Mapping[str, str], most: int | None = None) -> int | None:
@@ -130,11 +124,8 @@ def graph_info(nodes: Iterable[str], endpoints: Iterable[EndpointInfo]) -> Graph
     topics: dict[str, set[str]] = {}
     for one in found:
         topics.setdefault(one.topic, set()).add(one.type_name)
-    return GraphInfo(
-        tuple(sorted(set(nodes))),
-        tuple(found),
-        {topic: tuple(sorted(each)) for topic, each in topics.items()},
-    )
+    types = {topic: tuple(sorted(each)) for topic, each in topics.items()}
+    return GraphInfo(tuple(sorted(set(nodes))), tuple(found), types)
 
 
 def is_cdr(payload: bytes) -> bool:
@@ -142,29 +133,68 @@ def is_cdr(payload: bytes) -> bool:
     return len(payload) >= 4 and payload[0] == 0 and payload[1] <= 1
 
 
+def differs(ours: str, theirs: str) -> bool:
+    """Return whether two announced type hashes show different definitions; an empty one shows nothing."""
+    return bool(ours and theirs and ours != theirs)
+
+
+def describe(peer: EndpointInfo, name: str = "") -> str:
+    """Return what a peer does, such as ``node /talker publishes /chatter as std_msgs/msg/String``.
+
+    Args:
+        peer: The peer's endpoint.
+        name: What to call the peer instead of by its node.
+    """
+    verb = "publishes" if peer.direction == "out" else "subscribes to"
+    return f"{name or f'node {peer.node}'} {verb} {peer.topic} as {peer.type_name}"
+
+
+def explain(
+    peer: EndpointInfo, ours: BaseEndpoint | EndpointInfo, name: str = "", *, matched: bool = False
+) -> Problem | None:
+    """Return what is wrong between a peer and one of our endpoints; None if nothing that is known.
+
+    Args:
+        peer: The peer's endpoint on the same topic, of the other direction.
+        ours: Our endpoint.
+        name: What to call the peer instead of by its node.
+        matched: Whether the middleware has matched the two: then their settings fit.
+    """
+    does = describe(peer, name)
+    if peer.type_name != ours.type_name:
+        return "ROS003", f"{does}, here it is {ours.type_name}"
+    if differs(ours.type_hash, peer.type_hash):
+        here, there = map(_short, (ours.type_hash, peer.type_hash))
+        return "ROS003", f"{does} with another definition (type hash {there} there, {here} here)"
+    if matched:
+        return None
+    offered, requested = (peer.qos, ours.qos) if peer.direction == "out" else (ours.qos, peer.qos)
+    problems = [*filter(None, [incompatibility(offered, requested)]), *peer.obstacles]
+    return ("ROS004", f"{does}, but {'; '.join(problems)}") if problems else None
+
+
+def _short(type_hash: str) -> str:
+    return f"{type_hash[7:15]}…" if type_hash.startswith("RIHS01_") else "none, as on Humble"
+
+
 class BaseEndpoint:
     """An endpoint's counts and its end.
 
     Args:
+        node: The node that has it.
         topic: The absolute topic name.
         type_name: ``package/msg/Name``.
         qos: The settings.
-        on_close: Called once, with the endpoint.
-        clock: Time.
+        type_hash: The ROS 2 type hash; empty if there is none to compare.
     """
 
     direction: Literal["in", "out"]
-    logger = logging.getLogger("rosplc.ros")
 
-    def __init__(
-        self, topic: str, type_name: str, qos: Qos, on_close: Callable[[Any], None], clock: Clock = SYSTEM
-    ) -> None:
-        self.topic = topic
-        self.type_name = type_name
-        self.qos = qos
+    def __init__(self, node: Any, topic: str, type_name: str, qos: Qos, type_hash: str = "") -> None:
+        self.topic, self.type_name, self.qos, self.type_hash = topic, type_name, qos, type_hash
         self.closed = False
-        self._on_close = on_close
-        self._clock = clock
+        self._node = node
+        self._clock: Clock = node.clock
         self._lock = threading.RLock()  # re-entrant: on_message may close its own subscription
         self._messages = self._dropped = self._rejected = self._failed = self._last_ns = 0
 
@@ -176,9 +206,10 @@ class BaseEndpoint:
     def _matched(self) -> int:
         raise NotImplementedError
 
-    def _problem(self) -> tuple[str, str]:
-        """Return code and words for what keeps peers from matching; empty if all is well."""
-        raise NotImplementedError
+    def _problem(self) -> Problem:
+        """Return what keeps peers from matching; empty texts if all is well."""
+        found: Problem = self._node.diagnose(self)
+        return found
 
     def _losses(self) -> int:
         """Return messages that the middleware lost on the way, as far as it tells."""
@@ -206,14 +237,17 @@ class BaseEndpoint:
             if self.closed:
                 return
             self.closed = True
-        self._on_close(self)
+        self._node.forget(self)
 
 
 class BaseSubscription(BaseEndpoint):
     """A topic being received; see :class:`rosplc.ros.backend.Subscription`."""
 
     direction: Literal["in"] = "in"
-    _on_message: OnMessage
+
+    def __init__(self, on_message: OnMessage, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self._on_message = on_message
 
     def _deliver(self, payload: bytes, stamp_ns: int) -> None:
         """Hand over one message, and count it; nothing that the receiver raises escapes."""
@@ -224,7 +258,7 @@ class BaseSubscription(BaseEndpoint):
         except Exception:
             self._failed += 1
             if self._failed == 1:
-                self.logger.exception("%s: the receiver of its messages failed", self.topic)
+                self._node.logger.exception("%s: the receiver of its messages failed", self.topic)
 
     def refuse(self, error: object) -> None:
         """Count a message that no ROS node sends."""
@@ -232,14 +266,13 @@ class BaseSubscription(BaseEndpoint):
             self._rejected += 1
             first = self._rejected == 1
         level = logging.WARNING if first else logging.DEBUG
-        self.logger.log(level, "%s: a message was refused: %s", self.topic, error)
+        self._node.logger.log(level, "%s: a message was refused: %s", self.topic, error)
 
-    def _refused(self) -> str:
-        return (
-            f"{self._rejected} messages on {self.topic} were none that a ROS 2 node sends"
-            if self._rejected
-            else ""
-        )
+    def _problem(self) -> Problem:
+        code, reason = super()._problem()
+        if not reason and self._rejected:
+            reason = f"{self._rejected} messages on {self.topic} were none that a ROS 2 node sends"
+        return code, reason
 
 
 class BasePublisher(BaseEndpoint):
@@ -263,31 +296,39 @@ class BasePublisher(BaseEndpoint):
 
 
 class BaseNode:
-    """A node's names and types.
+    """A node's names, types, endpoints and receive thread.
 
     Args:
         context: What it is opened with.
-        ros1: Whether the backend is one of ROS 1; None: it takes the types of both.
+
+    Attributes:
+        node: The node's full name.
+        clock: Time.
 
     Raises:
         BackendError: ROS001 if the types are those of the other ROS, ROS005 for a bad name.
     """
 
     name: str
+    capabilities = frozenset({"topics"})
     logger = logging.getLogger("rosplc.ros")
+    ros1: bool | None = False
+    """Whether it is a backend of ROS 1; None: it takes the types of both."""
 
-    def __init__(self, context: Context, *, ros1: bool | None = False) -> None:
-        if ros1 is not None:
-            check_ros(self.name, context.store, ros1=ros1)
+    def __init__(self, context: Context) -> None:
+        if self.ros1 is not None:
+            check_ros(self.name, context.store, ros1=self.ros1)
         self._namespace = validate_namespace(context.namespace)
         self._node_name = validate_node_name(context.node_name)
         self.node = join(context.namespace, context.node_name)
+        self.clock = context.clock
         self._remap = dict(context.remap)
         self._store = context.store
-        self._clock = context.clock
         self._lock = threading.RLock()
         self._closed = False
+        self._endpoints: list[Any] = []
         self._logged = LogOnce()
+        self._since: dict[Hashable, int] = {}
 
     def _resolve(self, topic: str, type_name: str) -> tuple[str, str]:
         """Return the full names of topic and type.
@@ -304,14 +345,74 @@ class BaseNode:
         if self._closed:
             raise BackendError("ROS009", f"node {self.node} has left the graph")
 
-    def _endpoints_now(self) -> list[Any]:
-        raise NotImplementedError
+    def endpoints(self) -> tuple[Any, ...]:
+        """Return the endpoints."""
+        with self._lock:
+            return tuple(self._endpoints)
+
+    def forget(self, endpoint: Any) -> None:
+        """Take in that an endpoint is being closed; called by it, once."""
+        with self._lock:
+            if endpoint in self._endpoints:
+                self._endpoints.remove(endpoint)
 
     def status(self) -> tuple[EndpointStatus, ...]:
         """Return the state of all endpoints."""
+        return tuple(endpoint.status() for endpoint in self.endpoints())
+
+    # -- what is wrong
+
+    def _judge(self, endpoint: Any) -> tuple[bool, list[Problem]]:
+        """Return whether an endpoint has peers, and what is wrong with them."""
+        raise NotImplementedError
+
+    def diagnose(self, endpoint: Any) -> Problem:
+        """Return what keeps peers from matching an endpoint; empty texts if all is well."""
+        peers, problems = self._judge(endpoint)
+        if problems:
+            return max(problems)[0], listed(sorted(words for _, words in problems))
+        verb = "publishes" if endpoint.direction == "in" else "subscribes to"
+        return "", "" if peers else f"no node {verb} {endpoint.topic}"
+
+    def _warn(self, endpoint: Any) -> None:
+        """Log once what keeps peers from matching an endpoint."""
+        code, reason = self.diagnose(endpoint)
         with self._lock:
-            endpoints = self._endpoints_now()
-        return tuple(endpoint.status() for endpoint in endpoints)
+            first = code and self._logged.first((endpoint.direction, endpoint.topic, reason))
+        if first:
+            self.logger.warning("%s [%s]", reason, code)
+
+    def _settling(self, key: Hashable, ns: int = SETTLE_NS) -> bool:
+        """Return whether less time than ``ns`` has passed since this was first asked about a key."""
+        now = self.clock.monotonic_ns()
+        return now - self._since.setdefault(key, now) < ns
+
+    # -- the receive thread, and the end
+
+    def _start(self, run: Callable[[], None], name: str) -> None:
+        self._thread = threading.Thread(target=run, name=name, daemon=True)
+        self._thread.start()
+
+    def _join(self) -> None:
+        if threading.current_thread() is not self._thread:
+            self._thread.join()
+
+    def _stop(self) -> None:
+        """End what may call endpoints that are about to be closed."""
+
+    def _leave(self) -> None:
+        """Give everything back, after the endpoints are closed."""
+
+    def close(self) -> None:
+        """Leave the graph; see :meth:`rosplc.ros.backend.Backend.close`."""
+        with self._lock:
+            if self._closed:
+                return
+            self._closed = True
+        self._stop()
+        for endpoint in self.endpoints():
+            endpoint.close()
+        self._leave()
 
 
 def check_ros(name: str, store: TypeSource, *, ros1: bool = False) -> None:

@@ -29,7 +29,7 @@ INSTALL: dict[str, str] = {
     "dds": "pip install 'cyclonedds>=11,<12' (x86-64, Python before 3.14)",
     "rclpy": "install ROS 2, source its setup.bash and use the Python that its packages are built for",
     "zenoh": "pip install 'rosplc[zenoh]'",
-    "rospy": "apt-get install python3-rospy",
+    "rospy": "install rosplc again: the backend is part of it",
 }
 """Backend name → how its package comes onto a machine."""
 

@@ -41,9 +41,8 @@ class MemoryHarness(Harness):
 
         def send(payload: bytes) -> None:
             for backend in _domains[self.domain or 0]:
-                for endpoint in backend.endpoints:
+                for endpoint in backend.endpoints():
                     if endpoint.topic == topic and endpoint.direction == "in":
-                        endpoint.put(payload, 0)  # type: ignore[attr-defined]
-                        backend.wake()
+                        endpoint.put(payload, 0)
 
         return send

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Literal
 
-from rosplc.ros.dds.discovery import LONGEST_NAME, NodeEntities, decode_announcement, encode_announcement
+from rosplc.ros import EndpointInfo
+from rosplc.ros._base import explain
+from rosplc.ros.dds.graph import LONGEST_NAME, NodeEntities, decode_announcement, encode_announcement
 from rosplc.ros.dds.idl import dds_topic, dds_type_name, ros_topic, ros_type_name
-from rosplc.ros.dds.peers import _TYPE_HASH, Peer, describe, explain
+from rosplc.ros.dds.peers import type_hash_in
 from rosplc.ros.qos import Qos
 from tests.fuzz.choices import Choices
 
@@ -35,12 +38,12 @@ def _announcement(choices: Choices) -> None:
 
 def _peer(choices: Choices) -> None:
     topic, kind, name = choices.text(), choices.text(), choices.text()
-    found = _TYPE_HASH.search(choices.part())
-    type_hash = found.group(1).decode() if found else ""
+    type_hash = type_hash_in(choices.part())
     qos = Qos("best_effort" if choices.flag() else "reliable", "volatile", 1)
-    peer = Peer(bytes(16), 1, bytes(16), choices.flag(), topic, kind, qos, (choices.text(),), type_hash)
-    words = explain(peer, name, "std_msgs/msg/String", "RIHS01_" + "0" * 64, Qos(), choices.flag())
-    describe(peer, name)
+    way: Literal["in", "out"] = "out" if choices.flag() else "in"
+    peer = EndpointInfo(topic, ros_type_name(kind), way, "", qos, type_hash, (choices.text(),))
+    ours = EndpointInfo("/t", "std_msgs/msg/String", "in", "", Qos(), "RIHS01_" + "0" * 64)
+    words = explain(peer, ours, name, matched=choices.flag())
     assert words is None or words[0] in ("ROS003", "ROS004")
     own = ros_topic(topic)
     assert own is None or dds_topic(own) == topic

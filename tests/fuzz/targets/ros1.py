@@ -13,8 +13,15 @@ from xml.parsers.expat import ExpatError
 from rosplc.errors import BackendError, MessageTypeError
 from rosplc.model import TypeStore
 from rosplc.ros.rospy import inbound, slave, wire
-from rosplc.ros.rospy.debian import encode_header
-from rosplc.ros.rospy.handshake import HandshakeError, mismatch, peer_type, read_header, ros1_name, ros2_name
+from rosplc.ros.rospy.handshake import (
+    HandshakeError,
+    encode_header,
+    mismatch,
+    peer_type,
+    read_header,
+    ros1_name,
+    ros2_name,
+)
 from rosplc.ros.rospy.master import Master, RefusedError, UnreachableError, call
 from tests.fuzz.choices import Choices
 from tests.fuzz.oracle import refusals
@@ -61,7 +68,7 @@ class _Topics:
         return {}
 
     def outgoing(self) -> dict[str, Any]:
-        return {"/t": SimpleNamespace(info=list, kind=SimpleNamespace(_type="std_msgs/String"))}
+        return {"/t": SimpleNamespace(info=list, definition=SimpleNamespace(type_name="std_msgs/msg/String"))}
 
     def publishers_changed(self, topic: str, uris: tuple[str, ...]) -> None:
         assert isinstance(topic, str)
@@ -91,7 +98,7 @@ def _answer(data: bytes) -> None:
             with suppress(*_ALLOWED):
                 ask()
         return
-    handler = slave._Handler("/n", "http://localhost:1", cast(Any, _Topics()))
+    handler = slave._Api("http://localhost:1", cast(Any, _Topics()), ("localhost", 1))
     function = getattr(handler, method, None)
     if method in ("publisherUpdate", "requestTopic", "shutdown", "paramUpdate", "getBusInfo") and function:
         try:

@@ -9,18 +9,27 @@ from typing import Any, cast
 
 import zenoh
 
+from rosplc.clock import SYSTEM
 from rosplc.harmless import harmless
 from rosplc.ros.qos import Qos
 from rosplc.ros.zenoh import endpoint
 from rosplc.ros.zenoh import keys as attachment
-from rosplc.ros.zenoh.graph import TokenTable, explain, fits
-from rosplc.ros.zenoh.keys import decode_qos, encode_qos
-from rosplc.ros.zenoh.tokens import Entity, gid_of, parse_token
+from rosplc.ros.zenoh.keys import (
+    Entity,
+    TokenTable,
+    decode_qos,
+    encode_qos,
+    explain,
+    fits,
+    gid_of,
+    parse_token,
+)
 from tests.fuzz.choices import Choices
 
 __all__ = ["check", "seeds"]
 
-logging.getLogger("rosplc.ros.zenoh").setLevel(logging.CRITICAL)  # it warns of what is fed here
+_LOGGER = logging.getLogger("rosplc.ros.zenoh")
+_LOGGER.setLevel(logging.CRITICAL)  # it warns of what is fed here
 
 _OURS = Entity(
     0, "s", "0", "1", "MS", "/", "rosplc", "/cmd_vel", "geometry_msgs/msg/Twist", "RIHS01_x", Qos(depth=5)
@@ -69,9 +78,10 @@ class _Bytes:
 def _samples(choices: Choices) -> None:
     """Samples at a subscription: handed over, or refused and counted."""
     got: list[int] = []
-    subscription = endpoint.ZenohSubscription(
-        lambda payload, stamp: got.append(stamp), lambda _: None, _OURS, lambda _: (0, "", ""), lambda _: None
+    node = SimpleNamespace(
+        clock=SYSTEM, wake=lambda _: None, diagnose=lambda _: ("", ""), others=lambda _: (), logger=_LOGGER
     )
+    subscription = endpoint.ZenohSubscription(lambda payload, stamp: got.append(stamp), node, _OURS)
     tried = 0
     while choices:
         tried += 1

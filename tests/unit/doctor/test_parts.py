@@ -328,7 +328,7 @@ def test_auto_says_why() -> None:
     (finding,) = backend("jazzy", "auto", {"RMW_IMPLEMENTATION": "rmw_zenoh_cpp"}, missing=lambda name: "")
     assert "backend auto is zenoh, because RMW_IMPLEMENTATION is rmw_zenoh_cpp" in finding.seen
     (finding,) = backend("noetic", "auto", {}, configured=False, missing=lambda name: "no module")
-    assert finding.level is Level.WARNING and "apt-get install python3-rospy" in finding.remedy
+    assert finding.level is Level.WARNING and "install rosplc again" in finding.remedy
 
 
 def test_needed_packages_are_those_of_the_metadata() -> None:

@@ -24,15 +24,15 @@ from rosplc.model import DISTROS, TypeStore
 from rosplc.ros import Qos
 from rosplc.ros.dds import domain as domain_module
 from rosplc.ros.dds.config import check_peers, domain_config, domain_id
-from rosplc.ros.dds.discovery import (
+from rosplc.ros.dds.graph import (
     ANNOUNCEMENT,
     ANNOUNCEMENT_TOPIC,
     NodeEntities,
+    announcement_types,
     decode_announcement,
     encode_announcement,
     gid_size,
 )
-from rosplc.ros.dds.graph import AnnouncementTypes
 from rosplc.ros.dds.idl import IdlTypes, dds_topic, dds_type_name, ros_topic, ros_type_name
 from tests.interop.graphs import STRING, Graph, free_domain, string
 from tests.lib.waiting import wait_for
@@ -237,10 +237,10 @@ def test_type_classes_are_made_once() -> None:
 @pytest.mark.parametrize("distro", ROS2)
 def test_announcement_is_the_distros_message(distro: str) -> None:
     """The built-in definition and its hash are those of the distribution's own package."""
-    store, types = TypeStore.bundled(distro), AnnouncementTypes(distro)
+    store, (types, type_hash) = TypeStore.bundled(distro), announcement_types(distro)
     for name in store.dependencies(ANNOUNCEMENT):
         assert types[name] == store[name]
-    assert types.type_hash(ANNOUNCEMENT) == ("" if distro == "humble" else store.type_hash(ANNOUNCEMENT))
+    assert type_hash == ("" if distro == "humble" else store.type_hash(ANNOUNCEMENT))
 
 
 def oracle_bytes(distro: str, nodes: list[NodeEntities]) -> bytes:

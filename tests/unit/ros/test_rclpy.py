@@ -449,7 +449,7 @@ def test_match_that_nothing_explains_is_told_after_a_while(
     monkeypatch.setattr(endpoint, "matched", lambda _: [])
     assert publisher.status().code == ""
     assert publisher.status().reason.endswith("not matched yet")
-    monkeypatch.setattr(backend, "_SETTLE_NS", 0)
+    monkeypatch.setattr(backend.RclpyBackend, "_settling", lambda *_: False)
     assert publisher.status().code == "ROS003"
     words = f"node /listener subscribes to /chatter as {STRING} with another definition, or kept out"
     assert publisher.status().reason == f"{words} by access rules"

@@ -3,88 +3,36 @@
 from __future__ import annotations
 
 import socket
-import subprocess
-import sys
 import threading
-from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 from xmlrpc.server import SimpleXMLRPCRequestHandler, SimpleXMLRPCServer
 
 import pytest
 
+from rosplc.clock import SYSTEM
 from rosplc.errors import RosplcError
 from rosplc.model import TypeStore
 from rosplc.ros import Qos, open_backend
+from rosplc.ros.rospy import handshake
+from rosplc.ros.rospy.address import read_address
+from rosplc.ros.rospy.handshake import Definition, mismatch
+from rosplc.ros.rospy.inbound import Incoming, RospySubscription, cut
+from rosplc.ros.rospy.master import Master
+from rosplc.ros.rospy.outbound import Outgoing, _Queue
 from tests.interop.ros1.graph import free_port
+from tests.lib.clock import SteppedClock
 
-pytestmark = [pytest.mark.needs("python3-rospy"), pytest.mark.timeout(60)]
-
-if not Path("/usr/lib/python3/dist-packages/rospy/__init__.py").exists():
-    pytest.skip("Debian package python3-rospy is missing", allow_module_level=True)
-
-from rosplc.ros.rospy import handshake  # noqa: E402
-from rosplc.ros.rospy.address import read_address  # noqa: E402
-from rosplc.ros.rospy.debian import find  # noqa: E402
-from rosplc.ros.rospy.handshake import mismatch  # noqa: E402
-from rosplc.ros.rospy.inbound import Incoming, RospySubscription, raw_class  # noqa: E402
-from rosplc.ros.rospy.master import Master  # noqa: E402
+pytestmark = pytest.mark.timeout(60)
 
 NOETIC = TypeStore.bundled("noetic")
 STRING = "std_msgs/msg/String"
+DEFINITION = Definition(STRING, "0", "string data\n")
 
 
 def nowhere() -> dict[str, str]:
     """Return an environment whose master does not run."""
     return {"ROS_MASTER_URI": f"http://127.0.0.1:{free_port()}", "ROS_IP": "127.0.0.1"}
-
-
-# -- finding rospy
-
-
-def in_python(code: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-
-
-def test_search_path_is_as_before() -> None:
-    """Importing the backend leaves no folder of the system in the search path, and prints nothing."""
-    done = in_python(
-        "import sys; before = list(sys.path)\nimport logging; logging.basicConfig(level=logging.DEBUG)\n"
-        "import rosplc.ros.rospy\nassert sys.path == before, sys.path\nassert 'rospy' in sys.modules"
-    )
-    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
-
-
-def test_missing_package_is_said_with_its_name(tmp_path: Path) -> None:
-    """Where rospy is not installed the error says which package brings it."""
-    code = (
-        "import sys, rosplc.ros\n"
-        "class Hide:\n"
-        "    def find_spec(self, name, path=None, target=None):\n"
-        "        if name == 'rospy': raise ModuleNotFoundError('no rospy', name='rospy')\n"
-        "sys.meta_path.insert(0, Hide())\n"
-        "from rosplc.model import TypeStore\n"
-        "try: rosplc.ros.open_backend('rospy', TypeStore.bundled('noetic'), 'cell')\n"
-        "except rosplc.ros.BackendError as error: print(error)\n"
-    ).replace("rosplc.ros.BackendError", "__import__('rosplc.errors').errors.BackendError")
-    done = in_python(code)
-    assert "ROS001" in done.stdout and "apt-get install python3-rospy" in done.stdout, done
-
-
-def test_package_that_cannot_be_loaded_is_told_from_a_missing_one(tmp_path: Path) -> None:
-    """A rospy that this interpreter cannot load is not called missing."""
-    (tmp_path / "rospy").mkdir()
-    (tmp_path / "rospy/__init__.py").write_text("import no_such_compiled_module\n")
-    code = (
-        f"import sys; sys.path.insert(0, {str(tmp_path)!r})\n"
-        "try:\n    import rosplc.ros.rospy\nexcept ImportError as error: print(error)\n"
-    )
-    words = in_python(code).stdout
-    assert "cannot load it (No module named 'no_such_compiled_module')" in words
-    assert "/usr/bin/python3" in words
-
-
-def test_rospy_is_found_once_only() -> None:
-    """A second search gives the modules of the first."""
-    assert find()["rospy.msg"].AnyMsg is find(())["rospy.msg"].AnyMsg
 
 
 # -- the environment
@@ -130,12 +78,13 @@ def test_wrong_variable_is_named(variable: str, value: str) -> None:
 def test_address_that_cannot_be_listened_at_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """An address that the system refuses is an error of the environment."""
 
-    def refuse(*_: object) -> None:
+    def refuse(*_: object, **__: object) -> None:
         raise OSError(99, "Cannot assign requested address")
 
-    monkeypatch.setattr("socketserver.TCPServer.server_bind", refuse)
+    environment = nowhere()
+    monkeypatch.setattr("socket.create_server", refuse)
     with pytest.raises(RosplcError, match=r"cannot listen at 127\.0\.0\.1.*ROS010"):
-        open_backend("rospy", NOETIC, "cell", environment=nowhere())
+        open_backend("rospy", NOETIC, "cell", environment=environment)
 
 
 # -- types
@@ -147,13 +96,12 @@ def test_ros2_definitions_are_refused() -> None:
         open_backend("rospy", TypeStore.bundled("jazzy"), "cell", environment=nowhere())
 
 
-def test_message_class_carries_the_type() -> None:
-    """The class that rospy sees has ROS 1's name of the type, its sum and its definition."""
+def test_header_carries_the_type() -> None:
+    """A peer sees ROS 1's name of the type, its sum and its definition."""
     text = NOETIC.definition_text(STRING)
-    kind = raw_class(STRING, NOETIC.md5(STRING), text)
-    assert (kind._type, kind._md5sum, kind._full_text) == (
-        "std_msgs/String", "992ce8a1687cec8c8bd883ec73ca41d1", text,
-    )  # fmt: skip
+    assert Definition(STRING, NOETIC.md5(STRING), text).fields() == {
+        "type": "std_msgs/String", "md5sum": "992ce8a1687cec8c8bd883ec73ca41d1", "message_definition": text,
+    }  # fmt: skip
 
 
 def test_one_topic_has_one_type_in_a_node() -> None:
@@ -204,7 +152,7 @@ def test_header_is_read_to_its_end_and_no_further() -> None:
     """What stands behind the header stays in the connection."""
     here, there = socket.socketpair()
     with here, there:
-        handshake.write_header(there, {"topic": "/a", "note": "x=y"})
+        there.sendall(handshake.encode_header({"topic": "/a", "note": "x=y"}))
         there.sendall(b"behind")
         assert handshake.read_header(here, 5.0) == {"topic": "/a", "note": "x=y"}
         assert here.recv(100) == b"behind"
@@ -235,21 +183,62 @@ def test_header_that_does_not_come_is_not_waited_for() -> None:
         read(b"\x10\0\0\0", close=False)
 
 
-def incoming() -> Incoming:
-    lock, many = threading.RLock(), threading.Semaphore(1)
-    return Incoming("/node", "/t", STRING, "0", "string data\n", lock, many, lambda: None)
+def test_header_is_given_up_by_the_injected_clock() -> None:
+    """Once the clock has passed the time allowed, no more of a header is waited for."""
+    clock = SteppedClock()
+    here, there = socket.socketpair()
+    with here, there:
+        monotonic_ns = clock.monotonic_ns
+        clock.monotonic_ns = lambda: clock.advance(4.0) and monotonic_ns()  # type: ignore[method-assign]
+        there.sendall(b"\x10\0\0\0")
+        with pytest.raises(handshake.HandshakeError, match="in time"):
+            handshake.read_header(here, 5.0, clock)
+
+
+def node(**more: Any) -> Any:
+    """Return what stands for the backend."""
+    members = {"node": "/node", "clock": SYSTEM, "turn": threading.RLock(), "wake": lambda: None}
+    found = {"diagnose": lambda _: ("", ""), "forget": lambda _: None, "usable": lambda: None}
+    return SimpleNamespace(**members, **found, **more)
 
 
 def test_messages_beyond_the_depth_give_way_and_are_counted() -> None:
     """Of messages that arrive together the newest ``depth`` are handed over, in order."""
-    topic, got = incoming(), []
-    subscription = RospySubscription(
-        topic, Qos(depth=3), lambda payload, _: got.append(payload), lambda _: ("", ""), lambda _: None
-    )
+    topic, got = Incoming(node(), "/t", DEFINITION), []
+    subscription = RospySubscription(lambda payload, _: got.append(payload), topic, Qos(depth=3))
     topic.add(subscription)
     topic.deliver([bytes([number]) for number in range(10)])
     assert got == [b"\7", b"\x08", b"\x09"]
     assert (subscription.status().received, subscription.status().dropped) == (3, 7)
+
+
+def test_stream_is_cut_into_messages() -> None:
+    """Whole messages are taken out wherever the stream was divided; the rest stays."""
+    stream = b"".join(len(part).to_bytes(4, "little") + part for part in (b"", b"abc", b"x" * 100))
+    buffer, got = bytearray(), []
+    for byte in stream + b"\5\0\0\0ab":
+        buffer.append(byte)
+        got += cut(buffer)
+    assert (got, bytes(buffer)) == ([b"", b"abc", b"x" * 100], b"\5\0\0\0ab")
+
+
+def test_subscriber_that_does_not_read_holds_the_newest_messages() -> None:
+    """A full queue lets the oldest message give way, and what then leaves is in order and whole."""
+    here, there = socket.socketpair()
+    there.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    topic = Outgoing(node(), "/t", DEFINITION)
+    queue = _Queue(here, "/peer", 3, SYSTEM)
+    topic._queues = (queue,)
+    messages = [bytes([number]) * 200_000 for number in range(12)]
+    lost = sum(topic.send(message, latch=False) for message in messages)
+    got, buffer = [], bytearray()
+    with there:
+        while len(got) < len(messages) - lost:
+            buffer += there.recv(1 << 20)
+            got += cut(buffer)
+        queue.close()
+    assert 0 < lost < 9
+    assert got == [*messages[: len(got) - 3], *messages[-3:]]
 
 
 # -- the master

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from types import SimpleNamespace
 
 import pytest
@@ -10,11 +11,13 @@ pytest.importorskip("zenoh", reason="no wheel of eclipse-zenoh for this machine"
 
 import zenoh
 
+from rosplc.clock import SYSTEM
 from rosplc.ros import Qos
 from rosplc.ros.zenoh import keys as attachment
 from rosplc.ros.zenoh.endpoint import ZenohSubscription
-from rosplc.ros.zenoh.tokens import Entity
+from rosplc.ros.zenoh.keys import Entity
 
+LOGGER = logging.getLogger(__name__)
 ONE, OTHER = bytes(16), bytes(range(16))
 
 
@@ -26,13 +29,10 @@ class Subscription:
         entity = Entity(
             0, "a", "0", "1", "MS", "/", "node", "/t", "std_msgs/msg/String", "h", Qos(depth=depth)
         )
-        self.subscription = ZenohSubscription(
-            lambda data, _: self.got.append(data),
-            lambda _: None,
-            entity,
-            lambda _: (1, "", ""),
-            lambda _: None,
+        node = SimpleNamespace(
+            clock=SYSTEM, wake=lambda _: None, diagnose=lambda _: ("", ""), others=lambda _: (), logger=LOGGER
         )
+        self.subscription = ZenohSubscription(lambda data, _: self.got.append(data), node, entity)
 
     def hear(self, *numbers: int, gid: bytes = ONE) -> None:
         for number in numbers:

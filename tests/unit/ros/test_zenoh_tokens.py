@@ -12,9 +12,17 @@ from zenoh_ros2_sdk.qos import QosProfile
 
 from rosplc.ros import LATCHED, SENSOR_DATA, Qos
 from rosplc.ros.zenoh import keys as attachment
-from rosplc.ros.zenoh.graph import TokenTable
-from rosplc.ros.zenoh.keys import dds_type_name, decode_qos, encode_qos, ros_type_name, topic_key
-from rosplc.ros.zenoh.tokens import Entity, gid_of, parse_token
+from rosplc.ros.zenoh.keys import (
+    Entity,
+    TokenTable,
+    dds_type_name,
+    decode_qos,
+    encode_qos,
+    gid_of,
+    parse_token,
+    ros_type_name,
+    topic_key,
+)
 
 STRING = "std_msgs/msg/String"
 HASH = "RIHS01_" + "ab" * 32

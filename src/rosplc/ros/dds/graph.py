@@ -1,88 +1,168 @@
-"""Our node in the ROS graph, and the other nodes in it.
+"""Our node in the ROS graph, and the other nodes in it: the messages on ``ros_discovery_info``.
 
-Announces on ``ros_discovery_info`` which endpoints are ours, so that ``ros2 node list`` and
-``ros2 topic info -v`` show them, and listens there for the names of the others.
+DDS knows participants, not nodes; every ROS 2 process announces on this topic which of its endpoints belong
+to which node (``rmw_dds_common/msg/ParticipantEntitiesInfo``). The bytes are handled here, and not by the
+wheel's classes: those take a Python object per byte of a gid, which would hold up the receive thread.
 """
 
 from __future__ import annotations
 
 import logging
+import struct
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from cyclonedds._clayer import ddspy_take, ddspy_write
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 
-from rosplc.model.types import (
-    ArrayType,
-    Field,
-    MessageType,
-    NamedType,
-    PrimitiveType,
-    SequenceType,
-    StringType,
-)
+from rosplc.harmless import one_line
+from rosplc.model import TypeStore
 from rosplc.ros.backend import Qos
 from rosplc.ros.dds import native
-from rosplc.ros.dds.discovery import (
-    ANNOUNCEMENT,
-    ANNOUNCEMENT_TOPIC,
-    NodeEntities,
-    decode_announcement,
-    encode_announcement,
-    gid_size,
-)
 from rosplc.ros.dds.idl import IdlTypes
 
-__all__ = ["MOST_PARTICIPANTS", "AnnouncementTypes", "Announcer"]
+__all__ = [
+    "ANNOUNCEMENT",
+    "ANNOUNCEMENT_TOPIC",
+    "LONGEST_NAME",
+    "MOST_CLAIMED",
+    "MOST_PARTICIPANTS",
+    "Announcer",
+    "NodeEntities",
+    "announcement_types",
+    "decode_announcement",
+    "encode_announcement",
+    "gid_size",
+]
 
 _logger = logging.getLogger("rosplc.ros.dds")
+
+ANNOUNCEMENT_TOPIC = "ros_discovery_info"
+ANNOUNCEMENT = "rmw_dds_common/msg/ParticipantEntitiesInfo"
+
+_HEADER = b"\x00\x01\x00\x00"  # plain CDR, little-endian
+MOST_CLAIMED = 1 << 20  # of nodes or gids that a peer may claim; far above any real graph
+LONGEST_NAME = 256  # the bound in rmw_dds_common/msg/NodeEntitiesInfo
+
+
+@dataclass(frozen=True, slots=True)
+class NodeEntities:
+    """One node of a participant.
+
+    Attributes:
+        namespace: Such as ``/`` or ``/robot1``.
+        name: The base name.
+        readers: The 16-byte ids of its subscriptions' DDS readers.
+        writers: The 16-byte ids of its publishers' DDS writers.
+    """
+
+    namespace: str
+    name: str
+    readers: tuple[bytes, ...] = ()
+    writers: tuple[bytes, ...] = ()
+
+    @property
+    def full_name(self) -> str:
+        """``/robot1/talker``."""
+        return one_line(f"/{self.namespace.strip('/')}/{self.name}".replace("//", "/"))
+
+
+def gid_size(distro: str) -> int:
+    """Return the length of ``rmw_dds_common/msg/Gid`` in bytes: 24 up to Humble, 16 since Iron."""
+    return 24 if distro == "humble" else 16
+
+
+def encode_announcement(participant: bytes, nodes: Sequence[NodeEntities], size: int) -> bytes:
+    """Return the CDR bytes of a participant's announcement; ``size`` is :func:`gid_size`."""
+    out = bytearray(participant.ljust(size, b"\0"))
+
+    def count(number: int) -> None:
+        out.extend(bytes(-len(out) % 4) + struct.pack("<I", number))
+
+    def text(value: str) -> None:
+        data = value.encode() + b"\0"
+        count(len(data))
+        out.extend(data)
+
+    count(len(nodes))
+    for node in nodes:
+        text(node.namespace)
+        text(node.name)
+        for gids in (node.readers, node.writers):
+            count(len(gids))
+            for gid in gids:
+                out.extend(gid.ljust(size, b"\0"))
+    return _HEADER + bytes(out) + bytes(-len(out) % 4)
+
+
+def decode_announcement(data: bytes, size: int) -> tuple[bytes, tuple[NodeEntities, ...]]:
+    """Return the participant's 16-byte id and its nodes.
+
+    Raises:
+        ValueError: If the bytes are no such message.
+    """
+    if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
+        raise ValueError("no plain CDR")
+    order = "<I" if data[1] else ">I"
+    body = memoryview(data)[4:]
+    at = 0
+
+    def take(length: int) -> bytes:
+        nonlocal at
+        if length > len(body) - at:
+            raise ValueError("truncated")
+        at += length
+        return bytes(body[at - length : at])
+
+    def count() -> int:
+        take(-at % 4)
+        (number,) = struct.unpack(order, take(4))
+        if number > MOST_CLAIMED:
+            raise ValueError("too long")
+        return int(number)
+
+    def text() -> str:
+        data = take(count()).rstrip(b"\0")
+        if len(data) > LONGEST_NAME:
+            raise ValueError("a name is too long")
+        return data.decode(errors="replace")
+
+    def gids() -> tuple[bytes, ...]:
+        return tuple(take(size)[:16] for _ in range(count()))
+
+    participant = take(size)[:16]
+    nodes = tuple(NodeEntities(text(), text(), gids(), gids()) for _ in range(count()))
+    return participant, nodes
+
 
 _QOS = Qos(durability="transient_local", depth=1)
 MOST_PARTICIPANTS = 10_000  # anybody may announce in the name of participants that there are not
 _READ_QOS = Qos(durability="transient_local", depth=1000)  # one instance for all participants: no keys
 
 
-class AnnouncementTypes:
-    """The definition of the announcement, which a store of custom types need not have."""
-
-    def __init__(self, distro: str) -> None:
-        self.distro = distro
-        gid, node = "rmw_dds_common/msg/Gid", "rmw_dds_common/msg/NodeEntitiesInfo"
-        gids = SequenceType(NamedType(gid))
-        self._types = {
-            gid: MessageType(gid, (Field("data", ArrayType(PrimitiveType("char"), gid_size(distro))),)),
-            node: MessageType(
-                node,
-                (
-                    Field("node_namespace", StringType(256)),
-                    Field("node_name", StringType(256)),
-                    Field("reader_gid_seq", gids),
-                    Field("writer_gid_seq", gids),
-                ),
-            ),
-            ANNOUNCEMENT: MessageType(
-                ANNOUNCEMENT,
-                (
-                    Field("gid", NamedType(gid)),
-                    Field("node_entities_info_seq", SequenceType(NamedType(node))),
-                ),
-            ),
-        }
-
-    def __getitem__(self, name: str) -> MessageType:
-        """Return one of the three types."""
-        return self._types[name]
-
-    def type_hash(self, name: str) -> str:
-        """Return the hash of the announcement; Humble has none."""
-        return "" if self.distro == "humble" else _HASH
-
-
+# Of ANNOUNCEMENT since Iron; a test computes it.
 _HASH = "RIHS01_91a0593bacdcc50ea9bdcf849a938b128412cc1ea821245c663bcd26f83c295e"
-"""Of ``rmw_dds_common/msg/ParticipantEntitiesInfo`` since Iron; a test computes it."""
+
+
+def announcement_types(distro: str) -> tuple[TypeStore, str]:
+    """Return the announcement's definition, which a store of custom types need not have, and its hash."""
+    line = "=" * 80
+    text = f"""Gid gid
+NodeEntitiesInfo[] node_entities_info_seq
+{line}
+MSG: rmw_dds_common/Gid
+char[{gid_size(distro)}] data
+{line}
+MSG: rmw_dds_common/NodeEntitiesInfo
+string<=256 node_namespace
+string<=256 node_name
+Gid[] reader_gid_seq
+Gid[] writer_gid_seq
+"""
+    return TypeStore.from_definition(ANNOUNCEMENT, text), "" if distro == "humble" else _HASH
 
 
 class Announcer:
@@ -116,8 +196,7 @@ class Announcer:
         self._writers: set[bytes] = set()
         self._others: dict[bytes, tuple[NodeEntities, ...]] = {}
         self._names: dict[bytes, str] = {}
-        types = AnnouncementTypes(distro)
-        type_hash = types.type_hash(ANNOUNCEMENT)
+        types, type_hash = announcement_types(distro)
         topic = topics(ANNOUNCEMENT_TOPIC, IdlTypes(types)[ANNOUNCEMENT])
         self._writer = DataWriter(participant, topic, qos_of(_QOS, type_hash))
         self._reader = DataReader(participant, topic, qos_of(_READ_QOS, type_hash))

@@ -7,6 +7,7 @@ are plain integers in this module. Nothing else in rosplc touches ctypes for DDS
 from __future__ import annotations
 
 import ctypes as ct
+from collections.abc import Callable
 from typing import Any
 
 from cyclonedds.core import DDSException, Entity, InstanceState, SampleState, ViewState
@@ -16,76 +17,70 @@ from rosplc.errors import BackendError
 
 __all__ = [
     "ANY_STATE",
-    "FOREVER",
     "RETCODE_TIMEOUT",
     "WaitSet",
     "alive_count",
-    "deadlines_missed",
     "delete",
+    "function",
     "matched_count",
     "matched_handles",
+    "offered_deadline_missed",
     "refusal",
+    "requested_deadline_missed",
     "sample_lost",
     "sample_rejected",
 ]
 
 ANY_STATE: int = int(SampleState.Any | ViewState.Any | InstanceState.Any)
-FOREVER = 2**63 - 1  # DDS_INFINITY
 RETCODE_TIMEOUT: int = DDSException.DDS_RETCODE_TIMEOUT
 
-_library: Any = DDS._dll_handle
+library = ct.CDLL(DDS._dll_handle._name)
+"""A second handle to the library: argument types set here must not disturb the wheel's own."""
 
 
-def _function(name: str, result: Any, *arguments: Any) -> Any:
-    function = getattr(_library, name)
-    function.restype = result
-    function.argtypes = list(arguments)
-    return function
+def function(name: str, *arguments: Any, result: Any = ct.c_int32) -> Any:
+    """Return a function of the library."""
+    found = getattr(library, name)
+    found.restype, found.argtypes = result, list(arguments)
+    return found
 
 
-# A second handle to the library: argtypes set here must not disturb the wheel's own.
-_library = ct.CDLL(_library._name)
-_delete = _function("dds_delete", ct.c_int32, ct.c_int32)
-_create_waitset = _function("dds_create_waitset", ct.c_int32, ct.c_int32)
-_create_guard = _function("dds_create_guardcondition", ct.c_int32, ct.c_int32)
-_set_guard = _function("dds_set_guardcondition", ct.c_int32, ct.c_int32, ct.c_bool)
-_take_guard = _function("dds_take_guardcondition", ct.c_int32, ct.c_int32, ct.POINTER(ct.c_bool))
-_create_readcondition = _function("dds_create_readcondition", ct.c_int32, ct.c_int32, ct.c_uint32)
-_attach = _function("dds_waitset_attach", ct.c_int32, ct.c_int32, ct.c_int32, ct.c_ssize_t)
-_detach = _function("dds_waitset_detach", ct.c_int32, ct.c_int32, ct.c_int32)
-_wait = _function(
-    "dds_waitset_wait", ct.c_int32, ct.c_int32, ct.POINTER(ct.c_ssize_t), ct.c_size_t, ct.c_int64
-)
-_matched_pubs = _function(
-    "dds_get_matched_publications", ct.c_int32, ct.c_int32, ct.POINTER(ct.c_uint64), ct.c_size_t
-)
-_matched_subs = _function(
-    "dds_get_matched_subscriptions", ct.c_int32, ct.c_int32, ct.POINTER(ct.c_uint64), ct.c_size_t
-)
-_lost = _function(
-    "dds_get_sample_lost_status", ct.c_int32, ct.c_int32, ct.POINTER(dds_c_t.sample_lost_status)
-)
-_late_in = _function(
-    "dds_get_requested_deadline_missed_status",
-    ct.c_int32,
-    ct.c_int32,
-    ct.POINTER(dds_c_t.requested_deadline_missed_status),
-)
-_late_out = _function(
-    "dds_get_offered_deadline_missed_status",
-    ct.c_int32,
-    ct.c_int32,
-    ct.POINTER(dds_c_t.offered_deadline_missed_status),
-)
-_alive = _function(
-    "dds_get_liveliness_changed_status",
-    ct.c_int32,
-    ct.c_int32,
-    ct.POINTER(dds_c_t.liveliness_changed_status),
-)
-_rejected = _function(
-    "dds_get_sample_rejected_status", ct.c_int32, ct.c_int32, ct.POINTER(dds_c_t.sample_rejected_status)
-)
+def _status(name: str, value: str = "total_count") -> Callable[[int], int]:
+    """Return what reads one number of an endpoint's status; 0 where there is none."""
+    kind = getattr(dds_c_t, f"{name}_status")
+    get = function(f"dds_get_{name}_status", ct.c_int32, ct.POINTER(kind))
+
+    def read(ref: int) -> int:
+        status = kind()
+        return int(getattr(status, value)) if get(ref, ct.byref(status)) == 0 else 0
+
+    return read
+
+
+sample_lost = _status("sample_lost")
+"""How many messages a reader knows to have missed."""
+sample_rejected = _status("sample_rejected")
+"""How many messages a reader had no room for."""
+requested_deadline_missed = _status("requested_deadline_missed")
+"""How often a reader's deadline passed without a message."""
+offered_deadline_missed = _status("offered_deadline_missed")
+"""How often a writer's deadline passed without a message."""
+alive_count = _status("liveliness_changed", "alive_count")
+"""How many of a reader's matched writers have kept to their lease."""
+
+_delete = function("dds_delete", ct.c_int32)
+_create_waitset = function("dds_create_waitset", ct.c_int32)
+_create_guard = function("dds_create_guardcondition", ct.c_int32)
+_set_guard = function("dds_set_guardcondition", ct.c_int32, ct.c_bool)
+_take_guard = function("dds_take_guardcondition", ct.c_int32, ct.POINTER(ct.c_bool))
+_create_readcondition = function("dds_create_readcondition", ct.c_int32, ct.c_uint32)
+_attach = function("dds_waitset_attach", ct.c_int32, ct.c_int32, ct.c_ssize_t)
+_detach = function("dds_waitset_detach", ct.c_int32, ct.c_int32)
+_wait = function("dds_waitset_wait", ct.c_int32, ct.POINTER(ct.c_ssize_t), ct.c_size_t, ct.c_int64)
+_MATCHED = {
+    way: function(f"dds_get_matched_{peers}", ct.c_int32, ct.POINTER(ct.c_uint64), ct.c_size_t)
+    for way, peers in (("in", "publications"), ("out", "subscriptions"))
+}
 
 
 def refusal(doing: str, error: Exception | int, *, remedy: str = "") -> BackendError:
@@ -106,50 +101,20 @@ def delete(entity: Any) -> None:
     _delete(entity._ref)
 
 
-def matched_handles(ref: int, *, of_reader: bool) -> frozenset[int]:
-    """Return the instance handles of the peers that an endpoint has matched."""
-    call = _matched_pubs if of_reader else _matched_subs
+def matched_handles(ref: int, direction: str) -> frozenset[int]:
+    """Return the instance handles of the peers that an endpoint (``in`` or ``out``) has matched."""
     room = 16
     while True:
         handles = (ct.c_uint64 * room)()
-        found = call(ref, handles, room)
-        if found <= 0:
-            return frozenset()
+        found = _MATCHED[direction](ref, handles, room)
         if found <= room:
-            return frozenset(handles[:found])
+            return frozenset(handles[: max(0, found)])
         room = found + 16
 
 
-def matched_count(ref: int, *, of_reader: bool) -> int:
+def matched_count(ref: int, direction: str) -> int:
     """Return how many peers an endpoint has matched."""
-    return max(0, int((_matched_pubs if of_reader else _matched_subs)(ref, None, 0)))
-
-
-def sample_lost(ref: int) -> int:
-    """Return how many messages the reader knows to have missed."""
-    status = dds_c_t.sample_lost_status()
-    return int(status.total_count) if _lost(ref, ct.byref(status)) == 0 else 0
-
-
-def deadlines_missed(ref: int, *, of_reader: bool) -> int:
-    """Return how often an endpoint's deadline passed without a message."""
-    if of_reader:
-        status = dds_c_t.requested_deadline_missed_status()
-        return int(status.total_count) if _late_in(ref, ct.byref(status)) == 0 else 0
-    offered = dds_c_t.offered_deadline_missed_status()
-    return int(offered.total_count) if _late_out(ref, ct.byref(offered)) == 0 else 0
-
-
-def alive_count(ref: int) -> int:
-    """Return how many of a reader's matched writers have kept to their lease."""
-    status = dds_c_t.liveliness_changed_status()
-    return int(status.alive_count) if _alive(ref, ct.byref(status)) == 0 else 0
-
-
-def sample_rejected(ref: int) -> int:
-    """Return how many messages the reader had no room for."""
-    status = dds_c_t.sample_rejected_status()
-    return int(status.total_count) if _rejected(ref, ct.byref(status)) == 0 else 0
+    return max(0, int(_MATCHED[direction](ref, None, 0)))
 
 
 class WaitSet:

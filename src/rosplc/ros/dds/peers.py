@@ -1,15 +1,19 @@
-"""The other participants' endpoints, and why one of them does not match ours.
+"""The other participants' endpoints, as DDS's builtin topics and the library's own structures show them.
 
-DDS says nothing when a reader and a writer of one topic do not fit each other. Its builtin
-topics show every endpoint of the domain, so the reason can be found by comparison: another
-type name, another type hash (ROS announces it in the endpoint's user data), settings that
+DDS reports nothing when a reader and a writer of one topic do not fit each other, so the reason is found by
+comparison: another type name, another type hash (ROS announces it in the endpoint's user data), settings that
 exclude each other, and what is left is another definition of the type.
+
+The wheel has a function that reads settings, but it keeps what it reads in variables of its class: two
+threads that use it at once mix up two peers' settings.
 """
 
 from __future__ import annotations
 
+import ctypes as ct
 import re
 import threading
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,14 +26,20 @@ from cyclonedds.builtin import (
 )
 from cyclonedds.core import InstanceState
 
-from rosplc.ros.backend import Qos, incompatibility
-from rosplc.ros.dds.announced import Announced, read_announced
+from rosplc.ros.backend import EndpointInfo, Qos
+from rosplc.ros.dds import native
 from rosplc.ros.dds.idl import ros_topic, ros_type_name
 
-__all__ = ["Peer", "PeerTable", "describe", "differs", "explain"]
+__all__ = ["Peer", "PeerTable", "type_hash_in"]
 
 _TYPE_HASH = re.compile(rb"(?:^|;)typehash=(RIHS01_[0-9a-f]{64});")
 _BATCH = 256
+_INFINITE = 2**63 - 1
+# Numbers of the library's enumerations.
+_XCDR1 = 0
+_VOLATILE, _TRANSIENT_LOCAL = 0, 1
+_RELIABLE = _EXCLUSIVE = 1
+_AUTOMATIC = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,24 +49,14 @@ class Peer:
     Attributes:
         guid: Its 16-byte id.
         handle: Its instance handle, by which DDS lists matched peers.
-        participant: Its participant's 16-byte id.
-        writer: True if it publishes.
-        topic: The DDS topic name.
-        type_name: The DDS type name.
-        qos: Its settings, as far as the bridge has such; the depth is not announced.
-        obstacles: Its other settings that keep a plain ROS endpoint from matching, in words.
-        type_hash: The ROS type hash it announces, or empty.
+        dds_topic: The DDS topic name.
+        info: The endpoint in ROS's words, without its node; the topic is DDS's if it is none of ROS.
     """
 
     guid: bytes
     handle: int
-    participant: bytes
-    writer: bool
-    topic: str
-    type_name: str
-    qos: Qos
-    obstacles: tuple[str, ...]
-    type_hash: str
+    dds_topic: str
+    info: EndpointInfo
 
 
 class PeerTable:
@@ -71,7 +71,7 @@ class PeerTable:
         self._own = own
         self._lock = threading.Lock()
         self._peers: dict[bytes, Peer] = {}
-        self._by_topic: dict[tuple[str, bool], dict[bytes, Peer]] = {}
+        self._by_topic: dict[tuple[str, str], dict[bytes, Peer]] = {}
         self.readers = (
             BuiltinDataReader(participant, BuiltinTopicDcpsPublication),
             BuiltinDataReader(participant, BuiltinTopicDcpsSubscription),
@@ -80,8 +80,7 @@ class PeerTable:
 
     def update(self, which: int) -> set[str]:
         """Take what is new on ``readers[which]``, 0 or 1; return the DDS topics concerned."""
-        ref = self.readers[which]._ref
-        writer = which == 0
+        direction = "out" if which == 0 else "in"
         changed: set[str] = set()
 
         def see(
@@ -90,37 +89,26 @@ class PeerTable:
             _: int,
             topic: str | None,
             kind: str | None,
-            announced: Announced | None,
+            said: Any,
             info: Any,
             __: Any,
         ) -> None:
             if participant == self._own:
                 return
-            if not info.valid_data or info.instance_state != InstanceState.Alive:
+            if _gone(info):
                 changed.update(self._forget(guid))
-            elif topic is not None and kind is not None and announced is not None:
-                found = _TYPE_HASH.search(announced.user_data)
-                peer = Peer(
-                    guid,
-                    info.instance_handle,
-                    participant,
-                    writer,
-                    topic,
-                    kind,
-                    announced.qos,
-                    announced.obstacles,
-                    found.group(1).decode() if found else "",
-                )
+            elif topic is not None and kind is not None and said is not None:
+                name, kind = ros_topic(topic) or topic, ros_type_name(kind)
+                shown = EndpointInfo(name, kind, direction, "", *said)  # type: ignore[arg-type]
+                peer = Peer(guid, info.instance_handle, topic, shown)
                 with self._lock:
                     self._peers[guid] = peer
-                    self._by_topic.setdefault((topic, writer), {})[guid] = peer
+                    self._by_topic.setdefault((topic, direction), {})[guid] = peer
                 changed.add(topic)
 
-        def settings(pointer: int) -> Announced:
-            return read_announced(pointer, writer=writer)
-
+        ref = self.readers[which]._ref
         while True:
-            taken = ddspy_take_endpoint(ref, _BATCH, see, settings)
+            taken = ddspy_take_endpoint(ref, _BATCH, see, lambda pointer: _announced(pointer, which == 0))
             if isinstance(taken, int) or len(taken) < _BATCH:
                 return changed
 
@@ -129,7 +117,7 @@ class PeerTable:
         left: set[bytes] = set()
 
         def see(guid: bytes, _: None, info: Any) -> None:
-            if not info.valid_data or info.instance_state != InstanceState.Alive:
+            if _gone(info):
                 left.add(guid)
 
         while True:
@@ -142,13 +130,13 @@ class PeerTable:
             peer = self._peers.pop(guid, None)
             if peer is None:
                 return set()
-            self._by_topic[peer.topic, peer.writer].pop(guid, None)
-            return {peer.topic}
+            self._by_topic[peer.dds_topic, peer.info.direction].pop(guid, None)
+            return {peer.dds_topic}
 
-    def on(self, topic: str, *, writers: bool) -> tuple[Peer, ...]:
-        """Return the endpoints of one kind on a DDS topic."""
+    def on(self, topic: str, direction: str) -> tuple[Peer, ...]:
+        """Return the endpoints of one direction on a DDS topic."""
         with self._lock:
-            return tuple(self._by_topic.get((topic, writers), {}).values())
+            return tuple(self._by_topic.get((topic, direction), {}).values())
 
     def all(self) -> tuple[Peer, ...]:
         """Return all endpoints."""
@@ -156,44 +144,103 @@ class PeerTable:
             return tuple(self._peers.values())
 
 
-def differs(ours: str, theirs: str) -> bool:
-    """Return whether two announced type hashes say that the definitions differ; empty says nothing."""
-    return bool(ours and theirs and ours != theirs)
+def _gone(info: Any) -> bool:
+    return not info.valid_data or info.instance_state != InstanceState.Alive
 
 
-def describe(peer: Peer, name: str) -> str:
-    """Return what a peer does, such as ``node /talker publishes /chatter as std_msgs/msg/String``."""
-    verb = "publishes" if peer.writer else "subscribes to"
-    return f"{name} {verb} {ros_topic(peer.topic) or peer.topic} as {ros_type_name(peer.type_name)}"
+def type_hash_in(user_data: bytes) -> str:
+    """Return the ROS type hash in an endpoint's user data; empty if there is none."""
+    found = _TYPE_HASH.search(user_data)
+    return found.group(1).decode() if found else ""
 
 
-def explain(
-    peer: Peer, name: str, type_name: str, type_hash: str, qos: Qos, matched: bool
-) -> tuple[str, str] | None:
-    """Return code and words for what is wrong between a peer and one of our endpoints.
+# -- a dds_qos_t of the library
 
-    None if nothing is wrong, or if nothing is known that would explain why they do not match.
 
-    Args:
-        peer: The peer's endpoint on the same topic, of the other kind.
-        name: What to call the peer.
-        type_name: Our type, as ROS writes it.
-        type_hash: Our type hash; empty if there is none to compare (Humble).
-        qos: Our endpoint's settings.
-        matched: Whether DDS has matched the two.
-    """
-    theirs = ros_type_name(peer.type_name)
-    does = describe(peer, name)
-    if theirs != type_name:
-        return "ROS003", f"{does}, here it is {type_name}"
-    if differs(type_hash, peer.type_hash):
-        here, there = type_hash[7:15], peer.type_hash[7:15]
-        return "ROS003", f"{does} with another definition (type hash {there}… there, {here}… here)"
-    if matched:
-        return None  # by DDS's own judgement nothing else is wrong
-    problem = incompatibility(peer.qos, qos) if peer.writer else incompatibility(qos, peer.qos)
-    problems = [problem] if problem else []
-    problems += peer.obstacles
-    if problems:
-        return "ROS004", f"{does}, but {'; '.join(problems)}"
-    return None
+def _getter(name: str, *results: Any) -> Any:
+    call = native.function(
+        f"dds_qget_{name}", ct.c_void_p, *(ct.POINTER(result) for result in results), result=ct.c_bool
+    )
+
+    def get(qos: int) -> tuple[Any, ...] | None:
+        values = tuple(result() for result in results)
+        return values if call(qos, *(ct.byref(value) for value in values)) else None
+
+    return get
+
+
+_free = native.function("dds_free", ct.c_void_p, result=None)
+_reliability = _getter("reliability", ct.c_int, ct.c_int64)
+_durability = _getter("durability", ct.c_int)
+_deadline = _getter("deadline", ct.c_int64)
+_liveliness = _getter("liveliness", ct.c_int, ct.c_int64)
+_ownership = _getter("ownership", ct.c_int)
+_partition = _getter("partition", ct.c_uint32, ct.POINTER(ct.c_void_p))
+_representation = _getter("data_representation", ct.c_uint32, ct.POINTER(ct.c_int16))
+_userdata = _getter("userdata", ct.c_void_p, ct.c_size_t)
+
+
+def _announced(pointer: int, writer: bool) -> tuple[Qos, str, tuple[str, ...]]:
+    """Return an endpoint's settings, type hash, and what else keeps a plain ROS endpoint from matching."""
+    # Best effort is DDS's default of readers, reliable that of writers.
+    reliable = _number(_reliability(pointer), _RELIABLE if writer else 0) == _RELIABLE
+    qos = Qos(
+        "reliable" if reliable else "best_effort",
+        "volatile" if _number(_durability(pointer)) == _VOLATILE else "transient_local",
+        1,
+        deadline_ns=_time(_number(_deadline(pointer), _INFINITE)),
+        lease_ns=_time(_number(_liveliness(pointer), _INFINITE, 1)),
+    )
+    return qos, type_hash_in(_user_data(pointer)), tuple(_obstacles(pointer, writer))
+
+
+def _number(values: tuple[Any, ...] | None, default: int = 0, which: int = 0) -> int:
+    return default if values is None else int(values[which].value)
+
+
+def _time(ns: int) -> int:
+    """Return a time as :class:`Qos` has it: 0 is none."""
+    return 0 if ns >= _INFINITE else max(1, ns)
+
+
+def _user_data(pointer: int) -> bytes:
+    values = _userdata(pointer)
+    if values is None or not values[0].value:
+        return b""
+    try:
+        return ct.string_at(values[0].value, values[1].value)
+    finally:
+        _free(values[0])
+
+
+def _items(values: tuple[Any, ...] | None) -> list[Any]:
+    """Return an array that the library has allocated, and free it."""
+    if values is None or not values[0].value:
+        return []
+    found = [values[1][number] for number in range(values[0].value)]
+    _free(values[1])
+    return found
+
+
+def _partitions(pointer: int) -> list[str]:
+    names = _items(_partition(pointer))
+    found = [ct.string_at(name).decode(errors="replace") for name in names]
+    for name in names:
+        _free(name)
+    return found
+
+
+def _obstacles(pointer: int, writer: bool) -> Iterator[str]:
+    representations = _items(_representation(pointer))
+    # A writer uses the first that it names; a reader takes any that it names.
+    if representations and _XCDR1 not in (representations[:1] if writer else representations):
+        yield "it uses another data representation than XCDR version 1, which ROS uses"
+    partitions = _partitions(pointer)
+    if partitions and "" not in partitions and "*" not in partitions:
+        yield f"it is in the DDS partition {', '.join(partitions)}"
+    if _number(_ownership(pointer)) == _EXCLUSIVE:
+        yield "it has exclusive ownership"
+    if not writer and _number(_durability(pointer)) > _TRANSIENT_LOCAL:
+        yield "it wants transient or persistent durability, which ROS does not have"
+    if not writer and _number(_liveliness(pointer)) != _AUTOMATIC:
+        yield "it wants manual liveliness"

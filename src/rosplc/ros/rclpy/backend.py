@@ -13,20 +13,28 @@ from rclpy.subscription import Subscription as NativeSubscription
 
 from rosplc.clock import SYSTEM, Clock
 from rosplc.errors import BackendError, RosplcError
-from rosplc.ros._base import BaseNode, Context, Opener, check_ros, domain_number, graph_info, listed
+from rosplc.ros._base import (
+    BaseNode,
+    Context,
+    Problem,
+    check_ros,
+    describe,
+    domain_number,
+    explain,
+    graph_info,
+    listed,
+    opener,
+)
 from rosplc.ros.backend import EndpointInfo, GraphInfo, OnMessage, Qos, TypeSource
 from rosplc.ros.names import join, validate_namespace, validate_node_name
 from rosplc.ros.rclpy.endpoint import RclpyPublisher, RclpySubscription, create
 from rosplc.ros.rclpy.messages import MessageClasses
 from rosplc.ros.rclpy.parameters import show
-from rosplc.ros.rclpy.peers import Peer, explain, profile, read_peers
+from rosplc.ros.rclpy.peers import profile, read_peers
 from rosplc.ros.rclpy.spin import OwnNode, guard_takes, read_options
 
 __all__ = ["RclpyBackend", "from_node", "open_backend"]
 
-_logger = logging.getLogger("rosplc.ros.rclpy")
-
-_SETTLE_NS = 1_000_000_000  # matching may take a moment; nothing is called a mismatch before
 _GIVES_STAMPS = hasattr(NativeSubscription, "CallbackType")  # since ROS 2 Iron
 
 RclpyEndpoint = RclpySubscription | RclpyPublisher
@@ -39,16 +47,11 @@ class RclpyBackend(BaseNode):
     node that the caller spins.
 
     Attributes:
-        name: ``rclpy``.
-        capabilities: ``topics``.
         domain: The ROS domain.
-        node: The node's full name.
     """
 
     name = "rclpy"
-    capabilities = frozenset({"topics"})
-
-    logger = _logger
+    logger = logging.getLogger("rosplc.ros.rclpy")
 
     def __init__(self, node: Any, store: TypeSource, remap: Mapping[str, str], clock: Clock = SYSTEM) -> None:
         super().__init__(Context(store, node.get_name(), node.get_namespace(), remap=remap, clock=clock))
@@ -59,8 +62,6 @@ class RclpyBackend(BaseNode):
         # All callbacks in one group: one at a time, whatever executor spins the node.
         self._group = MutuallyExclusiveCallbackGroup()
         self._lost = False
-        self._endpoints: list[RclpyEndpoint] = []
-        self._short: dict[RclpyEndpoint, int] = {}
         self._guarded: Any = None  # the executor whose takes are
 
     # -- endpoints
@@ -75,28 +76,32 @@ class RclpyBackend(BaseNode):
 
     def subscribe(self, topic: str, type_name: str, qos: Qos, on_message: OnMessage) -> RclpySubscription:
         """Receive a topic; see :meth:`rosplc.ros.backend.Backend.subscribe`."""
-        full, name = self._resolve(topic, type_name)
-        kind, native = self._classes[name], profile(qos)
-        subscription = RclpySubscription(
-            on_message, self._fitting, full, name, qos, self._forget, self._clock, native, self._diagnose
-        )
+        subscription = RclpySubscription(on_message, *self._details(topic, type_name, qos))
         callback = subscription.receive if _GIVES_STAMPS else subscription.receive_plain
-        make = partial(
-            self._node.create_subscription, kind, full, callback, native, callback_group=self._group, raw=True
+        self._open(
+            subscription,
+            lambda kind, name, native, **others: self._node.create_subscription(
+                kind, name, callback, native, raw=True, **others
+            ),
         )
-        self._open(subscription, make)
         return subscription
 
     def advertise(self, topic: str, type_name: str, qos: Qos) -> RclpyPublisher:
         """Send a topic; see :meth:`rosplc.ros.backend.Backend.advertise`."""
-        full, name = self._resolve(topic, type_name)
-        kind, native = self._classes[name], profile(qos)
-        publisher = RclpyPublisher(full, name, qos, self._forget, self._clock, native, self._diagnose)
-        make = partial(self._node.create_publisher, kind, full, native, callback_group=self._group)
-        self._open(publisher, make)
+        publisher = RclpyPublisher(*self._details(topic, type_name, qos))
+        self._open(publisher, self._node.create_publisher)
         return publisher
 
+    def _details(self, topic: str, type_name: str, qos: Qos) -> tuple[Any, ...]:
+        full, name = self._resolve(topic, type_name)
+        _ = self._classes[name]
+        return self, full, name, qos, self._store.type_hash(name)
+
     def _open(self, endpoint: RclpyEndpoint, make: Callable[..., Any]) -> None:
+        native = profile(endpoint.qos)
+        make = partial(
+            make, self._classes[endpoint.type_name], endpoint.topic, native, callback_group=self._group
+        )
         with self._lock:
             self._usable()
             try:
@@ -112,28 +117,35 @@ class RclpyBackend(BaseNode):
             self._endpoints.append(endpoint)
 
     def _refuse(self, entity: object, error: Exception) -> None:
-        for endpoint in tuple(self._endpoints):
+        for endpoint in self.endpoints():
             if endpoint.entity is entity and isinstance(endpoint, RclpySubscription):
                 endpoint.refuse(error)
                 return
-        _logger.warning("a message could not be taken: %s", error)
+        self.logger.warning("a message could not be taken: %s", error)
 
-    def _forget(self, endpoint: RclpyEndpoint) -> None:
-        with self._lock:
-            if endpoint in self._endpoints:
-                self._endpoints.remove(endpoint)
-            self._short.pop(endpoint, None)
+    def forget(self, endpoint: RclpyEndpoint) -> None:
+        """Take in that an endpoint is being closed."""
+        super().forget(endpoint)
+        self._since.pop(endpoint, None)
         node, entity = self._node, endpoint.entity
-        destroy = node.destroy_subscription if endpoint.direction == "in" else node.destroy_publisher
+        destroy = partial(
+            self._destroy, node.destroy_subscription if endpoint.direction == "in" else node.destroy_publisher
+        )
         # On the executor's thread, which would else meet a half-destroyed entity in its wait set.
         try:
-            node.executor.create_task(partial(_destroy, destroy, entity))
-        except Exception:  # nobody spins the node (any more)
-            _destroy(destroy, entity)
+            node.executor.create_task(partial(destroy, entity))
+        except Exception:  # no executor spins the node (any more)
+            destroy(entity)
+
+    def _destroy(self, destroy: Callable[[Any], bool], entity: Any) -> None:
+        try:
+            destroy(entity)
+        except Exception:  # gone already, with its node
+            self.logger.debug("destroying an entity failed", exc_info=True)
 
     # -- what is wrong
 
-    def _peers(self, topic: str, direction: Literal["in", "out"]) -> tuple[Peer, ...]:
+    def _peers(self, topic: str, direction: Literal["in", "out"]) -> list[EndpointInfo]:
         """Return the endpoints of one direction on a topic, our own node's too, as in ROS."""
         node = self._node
         ask = (
@@ -142,59 +154,43 @@ class RclpyBackend(BaseNode):
         try:
             return read_peers(ask(topic), topic, direction)
         except (InvalidHandle, RuntimeError):  # the node is being destroyed
-            return ()
+            return []
 
-    def _judge(self, endpoint: RclpyEndpoint) -> tuple[tuple[Peer, ...], list[tuple[str, str]]]:
-        peers = self._peers(endpoint.topic, "out" if endpoint.direction == "in" else "in")
-        ours = self._store.type_hash(endpoint.type_name)
-        judged = (explain(peer, endpoint.type_name, ours, endpoint.profile) for peer in peers)
-        return peers, sorted(filter(None, judged))
-
-    def _fitting(self, subscription: RclpySubscription) -> int:
-        peers, problems = self._judge(subscription)
+    def fitting(self, endpoint: RclpyEndpoint) -> int:
+        """Return how many peers fit an endpoint."""
+        peers, problems = self._compared(endpoint)
         return len(peers) - len(problems)
 
-    def _diagnose(self, endpoint: RclpyEndpoint) -> tuple[str, str]:
-        if self._lost:
-            return "ROS009", "the ROS context was shut down"
-        peers, problems = self._judge(endpoint)
-        if problems:
-            return problems[0][0], listed(words for _, words in problems)
-        if not peers:
-            verb = "publishes" if endpoint.direction == "in" else "subscribes to"
-            return "", f"no node {verb} {endpoint.topic}"
-        return self._unexplained(endpoint, peers, len(peers) - endpoint.matched)
+    def _compared(self, endpoint: RclpyEndpoint) -> tuple[list[EndpointInfo], list[Problem]]:
+        peers = self._peers(endpoint.topic, "out" if endpoint.direction == "in" else "in")
+        return peers, [*filter(None, (explain(peer, endpoint, _name(peer)) for peer in peers))]
 
-    def _unexplained(self, endpoint: RclpyEndpoint, peers: tuple[Peer, ...], short: int) -> tuple[str, str]:
+    def _judge(self, endpoint: RclpyEndpoint) -> tuple[bool, list[Problem]]:
+        if self._lost:
+            return False, [("ROS009", "the ROS context was shut down")]
+        peers, problems = self._compared(endpoint)
+        return bool(peers), problems or self._unexplained(endpoint, peers)
+
+    def _unexplained(self, endpoint: RclpyEndpoint, peers: list[EndpointInfo]) -> list[Problem]:
         """Judge by count: rclpy does not tell which peers are matched."""
+        short = len(peers) - endpoint.matched
         if short <= 0:
-            with self._lock:
-                self._short.pop(endpoint, None)
-            return "", ""
-        now = self._clock.monotonic_ns()
-        with self._lock:
-            since = self._short.setdefault(endpoint, now)
-        if now - since < _SETTLE_NS:
-            return "", f"{listed(map(str, peers))}, not matched yet"
+            self._since.pop(endpoint, None)
+            return []
+        found = [describe(peer, _name(peer)) for peer in peers]
+        if self._settling(endpoint):
+            return [("", f"{listed(found)}, not matched yet")]
         why = "with another definition, or kept out by access rules"
         if short == len(peers):
-            return "ROS003", listed(f"{peer} {why}" for peer in peers)
-        return "ROS003", f"{short} of {len(peers)} peers {why}: {listed(map(str, peers))}"
+            return [("ROS003", f"{each} {why}") for each in found]
+        return [("ROS003", f"{short} of {len(peers)} peers {why}: {listed(found)}")]
 
     def _look(self, endpoint: RclpyEndpoint) -> None:
-        """Say once in the log what the middleware's event is about; on the executor's thread."""
-        if endpoint.closed or endpoint.entity is None:
-            return
-        code, reason = self._diagnose(endpoint)
-        with self._lock:
-            if not code or not self._logged.first((endpoint.topic, reason)):
-                return
-        _logger.warning("%s [%s]", reason, code)
+        """Log once what the middleware's event is about; on the executor's thread."""
+        if not endpoint.closed and endpoint.entity is not None:
+            self._warn(endpoint)
 
     # -- looking at it
-
-    def _endpoints_now(self) -> list[RclpyEndpoint]:
-        return list(self._endpoints)
 
     def graph(self) -> GraphInfo:
         """Return what is seen of the other nodes."""
@@ -210,12 +206,9 @@ class RclpyBackend(BaseNode):
                 if peer.node != self.node
             ]
         except RuntimeError as error:  # InvalidHandle too: closed at this moment
-            _logger.debug("the graph could not be read: %s", error)
+            self.logger.debug("the graph could not be read: %s", error)
             return GraphInfo()
-        return graph_info(
-            {join(namespace, name) for name, namespace in names} - {self.node},
-            (EndpointInfo(p.topic, p.type_name, p.direction, p.node, p.qos, p.type_hash) for p in found),
-        )
+        return graph_info({join(namespace, name) for name, namespace in names} - {self.node}, found)
 
     def lose(self) -> None:
         """Note that the context is gone."""
@@ -225,23 +218,14 @@ class RclpyBackend(BaseNode):
         """Take over the node's thread, to end it in :meth:`close`."""
         self._own = own
 
-    def close(self) -> None:
-        """Leave the graph; a node that was given stays. See :meth:`rosplc.ros.backend.Backend.close`."""
-        with self._lock:
-            own, self._own = self._own, None
-            self._closed = True
-            endpoints = list(self._endpoints)
-        for endpoint in endpoints:
-            endpoint.close()
-        if own is not None:
-            own.close()
+    def _leave(self) -> None:
+        """End our own node; one that was given stays."""
+        if self._own is not None:
+            self._own.close()
 
 
-def _destroy(destroy: Callable[[Any], bool], entity: Any) -> None:
-    try:
-        destroy(entity)
-    except Exception:  # gone already, with its node
-        _logger.debug("destroying an entity failed", exc_info=True)
+def _name(peer: EndpointInfo) -> str:
+    return "" if peer.node else "a participant without a ROS node"
 
 
 def refusal(what: str, error: Exception) -> BackendError:
@@ -269,7 +253,7 @@ def _open(context: Context) -> RclpyBackend:
     name, namespace = validate_node_name(context.node_name), validate_namespace(context.namespace)
     number = domain_number(context.domain, context.environment)
     try:
-        own = OwnNode(name, namespace, number, chosen.ros_args)
+        own = OwnNode(name, namespace, number, chosen.ros_args, context.clock)
     except Exception as error:
         raise refusal(f"cannot join the graph as {join(namespace, name)}", error) from error
     backend = RclpyBackend(own.node, context.store, context.remap, context.clock)
@@ -283,7 +267,7 @@ def _open(context: Context) -> RclpyBackend:
     return backend
 
 
-open_backend = Opener(_open)
+open_backend = opener(_open)
 """Connect to a ROS 2 graph with a context, a node and a thread of its own.
 
 Arguments and errors are those of :func:`rosplc.ros.open_backend`. ``environment`` serves for

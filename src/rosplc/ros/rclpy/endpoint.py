@@ -8,92 +8,65 @@ being created. So the events are asked for from many to few.
 from __future__ import annotations
 
 import inspect
-import logging
 from collections.abc import Callable, Iterator
 from typing import Any
 
 from rclpy.exceptions import InvalidHandle
 
-from rosplc.clock import Clock
 from rosplc.errors import BackendError
 from rosplc.ros._base import BaseEndpoint, BasePublisher, BaseSubscription, is_cdr
-from rosplc.ros.backend import OnMessage, Qos
+
+try:
+    from rclpy.event_handler import (
+        PublisherEventCallbacks,
+        SubscriptionEventCallbacks,
+        UnsupportedEventTypeError,
+    )
+except ImportError:  # ROS 2 Humble
+    from rclpy.qos_event import (
+        PublisherEventCallbacks,
+        SubscriptionEventCallbacks,
+        UnsupportedEventTypeError,
+    )
 
 __all__ = ["RclpyPublisher", "RclpySubscription", "create"]
 
 _BATCH = 64  # messages taken from one subscription before the others get their turn
-
-Diagnose = Callable[["RclpySubscription | RclpyPublisher"], tuple[str, str]]
-"""Returns code and words for what keeps peers from matching an endpoint."""
+_EVENTS = (
+    ("incompatible_qos", "incompatible_type", "message_lost"),
+    ("incompatible_qos", "incompatible_type"),
+    (),
+)
 
 
 class _Endpoint(BaseEndpoint):
-    """What both directions have in common.
+    """What both directions have in common; the topic is the one before remapping by ROS arguments."""
 
-    Args:
-        topic: The absolute topic name before remapping by ROS arguments.
-        type_name: The ROS type name.
-        qos: The settings.
-        on_close: Called once; it destroys the entity.
-        clock: Time.
-        profile: The settings as rclpy has them.
-        diagnose: Asked for the reason in :meth:`status`.
-    """
-
-    logger = logging.getLogger("rosplc.ros.rclpy")
-
-    def __init__(
-        self,
-        topic: str,
-        type_name: str,
-        qos: Qos,
-        on_close: Callable[[Any], None],
-        clock: Clock,
-        profile: Any,
-        diagnose: Diagnose,
-    ) -> None:
-        super().__init__(topic, type_name, qos, on_close, clock)
-        self.profile = profile
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
         self.entity: Any = None  # set by the backend; a message may come before
         self.lost = 0  # set by the middleware's event
-        self._diagnose = diagnose
 
     def _matched(self) -> int:
-        if self.entity is None:
-            return 0
         try:
-            return self._count(self.entity)
+            return 0 if self.entity is None else self._count(self.entity)
         except InvalidHandle:  # destroyed at this moment
             return 0
 
     def _count(self, entity: Any) -> int:
         raise NotImplementedError
 
-    def _problem(self) -> tuple[str, str]:
-        return self._diagnose(self)  # type: ignore[arg-type]
-
     def _losses(self) -> int:
         return self.lost
 
 
-class RclpySubscription(_Endpoint, BaseSubscription):
-    """A raw subscription; see :class:`rosplc.ros.backend.Subscription`.
-
-    Attributes:
-        fitting: Counts the publishers that fit, for rclpy versions that do not count the matched
-            ones (before ROS 2 Iron).
-    """
-
-    def __init__(
-        self, on_message: OnMessage, fitting: Callable[[RclpySubscription], int], *arguments: Any
-    ) -> None:
-        super().__init__(*arguments)
-        self._on_message = on_message
-        self._fitting = fitting
+class RclpySubscription(BaseSubscription, _Endpoint):
+    """A raw subscription; see :class:`rosplc.ros.backend.Subscription`."""
 
     def _count(self, entity: Any) -> int:
         count = getattr(entity, "get_publisher_count", None)
-        return int(count()) if count is not None else self._fitting(self)
+        # rclpy counts no matched publishers before ROS 2 Iron: those that fit are counted.
+        return int(count()) if count is not None else int(self._node.fitting(self))
 
     def receive(self, payload: bytes, info: dict[str, Any]) -> None:
         """Deliver a message; the callback where rclpy gives its information too."""
@@ -136,12 +109,8 @@ class RclpySubscription(_Endpoint, BaseSubscription):
         else:
             self.refuse("it has no header of plain CDR")
 
-    def _problem(self) -> tuple[str, str]:
-        code, reason = super()._problem()
-        return code, reason or self._refused()
 
-
-class RclpyPublisher(_Endpoint, BasePublisher):
+class RclpyPublisher(BasePublisher, _Endpoint):
     """A publisher of serialized messages; see :class:`rosplc.ros.backend.Publisher`."""
 
     def _count(self, entity: Any) -> int:
@@ -163,35 +132,14 @@ class RclpyPublisher(_Endpoint, BasePublisher):
             except InvalidHandle as error:  # the node was destroyed by its owner
                 raise self._closed() from error
             except RuntimeError as error:
-                raise BackendError(
-                    "ROS002", f"a message was not sent on {self.topic}: {str(error).strip()}"
-                ) from error
+                what = f"a message was not sent on {self.topic}: {str(error).strip()}"
+                raise BackendError("ROS002", what) from error
             self._messages += 1
             self._last_ns = self._clock.time_ns()
         return True
 
 
-try:
-    from rclpy.event_handler import (
-        PublisherEventCallbacks,
-        SubscriptionEventCallbacks,
-        UnsupportedEventTypeError,
-    )
-except ImportError:  # ROS 2 Humble
-    from rclpy.qos_event import (
-        PublisherEventCallbacks,
-        SubscriptionEventCallbacks,
-        UnsupportedEventTypeError,
-    )
-
-
 Endpoint = RclpySubscription | RclpyPublisher
-
-_SETS = (
-    ("incompatible_qos", "incompatible_type", "message_lost"),
-    ("incompatible_qos", "incompatible_type"),
-    (),
-)
 
 
 def create(make: Callable[..., Any], endpoint: Endpoint, look: Callable[[Endpoint], None]) -> Any:
@@ -220,10 +168,9 @@ def _callbacks(endpoint: Endpoint, look: Callable[[Endpoint], None]) -> Iterator
     def lost(event: Any) -> None:
         endpoint.lost = event.total_count
 
-    incoming = endpoint.direction == "in"
-    kind = SubscriptionEventCallbacks if incoming else PublisherEventCallbacks
+    kind = SubscriptionEventCallbacks if endpoint.direction == "in" else PublisherEventCallbacks
     known = inspect.signature(kind.__init__).parameters
     handlers = {"incompatible_qos": misfit, "incompatible_type": misfit, "message_lost": lost}
-    for names in _SETS:
-        # Without the default callbacks: they log through rcl what is said better in the status.
+    for names in _EVENTS:
+        # Without the default callbacks: they log through rcl what the status shows better.
         yield kind(use_default_callbacks=False, **{name: handlers[name] for name in names if name in known})

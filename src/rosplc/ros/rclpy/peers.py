@@ -1,19 +1,21 @@
-"""The other nodes' endpoints as rclpy shows them, their settings, and why one does not match ours."""
+"""The other nodes' endpoints as rclpy shows them, and settings in its words."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Any, Literal
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 
+from rosplc.ros.backend import EndpointInfo
 from rosplc.ros.names import join
-from rosplc.ros.qos import Qos, incompatibility
+from rosplc.ros.qos import Qos
 
-__all__ = ["Peer", "explain", "obstacle", "profile", "read_peers", "settings"]
+__all__ = ["profile", "read_peers", "settings"]
 
 _INFINITE_NS = 2**31 * 10**9  # DDS's infinite seconds; what middlewares make of it in rmw is longer
+# What rmw_dds_common reports for participants that are no ROS nodes.
+_NAMELESS = {"", "_NODE_NAME_UNKNOWN_", "_CREATED_BY_BARE_DDS_APP_"}
 
 
 def profile(qos: Qos) -> Any:
@@ -46,65 +48,20 @@ def _bounded(duration: Any) -> int:
     return ns if 0 < ns < _INFINITE_NS else 0
 
 
-def obstacle(offered: Any, requested: Any) -> str | None:
-    """Return in words why a publisher's profile does not serve a subscription's, or None if it does.
-
-    Not rclpy's own ``qos_check_compatible``: it takes unspecified durations for shorter ones than infinite.
-    """
-    words = incompatibility(settings(offered), settings(requested))
-    if requested.liveliness == LivelinessPolicy.MANUAL_BY_TOPIC != offered.liveliness:
-        words = "; ".join(filter(None, (words, "the subscriber wants manual liveliness")))
-    return words
-
-
-# What rmw_dds_common reports for participants that are no ROS nodes.
-_NAMELESS = {"", "_NODE_NAME_UNKNOWN_", "_CREATED_BY_BARE_DDS_APP_"}
-
-
-@dataclass(frozen=True)
-class Peer:
-    """An endpoint on a topic.
-
-    Attributes:
-        node: The full name of its node; empty if it has none.
-        direction: ``out`` if it publishes.
-        topic: The topic.
-        type_name: ``package/msg/Name``.
-        profile: rclpy's QoSProfile.
-        type_hash: What it announces; empty before ROS 2 Iron.
-    """
-
-    node: str
-    direction: Literal["in", "out"]
-    topic: str
-    type_name: str
-    profile: Any
-    type_hash: str
-
-    @property
-    def qos(self) -> Qos:
-        """Its settings."""
-        return settings(self.profile)
-
-    def __str__(self) -> str:
-        name = f"node {self.node}" if self.node else "a participant without a ROS node"
-        verb = "publishes" if self.direction == "out" else "subscribes to"
-        return f"{name} {verb} {self.topic} as {self.type_name}"
-
-
-def read_peers(infos: Iterable[Any], topic: str, direction: Literal["in", "out"]) -> tuple[Peer, ...]:
+def read_peers(infos: Iterable[Any], topic: str, direction: Literal["in", "out"]) -> list[EndpointInfo]:
     """Return what ``get_publishers_info_by_topic`` or ``get_subscriptions_info_by_topic`` gave."""
-    return tuple(
-        Peer(
-            "" if info.node_name in _NAMELESS else join(info.node_namespace, info.node_name),
-            direction,
+    return [
+        EndpointInfo(
             topic,
             info.topic_type,
-            info.qos_profile,
+            direction,
+            "" if info.node_name in _NAMELESS else join(info.node_namespace, info.node_name),
+            settings(info.qos_profile),
             _hash(info),
+            _obstacles(info.qos_profile) if direction == "in" else (),
         )
         for info in infos
-    )
+    ]
 
 
 def _hash(info: Any) -> str:
@@ -112,19 +69,7 @@ def _hash(info: Any) -> str:
     return text if text.startswith("RIHS") else ""  # INVALID, if the peer announces none
 
 
-def explain(peer: Peer, type_name: str, type_hash: str, ours: Any) -> tuple[str, str] | None:
-    """Return code and words for what keeps a peer from matching our endpoint, or None.
-
-    Args:
-        peer: An endpoint of the other kind on our topic.
-        type_name: Our type.
-        type_hash: Our type hash; empty if there is none to compare.
-        ours: Our endpoint's profile.
-    """
-    if peer.type_name != type_name:
-        return "ROS003", f"{peer}, here it is {type_name}"
-    if type_hash and peer.type_hash and peer.type_hash != type_hash:
-        here, there = type_hash[7:15], peer.type_hash[7:15]
-        return "ROS003", f"{peer} with another definition (type hash {there}… there, {here}… here)"
-    words = obstacle(peer.profile, ours) if peer.direction == "out" else obstacle(ours, peer.profile)
-    return ("ROS004", f"{peer}, but {words}") if words else None
+def _obstacles(requested: Any) -> tuple[str, ...]:
+    # rclpy's own qos_check_compatible takes unspecified durations for shorter ones than infinite.
+    manual = requested.liveliness == LivelinessPolicy.MANUAL_BY_TOPIC
+    return ("the subscriber wants manual liveliness",) if manual else ()

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -19,6 +18,7 @@ from rclpy.exceptions import InvalidHandle
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 
+from rosplc.clock import Clock
 from rosplc.errors import BackendError
 
 __all__ = ["Options", "OwnNode", "guard_takes", "read_options"]
@@ -100,13 +100,17 @@ class OwnNode:
         namespace: Its namespace.
         domain: The ROS domain; None leaves it to ``ROS_DOMAIN_ID``.
         ros_args: ROS arguments, as after ``--ros-args``; they apply to this node alone.
+        clock: Time.
 
     Raises:
         Exception: Whatever rclpy raises; nothing is left behind.
     """
 
-    def __init__(self, name: str, namespace: str, domain: int | None, ros_args: Sequence[str]) -> None:
+    def __init__(
+        self, name: str, namespace: str, domain: int | None, ros_args: Sequence[str], clock: Clock
+    ) -> None:
         self.context = Context()
+        self._clock = clock
         # Never None: rclpy would take the arguments of the whole program.
         self.context.init(args=["--ros-args", *ros_args] if ros_args else [], domain_id=domain)
         try:
@@ -148,7 +152,7 @@ class OwnNode:
             pass
         except Exception:  # a defect; but the other topics have to go on
             _logger.exception("serving the node %s failed", self.node.get_name())
-            time.sleep(0.1)
+            self._clock.sleep(100_000_000)
         if self.context.ok() or self._stopping:
             return True
         _logger.error("the ROS context was shut down by somebody else; nothing is carried any more")

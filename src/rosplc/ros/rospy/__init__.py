@@ -1,4 +1,4 @@
-"""ROS 1 over Debian's ``rospy``; importing this raises ImportError where that is not installed."""
+"""ROS 1 without a ROS installation: TCPROS and XML-RPC, as rospy speaks them."""
 
 from __future__ import annotations
 

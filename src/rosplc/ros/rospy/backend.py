@@ -5,61 +5,56 @@ from __future__ import annotations
 import contextlib
 import logging
 import threading
+from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 from rosplc.errors import BackendError
-from rosplc.ros._base import BaseNode, Context, Opener, graph_info, listed
+from rosplc.ros._base import BaseNode, Context, Problem, graph_info, opener
 from rosplc.ros.backend import EndpointInfo, GraphInfo, OnMessage, Qos
 from rosplc.ros.rospy.address import read_address
-from rosplc.ros.rospy.handshake import ANY, ros2_name
+from rosplc.ros.rospy.handshake import ANY, Definition, ros2_name
 from rosplc.ros.rospy.inbound import Incoming, RospySubscription
-from rosplc.ros.rospy.keeper import Endpoint, Keeper, Key
 from rosplc.ros.rospy.outbound import Outgoing, RospyPublisher
+from rosplc.ros.rospy.registration import Key, Registration
 from rosplc.ros.rospy.slave import Servers
 
 __all__ = ["RospyBackend", "open_backend"]
 
-_logger = logging.getLogger("rosplc.ros.rospy")
-
 _CONNECTING = 16  # connections that are being made at once
-_SETTLE_NS = 5_000_000_000  # a subscriber that is not there by then cannot reach us
+_SETTLE_NS = 5_000_000_000  # a subscriber that has not connected by then cannot reach us
 
 
 class RospyBackend(BaseNode):
     """One ROS 1 node; see :class:`rosplc.ros.backend.Backend`.
 
     Attributes:
-        name: ``rospy``.
-        capabilities: ``topics``.
-        node: The node's full name.
         uri: The URI of its XML-RPC interface.
+        turn: Held while messages are handed over.
+        connecting: Bounds how many connections are being made at once.
+        ended: Why the node was told to leave the graph; empty if it was not.
     """
 
     name = "rospy"
-    capabilities = frozenset({"topics"})
-
-    logger = _logger
+    ros1 = True
+    logger = logging.getLogger("rosplc.ros.rospy")
 
     def __init__(self, context: Context) -> None:
-        super().__init__(context, ros1=True)
-        environment = context.environment
-        self._turn = threading.RLock()
-        self._connecting = threading.BoundedSemaphore(_CONNECTING)
-        self._ended = ""
-        self._endpoints: dict[Key, Endpoint] = {}
-        self._handles: dict[int, RospySubscription | RospyPublisher] = {}
-        self._missed: dict[tuple[str, str], int] = {}
-        self._keeper: Keeper | None = None
-        address = read_address(environment)
+        super().__init__(context)
+        self.turn = threading.RLock()
+        self.connecting = threading.BoundedSemaphore(_CONNECTING)
+        self.ended = ""
+        self._topics: dict[Key, Any] = {}
+        self._ending: list[Any] = []
+        self._registration: Registration | None = None
+        address = read_address(context.environment)
         try:
-            self._servers = Servers(self.node, address, self)
+            self._servers = Servers(address, self, self.clock)
         except OSError as error:
-            raise BackendError(
-                "ROS010", f"cannot listen at {address.bind or 'any address'}: {error}", where="ROS_IP"
-            ) from error
+            what = f"cannot listen at {address.bind or 'any address'}: {error}"
+            raise BackendError("ROS010", what, where="ROS_IP") from error
         self.uri = self._servers.uri
-        self._keeper = Keeper(self.node, address.master, self.uri, self._wanted, self._moved)
+        self._registration = Registration(self, address.master)
 
     # -- endpoints
 
@@ -70,231 +65,200 @@ class RospyBackend(BaseNode):
             BackendError: ROS002 if this node receives the topic as another type already.
         """
         with self._lock:
-            incoming: Incoming = self._endpoint("in", topic, type_name)
-            subscription = RospySubscription(
-                incoming, qos, on_message, self._diagnose, self._forget, self._clock
-            )
-            incoming.add(subscription)
-            self._handles[id(subscription)] = subscription
-        self._wake()
+            shared = self._shared(Incoming, topic, type_name)
+            subscription = RospySubscription(on_message, shared, qos)
+            self._adopt(subscription)
         return subscription
 
     def advertise(self, topic: str, type_name: str, qos: Qos) -> RospyPublisher:
         """Send a topic; raises as :meth:`subscribe` does."""
         with self._lock:
-            outgoing: Outgoing = self._endpoint("out", topic, type_name)
-            publisher = RospyPublisher(outgoing, qos, self._diagnose, self._forget, self._usable, self._clock)
-            outgoing.add(publisher)
-            self._handles[id(publisher)] = publisher
-        self._wake()
+            publisher = RospyPublisher(self._shared(Outgoing, topic, type_name), qos)
+            self._adopt(publisher)
         return publisher
 
-    def _endpoint(self, direction: str, topic: str, type_name: str) -> Any:
+    def _shared(self, kind: Any, topic: str, type_name: str) -> Any:
         full, name = self._resolve(topic, type_name)
-        known = self._endpoints.get((direction, full))
-        if known is not None:
-            if known.type_name != name:
-                raise BackendError(
-                    "ROS002",
-                    f"{self.node} has {full} as {known.type_name} already; {name} is another type",
-                    remedy="A node of ROS 1 has one type for each topic.",
-                )
-            return known
-        identity = (self.node, full, name, self._store.md5(name), self._store.definition_text(name))
-        made: Endpoint
-        if direction == "in":
-            made = Incoming(*identity, self._turn, self._connecting, self._wake, self._clock)
-        else:
-            made = Outgoing(*identity, self._wake)
-        self._endpoints[direction, full] = made
-        return made
+        known = self._topics.get((kind.direction, full))
+        if known is None:
+            definition = Definition(name, self._store.md5(name), self._store.definition_text(name))
+            known = self._topics[kind.direction, full] = kind(self, full, definition)
+        elif known.definition.type_name != name:
+            raise BackendError(
+                "ROS002",
+                f"{self.node} has {full} as {known.definition.type_name} already; {name} is another type",
+                remedy="A node of ROS 1 has one type for each topic.",
+            )
+        return known
 
-    def _forget(self, handle: RospySubscription | RospyPublisher) -> None:
-        if isinstance(handle, RospySubscription):
-            endpoint: Endpoint = handle.incoming
-            left = handle.incoming.remove(handle)  # waits for a callback that runs
-        else:
-            endpoint = handle.outgoing
-            left = handle.outgoing.remove(handle)
+    def _adopt(self, endpoint: RospySubscription | RospyPublisher) -> None:
+        endpoint.shared.add(endpoint)
+        self._endpoints.append(endpoint)
+        self.wake()
+
+    def forget(self, endpoint: RospySubscription | RospyPublisher) -> None:
+        """Take in that an endpoint is being closed."""
+        shared = endpoint.shared
+        shared.remove(endpoint)  # waits for a callback that runs
         with self._lock:
-            self._handles.pop(id(handle), None)
-            key = (endpoint.direction, endpoint.topic)
-            last = not left and self._endpoints.get(key) is endpoint
-            if last and not (
-                endpoint.subscriptions if isinstance(endpoint, Incoming) else endpoint.publishers
-            ):
-                del self._endpoints[key]
+            super().forget(endpoint)
+            key = (shared.direction, shared.topic)
+            last = not shared.handles and self._topics.get(key) is shared
+            if last:
+                del self._topics[key]
         if last:
-            endpoint.close()
-            self._wake()
+            ending = shared.close()
+            if self._closed:  # they are waited for in the end
+                self._ending += ending
+            self.wake()
 
-    def _usable(self) -> None:
+    def usable(self) -> None:
+        """Raise ROS009 after :meth:`close`, ROS015 if the node was told to leave."""
         super()._usable()
-        if self._ended:
-            raise BackendError("ROS015", self._ended)
+        if self.ended:
+            raise BackendError("ROS015", self.ended)
 
-    def _wake(self) -> None:
-        if self._keeper is not None:
-            self._keeper.wake()
+    _usable = usable
 
-    def _wanted(self) -> dict[Key, Endpoint]:
+    def wake(self) -> None:
+        """Have the topics looked at now: a connection, a topic or a handle has come or gone."""
+        if self._registration is not None:
+            self._registration.wake()
+
+    def topics(self) -> dict[Key, Any]:
+        """Return the topics that should be registered."""
         with self._lock:
-            return dict(self._endpoints)
+            return dict(self._topics)
 
-    # -- what the node's servers ask
+    # -- what the node's servers and the master ask
 
     def incoming(self) -> dict[str, Incoming]:
         """Return the topics that are received."""
-        return {e.topic: e for e in self._wanted().values() if isinstance(e, Incoming)}
+        return {topic: one for (direction, topic), one in self.topics().items() if direction == "in"}
 
     def outgoing(self) -> dict[str, Outgoing]:
         """Return the topics that are sent."""
-        return {e.topic: e for e in self._wanted().values() if isinstance(e, Outgoing)}
+        return {topic: one for (direction, topic), one in self.topics().items() if direction == "out"}
 
     def publishers_changed(self, topic: str, uris: tuple[str, ...]) -> None:
         """Take the master's word for who publishes a topic."""
-        with self._lock:
-            endpoint = self._endpoints.get(("in", topic))
-        if isinstance(endpoint, Incoming):
-            endpoint.publishers = uris
-            endpoint.update()
+        if (incoming := self.incoming().get(topic)) is not None:
+            incoming.publishers = uris
+            incoming.update()
 
     def told_to_leave(self, caller: str, why: str) -> None:
         """Leave, as ROS 1 asks of a node whose name another one has taken, and of one that is killed."""
         if "same name" in why:
             self._end(f"another node named {self.node} has joined, and ROS 1 keeps the newer one")
         else:
-            self._end(
-                f"{caller or 'somebody'} told node {self.node} to shut down ({why or 'no reason given'})"
-            )
+            self._end(f"{caller or 'a node'} told node {self.node} to shut down ({why or 'no reason given'})")
 
-    def _moved(self, uri: str) -> None:
+    def moved(self, uri: str) -> None:
+        """Leave: another node has this node's name."""
         self._end(f"the node at {uri} has taken the name {self.node}, and ROS 1 keeps the newer one")
 
-    @property
-    def ended(self) -> str:
-        """Why the node was told to leave the graph; empty if it was not."""
-        return self._ended
-
     def _end(self, why: str) -> None:
-        if self._closed or self._ended:
-            return
-        self._ended = why
-        _logger.error("%s; this one carries nothing any more [ROS015]", why)
-        threading.Thread(target=self._leave, name="rosplc-leave", daemon=True).start()
+        if not self._closed and not self.ended:
+            self.ended = why
+            self.logger.error("%s; this one carries nothing any more [ROS015]", why)
+            threading.Thread(target=self._disconnect, name="rosplc-leave", daemon=True).start()
 
-    def _leave(self) -> None:
-        """Disconnect, and keep the handles so that their status tells why."""
-        if self._keeper is not None:
-            # Withdrawing by URI: the master leaves the newer node of our name alone.
-            self._keeper.close(withdraw=True)
-        for endpoint in self._wanted().values():
-            endpoint.close()
+    def _disconnect(self) -> None:
+        """Disconnect, and keep the endpoints so that their status tells why."""
+        if self._registration is not None:
+            self._registration.close()
+        for topic in self.topics().values():
+            topic.close()
         self._servers.close()
 
     # -- what is wrong
 
-    def _diagnose(self, endpoint: Endpoint) -> tuple[str, str]:
-        keeper = self._keeper
-        if self._ended:
-            return "ROS015", self._ended
-        if self._closed or keeper is None:
-            return "", ""
-        found = (
-            self._strange_publishers(endpoint)
-            if isinstance(endpoint, Incoming)
-            else (self._strange_subscribers(endpoint, keeper))
-        )
-        if keeper.trouble:
-            found.append(("ROS014", keeper.trouble))
-        if found:
-            code = max(code for code, _ in found)
-            reason = listed(sorted(text for _, text in found))
-            # ROS014 is said by the keeper, once for all topics.
-            if code and code != "ROS014" and self._logged.first((endpoint.topic, reason)):
-                _logger.warning("%s [%s]", reason, code)
-            return code, reason
-        if endpoint.matched():
-            return "", ""
-        verb = "publishes" if endpoint.direction == "in" else "subscribes to"
-        return "", f"no node {verb} {endpoint.topic}"
+    def diagnose(self, endpoint: Any) -> Problem:
+        """Return what keeps peers from matching, and log it once."""
+        code, reason = super().diagnose(endpoint)
+        # ROS014 and ROS015 are logged once for all topics.
+        if code not in ("", "ROS014", "ROS015") and self._logged.first((endpoint.topic, reason)):
+            self.logger.warning("%s [%s]", reason, code)
+        return code, reason
 
-    def _strange_publishers(self, incoming: Incoming) -> list[tuple[str, str]]:
-        named = set(incoming.publishers)
-        return [
-            link.problem
-            for link in incoming.links()
-            if link.problem is not None and not link.connected and link.uri in named
-        ]
+    def _judge(self, endpoint: RospySubscription | RospyPublisher) -> tuple[bool, list[Problem]]:
+        registration, shared = self._registration, endpoint.shared
+        if self.ended:
+            return True, [("ROS015", self.ended)]
+        if self._closed or registration is None:
+            return True, []
+        if isinstance(shared, Incoming):
+            found = shared.problems()
+        else:
+            found = self._strange_subscribers(shared, registration.state.subscribers)
+        if registration.trouble:
+            found.append(("ROS014", registration.trouble))
+        return bool(shared.matched()), found
 
-    def _strange_subscribers(self, outgoing: Outgoing, keeper: Keeper) -> list[tuple[str, str]]:
+    def _strange_subscribers(
+        self, outgoing: Outgoing, subscribers: dict[str, frozenset[str]]
+    ) -> list[Problem]:
+        topic = outgoing.topic
         found = [wrong for _, wrong in list(outgoing.strangers.values())]
-        named = keeper.state.subscribers.get(outgoing.topic, frozenset())
+        named = subscribers.get(topic, frozenset())
         absent = named - outgoing.subscribers() - set(outgoing.strangers)
-        now = self._clock.monotonic_ns()
         for node in sorted(absent):
-            since = self._missed.setdefault((outgoing.topic, node), now)
-            text = f"node {node} subscribes to {outgoing.topic}, not connected yet"
-            if now - since > _SETTLE_NS:
+            text = f"node {node} subscribes to {topic}, not connected yet"
+            if not self._settling((topic, node), _SETTLE_NS):
                 text += f"; it may not be able to reach {self.uri}: set ROS_IP or ROS_HOSTNAME"
             found.append(("", text))
         # A copy, in one step: several threads may ask at once.
-        for key in [k for k in tuple(self._missed) if k[0] == outgoing.topic and k[1] not in absent]:
-            self._missed.pop(key, None)
+        for key in [key for key in tuple(self._since) if key[0] == topic and key[1] not in absent]:  # type: ignore[index]
+            self._since.pop(key, None)
         return found
 
     # -- looking at it
 
-    def _endpoints_now(self) -> list[RospySubscription | RospyPublisher]:
-        return list(self._handles.values())
-
     def graph(self) -> GraphInfo:
-        """Return what the master said of the other nodes, a second ago at most.
+        """Return what the master knew of the other nodes, a second ago at most.
 
         ROS 1 knows a topic's type and no quality of service: only who latches, once connected.
         """
-        if self._keeper is None or self._closed:
+        if self._registration is None or self._closed:
             return GraphInfo()
-        state = self._keeper.state
+        state = self._registration.state
         latching = {
             (topic, link.node)
             for topic, incoming in self.incoming().items()
             for link in incoming.links()
             if link.latching
         }
-        seen = []
-        for direction, table in (("in", state.subscribers), ("out", state.publishers)):
-            for topic, nodes in table.items():
-                kind = ros2_name(state.types.get(topic, ANY))
-                for node in nodes - {self.node}:
-                    durable = direction == "out" and (topic, node) in latching
-                    qos = Qos(durability="transient_local" if durable else "volatile", depth=1)
-                    seen.append(EndpointInfo(topic, kind, "in" if direction == "in" else "out", node, qos))
-        found = graph_info(state.nodes - {self.node}, seen)
+        tables: tuple[tuple[Literal["in", "out"], dict[str, frozenset[str]]], ...] = (
+            ("in", state.subscribers),
+            ("out", state.publishers),
+        )
+
+        def infos() -> Iterator[EndpointInfo]:
+            for direction, table in tables:
+                for topic, nodes in table.items():
+                    kind = ros2_name(state.types.get(topic, ANY))
+                    for node in nodes - {self.node}:
+                        durable = direction == "out" and (topic, node) in latching
+                        qos = Qos(durability="transient_local" if durable else "volatile", depth=1)
+                        yield EndpointInfo(topic, kind, direction, node, qos)
+
+        found = graph_info(state.nodes - {self.node}, infos())
         told = {topic: tuple(kind for kind in kinds if kind != ANY) for topic, kinds in found.topics.items()}
         return replace(found, topics=told)
 
-    def close(self) -> None:
-        """Leave the graph; see :meth:`rosplc.ros.backend.Backend.close`."""
-        with self._lock:
-            if self._closed:
-                return
-            self._closed = True
-            handles, self._handles = list(self._handles.values()), {}
-            endpoints, self._endpoints = list(self._endpoints.values()), {}
-        keeper, self._keeper = self._keeper, None
-        if keeper is not None:
-            keeper.close(withdraw=True)
-        for handle in handles:
-            handle.close()
-        ending = [ended for endpoint in endpoints for ended in endpoint.close()]
+    def _stop(self) -> None:
+        registration, self._registration = self._registration, None
+        if registration is not None:
+            registration.close()
+
+    def _leave(self) -> None:
         self._servers.close()
-        for one in ending:
+        for one in self._ending:
             with contextlib.suppress(RuntimeError):
                 one.join()
 
 
-open_backend = Opener(RospyBackend)
+open_backend = opener(RospyBackend)
 """Connect to a ROS 1 graph; arguments and errors as for :func:`rosplc.ros.open_backend`.
 
 ROS 1 has no domains: ``ROS_MASTER_URI`` tells which graph it is. There are no options. The call

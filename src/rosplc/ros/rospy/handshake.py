@@ -1,27 +1,32 @@
-"""Connection headers (http://wiki.ros.org/ROS/Connection%20Header), read with bounds, and compared.
+"""Connections between nodes: their headers, read with bounds and compared, and a topic of our node.
 
-rospy's own reader believes the announced length, up to 4 GiB, and waits for it without end.
+http://wiki.ros.org/ROS/Connection%20Header
 """
 
 from __future__ import annotations
 
+import itertools
 import socket
-import time
+import threading
 from collections.abc import Mapping
+from typing import Any, NamedTuple
 
-from rosplc.ros.rospy.debian import decode_header, encode_header
+from rosplc.clock import SYSTEM, Clock
 
 __all__ = [
     "ANY",
     "MOST_HEADER",
+    "Definition",
     "HandshakeError",
-    "connect",
+    "Topic",
+    "connection_info",
+    "encode_header",
     "mismatch",
     "peer_type",
+    "prepare",
     "read_header",
     "ros1_name",
     "ros2_name",
-    "write_header",
 ]
 
 ANY = "*"
@@ -30,59 +35,70 @@ ANY = "*"
 MOST_HEADER = 4 << 20
 """Bytes of a connection header, which holds the definition with all types that it needs."""
 
+_ids = itertools.count(1)
+
 
 class HandshakeError(Exception):
-    """The other side's header is missing, too long or no header."""
+    """The other side's header is missing, too long or no header; or its stream of messages is out of step."""
 
 
-def connect(host: str, port: int, timeout_s: float) -> socket.socket:
-    """Connect to a node's TCPROS port; OSError if that fails."""
-    sock = socket.create_connection((host, port), timeout_s)
-    try:
-        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        # As rospy sets it: a peer whose machine has lost its power is missed after 150 s.
-        sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPCNT, 9)
-        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, 60)
-        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, 10)
-    except OSError:
-        sock.close()
-        raise
+def prepare(sock: socket.socket) -> socket.socket:
+    """Set a connection up as rospy does: a peer whose machine has lost its power is missed after 150 s."""
+    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPCNT, 9)
+    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, 60)
+    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, 10)
     return sock
 
 
-def write_header(sock: socket.socket, fields: Mapping[str, str]) -> None:
-    """Send a header; OSError if that fails."""
-    sock.sendall(encode_header(dict(fields)))
+def connection_info(sock: socket.socket, peer: str, direction: str, topic: str) -> list[Any]:
+    """Return what ``rosnode info`` prints of a connection; it knows the text of rospy's own."""
+    port, (host, other) = sock.getsockname()[1], sock.getpeername()[:2]
+    text = f"TCPROS connection on port {port} to [{host}:{other} on socket {sock.fileno()}]"
+    return [next(_ids), peer, direction, "TCPROS", topic, True, text]
 
 
-def read_header(sock: socket.socket, timeout_s: float) -> dict[str, str]:
+def encode_header(fields: Mapping[str, str]) -> bytes:
+    """Return the bytes of a header."""
+    parts = [f"{name}={value}".encode() for name, value in fields.items()]
+    body = b"".join(len(part).to_bytes(4, "little") + part for part in parts)
+    return len(body).to_bytes(4, "little") + body
+
+
+def read_header(sock: socket.socket, timeout_s: float, clock: Clock = SYSTEM) -> dict[str, str]:
     """Read one header and nothing behind it.
 
     Raises:
         HandshakeError: No valid header came within the time.
         OSError: The connection failed.
     """
-    deadline = time.monotonic() + timeout_s
-    start = _exactly(sock, 4, deadline)
-    length = int.from_bytes(start, "little")
+    deadline_ns = clock.monotonic_ns() + round(timeout_s * 1e9)
+    length = int.from_bytes(_exactly(sock, 4, deadline_ns, clock), "little")
     if length > MOST_HEADER:
         raise HandshakeError(f"its connection header announces {length} bytes, {MOST_HEADER} are the most")
-    rest = _exactly(sock, length, deadline)
-    try:
-        fields: dict[str, str] = decode_header(start + rest)
-    except Exception as error:  # rospy's exception, or what damaged bytes make of struct and decode
-        raise HandshakeError(f"its connection header cannot be read: {error}") from error
+    body = _exactly(sock, length, deadline_ns, clock)
+    fields, at = {}, 0
+    while at < length:
+        end = at + 4 + int.from_bytes(body[at : at + 4], "little")
+        name, equals, value = body[at + 4 : end].partition(b"=")
+        if end > length or not equals:
+            raise HandshakeError("its connection header cannot be read: a field is cut off or has no =")
+        try:
+            fields[name.decode()] = value.decode()
+        except UnicodeDecodeError as error:
+            raise HandshakeError(f"its connection header cannot be read: {error}") from error
+        at = end
     return fields
 
 
-def _exactly(sock: socket.socket, length: int, deadline: float) -> bytes:
+def _exactly(sock: socket.socket, length: int, deadline_ns: int, clock: Clock) -> bytes:
     data = bytearray()
     while len(data) < length:
-        left = deadline - time.monotonic()
+        left = deadline_ns - clock.monotonic_ns()
         if left <= 0:
             raise HandshakeError("its connection header did not arrive in time")
-        sock.settimeout(left)
+        sock.settimeout(left / 1e9)
         try:
             part = sock.recv(min(65536, length - len(data)))
         except TimeoutError:
@@ -105,7 +121,7 @@ def ros2_name(name: str) -> str:
 
 
 def peer_type(fields: Mapping[str, str]) -> tuple[str, str]:
-    """Return type (``package/msg/Name``) and MD5 sum of a header; ``*`` where it does not say."""
+    """Return type (``package/msg/Name``) and MD5 sum of a header; ``*`` where it has none."""
     return ros2_name(fields.get("type") or ANY)[:256], (fields.get("md5sum") or ANY)[:64]
 
 
@@ -129,3 +145,49 @@ def mismatch(
         does = does if name != ANY else f"node {node} {verb} {topic}"
         return "ROS003", f"{does} with another definition (md5 {md5} there, {own_md5} here)"
     return None
+
+
+class Definition(NamedTuple):
+    """A type: its name ``package/msg/Name``, MD5 sum, and definition with all types that it needs."""
+
+    type_name: str
+    md5: str
+    text: str
+
+    @property
+    def identity(self) -> tuple[str, str]:
+        """Name and MD5 sum."""
+        return self.type_name, self.md5
+
+    def fields(self) -> dict[str, str]:
+        """Return the fields of a connection header."""
+        return {"type": ros1_name(self.type_name), "md5sum": self.md5, "message_definition": self.text}
+
+
+class Topic:
+    """A topic that the node receives or sends; the subscriptions or publishers of it share its connections.
+
+    Args:
+        node: The backend.
+        topic: The topic.
+        definition: Its type.
+    """
+
+    direction: str
+
+    def __init__(self, node: Any, topic: str, definition: Definition) -> None:
+        self.node, self.topic, self.definition = node, topic, definition
+        self.handles: tuple[Any, ...] = ()
+        self._lock: Any = threading.Lock()
+        self._closed = False
+
+    def add(self, handle: Any) -> None:
+        """Serve one more subscription or publisher."""
+        with self._lock:
+            self.handles += (handle,)
+
+    def remove(self, handle: Any) -> bool:
+        """Serve it no longer; return whether it was the last one."""
+        with self._lock:
+            self.handles = tuple(one for one in self.handles if one is not handle)
+            return not self.handles

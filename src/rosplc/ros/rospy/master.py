@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import http.client
-import time
 import xmlrpc.client
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 from xml.parsers.expat import ExpatError
+
+from rosplc.clock import SYSTEM, Clock
 
 __all__ = ["MOST_ANSWER", "Master", "RefusedError", "SystemState", "UnreachableError", "call", "proxy"]
 
@@ -32,9 +33,9 @@ class _Transport(xmlrpc.client.Transport):
 
     accept_gzip_encoding = False  # a few bytes would become any number of them
 
-    def __init__(self, timeout_s: float) -> None:
+    def __init__(self, timeout_s: float, clock: Clock) -> None:
         super().__init__()
-        self._timeout_s = timeout_s
+        self._timeout_s, self._clock = timeout_s, clock
 
     def make_connection(self, host: Any) -> http.client.HTTPConnection:
         connection = super().make_connection(host)
@@ -45,14 +46,14 @@ class _Transport(xmlrpc.client.Transport):
         """Read an answer; ValueError or OSError for one that is none, too large or too slow."""
         if response.getheader("Content-Encoding", "identity") != "identity":
             raise ValueError("it is compressed, which nobody asked for")
-        deadline = time.monotonic() + _LONGEST * self._timeout_s
+        deadline_ns = self._clock.monotonic_ns() + round(_LONGEST * self._timeout_s * 1e9)
         parser, target = self.getparser()
         size = 0
         while data := response.read1(65536):
             size += len(data)
             if size > MOST_ANSWER:
                 raise ValueError(f"it has more than {MOST_ANSWER} bytes")
-            if time.monotonic() > deadline:
+            if self._clock.monotonic_ns() > deadline_ns:
                 raise TimeoutError("it takes too long")
             parser.feed(data)
         response.close()  # read1() does not tell the connection that all has been read
@@ -60,9 +61,9 @@ class _Transport(xmlrpc.client.Transport):
         return target.close()
 
 
-def proxy(uri: str, timeout_s: float = _TIMEOUT_S) -> xmlrpc.client.ServerProxy:
+def proxy(uri: str, timeout_s: float = _TIMEOUT_S, clock: Clock = SYSTEM) -> xmlrpc.client.ServerProxy:
     """Return a proxy for one thread's use whose calls end after ``timeout_s`` seconds without news."""
-    return xmlrpc.client.ServerProxy(uri, transport=_Transport(timeout_s))
+    return xmlrpc.client.ServerProxy(uri, transport=_Transport(timeout_s, clock))
 
 
 def call(server: xmlrpc.client.ServerProxy, method: str, *arguments: Any) -> Any:
@@ -109,12 +110,13 @@ class Master:
         uri: Where the master is.
         caller: The full name of the calling node.
         timeout_s: How long a call may wait for an answer.
+        clock: Time.
     """
 
-    def __init__(self, uri: str, caller: str, timeout_s: float = _TIMEOUT_S) -> None:
+    def __init__(self, uri: str, caller: str, timeout_s: float = _TIMEOUT_S, clock: Clock = SYSTEM) -> None:
         self.uri = uri
         self._caller = caller
-        self._server = proxy(uri, timeout_s)
+        self._server = proxy(uri, timeout_s, clock)
 
     def register(self, direction: str, topic: str, type_name: str, node_uri: str) -> list[str]:
         """Register an endpoint, ``in`` or ``out``; return the URIs of the topic's publishers (for ``in``)."""

@@ -1,25 +1,22 @@
 """The two servers of a ROS 1 node: its XML-RPC interface and the port where subscribers connect.
 
-http://wiki.ros.org/ROS/Slave_API; rospy's own answer it, with what belongs to one node alone in
-place of rospy's state of the whole process.
+http://wiki.ros.org/ROS/Slave_API
 """
 
 from __future__ import annotations
 
 import contextlib
 import logging
+import os
 import socket
 import threading
+from collections.abc import Callable
 from typing import Any, Protocol
+from xmlrpc.server import SimpleXMLRPCDispatcher, SimpleXMLRPCRequestHandler
 
+from rosplc.clock import SYSTEM, Clock
 from rosplc.ros.rospy.address import Address, is_node_uri
-from rosplc.ros.rospy.debian import (
-    ROSHandler,
-    SilenceableXMLRPCRequestHandler,
-    TCPServer,
-    ThreadingXMLRPCServer,
-)
-from rosplc.ros.rospy.handshake import HandshakeError, read_header, write_header
+from rosplc.ros.rospy.handshake import HandshakeError, encode_header, read_header, ros1_name
 from rosplc.ros.rospy.inbound import Incoming
 from rosplc.ros.rospy.outbound import Outgoing
 
@@ -53,45 +50,42 @@ class Topics(Protocol):
         """Take the demand to shut down."""
 
 
-class _Handler(ROSHandler):  # type: ignore[misc]
-    """Every public method is callable by any node; so nothing here trusts its arguments."""
+class _Api:
+    """The Slave API: every public method is callable by any node; so nothing here trusts its arguments."""
 
-    def __init__(self, node: str, master: str, topics: Topics) -> None:
-        # Not rospy's own constructor: it would hand registration to a thread of rospy's.
-        self.masterUri = master
-        self.name = node
-        self.uri = ""
-        self.done = False
-        self.protocol_handlers: list[Any] = []
-        self.reg_man = None
-        self._topics = topics
-        self._place: tuple[str, int] = ("", 0)
+    def __init__(self, master: str, topics: Topics, place: tuple[str, int]) -> None:
+        self._master, self._topics, self._place = master, topics, place
 
-    def getBusStats(self, caller_id: str) -> tuple[int, str, list[Any]]:
+    def getBusStats(self, caller_id: object) -> tuple[int, str, list[Any]]:
         return 1, "", [[], [], []]
 
-    def getBusInfo(self, caller_id: str) -> tuple[int, str, list[Any]]:
-        out = [row for topic in self._topics.outgoing().values() for row in topic.info()]
-        into = [link.info() for t in self._topics.incoming().values() for link in t.links() if link.connected]
-        return 1, "bus info", [*out, *into]
+    def getBusInfo(self, caller_id: object) -> tuple[int, str, list[Any]]:
+        topics: list[Any] = [*self._topics.outgoing().values(), *self._topics.incoming().values()]
+        return 1, "bus info", [row for topic in topics for row in topic.info()]
 
-    def getSubscriptions(self, caller_id: str) -> tuple[int, str, list[Any]]:
-        return 1, "subscriptions", [[n, t.kind._type] for n, t in self._topics.incoming().items()]
+    def getMasterUri(self, caller_id: object) -> tuple[int, str, str]:
+        return 1, self._master, self._master
 
-    def getPublications(self, caller_id: str) -> tuple[int, str, list[Any]]:
-        return 1, "publications", [[n, t.kind._type] for n, t in self._topics.outgoing().items()]
+    def getPid(self, caller_id: object) -> tuple[int, str, int]:
+        return 1, "", os.getpid()
 
-    def paramUpdate(self, caller_id: str, key: object, value: object) -> tuple[int, str, int]:
+    def getSubscriptions(self, caller_id: object) -> tuple[int, str, list[Any]]:
+        return 1, "subscriptions", _types(self._topics.incoming())
+
+    def getPublications(self, caller_id: object) -> tuple[int, str, list[Any]]:
+        return 1, "publications", _types(self._topics.outgoing())
+
+    def paramUpdate(self, caller_id: object, key: object, value: object) -> tuple[int, str, int]:
         return -1, "not subscribed", 0
 
-    def publisherUpdate(self, caller_id: str, topic: object, publishers: object) -> tuple[int, str, int]:
+    def publisherUpdate(self, caller_id: object, topic: object, publishers: object) -> tuple[int, str, int]:
         if not isinstance(topic, str) or not isinstance(publishers, list):
             return -1, "a topic's name and a list of URIs are expected", 0
         self._topics.publishers_changed(topic, tuple(uri for uri in publishers if is_node_uri(uri)))
         return 1, "", 0
 
-    def requestTopic(self, caller_id: str, topic: object, protocols: object) -> tuple[int, str, list[Any]]:
-        if topic not in self._topics.outgoing():
+    def requestTopic(self, caller_id: object, topic: object, protocols: object) -> tuple[int, str, list[Any]]:
+        if not isinstance(topic, str) or topic not in self._topics.outgoing():
             return -1, f"Not a publisher of [{str(topic)[:256]}]", []
         wanted = protocols if isinstance(protocols, list) else []
         if not any(isinstance(each, list) and each[:1] == ["TCPROS"] for each in wanted):
@@ -104,8 +98,14 @@ class _Handler(ROSHandler):  # type: ignore[misc]
         return 1, "shutdown", 0
 
 
-class _Request(SilenceableXMLRPCRequestHandler):  # type: ignore[misc]
-    """rospy's, which believes any announced length."""
+def _types(topics: dict[str, Any]) -> list[list[str]]:
+    return [[name, ros1_name(topic.definition.type_name)] for name, topic in topics.items()]
+
+
+class _Request(SimpleXMLRPCRequestHandler):
+    """The standard library's, which believes any announced length."""
+
+    protocol_version = "HTTP/1.1"  # as rospy's: the connection is kept
 
     def do_POST(self) -> None:
         length = self.headers.get("Content-Length", "")
@@ -115,67 +115,85 @@ class _Request(SilenceableXMLRPCRequestHandler):  # type: ignore[misc]
             return
         super().do_POST()
 
+    def log_message(self, *_: object) -> None:
+        """Log nothing: a master calls every second."""
 
-class _SlaveServer(ThreadingXMLRPCServer):  # type: ignore[misc]
-    """rospy's server, which here also ends the connections that callers keep open."""
 
-    def __init__(self, bind: str) -> None:
-        self._connections: set[socket.socket] = set()
-        super().__init__((bind, 0), log_requests=0)
-        self.RequestHandlerClass = _Request
+class _Dispatcher(SimpleXMLRPCDispatcher):
+    """What a request handler asks of a server of the standard library."""
 
-    def process_request(self, request: socket.socket, client_address: Any) -> None:
-        if len(self._connections) >= MOST_CALLERS:
-            request.close()
-            return
-        self._connections.add(request)
-        super().process_request(request, client_address)
+    logRequests = _send_traceback_header = False
 
-    def shutdown_request(self, request: socket.socket) -> None:
-        self._connections.discard(request)
-        super().shutdown_request(request)
+
+class _Listener:
+    """Accepts connections; each is served in a thread of its own, so that a silent caller keeps none waiting.
+
+    Args:
+        bind: The address to listen at.
+        serve: Called with each connection.
+        most: Connections that are served at once; further ones are closed.
+        clock: Time.
+
+    Raises:
+        OSError: There is no such address here.
+    """
+
+    def __init__(self, bind: str, serve: Callable[[socket.socket], None], most: int, clock: Clock) -> None:
+        self._sock = socket.create_server((bind, 0), backlog=128)
+        self.port: int = self._sock.getsockname()[1]
+        self._serve, self._most, self._clock = serve, most, clock
+        self._open: set[socket.socket] = set()
+        self._closing = False
+        self._thread = threading.Thread(target=self._run, name="rosplc-listen", daemon=True)
+
+    def start(self) -> None:
+        """Begin to accept."""
+        self._thread.start()
+
+    def _run(self) -> None:
+        while not self._closing:
+            try:
+                sock, _ = self._sock.accept()
+            except OSError:  # closed, or out of files
+                if not self._closing:
+                    self._clock.sleep(100_000_000)
+                continue
+            if len(self._open) >= self._most:
+                sock.close()
+                continue
+            self._open.add(sock)
+            threading.Thread(target=self._work, args=(sock,), name="rosplc-serve", daemon=True).start()
+
+    def _work(self, sock: socket.socket) -> None:
+        try:
+            self._serve(sock)
+        except (HandshakeError, OSError) as error:
+            _logger.debug("a connection came to nothing: %s", error)
+            sock.close()
+        except Exception:
+            _logger.exception("a connection had an error")
+            sock.close()
+        finally:
+            self._open.discard(sock)
 
     def close(self) -> None:
-        """Stop serving."""
-        stopping = threading.Thread(target=self.shutdown, name="rosplc-stop", daemon=True)
-        stopping.start()
-        host, port = self.server_address[:2]
-        with contextlib.suppress(OSError):  # a connection ends its wait, which lasts half a second
-            socket.create_connection(("127.0.0.1" if host == "0.0.0.0" else host, port), 1.0).close()
-        stopping.join()
-        self.server_close()
-        for request in tuple(self._connections):
+        """Stop listening, and end what is being served."""
+        self._closing = True
+        for sock in (self._sock, *tuple(self._open)):
             with contextlib.suppress(OSError):
-                request.shutdown(socket.SHUT_RDWR)
-
-
-class _DataServer(TCPServer):  # type: ignore[misc]
-    """rospy's server for connections of subscribers, at an address of one node's own."""
-
-    def __init__(self, bind: str, serve: Any) -> None:
-        self._bind = bind
-        super().__init__(serve)
-
-    def _create_server_sock(self) -> socket.socket:
-        sock = socket.create_server((self._bind, 0), backlog=128)
-        self.addr, self.port = sock.getsockname()
-        return sock
-
-    def shutdown(self) -> None:
-        """Stop listening; closing alone would leave rospy's thread waiting for one more connection."""
-        self.is_shutdown = True
-        with contextlib.suppress(OSError):
-            self.server_sock.shutdown(socket.SHUT_RDWR)
-        self.server_sock.close()
+                sock.shutdown(socket.SHUT_RDWR)
+        self._sock.close()
+        if self._thread.is_alive() and threading.current_thread() is not self._thread:
+            self._thread.join(1.0)
 
 
 class Servers:
     """Both servers of one node, running.
 
     Args:
-        node: The node's full name.
         address: Where to listen, and what to tell others.
         topics: What is received and sent.
+        clock: Time.
 
     Attributes:
         uri: The URI of the node's XML-RPC interface, as the master is told.
@@ -184,63 +202,41 @@ class Servers:
         OSError: There is no such address here.
     """
 
-    def __init__(self, node: str, address: Address, topics: Topics) -> None:
-        self._topics = topics
-        self._greetings = threading.Semaphore(MOST_GREETINGS)
-        self._rpc = _SlaveServer(address.bind)
+    def __init__(self, address: Address, topics: Topics, clock: Clock = SYSTEM) -> None:
+        self._topics, self._clock = topics, clock
+        self.data = _Listener(address.bind, self._greet, MOST_GREETINGS, clock)
         try:
-            self._data = _DataServer(address.bind, self._serve)
+            self.rpc = _Listener(address.bind, self._answer, MOST_CALLERS, clock)
         except OSError:
-            self._rpc.server_close()
+            self.data.close()
             raise
-        self.uri = f"http://{address.host}:{self._rpc.server_address[1]}/"
-        handler = _Handler(node, address.master, topics)
-        handler.uri = self.uri
-        handler._place = (address.host, self._data.port)
-        self._rpc.register_multicall_functions()
-        self._rpc.register_instance(handler)
-        self._threads = [
-            threading.Thread(target=work, name=f"rosplc-{name}", daemon=True)
-            for name, work in (("rpc", self._rpc.serve_forever), ("tcpros", self._data.run))
-        ]
-        for thread in self._threads:
-            thread.start()
+        self.uri = f"http://{address.host}:{self.rpc.port}/"
+        self._api: Any = _Dispatcher()
+        self._api.register_multicall_functions()
+        self._api.register_instance(_Api(address.master, topics, (address.host, self.data.port)))
+        for listener in (self.data, self.rpc):
+            listener.start()
 
-    def _serve(self, sock: socket.socket, address: tuple[str, int]) -> None:
-        # In a thread of its own: a caller that says nothing must not keep others waiting.
-        if not self._greetings.acquire(blocking=False):
-            sock.close()
-            return
-        threading.Thread(target=self._greet, args=(sock, address), name="rosplc-greet", daemon=True).start()
+    def _answer(self, sock: socket.socket) -> None:
+        with sock:
+            _Request(sock, sock.getpeername(), self._api)
 
-    def _greet(self, sock: socket.socket, address: tuple[str, int]) -> None:
-        try:
-            sock.settimeout(_TIMEOUT_S)
-            header = read_header(sock, _TIMEOUT_S)
-            topic = self._topics.outgoing().get(header.get("topic", ""))
-            missing = [name for name in ("topic", "md5sum", "callerid") if name not in header]
-            if missing:
-                refusal = f"Missing required '{missing[0]}' field"
-            elif topic is None:
-                refusal = f"[{header['topic'][:256]}] is not published here"
-            else:
-                refusal = topic.accept(sock, address, header)
-            if refusal:
-                write_header(sock, {"error": refusal})
-                sock.close()
-        except (HandshakeError, OSError) as error:
-            _logger.debug("a connection from %s came to nothing: %s", address, error)
+    def _greet(self, sock: socket.socket) -> None:
+        sock.settimeout(_TIMEOUT_S)
+        header = read_header(sock, _TIMEOUT_S, self._clock)
+        topic = self._topics.outgoing().get(header.get("topic", ""))
+        missing = [name for name in ("topic", "md5sum", "callerid") if name not in header]
+        if missing:
+            refusal = f"Missing required '{missing[0]}' field"
+        elif topic is None:
+            refusal = f"[{header['topic'][:256]}] is not published here"
+        else:
+            refusal = topic.accept(sock, header)
+        if refusal:
+            sock.sendall(encode_header({"error": refusal}))
             sock.close()
-        except Exception:
-            _logger.exception("a connection from %s had an error", address)
-            sock.close()
-        finally:
-            self._greetings.release()
 
     def close(self) -> None:
         """Stop listening."""
-        self._data.shutdown()
-        self._rpc.close()
-        for thread in self._threads:
-            if thread is not threading.current_thread():
-                thread.join(1.0)
+        for listener in (self.data, self.rpc):
+            listener.close()

@@ -9,23 +9,23 @@ executed.
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from rosplc.clock import SYSTEM, Clock
 from rosplc.errors import BackendError
 from rosplc.model import TypeStore, save_definitions, split_definition
 from rosplc.ros.names import resolve_topic
 from rosplc.ros.rospy.address import is_node_uri, read_address
 from rosplc.ros.rospy.handshake import HandshakeError
-from rosplc.ros.rospy.inbound import WireType, handshake, request
+from rosplc.ros.rospy.inbound import ANY_TYPE, handshake, request
 from rosplc.ros.rospy.master import Master, RefusedError, UnreachableError
 
 __all__ = ["WireDefinition", "definition_on_wire", "save_definition"]
 
 _CALLER = "/rosplc_types"
-_PAUSE_S = 0.2
+_PAUSE_NS = 200_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +52,7 @@ class WireDefinition:
 
 
 def definition_on_wire(
-    topic: str, timeout_s: float = 5.0, *, environment: Mapping[str, str] | None = None
+    topic: str, timeout_s: float = 5.0, *, environment: Mapping[str, str] | None = None, clock: Clock = SYSTEM
 ) -> WireDefinition:
     """Ask a running publisher for a topic's type and definition.
 
@@ -60,6 +60,7 @@ def definition_on_wire(
         topic: The topic; a relative name stands in the root namespace.
         timeout_s: How long to wait for a publisher.
         environment: Variables to use in place of the process's own; ``ROS_MASTER_URI`` counts.
+        clock: Time.
 
     Raises:
         BackendError: ROS014 without a master, ROS017 if there is no publisher or what it says cannot
@@ -69,8 +70,8 @@ def definition_on_wire(
     """
     full = resolve_topic(topic)
     address = read_address(os.environ if environment is None else environment)
-    master = Master(address.master, _CALLER)
-    deadline = time.monotonic() + timeout_s
+    master = Master(address.master, _CALLER, clock=clock)
+    deadline_ns = clock.monotonic_ns() + round(timeout_s * 1e9)
     try:
         while True:
             trouble = f"nobody publishes {full}"
@@ -79,15 +80,15 @@ def definition_on_wire(
                 if not is_node_uri(uri):
                     continue
                 try:
-                    sock, header = handshake(request(uri, _CALLER, full), _CALLER, full, WireType)
+                    sock, header = handshake(request(uri, _CALLER, full), _CALLER, full, ANY_TYPE)
                 except (OSError, UnreachableError, RefusedError, HandshakeError) as error:
                     trouble = f"node {node} publishes {full}, but cannot be asked: {error}"
                     continue
                 sock.close()
                 return _checked(full, node, header)
-            if time.monotonic() >= deadline:
+            if clock.monotonic_ns() >= deadline_ns:
                 raise BackendError("ROS017", trouble)
-            time.sleep(_PAUSE_S)
+            clock.sleep(_PAUSE_NS)
     except UnreachableError as error:
         raise BackendError(
             "ROS014", f"the ROS master at {address.master} does not answer: {error}"

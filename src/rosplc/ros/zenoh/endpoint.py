@@ -6,66 +6,53 @@ The hot paths are :meth:`ZenohSubscription.arrived`, :meth:`ZenohSubscription.de
 
 from __future__ import annotations
 
-import logging
 import threading
 from collections import OrderedDict, deque
-from collections.abc import Callable
 from typing import Any
 
 import zenoh
 import zenoh.ext
 
-from rosplc.clock import SYSTEM, Clock
-from rosplc.ros._base import BaseEndpoint, BasePublisher, BaseSubscription, is_cdr
+from rosplc.ros._base import BaseEndpoint, BasePublisher, BaseSubscription, Problem, is_cdr
 from rosplc.ros.backend import OnMessage
-from rosplc.ros.zenoh.keys import Attachment, pack, topic_key, unpack
-from rosplc.ros.zenoh.tokens import Entity, gid_of
+from rosplc.ros.zenoh.keys import Attachment, Entity, fits, gid_of, pack, topic_key, unpack
 
 __all__ = ["ZenohPublisher", "ZenohSubscription"]
 
-_logger = logging.getLogger("rosplc.ros.zenoh")
-
 _HEARTBEAT_S = 0.5  # as rmw_zenoh's reliable and transient_local publishers
 _SENDERS = 1024  # publishers whose sequence numbers a subscription remembers
-_MOST_LOST = 1 << 20  # a larger step in the sequence is no loss but nonsense, and counting begins anew
-
-Diagnose = Callable[[Entity], tuple[int, str, str]]
-"""Returns how many peers match an endpoint, and code and words for what keeps others from it."""
+_MOST_LOST = 1 << 20  # a larger step in the sequence is no loss but nonsense, and counting begins again
 
 
 class _Endpoint(BaseEndpoint):
     """What both directions have in common.
 
     Args:
-        entity: What the endpoint's token says; the session's id is filled in by :meth:`declare`.
-        diagnose: Asked by :meth:`status`.
-        on_close: Called once, before the declarations are withdrawn.
-        clock: Time.
+        node: The backend.
+        entity: What the endpoint's token announces; the session's id is filled in by :meth:`declare`.
     """
 
-    logger = _logger
-
-    def __init__(
-        self, entity: Entity, diagnose: Diagnose, on_close: Callable[[Any], None], clock: Clock = SYSTEM
-    ) -> None:
+    def __init__(self, node: Any, entity: Entity) -> None:
         assert entity.qos is not None
-        super().__init__(entity.topic, entity.type_name, entity.qos, on_close, clock)
+        super().__init__(node, entity.topic, entity.type_name, entity.qos, entity.type_hash)
         self.entity = entity
         self._key = topic_key(entity.domain, entity.topic, entity.type_name, entity.type_hash)
-        self._diagnose = diagnose
         self._declared: list[Any] = []  # in the order in which they are withdrawn
 
+    def _peers(self) -> int:
+        return sum(fits(self.entity, theirs) for theirs in self._node.others(self.entity))
+
     def _matched(self) -> int:
-        return self._diagnose(self.entity)[0] if self._connected() else 0
+        return self._peers() if self._connected() else 0
 
     def _connected(self) -> bool:
         """Return whether messages take their way, and not the tokens alone."""
         return True
 
-    def _problem(self) -> tuple[str, str]:
-        matched, code, reason = self._diagnose(self.entity)
-        if matched and not self._connected():
-            reason = reason or "Zenoh is about to connect"
+    def _problem(self) -> Problem:
+        code, reason = super()._problem()
+        if not reason and self._peers() and not self._connected():
+            reason = "Zenoh is about to connect"
         return code, reason
 
     def declare(self, session: Any, entity: Entity) -> None:
@@ -95,7 +82,7 @@ class _Endpoint(BaseEndpoint):
             try:
                 one.undeclare()
             except zenoh.ZError as error:  # the session is gone already
-                _logger.debug("%s: %s", self.topic, error)
+                self._node.logger.debug("%s: %s", self.topic, error)
 
 
 def _read(sample: Any) -> tuple[bytes, Attachment]:
@@ -108,19 +95,15 @@ def _read(sample: Any) -> tuple[bytes, Attachment]:
     return payload, unpack(sample.attachment.to_bytes())
 
 
-class ZenohSubscription(_Endpoint, BaseSubscription):
+class ZenohSubscription(BaseSubscription, _Endpoint):
     """A topic being received; see :class:`rosplc.ros.backend.Subscription`.
 
     Threads of the library put messages into a queue of ``depth``, where the oldest give way; the
     backend's receive thread hands them over.
     """
 
-    def __init__(
-        self, on_message: OnMessage, wake: Callable[[ZenohSubscription], None], *arguments: Any
-    ) -> None:
-        super().__init__(*arguments)
-        self._on_message = on_message
-        self._wake = wake
+    def __init__(self, on_message: OnMessage, node: Any, entity: Entity) -> None:
+        super().__init__(on_message, node, entity)
         self._waiting: deque[tuple[bytes, int]] = deque()
         self._delivering = threading.RLock()  # re-entrant: on_message may close its own subscription
         self._sequences: OrderedDict[bytes, int] = OrderedDict()
@@ -155,7 +138,7 @@ class ZenohSubscription(_Endpoint, BaseSubscription):
                 self._waiting.popleft()
                 self._dropped += 1
                 return  # the receive thread knows of as many messages as wait
-        self._wake(self)
+        self._node.wake(self)
 
     def _count_missing(self, gid: bytes, sequence: int) -> None:
         """Count what a publisher sent and did not arrive; the sender drops it where a link is full."""
@@ -178,10 +161,6 @@ class ZenohSubscription(_Endpoint, BaseSubscription):
                 message = self._waiting.popleft()
             self._deliver(*message)
 
-    def _problem(self) -> tuple[str, str]:
-        code, reason = super()._problem()
-        return code, reason or self._refused()
-
     def close(self) -> None:
         """Stop receiving; after the return no callback runs or starts (unless called from it)."""
         super().close()
@@ -189,15 +168,15 @@ class ZenohSubscription(_Endpoint, BaseSubscription):
             self._waiting.clear()
 
 
-class ZenohPublisher(_Endpoint, BasePublisher):
+class ZenohPublisher(BasePublisher, _Endpoint):
     """A topic being sent; see :class:`rosplc.ros.backend.Publisher`.
 
-    Zenoh drops a message for a peer whose link is full and tells nobody: what ``dropped`` counts
+    Zenoh drops a message for a peer whose link is full without a report: what ``dropped`` counts
     here is only what the library refused. The receiving side sees the gap in the numbers.
     """
 
-    def __init__(self, *arguments: Any) -> None:
-        super().__init__(*arguments)
+    def __init__(self, node: Any, entity: Entity) -> None:
+        super().__init__(node, entity)
         self._zenoh: Any = None
         self._route: Any = None  # knows whether there is a subscriber; an "advanced" publisher does not
         self._asking = threading.Lock()  # the library's objects refuse to be withdrawn while they are asked
@@ -208,26 +187,24 @@ class ZenohPublisher(_Endpoint, BasePublisher):
 
     def _declare(self, session: Any) -> list[Any]:
         reliable = self.qos.reliability == "reliable"
-        # Never BLOCK, which rmw_zenoh uses for keep_all alone: one peer would stop every topic.
-        congestion = zenoh.CongestionControl.DROP
-        reliability = zenoh.Reliability.RELIABLE if reliable else zenoh.Reliability.BEST_EFFORT
+        how: dict[str, Any] = {
+            # Never BLOCK, which rmw_zenoh uses for keep_all alone: one peer would stop every topic.
+            "congestion_control": zenoh.CongestionControl.DROP,
+            "reliability": zenoh.Reliability.RELIABLE if reliable else zenoh.Reliability.BEST_EFFORT,
+        }
         publisher: Any
-        route: Any
         if self.qos.durability == "volatile":
-            publisher = route = session.declare_publisher(
-                self._key, congestion_control=congestion, reliability=reliability
-            )
+            publisher = route = session.declare_publisher(self._key, **how)
         else:
             route = session.declare_publisher(self._key)
             detection = zenoh.ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=_HEARTBEAT_S)
             publisher = zenoh.ext.declare_advanced_publisher(
                 session,
                 self._key,
-                congestion_control=congestion,
-                reliability=reliability,
                 cache=zenoh.ext.CacheConfig(self.qos.depth),
                 publisher_detection=True,
                 sample_miss_detection=detection if reliable else None,
+                **how,
             )
         with self._lock:
             self._zenoh, self._route, self._gid = publisher, route, gid_of(self.entity.token)

@@ -1,6 +1,10 @@
-"""What ``rmw_zenoh_cpp`` writes into keys, liveliness tokens and attachments: names, settings, stamps.
+"""What ``rmw_zenoh_cpp`` writes into keys, liveliness tokens and attachments.
 
 The conventions are those of its ``docs/design.md`` and ``liveliness_utils``.
+
+A token is a key: ``@ros2_lv/domain/session/node/entity/kind/enclave/namespace/name``, and for an endpoint
+``/topic/type/hash/qos`` behind it. Zenoh reports to all when one appears, and when its session is gone. What
+others write is not trusted: a token that ROS could not have written is refused here.
 
 Quality of service is ``reliability:durability:history,depth:deadline:lifespan:liveliness``, where the
 last three are ``seconds,nanoseconds`` (liveliness: ``kind,seconds,nanoseconds``). Numbers are
@@ -13,31 +17,59 @@ An attachment has 33 bytes in Zenoh's serialization format: ``int64`` sequence, 
 
 from __future__ import annotations
 
+import logging
 import re
 import struct
-from typing import NamedTuple
+import threading
+from dataclasses import dataclass, replace
+from typing import Any, Literal, NamedTuple
 
+import xxhash
+
+from rosplc.errors import BackendError
+from rosplc.ros import _base
+from rosplc.ros.backend import EndpointInfo, GraphInfo
+from rosplc.ros.names import join, validate_namespace, validate_node_name, validate_topic
 from rosplc.ros.qos import Durability, Qos, Reliability
 
 __all__ = [
-    "GID_SIZE",
+    "LONGEST_TOKEN",
+    "MOST_TOKENS",
     "NO_TYPE_HASH",
     "Attachment",
+    "Entity",
+    "Kind",
+    "TokenTable",
     "dds_type_name",
     "decode_qos",
-    "demangle",
     "encode_qos",
-    "mangle",
+    "explain",
+    "fits",
+    "gid_of",
     "pack",
+    "parse_token",
     "ros_type_name",
+    "tokens_of_domain",
     "topic_key",
     "unpack",
 ]
 
 NO_TYPE_HASH = "TypeHashNotSupported"
 """Stands for the type hash on Humble, which has none."""
+LONGEST_TOKEN = 2048
+"""Characters of a token; ROS' own names leave it far below."""
+MOST_TOKENS = 65_536
+"""Nodes and endpoints that are kept in mind; far above any real graph."""
+
+Kind = Literal["NN", "MP", "MS"]
+"""A node, a publisher, a subscription."""
 
 _DDS_TYPE = re.compile(r"(\w+)::(\w+)::dds_::(\w+)_\Z", re.ASCII)
+_TYPE = re.compile(r"[A-Za-z0-9_:/]{1,255}\Z")
+_HASH = re.compile(r"[A-Za-z0-9_]{1,128}\Z")
+_ID = re.compile(r"[A-Za-z0-9_.\-]{1,64}\Z")
+_SPACE = "@ros2_lv"
+_NODE_PARTS, _ENDPOINT_PARTS = 9, 13  # later releases may append more
 
 
 def dds_type_name(name: str) -> str:
@@ -53,26 +85,19 @@ def ros_type_name(name: str) -> str:
 
 
 def topic_key(domain: int, topic: str, type_name: str, type_hash: str) -> str:
-    """Return the key that a topic's messages are put on.
-
-    Args:
-        domain: The ROS domain.
-        topic: The absolute topic name.
-        type_name: The ROS type name.
-        type_hash: The type hash, or :data:`NO_TYPE_HASH`.
-    """
+    """Return the key that a topic's messages are put on."""
     return f"{domain}/{topic.strip('/')}/{dds_type_name(type_name)}/{type_hash}"
 
 
-def mangle(name: str) -> str:
-    """Return a name as one chunk of a key: ``/`` becomes ``%``, which no ROS name has."""
-    return name.replace("/", "%")
+def _mangle(name: str) -> str:
+    return name.replace("/", "%")  # which no ROS name has
 
 
-def demangle(chunk: str) -> str:
-    """Undo :func:`mangle`."""
+def _demangle(chunk: str) -> str:
     return chunk.replace("%", "/")
 
+
+# -- quality of service
 
 _BEST_EFFORT = "2"
 _TRANSIENT_LOCAL = "1"
@@ -91,11 +116,7 @@ def encode_qos(qos: Qos) -> str:
 
 
 def decode_qos(text: str) -> Qos:
-    """Read the settings of a token, of the short form or the long one.
-
-    Raises:
-        ValueError: It is neither.
-    """
+    """Read the settings of a token, of the short form or the long one; ValueError if it is neither."""
     parts = text.split(":")
     if len(parts) < 3:
         raise ValueError("the QoS has fewer than three parts")
@@ -110,19 +131,14 @@ def decode_qos(text: str) -> Qos:
     return Qos(reliability, durability, max(1, min(int(depth[:20] or _DEPTH), _LONGEST)))
 
 
-GID_SIZE = 16
+# -- attachments
 
-_FORMAT = struct.Struct(f"<qqB{GID_SIZE}s")
+_GID_SIZE = 16
+_FORMAT = struct.Struct(f"<qqB{_GID_SIZE}s")
 
 
 class Attachment(NamedTuple):
-    """The attachment of one message.
-
-    Attributes:
-        sequence: Counts the publisher's messages, from 1.
-        stamp_ns: When it was sent (ns since 1970, the sender's clock).
-        gid: The publisher's id.
-    """
+    """One message's attachment: its number, from 1; when it was sent (ns since 1970); the publisher's id."""
 
     sequence: int
     stamp_ns: int
@@ -131,20 +147,211 @@ class Attachment(NamedTuple):
 
 def pack(sequence: int, stamp_ns: int, gid: bytes) -> bytes:
     """Return the attachment's bytes."""
-    return _FORMAT.pack(sequence, stamp_ns, GID_SIZE, gid)
+    return _FORMAT.pack(sequence, stamp_ns, _GID_SIZE, gid)
 
 
 def unpack(data: bytes) -> Attachment:
-    """Read an attachment.
-
-    Raises:
-        ValueError: It is none, or its numbers make no sense.
-    """
+    """Read an attachment; ValueError if it is none, or its numbers make no sense."""
     if len(data) < _FORMAT.size:
         raise ValueError(f"the attachment has {len(data)} bytes, not {_FORMAT.size}")
     sequence, stamp_ns, size, gid = _FORMAT.unpack_from(data)
-    if size != GID_SIZE:
-        raise ValueError(f"the sender's id has {size} bytes, not {GID_SIZE}")
+    if size != _GID_SIZE:
+        raise ValueError(f"the sender's id has {size} bytes, not {_GID_SIZE}")
     if sequence < 0 or stamp_ns < 0:
         raise ValueError("sequence number or stamp is negative")
     return Attachment(sequence, stamp_ns, gid)
+
+
+# -- tokens
+
+
+@dataclass(frozen=True, slots=True)
+class Entity:
+    """What one token announces.
+
+    Attributes:
+        domain: The ROS domain.
+        session: The id of the Zenoh session.
+        node_id: Number of the node in its session.
+        entity_id: Number of the entity in its session; a node's own number if it is a node.
+        kind: What it is.
+        namespace: The node's namespace.
+        node: The node's base name.
+        topic: The absolute topic name; empty for a node.
+        type_name: The ROS type name; empty for a node.
+        type_hash: The type hash as the key has it (:data:`NO_TYPE_HASH` on Humble).
+        qos: The settings; None for a node.
+    """
+
+    domain: int
+    session: str
+    node_id: str
+    entity_id: str
+    kind: Kind
+    namespace: str
+    node: str
+    topic: str = ""
+    type_name: str = ""
+    type_hash: str = NO_TYPE_HASH
+    qos: Qos | None = None
+
+    @property
+    def full_name(self) -> str:
+        """The node's full name."""
+        return join(self.namespace, self.node)
+
+    @property
+    def info(self) -> EndpointInfo:
+        """The endpoint, with the type hash as it is."""
+        direction: Literal["in", "out"] = "out" if self.kind == "MP" else "in"
+        qos = self.qos or Qos()
+        return EndpointInfo(self.topic, self.type_name, direction, self.full_name, qos, self.type_hash)
+
+    @property
+    def token(self) -> str:
+        """The key of its token, as ``rmw_zenoh_cpp`` writes it."""
+        parts = [_SPACE, str(self.domain), self.session, self.node_id, self.entity_id, self.kind]
+        parts += [_mangle("/"), _mangle(self.namespace), self.node]
+        if self.qos is not None:
+            parts += [
+                _mangle(self.topic),
+                dds_type_name(self.type_name),
+                self.type_hash,
+                encode_qos(self.qos),
+            ]
+        return "/".join(parts)
+
+
+def tokens_of_domain(domain: int) -> str:
+    """Return the key expression of all tokens in a domain."""
+    return f"{_SPACE}/{domain}/**"
+
+
+def gid_of(token: str) -> bytes:
+    """Return an entity's 16-byte id: the XXH3 hash of its token, the low word first."""
+    return int(xxhash.xxh3_128_intdigest(token.encode())).to_bytes(16, "little")
+
+
+def parse_token(token: str) -> Entity | None:
+    """Read a token; None for the kinds that are no part of topics (services, clients).
+
+    Raises:
+        ValueError: It is not what a ROS node announces.
+    """
+    if len(token) > LONGEST_TOKEN:
+        raise ValueError(f"it has {len(token)} characters")
+    parts = token.split("/")
+    if len(parts) < _NODE_PARTS or parts[0] != _SPACE:
+        raise ValueError(f"it has {len(parts)} parts")
+    domain, session, node_id, entity_id, kind, _enclave, namespace, node = parts[1:_NODE_PARTS]
+    if kind in ("SS", "SC"):
+        return None
+    if not domain.isascii() or not domain.isdigit() or len(domain) > 10:
+        raise ValueError("its domain is no number")
+    if not all(map(_ID.match, (session, node_id, entity_id))):
+        raise ValueError("one of its ids is none")
+    details: tuple[Any, ...] = ()
+    try:
+        # Written by releases that leave the root namespace without its slash.
+        validate_namespace(namespace := _demangle(namespace) or "/")
+        validate_node_name(node := _demangle(node))
+        if kind != "NN":
+            if kind not in ("MP", "MS"):
+                raise ValueError("it is of no known kind")
+            if len(parts) < _ENDPOINT_PARTS:
+                raise ValueError("it names no topic")
+            topic, type_name, type_hash, qos = parts[_NODE_PARTS:_ENDPOINT_PARTS]
+            validate_topic(topic := _demangle(topic))
+            if not _TYPE.match(type_name := _demangle(type_name)) or not _HASH.match(type_hash):
+                raise ValueError("its type or type hash is none")
+            details = (topic, ros_type_name(type_name), type_hash, decode_qos(qos))
+    except BackendError as error:
+        raise ValueError(error.what) from error
+    return Entity(int(domain), session, node_id, entity_id, kind, namespace, node, *details)  # type: ignore[arg-type]
+
+
+# -- the graph
+
+
+class TokenTable:
+    """Every token that is alive; updated by threads of the library, read by any.
+
+    Attributes:
+        malformed: Tokens that were refused, those beyond :data:`MOST_TOKENS` too.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._entities: dict[str, Entity] = {}
+        self._by_topic: dict[tuple[str, Kind], dict[str, Entity]] = {}
+        self.malformed = 0
+
+    def appeared(self, token: str) -> str | None:
+        """Take in a token; return the topic concerned, if any."""
+        try:
+            entity = parse_token(token)
+        except ValueError as error:
+            with self._lock:
+                self.malformed += 1
+                level = logging.WARNING if self.malformed == 1 else logging.DEBUG
+            text = "a node announces itself with %.300r, which no ROS node would: %s"
+            logging.getLogger("rosplc.ros.zenoh").log(level, text, token, error)
+            return None
+        if entity is None:
+            return None
+        with self._lock:
+            if len(self._entities) >= MOST_TOKENS and token not in self._entities:
+                self.malformed += 1
+                return None
+            self._entities[token] = entity
+            if entity.kind != "NN":
+                self._by_topic.setdefault((entity.topic, entity.kind), {})[token] = entity
+        return entity.topic or None
+
+    def gone(self, token: str) -> str | None:
+        """Drop a token; return the topic concerned, if any."""
+        with self._lock:
+            entity = self._entities.pop(token, None)
+            if entity is None or entity.kind == "NN":
+                return None
+            others = self._by_topic[entity.topic, entity.kind]
+            others.pop(token, None)
+            if not others:
+                del self._by_topic[entity.topic, entity.kind]
+            return entity.topic
+
+    def on(self, topic: str, kind: Kind) -> tuple[Entity, ...]:
+        """Return the publishers (``MP``) or subscriptions (``MS``) of a topic, our own among them."""
+        with self._lock:
+            return tuple(self._by_topic.get((topic, kind), {}).values())
+
+    def clear(self) -> None:
+        """Forget everything."""
+        with self._lock:
+            self._entities.clear()
+            self._by_topic.clear()
+
+    def graph(self, own: str) -> GraphInfo:
+        """Return the graph without the entities of one session, our own."""
+        with self._lock:
+            others = [entity for entity in self._entities.values() if entity.session != own]
+        infos = [entity.info for entity in others if entity.qos is not None]
+        infos = [replace(one, type_hash="") if one.type_hash == NO_TYPE_HASH else one for one in infos]
+        return _base.graph_info((entity.full_name for entity in others if entity.kind == "NN"), infos)
+
+
+def fits(ours: Entity, theirs: Entity) -> bool:
+    """Return whether two endpoints on one topic exchange messages: a message's key has type and hash."""
+    return (theirs.type_name, theirs.type_hash) == (ours.type_name, ours.type_hash)
+
+
+def explain(ours: Entity, theirs: Entity) -> _base.Problem | None:
+    """Return code and words for what is wrong or doubtful between two endpoints on one topic.
+
+    Reliability and durability keep no endpoints apart, as with ``rmw_zenoh_cpp``; but a subscriber may be
+    promised less than it asks for: the code is empty then. None if all is well.
+    """
+    problem = _base.explain(theirs.info, ours.info)
+    if problem is None or problem[0] != "ROS004":
+        return problem
+    return "", f"{problem[1]}; over Zenoh messages are exchanged nevertheless"

@@ -1,4 +1,4 @@
-"""The session with Zenoh: opened as soon as it can be, and whether a router is there.
+"""The session with Zenoh: opened as soon as it can be, and whether a router is reached.
 
 A peer's session opens at once, and the library connects in the background, again and again. A
 client's opens only where a router answers; so that the bridge starts in any order, a thread
@@ -14,6 +14,7 @@ from typing import Any
 
 import zenoh
 
+from rosplc.clock import Clock
 from rosplc.errors import BackendError
 from rosplc.ros.zenoh.config import SessionConfig, words
 
@@ -21,8 +22,8 @@ __all__ = ["Link"]
 
 _logger = logging.getLogger("rosplc.ros.zenoh")
 
-_RETRY_S = 1.0
-_PATIENCE_S = 2.0  # a router on this machine or next to it answers sooner
+_RETRY_NS = 1_000_000_000
+_PATIENCE_NS = 2_000_000_000  # a router on this machine or next to it answers sooner
 
 
 class Link:
@@ -31,21 +32,20 @@ class Link:
     Args:
         config: How.
         on_open: Called with the session, from :meth:`start` or from a thread of its own.
+        clock: Time.
 
     Attributes:
-        trouble: In words, why nobody can be reached; empty if somebody can.
+        trouble: In words, why no other node can be reached; empty if some can.
     """
 
-    def __init__(self, config: SessionConfig, on_open: Callable[[Any], None]) -> None:
-        self._config = config
-        self._on_open = on_open
+    def __init__(self, config: SessionConfig, on_open: Callable[[Any], None], clock: Clock) -> None:
+        self._config, self._on_open, self._clock = config, on_open, clock
         self._lock = threading.Lock()
         self._ended = threading.Event()
         self._tried = threading.Event()
         self._thread: threading.Thread | None = None
         self._session: Any = None
         self._seen = False  # whether there has been a router
-        self._said = ""
         self._refusal = ""
         self.trouble = ""
 
@@ -58,44 +58,40 @@ class Link:
         if self._config.mode == "client":
             self._thread = threading.Thread(target=self._keep_trying, name="rosplc-zenoh-open", daemon=True)
             self._thread.start()
-            self._tried.wait(_PATIENCE_S)
-        else:
-            try:
-                self._adopt(zenoh.open(self._config.config))
-            except zenoh.ZError as error:
-                raise BackendError("ROS002", f"Zenoh does not open a session: {words(error)}") from error
+            self._clock.wait(self._tried, _PATIENCE_NS)
+        elif not self._open() or self._refusal:
+            raise BackendError("ROS002", f"Zenoh does not open a session: {self._refusal}")
         self.look()
 
     def _keep_trying(self) -> None:
-        while True:
-            try:
-                self._adopt(zenoh.open(self._config.config))
-            except zenoh.ZError as error:
-                self._refusal = words(error)
-            else:
-                self._refusal = ""
-            self._tried.set()
-            if self._session is not None or self._ended.wait(_RETRY_S):
-                return
+        while not self._open() and not self._clock.wait(self._ended, _RETRY_NS):
+            pass
 
-    def _adopt(self, session: Any) -> None:
-        with self._lock:
-            if not self._ended.is_set():
-                self._session = session
-        if self._session is None:
-            session.close()
+    def _open(self) -> bool:
+        try:
+            session: Any = zenoh.open(self._config.config)
+            with self._lock:
+                if not self._ended.is_set():
+                    self._session = session
+            if self._session is None:
+                session.close()
+            else:
+                self._on_open(session)
+        except zenoh.ZError as error:
+            self._refusal = words(error)
         else:
-            self._on_open(session)
+            self._refusal = ""
+        self._tried.set()
+        return self._session is not None
 
     def look(self) -> None:
-        """Find out whether somebody is connected, and say in the log when that changes."""
-        self.trouble = self._diagnose()
-        if self.trouble != self._said:
-            self._said = self.trouble
-            if self.trouble:
-                _logger.warning("%s [ROS016]%s", self.trouble, f" ({self._refusal})" if self._refusal else "")
-            else:
-                _logger.info("connected to %s", " or ".join(self._config.endpoints))
+        """Find out whether another node is connected, and log when that changes."""
+        trouble = self._diagnose()
+        if trouble and trouble != self.trouble:
+            _logger.warning("%s [ROS016]%s", trouble, f" ({self._refusal})" if self._refusal else "")
+        elif trouble != self.trouble:
+            _logger.info("connected to %s", " or ".join(self._config.endpoints))
+        self.trouble = trouble
 
     def _diagnose(self) -> str:
         where = " or ".join(self._config.endpoints)
@@ -120,7 +116,7 @@ class Link:
         with self._lock:
             self._ended.set()
         if self._thread is not None and self._thread is not threading.current_thread():
-            self._thread.join(_PATIENCE_S)  # what opens later is closed at once
+            self._thread.join(_PATIENCE_NS / 1e9)  # what opens later is closed at once
         if self._session is not None:
             try:
                 self._session.close()

@@ -1,0 +1,165 @@
+"""The node's registration with the master: made, watched, and made again.
+
+rospy registers once and believes that it stays so. A master that was restarted knows no node; rospy's
+nodes then talk only to those that they know and are invisible to all others. Here the master is
+asked every second what it knows, and told what it lacks.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+from rosplc.ros.rospy.handshake import ros1_name
+from rosplc.ros.rospy.inbound import Incoming
+from rosplc.ros.rospy.master import Master, RefusedError, SystemState, UnreachableError
+from rosplc.ros.rospy.outbound import Outgoing
+
+__all__ = ["Key", "Registration"]
+
+_logger = logging.getLogger("rosplc.ros.rospy")
+
+_TICK_NS = 250_000_000
+_PERIOD_NS = 1_000_000_000
+_SHARE = 50  # the watch takes at most this part of the time, however large the graph
+
+Key = tuple[str, str]
+"""Direction (``in`` or ``out``) and topic."""
+
+
+class Registration:
+    """A thread that keeps the master's knowledge of one node right.
+
+    Args:
+        node: The backend.
+        master: The master's URI.
+
+    Attributes:
+        trouble: Why the master cannot be reached, in words; empty if it can.
+        state: What the master knew when it was last asked.
+    """
+
+    def __init__(self, node: Any, master: str) -> None:
+        self.trouble = ""
+        self.state = SystemState()
+        self._node, self._clock = node, node.clock
+        self._master = Master(master, node.node, clock=node.clock)
+        self._registered: dict[Key, Incoming | Outgoing] = {}
+        self._due_ns = 0
+        self._wake = threading.Event()
+        self._closing = False
+        self._thread = threading.Thread(target=self._run, name="rosplc-master", daemon=True)
+        self._thread.start()
+
+    def wake(self) -> None:
+        """Make the thread look at the topics now."""
+        self._wake.set()
+
+    def close(self) -> None:
+        """End; the master is told that the node leaves, if it answers."""
+        self._closing = True
+        self._wake.set()
+        if threading.current_thread() is not self._thread:
+            self._thread.join(5.0)
+        if not self.trouble and not self._thread.is_alive():
+            # By URI: the master leaves a newer node of our name alone.
+            with contextlib.suppress(UnreachableError, RefusedError):
+                for direction, topic in self._registered:
+                    self._master.unregister(direction, topic, self._node.uri)
+        self._registered = {}
+        self._master.close()
+
+    def _run(self) -> None:
+        while not self._closing:
+            self._clock.wait(self._wake, _TICK_NS)
+            self._wake.clear()
+            if self._closing:
+                return
+            try:
+                self._turn()
+            except Exception:  # a defect; but the node has to stay registered
+                _logger.exception("looking after node %s had an error", self._node.node)
+                self._clock.sleep(500_000_000)
+
+    def _turn(self) -> None:
+        wanted: dict[Key, Incoming | Outgoing] = self._node.topics()
+        now = self._clock.monotonic_ns()
+        if not self.trouble or now >= self._due_ns:
+            try:
+                if now >= self._due_ns:
+                    self._watch(wanted)
+                self._settle(wanted)
+            except UnreachableError as error:
+                self._lost(str(error))
+        for topic in wanted.values():
+            topic.update()
+
+    def _watch(self, wanted: dict[Key, Incoming | Outgoing]) -> None:
+        node, uri = self._node.node, self._master.uri
+        start, busy = self._clock.monotonic_ns(), time.thread_time_ns()
+        self._due_ns = start + _PERIOD_NS
+        self.state = self._master.state(self.state)
+        lacks = [key for key in self._registered if node not in self._known(*key)]
+        if lacks and node in self.state.nodes:
+            other = self._master.node_uri(node)
+            if other and other != self._node.uri:
+                self._node.moved(other)
+                return
+        for key in lacks:
+            del self._registered[key]
+        if self.trouble:
+            _logger.info("the ROS master at %s answers; node %s registers", uri, node)
+            self.trouble = ""
+        elif lacks:
+            _logger.warning(
+                "the ROS master at %s had forgotten %d topics of node %s (it was restarted, or they were "
+                "removed); they are registered again",
+                uri,
+                len(lacks),
+                node,
+            )
+        for key, topic in wanted.items():
+            if isinstance(topic, Outgoing):
+                named = self._known("in", topic.topic)
+                for stranger, (since, _) in list(topic.strangers.items()):
+                    # One that came after the master was asked is missing in the answer by right.
+                    if stranger not in named and since < start:
+                        topic.strangers.pop(stranger, None)
+            elif len(self._known("out", topic.topic)) != len(topic.publishers):
+                self._registered.pop(key, None)  # a notice was missed: registering again tells who there is
+        self._due_ns = max(self._due_ns, start + _SHARE * (time.thread_time_ns() - busy))
+
+    def _known(self, direction: str, topic: str) -> frozenset[str]:
+        table = self.state.subscribers if direction == "in" else self.state.publishers
+        return table.get(topic, frozenset())
+
+    def _settle(self, wanted: dict[Key, Incoming | Outgoing]) -> None:
+        uri = self._node.uri
+        for key in [key for key, topic in self._registered.items() if wanted.get(key) is not topic]:
+            self._ask(self._master.unregister, *key, uri)
+            del self._registered[key]
+        for key, topic in wanted.items():
+            if key not in self._registered and not self._closing:
+                kind = ros1_name(topic.definition.type_name)
+                publishers = self._ask(self._master.register, *key, kind, uri)
+                self._registered[key] = topic
+                if isinstance(topic, Incoming) and publishers is not None:
+                    topic.publishers = tuple(publishers)
+
+    def _ask(self, method: Callable[..., Any], *arguments: Any) -> Any:
+        try:
+            return method(*arguments)
+        except RefusedError as error:
+            _logger.warning("the ROS master refuses %s: %s", arguments[:2], error)
+            return None
+
+    def _lost(self, why: str) -> None:
+        text = f"the ROS master at {self._master.uri} does not answer ({why})"
+        if not self.trouble:
+            _logger.warning("%s; node %s keeps trying", text, self._node.node)
+        self.trouble = text
+        self._due_ns = self._clock.monotonic_ns() + _PERIOD_NS
