@@ -56,34 +56,22 @@ def joints(at: float) -> dict[str, Any]:
     }
 
 
+def xyz(x: float, y: float, z: float) -> dict[str, float]:
+    return {"x": x, "y": y, "z": z}
+
+
 def pose(at: float) -> dict[str, Any]:
     half = swing(at, 9, 0.6)
-    return {
-        "header": header(at, "world"),
-        "pose": {
-            "position": {
-                "x": 0.62 + swing(at, 8, 0.21),
-                "y": swing(at, 6, 0.34),
-                "z": 0.41 + abs(swing(at, 4, 0.12)),
-            },
-            "orientation": {"x": 0.0, "y": 0.0, "z": math.sin(half), "w": math.cos(half)},
-        },
-    }
+    position = xyz(0.62 + swing(at, 8, 0.21), swing(at, 6, 0.34), 0.41 + abs(swing(at, 4, 0.12)))
+    turned = {"x": 0.0, "y": 0.0, "z": math.sin(half), "w": math.cos(half)}
+    return {"header": header(at, "world"), "pose": {"position": position, "orientation": turned}}
 
 
 def wrench(at: float) -> dict[str, Any]:
     pressed = max(0.0, swing(at, 5)) ** 3
-    return {
-        "header": header(at, "tool0"),
-        "wrench": {
-            "force": {
-                "x": random.gauss(0, 0.3),
-                "y": random.gauss(0, 0.3),
-                "z": -42 * pressed + random.gauss(0, 0.5),
-            },
-            "torque": {"x": random.gauss(0, 0.02), "y": random.gauss(0, 0.02), "z": 1.4 * pressed},
-        },
-    }
+    force = xyz(random.gauss(0, 0.3), random.gauss(0, 0.3), -42 * pressed + random.gauss(0, 0.5))
+    torque = xyz(random.gauss(0, 0.02), random.gauss(0, 0.02), 1.4 * pressed)
+    return {"header": header(at, "tool0"), "wrench": {"force": force, "torque": torque}}
 
 
 def scan(at: float) -> dict[str, Any]:
@@ -93,15 +81,10 @@ def scan(at: float) -> dict[str, Any]:
         min(wall, 1.1 + 0.05 * abs(each - person)) if abs(each - person) < 5 else wall
         for each, wall in enumerate(walls)
     ]
-    return {
-        "header": header(at, "scanner"),
-        "angle_min": -2.3,
-        "angle_max": 2.3,
-        "angle_increment": 4.6 / BEAMS,
-        "range_min": 0.05,
-        "range_max": 12.0,
-        "ranges": [distance + random.gauss(0, 0.01) for distance in ranges],
-    }
+    angles = {"angle_min": -2.3, "angle_max": 2.3, "angle_increment": 4.6 / BEAMS}
+    measured = [distance + random.gauss(0, 0.01) for distance in ranges]
+    bounds = {"range_min": 0.05, "range_max": 12.0}
+    return {"header": header(at, "scanner"), **angles, **bounds, "ranges": measured}
 
 
 def temperature(at: float) -> dict[str, Any]:

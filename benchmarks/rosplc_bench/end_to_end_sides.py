@@ -23,6 +23,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -73,15 +74,12 @@ class Kind:
 
     def leaf(self, path: str, number: int) -> Any:
         """Return what message ``number`` holds at ``path``."""
-        last = path.rpartition(".")[2]
-        if last == "frame_id":
-            return f"frame {number}"
-        if last == "sec":
-            return number
-        if last == "nanosec":
-            return number * 1000
-        if last == "name":
-            return [f"joint_{index}" for index in range(self.length)]
+        last = _last(path)
+        if last in _WORDS:
+            named = [f"joint_{index}" for index in range(self.length)]
+            return {"frame_id": f"frame {number}", "sec": number, "nanosec": number * 1000, "name": named}[
+                last
+            ]
         place = self.paths.index(path)
         if self.length:
             return [number + _fraction(place * self.length + index) for index in range(self.length)]
@@ -138,6 +136,15 @@ class Kind:
         return sum(self.length if path == "name" else path.endswith("frame_id") for path in self.paths)
 
 
+_WORDS = {"sec": "Int32", "nanosec": "UInt32", "frame_id": "String", "name": "String"}
+"""Leaves that are no floating-point numbers, with their OPC UA types."""
+_STRINGS = ("frame_id", "name")
+
+
+def _last(path: str) -> str:
+    return path.rpartition(".")[2]
+
+
 def _fraction(place: int) -> float:
     """Return a fraction that no float32 holds, different at each place, away from 0 and 1."""
     return 0.1 + 0.8 * ((place * 0.6180339887498949) % 1.0)
@@ -145,16 +152,14 @@ def _fraction(place: int) -> float:
 
 def _numbers(path: str, value: Any) -> set[int]:
     """Return the message numbers that a leaf speaks of; empty if it carries none."""
-    last = path.rpartition(".")[2]
+    last = _last(path)
     if value is None or last == "name":
         return set()
     if last == "frame_id":
         words = value.split()
         return {int(words[1])} if len(words) == 2 else set()
-    if last == "sec":
-        return {int(value)}
-    if last == "nanosec":
-        return {int(value) // 1000}
+    if last in _WORDS:
+        return {int(value) // (1000 if last == "nanosec" else 1)}
     return {math.floor(item) for item in (value if isinstance(value, (list, tuple)) else (value,))}
 
 
@@ -196,20 +201,15 @@ KINDS: Mapping[str, Kind] = {
 
 
 def _format(kind: Kind) -> str:
-    text = ">"
-    for path in kind.paths:
-        last = path.rpartition(".")[2]
-        if last in ("frame_id", "name"):
-            continue
-        text += {"sec": "i", "nanosec": "I"}.get(last, f"{kind.length or 1}f")
-    return text
+    formats = {"sec": "i", "nanosec": "I"} | dict.fromkeys(_STRINGS, "")
+    return ">" + "".join(formats.get(_last(path), f"{kind.length or 1}f") for path in kind.paths)
 
 
 def pack_registers(kind: Kind, leaves: Sequence[Any]) -> list[int]:
     """Return the registers of a message."""
     numbers: list[Any] = []
     for path, value in zip(kind.paths, leaves, strict=True):
-        if path.rpartition(".")[2] not in ("frame_id", "name"):
+        if _last(path) not in _STRINGS:
             numbers.extend(value if isinstance(value, list) else (value,))
     data = struct.pack(_format(kind), *numbers)
     return list(struct.unpack(f">{len(data) // 2}H", data))
@@ -220,11 +220,10 @@ def unpack_registers(kind: Kind, registers: Sequence[int]) -> list[Any]:
     data = struct.pack(f">{len(registers)}H", *registers)
     numbers = iter(struct.unpack(_format(kind), data))
     leaves: list[Any] = []
-    for path in kind.paths:
-        last = path.rpartition(".")[2]
-        if last in ("frame_id", "name"):
+    for last in map(_last, kind.paths):
+        if last in _STRINGS:
             leaves.append(None)
-        elif kind.length and last not in ("sec", "nanosec"):
+        elif kind.length and last not in _WORDS:
             leaves.append([next(numbers) for _ in range(kind.length)])
         else:
             leaves.append(next(numbers))
@@ -367,12 +366,11 @@ class Rosplc:
 
     def __init__(self, place: tuple[str, str]) -> None:
         prefix, directory = place
-        self._reads: dict[str, ReadBlock] = {}
-        self._writes: dict[str, WriteBlock] = {}
-        for name in KINDS:
-            forth, back = f"/e2e/rosplc/{name}/to_plc", f"/e2e/rosplc/{name}/to_ros"
-            self._reads[name] = ReadBlock(forth, prefix=prefix, directory=directory)
-            self._writes[name] = WriteBlock(back, prefix=prefix, directory=directory)
+        ways = {name: topics("rosplc", name) for name in KINDS}
+        read = partial(ReadBlock, prefix=prefix, directory=directory)
+        write = partial(WriteBlock, prefix=prefix, directory=directory)
+        self._reads = {name: read(forth) for name, (forth, _) in ways.items()}
+        self._writes = {name: write(back) for name, (_, back) in ways.items()}
 
     def read(self, kind: Kind) -> Sequence[Any] | None:
         """Call the Read block."""
@@ -463,15 +461,13 @@ class OpcUa:
 
 def variant_name(path: str) -> str:
     """Return the OPC UA type of a leaf."""
-    names = {"sec": "Int32", "nanosec": "UInt32", "frame_id": "String", "name": "String"}
-    return names.get(path.rpartition(".")[2], "Double")
+    return _WORDS.get(_last(path), "Double")
 
 
 def _zero(kind: Kind) -> list[Any]:
     zeros: dict[str, Any] = {"sec": 0, "nanosec": 0, "frame_id": "", "name": [""] * kind.length}
-    return [
-        zeros.get(path.rpartition(".")[2], [0.0] * kind.length if kind.length else 0.0) for path in kind.paths
-    ]
+    number: Any = [0.0] * kind.length if kind.length else 0.0
+    return [zeros.get(_last(path), number) for path in kind.paths]
 
 
 class Program:
@@ -526,10 +522,6 @@ class Node:
         self.kind = KINDS["Twist"]
         self.on_news: Callable[[], None] = lambda: None
 
-    def use(self, kind: Kind) -> None:
-        """Carry another type from now on."""
-        self.kind = kind
-
     def _receiver(self, name: str) -> Callable[[bytes, int], None]:
         def on_message(data: bytes, _stamp_ns: int) -> None:
             with self._lock:
@@ -557,10 +549,7 @@ class Node:
 
 def _filled(kind: Kind, leaves: list[Any]) -> list[Any]:
     """Put something in place of what was not carried."""
-    return [
-        value if value is not None else [""] * kind.length if path == "name" else ""
-        for path, value in zip(kind.paths, leaves, strict=True)
-    ]
+    return [zero if value is None else value for zero, value in zip(_zero(kind), leaves, strict=True)]
 
 
 def modbus(node: Node, port: int, stop: threading.Event, ready: Callable[[], None]) -> None:
@@ -672,15 +661,13 @@ def run_bridge(plan: dict[str, Any], method: str) -> None:
         rosplc_bridge(plan)
         return
     logging.disable(logging.WARNING)
-    node = Node(method, plan["domain"])
-    stop = threading.Event()
-    carry = {"modbus": modbus, "opcua": opcua}[method]
+    node, stop = Node(method, plan["domain"]), threading.Event()
     failed: list[BaseException] = []
     connected = threading.Event()
 
     def run() -> None:
         try:
-            carry(node, plan["where"], stop, connected.set)
+            {"modbus": modbus, "opcua": opcua}[method](node, plan["where"], stop, connected.set)
         except BaseException as error:
             failed.append(error)
             connected.set()
@@ -688,14 +675,15 @@ def run_bridge(plan: dict[str, Any], method: str) -> None:
     worker = threading.Thread(target=run, daemon=True)
     worker.start()
     connected.wait()
+    if not failed:
+        reply(ready=True)
+        for request in requests():
+            node.kind = KINDS[request["kind"]]
+            if failed:
+                break
+            reply()
     if failed:
         raise failed[0]
-    reply(ready=True)
-    for request in requests():
-        node.use(KINDS[request["kind"]])
-        if failed:
-            raise failed[0]
-        reply()
     stop.set()
     worker.join(2)
 

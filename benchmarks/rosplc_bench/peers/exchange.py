@@ -127,7 +127,7 @@ def serve(side: str, transport: Transport) -> None:
     for request in read_requests():
         phase_ns = request.period_ns // 2 if side == "B" else 0
         transport.begin()
-        exchange = _EXCHANGES.get(request.wait, _exchange_cyclic)(transport, request.period_ns, phase_ns)
+        exchange = _exchange(transport, request, phase_ns)
         if request.verb == "answer":
             report("answering")
             exchange(request.numbers[0], False)
@@ -143,44 +143,40 @@ Exchange: TypeAlias = Callable[[int, bool], list[int]]
 """Runs so many cycles, as A (True: sends first, and returns the clock after each) or as B."""
 
 
-def _ones() -> Numbers:
-    # An array and not a scalar: numpy would convert a scalar each time, which takes as long as the addition.
-    return np.ones(COUNT, dtype=np.uint16)
-
-
-def _exchange_spinning(transport: Transport, period_ns: int, phase_ns: int) -> Exchange:
+def _exchange(transport: Transport, request: Request, phase_ns: int) -> Exchange:
+    """Return the loop of one way to wait; each is written out, so that no frame but the calls is measured."""
     operations, record, values = transport.operations(), transport.record, transport.values
     send, poll, now = operations.send, operations.poll, time.perf_counter_ns
-    add, ones = np.add, _ones()
-
-    def exchange(count: int, first: bool) -> list[int]:
-        clock = [now()]
-        note = clock.append
-        if first:
-            for _ in range(count):
-                send(record)
-                while not poll(record):
-                    pass
-                add(values, ones, values)
-                note(now())
-        else:
-            for _ in range(count):
-                while not poll(record):
-                    pass
-                add(values, ones, values)
-                send(record)
-        return clock
-
-    return exchange
-
-
-def _exchange_blocking(transport: Transport, period_ns: int, phase_ns: int) -> Exchange:
-    operations, record, values = transport.operations(), transport.record, transport.values
-    send, poll, now = operations.send, operations.poll, time.perf_counter_ns
-    add, ones = np.add, _ones()
     wake, wait = operations.wake, operations.wait
+    # An array and not a scalar: numpy would convert a scalar each time, which takes as long as the addition.
+    add, ones = np.add, np.ones(COUNT, dtype=np.uint16)
+    cyclic = request.wait == "cycle"
 
-    def exchange(count: int, first: bool) -> list[int]:
+    def pause() -> None:
+        if cyclic:
+            time.sleep(ticks_ahead(request.period_ns, phase_ns))
+        else:
+            os.sched_yield()  # time.sleep(0) would cost the timer's slack
+
+    def spinning(count: int, first: bool) -> list[int]:
+        clock = [now()]
+        note = clock.append
+        if first:
+            for _ in range(count):
+                send(record)
+                while not poll(record):
+                    pass
+                add(values, ones, values)
+                note(now())
+        else:
+            for _ in range(count):
+                while not poll(record):
+                    pass
+                add(values, ones, values)
+                send(record)
+        return clock
+
+    def blocking(count: int, first: bool) -> list[int]:
         clock = [now()]
         note = clock.append
         if first:
@@ -202,49 +198,23 @@ def _exchange_blocking(transport: Transport, period_ns: int, phase_ns: int) -> E
                 wake()
         return clock
 
-    return exchange
-
-
-def _exchange_cyclic(transport: Transport, period_ns: int, phase_ns: int) -> Exchange:
-    def to_tick() -> None:
-        time.sleep(ticks_ahead(period_ns, phase_ns))
-
-    return _exchange_pausing(transport, to_tick, before=True)
-
-
-def _exchange_yielding(transport: Transport, period_ns: int, phase_ns: int) -> Exchange:
-    # time.sleep(0) would cost the timer's slack
-    return _exchange_pausing(transport, os.sched_yield, before=False)
-
-
-def _exchange_pausing(transport: Transport, pause: Callable[[], object], *, before: bool) -> Exchange:
-    operations, record, values = transport.operations(), transport.record, transport.values
-    send, poll, now = operations.send, operations.poll, time.perf_counter_ns
-    add, ones = np.add, _ones()
-
-    def receive() -> None:
-        if before:
-            pause()
-        while not poll(record):
-            pause()
-        add(values, ones, values)
-
-    def exchange(count: int, first: bool) -> list[int]:
+    def pausing(count: int, first: bool) -> list[int]:
         clock = [now()]
         for _ in range(count):
             if first:
                 send(record)
-                receive()
+            if cyclic:
+                pause()
+            while not poll(record):
+                pause()
+            add(values, ones, values)
+            if first:
                 clock.append(now())
             else:
-                receive()
                 send(record)
         return clock
 
-    return exchange
-
-
-_EXCHANGES = {"spin": _exchange_spinning, "block": _exchange_blocking, "yield": _exchange_yielding}
+    return {"spin": spinning, "block": blocking}.get(request.wait, pausing)
 
 
 def _measure(

@@ -9,7 +9,7 @@ import pytest
 
 import rosplc
 from rosplc import ChannelError, Direction, LayoutError
-from rosplc.described import description_of
+from rosplc.described import described_layout, description_of
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.shm import Description, OwnedChannel
@@ -303,6 +303,8 @@ def test_a_hostile_description_is_refused(bridge, attach, shm_namespace):
         bridge="test",
         definition="int32 data",
     )
+    with pytest.raises(ChannelError, match="SHM113"):
+        described_layout(description)
     with (
         OwnedChannel.open(shm_namespace, description, record_size=4),
         pytest.raises(ChannelError, match="SHM113"),
