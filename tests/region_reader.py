@@ -142,6 +142,8 @@ class StaticReader:
         if head in (0, self.last) or (self.last and self._distance(head, self.last) < n):
             return None
         ahead = self._distance(self.last, head)
+        if ahead == 0:
+            return None
         broken = ahead >= 2**31
         wanted = head
         if order == "in_order" and not broken:

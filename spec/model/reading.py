@@ -25,6 +25,8 @@ def _wanted(config: Config, reader: Reader, h: int) -> int:
     if config.behind_check and last and distance(h, last, n, modulus) < n:
         return -1
     ahead = distance(last, h, n, modulus)
+    if ahead == 0:
+        return -1
     if not config.in_order or reader.at_head or ahead >= modulus // 2:
         return h
     most = n - _margin(config, reader.rule)

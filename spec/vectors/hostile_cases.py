@@ -253,6 +253,9 @@ def scribbled() -> Iterator[tuple[str, str, Image, list[dict[str, Any]]]]:
     ):
         image = ring().set(head=head)
         yield f"head-{name}", f"head is {head}, the newest message 9", image, nothing(image, *lasts)
+    image = ring().set(head=3).slot(3, sequence=3)
+    about = "head is 3, which the wrap skips and its slot confirms: no message behind 4294967295"
+    yield "head-confirmed-behind-the-wrap", about, image, nothing(image, TOP)
     for name, words in (
         ("sealed", {"sequence": 0}),
         ("old", {"sequence": 5}),

@@ -134,6 +134,8 @@ static inline int rosplc_take_choose(const rosplc_reader *r, rosplc_take *t)
     if (!rosplc_is_new(r, t->head))
         return 0;
     d = rosplc_distance(r->last, t->head, n);
+    if (d == 0) /* a head among the sequences that the wrap skips */
+        return 0;
     if (d >= ROSPLC_DISCONTINUITY) {
         t->discontinuity = 1;
     } else if (d == 1) {
