@@ -17,10 +17,10 @@ def main() -> None:
         from rosplc.cli.app import app
 
         app(prog_name="rosplc")
-    except KeyboardInterrupt:  # before a verb has begun, which takes over (guard.py)
+    except KeyboardInterrupt:  # before a verb has begun, which takes over (verb.py)
         raise SystemExit(130) from None
     except (MemoryError, ImportError, OSError) as error:  # a verb reports its own
-        from rosplc.cli.guard import is_out_of_memory
+        from rosplc.cli.verb import is_out_of_memory
 
         if not is_out_of_memory(error):
             raise

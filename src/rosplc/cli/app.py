@@ -50,7 +50,6 @@ rosplc doctor  —  problems of machine and configuration, with fixes
 
 `rosplc VERB --help` explains a verb; `rosplc explain CODE` an error.
 """
-
 _VERBS: dict[str, dict[str, Any]] = {
     "Set up": {"demo": demo, "init": init, "check": check, "generate": generate, "types": types},
     "Run": {"run": run, "reload": reload, "service": service, "release": release, "clean": clean},
@@ -72,7 +71,7 @@ for _group, _members in _VERBS.items():
     for _name, _verb in _members.items():
         app.command(
             _name,
-            epilog=_verb.EPILOG,
+            epilog="Examples:\n\n" + (_verb.__doc__ or "").partition("\n\n")[2],
             cls=run.RosCommand if _verb is run else None,
             rich_help_panel=_group,
             context_settings={"ignore_unknown_options": True} if _verb is bench else None,

@@ -1,4 +1,9 @@
-"""``rosplc bench``: names the distribution that the comparison moved to."""
+"""``rosplc bench``: names the distribution that the comparison moved to.
+
+pip install 'rosplc[bench]'  —  install the comparison
+
+rosplc-bench --quick  —  a first look in half a minute
+"""
 
 from __future__ import annotations
 
@@ -6,21 +11,15 @@ from typing import Annotated
 
 import typer
 
-from rosplc.cli.guard import EXIT_CONFIG, guarded
 from rosplc.cli.text import warn
+from rosplc.cli.verb import EXIT_CONFIG, verb
 
-__all__ = ["EPILOG", "command"]
-
-EPILOG = """Examples:
-
-pip install 'rosplc[bench]'  —  install the comparison
-
-rosplc-bench --quick  —  a first look in half a minute
-"""
+__all__ = ["command"]
 
 
-@guarded
+@verb
 def command(
+    *,
     arguments: Annotated[
         list[str] | None, typer.Argument(hidden=True, help="What rosplc-bench takes.")
     ] = None,

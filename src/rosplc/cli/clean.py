@@ -1,26 +1,4 @@
-"""``rosplc clean``: remove objects in shared memory that no bridge holds."""
-
-from __future__ import annotations
-
-import os
-import re
-from contextlib import suppress
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
-
-from rosplc.cli.guard import EXIT_FAILURE, guarded, print_json
-from rosplc.cli.options import AsJson, ConfigFile, Directory, default_config
-from rosplc.cli.text import plural, say
-from rosplc.errors import ChannelError
-
-if TYPE_CHECKING:
-    from rosplc.shm import Namespace
-
-__all__ = ["EPILOG", "command"]
-
-EPILOG = """Examples:
+"""``rosplc clean``: remove objects in shared memory that no bridge holds.
 
 rosplc clean  —  what the bridge of rosplc.yaml in this folder, or of the default prefix, has left behind
 
@@ -32,21 +10,45 @@ What a running bridge holds, and files that are no objects of rosplc, are left a
 notices, and attaches again once a bridge has made a new object; the last values are gone.
 """
 
+from __future__ import annotations
 
-@guarded
+import os
+import re
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from rosplc.cli.options import ConfigFile, Directory, default_config
+from rosplc.cli.text import print_json, say
+from rosplc.cli.verb import EXIT_FAILURE, verb
+from rosplc.errors import ChannelError
+from rosplc.harmless import plural
+
+if TYPE_CHECKING:
+    from rosplc.shm import Namespace
+
+__all__ = ["command"]
+
+
+@verb
 def command(
     config: ConfigFile = None,
-    prefix: Annotated[
-        str | None, typer.Option(metavar="NAME", help="The `prefix:`, in place of a configuration.")
-    ] = None,
-    topic: Annotated[
-        list[str] | None, typer.Option("--topic", metavar="TOPIC", help="Only this topic; may be repeated.")
-    ] = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Show what would be removed.")] = False,
+    *,
+    prefix: str | None = None,
+    topic: list[str] | None = None,
+    dry_run: bool = False,
     directory: Directory = "/dev/shm",
-    as_json: AsJson = False,
+    as_json: bool = False,
 ) -> None:
-    """Remove the objects of a prefix that no bridge holds: channels, locks and temporaries."""
+    """Remove the objects of a prefix that no bridge holds: channels, locks and temporaries.
+
+    Options:
+        prefix NAME: The `prefix:`, in place of a configuration.
+        topic TOPIC: Only this topic; may be repeated.
+        dry_run: Show what would be removed.
+    """
     from rosplc.shm import Namespace
 
     if prefix is None and (file := config or default_config()) is not None:

@@ -1,28 +1,4 @@
-"""``rosplc demo``: robot, bridge and virtual PLC at work, on any machine."""
-
-from __future__ import annotations
-
-import contextlib
-import signal
-import sys
-import tempfile
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
-
-from rosplc.cli.guard import EXIT_FAILURE, EXIT_INTERRUPTED, guarded, print_json
-from rosplc.cli.text import say, table
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from rosplc.demo.plan import Plan
-    from rosplc.demo.result import Outage, Result
-
-__all__ = ["EPILOG", "command"]
-
-EPILOG = """Examples:
+"""``rosplc demo``: robot, bridge and virtual PLC at work, on any machine.
 
 rosplc demo  —  watch it until Ctrl-C
 
@@ -45,39 +21,55 @@ examples/st/PLC_PRG.st: Structured Text, translated to C, not run by CODESYS. It
 checkout of the sources; the first time it translates for a minute or two.
 """
 
+from __future__ import annotations
+
+import contextlib
+import signal
+import sys
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rosplc.cli.options import duration as duration_ns
+from rosplc.cli.text import print_json, say, table
+from rosplc.cli.verb import EXIT_FAILURE, EXIT_INTERRUPTED, Between, verb
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from rosplc.demo.plan import Plan
+    from rosplc.demo.result import Outage, Result
+
+__all__ = ["command"]
+
+
 _UNATTENDED = 20.0
 _PLCS = ("python", "st")
 
 
-@guarded
+@verb
 def command(
-    duration: Annotated[
-        str | None,
-        typer.Option(
-            metavar="TIME",
-            help="How long messages are sent, such as 20s; without it until Ctrl-C, "
-            f"or for {_UNATTENDED:g}s where the output is no terminal.",
-        ),
-    ] = None,
-    rate: Annotated[
-        float, typer.Option(metavar="HZ", help="Messages per second and topic.", min=1.0, max=1000.0)
-    ] = 100.0,
-    topics: Annotated[int, typer.Option(metavar="N", help="Topics that the robot sends.", min=1, max=32)] = 3,
-    plc: Annotated[
-        str,
-        typer.Option(
-            metavar="LANGUAGE", help="What the PLC runs: python, or st, generated Structured Text in C."
-        ),
-    ] = "python",
-    kill: Annotated[
-        bool,
-        typer.Option(
-            "--kill", help="Kill the bridge (SIGKILL) after a third of the time, and start it again."
-        ),
-    ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    *,
+    duration: str | None = None,
+    rate: Annotated[float, Between(1.0, 1000.0)] = 100.0,
+    topics: Annotated[int, Between(1, 32)] = 3,
+    plc: str = "python",
+    kill: bool = False,
+    as_json: bool = False,
 ) -> None:
-    """Show ROS topics reaching a virtual PLC and its commands coming back."""
+    """Show ROS topics reaching a virtual PLC and its commands coming back.
+
+    Options:
+        duration TIME: How long messages are sent, such as 20s; without it until Ctrl-C, or for 20s
+            where the output is no terminal.
+        rate HZ: Messages per second and topic.
+        topics N: Topics that the robot sends.
+        plc LANGUAGE: What the PLC runs: python, or st, generated Structured Text in C.
+        kill: Kill the bridge (SIGKILL) after a third of the time, and start it again.
+        as_json: Print the result as JSON.
+    """
     from rosplc.demo.domain import FreeDomain
     from rosplc.demo.supervisor import new_plan
 
@@ -106,13 +98,8 @@ def parse_duration(text: str) -> float:
     Raises:
         typer.BadParameter: It is none of these, or zero.
     """
-    from rosplc.config.quantities import parse_duration as parse
-
     text = text.strip()
-    try:
-        return parse(f"{text}s" if text[-1:].isdigit() else text) / 1e9
-    except ValueError as error:
-        raise typer.BadParameter(str(error), param_hint="--duration") from None
+    return duration_ns(f"{text}s" if text[-1:].isdigit() else text, "--duration") / 1e9
 
 
 @contextlib.contextmanager
@@ -185,34 +172,25 @@ def _run(plan: Plan, seconds: float | None, *, kill: bool, live: bool, folder: P
 
 @contextlib.contextmanager
 def _ended_by_sigterm() -> Iterator[None]:
-    before = signal.signal(signal.SIGTERM, _terminate)
+    def terminate(*_: object) -> None:
+        # Unwinds through the demo's own clean-up, as Ctrl-C does.
+        raise typer.Exit(EXIT_INTERRUPTED)
+
+    before = signal.signal(signal.SIGTERM, terminate)
     try:
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
 
 
-def _terminate(*_: object) -> None:
-    # Unwinds through the demo's own clean-up, as Ctrl-C does.
-    raise typer.Exit(EXIT_INTERRUPTED)
-
-
 def _print(result: Result) -> None:
-    rows = [
-        (
-            flow.topic,
-            "→ PLC" if flow.to == "plc" else "→ ROS",
-            flow.sent,
-            flow.received,
-            flow.lost,
-            flow.torn,
-            flow.repeated,
-            _age(result, flow.topic),
-        )
-        for flow in result.flows
-    ]
-    header = ("topic", "way", "sent", "received", "lost", "torn", "repeated", "age ms (p99)")
-    table(rows, header=header)
+    rows = []
+    for flow in result.flows:
+        age = result.ages.get(flow.topic)
+        old = "" if age is None else f"{age['median_ms']:.2f} ({age['p99_ms']:.2f})"
+        counts = (flow.sent, flow.received, flow.lost, flow.torn, flow.repeated)
+        rows.append((flow.topic, "→ PLC" if flow.to == "plc" else "→ ROS", *counts, old))
+    table(rows, header=("topic", "way", "sent", "received", "lost", "torn", "repeated", "age ms (p99)"))
     cycle = result.cycle
     say(
         f"PLC task: {cycle['scans']} scans, {cycle['missed']} missed, "
@@ -239,8 +217,3 @@ def _in_words(outage: Outage) -> str:
         f"{outage.restarted_at:.1f} s; from then the PLC had messages after {after(outage.to_plc_at)}, "
         f"the robot commands after {after(outage.to_ros_at)}. The PLC ran on."
     )
-
-
-def _age(result: Result, topic: str) -> str:
-    age = result.ages.get(topic)
-    return "" if age is None else f"{age['median_ms']:.2f} ({age['p99_ms']:.2f})"

@@ -1,27 +1,4 @@
-"""``rosplc doctor``: what is wrong on this machine, and what to do about it."""
-
-from __future__ import annotations
-
-import os
-import sys
-import textwrap
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
-
-from rosplc.cli.guard import EXIT_CONFIG, EXIT_FAILURE, guarded, print_json
-from rosplc.cli.options import AsJson
-from rosplc.cli.text import harmless
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from rosplc.doctor import Finding, Report
-
-__all__ = ["EPILOG", "command"]
-
-EPILOG = """Examples:
+"""``rosplc doctor``: what is wrong on this machine, and what to do about it.
 
 rosplc doctor  —  this machine, and rosplc.yaml if this folder has one
 
@@ -35,36 +12,55 @@ It needs no root, no ROS and no PLC, and changes nothing. The exit status is 1 i
 what it finds, 2 if the configuration itself is wrong. `rosplc explain CODE` explains a code.
 """
 
+from __future__ import annotations
+
+import os
+import sys
+import textwrap
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rosplc.cli.text import print_json
+from rosplc.cli.verb import EXIT_CONFIG, EXIT_FAILURE, Between, verb
+from rosplc.harmless import harmless, plural
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from rosplc.doctor import Report
+
+__all__ = ["command"]
+
+
 _STYLES = {"error": "bold red", "warning": "bold yellow", "note": "cyan", "ok": "green"}
 _WIDTH = 80
 _INDENT = 10
 
 
-@guarded
+@verb
 def command(
-    config: Annotated[
-        Path | None,
-        typer.Argument(
-            help="The configuration; ./rosplc.yaml by default, else the machine alone is examined."
-        ),
-    ] = None,
-    plc: Annotated[
-        Path | None,
-        typer.Option(metavar="FOLDER", help="What `rosplc generate` wrote: compare it with what is running."),
-    ] = None,
-    plc_user: Annotated[
-        str | None, typer.Option(metavar="NAME", help="The PLC runtime's user, where it does not run now.")
-    ] = None,
-    ros: Annotated[
-        bool, typer.Option("--ros/--no-ros", help="Look at the ROS graph, if there is a configuration.")
-    ] = True,
-    seconds: Annotated[
-        float, typer.Option(metavar="SECONDS", help="How long to look at the ROS graph.", min=1.0, max=60.0)
-    ] = 4.0,
-    everything: Annotated[bool, typer.Option("--all", "-a", help="Show what is fine, line by line.")] = False,
-    as_json: AsJson = False,
+    config: Path | None = None,
+    /,
+    *,
+    plc: Path | None = None,
+    plc_user: str | None = None,
+    ros: bool = True,
+    seconds: Annotated[float, Between(1.0, 60.0)] = 4.0,
+    everything: bool = False,
+    as_json: bool = False,
 ) -> None:
-    """Examine this machine, a configuration and what runs; suggest fixes."""
+    """Examine this machine, a configuration and what runs; suggest fixes.
+
+    Options:
+        config: The configuration; ./rosplc.yaml by default, else the machine alone is examined.
+        plc FOLDER: What `rosplc generate` wrote: compare it with what is running.
+        plc_user NAME: The PLC runtime's user, where it does not run now.
+        ros: Look at the ROS graph, if there is a configuration.
+        seconds SECONDS: How long to look at the ROS graph.
+        everything: Show what is fine, line by line.
+    """
     from rich.console import Console
 
     from rosplc.doctor import Question, examine
@@ -92,41 +88,30 @@ def command(
 def _show(report: Report, console: Console, *, everything: bool) -> None:
     from rich.text import Text
 
+    from rosplc.doctor import KINDS
+
     for area, findings in report.areas():
         console.print(Text(area.value, style="bold"))
         for finding in findings:
             if finding.level or everything:
-                _show_finding(finding, console)
-        if not everything:
-            _show_fine(findings, console)
+                _line(console, finding.level.word, f"{finding.seen} [{finding.code}]")
+            if finding.level and finding.remedy:
+                _line(console, "", f"→ {finding.remedy}")
+            if finding.level and finding.command:
+                # In one piece, however long, so that it can be copied.
+                command = f"{' ' * _INDENT}$ {harmless(finding.command)}"
+                console.print(Text(command, style="bold"), soft_wrap=True)
+        fine = [] if everything else [finding for finding in findings if not finding.level]
+        if len(fine) == 1:
+            _line(console, "ok", fine[0].seen)
+        elif fine:
+            _line(console, "ok", "; ".join(dict.fromkeys(KINDS[finding.code].title for finding in fine)))
     counts = report.counts()
-    words = [f"{counts['error']} errors", f"{counts['warning']} warnings", f"{counts['note']} notes"]
-    words = [word[:-1] if word.startswith("1 ") else word for word in words]
-    console.print(Text(f"\n{', '.join(words)}; {counts['ok']} fine", style=_STYLES[report.worst.word]))
+    words = ", ".join(plural(counts[word], word) for word in ("error", "warning", "note"))
+    console.print(Text(f"\n{words}; {counts['ok']} fine", style=_STYLES[report.worst.word]))
 
 
-def _show_finding(finding: Finding, console: Console) -> None:
-    from rich.text import Text
-
-    _say(console, finding.level.word, f"{finding.seen} [{finding.code}]")
-    if finding.level and finding.remedy:
-        _say(console, "", f"→ {finding.remedy}")
-    if finding.level and finding.command:
-        # In one piece, however long, so that it can be copied.
-        console.print(Text(f"{' ' * _INDENT}$ {harmless(finding.command)}", style="bold"), soft_wrap=True)
-
-
-def _show_fine(findings: list[Finding], console: Console) -> None:
-    from rosplc.doctor import KINDS
-
-    fine = [finding for finding in findings if not finding.level]
-    if len(fine) == 1:
-        _say(console, "ok", fine[0].seen)
-    elif fine:
-        _say(console, "ok", "; ".join(dict.fromkeys(KINDS[finding.code].title for finding in fine)))
-
-
-def _say(console: Console, word: str, text: str) -> None:
+def _line(console: Console, word: str, text: str) -> None:
     """Print a level's word and a text beside it, wrapped."""
     from rich.text import Text
 

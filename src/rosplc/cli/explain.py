@@ -1,21 +1,4 @@
-"""``rosplc explain``: what a code of an error or a finding means, and what to do."""
-
-from __future__ import annotations
-
-import re
-from typing import Annotated
-
-import typer
-
-from rosplc.cli.guard import guarded, print_json
-from rosplc.cli.options import AsJson
-from rosplc.cli.text import say, table
-from rosplc.errors import CODES
-from rosplc.harmless import nearest
-
-__all__ = ["EPILOG", "command"]
-
-EPILOG = """Examples:
+"""``rosplc explain``: what a code of an error or a finding means, and what to do.
 
 rosplc explain SHM112  —  an error of the command or of the log
 
@@ -26,15 +9,27 @@ rosplc explain DOC603  —  a finding of `rosplc doctor`
 rosplc explain  —  every code in a line
 """
 
+from __future__ import annotations
 
-@guarded
-def command(
-    code: Annotated[
-        str | None, typer.Argument(help="A code such as SHM112 or DOC603, or an error number of a PLC block.")
-    ] = None,
-    as_json: AsJson = False,
-) -> None:
-    """Explain an error code: what it means, and what to do."""
+import re
+
+import typer
+
+from rosplc.cli.text import print_json, say, table
+from rosplc.cli.verb import verb
+from rosplc.errors import CODES
+from rosplc.harmless import nearest
+
+__all__ = ["command"]
+
+
+@verb
+def command(code: str | None = None, /, *, as_json: bool = False) -> None:
+    """Explain an error code: what it means, and what to do.
+
+    Options:
+        code: A code such as SHM112 or DOC603, or an error number of a PLC block.
+    """
     known = _known()
     if code is None:
         if as_json:

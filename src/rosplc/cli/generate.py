@@ -1,20 +1,4 @@
-"""``rosplc generate``: the PLC half of a configuration, ready for CODESYS."""
-
-from __future__ import annotations
-
-import dataclasses
-from pathlib import Path
-from typing import Annotated, Literal
-
-import typer
-
-from rosplc.cli.guard import guarded, print_json
-from rosplc.cli.options import AsJson, ConfigFile, config_file
-from rosplc.cli.text import plural, say
-
-__all__ = ["EPILOG", "command"]
-
-EPILOG = """Examples:
+"""``rosplc generate``: the PLC half of a configuration, ready for CODESYS.
 
 rosplc generate rosplc.yaml --out plc  —  types, blocks, variable lists, programs, tasks of a configuration
 
@@ -23,49 +7,49 @@ rosplc generate --all-types jazzy --out plc  —  both blocks of every message t
 In CODESYS: Tools > Scripting > Execute Script File, and choose plc/rosplc_import.py.
 """
 
+from __future__ import annotations
 
-@guarded
+import dataclasses
+from pathlib import Path
+from typing import Literal
+
+import typer
+
+from rosplc.cli.options import ConfigFile, config_file
+from rosplc.cli.text import print_json, say
+from rosplc.cli.verb import verb
+from rosplc.harmless import plural
+
+__all__ = ["command"]
+
+
+@verb
 def command(
     config: ConfigFile = None,
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="FOLDER", help="The folder to write.")] = Path(
-        "plc"
-    ),
-    all_types: Annotated[
-        str | None,
-        typer.Option("--all-types", metavar="DISTRO", help="Every type of a ROS distribution, no topics."),
-    ] = None,
-    target: Annotated[
-        Literal["x86", "arm"] | None,
-        typer.Option(
-            metavar="PROCESSOR",
-            help="Processor of the PLC: x86, or arm; by default this machine's. On arm messages take a scan "
-            "longer, because no memory fence is proven there; see --fences.",
-        ),
-    ] = None,
-    fences: Annotated[
-        bool,
-        typer.Option(
-            "--fences",
-            help="With --target arm: the device enables the MemoryBarrier library; trust it where the "
-            "project has it.",
-        ),
-    ] = False,
-    programs: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help="What the names of the generated programs begin with; by default the configuration's "
-            "`programs`, which is SharedMemory.",
-        ),
-    ] = None,
-    pins: Annotated[
-        bool,
-        typer.Option("--pins", help="Give blocks a pin per top-level field, for Ladder and Function Blocks."),
-    ] = False,
-    force: Annotated[bool, typer.Option("--force", help="Overwrite files that somebody edited.")] = False,
-    as_json: AsJson = False,
+    *,
+    out: Path = Path("plc"),
+    all_types: str | None = None,
+    target: Literal["x86", "arm"] | None = None,
+    fences: bool = False,
+    programs: str | None = None,
+    pins: bool = False,
+    force: bool = False,
+    as_json: bool = False,
 ) -> None:
-    """Write the PLC half: Structured Text, PLCopenXML, an import script for CODESYS, a C header."""
+    """Write the PLC half: Structured Text, PLCopenXML, an import script for CODESYS, a C header.
+
+    Options:
+        out FOLDER: The folder to write.
+        all_types DISTRO: Every type of a ROS distribution, no topics.
+        target PROCESSOR: Processor of the PLC: x86, or arm; by default this machine's. On arm messages
+            take a scan longer, because no memory fence is proven there; see --fences.
+        fences: With --target arm: the device enables the MemoryBarrier library; trust it where the
+            project has it.
+        programs NAME: What the names of the generated programs begin with; by default the
+            configuration's `programs`, which is SharedMemory.
+        pins: Give blocks a pin per top-level field, for Ladder and Function Blocks.
+        force: Overwrite files that somebody edited.
+    """
     from rosplc.project import generate, generate_types
 
     if config is not None and all_types is not None:

@@ -1,24 +1,4 @@
-"""``rosplc init``: from a robot that is there, or a recording of one, to a configuration."""
-
-from __future__ import annotations
-
-import logging
-import sys
-from collections.abc import Callable
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
-
-from rosplc.cli.guard import guarded, print_json
-from rosplc.cli.text import plural, say, table, warn
-
-if TYPE_CHECKING:
-    from rosplc.init import Chosen, Draft, Source, Wish
-
-__all__ = ["EPILOG", "command"]
-
-EPILOG = """Examples:
+"""``rosplc init``: from a robot that is there, or a recording of one, to a configuration.
 
 rosplc init  —  look at the robot, ask what to carry, write rosplc.yaml
 
@@ -36,108 +16,113 @@ distribution does not have are taken from `--types`, from an installed ROS (`AME
 `ROS_PACKAGE_PATH`), from a ROS 1 publisher or from the recording, and saved in `msg` beside the file.
 """
 
+from __future__ import annotations
 
-@guarded
+import logging
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import typer
+
+from rosplc.cli.options import duration, parsed
+from rosplc.cli.text import print_json, say, table, warn
+from rosplc.cli.verb import verb
+from rosplc.harmless import plural
+
+if TYPE_CHECKING:
+    from rosplc.init import Draft, Source, Topic, Wish
+
+__all__ = ["command"]
+
+_LONGEST = 40
+
+
+@verb
 def command(
-    topics: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="TOPIC",
-            help="Carry this topic, or those that a pattern such as `/robot1/*` matches, in the "
-            "direction that is proposed; `TOPIC=TYPE` names the type, too. May be repeated, or hold several "
-            "with commas.",
-        ),
-    ] = None,
-    to_plc: Annotated[
-        list[str] | None, typer.Option("--to-plc", metavar="TOPIC", help="As --topics, towards the PLC.")
-    ] = None,
-    to_ros: Annotated[
-        list[str] | None, typer.Option("--to-ros", metavar="TOPIC", help="As --topics, from the PLC to ROS.")
-    ] = None,
-    everything: Annotated[
-        bool, typer.Option("--all", help="Carry every topic but those of ROS itself, such as /rosout.")
-    ] = False,
-    yes: Annotated[
-        bool, typer.Option("--yes", "-y", help="Ask nothing; without a choice of topics take all of them.")
-    ] = False,
-    listen: Annotated[
-        str, typer.Option(metavar="TIME", help="How long to listen for sizes and rates; `0s`: not at all.")
-    ] = "5s",
-    look: Annotated[
-        str,
-        typer.Option(metavar="TIME", help="How long to look for the robot at most; less once all is seen."),
-    ] = "5s",
-    bag: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE", help="Look at a recording (.bag, .mcap, .db3, a folder) in place of a robot."
-        ),
-    ] = None,
-    output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="FILE", help="The configuration that is written.")
-    ] = Path("rosplc.yaml"),
-    force: Annotated[bool, typer.Option("--force", help="Replace a configuration that is there.")] = False,
-    bridge: Annotated[str, typer.Option(metavar="NAME", help="The bridge's name.")] = "cell1",
-    backend: Annotated[
-        str, typer.Option(metavar="NAME", help="The way into ROS, as `ros.backend`.")
-    ] = "auto",
-    distro: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help="The ROS distribution; `noetic` is ROS 1. Without it ROS_DISTRO, ROS_MASTER_URI or the "
-            "recording tell, else it is jazzy.",
-        ),
-    ] = None,
-    domain: Annotated[
-        int | None, typer.Option(metavar="NUMBER", help="The ROS domain; without it ROS_DOMAIN_ID, else 0.")
-    ] = None,
-    connect: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="LOCATOR", help="A Zenoh router, such as `tcp/192.168.1.10:7447`; may be repeated."
-        ),
-    ] = None,
-    types: Annotated[
-        list[Path] | None,
-        typer.Option(metavar="FOLDER", help="A folder with custom .msg files; may be repeated."),
-    ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON; nothing is asked.")] = False,
+    *,
+    topics: list[str] | None = None,
+    to_plc: list[str] | None = None,
+    to_ros: list[str] | None = None,
+    everything: bool = False,
+    yes: bool = False,
+    listen: str = "5s",
+    look: str = "5s",
+    bag: Path | None = None,
+    output: Path = Path("rosplc.yaml"),
+    force: bool = False,
+    bridge: str = "cell1",
+    backend: str = "auto",
+    distro: str | None = None,
+    domain: int | None = None,
+    connect: list[str] | None = None,
+    types: list[Path] | None = None,
+    as_json: bool = False,
 ) -> None:
-    """Look at a robot or a recording, and write a commented configuration."""
-    from rosplc.cli.init_ask import ask_topics, on_terminal
+    """Look at a robot or a recording, and write a commented configuration.
+
+    Options:
+        topics TOPIC: Carry this topic, or those that a pattern such as `/robot1/*` matches, in the
+            direction that is proposed; `TOPIC=TYPE` names the type, too. May be repeated, or hold
+            several with commas.
+        to_plc TOPIC: As --topics, towards the PLC.
+        to_ros TOPIC: As --topics, from the PLC to ROS.
+        everything: Carry every topic but those of ROS itself, such as /rosout.
+        yes: Ask nothing; without a choice of topics take all of them.
+        listen TIME: How long to listen for sizes and rates; `0s`: not at all.
+        look TIME: How long to look for the robot at most; less once all is seen.
+        bag FILE: Look at a recording (.bag, .mcap, .db3, a folder) in place of a robot.
+        output FILE: The configuration that is written.
+        force: Replace a configuration that is there.
+        bridge NAME: The bridge's name.
+        backend NAME: The way into ROS, as `ros.backend`.
+        distro NAME: The ROS distribution; `noetic` is ROS 1. Without it ROS_DISTRO, ROS_MASTER_URI or
+            the recording tell, else it is jazzy.
+        domain NUMBER: The ROS domain; without it ROS_DOMAIN_ID, else 0.
+        connect LOCATOR: A Zenoh router, such as `tcp/192.168.1.10:7447`; may be repeated.
+        types FOLDER: A folder with custom .msg files; may be repeated.
+        as_json: Print JSON; nothing is asked.
+    """
     from rosplc.config import Config
-    from rosplc.init import draft, refuse_to_overwrite, save, select
+    from rosplc.init import LiveRobot, RecordedRobot, draft, refuse_to_overwrite, save, select
 
     # What the backends warn of is part of the outcome, or of the error that ends this.
     logging.getLogger("rosplc").addHandler(logging.NullHandler())
-    wishes = _wishes(topics, to_plc, to_ros)
+    folders, wishes = types or [], _wishes(topics, to_plc, to_ros)
     look_s, listen_s = _seconds(look, "--look"), _seconds(listen, "--listen")
     refuse_to_overwrite(output, force=force)
-    ros = _ros(backend, distro, domain, connect)
+    keys = {"distro": distro, "domain": domain, "zenoh": {"connect": connect} if connect else None}
+    ros: dict[str, Any] = {"backend": backend}
+    ros |= {key: value for key, value in keys.items() if value is not None}
     Config.from_dict({"bridge": bridge, "ros": ros})  # what is wrong in it is said before anything else
     source: Source | None = None
     try:
         if not as_json:
             warn("Reading the recording …" if bag else "Looking for the robot …")
         needed = [wish.pattern for wish in wishes if wish.exact and wish.type_name is None]
-        source = _recorded(bag, ros, types or []) if bag else _live(ros, types or [], look_s, needed)
-        chosen, left_out = _select(select, source, wishes, everything=everything or (yes and not wishes))
-        if not chosen and not wishes and not everything and not yes:
-            if as_json or not on_terminal():
-                if not as_json:
-                    _list(source)
+        if bag:
+            source = RecordedRobot(bag, distro, folders, ros)
+        else:
+            source = LiveRobot(ros, folders, look_s, needed)
+        found = source.found.topics
+        ask = not (wishes or everything or yes)
+        if ask:
+            if not as_json:
+                _list(source)
+            if as_json or not (sys.stdin.isatty() and sys.stdout.isatty()):
                 what = "say what to carry: --topics, --to-plc, --to-ros, or --all"
                 raise typer.BadParameter(what, param_hint="--topics")
-            _list(source)
-            chosen, left_out = _select(select, source, ask_topics(source.found.topics), everything=False)
+            wishes = _ask_topics(found)
+        everything = everything or (yes and not wishes)
+        chosen, left_out = parsed(lambda _: select(found, wishes, everything=everything), "", "--topics")
         made = draft(source, chosen, seconds=listen_s, progress=_progress(quiet=as_json))
         if not made.entries:
             reasons = "; ".join(f"{name}: {why}" for name, why in {**left_out, **made.left_out}.items())
-            raise typer.BadParameter(
-                f"nothing is left to carry{f' ({reasons})' if reasons else ''}", param_hint="--topics"
-            )
-        text, files = save(source, made, output, bridge=bridge, folders=types or [], force=force)
+            what = f"nothing is left to carry{f' ({reasons})' if reasons else ''}"
+            raise typer.BadParameter(what, param_hint="--topics")
+        text, files = save(source, made, output, bridge=bridge, folders=folders, force=force)
     except (KeyboardInterrupt, typer.Abort):
         if not as_json:
             warn("\nInterrupted: no configuration was written.")
@@ -155,90 +140,60 @@ def command(
 def _wishes(*given: list[str] | None) -> list[Wish]:
     from rosplc.init import parse_wish
 
-    wishes = []
-    for option, to, texts in zip(
-        ("--topics", "--to-plc", "--to-ros"), (None, "plc", "ros"), given, strict=True
-    ):
-        for text in (part for many in texts or () for part in many.split(",") if part.strip()):
-            try:
-                wishes.append(parse_wish(text, to))  # type: ignore[arg-type]
-            except ValueError as error:
-                raise typer.BadParameter(str(error), param_hint=option) from None
-    return wishes
-
-
-def _select(
-    select: Any, source: Source, wishes: list[Wish], *, everything: bool
-) -> tuple[dict[str, Chosen], dict[str, str]]:
-    try:
-        chosen, left_out = select(source.found.topics, wishes, everything=everything)
-    except ValueError as error:
-        raise typer.BadParameter(str(error), param_hint="--topics") from None
-    return chosen, left_out
+    options: tuple[tuple[str, Literal["plc", "ros"] | None], ...]
+    options = (("--topics", None), ("--to-plc", "plc"), ("--to-ros", "ros"))
+    return [
+        parsed(lambda text, to=to: parse_wish(text, to), part, option)  # type: ignore[misc]
+        for (option, to), texts in zip(options, given, strict=True)
+        for many in texts or ()
+        for part in many.split(",")
+        if part.strip()
+    ]
 
 
 def _seconds(text: str, option: str) -> float:
-    from rosplc.config.quantities import parse_duration
-
-    if text.strip() in ("0", "0s"):
-        return 0.0
-    try:
-        return parse_duration(text.strip()) / 1e9
-    except ValueError as error:
-        raise typer.BadParameter(str(error), param_hint=option) from None
-
-
-def _ros(
-    backend: str, distro: str | None, domain: int | None, connect: list[str] | None
-) -> dict[str, object]:
-    """Return the keys of the section ``ros`` that were given."""
-    given: dict[str, object] = {"backend": backend}
-    if distro is not None:
-        given["distro"] = distro
-    if domain is not None:
-        given["domain"] = domain
-    if connect:
-        given["zenoh"] = {"connect": connect}
-    return given
-
-
-def _live(ros: dict[str, object], types: list[Path], seconds: float, needed: list[str]) -> Source:
-    from rosplc.init import LiveRobot
-
-    return LiveRobot(ros, types, seconds, needed)
-
-
-def _recorded(bag: Path, ros: dict[str, object], types: list[Path]) -> Source:
-    from rosplc.init import RecordedRobot
-
-    distro = ros.get("distro")
-    return RecordedRobot(bag, None if distro is None else str(distro), types, ros)
+    return 0.0 if text.strip() in ("0", "0s") else duration(text.strip(), option) / 1e9
 
 
 def _progress(*, quiet: bool) -> Callable[[str], None]:
     """Return what shows how far it is: a line that changes on a terminal, else one line."""
-    said = False
+    shown = False
 
     def show(words: str) -> None:
-        nonlocal said
+        nonlocal shown
         if quiet:
             return
         if sys.stderr.isatty():
             sys.stderr.write(f"\r\x1b[K{words} … ")
             sys.stderr.flush()
-        elif not said:
+        elif not shown:
             warn(f"{words} …")
-        said = True
+        shown = True
 
     return show
 
 
 def _list(source: Source) -> None:
-    from rosplc.cli.init_ask import rows
+    from rosplc.init import direction, is_of_ros_itself
+
+    def short(names: tuple[str, ...]) -> str:
+        text = ", ".join(names) or "-"
+        return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…"
 
     found = source.found
     say(f"{len(found.topics)} topics in {found.where}:\n")
-    table(rows(found.topics), header=("", "topic", "type", "published by", "subscribed by", "proposal"))
+    rows = [
+        (
+            number,
+            name,
+            ", ".join(topic.types) or "not told",
+            short(topic.publishers),
+            short(topic.subscribers),
+            "of ROS itself" if is_of_ros_itself(name) else f"to {direction(topic)[0]}",
+        )
+        for number, (name, topic) in enumerate(found.topics.items(), 1)
+    ]
+    table(rows, header=("", "topic", "type", "published by", "subscribed by", "proposal"))
     say()
 
 
@@ -277,18 +232,13 @@ def _tell(
 def _facts(
     source: Source, made: Draft, left_out: dict[str, str], output: Path, files: tuple[Path, ...], text: str
 ) -> dict[str, Any]:
-    from dataclasses import asdict
-
+    found = source.found
     return {
-        "from": source.found.where,
-        "ros": dict(source.found.ros),
+        "from": found.where,
+        "ros": dict(found.ros),
         "found": {
-            name: {
-                "types": list(topic.types),
-                "publishers": list(topic.publishers),
-                "subscribers": list(topic.subscribers),
-            }
-            for name, topic in source.found.topics.items()
+            name: {key: list(getattr(topic, key)) for key in ("types", "publishers", "subscribers")}
+            for name, topic in found.topics.items()
         },
         "topics": {
             entry.topic: {
@@ -303,8 +253,71 @@ def _facts(
             for entry in made.entries
         },
         "left_out": left_out,
-        "notes": list(source.found.notes),
+        "notes": list(found.notes),
         "definitions": {name: made.origins[name] for name in made.definitions},
         "written": [str(output), *map(str, files)],
         "configuration": text,
     }
+
+
+def _ask_topics(topics: Mapping[str, Topic]) -> list[Wish]:
+    """Ask what to carry, and which way; the answers are wishes as from the command line.
+
+    Raises:
+        typer.Abort: Ctrl-C, or the end of the input.
+    """
+    from rosplc.errors import RosplcError
+    from rosplc.init import direction, is_of_ros_itself
+    from rosplc.init.select import Wish
+    from rosplc.model.parse import full_name
+
+    def names(answer: str) -> list[str]:
+        if answer.strip() == "all":
+            return [name for name in topics if not is_of_ros_itself(name)]
+        parts = answer.replace(",", " ").split()
+        return list(dict.fromkeys(name for part in parts for name in _picked(part, list(topics))))
+
+    def type_name(answer: str) -> str:
+        try:
+            return full_name(answer)
+        except RosplcError as error:
+            raise ValueError(error.what) from None
+
+    def way(answer: str) -> Literal["plc", "ros"] | None:
+        ways: dict[str, Literal["plc", "ros"] | None] = {"plc": "plc", "ros": "ros", "none": None}
+        found = [each for each in ways if answer.strip() and each.startswith(answer.strip().lower())]
+        if len(found) != 1:
+            raise ValueError(f"  {answer.strip().lower()!r} is none of {', '.join(ways)}")
+        return ways[found[0]]
+
+    wishes = []
+    for name in _asked("Which to carry (numbers, names, 1-4, all)", "all", names):
+        topic, kind = topics[name], None
+        if len(topic.types) != 1:
+            say(f"{name}: {'nobody tells its type' if not topic.types else ', '.join(topic.types)}")
+            kind = _asked("  Its type", topic.types[0] if topic.types else None, type_name)
+        proposed, why = direction(topic)
+        say(f"{name}: {why}.")
+        if to := _asked("  Carry it to (plc/ros/none)", proposed, way):
+            wishes.append(Wish(name, kind, to, firm=False))
+    return wishes
+
+
+def _asked(question: str, default: str | None, understand: Callable[[str], Any]) -> Any:
+    """Ask until an answer is understood."""
+    while True:
+        try:
+            return understand(str(typer.prompt(question, default=default)))
+        except ValueError as error:
+            say(str(error))
+
+
+def _picked(part: str, names: list[str]) -> list[str]:
+    if part in names:
+        return [part]
+    first, dash, last = part.partition("-")
+    if first.isdecimal() and (not dash or last.isdecimal()):
+        numbers = range(int(first), int(last if dash else first) + 1)
+        if numbers and numbers[0] >= 1 and numbers[-1] <= len(names):
+            return [names[number - 1] for number in numbers]
+    raise ValueError(f"{part!r} is neither a topic of the list nor a number from 1 to {len(names)}")

@@ -1,23 +1,68 @@
-"""Options that several verbs have, declared once."""
+"""What several verbs are given: a configuration, quantities, what to watch; and what they need installed."""
 
 from __future__ import annotations
 
+import importlib.util
+from collections.abc import Callable, Collection
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rosplc.errors import ConfigError
+from rosplc.clock import SYSTEM, Clock
+from rosplc.errors import ConfigError, SetupError
 
-__all__ = ["AsJson", "ConfigFile", "Directory", "config_file", "default_config", "observed_config"]
+if TYPE_CHECKING:
+    from rosplc.monitor import Picture, Watch
+
+__all__ = [
+    "ConfigFile",
+    "Configs",
+    "Directory",
+    "Prefix",
+    "StaleAfter",
+    "config_file",
+    "default_config",
+    "duration",
+    "need_extra",
+    "nothing_there",
+    "observed_config",
+    "open_watch",
+    "parsed",
+    "settled",
+    "size",
+]
 
 _DEFAULT = Path("rosplc.yaml")
+_NAMED = 4
+_LOOK_NS = 100_000_000
 
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 ConfigFile = Annotated[
     Path | None, typer.Argument(help="The configuration file; rosplc.yaml in this folder by default.")
 ]
 Directory = Annotated[str, typer.Option(help="Where the objects are.", hidden=True)]
+Prefix = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", help="Only the bridge with this `prefix:`; rosplc.yaml is not read then."),
+]
+Configs = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--config",
+        metavar="FILE",
+        help="A configuration: its bridge only, judged by its `stale_after:`, with its classic topics and "
+        "those that have no channel. May be repeated. By default rosplc.yaml in this folder, else every "
+        "bridge of the machine.",
+    ),
+]
+StaleAfter = Annotated[
+    str,
+    typer.Option(
+        metavar="DURATION",
+        help="What is stale towards the PLC where no configuration says it, such as 500ms, or `never`.",
+    ),
+]
 
 
 def default_config() -> Path | None:
@@ -44,3 +89,87 @@ def config_file(given: Path | None) -> Path:
             remedy="Name the file, or write one with `rosplc init`.",
         )
     return given or _DEFAULT
+
+
+def parsed(parse: Callable[[str], Any], text: str, option: str, more: str = "") -> Any:
+    """Return an option's value; a ValueError of ``parse`` is a wrong command line."""
+    try:
+        return parse(text)
+    except ValueError as error:
+        raise typer.BadParameter(f"{error}{more}", param_hint=option) from None
+
+
+def duration(text: str | None, option: str) -> int:
+    """Return an option's duration in ns; 0 if it was not given."""
+    from rosplc.config.quantities import parse_duration
+
+    return 0 if text is None else int(parsed(parse_duration, text, option))
+
+
+def size(text: str | None, option: str) -> int:
+    """Return an option's bytes; 0 if it was not given."""
+    from rosplc.config.quantities import parse_size
+
+    return 0 if text is None else int(parsed(parse_size, text, option))
+
+
+def need_extra(package: str, extra: str, verb: str) -> None:
+    """Raise SYS001 with the pip command unless a package, which an extra of rosplc brings, is installed."""
+    if importlib.util.find_spec(package) is None:
+        what = f"rosplc {verb} needs the Python package {package}, which is not installed"
+        raise SetupError("SYS001", what, remedy=f"pip install 'rosplc[{extra}]'")
+
+
+def nothing_there(prefixes: Collection[str], directory: str) -> str:
+    """Return what to print where there are no channels, or none of the prefixes that were asked for.
+
+    Raises:
+        ChannelError: SHM123 if the directory cannot be listed.
+    """
+    from rosplc.monitor import find_objects
+
+    others = sorted({state.prefix for state in find_objects(directory, seconds=0.0)}) if prefixes else []
+    if not others:
+        return "There are no channels on this machine. Start a bridge (rosplc run) or the demo (rosplc demo)."
+    named = ", ".join(others[:_NAMED]) + (f" and {len(others) - _NAMED} more" if len(others) > _NAMED else "")
+    asked = ", ".join(sorted(prefixes))
+    return f"There is no channel of prefix {asked} on this machine; there are channels of prefix {named}."
+
+
+def open_watch(prefix: str | None, configs: list[Path] | None, stale_after: str, directory: str) -> Watch:
+    """Return a watch over the channels that the options, or else ./rosplc.yaml, ask for.
+
+    Raises:
+        BadParameter: ``stale_after`` is no duration.
+        ConfigErrors: A configuration is wrong.
+        ChannelError: SHM118 if the prefix is not valid.
+    """
+    from rosplc.config.quantities import parse_stale
+    from rosplc.monitor import Watch
+    from rosplc.monitor.expected import expected_by
+
+    limit = parsed(parse_stale, stale_after, "--stale-after", ", or never")
+    default = observed_config(None, prefix)
+    expected = replace(expected_by(configs or ([default] if default else [])), stale_after_ns=limit)
+    return Watch(prefix or expected.prefixes or None, directory=directory, expected=expected)
+
+
+def settled(watch: Watch, least: float, most: float, clock: Clock = SYSTEM) -> Picture:
+    """Look until it is known of every side whether it is alive: at least and at most so many seconds.
+
+    Raises:
+        ChannelError: SHM123 if the directory cannot be listed.
+    """
+    from rosplc.monitor import State
+
+    began = clock.monotonic_ns()
+    while True:
+        picture = watch.look()
+        passed = (clock.monotonic_ns() - began) / 1e9
+        looking = any(
+            view.state is State.UNKNOWN or None in [each.alive for each in view.readers]
+            for view in picture.channels
+        )
+        if not picture.channels or passed > most or (passed > least and not looking):
+            return picture
+        clock.sleep(_LOOK_NS)

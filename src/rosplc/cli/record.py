@@ -1,32 +1,4 @@
-"""``rosplc record``: what channels carry, into files that ROS tools read."""
-
-from __future__ import annotations
-
-import errno
-import os
-import signal
-import stat
-import sys
-import termios
-import time
-from collections.abc import Callable
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
-
-from rosplc.cli.guard import guarded, print_json
-from rosplc.cli.options import observed_config
-from rosplc.cli.progress import ProgressLine
-from rosplc.cli.text import columns, in_bytes, plural, say, warn
-from rosplc.cli.watching import Directory
-
-if TYPE_CHECKING:
-    from rosplc.recorder import Recorder, RecordingOptions, Result
-
-__all__ = ["EPILOG", "command", "duration", "size"]
-
-EPILOG = """Examples:
+"""``rosplc record``: what channels carry, into files that ROS tools read.
 
 rosplc record  —  every channel of the bridge, until Ctrl-C
 
@@ -43,87 +15,83 @@ It reads every message in order, and nobody notices it. What it could not keep u
 and written to the file.
 """
 
+from __future__ import annotations
+
+import errno
+import os
+import signal
+import stat
+import sys
+import termios
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from rosplc.cli.options import Directory, observed_config, size
+from rosplc.cli.options import duration as duration_ns
+from rosplc.cli.text import ProgressLine, print_json, say, table, warn
+from rosplc.cli.verb import Between, verb
+from rosplc.harmless import in_bytes, plural
+
+if TYPE_CHECKING:
+    from rosplc.recorder import Recorder, RecordingOptions, Result
+
+__all__ = ["command"]
+
+
 _TURN_S = 0.1
 
 
-@guarded
+@verb
 def command(
-    topics: Annotated[
-        list[str] | None,
-        typer.Argument(help="Topics, or patterns such as '/robot1/*'; every channel without."),
-    ] = None,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output", "-o", metavar="PATH", help="The file, or the folder of a bag; by default rosplc_DATE."
-        ),
-    ] = None,
-    bag: Annotated[
-        bool, typer.Option("--bag", help="Write a folder with a metadata.yaml, as `ros2 bag record` does.")
-    ] = False,
-    prefix: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help="The bridge's `prefix:`; by default the configuration's, else rosplc.",
-        ),
-    ] = None,
-    config: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="The bridge's configuration: prefix, QoS and `stale_after:` count; without --prefix, "
-            "rosplc.yaml in this folder by default.",
-        ),
-    ] = None,
-    exclude: Annotated[
-        list[str] | None,
-        typer.Option("--exclude", "-x", metavar="TOPIC", help="Topics or patterns to leave out."),
-    ] = None,
-    length: Annotated[
-        str | None, typer.Option("--duration", metavar="TIME", help="End after so long, such as 10min.")
-    ] = None,
-    split_size: Annotated[
-        str | None, typer.Option(metavar="SIZE", help="Begin a new file at so many bytes, such as 1GB.")
-    ] = None,
-    split_time: Annotated[
-        str | None, typer.Option(metavar="TIME", help="Begin a new file after so long, such as 10min.")
-    ] = None,
-    compression: Annotated[
-        str, typer.Option(metavar="NAME", help="How messages are compressed: zstd, lz4 or none.")
-    ] = "zstd",
-    keep: Annotated[
-        str | None,
-        typer.Option(metavar="TIME", help="Keep so much in memory, and write it only when a trigger fires."),
-    ] = None,
-    memory: Annotated[
-        str, typer.Option(metavar="SIZE", help="With --keep: what that may take; the oldest gives way.")
-    ] = "200MB",
-    trigger: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--trigger",
-            "-t",
-            metavar="WHAT",
-            help="With --keep: stale, error, or a field that becomes true such as '/plc/status.fault' or "
-            "'/tank.level > 0.9'; by default stale and error.",
-        ),
-    ] = None,
-    after: Annotated[
-        str | None, typer.Option(metavar="TIME", help="With --keep: go on for so long after a trigger.")
-    ] = None,
-    most_files: Annotated[
-        int, typer.Option("--files", metavar="N", min=1, help="With --keep: save no more often than this.")
-    ] = 100,
-    repair: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Record nothing: save what is whole of this file, into --output."),
-    ] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print no progress.")] = False,
+    topics: list[str] | None = None,
+    /,
+    *,
+    output: Path | None = None,
+    bag: bool = False,
+    prefix: str | None = None,
+    config: Path | None = None,
+    exclude: list[str] | None = None,
+    duration: str | None = None,
+    split_size: str | None = None,
+    split_time: str | None = None,
+    compression: str = "zstd",
+    keep: str | None = None,
+    memory: str = "200MB",
+    trigger: list[str] | None = None,
+    after: str | None = None,
+    files: Annotated[int, Between(1)] = 100,
+    repair: Path | None = None,
+    quiet: bool = False,
     directory: Directory = "/dev/shm",
-    as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    as_json: bool = False,
 ) -> None:
-    """Record channels into MCAP files, which Foxglove, PlotJuggler and `ros2 bag` read."""
+    """Record channels into MCAP files, which Foxglove, PlotJuggler and `ros2 bag` read.
+
+    Options:
+        topics: Topics, or patterns such as '/robot1/*'; every channel without.
+        output PATH: The file, or the folder of a bag; by default rosplc_DATE.
+        bag: Write a folder with a metadata.yaml, as `ros2 bag record` does.
+        prefix NAME: The bridge's `prefix:`; by default the configuration's, else rosplc.
+        config FILE: The bridge's configuration: prefix, QoS and `stale_after:` count; without --prefix,
+            rosplc.yaml in this folder by default.
+        exclude TOPIC: Topics or patterns to leave out.
+        duration TIME: End after so long, such as 10min.
+        split_size SIZE: Begin a new file at so many bytes, such as 1GB.
+        split_time TIME: Begin a new file after so long, such as 10min.
+        compression NAME: How messages are compressed: zstd, lz4 or none.
+        keep TIME: Keep so much in memory, and write it only when a trigger fires.
+        memory SIZE: With --keep: what that may take; the oldest gives way.
+        trigger WHAT: With --keep: stale, error, or a field that becomes true such as
+            '/plc/status.fault' or '/tank.level > 0.9'; by default stale and error.
+        after TIME: With --keep: go on for so long after a trigger.
+        files N: With --keep: save no more often than this.
+        repair FILE: Record nothing: save what is whole of this file, into --output.
+        quiet: Print no progress.
+        as_json: Print the result as JSON.
+    """
     from rosplc.config.resolve import load_project
     from rosplc.monitor.expected import expected_of
     from rosplc.recorder import COMPRESSIONS, RecordingOptions, Selection, Split
@@ -133,12 +101,11 @@ def command(
     if repair is not None:
         _repair(repair, output, as_json=as_json, quiet=quiet)
         return
-    seconds = duration(length, "--duration") / 1e9
+    seconds = duration_ns(duration, "--duration") / 1e9
     chosen = next((one for one in COMPRESSIONS if one == compression), None)
     if chosen is None:
-        raise typer.BadParameter(
-            f"{compression!r} is none of {', '.join(COMPRESSIONS)}", param_hint="--compression"
-        )
+        what = f"{compression!r} is none of {', '.join(COMPRESSIONS)}"
+        raise typer.BadParameter(what, param_hint="--compression")
     if keep is None and (trigger or after is not None):
         raise typer.BadParameter("it needs --keep", param_hint="--trigger" if trigger else "--after")
     selection = Selection(tuple(topics or ()), tuple(exclude or ()))
@@ -160,40 +127,19 @@ def command(
         namespace=namespace,
         base=base,
         selection=selection,
-        split=Split(size(split_size, "--split-size"), duration(split_time, "--split-time")),
+        split=Split(size(split_size, "--split-size"), duration_ns(split_time, "--split-time")),
         bag=bag,
         compression=chosen,
         qos=qos,
         distro=distro,
-        keep_ns=duration(keep, "--keep"),
+        keep_ns=duration_ns(keep, "--keep"),
         memory=size(memory, "--memory"),
         triggers=tuple(trigger) if trigger else ("stale", "error") if keep is not None else (),
-        after_ns=duration(after, "--after"),
-        most_files=most_files,
+        after_ns=duration_ns(after, "--after"),
+        most_files=files,
         expected=expected,
     )
     _record(options, seconds, quiet=quiet, as_json=as_json)
-
-
-def duration(text: str | None, option: str) -> int:
-    """Return an option's duration in ns; 0 if it was not given."""
-    from rosplc.config.quantities import parse_duration
-
-    return _quantity(parse_duration, text, option)
-
-
-def size(text: str | None, option: str) -> int:
-    """Return an option's bytes; 0 if it was not given."""
-    from rosplc.config.quantities import parse_size
-
-    return _quantity(parse_size, text, option)
-
-
-def _quantity(parse: Callable[[str], int], text: str | None, option: str) -> int:
-    try:
-        return 0 if text is None else parse(text)
-    except ValueError as error:
-        raise typer.BadParameter(str(error), param_hint=option) from None
 
 
 def _record(options: RecordingOptions, seconds: float, *, quiet: bool, as_json: bool) -> None:
@@ -224,7 +170,7 @@ def _record(options: RecordingOptions, seconds: float, *, quiet: bool, as_json: 
                 recorder.stop()
         finally:
             if recorder.result is not None:
-                _report(options, recorder, recorder.result, as_json=as_json)
+                _report(recorder, recorder.result, as_json=as_json)
     if recorder.result is not None and not recorder.result.received and not options.keep_ns:
         raise RecordingError("REC004", "not one message came", where=options.namespace.prefix)
 
@@ -243,9 +189,7 @@ def _leave_closed_terminal() -> None:
 def _repair(file: Path, output: Path | None, *, as_json: bool, quiet: bool) -> None:
     from rosplc.recorder.store import base_of, file_name, repair
 
-    base = (
-        base_of(output) if output is not None else base_of(file).with_name(f"{base_of(file).name}_repaired")
-    )
+    base = base_of(output or file.with_name(f"{base_of(file).name}_repaired"))
     line = ProgressLine(quiet=quiet)
     done = repair(file, file_name(base), lambda messages: line.show(lambda: f"{messages} messages saved"))
     line.clear()
@@ -260,49 +204,40 @@ def _repair(file: Path, output: Path | None, *, as_json: bool, quiet: bool) -> N
 
 
 def _begin(recorder: Recorder, options: RecordingOptions, *, quiet: bool) -> None:
+    from rosplc.monitor import find_objects
+
     for name, error in recorder.failures.items():
         warn(f"{name} is not recorded: {error.what} [{error.code}]")
     topics = list(recorder.inlet.counts)
     for pattern in options.selection.without_match(topics):
         warn(f"there is no channel {pattern} yet; it is recorded when it comes")
     for trigger, topic in recorder.idle_triggers().items():
+        why = f"{topic} is not among the topics that are recorded; it cannot fire"
         if topic in options.selection:
-            warn(f"trigger {trigger!r}: there is no channel {topic} yet; it cannot fire before that comes")
-        else:
-            warn(f"trigger {trigger!r}: {topic} is not among the topics that are recorded; it cannot fire")
+            why = f"there is no channel {topic} yet; it cannot fire before that comes"
+        warn(f"trigger {trigger!r}: {why}")
     if not topics:
         warn(f"there is no channel of prefix {options.namespace.prefix} yet; what comes is recorded")
-        _hint(options)
-    if quiet:
-        return
-    what = plural(len(topics), "topic")
-    if options.keep_ns:
+        found = find_objects(str(options.namespace.directory), seconds=0.0)
+        if others := sorted({state.prefix for state in found}):
+            warn(f"there are channels of prefix {', '.join(others)}: choose with --prefix")
+    if not quiet:
+        what, kept = plural(len(topics), "topic"), f"keeping the last {options.keep_ns / 1e9:g} s of"
+        triggers = ", ".join(options.triggers)
         warn(
-            f"keeping the last {options.keep_ns / 1e9:g} s of {what}; triggers: {', '.join(options.triggers)}"
+            f"{kept} {what}; triggers: {triggers}" if options.keep_ns else f"recording {what}; Ctrl-C ends it"
         )
-    else:
-        warn(f"recording {what}; Ctrl-C ends it")
-
-
-def _hint(options: RecordingOptions) -> None:
-    from rosplc.monitor import find_objects
-
-    others = sorted({state.prefix for state in find_objects(str(options.namespace.directory), seconds=0.0)})
-    if others:
-        warn(f"there are channels of prefix {', '.join(others)}: choose with --prefix")
 
 
 def _progress(recorder: Recorder) -> str:
     now = recorder.progress()
     held = f", holds {now.span_ns / 1e9:.0f} s" if recorder.options.keep_ns else ""
-    return (
-        f"{now.seconds:.0f} s: {plural(now.received, 'message')} of {plural(now.topics, 'topic')}, "
-        f"{now.lost} lost, {in_bytes(now.size)}{held}"
-        + (f", {plural(now.files, 'file')}" if now.files else "")
-    )
+    files = f", {plural(now.files, 'file')}" if now.files else ""
+    what = f"{plural(now.received, 'message')} of {plural(now.topics, 'topic')}"
+    return f"{now.seconds:.0f} s: {what}, {now.lost} lost, {in_bytes(now.size)}{held}{files}"
 
 
-def _report(options: RecordingOptions, recorder: Recorder, result: Result, *, as_json: bool) -> None:
+def _report(recorder: Recorder, result: Result, *, as_json: bool) -> None:
     if as_json:
         print_json(_document(result, recorder))
         return
@@ -312,17 +247,16 @@ def _report(options: RecordingOptions, recorder: Recorder, result: Result, *, as
     rows = [
         (name, one.type_name, one.received, one.lost + one.refused) for name, one in result.topics.items()
     ]
-    for text in columns(rows, header=("topic", "type", "messages", "lost"), indent=2):
-        say(text)
+    table(rows, header=("topic", "type", "messages", "lost"), indent=2)
     for file in result.files:
         say(f"{file.path}: {plural(sum(file.counts.values()), 'message')}, {in_bytes(file.size)}")
-    if options.keep_ns:
+    if recorder.options.keep_ns:
         for reason in result.saves:
             say(f"saved because of {reason}")
         if not result.saves:
             say("no trigger fired: nothing was saved")
         if result.unsaved:
-            warn(f"{result.unsaved} more triggers: --files {options.most_files} was reached")
+            warn(f"{result.unsaved} more triggers: --files {recorder.options.most_files} was reached")
         if result.cut_short:
             warn("memory was full before the time was: raise --memory, or leave out topics")
     if result.lost:
@@ -335,12 +269,7 @@ def _document(result: Result, recorder: Recorder) -> dict[str, Any]:
         "received": result.received,
         "lost": result.lost,
         "topics": {
-            name: {
-                "type": one.type_name,
-                "received": one.received,
-                "lost": one.lost,
-                "refused": one.refused,
-            }
+            name: {"type": one.type_name, "received": one.received, "lost": one.lost, "refused": one.refused}
             for name, one in result.topics.items()
         },
         "files": [file.to_dict() for file in result.files],

@@ -1,26 +1,4 @@
-"""``rosplc release``: free the writer's claim that a dead PLC has left in a channel."""
-
-from __future__ import annotations
-
-import sys
-import time
-from contextlib import ExitStack
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
-
-from rosplc.cli.guard import guarded
-from rosplc.cli.options import Directory
-from rosplc.cli.text import say
-from rosplc.errors import ChannelError
-
-if TYPE_CHECKING:
-    from rosplc.shm import Attached, Namespace
-
-__all__ = ["EPILOG", "command"]
-
-EPILOG = """Examples:
+"""``rosplc release``: free the writer's claim that a dead PLC has left in a channel.
 
 rosplc release /plc/status  —  the PLC that wrote it crashed, and something else is to write it
 
@@ -30,19 +8,41 @@ The claim is freed only if its holder shows no life for three times the beat tha
 A PLC that was merely stopped finds its claim gone when it runs again: its block reports error 115.
 """
 
+from __future__ import annotations
+
+import sys
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from rosplc.cli.options import Directory
+from rosplc.cli.text import say
+from rosplc.cli.verb import verb
+from rosplc.errors import ChannelError
+
+if TYPE_CHECKING:
+    from rosplc.shm import Attached, Namespace
+
+__all__ = ["command"]
+
+
 _LOOK_S = 0.02
 
 
-@guarded
+@verb
 def command(
-    topic: Annotated[str, typer.Argument(help="The topic, as ROS writes it.")],
-    prefix: Annotated[
-        str | None, typer.Option(metavar="NAME", help="The bridge's `prefix:`; by default rosplc.")
-    ] = None,
-    yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask nothing.")] = False,
-    directory: Directory = "/dev/shm",
+    topic: str, /, *, prefix: str | None = None, yes: bool = False, directory: Directory = "/dev/shm"
 ) -> None:
-    """Free the claim of a writer that is dead, so that another program may write the channel."""
+    """Free the claim of a writer that is dead, so that another program may write the channel.
+
+    Options:
+        topic: The topic, as ROS writes it.
+        prefix NAME: The bridge's `prefix:`; by default rosplc.
+        yes: Ask nothing.
+    """
     from rosplc.shm import Direction, Namespace, attach
 
     namespace = Namespace(prefix or "rosplc", directory)

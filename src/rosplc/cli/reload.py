@@ -1,22 +1,4 @@
-"""``rosplc reload``: tell a running bridge to read its configuration again."""
-
-from __future__ import annotations
-
-import os
-import signal
-from pathlib import Path
-from typing import Annotated
-
-import typer
-
-from rosplc.cli.guard import guarded
-from rosplc.cli.options import ConfigFile, Directory, config_file, default_config
-from rosplc.cli.text import say
-from rosplc.errors import ChannelError, SetupError
-
-__all__ = ["EPILOG", "command"]
-
-EPILOG = """Examples:
+"""``rosplc reload``: tell a running bridge to read its configuration again.
 
 rosplc reload  —  the bridge of rosplc.yaml in this folder
 
@@ -27,16 +9,29 @@ rosplc reload --prefix line3  —  the bridge with this `prefix:`
 A file that is wrong changes nothing. The bridge's log has the outcome. For a service: systemctl reload.
 """
 
+from __future__ import annotations
 
-@guarded
+import os
+import signal
+from pathlib import Path
+
+from rosplc.cli.options import ConfigFile, Directory, config_file, default_config
+from rosplc.cli.text import say
+from rosplc.cli.verb import verb
+from rosplc.errors import ChannelError, SetupError
+
+__all__ = ["command"]
+
+
+@verb
 def command(
-    config: ConfigFile = None,
-    prefix: Annotated[
-        str | None, typer.Option(metavar="NAME", help="The bridge's `prefix:`, in place of a configuration.")
-    ] = None,
-    directory: Directory = "/dev/shm",
+    config: ConfigFile = None, *, prefix: str | None = None, directory: Directory = "/dev/shm"
 ) -> None:
-    """Tell a running bridge to apply its changed configuration, without stopping it."""
+    """Tell a running bridge to apply its changed configuration, without stopping it.
+
+    Options:
+        prefix NAME: The bridge's `prefix:`, in place of a configuration.
+    """
     from rosplc.doctor.objects import held_files, lock_holders
 
     if prefix is None:

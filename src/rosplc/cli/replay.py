@@ -1,27 +1,4 @@
-"""``rosplc replay``: a recording's messages again, into channels or onto ROS topics."""
-
-from __future__ import annotations
-
-from datetime import datetime
-from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
-
-from rosplc.cli.guard import EXIT_FAILURE, guarded, print_json
-from rosplc.cli.progress import ProgressLine
-from rosplc.cli.record import duration
-from rosplc.cli.text import columns, plural, say, warn
-from rosplc.cli.watching import Directory
-
-if TYPE_CHECKING:
-    from rosplc.recorder.replay import Player, ReplayOptions, Target
-    from rosplc.recorder.source import Source, SourceTopic
-
-__all__ = ["EPILOG", "command"]
-
-EPILOG = """Examples:
+"""``rosplc replay``: a recording's messages again, into channels or onto ROS topics.
 
 rosplc replay shift.mcap --list  —  what is in it
 
@@ -37,73 +14,76 @@ takes the bridge's place, so that no bridge may carry these topics meanwhile. Me
 time at which they are sent; `--stamps original` keeps the recorded stamps.
 """
 
-_BACKENDS = ("auto", "dds", "rclpy", "zenoh", "rospy")
+from __future__ import annotations
+
+from datetime import datetime
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from rosplc.cli.options import Directory, duration
+from rosplc.cli.text import ProgressLine, print_json, say, table, warn
+from rosplc.cli.verb import EXIT_FAILURE, verb
+from rosplc.harmless import plural
+
+if TYPE_CHECKING:
+    from rosplc.recorder.replay import Player, ReplayOptions, Target
+    from rosplc.recorder.source import Source, SourceTopic
+
+__all__ = ["command"]
 
 
-@guarded
+_WAYS = {"to_plc": "→ PLC", "to_ros": "→ ROS", "": ""}
+
+
+@verb
 def command(
-    file: Annotated[Path, typer.Argument(help="An .mcap or .bag file, or the folder of a ROS 2 recording.")],
-    to: Annotated[
-        str | None, typer.Option(metavar="plc|ros", help="Into channels, or onto ROS topics.")
-    ] = None,
-    listing: Annotated[
-        bool, typer.Option("--list", help="Say what is in the file, and play nothing.")
-    ] = False,
-    topic: Annotated[
-        list[str] | None,
-        typer.Option("--topic", "-t", metavar="TOPIC", help="Only these topics or patterns, several times."),
-    ] = None,
-    exclude: Annotated[
-        list[str] | None,
-        typer.Option("--exclude", "-x", metavar="TOPIC", help="Topics or patterns to leave out."),
-    ] = None,
-    rename: Annotated[
-        list[str] | None,
-        typer.Option("--rename", metavar="OLD:=NEW", help="Play a topic under another name."),
-    ] = None,
-    speed: Annotated[
-        str, typer.Option(metavar="FACTOR", help="0.5 for half as fast, 2 for twice, or `max`.")
-    ] = "1",
-    loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end, until Ctrl-C.")] = False,
-    start: Annotated[
-        str | None, typer.Option(metavar="TIME", help="Leave out so much at the beginning, such as 30s.")
-    ] = None,
-    end: Annotated[
-        str | None, typer.Option(metavar="TIME", help="End so long after the recording's beginning.")
-    ] = None,
-    stamps: Annotated[
-        str, typer.Option(metavar="now|original", help="What messages are stamped with.")
-    ] = "now",
-    wait: Annotated[
-        str,
-        typer.Option(
-            metavar="TIME", help="Wait so long for a reader of each topic, then begin all the same."
-        ),
-    ] = "2s",
-    prefix: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="With --to plc: the channels' prefix; by default rosplc."),
-    ] = None,
-    config: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE", help="With --to plc: a configuration that says prefix, limits and depth."
-        ),
-    ] = None,
-    backend: Annotated[
-        str, typer.Option(metavar="NAME", help=f"With --to ros: {', '.join(_BACKENDS)}.")
-    ] = "auto",
-    distro: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME", help="The ROS distribution; by default the recording's, else ROS_DISTRO."
-        ),
-    ] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print no progress.")] = False,
+    file: Path,
+    /,
+    *,
+    to: str | None = None,
+    listing: bool = False,
+    topic: list[str] | None = None,
+    exclude: list[str] | None = None,
+    rename: list[str] | None = None,
+    speed: str = "1",
+    loop: bool = False,
+    start: str | None = None,
+    end: str | None = None,
+    stamps: str = "now",
+    wait: str = "2s",
+    prefix: str | None = None,
+    config: Path | None = None,
+    backend: str = "auto",
+    distro: str | None = None,
+    quiet: bool = False,
     directory: Directory = "/dev/shm",
-    as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    as_json: bool = False,
 ) -> None:
-    """Replay a recording into channels or onto ROS topics, in its order and at its pace."""
+    """Replay a recording into channels or onto ROS topics, in its order and at its pace.
+
+    Options:
+        file: An .mcap or .bag file, or the folder of a ROS 2 recording.
+        to plc|ros: Into channels, or onto ROS topics.
+        listing: Say what is in the file, and play nothing.
+        topic TOPIC: Only these topics or patterns, several times.
+        exclude TOPIC: Topics or patterns to leave out.
+        rename OLD:=NEW: Play a topic under another name.
+        speed FACTOR: 0.5 for half as fast, 2 for twice, or `max`.
+        loop: Begin again at the end, until Ctrl-C.
+        start TIME: Leave out so much at the beginning, such as 30s.
+        end TIME: End so long after the recording's beginning.
+        stamps now|original: What messages are stamped with.
+        wait TIME: Wait so long for a reader of each topic, then begin all the same.
+        prefix NAME: With --to plc: the channels' prefix; by default rosplc.
+        config FILE: With --to plc: a configuration that says prefix, limits and depth.
+        backend NAME: With --to ros: the way into ROS, as `ros.backend`.
+        distro NAME: The ROS distribution; by default the recording's, else ROS_DISTRO.
+        quiet: Print no progress.
+        as_json: Print the result as JSON.
+    """
     from rosplc.recorder.inlet import Selection
     from rosplc.recorder.replay import chosen_topics
     from rosplc.recorder.source import open_source
@@ -124,10 +104,7 @@ def command(
             for text in (*source.notes, *remarks):
                 warn(text)
         chosen = "noetic" if distro is None and backend == "rospy" else _distro(distro, topics)
-        if to == "plc":
-            target = _plc_target(topics, prefix, config, directory, chosen)
-        else:
-            target = _ros_target(topics, backend, chosen)
+        target = _target(to, topics, prefix, config, backend, chosen, directory)
         if not quiet:
             for text in target.notes:
                 warn(text)
@@ -181,26 +158,32 @@ def _distro(given: str | None, topics: dict[str, SourceTopic] | None) -> str:
     return environment if environment in DISTROS else "jazzy"
 
 
-def _plc_target(
-    topics: dict[str, SourceTopic], prefix: str | None, config: Path | None, directory: str, distro: str
+def _target(
+    to: str | None,
+    topics: dict[str, SourceTopic],
+    prefix: str | None,
+    config: Path | None,
+    backend: str,
+    distro: str,
+    directory: str,
 ) -> Target:
     from rosplc.config.resolve import load_project
-    from rosplc.recorder.replay import PlcTarget
+    from rosplc.recorder.replay import PlcTarget, RosTarget
+    from rosplc.ros import BACKENDS
     from rosplc.shm import Namespace
 
+    if to == "ros":
+        known = ("auto", *(name for name in BACKENDS if name != "memory"))
+        if backend not in known:
+            raise typer.BadParameter(f"{backend!r} is none of {', '.join(known)}", param_hint="--backend")
+        return RosTarget(topics, backend=backend, distro=distro)
     project = None if config is None else load_project(config)
-    namespace = Namespace(prefix or "rosplc", directory)
-    if project is not None and prefix is None:
-        namespace = project.namespace
-    return PlcTarget(topics, namespace, project=project, distro=distro)
-
-
-def _ros_target(topics: dict[str, SourceTopic], backend: str, distro: str) -> Target:
-    from rosplc.recorder.replay import RosTarget
-
-    if backend not in _BACKENDS:
-        raise typer.BadParameter(f"{backend!r} is none of {', '.join(_BACKENDS)}", param_hint="--backend")
-    return RosTarget(topics, backend=backend, distro=distro)
+    own = (
+        project.namespace
+        if project is not None and prefix is None
+        else Namespace(prefix or "rosplc", directory)
+    )
+    return PlcTarget(topics, own, project=project, distro=distro)
 
 
 def _play(
@@ -232,9 +215,9 @@ def _play(
             if missing and patience and not quiet:
                 warn(f"nobody takes {', '.join(missing)} yet; it begins all the same")
             if not quiet:
-                pace = (
-                    f"{options.speed:g} times as fast as recorded" if options.speed else "as fast as it goes"
-                )
+                pace = "as fast as it goes"
+                if options.speed:
+                    pace = f"{options.speed:g} times as fast as recorded"
                 kind = "the present time" if options.stamps == "now" else "their recorded time"
                 warn(f"playing {file}, {pace}; messages are stamped with {kind}")
             try:
@@ -251,6 +234,7 @@ def _report(player: Player, target: Target, *, as_json: bool) -> None:
     counts = target.counts
     sent = sum(count.sent for count in counts.values())
     if as_json:
+        keys = ("sent", "refused", "lost", "reason")
         print_json(
             {
                 "sent": sent,
@@ -258,20 +242,14 @@ def _report(player: Player, target: Target, *, as_json: bool) -> None:
                 "latest_ns": player.latest_ns,
                 "out_of_order": player.disordered,
                 "stamps": player.options.stamps,
-                "topics": {
-                    name: {"sent": one.sent, "refused": one.refused, "lost": one.lost, "reason": one.reason}
-                    for name, one in counts.items()
-                },
+                "topics": {name: {key: getattr(one, key) for key in keys} for name, one in counts.items()},
             }
         )
     else:
-        say(
-            f"{plural(sent, 'message')} of {plural(len(counts), 'topic')} sent"
-            + (f" in {plural(player.rounds, 'round')}" if player.options.loop else "")
-        )
+        rounds = f" in {plural(player.rounds, 'round')}" if player.options.loop else ""
+        say(f"{plural(sent, 'message')} of {plural(len(counts), 'topic')} sent{rounds}")
         rows = [(name, one.sent, one.refused, one.lost) for name, one in counts.items()]
-        for text in columns(rows, header=("topic", "sent", "refused", "lost"), indent=2):
-            say(text)
+        table(rows, header=("topic", "sent", "refused", "lost"), indent=2)
         for name, one in counts.items():
             if one.reason:
                 warn(f"{name}: {one.reason}")
@@ -283,45 +261,33 @@ def _report(player: Player, target: Target, *, as_json: bool) -> None:
         raise typer.Exit(EXIT_FAILURE)
 
 
-def _when(time_ns: int) -> str:
-    try:
-        return datetime.fromtimestamp(time_ns / 1e9).astimezone().isoformat(" ", "seconds")
-    except (OverflowError, ValueError, OSError):
-        return f"{time_ns} ns"  # no time of any calendar
-
-
 def _list(file: Path, source: Source, *, as_json: bool) -> None:
-    seconds = max(0, source.end_ns - source.start_ns) / 1e9 if source.topics else 0.0
+    topics = sorted(source.topics.items())
     if as_json:
-        topics = {
-            name: {
-                "type": one.type_name,
-                "messages": one.count,
-                "direction": one.direction,
-                "distro": one.distro,
-            }
-            for name, one in sorted(source.topics.items())
-        }
+        keys = {"type": "type_name", "messages": "count", "direction": "direction", "distro": "distro"}
         print_json(
             {
                 "start_ns": source.start_ns,
                 "end_ns": source.end_ns,
-                "topics": topics,
+                "topics": {
+                    name: {key: getattr(one, field) for key, field in keys.items()} for name, one in topics
+                },
                 "unusable": source.unusable,
                 "notes": list(source.notes),
             }
         )
         return
     if source.end_ns:
-        say(f"{file}: {seconds:.1f} s from {_when(source.start_ns)}")
+        seconds = max(0, source.end_ns - source.start_ns) / 1e9 if topics else 0.0
+        try:
+            when = datetime.fromtimestamp(source.start_ns / 1e9).astimezone().isoformat(" ", "seconds")
+        except (OverflowError, ValueError, OSError):
+            when = f"{source.start_ns} ns"  # no time of any calendar
+        say(f"{file}: {seconds:.1f} s from {when}")
     else:
         say(f"{file}: no messages")
-    ways = {"to_plc": "→ PLC", "to_ros": "→ ROS", "": ""}
-    rows = [
-        (name, one.type_name, one.count, ways[one.direction]) for name, one in sorted(source.topics.items())
-    ]
-    for text in columns(rows, header=("topic", "type", "messages", "way"), indent=2):
-        say(text)
+    rows = [(name, one.type_name, one.count, _WAYS[one.direction]) for name, one in topics]
+    table(rows, header=("topic", "type", "messages", "way"), indent=2)
     for name, why in sorted(source.unusable.items()):
         warn(f"{name} cannot be replayed: {why}")
     for text in source.notes:

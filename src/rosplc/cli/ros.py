@@ -12,20 +12,21 @@ from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rosplc.cli.guard import finite, guarded, print_json
-from rosplc.cli.options import AsJson, default_config
-from rosplc.cli.text import say, warn
+from rosplc.cli.options import default_config
+from rosplc.cli.text import print_json, say, warn
+from rosplc.cli.verb import verb
 
 if TYPE_CHECKING:
     from rosplc.bridge.ros_side import LiveTypes
     from rosplc.init.definitions import Definitions
     from rosplc.ros import Backend, Qos
 
-__all__ = ["ECHO", "HZ", "LIST", "PUB", "Verb"]
+__all__ = ["ECHO", "HZ", "LIST", "PUB"]
 
 _LOOK_S = 5.0
 """How long to look for a topic at most; the graph is complete earlier where it is small."""
@@ -43,14 +44,6 @@ _EPILOG = """
 Backend, distribution, domain and types come from the options, else from `./rosplc.yaml`, else from the
 environment (`ROS_DISTRO`, `ROS_DOMAIN_ID`).
 """
-
-
-@dataclass(frozen=True)
-class Verb:
-    """A verb with what is printed below its help."""
-
-    command: Any
-    EPILOG: str
 
 
 @dataclass
@@ -147,7 +140,7 @@ def _node(
         joined.close()
 
 
-@guarded
+@verb
 def _list(
     show_types: Annotated[bool, typer.Option("--show-types", "-t", help="Print the types, too.")] = False,
     count: Annotated[bool, typer.Option("--count-topics", "-c", help="Print their number only.")] = False,
@@ -155,7 +148,7 @@ def _list(
     distro: _Distro = None,
     domain: _Domain = None,
     types: _Types = None,
-    as_json: AsJson = False,
+    as_json: bool = False,
 ) -> None:
     """List the topics of the ROS graph."""
     with _node(backend, distro, domain, types) as node:
@@ -169,7 +162,7 @@ def _list(
             say(f"{name} [{', '.join(kinds)}]" if show_types else name)
 
 
-@guarded
+@verb
 def _echo(
     topic: _Topic,
     message_type: Annotated[str | None, typer.Argument(help="Its type; else the graph is asked.")] = None,
@@ -185,8 +178,6 @@ def _echo(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document per line.")] = False,
 ) -> None:
     """Print the messages of a ROS topic."""
-    import json
-
     from rosplc.cli.ros_text import Reader, as_yaml
     from rosplc.errors import RosplcError
 
@@ -206,14 +197,14 @@ def _echo(
                         raise typer.BadParameter(f"{type_name} has no field {field}", param_hint="--field")
                     value = value[part]
                 if as_json:
-                    typer.echo(json.dumps(finite(value)))
+                    print_json(value, one_line=True)
                 else:
                     say(f"{as_yaml(value, whole=full_length).removesuffix('...' + chr(10)).rstrip()}\n---")
                 if once:
                     return
 
 
-@guarded
+@verb
 def _hz(
     topic: _Topic,
     window: Annotated[
@@ -248,7 +239,7 @@ def _next(arrived: queue.SimpleQueue[tuple[float, bytes]]) -> tuple[float, bytes
             return arrived.get(timeout=0.1)
 
 
-@guarded
+@verb
 def _pub(
     topic: _Topic,
     message_type: Annotated[str, typer.Argument(help="Its type, such as geometry_msgs/msg/Twist.")],
@@ -313,11 +304,10 @@ def _pub(
             time.sleep(max(0.0, due - time.monotonic()))
 
 
-LIST = Verb(_list, f"Examples:\n\nrosplc list -t  —  every topic with its type{_EPILOG}")
-ECHO = Verb(_echo, f"Examples:\n\nrosplc echo /cmd_vel --once  —  the next message{_EPILOG}")
-HZ = Verb(_hz, f"Examples:\n\nrosplc hz /scan  —  every second until Ctrl-C{_EPILOG}")
-PUB = Verb(
-    _pub,
-    "Examples:\n\nrosplc pub -r 10 /cmd_vel geometry_msgs/msg/Twist '{linear: {x: 0.5}}'  —  ten per second"
-    + _EPILOG,
+LIST = SimpleNamespace(command=_list, __doc__=f"\n\nrosplc list -t  —  every topic with its type{_EPILOG}")
+ECHO = SimpleNamespace(
+    command=_echo, __doc__=f"\n\nrosplc echo /cmd_vel --once  —  the next message{_EPILOG}"
 )
+HZ = SimpleNamespace(command=_hz, __doc__=f"\n\nrosplc hz /scan  —  every second until Ctrl-C{_EPILOG}")
+_TWIST = "rosplc pub -r 10 /cmd_vel geometry_msgs/msg/Twist '{linear: {x: 0.5}}'  —  ten per second"
+PUB = SimpleNamespace(command=_pub, __doc__=f"\n\n{_TWIST}{_EPILOG}")

@@ -1,19 +1,4 @@
-"""``rosplc run``: carry the topics of a configuration until told to stop."""
-
-from __future__ import annotations
-
-import logging
-from typing import Annotated
-
-import typer
-from typer.core import TyperCommand
-
-from rosplc.cli.guard import guarded
-from rosplc.cli.options import ConfigFile, config_file
-
-__all__ = ["EPILOG", "RosCommand", "command"]
-
-EPILOG = """Examples:
+"""``rosplc run``: carry the topics of a configuration until told to stop.
 
 rosplc run  —  carry the topics of rosplc.yaml; Ctrl-C or SIGTERM ends it
 
@@ -28,6 +13,19 @@ the bridge.
 The objects in shared memory stay when it ends: a running PLC keeps its last values, and the next start
 takes them over. `rosplc clean` removes them.
 """
+
+from __future__ import annotations
+
+import logging
+from typing import Annotated
+
+import typer
+from typer.core import TyperCommand
+
+from rosplc.cli.options import ConfigFile, config_file
+from rosplc.cli.verb import Between, verb
+
+__all__ = ["RosCommand", "command"]
 
 
 _LEVELS = {
@@ -59,20 +57,22 @@ def given_to(context: typer.Context) -> list[str]:
     return found
 
 
-@guarded
+@verb
 def command(
     context: typer.Context,
     config: ConfigFile = None,
-    status: Annotated[
-        float,
-        typer.Option(
-            metavar="SECONDS", help="Time between two status lines; 0 for none.", min=0.0, max=86400.0
-        ),
-    ] = 10.0,
-    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log more.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Log warnings and errors only.")] = False,
+    *,
+    status: Annotated[float, Between(0.0, 86400.0)] = 10.0,
+    verbose: bool = False,
+    quiet: bool = False,
 ) -> None:
-    """Run the bridge in the foreground; logs go to stderr."""
+    """Run the bridge in the foreground; logs go to stderr.
+
+    Options:
+        status SECONDS: Time between two status lines; 0 for none.
+        verbose: Log more.
+        quiet: Log warnings and errors only.
+    """
     from rosplc.bridge.run import run_bridge
     from rosplc.ros import RosArguments
     from rosplc.service.supervisor import supervised

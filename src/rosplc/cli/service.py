@@ -1,26 +1,4 @@
-"""``rosplc service``: a bridge that starts with the machine, as a hardened service of systemd."""
-
-from __future__ import annotations
-
-import enum
-import os
-import sys
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
-
-from rosplc.cli.guard import guarded, print_json
-from rosplc.cli.options import AsJson
-from rosplc.cli.text import say, table, warn
-from rosplc.errors import SetupError
-
-if TYPE_CHECKING:
-    from rosplc.service.install import Step
-
-__all__ = ["EPILOG", "command"]
-
-EPILOG = """Examples:
+"""``rosplc service``: a bridge that starts with the machine, as a hardened service of systemd.
 
 rosplc service install cell1 --dry-run  —  show every file and command for /etc/rosplc/cell1.yaml
 
@@ -34,6 +12,25 @@ Installing and removing needs root. The service has a user of its own and no cap
 configuration with `realtime:` is given more: the limits that its settings need.
 """
 
+from __future__ import annotations
+
+import enum
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from rosplc.cli.text import print_json, say, table, warn
+from rosplc.cli.verb import verb
+from rosplc.errors import SetupError
+
+if TYPE_CHECKING:
+    from rosplc.service.install import Step
+
+__all__ = ["command"]
+
 
 class What(str, enum.Enum):
     """What to do."""
@@ -43,26 +40,28 @@ class What(str, enum.Enum):
     status = "status"
 
 
-@guarded
+@verb
 def command(
-    what: Annotated[What, typer.Argument(metavar="WHAT", help="`install`, `uninstall` or `status`.")],
-    name: Annotated[
-        str | None, typer.Argument(help="The service's name; the configuration file's by default.")
-    ] = None,
-    config: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="The configuration; /etc/rosplc/NAME.yaml by default."),
-    ] = None,
-    user: Annotated[
-        str, typer.Option(metavar="NAME", help="Who runs the bridge; created if missing.")
-    ] = "rosplc",
-    root: Annotated[
-        Path, typer.Option(metavar="DIR", help="Work in this folder instead of /, for images of machines.")
-    ] = Path("/"),
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Show what would be done.")] = False,
-    as_json: AsJson = False,
+    what: What,
+    name: str | None = None,
+    /,
+    *,
+    config: Path | None = None,
+    user: str = "rosplc",
+    root: Path = Path("/"),
+    dry_run: bool = False,
+    as_json: bool = False,
 ) -> None:
-    """Run a bridge as a service of systemd: install it, remove it, or see how it stands."""
+    """Run a bridge as a service of systemd: install it, remove it, or see how it stands.
+
+    Options:
+        what WHAT: `install`, `uninstall` or `status`.
+        name: The service's name; the configuration file's by default.
+        config FILE: The configuration; /etc/rosplc/NAME.yaml by default.
+        user NAME: Who runs the bridge; created if missing.
+        root DIR: Work in this folder instead of /, for images of machines.
+        dry_run: Show what would be done.
+    """
     from rosplc.service.install import execute, install_steps, uninstall_steps
     from rosplc.service.planning import plan_service, require_systemd
     from rosplc.service.state import service_states

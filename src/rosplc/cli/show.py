@@ -1,20 +1,32 @@
-"""``rosplc show``: the newest message of a channel or of a classic topic, decoded."""
+"""``rosplc show``: the newest message of a channel or of a classic topic, decoded.
+
+rosplc show  —  every channel on this machine
+
+rosplc show /cmd_vel  —  the newest message of a topic
+
+rosplc show /cmd_vel --follow  —  every message from now on
+
+rosplc show /joint_states --count 10 --json  —  ten messages, one JSON document per line
+
+rosplc show --config cell.yaml  —  its classic topics too, which cannot describe themselves
+
+It needs no configuration otherwise, no ROS and no right to write, and nobody notices it.
+"""
 
 from __future__ import annotations
 
 import dataclasses
-import json
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rosplc.cli.guard import EXIT_FAILURE, finite, guarded, print_json
-from rosplc.cli.options import observed_config
-from rosplc.cli.text import columns, in_bytes, say, warn
-from rosplc.cli.watching import nothing_there, settled
+from rosplc.cli.options import Directory, nothing_there, observed_config, settled
+from rosplc.cli.text import print_json, say, table, warn
+from rosplc.cli.verb import EXIT_FAILURE, Between, verb
 from rosplc.errors import ChannelError
+from rosplc.harmless import in_bytes
 
 if TYPE_CHECKING:
     from rosplc.api import Channel
@@ -23,7 +35,78 @@ if TYPE_CHECKING:
     from rosplc.monitor import ChannelView, ObjectState
     from rosplc.monitor.classic import ClassicState
 
-__all__ = ["EPILOG", "classic_facts", "command", "list_classic", "show_classic"]
+__all__ = ["command", "lines_of"]
+
+_LEAST_S, _MOST_S = 0.1, 1.2
+_WAYS = {"to_plc": "→ PLC", "to_ros": "→ ROS"}
+
+
+@verb
+def command(
+    topic: str | None = None,
+    /,
+    *,
+    prefix: str | None = None,
+    follow: bool = False,
+    count: Annotated[int | None, Between(1)] = None,
+    header: bool = False,
+    timeout: Annotated[float | None, Between(0.0)] = None,
+    config: Path | None = None,
+    as_json: bool = False,
+    directory: Directory = "/dev/shm",
+) -> None:
+    """Show the message in a topic's shared memory, or list all channels of this machine.
+
+    Options:
+        topic: The topic as ROS writes it, such as /cmd_vel; all channels without it.
+        prefix NAME: The bridge's `prefix:`; for a topic the configuration's or `rosplc`, any for the
+            list.
+        follow: Print messages until Ctrl-C.
+        count N: Print so many new messages, then end.
+        header: Also print the object's counters.
+        timeout SECONDS: Give up when no message comes for so long.
+        config FILE: A configuration: its prefix and its classic topics; without --prefix, rosplc.yaml
+            in this folder by default.
+        as_json: Print JSON.
+    """
+    from rosplc.api import attach, topics
+
+    classic, own = [], prefix
+    if (file := observed_config(config, prefix)) is not None:
+        from rosplc.config.resolve import load_project
+
+        project = load_project(file)
+        classic = [plan for plan in project.topics if plan.classic is not None]
+        own = prefix or project.namespace.prefix
+    if topic is None:
+        states = topics(prefix, directory=directory)
+        if as_json:
+            print_json(
+                [state.to_dict() for state in states] + [_facts(plan, _look(plan)) for plan in classic]
+            )
+        else:
+            if states or not classic:
+                _list(states, prefix, directory)
+            _list_classic(classic)
+        if states and all(state.error for state in states) and not classic:
+            raise typer.Exit(EXIT_FAILURE)
+        return
+    if plan := next((plan for plan in classic if plan.topic == topic), None):
+        _show_classic(plan, follow=follow, count=count, timeout=timeout, as_json=as_json)
+        return
+    try:
+        channel = attach(topic, prefix=own or "rosplc", directory=directory)
+    except ChannelError as error:
+        raise _with_hint(error, topic, own, directory) from None
+    with channel:
+        live = follow or count is not None
+        view = _view(topic, own or "rosplc", directory) if header or not live else None
+        if header and not as_json:
+            _print_header(channel, view)
+        if follow or count is not None:
+            _follow(channel, count, timeout, header=header, as_json=as_json)
+        else:
+            _print_message(channel, channel.current(), view, header=header, as_json=as_json)
 
 
 def _look(plan: TopicPlan) -> ClassicState:
@@ -33,12 +116,7 @@ def _look(plan: TopicPlan) -> ClassicState:
     return look_at(plan.classic.name, plan.classic.semaphore, plan.layout.size)
 
 
-def classic_facts(plans: list[TopicPlan]) -> list[dict[str, Any]]:
-    """Return the classic topics as plain data."""
-    return [facts(plan, _look(plan)) for plan in plans]
-
-
-def facts(plan: TopicPlan, state: ClassicState) -> dict[str, Any]:
+def _facts(plan: TopicPlan, state: ClassicState) -> dict[str, Any]:
     """Return a classic topic as plain data."""
     return {
         "topic": plan.topic,
@@ -56,156 +134,65 @@ def facts(plan: TopicPlan, state: ClassicState) -> dict[str, Any]:
     }
 
 
-def list_classic(plans: list[TopicPlan]) -> None:
+def _list_classic(plans: list[TopicPlan]) -> None:
     """Print one line per classic topic."""
     rows, errors = [], []
     for plan in plans:
         state = _look(plan)
-        arrow = "→ PLC" if plan.direction == 1 else "→ ROS"
+        arrow = _WAYS["to_plc" if plan.direction == 1 else "to_ros"]
         sizes = f"{plan.layout.size} of {state.size}" if state.size else f"{plan.layout.size}"
         rows.append((plan.topic, arrow, plan.type_name, sizes, state.name, state.owner or "-", state.lock))
         if state.error:
             errors.append(f"{plan.topic}: {state.name}: {state.error} [{state.code}]")
     if rows:
         say()
-        for line in columns(
-            rows, header=("classic topic", "way", "type", "bytes", "memory", "owner", "lock")
-        ):
-            say(line)
+    table(rows, header=("classic topic", "way", "type", "bytes", "memory", "owner", "lock"))
     for text in errors:
         warn(text)
 
 
-def show_classic(
+def _show_classic(
     plan: TopicPlan, *, follow: bool, count: int | None, timeout: float | None, as_json: bool
 ) -> None:
-    """Print the content of a classic topic's memory; with ``follow`` or ``count`` each change seen."""
+    """Print the message in a classic topic's memory; with ``follow`` or ``count`` each change seen."""
     state = _look(plan)
     if not follow and count is None:
-        _print(plan, state, as_json=as_json, one_line=False)
+        _print_classic(plan, state, as_json=as_json, one_line=False)
         return
     printed, last, since = 0, state.record, time.monotonic()
     while count is None or printed < count:
         state = _look(plan)
         if state.record is not None and state.record != last:
             last, since = state.record, time.monotonic()
-            _print(plan, state, as_json=as_json, one_line=True)
+            _print_classic(plan, state, as_json=as_json, one_line=True)
             printed += 1
         elif timeout is not None and time.monotonic() - since > timeout:
             break
         time.sleep(0.005)
+    _require(printed, count, "changes")
+
+
+def _require(printed: int, count: int | None, what: str) -> None:
+    """End with a failure if fewer came than were asked for."""
     if count is not None and printed < count:
-        warn(f"rosplc: {printed} of {count} changes came within the time")
-        raise typer.Exit(1)
+        warn(f"rosplc: {printed} of {count} {what} came within the time")
+        raise typer.Exit(EXIT_FAILURE)
 
 
-def _print(plan: TopicPlan, state: ClassicState, *, as_json: bool, one_line: bool) -> None:
-    from rosplc.cli.show import lines_of
-
-    document = facts(plan, state)
-    if as_json and one_line:
-        typer.echo(json.dumps(finite(document)))
-        return
+def _print_classic(plan: TopicPlan, state: ClassicState, *, as_json: bool, one_line: bool) -> None:
+    document = _facts(plan, state)
     if as_json:
-        print_json(document)
+        print_json(document, one_line=one_line)
         return
     if state.record is None:
         raise ChannelError(state.code, state.error, where=f"/dev/shm/{state.name}")
     say(f"{plan.topic}  {plan.type_name}  classic memory {state.name}, lock: {state.lock}")
-    for line in lines_of(document["message"]):
+    _print_fields(document["message"])
+
+
+def _print_fields(message: Any) -> None:
+    for line in lines_of(message):
         say("  " + line)
-
-
-EPILOG = """Examples:
-
-rosplc show  —  every channel on this machine
-
-rosplc show /cmd_vel  —  the newest message of a topic
-
-rosplc show /cmd_vel --follow  —  every message from now on
-
-rosplc show /joint_states --count 10 --json  —  ten messages, one JSON document per line
-
-rosplc show --config cell.yaml  —  its classic topics too, which cannot describe themselves
-
-It needs no configuration otherwise, no ROS and no right to write, and nobody notices it.
-"""
-
-
-_LEAST_S, _MOST_S = 0.1, 1.2
-
-
-@guarded
-def command(
-    topic: Annotated[
-        str | None,
-        typer.Argument(help="The topic as ROS writes it, such as /cmd_vel; all channels without it."),
-    ] = None,
-    prefix: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help="The bridge's `prefix:`; for a topic the configuration's or `rosplc`, any for the list.",
-        ),
-    ] = None,
-    follow: Annotated[bool, typer.Option("--follow", "-f", help="Print messages until Ctrl-C.")] = False,
-    count: Annotated[
-        int | None,
-        typer.Option("--count", "-n", metavar="N", min=1, help="Print so many new messages, then end."),
-    ] = None,
-    header: Annotated[bool, typer.Option("--header", help="Also print the object's counters.")] = False,
-    timeout: Annotated[
-        float | None,
-        typer.Option(metavar="SECONDS", help="Give up when no message comes for so long.", min=0.0),
-    ] = None,
-    config: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="A configuration: its prefix and its classic topics; without --prefix, rosplc.yaml in this "
-            "folder by default.",
-        ),
-    ] = None,
-    directory: Annotated[str, typer.Option(help="Where the objects stand.", hidden=True)] = "/dev/shm",
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
-) -> None:
-    """Show the message in a topic's shared memory, or list all channels of this machine."""
-    from rosplc.api import attach, topics
-
-    classic, own = [], prefix
-    if (file := observed_config(config, prefix)) is not None:
-        from rosplc.config.resolve import load_project
-
-        project = load_project(file)
-        classic = [plan for plan in project.topics if plan.classic is not None]
-        own = prefix or project.namespace.prefix
-    if topic is None:
-        states = topics(prefix, directory=directory)
-        if as_json:
-            print_json([state.to_dict() for state in states] + classic_facts(classic))
-        else:
-            if states or not classic:
-                _list(states, prefix, directory)
-            list_classic(classic)
-        if states and all(state.error for state in states) and not classic:
-            raise typer.Exit(EXIT_FAILURE)
-        return
-    if plan := next((plan for plan in classic if plan.topic == topic), None):
-        show_classic(plan, follow=follow, count=count, timeout=timeout, as_json=as_json)
-        return
-    try:
-        channel = attach(topic, prefix=own or "rosplc", directory=directory)
-    except ChannelError as error:
-        raise _with_hint(error, topic, own, directory) from None
-    with channel:
-        live = follow or count is not None
-        view = _view(topic, own or "rosplc", directory) if header or not live else None
-        if header and not as_json:
-            _print_header(channel, view)
-        if follow or count is not None:
-            _follow(channel, count, timeout, header=header, as_json=as_json)
-        else:
-            _print_message(channel, channel.current(), view, header=header, as_json=as_json)
 
 
 def _view(topic: str, prefix: str, directory: str) -> ChannelView | None:
@@ -248,30 +235,21 @@ def _list(states: list[ObjectState], prefix: str | None, directory: str) -> None
     if not states:
         say(nothing_there([prefix] if prefix else [], directory))
         return
-    rows = []
-    for state in states:
-        if state.error:
-            continue
-        arrow = "→ PLC" if state.direction == "to_plc" else "→ ROS"
-        writer = "alive" if state.writer_alive else "silent"
-        readers = ", ".join(state.readers) or "nobody"
-        rows.append(
-            (
-                state.prefix,
-                state.topic,
-                arrow,
-                state.type_name,
-                state.record_size,
-                state.head,
-                writer,
-                readers,
-            )
+    rows = [
+        (
+            state.prefix,
+            state.topic,
+            _WAYS.get(state.direction, "→ ROS"),
+            state.type_name,
+            state.record_size,
+            state.head,
+            "alive" if state.writer_alive else "silent",
+            ", ".join(state.readers) or "nobody",
         )
-    for line in columns(
-        rows,
-        header=("prefix", "topic", "way", "type", "bytes", "newest", "writer", "read by") if rows else (),
-    ):
-        say(line)
+        for state in states
+        if not state.error
+    ]
+    table(rows, header=("prefix", "topic", "way", "type", "bytes", "newest", "writer", "read by"))
     for state in states:
         if state.error:
             warn(f"{state.path}: {state.error} [{state.code}]")
@@ -286,38 +264,26 @@ def _follow(
         printed += 1
         if count is not None and printed >= count:
             return
-    if count is not None and printed < count:
-        warn(f"rosplc: {printed} of {count} messages came within the time")
-        raise typer.Exit(1)
+    _require(printed, count, "messages")
 
 
 def _print_header(channel: Channel, view: ChannelView | None) -> None:
-    description, snapshot = channel.description, channel.snapshot()
-    writer = snapshot.writer
+    description, writer = channel.description, channel.snapshot().writer
+    who = f"process {writer.pid}" if writer.pid else "a PLC program"
+    dead = ", dead" if view is not None and view.writer_alive is False else ""
     rows: list[tuple[str, object]] = [
         ("topic", f"{channel.topic}, {'ROS → PLC' if channel.direction == 1 else 'PLC → ROS'}"),
         ("type", f"{description.type} ({description.distro}), {in_bytes(channel.layout.size)}"),
         ("layout id", channel.layout.layout_id),
         ("bridge", description.bridge),
         ("newest", f"message {writer.head}, {writer.refused} refused, {writer.truncated} truncated"),
-        ("writer", _writer(writer.pid, view) if writer.epoch else "none"),
+        ("writer", who + dead if writer.epoch else "none"),
     ]
-    rows += [
-        (
-            f"reader {line.index}",
-            f"{line.task or 'process'} {line.pid}: taken {line.taken}, lost {line.lost}"
-            + (", dead" if line.alive is False else ""),
-        )
-        for line in (view.readers if view is not None else ())
-    ]
-    for line in columns(rows):
-        say(line)
+    for line in view.readers if view is not None else ():
+        who = f"{line.task or 'process'} {line.pid}: taken {line.taken}, lost {line.lost}"
+        rows.append((f"reader {line.index}", who + (", dead" if line.alive is False else "")))
+    table(rows)
     say()
-
-
-def _writer(pid: int, view: ChannelView | None) -> str:
-    who = f"process {pid}" if pid else "a PLC program"
-    return who + (", dead" if view is not None and view.writer_alive is False else "")
 
 
 def _print_message(
@@ -330,56 +296,31 @@ def _print_message(
     one_line: bool = False,
 ) -> None:
     from rosplc.layout.view import plain
+    from rosplc.monitor.message import marks_of
+    from rosplc.monitor.picture import age_text
 
     info = channel.info if message is not None else None
     if as_json:
-        document: dict[str, Any] = {
-            "topic": channel.topic,
-            "type": channel.type_name,
-            "sequence": info.sequence if info else 0,
-            "stamp_ns": info.stamp_ns if info else 0,
-            "flags": info.flags if info else 0,
-            "lost": info.lost if info else 0,
-            "message": None if message is None else plain(message),
-        }
+        counters = {name: getattr(info, name, 0) for name in ("sequence", "stamp_ns", "flags", "lost")}
+        document: dict[str, Any] = {"topic": channel.topic, "type": channel.type_name, **counters}
+        document["message"] = None if message is None else plain(message)
         if view is not None:
             document |= {"state": view.state.value, "age_ns": view.age_ns}
         if header:
             snapshot = channel.snapshot()
             document["writer"] = dataclasses.asdict(snapshot.writer)
             document["readers"] = [dataclasses.asdict(line) for line in snapshot.readers if line.claim]
-        if one_line:
-            typer.echo(json.dumps(finite(document)))
-        else:
-            print_json(document)
+        print_json(document, one_line=one_line)
         return
     if message is None or info is None:
         say(f"{channel.topic}: no message yet" + (f"; {view.state.value}: {view.words}" if view else ""))
         return
-    say(
-        f"{channel.topic}  {channel.type_name}  message {info.sequence}"
-        + _remarks(info.flags, info.lost)
-        + _state(view)
-    )
-    for line in lines_of(plain(message)):
-        say("  " + line)
-
-
-def _state(view: ChannelView | None) -> str:
-    from rosplc.monitor.picture import age_text
-
-    if view is None:
-        return ""
-    return f"  {view.state.value}" + ("" if view.age_ns is None else f", {age_text(view.age_ns)} old")
-
-
-def _remarks(flags: int, lost: int) -> str:
-    from rosplc.monitor.message import marks_of
-
-    words = list(marks_of(flags))
-    if lost:
-        words.append(f"{lost} lost before it")
-    return f"  ({', '.join(words)})" if words else ""
+    marks = [*marks_of(info.flags), *([f"{info.lost} lost before it"] if info.lost else [])]
+    remarks = f"  ({', '.join(marks)})" if marks else ""
+    age = "" if view is None or view.age_ns is None else f", {age_text(view.age_ns)} old"
+    state = "" if view is None else f"  {view.state.value}{age}"
+    say(f"{channel.topic}  {channel.type_name}  message {info.sequence}{remarks}{state}")
+    _print_fields(plain(message))
 
 
 def lines_of(value: Any) -> list[str]:

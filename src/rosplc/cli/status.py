@@ -1,25 +1,4 @@
-"""``rosplc status``: every channel of every bridge on this machine, once, and whether anything is wrong."""
-
-from __future__ import annotations
-
-import json
-import time
-from collections.abc import Collection, Iterator
-from datetime import datetime
-from typing import TYPE_CHECKING, Annotated
-
-import typer
-
-from rosplc.cli.guard import EXIT_FAILURE, finite, guarded, print_json
-from rosplc.cli.text import columns, plural, say
-from rosplc.cli.watching import Configs, Directory, Prefix, StaleAfter, nothing_there, open_watch, settled
-
-if TYPE_CHECKING:
-    from rosplc.monitor import ChannelView, Event, Picture, Watch
-
-__all__ = ["EPILOG", "command"]
-
-EPILOG = """Examples:
+"""``rosplc status``: every channel of every bridge on this machine, once, and whether anything is wrong.
 
 rosplc status  —  every channel, and what is wrong; in a folder with rosplc.yaml, the channels of its bridge
 
@@ -35,6 +14,26 @@ and nobody notices it. The exit status is 0 only if there are channels and nothi
 and 1 otherwise: it can guard a script. In JSON, `worst` is null where there are no channels.
 """
 
+from __future__ import annotations
+
+import time
+from collections.abc import Collection
+from datetime import datetime
+from typing import TYPE_CHECKING
+
+import typer
+
+from rosplc.cli.options import Configs, Directory, Prefix, StaleAfter, nothing_there, open_watch, settled
+from rosplc.cli.text import print_json, say, table
+from rosplc.cli.verb import EXIT_FAILURE, verb
+from rosplc.harmless import plural
+
+if TYPE_CHECKING:
+    from rosplc.monitor import Picture, Watch
+
+__all__ = ["command"]
+
+
 _LEAST_SECONDS = 1.0
 _MOST_SECONDS = 31.0
 """A beat is never promised for more than ten seconds, and three are waited for."""
@@ -42,24 +41,26 @@ _FOLLOW_SECONDS = 0.5
 _NAMED = 3
 
 
-@guarded
+@verb
 def command(
+    *,
     prefix: Prefix = None,
     config: Configs = None,
     stale_after: StaleAfter = "1s",
-    follow: Annotated[
-        bool, typer.Option("--follow", "-f", help="Go on and print what happens until Ctrl-C.")
-    ] = False,
+    follow: bool = False,
     directory: Directory = "/dev/shm",
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: bool = False,
 ) -> None:
-    """Print one table of every channel of every bridge on this machine, and what is wrong."""
+    """Print one table of every channel of every bridge on this machine, and what is wrong.
+
+    Options:
+        follow: Go on and print what happens until Ctrl-C.
+        as_json: Print JSON.
+    """
     with open_watch(prefix, config, stale_after, directory) as watch:
         picture = settled(watch, _LEAST_SECONDS, _MOST_SECONDS)
-        if as_json and follow:
-            typer.echo(json.dumps(finite(picture.as_json())))
-        elif as_json:
-            print_json(picture.as_json())
+        if as_json:
+            print_json(picture.as_json(), one_line=follow)
         else:
             _print(picture, watch.prefixes, directory)
         if follow:
@@ -69,7 +70,7 @@ def command(
 
 
 def _print(picture: Picture, prefixes: Collection[str], directory: str) -> None:
-    from rosplc.monitor.picture import plc_text, state_text, way_text
+    from rosplc.monitor.picture import age_text, count_text, plc_text, rate_text, state_text, way_text
 
     if not picture.channels:
         say(nothing_there(prefixes, directory))
@@ -85,51 +86,38 @@ def _print(picture: Picture, prefixes: Collection[str], directory: str) -> None:
     several = len({view.prefix for view in picture.channels}) > 1
     rows = []
     for view in picture.channels:
-        figures = ("-", "-", "-", "-") if not view.direction else _figures(view)
-        row = [state_text(view), view.topic, way_text(view), *figures, plc_text(view)]
-        rows.append([*row, view.prefix] if several else row)
-    header = ["  state", "topic", "way", "per s", "age", "lost", "refused", "PLC"]
-    for line in columns(rows, header=[*header, "prefix"] if several else header):
-        say(line)
+        figures = ["-"] * 4
+        if view.direction:
+            figures = [rate_text(view.rate_hz), age_text(view.age_ns)]
+            figures += [count_text(view.lost), count_text(view.refused)]
+        row = [state_text(view), view.topic, way_text(view), *figures, plc_text(view), view.prefix]
+        rows.append(row if several else row[:-1])
+    header = ["  state", "topic", "way", "per s", "age", "lost", "refused", "PLC", "prefix"]
+    table(rows, header=header if several else header[:-1])
     if picture.wrong:
         say()
-    for line in _troubles(picture.wrong, several=several):
-        say(line)
-    for note in picture.notes:
-        say(note)
-
-
-def _troubles(wrong: tuple[ChannelView, ...], *, several: bool) -> Iterator[str]:
-    """Yield what is wrong, a line for all channels with which the same is."""
-    groups: dict[str, list[str]] = {}
-    for view in wrong:
+    groups: dict[str, list[str]] = {}  # one line for all channels with which the same is wrong
+    for view in picture.wrong:
         code = f" [{view.code}]" if view.code else ""
         name = f"{view.topic} ({view.prefix})" if several else view.topic
         groups.setdefault(f"{view.state.value}: {view.words}{code}", []).append(name)
     for words, names in groups.items():
         more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-        yield f"{', '.join(names[:_NAMED])}{more}: {words}"
-
-
-def _figures(view: ChannelView) -> tuple[str, str, str, str]:
-    from rosplc.monitor.picture import age_text, count_text, rate_text
-
-    lost, refused = count_text(view.lost), count_text(view.refused)
-    return rate_text(view.rate_hz), age_text(view.age_ns), lost, refused
+        say(f"{', '.join(names[:_NAMED])}{more}: {words}")
+    for note in picture.notes:
+        say(note)
 
 
 def _follow(watch: Watch, *, as_json: bool) -> None:
     from rosplc.monitor.events import grouped
+    from rosplc.monitor.picture import event_text
 
     while True:
         time.sleep(_FOLLOW_SECONDS)
         events = watch.look().events
         for event in events if as_json else grouped(events):
-            typer.echo(json.dumps(event.as_json())) if as_json else say(_line(event))
-
-
-def _line(event: Event) -> str:
-    from rosplc.monitor.picture import event_text
-
-    clock = datetime.fromtimestamp(event.time_ns / 1e9).strftime("%H:%M:%S")
-    return f"{clock} {event_text(event)}"
+            if as_json:
+                print_json(event.as_json(), one_line=True)
+            else:
+                clock = datetime.fromtimestamp(event.time_ns / 1e9).strftime("%H:%M:%S")
+                say(f"{clock} {event_text(event)}")

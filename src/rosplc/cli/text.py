@@ -6,22 +6,25 @@ shortened in the middle. In a pipe or a file each line is as long as its content
 
 from __future__ import annotations
 
+import json
+import math
 import shutil
 import sys
 import textwrap
-from collections.abc import Iterable, Sequence
+import time
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 import typer
 
-from rosplc.harmless import harmless, in_bytes, plural, shorten
+from rosplc.harmless import harmless, shorten
 
 __all__ = [
+    "ProgressLine",
     "columns",
-    "harmless",
-    "in_bytes",
-    "plural",
+    "finite",
+    "print_json",
     "say",
-    "shorten",
     "table",
     "terminal_width",
     "warn",
@@ -32,6 +35,8 @@ _GAP = 2
 _LEAST = 12
 """Characters that a column of names or sentences keeps at least."""
 _LEAST_WIDTH = 40
+_TERMINAL_S, _LOG_S = 1.0, 10.0
+"""Time between two lines of progress."""
 
 
 def terminal_width() -> int | None:
@@ -134,3 +139,58 @@ def _folded(cell: str, width: int) -> list[str]:
 
 def _is_number(text: str) -> bool:
     return text.replace(".", "", 1).isdigit()
+
+
+class ProgressLine:
+    """Progress on stderr: a line that is rewritten in a terminal, printed now and then into a log.
+
+    Args:
+        quiet: Show nothing.
+    """
+
+    def __init__(self, *, quiet: bool = False) -> None:
+        self._quiet = quiet
+        self._terminal = sys.stderr.isatty()
+        self._period = _TERMINAL_S if self._terminal else _LOG_S
+        self._next = time.monotonic() + self._period
+        self._shown = 0
+
+    def show(self, text: Callable[[], str]) -> None:
+        """Show the present text, if it is time."""
+        now = time.monotonic()
+        if self._quiet or now < self._next:
+            return
+        self._next = now + self._period
+        line = harmless(text())
+        sys.stderr.write("\r" + line.ljust(self._shown) if self._terminal else line + "\n")
+        sys.stderr.flush()
+        self._shown = len(line) if self._terminal else 0
+
+    def clear(self) -> None:
+        """Remove the line, so that other output can follow."""
+        if self._shown:
+            sys.stderr.write("\r" + " " * self._shown + "\r")
+            sys.stderr.flush()
+            self._shown = 0
+
+
+def print_json(value: Any, *, one_line: bool = False) -> None:
+    """Print ``value`` as one JSON document on stdout; NaN and infinity become strings.
+
+    It is ASCII: text out of shared memory may hold what a terminal would act upon, or bytes
+    that are no UTF-8.
+    """
+    sys.stdout.write(json.dumps(finite(value), indent=None if one_line else 2) + "\n")
+    if one_line:
+        sys.stdout.flush()
+
+
+def finite(value: Any) -> Any:
+    """Return ``value`` as JSON can hold it: JSON has no NaN, and jq would refuse the document."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    if isinstance(value, dict):
+        return {key: finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [finite(item) for item in value]
+    return list(value) if isinstance(value, (bytes, bytearray)) else value

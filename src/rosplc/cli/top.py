@@ -1,22 +1,4 @@
-"""``rosplc top``: every channel of every bridge on this machine, live in the terminal."""
-
-from __future__ import annotations
-
-import os
-import signal
-import sys
-from typing import Annotated
-
-import typer
-
-from rosplc.cli.extras import need_extra
-from rosplc.cli.guard import guarded
-from rosplc.cli.watching import Configs, Directory, Prefix, StaleAfter, open_watch
-from rosplc.errors import SetupError
-
-__all__ = ["EPILOG", "command"]
-
-EPILOG = """Examples:
+"""``rosplc top``: every channel of every bridge on this machine, live in the terminal.
 
 rosplc top  —  every channel of this machine; Enter shows the message with live values, ? explains
 
@@ -28,18 +10,36 @@ It needs no configuration, no ROS and no right to write, and nobody notices it. 
 columns and 20 rows on; for scripts there is `rosplc status`. It needs `pip install 'rosplc[views]'`.
 """
 
+from __future__ import annotations
 
-@guarded
+import os
+import signal
+import sys
+from typing import Annotated
+
+import typer
+
+from rosplc.cli.options import Configs, Directory, Prefix, StaleAfter, need_extra, open_watch
+from rosplc.cli.verb import Between, verb
+from rosplc.errors import SetupError
+
+__all__ = ["command"]
+
+
+@verb
 def command(
+    *,
     prefix: Prefix = None,
     config: Configs = None,
     stale_after: StaleAfter = "1s",
-    interval: Annotated[
-        float, typer.Option(metavar="SECONDS", help="Time between two looks.", min=0.1, max=60.0)
-    ] = 0.5,
+    interval: Annotated[float, Between(0.1, 60.0)] = 0.5,
     directory: Directory = "/dev/shm",
 ) -> None:
-    """Watch every channel of this machine in the terminal: rates, ages, losses, who lives, live values."""
+    """Watch every channel of this machine in the terminal: rates, ages, losses, who lives, live values.
+
+    Options:
+        interval SECONDS: Time between two looks.
+    """
     need_extra("textual", "views", "top")
     _check_terminal()
     with open_watch(prefix, config, stale_after, directory) as watch:

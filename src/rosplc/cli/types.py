@@ -1,24 +1,4 @@
-"""``rosplc types``: which message types there are, and how one looks in the PLC."""
-
-from __future__ import annotations
-
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
-
-from rosplc.cli.guard import guarded, print_json
-from rosplc.cli.options import AsJson
-from rosplc.cli.text import plural, say, table, warn
-from rosplc.errors import BackendError
-
-if TYPE_CHECKING:
-    from rosplc.layout import Layout, Limits, Node
-    from rosplc.model import TypeStore
-
-__all__ = ["EPILOG", "command"]
-
-EPILOG = """Examples:
+"""``rosplc types``: which message types there are, and how one looks in the PLC.
 
 rosplc types  —  all types of the default distribution
 
@@ -37,53 +17,52 @@ rosplc types --from-topic /pose --save ./msg  —  a custom type of ROS 1, asked
 rosplc types --distros  —  the bundled distributions
 """
 
+from __future__ import annotations
 
-@guarded
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from rosplc.cli.text import print_json, say, table, warn
+from rosplc.cli.verb import verb
+from rosplc.errors import BackendError
+from rosplc.harmless import plural
+
+if TYPE_CHECKING:
+    from rosplc.layout import Layout, Limits, Node
+    from rosplc.model import TypeStore
+
+__all__ = ["command"]
+
+
+@verb
 def command(
-    name: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="[TYPE]",
-            help="A type, `package/Name` or `package/msg/Name`, or a package; all types without it.",
-        ),
-    ] = None,
-    distro: Annotated[
-        str,
-        typer.Option(metavar="NAME", help="The ROS distribution whose definitions hold; `noetic` is ROS 1."),
-    ] = "jazzy",
-    path: Annotated[
-        list[Path] | None,
-        typer.Option(metavar="FOLDER", help="A folder with custom .msg files; may be given several times."),
-    ] = None,
-    limits: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="FIELD=N",
-            help="A capacity: `string=40`, `sequence=8`, or a field's path; may be repeated.",
-        ),
-    ] = None,
-    from_topic: Annotated[
-        str | None,
-        typer.Option(
-            metavar="TOPIC",
-            help="Ask a publisher of this topic for the type and its definition (ROS 1, `ROS_MASTER_URI`).",
-        ),
-    ] = None,
-    save: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FOLDER",
-            help="With --from-topic: write the definitions there, as files for `types.paths`.",
-        ),
-    ] = None,
-    timeout: Annotated[
-        float,
-        typer.Option(metavar="SECONDS", help="With --from-topic: how long to wait for a publisher."),
-    ] = 5.0,
-    distros: Annotated[bool, typer.Option("--distros", help="List the bundled distributions.")] = False,
-    as_json: AsJson = False,
+    name: str | None = None,
+    /,
+    *,
+    distro: str = "jazzy",
+    path: list[Path] | None = None,
+    limits: list[str] | None = None,
+    from_topic: str | None = None,
+    save: Path | None = None,
+    timeout: float = 5.0,
+    distros: bool = False,
+    as_json: bool = False,
 ) -> None:
-    """List the known message types, or show one: fields, offsets, sizes, IEC types."""
+    """List the known message types, or show one: fields, offsets, sizes, IEC types.
+
+    Options:
+        name [TYPE]: A type, `package/Name` or `package/msg/Name`, or a package; all types without it.
+        distro NAME: The ROS distribution whose definitions hold; `noetic` is ROS 1.
+        path FOLDER: A folder with custom .msg files; may be given several times.
+        limits FIELD=N: A capacity: `string=40`, `sequence=8`, or a field's path; may be repeated.
+        from_topic TOPIC: Ask a publisher of this topic for the type and its definition (ROS 1,
+            `ROS_MASTER_URI`).
+        save FOLDER: With --from-topic: write the definitions there, as files for `types.paths`.
+        timeout SECONDS: With --from-topic: how long to wait for a publisher.
+        distros: List the bundled distributions.
+    """
     from rosplc.layout import compute_layout
     from rosplc.model import DISTROS, TypeStore
 
@@ -132,7 +111,7 @@ def command(
 
 
 def _ask(topic: str, folder: Path | None, timeout: float) -> tuple[TypeStore, str, dict[str, Any]]:
-    """Ask the wire; return the types, the topic's type, and what is to be said about it."""
+    """Ask a publisher; return the types, the topic's type, and what is to be printed about it."""
     try:
         from rosplc.ros.rospy import definition_on_wire, save_definition
     except ImportError as error:
@@ -169,6 +148,8 @@ def parse_limits(texts: list[str]) -> Limits:
 
 def _facts(store: TypeStore, layout: Layout) -> dict[str, Any]:
     message = store[layout.type_name]
+    keys = ("path", "offset", "size", "ros", "iec")
+    fields = [(path, offset, node.size, *_names(node)) for path, offset, node in layout.fields()]
     return {
         "type": layout.type_name,
         "distro": store.distro,
@@ -176,10 +157,7 @@ def _facts(store: TypeStore, layout: Layout) -> dict[str, Any]:
         "align": layout.align,
         "layout_id": layout.layout_id,
         "limits": layout.limits.to_dict(),
-        "fields": [
-            {"path": path, "offset": offset, "size": node.size, "ros": ros_name(node), "iec": iec_name(node)}
-            for path, offset, node in layout.fields()
-        ],
+        "fields": [dict(zip(keys, field, strict=True)) for field in fields],
         "initial": layout.to_dict(layout.initial()),
         "constants": {each.name: each.value for each in message.constants},
         "dependencies": list(store.dependencies(layout.type_name)),
@@ -194,9 +172,7 @@ def _describe(store: TypeStore, layout: Layout) -> None:
         f"layout id {layout.layout_id}"
     )
     say()
-    rows = [
-        (offset, node.size, path, ros_name(node), iec_name(node)) for path, offset, node in layout.fields()
-    ]
+    rows = [(offset, node.size, path, *_names(node)) for path, offset, node in layout.fields()]
     table(rows, header=("offset", "bytes", "field", "ROS", "IEC 61131-3"))
     defaults = [(field.name, field.default) for field in message.fields if field.default is not None]
     if defaults:
@@ -210,36 +186,21 @@ def _describe(store: TypeStore, layout: Layout) -> None:
         say(f"  {line}" if line else "")
 
 
-def ros_name(node: Node) -> str:
-    """Return what a node is in ROS's words, with its capacity."""
-    from rosplc.layout import ArrayNode, ScalarNode, SequenceNode, StringNode, StructNode
-
-    if isinstance(node, ScalarNode):
-        return node.kind
-    if isinstance(node, StringNode):
-        return f"string (up to {node.capacity} bytes)"
-    if isinstance(node, ArrayNode):
-        return f"{_element(node.element)}[{node.length}]"
-    if isinstance(node, SequenceNode):
-        return f"{_element(node.element)}[] (up to {node.capacity})"
-    return node.type_name if isinstance(node, StructNode) else "padding"
-
-
-def iec_name(node: Node) -> str:
-    """Return a node's type in IEC 61131-3, messages by their ROS name's last part."""
+def _names(node: Node) -> tuple[str, str]:
+    """Return a node's type in ROS's words, with its capacity, and in IEC 61131-3."""
     from rosplc.layout import ArrayNode, ScalarNode, SequenceNode, StringNode, StructNode
     from rosplc.plc.names import IEC_TYPES
 
     if isinstance(node, ScalarNode):
-        return IEC_TYPES[node.kind]
+        return node.kind, IEC_TYPES[node.kind]
     if isinstance(node, StringNode):
-        return f"STRING({node.capacity})"
-    if isinstance(node, ArrayNode):
-        return f"ARRAY[0..{node.length - 1}] OF {iec_name(node.element)}"
-    if isinstance(node, SequenceNode):
-        return f"UDINT, ARRAY[0..{node.capacity - 1}] OF {iec_name(node.element)}"
-    return node.type_name.replace("/msg/", "_") if isinstance(node, StructNode) else ""
-
-
-def _element(node: Node) -> str:
-    return ros_name(node).partition(" ")[0]
+        return f"string (up to {node.capacity} bytes)", f"STRING({node.capacity})"
+    if isinstance(node, ArrayNode | SequenceNode):
+        ros, iec = _names(node.element)
+        ros = ros.partition(" ")[0]
+        if isinstance(node, ArrayNode):
+            return f"{ros}[{node.length}]", f"ARRAY[0..{node.length - 1}] OF {iec}"
+        return f"{ros}[] (up to {node.capacity})", f"UDINT, ARRAY[0..{node.capacity - 1}] OF {iec}"
+    if isinstance(node, StructNode):
+        return node.type_name, node.type_name.replace("/msg/", "_")
+    return "padding", ""

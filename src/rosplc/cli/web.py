@@ -1,29 +1,4 @@
-"""``rosplc web``: a page that shows this machine's channels in a browser."""
-
-from __future__ import annotations
-
-import json
-import logging
-import os
-import sys
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
-
-from rosplc.cli.extras import need_extra
-from rosplc.cli.guard import guarded
-from rosplc.cli.text import say, warn
-from rosplc.cli.watching import Configs, Directory, Prefix, StaleAfter, open_watch
-from rosplc.errors import WebError
-from rosplc.harmless import log_to_stderr
-
-if TYPE_CHECKING:
-    from rosplc.web import Settings
-
-__all__ = ["EPILOG", "command"]
-
-EPILOG = """Examples:
+"""``rosplc web``: a page that shows this machine's channels in a browser.
 
 rosplc web  —  open the address that it prints, on this machine
 
@@ -40,35 +15,53 @@ every message that the user who started it may read. Nothing is encrypted: do no
 that you do not trust. It needs `pip install 'rosplc[views]'`.
 """
 
+from __future__ import annotations
 
-@guarded
+import json
+import logging
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from rosplc.cli.options import Configs, Directory, Prefix, StaleAfter, need_extra, open_watch
+from rosplc.cli.text import say, warn
+from rosplc.cli.verb import Between, verb
+from rosplc.errors import WebError
+from rosplc.harmless import log_to_stderr
+
+if TYPE_CHECKING:
+    from rosplc.web import Settings
+
+__all__ = ["command"]
+
+
+@verb
 def command(
+    *,
     prefix: Prefix = None,
     config: Configs = None,
     stale_after: StaleAfter = "1s",
-    port: Annotated[int, typer.Option(min=0, max=65535, help="The port; 0 takes a free one.")] = 8480,
-    bind: Annotated[
-        str, typer.Option(metavar="ADDRESS", help="Where to listen; `0.0.0.0` for every network.")
-    ] = "127.0.0.1",
-    name: Annotated[
-        list[str] | None,
-        typer.Option(metavar="HOST", help="A name by which browsers reach it; may be repeated."),
-    ] = None,
-    allow_write: Annotated[
-        bool, typer.Option("--allow-write", help="Let who has the token write test messages.")
-    ] = False,
-    token_file: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="The token stands in it; otherwise one is made and printed."),
-    ] = None,
-    token_to_view: Annotated[
-        bool,
-        typer.Option("--token-to-view", help="Ask for the token before anything is shown, on loopback too."),
-    ] = False,
+    port: Annotated[int, Between(0, 65535)] = 8480,
+    bind: str = "127.0.0.1",
+    name: list[str] | None = None,
+    allow_write: bool = False,
+    token_file: Path | None = None,
+    token_to_view: bool = False,
     directory: Directory = "/dev/shm",
-    as_json: Annotated[bool, typer.Option("--json", help="Print address and token as JSON.")] = False,
+    as_json: bool = False,
 ) -> None:
-    """Show this machine's channels in a browser, live, until Ctrl-C."""
+    """Show this machine's channels in a browser, live, until Ctrl-C.
+
+    Options:
+        port: The port; 0 takes a free one.
+        bind ADDRESS: Where to listen; `0.0.0.0` for every network.
+        name HOST: A name by which browsers reach it; may be repeated.
+        allow_write: Let who has the token write test messages.
+        token_file FILE: The token stands in it; otherwise one is made and printed.
+        token_to_view: Ask for the token before anything is shown, on loopback too.
+        as_json: Print address and token as JSON.
+    """
     need_extra("aiohttp", "views", "web")
     from rosplc.web import Settings, is_loopback, new_token, read_token, serve
 

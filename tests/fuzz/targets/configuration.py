@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from functools import cache
 from typing import Any, cast
 
-from rosplc.cli.guard import finite
+from rosplc.cli.text import finite
 from rosplc.config.file import parse_config
 from rosplc.config.resolve import resolve
 from rosplc.errors import RosplcError

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from rosplc.cli.progress import ProgressLine
+from rosplc.cli.text import ProgressLine
 
 
 class Screen(io.StringIO):

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from rosplc.cli.text import columns, in_bytes, plural, shorten, wrap
+from rosplc.cli.text import columns, wrap
+from rosplc.harmless import in_bytes, plural, shorten
 
 TOPIC = "/robot1/left_arm/joint_trajectory_controller/state"
 ROW = (TOPIC, "→ PLC", "control_msgs/msg/JointTrajectoryControllerState", 12, "alive")
