@@ -7,10 +7,8 @@ what it is given (a folder in place of ``/proc``, a mapping in place of the envi
 
 from __future__ import annotations
 
-from rosplc.doctor.examination import examine
-from rosplc.doctor.finding import Area, Finding, Kind, Level
+from rosplc.doctor.examination import Question, examine
+from rosplc.doctor.finding import SCHEMA, Area, Finding, Kind, Level, Report
 from rosplc.doctor.kinds import KINDS
-from rosplc.doctor.report import SCHEMA, Report
-from rosplc.doctor.subject import Question
 
 __all__ = ["KINDS", "SCHEMA", "Area", "Finding", "Kind", "Level", "Question", "Report", "examine"]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from rosplc.config.plans import ClassicPlan
 from rosplc.doctor.finding import Finding
-from rosplc.doctor.kinds import kind
+from rosplc.doctor.kinds import fine, found, judged
 from rosplc.doctor.words import listed, remove, user_name
 
 __all__ = ["create_or_open", "locks", "sizes"]
@@ -31,35 +31,30 @@ def locks(
         bits: Word size of the programs that a bridge shares them with: its own.
         sleep: Waits for so many seconds.
     """
-    found = {plan.semaphore: directory / f"sem.{plan.semaphore}" for plan in plans if plan.semaphore}
-    present = {name: path for name, path in sorted(found.items()) if path.is_file()}
+    paths = {plan.semaphore: directory / f"sem.{plan.semaphore}" for plan in plans if plan.semaphore}
+    present = {name: path for name, path in sorted(paths.items()) if path.is_file()}
     other = {name: size for name, path in present.items() if (size := path.stat().st_size) != bits // 2}
     for name, size in other.items():
         made = f"{_SIZES[size]}-bit programs" if size in _SIZES else "no C library that is known"
         what = f"sem.{name} was made by {made} ({size} bytes), and a bridge here has {bits} bits"
-        yield kind("DOC215").found(what)
+        yield found("DOC215", what)
     if not other:
-        yield kind("DOC215").fine("semaphores have this machine's word size")
+        yield fine("DOC215", "semaphores have this machine's word size")
     same = {name: path for name, path in present.items() if name not in other}
-    taken, most = set(same), dict.fromkeys(same, 0)
+    most = dict.fromkeys(same, 0)
     for look in range(_LOOKS):
-        for name, path in same.items():
-            if value := _value(path):
-                taken.discard(name)
-                most[name] = max(most[name], value)
-        if not taken:
+        most = {name: max(value, _value(same[name])) for name, value in most.items()}
+        if all(most.values()):
             break
         if look < _LOOKS - 1:
             sleep(_PAUSE_S)
-    if taken:
-        what = f"taken at all of {_LOOKS} looks: {listed(sorted(taken))}"
-        yield kind("DOC214").found(what, command=remove(same[name] for name in sorted(taken)))
-    else:
-        yield kind("DOC214").fine("no lock of a classic topic stays taken")
-    if many := sorted(name for name, value in most.items() if value > 1):
-        yield kind("DOC216").found(f"more than one may enter: {listed(f'{n} ({most[n]})' for n in many)}")
-    else:
-        yield kind("DOC216").fine("no semaphore lets in more than one")
+    taken = [name for name, value in most.items() if not value]
+    what = f"taken at all of {_LOOKS} looks: {listed(taken)}" if taken else ""
+    command = remove(same[name] for name in taken) if taken else ""
+    yield judged("DOC214", what, "no lock of a classic topic stays taken", command=command)
+    many = [f"{name} ({value})" for name, value in most.items() if value > 1]
+    what = f"more than one may enter: {listed(many)}" if many else ""
+    yield judged("DOC216", what, "no semaphore lets in more than one")
 
 
 def _value(path: Path) -> int:
@@ -81,15 +76,13 @@ def sizes(directory: Path, plans: Sequence[tuple[str, ClassicPlan, int]]) -> Ite
         directory: Where they lie.
         plans: Topic, plan and bytes of its record.
     """
-    small = False
+    small = []
     for topic, plan, record in plans:
         path = directory / plan.name
         if path.is_file() and (size := path.stat().st_size) < record:
-            small = True
             what = f"{topic}: {path} has {size} bytes, the record {record}"
-            yield kind("DOC217").found(what, command=remove([path]))
-    if not small:
-        yield kind("DOC217").fine("memories of classic topics are large enough")
+            small.append(found("DOC217", what, command=remove([path])))
+    yield from small or [fine("DOC217", "memories of classic topics are large enough")]
 
 
 def create_or_open(
@@ -107,19 +100,16 @@ def create_or_open(
         protected = int((root / "proc/sys/fs/protected_regular").read_text(encoding="ascii"))
     except (OSError, ValueError):
         protected = 0
-    folder = directory.stat()
+    folder, seen = directory.stat(), ""
     names = {plan.name for plan in plans} | {f"sem.{plan.semaphore}" for plan in plans if plan.semaphore}
-    if protected and folder.st_mode & 0o1002 == 0o1002:
-        for uid in uids:
-            closed = [
-                name
-                for name in sorted(names)
-                if (directory / name).is_file()
-                and (directory / name).stat().st_uid not in (uid, folder.st_uid)
-            ]
-            if closed:
-                owner = user_name((directory / closed[0]).stat().st_uid)
-                what = f"{owner} owns {listed(closed)}, the runtime runs as {user_name(uid)}"
-                yield kind("DOC218").found(f"fs.protected_regular is {protected}; {what}")
-                return
-    yield kind("DOC218").fine("the kernel lets the runtime create-or-open classic objects")
+    owners = {
+        name: (directory / name).stat().st_uid for name in sorted(names) if (directory / name).is_file()
+    }
+    for uid in uids if protected and folder.st_mode & 0o1002 == 0o1002 else ():
+        closed = [name for name, owner in owners.items() if owner not in (uid, folder.st_uid)]
+        if closed and not seen:
+            who = (
+                f"{user_name(owners[closed[0]])} owns {listed(closed)}, the runtime runs as {user_name(uid)}"
+            )
+            seen = f"fs.protected_regular is {protected}; {who}"
+    yield judged("DOC218", seen, "the kernel lets the runtime create-or-open classic objects")

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 from rosplc.doctor.finding import Finding
-from rosplc.doctor.kinds import kind
+from rosplc.doctor.kinds import fine, found, judged
 from rosplc.doctor.words import listed
 
 __all__ = ["Wish", "addresses", "distro", "domain", "middleware", "reach", "values"]
@@ -36,35 +36,33 @@ class Wish:
 def distro(environment: Mapping[str, str], wish: Wish | None) -> Iterator[Finding]:
     """Compare the shell's ROS distribution with the configuration's."""
     here = environment.get("ROS_DISTRO", "")
-    if not here:
-        yield kind("DOC401").fine("ROS_DISTRO is not set: no ROS installation is sourced, and none is needed")
-    elif wish is None or here == wish.distro:
-        yield kind("DOC401").fine(f"ROS_DISTRO is {here}")
-    else:
-        what = f"ROS_DISTRO is {here}, the configuration's ros.distro is {wish.distro}"
-        yield kind("DOC401").found(
-            what, f"Write `ros: {{distro: {here}}}`, or source the other's setup.bash."
-        )
+    other = wish is not None and here and here != wish.distro
+    seen = f"ROS_DISTRO is {here}, the configuration's ros.distro is {wish.distro}" if wish and other else ""
+    unset = "ROS_DISTRO is not set: no ROS installation is sourced, and none is needed"
+    remedy = f"Write `ros: {{distro: {here}}}`, or source the other's setup.bash."
+    yield judged("DOC401", seen, f"ROS_DISTRO is {here}" if here else unset, remedy)
 
 
 def values(environment: Mapping[str, str], wish: Wish | None) -> Iterator[Finding]:
     """Judge whether ROS knows the variables' values."""
-    wrong = []
-    if wish is None or not wish.ros1:
-        number = environment.get("ROS_DOMAIN_ID", "")
-        digits = number.isascii() and number.isdigit() and len(number) < 10
-        if number and not (digits and int(number) <= _MAX_DOMAIN):
-            wrong.append(("ROS_DOMAIN_ID", number, f"a number from 0 to {_MAX_DOMAIN}"))
-        local = environment.get("ROS_LOCALHOST_ONLY", "")
-        if local not in ("", "0", "1"):
-            wrong.append(("ROS_LOCALHOST_ONLY", local, "0 or 1"))
-        reach_ = environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "")
-        if reach_ and reach_ not in _RANGES:
-            wrong.append(("ROS_AUTOMATIC_DISCOVERY_RANGE", reach_, f"one of {', '.join(_RANGES)}"))
+    rules: tuple[tuple[str, Callable[[str], bool], str], ...] = (
+        ("ROS_DOMAIN_ID", _is_domain, f"a number from 0 to {_MAX_DOMAIN}"),
+        ("ROS_LOCALHOST_ONLY", ("0", "1").__contains__, "0 or 1"),
+        ("ROS_AUTOMATIC_DISCOVERY_RANGE", _RANGES.__contains__, f"one of {', '.join(_RANGES)}"),
+    )
+    wrong = [
+        (name, value, right)
+        for name, holds, right in (rules if wish is None or not wish.ros1 else ())
+        if (value := environment.get(name, "")) and not holds(value)
+    ]
     for name, value, right in wrong:
-        yield kind("DOC403").found(f"{name} is {value!r}; it is {right}", command=f"unset {name}")
+        yield found("DOC403", f"{name} is {value!r}; it is {right}", command=f"unset {name}")
     if not wrong:
-        yield kind("DOC403").fine("ROS's variables have values that ROS knows")
+        yield fine("DOC403", "ROS's variables have values that ROS knows")
+
+
+def _is_domain(text: str) -> bool:
+    return text.isascii() and text.isdigit() and len(text) < 10 and int(text) <= _MAX_DOMAIN
 
 
 def domain(environment: Mapping[str, str], wish: Wish | None) -> Iterator[Finding]:
@@ -73,55 +71,45 @@ def domain(environment: Mapping[str, str], wish: Wish | None) -> Iterator[Findin
     if wish is not None and wish.ros1:
         return
     if wish is None or wish.domain is None:
-        yield kind("DOC402").fine(f"ROS domain {here}")
-    elif str(wish.domain) == here:
-        yield kind("DOC402").fine(f"ROS domain {here}, in the shell and in the configuration")
-    else:
-        what = f"the configuration's ros.domain is {wish.domain}; nodes from this shell are in domain {here}"
-        yield kind("DOC402").found(what, command=f"export ROS_DOMAIN_ID={wish.domain}")
+        yield fine("DOC402", f"ROS domain {here}")
+        return
+    what = f"the configuration's ros.domain is {wish.domain}; nodes from this shell are in domain {here}"
+    well = f"ROS domain {here}, in the shell and in the configuration"
+    command = f"export ROS_DOMAIN_ID={wish.domain}"
+    yield judged("DOC402", "" if str(wish.domain) == here else what, well, command=command)
 
 
 def middleware(environment: Mapping[str, str], wish: Wish | None) -> Iterator[Finding]:
     """Compare RMW_IMPLEMENTATION with the backend."""
     rmw = environment.get("RMW_IMPLEMENTATION", "").strip()
     word = f"RMW_IMPLEMENTATION is {rmw}" if rmw else "RMW_IMPLEMENTATION is not set, so nodes speak DDS"
-    if wish is None or wish.ros1 or not wish.backend or wish.backend in ("rclpy", "memory"):
-        yield kind("DOC404").fine(
-            word if wish is None or not wish.ros1 else "ROS 1 has no RMW_IMPLEMENTATION"
-        )
-        return
-    if (wish.backend == "zenoh") == (rmw == "rmw_zenoh_cpp"):
-        yield kind("DOC404").fine(f"{word}, as backend {wish.backend} does")
-    elif wish.backend == "zenoh":
-        what = f"{word}, and the backend is zenoh"
-        yield kind("DOC404").found(what, command="export RMW_IMPLEMENTATION=rmw_zenoh_cpp")
+    if wish is not None and wish.ros1:
+        yield fine("DOC404", "ROS 1 has no RMW_IMPLEMENTATION")
+    elif wish is None or wish.backend in ("", "rclpy", "memory"):
+        yield fine("DOC404", word)
     else:
-        what = f"{word}, and the backend is {wish.backend}"
-        yield kind("DOC404").found(what, "Write `ros: {backend: zenoh}`, or start the nodes without it.")
+        zenoh = wish.backend == "zenoh"
+        what = "" if zenoh == (rmw == "rmw_zenoh_cpp") else f"{word}, and the backend is {wish.backend}"
+        remedy = None if zenoh else "Write `ros: {backend: zenoh}`, or start the nodes without it."
+        command = "export RMW_IMPLEMENTATION=rmw_zenoh_cpp" if zenoh else ""
+        yield judged("DOC404", what, f"{word}, as backend {wish.backend} does", remedy, command)
 
 
 def reach(environment: Mapping[str, str], wish: Wish | None) -> Iterator[Finding]:
-    """Tell what limits discovery."""
+    """Report what limits discovery."""
     if wish is not None and (wish.ros1 or wish.backend == "zenoh"):
         return
-    if environment.get("ROS_LOCALHOST_ONLY") == "1":
-        yield kind("DOC405").found("ROS_LOCALHOST_ONLY=1: only nodes of this machine are found")
-        return
-    range_ = environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "")
+    variable = "ROS_AUTOMATIC_DISCOVERY_RANGE"
     peers = environment.get("ROS_STATIC_PEERS", "")
-    if range_ == "OFF":
-        yield kind("DOC405").found(
-            "ROS_AUTOMATIC_DISCOVERY_RANGE=OFF: no node is found",
-            "Unset it.",
-            "unset ROS_AUTOMATIC_DISCOVERY_RANGE",
-        )
-    elif range_ == "LOCALHOST":
-        more = f", and those at {peers}" if peers else ""
-        yield kind("DOC405").found(
-            f"ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST: nodes of this machine{more} are found"
-        )
+    if environment.get("ROS_LOCALHOST_ONLY") == "1":
+        yield found("DOC405", "ROS_LOCALHOST_ONLY=1: only nodes of this machine are found")
+    elif environment.get(variable) == "OFF":
+        yield found("DOC405", f"{variable}=OFF: no node is found", "Unset it.", f"unset {variable}")
     else:
-        yield kind("DOC405").fine(f"discovery reaches the subnet{f' and {peers}' if peers else ''}")
+        more = f", and those at {peers}" if peers else ""
+        local = f"{variable}=LOCALHOST: nodes of this machine{more} are found"
+        well = f"discovery reaches the subnet{f' and {peers}' if peers else ''}"
+        yield judged("DOC405", local if environment.get(variable) == "LOCALHOST" else "", well)
 
 
 def addresses(
@@ -140,40 +128,34 @@ def addresses(
         is_local: Whether an address is this machine's.
     """
     if wish is None or not wish.ros1:
-        peers = [peer.strip() for peer in environment.get("ROS_STATIC_PEERS", "").split(";") if peer.strip()]
-        yield from _resolved([("ROS_STATIC_PEERS", peer.partition(":")[0]) for peer in peers], resolve)
-    if wish is None or not wish.ros1:
+        yield from _peers(environment.get("ROS_STATIC_PEERS", ""), resolve)
         return
-    name, text = next(
-        ((key, environment[key]) for key in ("ROS_HOSTNAME", "ROS_IP") if environment.get(key)), ("", "")
-    )
-    if not text:
-        yield kind("DOC410").fine("other nodes are told this machine's own name (no ROS_IP, no ROS_HOSTNAME)")
+    name = next((key for key in ("ROS_HOSTNAME", "ROS_IP") if environment.get(key)), "")
+    if not name:
+        yield fine("DOC410", "other nodes are told this machine's own name (no ROS_IP, no ROS_HOSTNAME)")
         return
+    text = environment[name]
     try:
-        found = [str(ipaddress.ip_address(text))]
+        numbers = [str(ipaddress.ip_address(text))]
     except ValueError:
         try:
-            found = resolve(text)
+            numbers = resolve(text)
         except (OSError, UnicodeError):
-            yield kind("DOC406").found(f"{name}={text} has no address")
+            yield found("DOC406", f"{name}={text} has no address")
             return
-    if any(is_local(address) for address in found):
-        yield kind("DOC410").fine(f"{name}={text} is an address of this machine")
-    else:
-        yield kind("DOC410").found(f"{name}={text} is no address of this machine", command=f"unset {name}")
+    seen = "" if any(map(is_local, numbers)) else f"{name}={text} is no address of this machine"
+    yield judged("DOC410", seen, f"{name}={text} is an address of this machine", command=f"unset {name}")
 
 
-def _resolved(hosts: list[tuple[str, str]], resolve: Callable[[str], list[str]]) -> Iterator[Finding]:
+def _peers(text: str, resolve: Callable[[str], list[str]]) -> Iterator[Finding]:
+    hosts = [peer.strip().partition(":")[0] for peer in text.split(";") if peer.strip()]
     bad = []
-    for name, host in hosts:
+    for host in hosts:
         try:
             resolve(host)
         except (OSError, UnicodeError):
-            bad.append(f"{host} ({name})")
-    if bad:
-        yield kind("DOC406").found(
-            f"no address: {listed(bad)}", command=f"getent hosts {bad[0].split(' ')[0]}"
-        )
-    elif hosts:
-        yield kind("DOC406").fine("names in ROS_STATIC_PEERS have addresses")
+            bad.append(host)
+    if hosts:
+        seen = f"no address: {listed(f'{host} (ROS_STATIC_PEERS)' for host in bad)}" if bad else ""
+        command = f"getent hosts {bad[0]}" if bad else ""
+        yield judged("DOC406", seen, "names in ROS_STATIC_PEERS have addresses", command=command)

@@ -8,14 +8,16 @@ import pwd
 import resource
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from rosplc._version import __version__
 from rosplc.bridge.ros_side import choose_backend
-from rosplc.config import ConfigErrors, Project, load_project
-from rosplc.config.resolve import group_id, user_id
+from rosplc.config import ConfigErrors, Project, TopicPlan, load_project
+from rosplc.config.plans import ClassicPlan
+from rosplc.config.resolve import group_id, object_size, user_id
 from rosplc.doctor import (
     classic,
     code,
@@ -24,30 +26,52 @@ from rosplc.doctor import (
     leftovers,
     live,
     machine,
-    memory,
     network,
     packages,
     rights,
 )
-from rosplc.doctor.finding import Area, Finding, Level
+from rosplc.doctor.environment import Wish
+from rosplc.doctor.finding import Area, Finding, Level, Report
 from rosplc.doctor.generated import Generated, read_generated
-from rosplc.doctor.kinds import kind
+from rosplc.doctor.kinds import fine, found, judged
 from rosplc.doctor.look import see_graph
 from rosplc.doctor.objects import Objects, held_files, is_held, look_at_objects
 from rosplc.doctor.probe import Probe, run_probe
-from rosplc.doctor.processes import Runtime, find_runtimes, shm_mount
-from rosplc.doctor.report import Report
-from rosplc.doctor.subject import Question, Subject
 from rosplc.doctor.words import user_name
 from rosplc.errors import RosplcError
 from rosplc.plc.plan import ProjectOptions
 from rosplc.project import expected_files
 from rosplc.ros import ROS1
 
-__all__ = ["examine"]
+__all__ = ["Question", "examine"]
 
 _LOOK_S = 3.5
 """How long to watch objects for beats, at most: who beats ends it sooner."""
+
+
+@dataclass(frozen=True)
+class Question:
+    """What is to be examined.
+
+    Attributes:
+        config: The configuration file; None for the machine alone.
+        code: The folder of generated PLC code; None for none.
+        plc_user: The user of the PLC runtime, where it does not run now; empty: found by its process.
+        ros: Whether to look at the ROS graph.
+        seconds: How long to look at it, at most.
+        root: Where ``proc``, ``sys``, ``etc`` and ``run`` stand.
+        directory: Where objects lie without a configuration.
+        variables: The environment variables.
+    """
+
+    config: Path | None = None
+    code: Path | None = None
+    plc_user: str = ""
+    ros: bool = True
+    seconds: float = 4.0
+    root: Path = Path("/")
+    directory: Path = Path("/dev/shm")
+    variables: Mapping[str, str] = field(default_factory=lambda: dict(os.environ))
 
 
 def examine(question: Question, progress: Callable[[str], None] = lambda what: None) -> Report:
@@ -70,10 +94,12 @@ class _Examination:
 
     def __init__(self, question: Question) -> None:
         self._q = question
-        self._subject = Subject(question)
+        self._project: Project | None = None
+        self._chosen = ""  # the backend that the configuration leads to, once it is known
+        self._uid = os.geteuid()
         self._objects: Objects | None = None
-        self._code: Generated | None = None
-        self._runtimes: list[Runtime] = []
+        self._runtimes: list[rights.Runtime] = []
+        self._proc = question.root / "proc"
 
     def probes(self) -> Iterator[Probe]:
         """Yield the examinations; what a later one looks at depends on what earlier ones have found."""
@@ -88,82 +114,105 @@ class _Examination:
         if self._objects is not None:
             yield Probe("left-overs", Area.MEMORY, self._leftovers)
         yield Probe("what happens at log-out", Area.MACHINE, self._logout)
-        if self._subject.classic:
+        if self._classic:
             yield Probe("classic memories and locks", Area.MEMORY, self._classic_objects)
         yield Probe("PLC runtimes", Area.PLC, self._plc)
         yield Probe("rights of the PLC's user", Area.PLC, self._rights)
         yield Probe("the ROS environment", Area.ROS, self._variables)
         yield Probe("host names of ROS", Area.ROS, self._addresses)
         yield from self._network()
-        if self._subject.project is not None and self._objects is not None:
+        if self._project is not None and self._objects is not None:
             yield Probe("the running bridge", Area.LIVE, self._live)
         elif self._objects is not None:
-            yield Probe("running bridges", Area.LIVE, lambda: live.bridges(self._objects or Objects()))
+            yield Probe("running bridges", Area.LIVE, lambda: live.bridges(self._seen()))
         if q.code is not None:
             yield Probe("generated PLC code", Area.CODE, self._generated, 20.0)
-        if self._subject.project is not None and q.ros and self._subject.chosen != "memory":
+        if self._project is not None and q.ros and self._chosen != "memory":
             yield Probe("the ROS graph", Area.GRAPH, self._graph, q.seconds + 40.0)
 
     # What the configuration says.
+
+    @property
+    def _topics(self) -> tuple[TopicPlan, ...]:
+        return () if self._project is None else self._project.topics
+
+    @property
+    def _classic(self) -> list[tuple[TopicPlan, ClassicPlan]]:
+        return [(plan, plan.classic) for plan in self._topics if plan.classic is not None]
+
+    @property
+    def _directory(self) -> Path:
+        return self._q.directory if self._project is None else Path(self._project.namespace.directory)
+
+    @property
+    def _prefix(self) -> str | None:
+        return None if self._project is None else self._project.namespace.prefix
+
+    @property
+    def _wish(self) -> Wish | None:
+        """What the configuration sets about ROS; None without one."""
+        if self._project is None:
+            return None
+        ros = self._project.config.settings.ros
+        return Wish(ros.distro, ros.distro == ROS1, self._chosen, ros.domain)
+
+    @property
+    def _owner_id(self) -> int:
+        """Who owns, or would own, the objects."""
+        with suppress(RosplcError):
+            if self._project is not None and (uid := user_id(self._project.config)) is not None:
+                return uid
+        return self._uid
+
+    def _seen(self) -> Objects:
+        return self._objects or Objects()
 
     def _read_config(self) -> Iterable[Finding]:
         path = self._q.config
         assert path is not None
         try:
-            self._subject.project = load_project(path)
+            self._project = load_project(path)
         except ConfigErrors as errors:
-            return [
-                kind("DOC501").found(
-                    f"{each.where}: {each.what} [{each.code}]", each.remedy, f"rosplc check {path}"
-                )
-                for each in errors.errors
-            ]
-        return [
-            kind("DOC501").fine(f"{path} is valid: {len(self._subject.project.topics)} topics"),
-            *self._owner(self._subject.project),
-        ]
+            command = f"rosplc check {path}"
+            for each in errors.errors:
+                yield found("DOC501", f"{each.where}: {each.what} [{each.code}]", each.remedy, command)
+            return
+        yield fine("DOC501", f"{path} is valid: {len(self._topics)} topics")
+        yield self._owner(self._project)
 
-    def _owner(self, project: Project) -> Iterator[Finding]:
-        settings = project.config.settings.shm
+    def _owner(self, project: Project) -> Finding:
+        settings, who = project.config.settings.shm, user_name(self._uid)
         try:
             uid, gid = user_id(project.config), group_id(project.config)
         except RosplcError as error:
-            yield kind("DOC502").found(error.what, error.remedy)
-            return
-        if self._subject.uid != 0 and uid not in (None, self._subject.uid):
-            what = (
-                f"shm.owner is {settings.owner}, and {user_name(self._subject.uid)} may not give files away"
-            )
+            return found("DOC502", error.what, error.remedy)
+        what = remedy = command = ""
+        if self._uid != 0 and uid not in (None, self._uid):
+            what = f"shm.owner is {settings.owner}, and {who} may not give files away"
             remedy = f"Start the bridge as {settings.owner}, or remove shm.owner."
-            yield kind("DOC502").found(what, remedy, level=Level.WARNING)
-        elif self._subject.uid != 0 and gid is not None and gid not in {os.getegid(), *os.getgroups()}:
-            what = f"shm.group is {settings.group}, and {user_name(self._subject.uid)} is not in it"
+        elif self._uid != 0 and gid is not None and gid not in {os.getegid(), *os.getgroups()}:
+            what = f"shm.group is {settings.group}, and {who} is not in it"
             remedy = "Put the bridge's user into the group, and log in again."
-            command = f"sudo usermod --append --groups {settings.group} {user_name(self._subject.uid)}"
-            yield kind("DOC502").found(what, remedy, command, level=Level.WARNING)
-        else:
-            yield kind("DOC502").fine(
-                "objects can be given to the owner and group that the configuration names"
-            )
+            command = f"sudo usermod --append --groups {settings.group} {who}"
+        well = "objects can be given to the owner and group that the configuration names"
+        return judged("DOC502", what, well, remedy, command, Level.WARNING)
 
     # The machine.
 
     def _machine(self) -> Iterator[Finding]:
+        def limit(which: int) -> int:
+            return resource.getrlimit(which)[0]
+
         yield from machine.architecture(platform.machine(), platform.release(), byte_order=sys.byteorder)
         yield from machine.clock(time.time())
-        yield from machine.open_files(
-            resource.getrlimit(resource.RLIMIT_NOFILE)[0], len(self._subject.topics)
-        )
-        priority, locked = (
-            resource.getrlimit(which)[0] for which in (resource.RLIMIT_RTPRIO, resource.RLIMIT_MEMLOCK)
-        )
-        held = machine.capabilities(self._q.root / "proc/self/status")
-        yield from machine.real_time(priority, locked, held)
+        yield from machine.open_files(limit(resource.RLIMIT_NOFILE), len(self._topics))
+        held = machine.capabilities(self._proc / "self/status")
+        yield from machine.real_time(limit(resource.RLIMIT_RTPRIO), limit(resource.RLIMIT_MEMLOCK), held)
 
     def _logout(self) -> Iterator[Finding]:
-        # Whose objects are there already is who the bridge runs as; the doctor may be asked by another.
-        seen = leftovers.concerned(self._objects or Objects(), self._subject.prefix)
-        uid = max((each.status.st_uid for each in seen), default=self._subject.owner_id())
+        # Whose objects exist already is who the bridge runs as; another user may run the doctor.
+        seen = leftovers.concerned(self._seen(), self._prefix)
+        uid = max((each.status.st_uid for each in seen), default=self._owner_id)
         return machine.logout(self._q.root, uid, user_name(uid))
 
     def _packages(self) -> Iterator[Finding]:
@@ -171,213 +220,227 @@ class _Examination:
         yield from packages.wheels(platform.machine(), (sys.version_info[0], sys.version_info[1]))
 
     def _backend(self) -> Iterator[Finding]:
-        if self._subject.project is None:
-            distro = self._q.variables.get("ROS_DISTRO") or "jazzy"
-            return packages.backend(distro, "auto", self._q.variables, configured=False)
-        ros = self._subject.project.config.settings.ros
+        variables = self._q.variables
+        if self._project is None:
+            return packages.backend(
+                variables.get("ROS_DISTRO") or "jazzy", "auto", variables, configured=False
+            )
+        ros = self._project.config.settings.ros
         with suppress(RosplcError):  # the same is found below
-            self._subject.chosen = choose_backend(self._subject.project.config, self._q.variables).name
-        return packages.backend(
-            ros.distro, ros.backend, self._q.variables, zenoh_settings=ros.zenoh is not None
-        )
+            self._chosen = choose_backend(self._project.config, variables).name
+        return packages.backend(ros.distro, ros.backend, variables, zenoh_settings=ros.zenoh is not None)
 
     # Shared memory.
 
     def _memory(self) -> Iterator[Finding]:
-        directory = self._subject.directory
-        mount = shm_mount(self._q.root / "proc/self/mountinfo")
-        yield from memory.mounted(directory, mount)
+        directory = self._directory
+        yield from machine.mounted(directory, rights.shm_mount(self._proc / "self/mountinfo"))
         if directory.is_dir():
-            yield from memory.mode(directory, writable=os.access(directory, os.W_OK | os.X_OK))
-            needed, present = self._subject.sizes()
-            yield from memory.room(directory, os.statvfs(directory), needed, present)
+            yield from machine.mode(directory, writable=os.access(directory, os.W_OK | os.X_OK))
+            yield from machine.room(directory, os.statvfs(directory), *self._sizes())
+
+    def _sizes(self) -> tuple[int, int]:
+        """Return the bytes that the configuration's objects take, and those that exist already."""
+        needed = present = 0
+        for plan in self._topics:
+            assert self._project is not None
+            path = self._directory / self._project.object_name(plan)
+            size = object_size(self._project, plan) if plan.port == "channel" else plan.layout.size
+            needed += size
+            if path.is_file():
+                present += min(size, path.stat().st_blocks * 512)
+        return needed, present
 
     def _look_at_objects(self) -> Iterable[Finding]:
-        held = held_files(self._q.root / "proc")
-        self._objects = look_at_objects(
-            self._subject.directory,
-            held,
-            prefix=self._subject.prefix,
-            seconds=_LOOK_S,
-        )
+        held = held_files(self._proc)
+        self._objects = look_at_objects(self._directory, held, prefix=self._prefix, seconds=_LOOK_S)
         return ()
 
     def _leftovers(self) -> Iterator[Finding]:
-        assert self._objects is not None
-        configured = None
-        if self._subject.project is not None:
-            configured = {
-                self._subject.project.namespace.path(p.topic)
-                for p in self._subject.topics
-                if p.port == "channel"
-            }
-        yield from leftovers.leftovers(self._objects, self._subject.prefix, configured)
-        yield from leftovers.soundness(self._objects, self._subject.prefix)
-        owners = {self._subject.uid, self._subject.owner_id()}
-        yield from leftovers.ownership(
-            self._objects, self._subject.prefix, owners, root=self._subject.uid == 0
-        )
+        objects, prefix, configured = self._seen(), self._prefix, None
+        if self._project is not None:
+            path = self._project.namespace.path
+            configured = {path(plan.topic) for plan in self._topics if plan.port == "channel"}
+        yield from leftovers.leftovers(objects, prefix, configured)
+        yield from leftovers.soundness(objects, prefix)
+        yield from leftovers.ownership(objects, prefix, {self._uid, self._owner_id}, root=self._uid == 0)
 
     def _classic_objects(self) -> Iterator[Finding]:
         bits = 64 if sys.maxsize > 1 << 32 else 32
-        plans = [
-            (plan.topic, plan.classic, plan.layout.size) for plan in self._subject.classic if plan.classic
-        ]
-        yield from classic.locks(self._subject.directory, [each for _, each, _ in plans], bits)
-        yield from classic.sizes(self._subject.directory, plans)
+        plans = [(plan.topic, each, plan.layout.size) for plan, each in self._classic]
+        yield from classic.locks(self._directory, [each for _, each in self._classic], bits)
+        yield from classic.sizes(self._directory, plans)
 
     # The PLC.
 
     def _plc(self) -> Iterator[Finding]:
-        self._runtimes = find_runtimes(self._q.root / "proc")
+        self._runtimes = rights.find_runtimes(self._proc)
         wide = platform.machine() in ("x86_64", "aarch64", "ppc64le", "riscv64")
-        locked = any(plan.classic is not None and plan.classic.semaphore for plan in self._subject.topics)
+        locked = any(each.semaphore for _, each in self._classic)
         yield from rights.runtimes(self._runtimes, 64 if wide else 32, classic=locked)
-        yield from rights.same_memory(self._runtimes, shm_mount(self._q.root / "proc/self/mountinfo"))
+        yield from rights.same_memory(self._runtimes, rights.shm_mount(self._proc / "self/mountinfo"))
         word = self._q.variables.get("container", "")
         yield from rights.container(self._q.root, word, runtime_seen=bool(self._runtimes))
 
     def _rights(self) -> Iterator[Finding]:
         users = {(each.uid, each.gids) for each in self._runtimes}
-        if self._q.plc_user:
-            user = self._q.plc_user
+        if user := self._q.plc_user:
             try:
                 entry = pwd.getpwnam(user)
             except KeyError:
-                yield kind("DOC303").found(
-                    f"there is no user {user!r}", "Correct --plc-user.", "getent passwd"
-                )
+                yield found("DOC303", f"there is no user {user!r}", "Correct --plc-user.", "getent passwd")
                 return
             users = {(entry.pw_uid, frozenset(os.getgrouplist(user, entry.pw_gid)))}
         for uid, gids in sorted(users, key=lambda each: each[0]):
-            yield from rights.rights(self._subject.files(self._objects or Objects()), uid, gids)
-        plans = [plan.classic for plan in self._subject.classic if plan.classic is not None]
-        if plans and users:
-            uids = sorted(uid for uid, _ in users)
-            yield from classic.create_or_open(self._q.root, self._subject.directory, plans, uids)
+            yield from rights.rights(self._files(), uid, gids)
+        if self._classic and users:
+            plans, uids = [each for _, each in self._classic], sorted(uid for uid, _ in users)
+            yield from classic.create_or_open(self._q.root, self._directory, plans, uids)
+
+    def _files(self) -> list[rights.File]:
+        """Return the objects as they are; where the configuration's are missing, as they would be."""
+
+        def file(name: str, status: os.stat_result) -> rights.File:
+            return rights.File(name, status.st_uid, status.st_gid, status.st_mode & 0o7777)
+
+        seen = leftovers.concerned(self._seen(), self._prefix)
+        files = [file(each.topic, each.status) for each in seen]
+        there = {each.topic for each in seen}
+        if self._project is None:
+            return files
+        config, gid = self._project.config, os.getegid()
+        with suppress(RosplcError):
+            gid = gid if (wanted := group_id(config)) is None else wanted
+        mode = config.settings.shm.mode
+        for plan in self._topics:
+            names = [plan.topic if plan.port == "channel" else self._project.object_name(plan)]
+            if plan.classic is not None and plan.classic.semaphore:
+                names.append(f"sem.{plan.classic.semaphore}")
+            for name in names:
+                path = self._directory / name.lstrip("/")
+                if plan.port != "channel" and path.is_file():
+                    files.append(file(name, path.stat()))
+                elif name not in there:
+                    files.append(rights.File(name, self._owner_id, gid, mode))
+        return files
 
     # ROS.
 
     def _variables(self) -> Iterator[Finding]:
-        variables, wish = self._q.variables, self._subject.wish()
         for look in (environment.distro, environment.values, environment.domain):
-            yield from look(variables, wish)
-        yield from environment.middleware(variables, wish)
-        yield from environment.reach(variables, wish)
+            yield from look(self._q.variables, self._wish)
+        yield from environment.middleware(self._q.variables, self._wish)
+        yield from environment.reach(self._q.variables, self._wish)
 
     def _addresses(self) -> Iterator[Finding]:
-        return environment.addresses(
-            self._q.variables, self._subject.wish(), resolve=network.resolve, is_local=network.is_local
-        )
+        resolve, is_local = network.resolve, network.is_local
+        return environment.addresses(self._q.variables, self._wish, resolve=resolve, is_local=is_local)
 
     def _network(self) -> Iterator[Probe]:
-        wish = self._subject.wish()
-        if wish is not None and wish.backend == "memory":
-            return
-        if wish is not None and wish.ros1:
-            uri = self._q.variables.get("ROS_MASTER_URI") or "http://localhost:11311"
+        wish, variables = self._wish, self._q.variables
+        backend = "" if wish is None else wish.backend
+        if wish is not None and wish.ros1 and backend != "memory":
+            uri = variables.get("ROS_MASTER_URI") or "http://localhost:11311"
             yield Probe("the ROS master", Area.ROS, lambda: network.master(uri), 8.0)
-        elif wish is not None and wish.backend == "zenoh":
-            locators = self._subject.locators()
-            yield Probe(
-                "the Zenoh router", Area.ROS, lambda: network.routers(locators), 4.0 + 3.0 * len(locators)
-            )
-        else:
+        elif backend == "zenoh":
+            locators = self._locators()
+            seconds = 4.0 + 3.0 * len(locators)
+            yield Probe("the Zenoh router", Area.ROS, lambda: network.routers(locators), seconds)
+        elif backend != "memory":
             yield Probe("network interfaces", Area.ROS, lambda: network.multicast(self._q.root / "sys"))
-            rmw = self._q.variables.get("RMW_IMPLEMENTATION", "").strip()
-            backend = "" if wish is None else wish.backend
+            rmw = variables.get("RMW_IMPLEMENTATION", "").strip()
+            cyclone = backend == "dds" or rmw == "rmw_cyclonedds_cpp"
             if backend == "dds" or (backend == "rclpy" and rmw != "rmw_zenoh_cpp"):
-                cyclone = backend == "dds" or rmw == "rmw_cyclonedds_cpp"
-                yield Probe("receive buffers", Area.ROS, lambda: self._buffers(cyclone=cyclone))
+                root, topics = self._q.root, self._topics
+                look = network.receive_buffers
+                yield Probe("receive buffers", Area.ROS, lambda: look(topics, root, cyclone=cyclone))
 
-    def _buffers(self, *, cyclone: bool) -> Iterator[Finding]:
-        return network.receive_buffers(self._subject.topics, self._q.root, cyclone=cyclone)
+    def _locators(self) -> tuple[str, ...]:
+        """Return where a Zenoh session would connect to, as far as that can be known."""
+        assert self._project is not None
+        zenoh, variables = self._project.config.settings.ros.zenoh, self._q.variables
+        if zenoh is not None and zenoh.connect:
+            return zenoh.connect
+        # A file or a variable may set others, which only the library can read.
+        others = [variables.get(name) for name in ("ZENOH_SESSION_CONFIG_URI", "ZENOH_CONFIG_OVERRIDE")]
+        return () if any(others) or (zenoh is not None and zenoh.config) else ("tcp/localhost:7447",)
 
     def _carried(self) -> list[live.Carried]:
-        project, objects = self._subject.project, self._objects
-        if project is None or objects is None:
+        if self._project is None or self._objects is None:
             return []
-        return [
-            live.Carried(plan, objects.of(project.namespace, plan.topic))
-            for plan in self._subject.topics
-            if plan.port == "channel"
-        ]
-
-    def _classic_held(self) -> dict[str, bool]:
-        """Return classic topic → whether a bridge holds the lock file of its memory."""
-        held = held_files(self._q.root / "proc")
-        return {
-            plan.topic: bool(is_held(self._subject.directory / f"rosplc.classic.{plan.classic.name}", held))
-            for plan in self._subject.classic
-            if plan.classic is not None
-        }
+        own = self._project.namespace
+        plans = [plan for plan in self._topics if plan.port == "channel"]
+        return [live.Carried(plan, self._objects.of(own, plan.topic)) for plan in plans]
 
     def _live(self) -> Iterator[Finding]:
-        carried = self._carried()
-        yield from live.holders(carried, self._classic_held(), str(self._q.config))
+        carried, held = self._carried(), held_files(self._proc)
+        # A bridge holds the lock file of a classic topic's memory.
+        locks = {
+            plan.topic: bool(is_held(self._directory / f"rosplc.classic.{each.name}", held))
+            for plan, each in self._classic
+        }
+        yield from live.holders(carried, locks, str(self._q.config))
         yield from live.layouts(carried)
         yield from live.beating(carried)
         yield from live.refusals(carried)
 
     def _graph(self) -> Iterator[Finding]:
-        project, config = self._subject.project, self._q.config
+        project, config = self._project, self._q.config
         assert project is not None and config is not None
         try:
             seen = see_graph(config, self._q.seconds, self._q.variables)
         except RosplcError as error:
-            yield kind("DOC510").found(f"{error.what} [{error.code}]", error.remedy)
+            yield found("DOC510", f"{error.what} [{error.code}]", error.remedy)
             return
-        distro = project.config.settings.ros.distro
-        silent = distro in (ROS1, "humble")
+        yield fine("DOC510", f"looked at {seen.where} over {seen.backend}")
+        silent = project.config.settings.ros.distro in (ROS1, "humble")
         runs = any(each.live for each in self._carried())
-        yield kind("DOC510").fine(f"looked at {seen.where} over {seen.backend}")
-        yield from graph.judge_graph(
-            seen,
-            self._subject.topics,
-            lambda name: "" if silent else project.store.type_hash(name),
-            bridge_runs=runs,
-        )
+
+        def type_hash(name: str) -> str:
+            return "" if silent else project.store.type_hash(name)
+
+        yield from graph.judge_graph(seen, self._topics, type_hash, bridge_runs=runs)
 
     # Generated code.
 
     def _generated(self) -> Iterator[Finding]:
-        folder = self._q.code
+        folder, project = self._q.code, self._project
         assert folder is not None
         try:
-            found = read_generated(folder)
+            present = read_generated(folder)
         except ValueError as error:
-            yield kind("DOC701").found(str(error))
+            yield found("DOC701", str(error))
             return
-        yield kind("DOC701").fine(f"{folder}: {len(found.blocks)} blocks")
+        yield fine("DOC701", f"{folder}: {len(present.blocks)} blocks")
         command = f"rosplc generate {self._q.config or 'rosplc.yaml'} --out {folder}"
-        if self._subject.project is not None:
-            project = self._subject.project
-            edited, differences = self._regenerated(project, folder, found, command)
+        if project is not None:
+            edited, differences = _regenerated(project, folder, present, command)
+            prefix = project.namespace.prefix
             compared = list(
-                code.against_config(
-                    found, project.topics, project.namespace.prefix, command, differences=differences
-                )
+                code.against_config(present, project.topics, prefix, command, differences=differences)
             )
             yield from compared
             if all(each.level is Level.OK for each in compared):
                 yield from edited
         if self._objects is not None:
-            yield from code.against_live(found, self._objects, self._subject.directory)
-        yield from code.fences(found, platform.machine(), command)
+            yield from code.against_live(present, self._objects, self._directory)
+        yield from code.fences(present, platform.machine(), command)
 
-    def _regenerated(
-        self, project: Project, folder: Path, found: Generated, command: str
-    ) -> tuple[list[Finding], dict[str, str]]:
-        top = folder if (folder / "st").is_dir() else folder.parent
-        result: tuple[list[Finding], dict[str, str]] = ([], {})
-        for pins in (False, True):
-            options = ProjectOptions(
-                target="arm" if found.arm else "x86",
-                fenced=found.fenced,
-                programs=found.programs,
-                pins=pins,
-            )
-            result = code.files(top, expected_files(project, options), command)
-            if not any(each.level for each in result[0]):
-                break
-        return result
+
+def _regenerated(
+    project: Project, folder: Path, present: Generated, command: str
+) -> tuple[list[Finding], dict[str, str]]:
+    """Compare with what would be generated now, without and with pins; return the better comparison."""
+    top = folder if (folder / "st").is_dir() else folder.parent
+    result: tuple[list[Finding], dict[str, str]] = ([], {})
+    for pins in (False, True):
+        options = ProjectOptions(
+            target="arm" if present.arm else "x86",
+            fenced=present.fenced,
+            programs=present.programs,
+            pins=pins,
+        )
+        result = code.files(top, expected_files(project, options), command)
+        if not any(each.level for each in result[0]):
+            break
+    return result

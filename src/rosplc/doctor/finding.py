@@ -1,12 +1,18 @@
-"""What the doctor says: findings, each of a kind that the table in :mod:`rosplc.doctor.kinds` knows."""
+"""What the doctor reports: findings, each of a kind that the table in :mod:`rosplc.doctor.kinds` has."""
 
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass, replace
+from collections import Counter
+from dataclasses import dataclass
 from typing import Any
 
-__all__ = ["Area", "Finding", "Kind", "Level"]
+from rosplc._version import __version__
+
+__all__ = ["SCHEMA", "Area", "Finding", "Kind", "Level", "Report"]
+
+SCHEMA = 1
+"""Version of the JSON document; keys are only added under the same number."""
 
 
 class Level(enum.IntEnum):
@@ -43,7 +49,7 @@ class Area(enum.Enum):
 
 @dataclass(frozen=True)
 class Kind:
-    """What a code stands for, for the reference page and for findings.
+    """What a code means, for the reference page and for findings.
 
     Attributes:
         code: Three letters and three digits; it never changes its meaning.
@@ -60,24 +66,6 @@ class Kind:
     title: str
     meaning: str
     remedy: str
-
-    def found(
-        self, seen: str, remedy: str | None = None, command: str = "", *, level: Level | None = None
-    ) -> Finding:
-        """Return that it was found.
-
-        Args:
-            seen: What was seen, one sentence without a full stop at the end.
-            remedy: What to do, if not the usual; a full sentence.
-            command: The exact command that does it, where there is one.
-            level: How much it matters this time, if not the usual.
-        """
-        wanted = self.level if level is None else level
-        return Finding(self.code, self.area, wanted, seen, self.remedy if remedy is None else remedy, command)
-
-    def fine(self, seen: str) -> Finding:
-        """Return that it was looked for and that all is well."""
-        return Finding(self.code, self.area, Level.OK, seen)
 
 
 @dataclass(frozen=True)
@@ -100,17 +88,52 @@ class Finding:
     remedy: str = ""
     command: str = ""
 
-    def at(self, level: Level) -> Finding:
-        """Return the same finding at another level."""
-        return replace(self, level=level)
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON."""
+        texts = {"code": self.code, "seen": self.seen, "remedy": self.remedy, "command": self.command}
+        return {"area": self.area.value, "level": self.level.word, **texts}
+
+
+@dataclass(frozen=True)
+class Report:
+    """What an examination found.
+
+    Attributes:
+        findings: In the order of the examinations.
+        config: The configuration file; None for the machine alone.
+    """
+
+    findings: tuple[Finding, ...]
+    config: str | None = None
+
+    @property
+    def worst(self) -> Level:
+        """The worst level."""
+        return max((finding.level for finding in self.findings), default=Level.OK)
+
+    @property
+    def unusable(self) -> bool:
+        """Whether the configuration itself is wrong."""
+        return any(finding.code == "DOC501" and finding.level is Level.ERROR for finding in self.findings)
+
+    def counts(self) -> dict[str, int]:
+        """Return how many findings there are of each level, the worst first."""
+        number = Counter(finding.level for finding in self.findings)
+        return {level.word: number[level] for level in sorted(Level, reverse=True)}
+
+    def areas(self) -> list[tuple[Area, list[Finding]]]:
+        """Return findings by area: the areas with the worst first, and so within each."""
+        groups = {area: [f for f in self.findings if f.area is area] for area in Area}
+        filled = [(area, sorted(group, key=lambda f: -f.level)) for area, group in groups.items() if group]
+        return sorted(filled, key=lambda item: -item[1][0].level)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""
         return {
-            "area": self.area.value,
-            "level": self.level.word,
-            "code": self.code,
-            "seen": self.seen,
-            "remedy": self.remedy,
-            "command": self.command,
+            "schema": SCHEMA,
+            "rosplc": __version__,
+            "config": self.config,
+            "worst": self.worst.word,
+            "counts": self.counts(),
+            "findings": [finding.to_dict() for finding in self.findings],
         }

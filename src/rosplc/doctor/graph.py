@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from rosplc.config.resolve import TopicPlan
 from rosplc.doctor.finding import Finding, Level
-from rosplc.doctor.kinds import kind
+from rosplc.doctor.kinds import fine, found, judged
 from rosplc.doctor.words import listed
 from rosplc.harmless import plural
 from rosplc.init.domains import elsewhere
@@ -57,20 +57,21 @@ def judge_graph(
             if such nodes announce nothing.
         bridge_runs: Whether a bridge holds the configuration's objects.
     """
-    others = [node for node in graph.info.nodes if node != graph.bridge]
-    if others:
-        yield kind("DOC516").fine(f"{plural(len(others), 'node')} in {graph.where}: {listed(others)}")
-    elif not graph.info.endpoints:
-        what = f"no other node was seen in {graph.where}, over {graph.backend}{elsewhere(graph.where)}"
-        yield kind("DOC516").found(what)
-    if bridge_runs and graph.bridge not in graph.info.nodes:
-        yield kind("DOC517").found(f"a bridge runs, but {graph.bridge} is not in {graph.where}")
-    elif bridge_runs:
-        yield kind("DOC517").fine(f"the bridge's node {graph.bridge} is in the graph")
-    for plan in plans:
-        yield from _topic(
-            graph, plan, type_hash(plan.type_name), quiet=not others and not graph.info.endpoints
+    others, info = [node for node in graph.info.nodes if node != graph.bridge], graph.info
+    empty = not others and not info.endpoints
+    if others or empty:
+        what = (
+            f"no other node was seen in {graph.where}, over {graph.backend}{elsewhere(graph.where)}"
+            if empty
+            else ""
         )
+        yield judged("DOC516", what, f"{plural(len(others), 'node')} in {graph.where}: {listed(others)}")
+    if bridge_runs:
+        what = f"a bridge runs, but {graph.bridge} is not in {graph.where}"
+        well = f"the bridge's node {graph.bridge} is in the graph"
+        yield judged("DOC517", "" if graph.bridge in info.nodes else what, well)
+    for plan in plans:
+        yield from _topic(graph, plan, type_hash(plan.type_name), quiet=empty)
 
 
 def _topic(graph: Graph, plan: TopicPlan, ours: str, *, quiet: bool) -> Iterator[Finding]:
@@ -83,20 +84,15 @@ def _topic(graph: Graph, plan: TopicPlan, ours: str, *, quiet: bool) -> Iterator
         if end.topic == name and end.direction == wanted and end.node != graph.bridge
     ]
     if not ends:
-        if not quiet:  # of an empty graph enough has been said
+        if not quiet:  # of an empty graph enough has been reported
             yield _nobody(graph, name, plan, to_plc=to_plc)
         return
-    well = True
-    for end in ends:
-        finding = _problem(end, plan, ours, over_zenoh=graph.backend == "zenoh")
-        if finding is not None:
-            well = well and finding.level < Level.WARNING
-            yield finding
-    if well:
+    problems = [_problem(end, plan, ours, over_zenoh=graph.backend == "zenoh") for end in ends]
+    yield from filter(None, problems)
+    if not any(each is not None and each.level >= Level.WARNING for each in problems):
         does = "published" if to_plc else "subscribed to"
-        yield kind("DOC511").fine(
-            f"{name} is {does} by {listed(end.node or 'a nameless node' for end in ends)}"
-        )
+        who = listed(end.node or "a nameless node" for end in ends)
+        yield fine("DOC511", f"{name} is {does} by {who}")
 
 
 def _problem(end: EndpointInfo, plan: TopicPlan, ours: str, *, over_zenoh: bool) -> Finding | None:
@@ -105,44 +101,42 @@ def _problem(end: EndpointInfo, plan: TopicPlan, ours: str, *, over_zenoh: bool)
     who = f"node {end.node}" if end.node else "a node without a name"
     does = f"{who} {verb} {end.topic} as {end.type_name}"
     if end.type_name == _ANY:
-        return kind("DOC518").found(f"{who} {verb} {end.topic}, and nobody has told its type")
+        return found("DOC518", f"{who} {verb} {end.topic}, and nobody has told its type")
     if end.type_name != plan.type_name:
         remedy = f"Write `type: {end.type_name}` for {plan.topic}, or correct the node."
-        return kind("DOC512").found(f"{does}, here it is {plan.type_name} [ROS003]", remedy)
+        return found("DOC512", f"{does}, here it is {plan.type_name} [ROS003]", remedy)
     if ours and end.type_hash and ours != end.type_hash:
         there, here = end.type_hash[7:15], ours[7:15]
         what = f"{does} with another definition (type hash {there}… there, {here}… here) [ROS003]"
-        return kind("DOC513").found(what, command=f"ros2 interface show {end.type_name}")
+        return found("DOC513", what, command=f"ros2 interface show {end.type_name}")
     offered, requested = (end.qos, plan.qos) if end.direction == "out" else (plan.qos, end.qos)
     problem = incompatibility(offered, requested)
     if problem and over_zenoh:
         what = f"{does}, but {problem}; over Zenoh messages are exchanged nevertheless"
-        return kind("DOC514").found(what, level=Level.NOTE)
+        return found("DOC514", what, level=Level.NOTE)
     if obstacles := "; ".join([problem, *end.obstacles] if problem else end.obstacles):
-        remedy = _qos_remedy(end, plan) if problem else "Change these settings of the node: ROS has no such."
-        return kind("DOC514").found(f"{does}, but {obstacles} [ROS004]", remedy)
+        pairs = (
+            ("reliability", end.qos.reliability, plan.qos.reliability),
+            ("durability", end.qos.durability, plan.qos.durability),
+        )
+        settings = ", ".join(f"{key}: {theirs}" for key, theirs, own in pairs if theirs != own)
+        remedy = "Change these settings of the node: ROS has no such."
+        if problem:
+            remedy = f"Write `qos: {{{settings}}}` for {plan.topic}."
+        return found("DOC514", f"{does}, but {obstacles} [ROS004]", remedy)
     if not (ours and end.type_hash):
-        return kind("DOC518").found(f"{does}, without its definition")
+        return found("DOC518", f"{does}, without its definition")
     return None
 
 
-def _qos_remedy(end: EndpointInfo, plan: TopicPlan) -> str:
-    theirs = end.qos
-    settings = []
-    if theirs.reliability != plan.qos.reliability:
-        settings.append(f"reliability: {theirs.reliability}")
-    if theirs.durability != plan.qos.durability:
-        settings.append(f"durability: {theirs.durability}")
-    return f"Write `qos: {{{', '.join(settings)}}}` for {plan.topic}."
-
-
 def _nobody(graph: Graph, name: str, plan: TopicPlan, *, to_plc: bool) -> Finding:
+    what = f"nobody {'publishes' if to_plc else 'subscribes to'} {name}"
     if near := _similar(graph, name, plan.type_name):
-        what = f"nobody {'publishes' if to_plc else 'subscribes to'} {name}; did you mean {near}?"
-        return kind("DOC515").found(what, f"Correct the name, or write `ros: {{remap: {{{name}: {near}}}}}`.")
+        remedy = f"Correct the name, or write `ros: {{remap: {{{name}: {near}}}}}`."
+        return found("DOC515", f"{what}; did you mean {near}?", remedy)
     if to_plc:
-        return kind("DOC511").found(f"nobody publishes {name}", command=f"ros2 topic info -v {name}")
-    return kind("DOC511").found(f"nobody subscribes to {name}", level=Level.NOTE)
+        return found("DOC511", what, command=f"ros2 topic info -v {name}")
+    return found("DOC511", what, level=Level.NOTE)
 
 
 def _similar(graph: Graph, name: str, type_name: str) -> str:

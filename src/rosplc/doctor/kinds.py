@@ -6,21 +6,43 @@ too, its text names that error.
 
 from __future__ import annotations
 
-from rosplc.doctor.finding import Area, Kind, Level
+from rosplc.doctor.finding import Area, Finding, Kind, Level
 
-__all__ = ["KINDS", "kind"]
+__all__ = ["KINDS", "fine", "found", "judged"]
 
 KINDS: dict[str, Kind] = {}
 
 
-def kind(code: str) -> Kind:
-    """Return what a code stands for; KeyError if there is no such kind."""
-    return KINDS[code]
+def fine(code: str, seen: str) -> Finding:
+    """Return that it was looked for and that all is well."""
+    return Finding(code, KINDS[code].area, Level.OK, seen)
+
+
+def found(
+    code: str, seen: str, remedy: str | None = None, command: str = "", level: Level | None = None
+) -> Finding:
+    """Return that it was found.
+
+    Args:
+        code: Its kind.
+        seen: What was seen, one sentence without a full stop at the end.
+        remedy: What to do, if not the usual; a full sentence.
+        command: The exact command that does it, where there is one.
+        level: How much it matters this time, if not the usual.
+    """
+    usual = KINDS[code]
+    wanted, how = usual.level if level is None else level, usual.remedy if remedy is None else remedy
+    return Finding(code, usual.area, wanted, seen, how, command)
+
+
+def judged(
+    code: str, seen: str, well: str, remedy: str | None = None, command: str = "", level: Level | None = None
+) -> Finding:
+    """Return what was found as :func:`found` does, or, where ``seen`` is empty, that all is well."""
+    return found(code, seen, remedy, command, level) if seen else fine(code, well)
 
 
 def _register(code: str, area: Area, level: Level, title: str, meaning: str, remedy: str) -> None:
-    if code in KINDS:  # pragma: no cover - a programming error, found at import
-        raise ValueError(f"{code} is registered twice")
     KINDS[code] = Kind(code, area, level, title, meaning, remedy)
 
 

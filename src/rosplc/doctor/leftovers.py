@@ -8,8 +8,8 @@ from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 
 from rosplc.doctor.finding import Finding, Level
-from rosplc.doctor.kinds import kind
-from rosplc.doctor.objects import Objects, Seen
+from rosplc.doctor.kinds import fine, found, judged
+from rosplc.doctor.objects import Objects, Seen, lock_of
 from rosplc.doctor.words import listed, user_name
 from rosplc.harmless import plural
 from rosplc.shm.constants import STATE_RETIRED
@@ -31,12 +31,8 @@ def concerned(objects: Objects, prefix: str | None) -> tuple[Seen, ...]:
     return tuple(
         seen
         for seen in objects.objects
-        if seen.error is None or seen.prefix == "rosplc" or _lock(seen.path) in objects.locks
+        if seen.error is None or seen.prefix == "rosplc" or lock_of(seen.path) in objects.locks
     )
-
-
-def _lock(path: Path) -> Path:
-    return path.parent / path.name.replace(".t.", ".l.", 1)
 
 
 def leftovers(objects: Objects, prefix: str | None, configured: Collection[Path] | None) -> Iterator[Finding]:
@@ -54,24 +50,32 @@ def leftovers(objects: Objects, prefix: str | None, configured: Collection[Path]
     strangers = [] if configured is None else [each for each in idle if each.path not in configured]
     left = [each for each in idle if each not in retired and each not in strangers]
     if unknown:
-        text = f"not visible: who holds {plural(len(unknown), 'object')}, since /proc/locks cannot be read"
-        yield kind("DOC003").found(text)
-    if left:
-        what = f"no bridge holds {plural(len(left), 'object')}: {listed(map(_from, left))}"
-        yield kind("DOC205").found(what, command=_clean(left, objects))
-    else:
-        yield kind("DOC205").fine("a bridge holds every object that is there")
-    if strangers:
-        what = f"not in the configuration, and held by nobody: {listed(map(_from, strangers))}"
-        yield kind("DOC206").found(what, command=_clean(strangers, objects))
-    else:
-        yield kind("DOC206").fine("no object is left of topics that the configuration does not have")
-    if retired:
-        yield kind("DOC208").found(f"retired: {listed(map(_from, retired))}")
-    else:
-        yield kind("DOC208").fine("no retired object is left")
-    yield from _temporaries(objects, prefix)
-    yield from _lock_files(objects, prefix)
+        what = plural(len(unknown), "object")
+        yield found("DOC003", f"not visible: who holds {what}, since /proc/locks cannot be read")
+    what = f"no bridge holds {plural(len(left), 'object')}: {_names(left)}" if left else ""
+    yield judged("DOC205", what, "a bridge holds every object that is there", command=_clean(left, objects))
+    what = f"not in the configuration, and held by nobody: {_names(strangers)}" if strangers else ""
+    well = "no object is left of topics that the configuration does not have"
+    yield judged("DOC206", what, well, command=_clean(strangers, objects))
+    yield judged("DOC208", f"retired: {_names(retired)}" if retired else "", "no retired object is left")
+    # A bridge that runs may be making a temporary at this moment.
+    busy = {lock_of(each.path).name.partition(".l.")[2] for each in objects.objects if each.live}
+    gone = [
+        path
+        for path in objects.temporaries
+        if prefix is None or path.name.startswith(f"{prefix}.n.")
+        if path.name.partition(".n.")[2].rpartition(".")[0] not in busy
+    ]
+    what = f"{plural(len(gone), 'temporary')} of a bridge that was killed" if gone else ""
+    command = f"rosplc clean --prefix {gone[0].name.partition('.n.')[0]}" if gone else ""
+    yield judged("DOC207", what, "no temporaries are left", command=command)
+    without = [
+        each
+        for each in concerned(objects, prefix)
+        if each.bridge_beats and not each.held and lock_of(each.path) not in objects.locks
+    ]
+    what = f"a bridge beats, but there is no lock file: {_names(without)}" if without else ""
+    yield judged("DOC213", what, "every object that a bridge beats in has its lock file")
 
 
 def _clean(gone: Sequence[Seen], objects: Objects, *, root: bool = False) -> str:
@@ -86,64 +90,36 @@ def _clean(gone: Sequence[Seen], objects: Objects, *, root: bool = False) -> str
     return " && ".join(commands)
 
 
-def _from(seen: Seen) -> str:
-    bridge = f" of bridge {seen.description.bridge}" if seen.description else ""
-    return f"{seen.topic}{bridge}"
-
-
-def _temporaries(objects: Objects, prefix: str | None) -> Iterator[Finding]:
-    # A bridge that runs may be making one at this moment.
-    busy = {_lock(seen.path).name.partition(".l.")[2] for seen in objects.objects if seen.live}
-    left = [
-        path
-        for path in objects.temporaries
-        if prefix is None or path.name.startswith(f"{prefix}.n.")
-        if path.name.partition(".n.")[2].rpartition(".")[0] not in busy
-    ]
-    if left:
-        what = f"{plural(len(left), 'temporary')} of a bridge that was killed"
-        yield kind("DOC207").found(what, command=f"rosplc clean --prefix {left[0].name.partition('.n.')[0]}")
-    else:
-        yield kind("DOC207").fine("no temporaries are left")
-
-
-def _lock_files(objects: Objects, prefix: str | None) -> Iterator[Finding]:
-    without = [
-        seen
-        for seen in concerned(objects, prefix)
-        if seen.bridge_beats and not seen.held and _lock(seen.path) not in objects.locks
-    ]
-    if without:
-        yield kind("DOC213").found(
-            f"a bridge beats, but there is no lock file: {listed(map(_from, without))}"
-        )
-    else:
-        yield kind("DOC213").fine("every object that a bridge beats in has its lock file")
+def _names(seen: Sequence[Seen]) -> str:
+    return listed(
+        f"{each.topic} of bridge {each.description.bridge}" if each.description else each.topic
+        for each in seen
+    )
 
 
 def soundness(objects: Objects, prefix: str | None) -> Iterator[Finding]:
     """Tell which objects are damaged, are no objects, or may not be looked at."""
-    bad = [seen for seen in concerned(objects, prefix) if seen.error is not None]
-    # Without a configuration nobody says that a bridge of this machine needs these names.
+    # Without a configuration it is unknown whether a bridge of this machine needs these names.
     level = Level.WARNING if prefix is None else None
-    for seen in bad:
-        error = seen.error
-        assert error is not None
+    codes = set()
+    for seen in concerned(objects, prefix):
+        if (error := seen.error) is None:
+            continue
+        codes.add("" if error.code in _HIDDEN else error.code)
         what = f"{seen.path}: {error.what} [{error.code}]"
         if error.code in _HIDDEN:
             owner = user_name(seen.status.st_uid)
-            text = f"not visible: what stands in {seen.path}, which belongs to {owner} ({error.what})"
-            yield kind("DOC003").found(text)
+            what = f"not visible: what stands in {seen.path}, which belongs to {owner} ({error.what})"
+            yield found("DOC003", what)
         elif error.code == "SHM121":
-            folder = stat.S_ISDIR(seen.status.st_mode)
-            command = f"rm{'dir' if folder else ''} {seen.path}"
-            yield kind("DOC212").found(what, command=command, level=level)
+            command = f"rm{'dir' if stat.S_ISDIR(seen.status.st_mode) else ''} {seen.path}"
+            yield found("DOC212", what, command=command, level=level)
         else:
-            yield kind("DOC211").found(what, error.remedy, level=level)
-    if not any(seen.error and seen.error.code == "SHM121" for seen in bad):
-        yield kind("DOC212").fine("plain files stand at the objects' names")
-    if not any(seen.error and seen.error.code not in (*_HIDDEN, "SHM121") for seen in bad):
-        yield kind("DOC211").fine("no object is damaged")
+            yield found("DOC211", what, error.remedy, level=level)
+    if "SHM121" not in codes:
+        yield fine("DOC212", "plain files stand at the objects' names")
+    if not codes - {"", "SHM121"}:
+        yield fine("DOC211", "no object is damaged")
 
 
 def ownership(
@@ -159,19 +135,12 @@ def ownership(
     """
     files = [seen for seen in concerned(objects, prefix) if stat.S_ISREG(seen.status.st_mode)]
     others = [] if prefix is None else [s for s in files if s.status.st_uid not in owners and not s.live]
-    if others:
-        names = {user_name(seen.status.st_uid) for seen in others}
-        what = f"{listed(sorted(names))} owns {listed(seen.topic for seen in others)}"
-        yield kind("DOC209").found(what, command=_clean(others, objects, root=not root))
-    else:
-        yield kind("DOC209").fine("no object of another user is in the way")
-    open_ = [seen for seen in files if stat.S_IMODE(seen.status.st_mode) & 0o006]
-    if open_:
-        worst = max(stat.S_IMODE(seen.status.st_mode) & 0o006 for seen in open_)
-        who = "change" if worst & 0o002 else "read"
-        what = f"everybody may {who} {plural(len(open_), 'object')}: {listed(seen.topic for seen in open_)}"
-        yield kind("DOC210").found(
-            what, "In the configuration: shm: {mode: '0660', group: GROUP}; then restart it."
-        )
-    else:
-        yield kind("DOC210").fine("no object is open to everybody")
+    names = listed(sorted({user_name(seen.status.st_uid) for seen in others}))
+    what = f"{names} owns {listed(seen.topic for seen in others)}" if others else ""
+    command = _clean(others, objects, root=not root)
+    yield judged("DOC209", what, "no object of another user is in the way", command=command)
+    open_ = {seen.topic: bits for seen in files if (bits := stat.S_IMODE(seen.status.st_mode) & 0o006)}
+    who = "change" if max(open_.values(), default=0) & 0o002 else "read"
+    what = f"everybody may {who} {plural(len(open_), 'object')}: {listed(open_)}" if open_ else ""
+    remedy = "In the configuration: shm: {mode: '0660', group: GROUP}; then restart it."
+    yield judged("DOC210", what, "no object is open to everybody", remedy)

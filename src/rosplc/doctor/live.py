@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from rosplc.config.resolve import TopicPlan
 from rosplc.doctor.finding import Finding, Level
-from rosplc.doctor.kinds import kind
+from rosplc.doctor.kinds import fine, found, judged
 from rosplc.doctor.objects import Objects, Seen
 from rosplc.doctor.words import listed
 from rosplc.harmless import plural
@@ -17,6 +17,7 @@ from rosplc.shm import Direction
 __all__ = ["Carried", "beating", "bridges", "holders", "layouts", "refusals"]
 
 _NO_LAYOUT = "0" * 16
+_RESTART = "Look at its log, and restart it."
 
 
 @dataclass(frozen=True)
@@ -41,20 +42,16 @@ def holders(topics: Sequence[Carried], classic: Mapping[str, bool], config: str)
         config: The configuration file, for the command.
     """
     held = {each.plan.topic: each.live for each in topics} | dict(classic)
+    start, count = f"rosplc run {config}", plural(len(held), "topic")
     if not held:
         return
-    start = f"rosplc run {config}"
     if not any(held.values()):
-        yield kind("DOC601").found(f"no bridge holds any of {plural(len(held), 'topic')}", command=start)
+        yield found("DOC601", f"no bridge holds any of {count}", command=start)
         return
-    if all(held.values()):
-        yield kind("DOC601").fine(f"a bridge holds {plural(len(held), 'topic')}")
-    else:
-        missing = listed(topic for topic, is_held in held.items() if not is_held)
-        remedy = "Restart the bridge with this configuration."
-        yield kind("DOC601").found(
-            f"a bridge runs, and does not hold {missing}", remedy, start, level=Level.WARNING
-        )
+    missing = [topic for topic, is_held in held.items() if not is_held]
+    what = f"a bridge runs, and does not hold {listed(missing)}" if missing else ""
+    remedy = "Restart the bridge with this configuration."
+    yield judged("DOC601", what, f"a bridge holds {count}", remedy, start if missing else "", Level.WARNING)
     silent = [
         each.plan.topic
         for each in topics
@@ -62,15 +59,11 @@ def holders(topics: Sequence[Carried], classic: Mapping[str, bool], config: str)
     ]
     if silent:
         what = f"a bridge holds {listed(silent)}, and does not beat: it hangs, or was stopped"
-        yield kind("DOC601").found(what, "Look at its log, and restart it.", level=Level.ERROR)
+        yield found("DOC601", what, _RESTART, level=Level.ERROR)
 
 
 def bridges(objects: Objects) -> Iterator[Finding]:
-    """Tell of every bridge that holds objects of this machine, whatever its prefix, whether it beats.
-
-    Args:
-        objects: What was found.
-    """
+    """Report of every bridge that holds objects of this machine, whatever its prefix, whether it beats."""
     groups: dict[tuple[str, str], list[Seen]] = {}
     for seen in objects.objects:
         if seen.live and seen.description is not None:
@@ -80,28 +73,27 @@ def bridges(objects: Objects) -> Iterator[Finding]:
         silent = [seen for seen in held if not seen.bridge_beats]
         pid = max((seen.bridge_pid for seen in silent), default=0)
         if not silent:
-            yield kind("DOC601").fine(f"{bridge} beats in {count}")
+            yield fine("DOC601", f"{bridge} beats in {count}")
         elif is_starting(pid):
-            yield kind("DOC601").fine(f"{bridge} holds {count}, and is starting")
+            yield fine("DOC601", f"{bridge} holds {count}, and is starting")
         else:
             words = process_words(pid) if pid else ""
-            what = f"{bridge} holds {listed(seen.topic for seen in silent)}, and does not beat"
-            what += f": process {pid}, {words}" if words else ": it hangs, or was stopped"
-            yield kind("DOC601").found(what, "Look at its log, and restart it.", level=Level.ERROR)
+            why = f"process {pid}, {words}" if words else "it hangs, or was stopped"
+            what = f"{bridge} holds {listed(seen.topic for seen in silent)}, and does not beat: {why}"
+            yield found("DOC601", what, _RESTART, level=Level.ERROR)
 
 
 def layouts(topics: Sequence[Carried]) -> Iterator[Finding]:
     """Compare live objects with what the configuration gives."""
-    wrong = False
-    for each in topics:
-        seen, plan = each.seen, each.plan
-        if seen is None or seen.identity is None or not each.live:
-            continue
-        if difference := _difference(plan, seen):
-            wrong = True
-            yield kind("DOC602").found(f"{plan.topic}: {difference}")
+    wrong = [
+        found("DOC602", f"{each.plan.topic}: {difference}")
+        for each in topics
+        if each.seen is not None and each.seen.identity is not None and each.live
+        if (difference := _difference(each.plan, each.seen))
+    ]
+    yield from wrong
     if not wrong and any(each.live for each in topics):
-        yield kind("DOC602").fine("the running bridge's layouts are those of the configuration")
+        yield fine("DOC602", "the running bridge's layouts are those of the configuration")
 
 
 def _difference(plan: TopicPlan, seen: Seen) -> str:
@@ -124,43 +116,36 @@ def _difference(plan: TopicPlan, seen: Seen) -> str:
 
 def beating(topics: Sequence[Carried]) -> Iterator[Finding]:
     """Tell which topics no task of a PLC uses, and which layouts running tasks expect."""
-    live = [each for each in topics if each.live and each.seen is not None]
-    idle = [each.plan.topic for each in live if each.seen is not None and not each.seen.plc_beats]
-    if idle:
-        what = f"no PLC task beats in {listed(idle)}"
-        yield kind("DOC603").found(what)
-    elif live:
-        yield kind("DOC603").fine(f"PLC tasks beat in {plural(len(live), 'object')}")
-    refused = False
-    for each in live:
-        if each.plan.direction is not Direction.TO_PLC or each.seen is None or each.seen.identity is None:
+    live = [(each.plan, each.seen) for each in topics if each.live and each.seen is not None]
+    if not live:
+        return
+    idle = [plan.topic for plan, seen in live if not seen.plc_beats]
+    what = f"no PLC task beats in {listed(idle)}" if idle else ""
+    yield judged("DOC603", what, f"PLC tasks beat in {plural(len(live), 'object')}")
+    refused = []
+    for plan, seen in live:
+        if plan.direction is not Direction.TO_PLC or seen.identity is None:
             continue  # a PLC that writes leaves no layout: with another one it does not claim
-        actual = each.seen.identity.layout_id
-        for line in each.seen.plc_lines:
+        actual = seen.identity.layout_id
+        for line in seen.plc_lines:
             if line.layout_id not in (actual, _NO_LAYOUT):
-                refused = True
                 task = line.task or f"process {line.pid}"
-                what = (
-                    f"{each.plan.topic}: task {task} expects layout {line.layout_id}, the object has {actual}"
-                )
-                yield kind("DOC604").found(what)
+                what = f"task {task} expects layout {line.layout_id}, the object has {actual}"
+                refused.append(found("DOC604", f"{plan.topic}: {what}"))
             elif line.error:
-                refused = True
-                what = f"{each.plan.topic}: task {line.task or line.pid} reports error SHM{line.error:03d}"
-                yield kind("DOC604").found(what, f"`rosplc explain SHM{line.error:03d}` explains it.")
-    if live and not refused:
-        yield kind("DOC604").fine("no PLC task expects another layout")
+                code = f"SHM{line.error:03d}"
+                what = f"{plan.topic}: task {line.task or line.pid} reports error {code}"
+                refused.append(found("DOC604", what, f"`rosplc explain {code}` explains it."))
+    yield from refused or [fine("DOC604", "no PLC task expects another layout")]
 
 
 def refusals(topics: Sequence[Carried]) -> Iterator[Finding]:
-    """Tell where messages were refused or cut."""
-    found = []
+    """Report where messages were refused or cut."""
+    refused = []
     for each in topics:
         if each.live and each.seen is not None and each.seen.snapshot is not None:
             writer = each.seen.snapshot.writer
             if writer.refused or writer.truncated:
-                found.append(f"{each.plan.topic}: {writer.refused} refused, {writer.truncated} shortened")
-    if found:
-        yield kind("DOC605").found("; ".join(found))
-    elif any(each.live for each in topics):
-        yield kind("DOC605").fine("no message was refused or shortened")
+                refused.append(f"{each.plan.topic}: {writer.refused} refused, {writer.truncated} shortened")
+    if refused or any(each.live for each in topics):
+        yield judged("DOC605", "; ".join(refused), "no message was refused or shortened")

@@ -1,28 +1,41 @@
-"""The computer itself: processor, word size, clock, limits, log-out."""
+"""The computer itself: processor, word size, clock, limits, log-out, and what is mounted at /dev/shm."""
 
 from __future__ import annotations
 
 import configparser
+import os
 import resource
+import stat
 import struct
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from rosplc.doctor.finding import Finding, Level
-from rosplc.doctor.kinds import kind
+from rosplc.doctor.kinds import fine, found, judged
+from rosplc.doctor.rights import Mount
 
-__all__ = ["architecture", "capabilities", "clock", "logout", "open_files", "real_time"]
+__all__ = [
+    "architecture",
+    "capabilities",
+    "clock",
+    "logout",
+    "mode",
+    "mounted",
+    "open_files",
+    "real_time",
+    "room",
+]
 
 _TESTED = ("x86_64", "aarch64", "armv7l", "armv8l", "armv6l", "i686", "i386")
-_WIDE = ("x86_64", "aarch64")
-# Earlier than this release, whose year it is.
-_RELEASED_S = 1_735_689_600  # 2025-01-01
+_WIDE = ("x86_64", "aarch64", "armv8l")
+_RELEASED_S = 1_735_689_600  # 2025-01-01: earlier than this release
 _CAP_IPC_LOCK, _CAP_SYS_NICE = 14, 23
 _ENOUGH = 64 << 20
 _FIRST_PERSON = 1000
 """The first user number that logind takes for a person's (SYS_UID_MAX is 999)."""
 _SERVICES = (*range(61_184, 65_520), 65_534)
 """Users that systemd makes for a service, and nobody."""
+_MIB = 1 << 20
 
 
 def architecture(
@@ -36,54 +49,38 @@ def architecture(
         bits: Word size of this Python.
         byte_order: ``little`` or ``big``.
     """
-    seen = f"Linux {release} on {machine}"
-    if byte_order != "little":
-        yield kind("DOC101").found(f"{seen}, which is big-endian", level=Level.ERROR)
-    elif machine not in _TESTED:
-        yield kind("DOC101").found(f"{seen}, which rosplc is not tested on")
-    else:
-        yield kind("DOC101").fine(seen)
-    if bits == 32 and machine in (*_WIDE, "armv8l"):
-        yield kind("DOC102").found(f"Python has 32 bits on a kernel of 64 ({machine})")
-    else:
-        yield kind("DOC102").fine(f"Python has {bits} bits")
+    seen, little = f"Linux {release} on {machine}", byte_order == "little"
+    wrong = "" if machine in _TESTED else f"{seen}, which rosplc is not tested on"
+    wrong = wrong if little else f"{seen}, which is big-endian"
+    yield judged("DOC101", wrong, seen, level=None if little else Level.ERROR)
+    mixed = f"Python has 32 bits on a kernel of 64 ({machine})" if bits == 32 and machine in _WIDE else ""
+    yield judged("DOC102", mixed, f"Python has {bits} bits")
 
 
 def clock(now_s: float) -> Iterator[Finding]:
     """Judge the time of day, in seconds since 1970."""
-    if now_s < _RELEASED_S:
-        yield kind("DOC103").found(
-            "the clock is before 2025: it has not been set since the start of the machine",
-            "Set the clock; a board without a battery needs NTP or PTP.",
-            "timedatectl set-ntp true",
-        )
-    else:
-        yield kind("DOC103").fine("the clock is plausible")
+    unset = "the clock is before 2025: it has not been set since the start of the machine"
+    remedy = "Set the clock; a board without a battery needs NTP or PTP."
+    seen = unset if now_s < _RELEASED_S else ""
+    yield judged("DOC103", seen, "the clock is plausible", remedy, "timedatectl set-ntp true")
 
 
 def open_files(limit: int, topics: int) -> Iterator[Finding]:
-    """Judge the limit on open files.
-
-    Args:
-        limit: The soft limit; ``resource.RLIM_INFINITY`` for none.
-        topics: How many topics the configuration has.
-    """
+    """Judge the soft limit on open files (``resource.RLIM_INFINITY`` for none) for so many topics."""
     # A lock file per topic at least; a memory, a semaphore and sockets of two ROS 1 peers at most.
     least, usual = 48 + topics, 128 + 4 * topics
-    if limit != resource.RLIM_INFINITY and limit < usual:
-        yield kind("DOC104").found(
-            f"{limit} open files are allowed; {topics} topics take {least} to {usual}",
-            f"Raise the limit in the shell, or with LimitNOFILE={usual} in a systemd unit.",
-            f"ulimit -n {usual}",
-            level=Level.ERROR if limit < least else Level.WARNING,
-        )
-    else:
+    if limit == resource.RLIM_INFINITY or limit >= usual:
         allowed = "any number of" if limit == resource.RLIM_INFINITY else str(limit)
-        yield kind("DOC104").fine(f"{allowed} open files are allowed")
+        yield fine("DOC104", f"{allowed} open files are allowed")
+        return
+    seen = f"{limit} open files are allowed; {topics} topics take {least} to {usual}"
+    remedy = f"Raise the limit in the shell, or with LimitNOFILE={usual} in a systemd unit."
+    level = Level.ERROR if limit < least else Level.WARNING
+    yield found("DOC104", seen, remedy, f"ulimit -n {usual}", level)
 
 
 def real_time(priority: int, locked: int, capabilities: int) -> Iterator[Finding]:
-    """Tell whether real-time priority and locked memory may be had.
+    """Report whether real-time priority and locked memory may be had.
 
     Args:
         priority: Soft limit RLIMIT_RTPRIO; ``resource.RLIM_INFINITY`` for none.
@@ -92,13 +89,11 @@ def real_time(priority: int, locked: int, capabilities: int) -> Iterator[Finding
     """
     may_run = priority != 0 or capabilities >> _CAP_SYS_NICE & 1
     may_lock = locked == resource.RLIM_INFINITY or locked >= _ENOUGH or capabilities >> _CAP_IPC_LOCK & 1
-    if may_run and may_lock:
-        yield kind("DOC105").fine("real-time priority and locked memory may be had")
-        return
     amount = "any" if locked == resource.RLIM_INFINITY else f"{locked >> 10} KiB"
     seen = f"highest real-time priority {priority}, {amount} of locked memory"
     remedy = "Nothing, unless it matters; then LimitRTPRIO= and LimitMEMLOCK= of the systemd unit."
-    yield kind("DOC105").found(seen, remedy)
+    well = "real-time priority and locked memory may be had"
+    yield judged("DOC105", "" if may_run and may_lock else seen, well, remedy)
 
 
 def capabilities(status: Path) -> int:
@@ -115,27 +110,24 @@ def logout(
     """Judge whether systemd removes the bridge's objects when a user logs out.
 
     Args:
-        root: Where ``etc`` and ``run`` stand.
-        uid: Whose objects it would be about.
+        root: The folder that contains ``etc`` and ``run``.
+        uid: The user who owns the objects.
         user: That user's name.
         listing: Lists a folder's ``.conf`` files in their order; for tests.
     """
-    if not (root / "run/systemd/seats").is_dir():
-        yield kind("DOC106").fine("no systemd-logind runs here")
-        return
     value, where = _remove_ipc(root, listing or _conf_files)
-    if not value:
-        yield kind("DOC106").fine(f"RemoveIPC=no in {where}")
+    if not (root / "run/systemd/seats").is_dir():
+        yield fine("DOC106", "no systemd-logind runs here")
+    elif not value:
+        yield fine("DOC106", f"RemoveIPC=no in {where}")
     elif uid < _FIRST_PERSON or uid in _SERVICES:
-        yield kind("DOC106").fine(f"{user} is a system user, whose objects systemd leaves alone")
+        yield fine("DOC106", f"{user} is a system user, whose objects systemd leaves alone")
     elif (root / "var/lib/systemd/linger" / user).exists():
-        yield kind("DOC106").fine(f"{user} lingers, and is never logged out altogether")
+        yield fine("DOC106", f"{user} lingers, and is never logged out altogether")
     else:
-        yield kind("DOC106").found(
-            f"RemoveIPC=yes ({where}), and {user} is an ordinary user",
-            "Run the bridge as a system user (`rosplc service install`), or let this one linger.",
-            f"sudo loginctl enable-linger {user}",
-        )
+        seen = f"RemoveIPC=yes ({where}), and {user} is an ordinary user"
+        remedy = "Run the bridge as a system user (`rosplc service install`), or let this one linger."
+        yield found("DOC106", seen, remedy, f"sudo loginctl enable-linger {user}")
 
 
 def _conf_files(folder: Path) -> list[Path]:
@@ -143,20 +135,13 @@ def _conf_files(folder: Path) -> list[Path]:
 
 
 def _remove_ipc(root: Path, listing: Callable[[Path], list[Path]]) -> tuple[bool, str]:
-    """Return logind's RemoveIPC and where it stands; the last file that sets it wins."""
+    """Return logind's RemoveIPC and the file that sets it; the last file wins."""
     files: dict[str, Path] = {}
-    for folder in ("usr/lib/systemd/logind.conf.d", "run/systemd/logind.conf.d", "etc/systemd/logind.conf.d"):
-        files.update({path.name: path for path in listing(root / folder)})
+    for folder in ("usr/lib", "run", "etc"):
+        files.update({path.name: path for path in listing(root / folder / "systemd/logind.conf.d")})
+    mains = [root / base / "systemd/logind.conf" for base in ("etc", "run", "usr/lib")]
     result, where = True, "systemd's default"
-    main = next(
-        (
-            path
-            for base in ("etc", "run", "usr/lib")
-            if (path := root / base / "systemd/logind.conf").is_file()
-        ),
-        None,
-    )
-    for path in ([main] if main else []) + [files[name] for name in sorted(files)]:
+    for path in [path for path in mains if path.is_file()][:1] + [files[name] for name in sorted(files)]:
         parser = configparser.ConfigParser(strict=False, interpolation=None, allow_no_value=True)
         try:
             parser.read_string(path.read_text(encoding="utf-8", errors="replace"))
@@ -167,3 +152,61 @@ def _remove_ipc(root: Path, listing: Callable[[Path], list[Path]]) -> tuple[bool
             result = value.strip().lower() not in ("no", "false", "0", "off", "n", "f")
             where = f"/{path.relative_to(root)}"
     return result, where
+
+
+def mounted(directory: Path, mount: Mount | None) -> Iterator[Finding]:
+    """Judge what the kernel says is mounted at /dev/shm (None: nothing), and whether objects are there."""
+    if not directory.is_dir():
+        yield found("DOC201", f"{directory} is no folder", command=f"mkdir -p {directory}")
+    elif directory != Path("/dev/shm"):
+        seen = f"shm.directory is {directory}, where a PLC does not look"
+        yield found("DOC201", seen, "Remove shm.directory, unless it is for a test.", level=Level.WARNING)
+    elif mount is None or mount.point != "/dev/shm" or mount.kind not in ("tmpfs", "ramfs"):
+        is_there = mount is not None and mount.point == "/dev/shm"
+        what = f"it is {mount.kind}" if mount is not None and is_there else "nothing is mounted there"
+        mend = "sudo mount -t tmpfs -o mode=1777 tmpfs /dev/shm"
+        yield found("DOC201", f"/dev/shm is no memory file system: {what}", command=mend)
+    else:
+        seen = "/dev/shm is mounted read-only" if mount.read_only else ""
+        mend = "sudo mount -o remount,rw /dev/shm"
+        yield judged("DOC201", seen, "/dev/shm is a memory file system", command=mend)
+
+
+def mode(directory: Path, *, writable: bool) -> Iterator[Finding]:
+    """Judge the directory's mode; ``writable`` tells whether this user may make files in it."""
+    bits = stat.S_IMODE(directory.stat().st_mode)
+    seen = f"{directory} has mode {bits:04o}"
+    what = seen if writable else f"{seen}, and this user may not make files there"
+    level = Level.WARNING if writable else Level.ERROR
+    command = f"sudo chmod 1777 {directory}"
+    yield judged("DOC202", "" if bits == 0o1777 else what, seen, command=command, level=level)
+
+
+def room(directory: Path, space: os.statvfs_result, needed: int, present: int) -> Iterator[Finding]:
+    """Judge the room for objects.
+
+    Args:
+        directory: The folder of the objects.
+        space: What ``os.statvfs`` returns for it.
+        needed: Bytes of all of the configuration's objects; 0 without one.
+        present: Bytes of those that exist already, as they are allocated.
+    """
+    size, free = space.f_blocks * space.f_frsize, space.f_bavail * space.f_frsize
+    seen = f"{directory} has {_mib(free)} of {_mib(size)} free"
+    missing = max(0, needed - present)
+    if missing > free:
+        # A bridge makes a new object beside the old one, so twice the need is required.
+        mib = -(-(size + 2 * missing) // _MIB)
+        remedy = "Enlarge it, or lower limits and depth; a container takes --shm-size."
+        command = f"sudo mount -o remount,size={mib}m {directory}"
+        what = f"{seen}; the configuration's objects need {_mib(missing)} more"
+        yield found("DOC203", what, remedy, command)
+    elif size and free < size / 10:
+        yield found("DOC204", seen, command=f"ls -lS {directory}")
+    else:
+        more = f"; the configuration's objects take {_mib(needed)}" if needed else ""
+        yield fine("DOC203", seen + more)
+
+
+def _mib(count: int) -> str:
+    return f"{count / _MIB:.0f} MiB" if count >= 10 * _MIB else f"{count / _MIB:.1f} MiB"

@@ -10,7 +10,7 @@ from urllib.parse import urlsplit
 from rosplc.codec import Codec, Wire
 from rosplc.config import TopicPlan
 from rosplc.doctor.finding import Finding, Level
-from rosplc.doctor.kinds import kind
+from rosplc.doctor.kinds import found, judged
 from rosplc.doctor.words import listed
 from rosplc.ros.buffers import cyclone_buffer, default_buffer, largest_message
 from rosplc.shm import Direction
@@ -57,13 +57,11 @@ def multicast(sys: Path) -> Iterator[Finding]:
             local = bool(flags & _UP)
         elif flags & _UP and flags & _MULTICAST:
             good.append(folder.name)
-    if good:
-        yield kind("DOC407").fine(f"multicast on {', '.join(good)}")
-    elif local:
+    what, command = "no interface is up, not even loopback", "sudo ip link set lo up"
+    if local:
         what = "no interface but loopback is up with multicast: only nodes of this machine can be found"
-        yield kind("DOC407").found(what, command="ip link")
-    else:
-        yield kind("DOC407").found("no interface is up, not even loopback", command="sudo ip link set lo up")
+        command = "ip link"
+    yield judged("DOC407", "" if good else what, f"multicast on {', '.join(good)}", command=command)
 
 
 def receive_buffers(topics: Sequence[TopicPlan], root: Path, *, cyclone: bool) -> Iterator[Finding]:
@@ -76,9 +74,8 @@ def receive_buffers(topics: Sequence[TopicPlan], root: Path, *, cyclone: bool) -
     """
     default = default_buffer(root)
     if not default:
-        yield kind("DOC003").found(
-            "not visible from here: net.core.rmem_default", "Run the doctor outside the container."
-        )
+        what = "not visible from here: net.core.rmem_default"
+        yield found("DOC003", what, "Run the doctor outside the container.")
         return
     ours = cyclone_buffer(root) if cyclone else default
     large, needed, level = [], 0, Level.NOTE
@@ -86,21 +83,15 @@ def receive_buffers(topics: Sequence[TopicPlan], root: Path, *, cyclone: bool) -
         # Counts above a capacity read as the capacity, so this is the largest message.
         size = len(Codec(plan.layout, Wire.CDR).encode(b"\xff" * plan.layout.size))
         buffer = ours if plan.direction is Direction.TO_PLC else default
-        if size <= largest_message(buffer):
-            continue
-        large.append(f"{plan.topic} (up to {size} bytes, buffer {buffer})")
-        needed = max(needed, size)
-        if plan.qos.reliability != "reliable":
-            level = Level.WARNING
-    if not large:
-        yield kind("DOC411").fine("the largest messages fit into the sockets' receive buffers")
-        return
+        if size > largest_message(buffer):
+            large.append(f"{plan.topic} (up to {size} bytes, buffer {buffer})")
+            needed = max(needed, size)
+            level = level if plan.qos.reliability == "reliable" else Level.WARNING
     wanted = max(1 << 22, 1 << needed.bit_length() + 1)
-    yield kind("DOC411").found(
-        f"larger than a receive buffer: {listed(large)}",
-        command=f"sudo sysctl -w net.core.rmem_default={wanted} net.core.rmem_max={wanted}",
-        level=level,
-    )
+    command = f"sudo sysctl -w net.core.rmem_default={wanted} net.core.rmem_max={wanted}"
+    seen = f"larger than a receive buffer: {listed(large)}" if large else ""
+    well = "the largest messages fit into the sockets' receive buffers"
+    yield judged("DOC411", seen, well, command=command, level=level)
 
 
 def no_master(uri: str) -> str:
@@ -139,13 +130,12 @@ def master(
         host = port = None
     if not host or not port or parts.scheme != "http":
         what = f"ROS_MASTER_URI is {uri!r}; it is something like http://localhost:11311"
-        yield kind("DOC403").found(what, command="export ROS_MASTER_URI=http://localhost:11311")
-    elif reason := call(host, port):
-        yield kind("DOC408").found(f"nobody answers at {uri}: {reason}", command="roscore")
-    elif reason := ask(uri):
-        yield kind("DOC408").found(f"what answers at {uri} is no ROS master: {reason}", command="roscore")
-    else:
-        yield kind("DOC408").fine(f"the ROS master answers at {uri}")
+        yield found("DOC403", what, command="export ROS_MASTER_URI=http://localhost:11311")
+        return
+    what = f"nobody answers at {uri}: {reason}" if (reason := call(host, port)) else ""
+    if not what and (reason := ask(uri)):
+        what = f"what answers at {uri} is no ROS master: {reason}"
+    yield judged("DOC408", what, f"the ROS master answers at {uri}", command="roscore")
 
 
 def routers(locators: Sequence[str], *, call: Callable[[str, int], str] = answers) -> Iterator[Finding]:
@@ -160,13 +150,10 @@ def routers(locators: Sequence[str], *, call: Callable[[str, int], str] = answer
         host, _, rest = address.rpartition(":")
         port = rest.partition("?")[0].partition("#")[0]
         if protocol not in ("tcp", "tls", "ws") or not port.isdigit():
-            yield kind("DOC003").found(
-                f"not visible from outside: whether somebody answers at {locator}",
-                "Nothing; the bridge will say.",
-            )
-        elif reason := call(host.strip("[]"), int(port)):
-            yield kind("DOC409").found(
-                f"nobody answers at {locator}: {reason}", command="ros2 run rmw_zenoh_cpp rmw_zenohd"
-            )
-        else:
-            yield kind("DOC409").fine(f"somebody answers at {locator}")
+            what = f"not visible from outside: whether somebody answers at {locator}"
+            yield found("DOC003", what, "Nothing; the bridge will say.")
+            continue
+        reason = call(host.strip("[]"), int(port))
+        what = f"nobody answers at {locator}: {reason}" if reason else ""
+        command = "ros2 run rmw_zenoh_cpp rmw_zenohd"
+        yield judged("DOC409", what, f"somebody answers at {locator}", command=command)

@@ -12,7 +12,7 @@ import stat
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import cast
 
@@ -21,7 +21,7 @@ from rosplc.shm import Description, Direction, Identity, Namespace, ReaderState,
 from rosplc.shm.constants import HEADER_SIZE
 from rosplc.shm.files import open_plain_file
 
-__all__ = ["Held", "Objects", "Seen", "held_files", "is_held", "lock_holders", "look_at_objects"]
+__all__ = ["Held", "Objects", "Seen", "held_files", "is_held", "lock_holders", "lock_of", "look_at_objects"]
 
 _NAME = re.compile(r"([A-Za-z][A-Za-z0-9_-]{0,31})\.([tln])\.(.+)")
 _PAUSE_S = 0.05
@@ -143,6 +143,11 @@ def _key(path: Path) -> tuple[int, int, int]:
     return os.major(status.st_dev), os.minor(status.st_dev), status.st_ino
 
 
+def lock_of(path: Path) -> Path:
+    """Return the lock file of an object."""
+    return path.parent / path.name.replace(".t.", ".l.", 1)
+
+
 def is_held(path: Path, held: Held | None) -> bool | None:
     """Return whether somebody holds an flock on a file; None if the kernel does not tell."""
     if held is None:
@@ -159,7 +164,6 @@ class _Watched:
     seen: Seen
     first: Snapshot
     last: Snapshot
-    held: bool | None
     moved: set[int] = field(default_factory=set)
     """Reader lines that moved; -1 is the writer's."""
 
@@ -188,24 +192,16 @@ class _Watched:
         if self.last.writer.epoch:
             promised.append(self.last.writer.beat_ms)
         # What nobody has locked is a dead bridge's; only another container's lock would not be seen.
-        least = _LEAST_S if self.held is not False else _LEAST_UNHELD_S
-        most = _MOST_S if self.held is not False else _LEAST_UNHELD_S
+        unheld = self.seen.held is False
+        least, most = (_LEAST_UNHELD_S, _LEAST_UNHELD_S) if unheld else (_LEAST_S, _MOST_S)
         return max((min(most, max(least, 3 * beat / 1000)) for beat in promised), default=0.0)
 
     def result(self) -> Seen:
         to_plc = self.seen.identity is not None and self.seen.identity.direction is Direction.TO_PLC
         lines = tuple(line for line in self.last.readers if line.index in self.moved)
-        seen = self.seen
-        return Seen(
-            seen.path,
-            seen.prefix,
-            seen.topic,
-            seen.status,
-            None,
-            seen.identity,
-            seen.description,
-            self.last,
-            self.held,
+        return replace(
+            self.seen,
+            snapshot=self.last,
             bridge_beats=(-1 if to_plc else 0) in self.moved,
             plc_beats=bool(lines) if to_plc else -1 in self.moved,
             plc_lines=lines if to_plc else (),
@@ -261,23 +257,18 @@ def look_at_objects(
     return Objects(objects, frozenset(locks), tuple(temporaries), held is not None)
 
 
-def _lock_of(path: Path) -> Path:
-    prefix, _, rest = path.name.partition(".t.")
-    return path.parent / f"{prefix}.l.{rest}"
-
-
 def _open(path: Path, prefix: str, held: Held | None, done: list[Seen], watched: list[_Watched]) -> None:
     try:
         status = path.lstat()
     except FileNotFoundError:
         return  # removed meanwhile
     topic = Namespace(prefix, path.parent).topic_of(path.name) or path.name
-    seen = Seen(path, prefix, topic, status, held=is_held(_lock_of(path), held))
+    seen = Seen(path, prefix, topic, status, held=is_held(lock_of(path), held))
     try:
         fd = open_plain_file(path, os.O_RDONLY)
     except ChannelError as error:
         if error.code != "SHM101":
-            done.append(Seen(path, prefix, topic, status, error, held=seen.held))
+            done.append(replace(seen, error=error))
         return
     try:
         head, size = os.pread(fd, HEADER_SIZE, 0), os.fstat(fd).st_size
@@ -287,15 +278,15 @@ def _open(path: Path, prefix: str, held: Held | None, done: list[Seen], watched:
     except ChannelError as error:
         os.close(fd)
         if stat.S_ISREG(status.st_mode):
-            done.append(Seen(path, prefix, topic, status, error, held=seen.held))
+            done.append(replace(seen, error=error))
         return
     except BaseException:
         os.close(fd)
         raise
     # A shortened name does not give its topic away, its description does.
-    sound = Seen(path, prefix, description.topic, status, None, identity, description)
+    sound = replace(seen, topic=description.topic, identity=identity, description=description)
     first = _snapshot(fd)
-    watched.append(_Watched(fd, sound, first, first, seen.held))
+    watched.append(_Watched(fd, sound, first, first))
 
 
 def _watch(watched: list[_Watched], seconds: float, sleep: Callable[[float], None]) -> None:

@@ -7,13 +7,12 @@ import re
 import shlex
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, distribution, requires, version
 from pathlib import Path
 from urllib.parse import unquote, urlparse
 
 from rosplc.doctor.finding import Finding, Level
-from rosplc.doctor.kinds import kind
+from rosplc.doctor.kinds import fine, found, judged
 from rosplc.errors import RosplcError
 from rosplc.ros import BACKENDS, INSTALL
 from rosplc.ros.choice import choose, why_not_installed
@@ -31,46 +30,34 @@ def needed() -> list[str]:
         lines = requires("rosplc") or []
     except PackageNotFoundError:
         return []
-    plain = (line.split(";") for line in lines)
-    names = (parts[0] for parts in plain if len(parts) == 1)
-    return ["".join(_name(line)) for line in names]
-
-
-def _name(requirement: str) -> Iterator[str]:
-    for sign in requirement.strip():
-        if not (sign.isalnum() or sign in "-_."):
-            return
-        yield sign
+    return [name[0] for line in lines if ";" not in line and (name := re.match(r"[\w.-]+", line.strip()))]
 
 
 def packages(
     names: list[str], python: str, release: str, *, version_of: Callable[[str], str] = version
 ) -> Iterator[Finding]:
-    """Tell the versions of what is installed, and what is missing.
+    """Report the versions of what is installed, and what is missing.
 
     Args:
-        names: The packages that have to be there.
+        names: The packages that are required.
         python: Python's version.
         release: This rosplc's version.
         version_of: Returns a package's version, or raises PackageNotFoundError.
     """
-    found, missing = [], []
-    for name in _OPTIONAL:
-        with suppress(PackageNotFoundError):
-            found.append(f"{name} {version_of(name)}")
-    for name in names:
+    present, missing = [], []
+    for name in (*_OPTIONAL, *names):
         try:
-            found.append(f"{name} {version_of(name)}")
+            present.append(f"{name} {version_of(name)}")
         except PackageNotFoundError:
-            missing.append(name)
+            missing += [] if name in _OPTIONAL else [name]
     if missing:
-        seen = f"not installed: {', '.join(missing)}"
-        yield kind("DOC110").found(seen, command=pip_here(f"pip install {' '.join(missing)}"))
-    yield kind("DOC110").fine(f"rosplc {release}, Python {python}, {', '.join(found) or 'nothing else'}")
+        command = pip_here(f"pip install {' '.join(missing)}")
+        yield found("DOC110", f"not installed: {', '.join(missing)}", command=command)
+    yield fine("DOC110", f"rosplc {release}, Python {python}, {', '.join(present) or 'nothing else'}")
 
 
 def wheels(machine: str, python: tuple[int, int]) -> Iterator[Finding]:
-    """Tell which ways into ROS PyPI has no wheel for, here.
+    """Report which ways into ROS PyPI has no wheel for, here.
 
     Args:
         machine: The architecture, as ``uname -m`` prints it.
@@ -83,11 +70,9 @@ def wheels(machine: str, python: tuple[int, int]) -> Iterator[Finding]:
         missing.append(f"cyclonedds has none for Python {python[0]}.{python[1]}")
     if machine not in _ZENOH_MACHINES:
         missing.append(f"eclipse-zenoh has none for {machine}")
-    if missing:
-        remedy = "Use an installed ROS 2 (backend rclpy), Zenoh, or build the package."
-        yield kind("DOC111").found(f"wheels on PyPI: {'; '.join(missing)}", remedy)
-    else:
-        yield kind("DOC111").fine("PyPI has a wheel of cyclonedds and of eclipse-zenoh for this machine")
+    remedy = "Use an installed ROS 2 (backend rclpy), Zenoh, or build the package."
+    well = "PyPI has a wheel of cyclonedds and of eclipse-zenoh for this machine"
+    yield judged("DOC111", f"wheels on PyPI: {'; '.join(missing)}" if missing else "", well, remedy)
 
 
 def backend(
@@ -99,7 +84,7 @@ def backend(
     configured: bool = True,
     missing: Callable[[str], str] = why_not_installed,
 ) -> Iterator[Finding]:
-    """Tell which backend a bridge would use here, and why.
+    """Report which backend a bridge would use here, and why.
 
     Args:
         distro: The configuration's ROS distribution.
@@ -109,23 +94,20 @@ def backend(
         configured: Whether there is a configuration; without one a bad choice is only a warning.
         missing: Returns why a backend cannot be imported; empty if it can.
     """
-    level = Level.ERROR if configured else Level.WARNING
     if wanted != "auto":
-        if reason := missing(wanted):
-            seen = f"ros.backend is {wanted}, which is not installed: {reason}"
-            yield kind("DOC113").found(seen, f"For {wanted}: {INSTALL.get(wanted, 'a complete rosplc')}.")
-        else:
-            yield kind("DOC113").fine(f"backend {wanted} is installed")
+        reason = missing(wanted)
+        seen = f"ros.backend is {wanted}, which is not installed: {reason}" if reason else ""
+        remedy = f"For {wanted}: {INSTALL.get(wanted, 'a complete rosplc')}."
+        yield judged("DOC113", seen, f"backend {wanted} is installed", remedy)
         return
     try:
         choice = choose(distro, environment, zenoh_settings=zenoh_settings, missing=missing)
     except RosplcError as error:
-        yield kind("DOC112").found(error.what, error.remedy, level=level)
+        level = Level.ERROR if configured else Level.WARNING
+        yield found("DOC112", error.what, error.remedy, level=level)
         return
-    usable = [name for name in BACKENDS if name != "memory" and not missing(name)]
-    yield kind("DOC112").fine(
-        f"backend auto is {choice.name}, because {choice.why}; usable: {', '.join(usable)}"
-    )
+    usable = ", ".join(name for name in BACKENDS if name != "memory" and not missing(name))
+    yield fine("DOC112", f"backend auto is {choice.name}, because {choice.why}; usable: {usable}")
 
 
 def pip_here(text: str) -> str:

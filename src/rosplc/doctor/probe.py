@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 from rosplc.doctor.finding import Area, Finding, Level
-from rosplc.doctor.kinds import kind
+from rosplc.doctor.kinds import found
 from rosplc.errors import RosplcError
 
 __all__ = ["Probe", "run_probe"]
@@ -38,36 +38,33 @@ class Probe:
 
 def run_probe(probe: Probe) -> list[Finding]:
     """Return what an examination finds; one that fails or hangs is a finding itself, never silence."""
-    found: list[Finding] = []
+    seen: list[Finding] = []
     failed: list[BaseException] = []
 
     def work() -> None:
         try:
             for finding in probe.look():
-                found.append(finding)
+                seen.append(finding)
         except BaseException as error:
             failed.append(error)
 
     thread = threading.Thread(target=work, name=f"doctor: {probe.what}", daemon=True)
     thread.start()
     thread.join(probe.seconds)
-    result = list(found)
+    result = list(seen)
     level = Level.ERROR if probe.vital else None
-    if thread.is_alive():
-        text = f"could not check {probe.what}: no answer within {probe.seconds:g} s"
-        result.append(kind("DOC002").found(text, level=level))
-    elif failed and isinstance(failed[0], TimeoutError) and not failed[0].strerror:
-        result.append(kind("DOC002").found(f"could not check {probe.what}: {failed[0]}", level=level))
-    elif failed:
-        text = f"could not check {probe.what}: {_words(failed[0])}"
-        result.append(kind("DOC001").found(text, level=level))
-    # What the doctor could not do stands beside what it did: people read by area.
+    if thread.is_alive() or failed:
+        late = thread.is_alive() or (isinstance(failed[0], TimeoutError) and not failed[0].strerror)
+        why = f"no answer within {probe.seconds:g} s" if thread.is_alive() else _words(failed[0], late=late)
+        code = "DOC002" if late else "DOC001"
+        result.append(found(code, f"could not check {probe.what}: {why}", level=level))
+    # What the doctor could not do is shown beside what it did: people read by area.
     return [replace(each, area=probe.area) if each.area is Area.DOCTOR else each for each in result]
 
 
-def _words(error: BaseException) -> str:
+def _words(error: BaseException, *, late: bool) -> str:
     if isinstance(error, RosplcError):
         return f"{error.what} [{error.code}]"
     if isinstance(error, OSError) and error.strerror:
         return f"{error.strerror}: {error.filename}" if error.filename else error.strerror
-    return f"{type(error).__name__}: {error}"
+    return str(error) if late else f"{type(error).__name__}: {error}"

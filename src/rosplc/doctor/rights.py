@@ -1,23 +1,133 @@
-"""Who the PLC's runtime is, what it may open, and whether it sees the same /dev/shm."""
+"""Processes of a CODESYS runtime, from /proc alone: their user, their rights, the /dev/shm that they see."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from rosplc.doctor.finding import Finding, Level
-from rosplc.doctor.kinds import kind
-from rosplc.doctor.processes import Mount, Runtime
+from rosplc.doctor.kinds import fine, found, judged
 from rosplc.doctor.words import group_name, listed, user_name
 from rosplc.harmless import plural
 
-__all__ = ["File", "container", "may_use", "rights", "runtimes", "same_memory"]
+__all__ = [
+    "File",
+    "Mount",
+    "Runtime",
+    "container",
+    "find_runtimes",
+    "may_use",
+    "rights",
+    "runtimes",
+    "same_memory",
+    "shm_mount",
+]
 
 _SHARE = (
     "Start both containers with one /dev/shm: docker run --ipc=host, or in compose `ipc: host` "
     "(or `ipc: shareable` on one and `ipc: service:NAME` on the other), or -v /dev/shm:/dev/shm."
 )
+_NAME = "codesyscontrol"
+
+
+@dataclass(frozen=True)
+class Mount:
+    """A mounted file system: device and folder in it (``0:27 /``), its type, and its mount point."""
+
+    device: str
+    kind: str
+    point: str
+    read_only: bool = False
+
+
+@dataclass(frozen=True)
+class Runtime:
+    """A process of a PLC runtime.
+
+    Attributes:
+        pid: Its number.
+        name: Its name.
+        bits: Word size of its program; 0 if that may not be seen.
+        uid: The user that it acts as.
+        gids: The groups that it acts with.
+        shm: What it sees at /dev/shm; None if that may not be seen.
+    """
+
+    pid: int
+    name: str
+    bits: int
+    uid: int
+    gids: frozenset[int]
+    shm: Mount | None
+
+
+def find_runtimes(proc: Path) -> list[Runtime]:
+    """Return the processes named codesyscontrol*; those that end meanwhile are left out."""
+    found = []
+    for folder in proc.glob("[0-9]*"):
+        with suppress(OSError, ValueError):
+            if (name := _name(folder)) is not None:
+                found.append(_runtime(folder, name))
+    return sorted(found, key=lambda runtime: runtime.pid)
+
+
+def _name(folder: Path) -> str | None:
+    """Return the process's name if it is a runtime's; its own name is cut off at 15 characters."""
+    names = [(folder / "comm").read_text(encoding="utf-8", errors="replace").strip()]
+    line = (folder / "cmdline").read_bytes().split(b"\0")[0].decode("utf-8", "replace")
+    names.append(line.rpartition("/")[2])
+    return next((name for name in reversed(names) if name.lower().startswith(_NAME)), None)
+
+
+def _runtime(folder: Path, name: str) -> Runtime:
+    fields: dict[str, list[str]] = {}
+    for line in (folder / "status").read_text(encoding="utf-8", errors="replace").splitlines():
+        key, _, value = line.partition(":")
+        fields[key] = value.split()
+    # The second number is the effective one: it decides what may be opened.
+    uid, gid = int(fields["Uid"][1]), int(fields["Gid"][1])
+    groups = frozenset({gid, *map(int, fields.get("Groups", []))})
+    try:
+        mount = shm_mount(folder / "mountinfo")
+    except OSError:
+        mount = None
+    return Runtime(int(folder.name), name, _bits(folder), uid, groups, mount)
+
+
+def _bits(folder: Path) -> int:
+    """Return the word size that the program's file states (ELF, EI_CLASS); 0 if it may not be read."""
+    candidates = [folder / "exe"]
+    with suppress(OSError):
+        first = (folder / "cmdline").read_bytes().split(b"\0")[0]
+        candidates += [Path(os.fsdecode(first))] if first.startswith(b"/") else []
+    for path in candidates:
+        with suppress(OSError), path.open("rb") as file:
+            head = file.read(5)
+            if head[:4] == b"\x7fELF":
+                return {1: 32, 2: 64}.get(head[4], 0)
+    return 0
+
+
+def shm_mount(mountinfo: Path) -> Mount | None:
+    """Return what is mounted at /dev/shm according to a process's mountinfo; None if nothing is.
+
+    Raises:
+        OSError: If the file cannot be read.
+    """
+    best: Mount | None = None
+    for line in mountinfo.read_text(encoding="utf-8", errors="replace").splitlines():
+        words, _, rest = line.partition(" - ")
+        fields = words.split()
+        if len(fields) < 6:
+            continue
+        point = fields[4]
+        # The longest mount point wins, and of equal ones the last, which covers the others.
+        if point in ("/dev/shm", "/dev", "/") and (best is None or len(point) >= len(best.point)):
+            best = Mount(f"{fields[2]} {fields[3]}", rest.split(" ")[0], point, "ro" in fields[5].split(","))
+    return best
 
 
 @dataclass(frozen=True)
@@ -30,103 +140,80 @@ class File:
     mode: int
 
 
-def runtimes(found: Sequence[Runtime], machine_bits: int, *, classic: bool) -> Iterator[Finding]:
-    """Tell which PLC runtimes run here, and their word size.
+def runtimes(seen: Sequence[Runtime], machine_bits: int, *, classic: bool) -> Iterator[Finding]:
+    """Report which PLC runtimes run here, and their word size.
 
     Args:
-        found: The processes.
+        seen: The processes.
         machine_bits: Word size of the kernel.
         classic: Whether the configuration has classic topics with a lock.
     """
-    if not found:
-        yield kind("DOC301").found("no process named codesyscontrol* runs here")
+    if not seen:
+        yield found("DOC301", "no process named codesyscontrol* runs here")
         return
-    who = (f"{each.name} (process {each.pid}, user {user_name(each.uid)})" for each in found)
-    yield kind("DOC301").fine(f"running: {listed(who)}")
-    narrow = [each for each in found if each.bits == 32]
-    for each in (each for each in found if not each.bits):
-        yield kind("DOC003").found(f"not visible: the word size of process {each.pid} ({each.name})")
-    if narrow and machine_bits == 64:
-        what = f"{narrow[0].name} (process {narrow[0].pid}) has 32 bits on a kernel of 64"
-        yield kind("DOC302").found(what, level=Level.ERROR if classic else None)
-    else:
-        yield kind("DOC302").fine("the runtime has the kernel's word size")
+    who = (f"{each.name} (process {each.pid}, user {user_name(each.uid)})" for each in seen)
+    yield fine("DOC301", f"running: {listed(who)}")
+    for each in (each for each in seen if not each.bits):
+        yield found("DOC003", f"not visible: the word size of process {each.pid} ({each.name})")
+    narrow = [each for each in seen if each.bits == 32 and machine_bits == 64]
+    what = f"{narrow[0].name} (process {narrow[0].pid}) has 32 bits on a kernel of 64" if narrow else ""
+    level = Level.ERROR if classic else None
+    yield judged("DOC302", what, "the runtime has the kernel's word size", level=level)
 
 
 def may_use(file: File, uid: int, gids: frozenset[int]) -> bool:
     """Return whether a user may open a file for reading and writing, by the kernel's rules."""
-    if uid == 0:
-        return True
-    if uid == file.uid:
-        return file.mode & 0o600 == 0o600
-    if file.gid in gids:
-        return file.mode & 0o060 == 0o060
-    return file.mode & 0o006 == 0o006
+    needed = 0o600 if uid == file.uid else 0o060 if file.gid in gids else 0o006
+    return uid == 0 or file.mode & needed == needed
 
 
 def rights(files: Sequence[File], uid: int, gids: frozenset[int]) -> Iterator[Finding]:
-    """Judge whether the PLC's user may open the objects.
-
-    Args:
-        files: The objects, as they are or will be.
-        uid: The user of the runtime.
-        gids: All of its groups.
-    """
+    """Judge whether the PLC's user may open the objects, as they are or will be."""
     user = user_name(uid)
     closed = [file for file in files if not may_use(file, uid, gids)]
     if not closed:
-        yield kind("DOC303").fine(f"{user} may open {plural(len(files), 'object')}")
+        yield fine("DOC303", f"{user} may open {plural(len(files), 'object')}")
         return
     first = closed[0]
-    owner = f"{user_name(first.uid)}:{group_name(first.gid)} {first.mode:04o}"
+    group = group_name(first.gid)
+    owner = f"{user_name(first.uid)}:{group} {first.mode:04o}"
     what = f"{user} may not open {listed(file.name for file in closed)} ({owner})"
-    if first.gid != 0 and first.mode & 0o060 == 0o060:
-        group = group_name(first.gid)
-        remedy = f"Put {user} into the group {group}, and start the runtime again."
-        yield kind("DOC303").found(what, remedy, f"sudo usermod --append --groups {group} {user}")
-        return
-    remedy = (
-        f"Make a group that {user} is in, and give it the objects with shm: {{group: plc, mode: '0660'}}."
-    )
-    command = f"sudo groupadd --force plc && sudo usermod --append --groups plc {user}"
-    yield kind("DOC303").found(what, remedy, command)
+    make, shared = "", "shm: {group: plc, mode: '0660'}"
+    remedy = f"Put {user} into the group {group}, and start the runtime again."
+    if first.gid == 0 or first.mode & 0o060 != 0o060:
+        make, group = "sudo groupadd --force plc && ", "plc"
+        remedy = f"Make a group that {user} is in, and give it the objects with {shared}."
+    yield found("DOC303", what, remedy, f"{make}sudo usermod --append --groups {group} {user}")
 
 
-def same_memory(found: Sequence[Runtime], own: Mount | None) -> Iterator[Finding]:
+def same_memory(seen: Sequence[Runtime], own: Mount | None) -> Iterator[Finding]:
     """Judge whether the runtimes see the /dev/shm that a bridge here would use.
 
     The mount decides, not the IPC namespace: POSIX shared memory lies in files.
     """
-    apart = [
-        each for each in found if each.shm is not None and own is not None and each.shm.device != own.device
-    ]
-    hidden = [each for each in found if each.shm is None]
+    hidden = [each for each in seen if each.shm is None]
     for each in hidden:
-        yield kind("DOC003").found(f"not visible: what process {each.pid} ({each.name}) has at /dev/shm")
-    if apart:
-        what = f"{apart[0].name} (process {apart[0].pid}) has a /dev/shm of its own"
-        yield kind("DOC304").found(what, _SHARE)
-    elif found and not hidden:
-        yield kind("DOC304").fine("the runtime sees the same /dev/shm")
+        yield found("DOC003", f"not visible: what process {each.pid} ({each.name}) has at /dev/shm")
+    for each in seen:
+        if each.shm is not None and own is not None and each.shm.device != own.device:
+            yield found("DOC304", f"{each.name} (process {each.pid}) has a /dev/shm of its own", _SHARE)
+            return
+    if seen and not hidden:
+        yield fine("DOC304", "the runtime sees the same /dev/shm")
 
 
 def container(root: Path, environment_word: str, *, runtime_seen: bool) -> Iterator[Finding]:
-    """Tell whether this is a container.
+    """Report whether this is a container.
 
     Args:
-        root: Where ``run`` and ``proc`` stand.
+        root: The folder that contains ``run`` and ``proc``.
         environment_word: The variable ``container``, which some set.
         runtime_seen: Whether a PLC runtime runs in it, too.
     """
     sign = _container_sign(root, environment_word)
-    if not sign:
-        yield kind("DOC305").fine("no sign of a container")
-    elif runtime_seen:
-        yield kind("DOC305").fine(f"a container ({sign}), with the PLC runtime in it")
-    else:
-        yield kind("DOC305").found(
-            f"the doctor runs in a container ({sign}), and no PLC runtime in it", _SHARE
-        )
+    alone = f"the doctor runs in a container ({sign}), and no PLC runtime in it"
+    well = f"a container ({sign}), with the PLC runtime in it" if sign else "no sign of a container"
+    yield judged("DOC305", alone if sign and not runtime_seen else "", well, _SHARE)
 
 
 def _container_sign(root: Path, environment_word: str) -> str:

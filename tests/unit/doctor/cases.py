@@ -26,7 +26,6 @@ from rosplc.doctor import (
     leftovers,
     live,
     machine,
-    memory,
     network,
 )
 from rosplc.doctor import classic as classic_
@@ -38,8 +37,7 @@ from rosplc.doctor.generated import read_generated
 from rosplc.doctor.graph import Graph
 from rosplc.doctor.objects import Objects, held_files, look_at_objects
 from rosplc.doctor.probe import Probe, run_probe
-from rosplc.doctor.processes import Mount, find_runtimes
-from rosplc.doctor.rights import File
+from rosplc.doctor.rights import File, Mount, find_runtimes
 from rosplc.errors import BackendError
 from rosplc.ros import EndpointInfo, GraphInfo, Qos
 from rosplc.shm import Direction, OwnedChannel
@@ -141,8 +139,8 @@ case(
 
 case(
     "DOC201",
-    lambda s: memory.mounted(Path("/dev/shm"), Mount("8:1 /", "ext4", "/")),
-    lambda s: memory.mounted(Path("/dev/shm"), TMPFS),
+    lambda s: machine.mounted(Path("/dev/shm"), Mount("8:1 /", "ext4", "/")),
+    lambda s: machine.mounted(Path("/dev/shm"), TMPFS),
 )
 
 
@@ -150,20 +148,20 @@ def _mode(stage: Stage, bits: int) -> Iterable[Finding]:
     folder = stage.root / "shm"
     folder.mkdir()
     folder.chmod(bits)
-    return memory.mode(folder, writable=True)
+    return machine.mode(folder, writable=True)
 
 
 case("DOC202", lambda s: _mode(s, 0o755), lambda s: _mode(s, 0o1777))
 MIB = 1 << 20
 case(
     "DOC203",
-    lambda s: memory.room(Path("/dev/shm"), space(64 * MIB, 60 * MIB), 80 * MIB, 0),
-    lambda s: memory.room(Path("/dev/shm"), space(64 * MIB, 60 * MIB), 80 * MIB, 30 * MIB),
+    lambda s: machine.room(Path("/dev/shm"), space(64 * MIB, 60 * MIB), 80 * MIB, 0),
+    lambda s: machine.room(Path("/dev/shm"), space(64 * MIB, 60 * MIB), 80 * MIB, 30 * MIB),
 )
 case(
     "DOC204",
-    lambda s: memory.room(Path("/dev/shm"), space(64 * MIB, 4 * MIB), MIB, 0),
-    lambda s: memory.room(Path("/dev/shm"), space(64 * MIB, 40 * MIB), MIB, 0),
+    lambda s: machine.room(Path("/dev/shm"), space(64 * MIB, 4 * MIB), MIB, 0),
+    lambda s: machine.room(Path("/dev/shm"), space(64 * MIB, 40 * MIB), MIB, 0),
 )
 
 

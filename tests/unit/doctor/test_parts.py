@@ -14,14 +14,13 @@ import pytest
 from rosplc.doctor import Area, Level, Question, Report, examination
 from rosplc.doctor.generated import read_generated
 from rosplc.doctor.graph import Graph, judge_graph
-from rosplc.doctor.kinds import kind
+from rosplc.doctor.kinds import fine, found
 from rosplc.doctor.look import see_graph
 from rosplc.doctor.machine import logout
 from rosplc.doctor.network import answers, is_local, master, receive_buffers
 from rosplc.doctor.packages import backend, needed
 from rosplc.doctor.probe import Probe, run_probe
-from rosplc.doctor.processes import find_runtimes, shm_mount
-from rosplc.doctor.rights import File, may_use, rights, runtimes, same_memory
+from rosplc.doctor.rights import File, find_runtimes, may_use, rights, runtimes, same_memory, shm_mount
 from rosplc.errors import BackendError
 from rosplc.plc.build import plc_project
 from rosplc.plc.delivery import project_files, write_files
@@ -43,7 +42,7 @@ def test_what_was_found_before_a_failure_is_kept() -> None:
     """An examination that fails half way keeps what it has found, and says why it could not go on."""
 
     def look():
-        yield kind("DOC101").fine("a kernel")
+        yield fine("DOC101", "a kernel")
         raise PermissionError(13, "Permission denied", "/proc/1/exe")
 
     first, second = run_probe(Probe("it", Area.MACHINE, look))
@@ -68,13 +67,13 @@ def test_an_examination_that_hangs_is_given_up() -> None:
     forever = threading.Event()
 
     def look():
-        yield kind("DOC101").fine("a kernel")
+        yield fine("DOC101", "a kernel")
         forever.wait(30)
 
-    found = run_probe(Probe("it", Area.MACHINE, look, 0.2))
+    seen = run_probe(Probe("it", Area.MACHINE, look, 0.2))
     forever.set()
-    assert [each.code for each in found] == ["DOC101", "DOC002"]
-    assert "could not check it: no answer within 0.2 s" in found[1].seen
+    assert [each.code for each in seen] == ["DOC101", "DOC002"]
+    assert "could not check it: no answer within 0.2 s" in seen[1].seen
 
 
 def test_a_look_at_the_graph_that_hangs_is_ended(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -98,11 +97,11 @@ def test_problems_come_first() -> None:
     """The area with the worst finding stands first, and in it the worst finding."""
     report = Report(
         (
-            kind("DOC101").fine("fine"),
-            kind("DOC603").found("idle"),
-            kind("DOC601").fine("held"),
-            kind("DOC602").found("differs"),
-            kind("DOC305").found("container"),
+            fine("DOC101", "fine"),
+            found("DOC603", "idle"),
+            fine("DOC601", "held"),
+            found("DOC602", "differs"),
+            found("DOC305", "container"),
         )
     )
     assert [area for area, _ in report.areas()] == [Area.LIVE, Area.PLC, Area.MACHINE]
