@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
 from rosplc.init.definitions import Definitions
-from rosplc.init.meter import Length
+from rosplc.init.meter import Seen
 from rosplc.ros import Qos
 
-__all__ = ["Found", "Seen", "Source", "Topic"]
+__all__ = ["Found", "Source", "Topic"]
 
 
 @dataclass(frozen=True)
@@ -19,9 +19,9 @@ class Topic:
 
     Attributes:
         name: As ROS writes it.
-        types: The types that were seen on it, ``package/msg/Name``; more than one is an error of the
-            robot's, none means that nobody has told.
-        publishers: Names of the nodes that publish it; a publisher without a node's name counts as ``?``.
+        types: Those that were seen on it, ``package/msg/Name``; more than one is an error of the robot, none
+            means that no node announced it.
+        publishers: Names of the nodes that publish it; ``?`` for a node without a name.
         subscribers: Names of the nodes that subscribe to it.
         offered: The publishers' quality of service, each once.
         hashes: The type hashes that are announced, each once.
@@ -35,30 +35,6 @@ class Topic:
     offered: tuple[Qos, ...] = ()
     hashes: tuple[str, ...] = ()
     carried: Literal["", "plc", "ros"] = ""
-
-
-@dataclass(frozen=True)
-class Seen:
-    """What the messages of one topic were like.
-
-    Attributes:
-        messages: How many there were.
-        unreadable: How many more did not fit the type.
-        seconds: How long was listened, or how long the recording is.
-        rate_hz: Messages a second from the first to the last, without what was delivered at once when
-            the subscription began; 0 with fewer than two.
-        longest_gap_s: The longest time between two.
-        lengths: By field path: the lengths of its strings and sequences.
-        trouble: Why nothing could be received, in words; empty if nothing spoke against it.
-    """
-
-    messages: int = 0
-    unreadable: int = 0
-    seconds: float = 0.0
-    rate_hz: float = 0.0
-    longest_gap_s: float = 0.0
-    lengths: Mapping[str, Length] = field(default_factory=dict)
-    trouble: str = ""
 
 
 @dataclass(frozen=True)

@@ -9,16 +9,16 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from rosplc.bridge.ros_side import LiveTypes, RosSide
 from rosplc.config import Config
 from rosplc.errors import BackendError, MessageTypeError, RosplcError
+from rosplc.harmless import plural
 from rosplc.init.definitions import Definitions
 from rosplc.init.domains import elsewhere
-from rosplc.init.found import Found, Seen, Topic
-from rosplc.init.meter import Meter
-from rosplc.init.sample import Sample
+from rosplc.init.found import Found, Topic
+from rosplc.init.meter import Meter, Sample, Seen
 from rosplc.model import DISTROS, TypeStore
 from rosplc.ros import ROS1, Backend, Choice, EndpointInfo, GraphInfo, Qos, choose, settled_graph
 
@@ -90,12 +90,7 @@ class LiveRobot:
             info = settled_graph(self._backend.graph, seconds, needed)
             where = f"{_graph_name(self._backend, os.environ)}, over {choice.name}"
             self._refuse_nobody(info, where, seconds)
-            self.found = Found(
-                topics=_topics(info),
-                where=where,
-                ros=keys,
-                why={"distro": "as asked for" if given else why},
-            )
+            self.found = Found(_topics(info), where, keys, {"distro": "as asked for" if given else why})
             self._keep_environment(keys, choice)
         except BaseException:
             self._backend.close()
@@ -149,18 +144,13 @@ class LiveRobot:
     def _compare(self, topic: str, type_name: str) -> None:
         """Note a topic whose nodes announce another definition than ours."""
         hashes = self.found.topics[topic].hashes if topic in self.found.topics else ()
-        if not hashes or self._types.distro in ("humble", ROS1):
+        silent, ours = ("humble", ROS1), self._types.distro
+        if not hashes or ours in silent or self._types.type_hash(type_name) in hashes:
             return
-        ours = self._types.type_hash(type_name)
-        if ours not in hashes:
-            also = [
-                name for name in DISTROS if name not in ("humble", ROS1) and _hash(name, type_name) in hashes
-            ]
-            hint = f"; it is that of {', '.join(also)}: name one with --distro" if also else ""
-            note = (
-                f"{topic}: the robot's definition of {type_name} is not that of {self._types.distro}{hint}."
-            )
-            self.found = replace(self.found, notes=(*self.found.notes, note))
+        also = [name for name in DISTROS if name not in silent and _hash(name, type_name) in hashes]
+        hint = f"; it is that of {', '.join(also)}: name one with --distro" if also else ""
+        note = f"{topic}: the robot's definition of {type_name} is not that of {ours}{hint}."
+        self.found = replace(self.found, notes=(*self.found.notes, note))
 
     def listen(
         self, wanted: Mapping[str, str], seconds: float, progress: Callable[[str], None]
@@ -188,8 +178,7 @@ class LiveRobot:
             while subscriptions and (left := seconds - (time.monotonic() - started)) > 0:
                 if time.monotonic() - shown >= _SHOW_S:
                     shown = time.monotonic()
-                    many = f"{len(subscriptions)} topic{'s' if len(subscriptions) != 1 else ''}"
-                    progress(f"Listening to {many}, {left:.0f} s left")
+                    progress(f"Listening to {plural(len(subscriptions), 'topic')}, {left:.0f} s left")
                 time.sleep(min(_PAUSE_S, left))
             for topic, subscription in subscriptions.items():
                 trouble[topic] = subscription.status().reason
@@ -211,11 +200,8 @@ class LiveRobot:
         offered = self.found.topics[topic].offered if topic in self.found.topics else ()
         reliable = all(qos.reliability == "reliable" for qos in offered)
         latched = bool(offered) and all(qos.durability == "transient_local" for qos in offered)
-        return Qos(
-            "reliable" if reliable else "best_effort",
-            "transient_local" if latched else "volatile",
-            depth=1000,
-        )
+        kept: Literal["transient_local", "volatile"] = "transient_local" if latched else "volatile"
+        return Qos("reliable" if reliable else "best_effort", kept, depth=1000)
 
     def _refuse_nobody(self, info: GraphInfo, where: str, seconds: float) -> None:
         """Say why nothing was found: the master or router is away, or nobody is there."""
@@ -244,7 +230,7 @@ def _chosen_without_environment(distro: str) -> str:
 
 
 def _take(sample: Sample, data: bytes, _: int) -> None:
-    # By our own clock: how regular a topic is where the bridge would be, whatever the sender's clock says.
+    # By our own clock: how regular a topic is where the bridge would be, whatever the sender's clock shows.
     sample.take(data, time.monotonic_ns())
 
 

@@ -1,4 +1,4 @@
-"""How long strings and sequences really are: messages are walked through as they came, none is decoded.
+"""How often messages come and how long their strings and sequences are; none is decoded.
 
 A message's bytes come from other programs and are not trusted: every length is checked against what
 is left of the message, and the work for one message is bounded.
@@ -7,6 +7,7 @@ is left of the message, and the work for one message is bounded.
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from rosplc.model import (
@@ -20,10 +21,34 @@ from rosplc.model import (
     TypeStore,
 )
 
-__all__ = ["Length", "Meter"]
+__all__ = ["Length", "Meter", "Sample", "Seen"]
 
 _MOST_VISITS = 100_000
 """Values looked at in one message; a point cloud's bytes are one, its fields another ten."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What the messages of one topic were like.
+
+    Attributes:
+        messages: How many there were.
+        unreadable: How many more did not fit the type.
+        seconds: How long was listened, or how long the recording is.
+        rate_hz: Messages a second from the first to the last, without what was delivered at once when
+            the subscription began; 0 with fewer than two.
+        longest_gap_s: The longest time between two.
+        lengths: By field path: the lengths of its strings and sequences.
+        trouble: Why nothing could be received, in words; empty if nothing spoke against it.
+    """
+
+    messages: int = 0
+    unreadable: int = 0
+    seconds: float = 0.0
+    rate_hz: float = 0.0
+    longest_gap_s: float = 0.0
+    lengths: Mapping[str, Length] = field(default_factory=dict)
+    trouble: str = ""
 
 
 @dataclass(slots=True)
@@ -101,11 +126,8 @@ class _Walk:
             self._order = "<" if data[1] else ">"
             self._data = self._data[4:]
 
-    def message(self, type_name: str) -> None:
+    def message(self, type_name: str, path: str = "") -> None:
         """Walk through a message of a type, nested ones included."""
-        self._struct(type_name, "")
-
-    def _struct(self, type_name: str, path: str) -> None:
         fields = self._store[type_name].fields
         if not fields and self._cdr:
             self._skip(1, 1)  # rosidl gives a message without fields one dummy byte
@@ -121,19 +143,17 @@ class _Walk:
         elif isinstance(kind, StringType):
             self._note(path, self._string())
         elif isinstance(kind, NamedType):
-            self._struct(kind.name, f"{path}.")
+            self.message(kind.name, f"{path}.")
         elif isinstance(kind, ArrayType):
             self._elements(kind.element, kind.length, path)
         elif isinstance(kind, SequenceType):
             count = self._count()
-            if count > len(self._data) - self._at and not self._may_be_empty(kind.element):
+            # An element may take no byte at all: ROS 1's std_msgs/Empty.
+            may_be_empty = not self._cdr and isinstance(kind.element, NamedType)
+            if count > len(self._data) - self._at and not may_be_empty:
                 raise ValueError("a sequence is longer than the message")
             self._note(path, count)
             self._elements(kind.element, count, path)
-
-    def _may_be_empty(self, kind: FieldType) -> bool:
-        """Return whether an element of a sequence may take no byte at all, as ROS 1's std_msgs/Empty."""
-        return not self._cdr and isinstance(kind, NamedType)
 
     def _elements(self, kind: FieldType, count: int, path: str) -> None:
         if isinstance(kind, PrimitiveType):
@@ -163,7 +183,50 @@ class _Walk:
             raise ValueError("the message ends too early")
 
     def _note(self, path: str, length: int) -> None:
-        if (known := self._lengths.get(path)) is None:
-            self._lengths[path] = Length(length, length)
+        self._lengths.setdefault(path, Length(length, length)).add(length)
+
+
+@dataclass
+class Sample:
+    """Counts, times and measures messages; used by one thread at a time.
+
+    Args:
+        meter: Measures them.
+        settle_ns: For so long from the first message on none counts for the rate: publishers that keep
+            messages for those who come later deliver all of them at once.
+    """
+
+    meter: Meter
+    settle_ns: int = 0
+    _first_ns: int = 0
+    _last_ns: int = 0
+    _gap_ns: int = 0
+    _count: int = 0
+    _regular_from_ns: int = 0
+    _regular: int = 0
+
+    def take(self, data: bytes, time_ns: int) -> None:
+        """Take a message that came at ``time_ns`` of any one clock."""
+        if self._count:
+            self._gap_ns = max(self._gap_ns, time_ns - self._last_ns)
         else:
-            known.add(length)
+            self._first_ns = time_ns
+        self._last_ns = max(time_ns, self._last_ns)
+        self._count += 1
+        if not self.settle_ns or time_ns - self._first_ns >= self.settle_ns:
+            self._regular_from_ns = self._regular_from_ns if self._regular else time_ns
+            self._regular += 1
+        self.meter.measure(data)
+
+    def seen(self, seconds: float, trouble: str = "") -> Seen:
+        """Return what it was like, of ``seconds`` of listening."""
+        lasted = (self._last_ns - self._regular_from_ns) / 1e9
+        return Seen(
+            messages=self.meter.messages,
+            unreadable=self.meter.unreadable,
+            seconds=seconds,
+            rate_hz=(self._regular - 1) / lasted if self._regular > 1 and lasted > 0 else 0.0,
+            longest_gap_s=self._gap_ns / 1e9,
+            lengths=dict(self.meter.lengths),
+            trouble="" if self._count else trouble,
+        )

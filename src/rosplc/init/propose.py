@@ -12,8 +12,8 @@ from typing import Literal
 
 from rosplc.errors import LayoutError
 from rosplc.harmless import plural
-from rosplc.init.found import Seen, Topic
-from rosplc.init.meter import Length
+from rosplc.init.found import Topic
+from rosplc.init.meter import Length, Seen
 from rosplc.layout import MAX_SEQUENCE, MAX_STRING, Layout, Limits, compute_layout
 from rosplc.layout.compute import limit_paths
 from rosplc.layout.nodes import SequenceNode, StringNode

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
 from rosplc.errors import BackendError, MessageTypeError, RosplcError
 from rosplc.init.definitions import Definitions
-from rosplc.init.found import Found, Seen, Topic
-from rosplc.init.meter import Meter
-from rosplc.init.sample import Sample
+from rosplc.init.found import Found, Topic
+from rosplc.init.meter import Meter, Sample, Seen
 from rosplc.model import DISTROS, TypeStore
 from rosplc.model.parse import full_name
 from rosplc.recorder.mcap_file import survey
@@ -53,20 +53,17 @@ class RecordedRobot:
         topics: dict[str, list[BagTopic]] = {}
         for each in self._recorded:
             topics.setdefault(_absolute(each.name), []).append(each)
+        note = (
+            "A recording tells who published, and not who subscribes: "
+            "what the PLC should send is named with --to-ros TOPIC=TYPE."
+        )
+        carried = self._carried
         self.found = Found(
-            topics={
-                name: _topic(name, parts, self._carried.get(name, ""))
-                for name, parts in sorted(topics.items())
-            },
-            where=f"the recording {path}",
-            ros={**ros, "distro": chosen},
-            why={"distro": why},
-            notes=()
-            if self._carried.keys() >= topics.keys()
-            else (
-                "A recording tells who published, and not who subscribes: "
-                "what the PLC should send is named with --to-ros TOPIC=TYPE.",
-            ),
+            {name: _topic(name, parts, carried.get(name, "")) for name, parts in sorted(topics.items())},
+            f"the recording {path}",
+            {**ros, "distro": chosen},
+            {"distro": why},
+            () if carried.keys() >= topics.keys() else (note,),
         )
 
     def _distro(self, wanted: str | None) -> tuple[str, str]:
@@ -85,13 +82,10 @@ class RecordedRobot:
             return self._bag.distro, "the recording names it"
         if self._carried_distro in DISTROS and self._carried_distro != ROS1:
             return self._carried_distro, "the bridge that was recorded had it"
-        others = [name for name in reversed(DISTROS) if name not in (ROS1, _NEWEST)]
-        candidates = [_NEWEST, *others]
-        misfits = {name: self._misfits(name) for name in candidates}
-        best = min(candidates, key=lambda name: misfits[name])
-        if best == _NEWEST:
-            return best, "the recording names none"
-        return best, "the recording names none; the definitions in it fit this one best"
+        candidates = [_NEWEST, *(name for name in reversed(DISTROS) if name not in (ROS1, _NEWEST))]
+        best = min(candidates, key=self._misfits)
+        more = "" if best == _NEWEST else "; the definitions in it fit this one best"
+        return best, f"the recording names none{more}"
 
     def _misfits(self, distro: str) -> int:
         """Return how many of the recording's types a distribution defines differently."""
@@ -146,13 +140,8 @@ class RecordedRobot:
                     progress(f"{count} of {total} messages read")
         except RosplcError as error:
             trouble = error.what
-            self.found = Found(
-                self.found.topics,
-                self.found.where,
-                self.found.ros,
-                self.found.why,
-                (*self.found.notes, f"The recording was read up to its damage: {error.what}."),
-            )
+            note = f"The recording was read up to its damage: {error.what}."
+            self.found = replace(self.found, notes=(*self.found.notes, note))
         lasted = (last - first) / 1e9
         return {topic: sample.seen(lasted, trouble) for (topic, _), sample in samples.items()}
 

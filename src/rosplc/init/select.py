@@ -72,8 +72,12 @@ def parse_wish(text: str, to: To | None = None) -> Wish:
         raise ValueError(f"{text!r} names no topic")
     if not equals:
         return Wish(pattern, None, to)
+    return Wish(pattern, _full_name(type_name), to)
+
+
+def _full_name(type_name: str) -> str:
     try:
-        return Wish(pattern, full_name(type_name), to)
+        return full_name(type_name)
     except RosplcError as error:
         raise ValueError(error.what) from None
 
@@ -142,10 +146,6 @@ def _type(topic: Topic, wish: Wish) -> str:
     if not topic.types:
         raise ValueError(f"nobody has told its type; write {topic.name}=PACKAGE/TYPE")
     if len(topic.types) > 1:
-        raise ValueError(
-            f"it has several types ({', '.join(topic.types)}); write {topic.name}=PACKAGE/TYPE with one"
-        )
-    try:
-        return full_name(topic.types[0])
-    except RosplcError as error:
-        raise ValueError(error.what) from None
+        types = ", ".join(topic.types)
+        raise ValueError(f"it has several types ({types}); write {topic.name}=PACKAGE/TYPE with one")
+    return _full_name(topic.types[0])

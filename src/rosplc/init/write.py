@@ -1,4 +1,4 @@
-"""The configuration as text: every entry with the reason for it, for people who will change it by hand."""
+"""From chosen topics to the file: definitions, listening, proposals, and a text that gives their reasons."""
 
 from __future__ import annotations
 
@@ -6,17 +6,31 @@ import json
 import os
 import re
 import textwrap
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 from rosplc._version import __version__
-from rosplc.config import Project, parse_config, resolve
-from rosplc.errors import ConfigError
+from rosplc.config import Project, json_schema, parse_config, resolve
+from rosplc.errors import ConfigError, RosplcError
 from rosplc.harmless import one_line
-from rosplc.init.found import Found
-from rosplc.init.propose import RULES, Entry
+from rosplc.init.found import Found, Source
+from rosplc.init.meter import Seen
+from rosplc.init.propose import RULES, Entry, propose
+from rosplc.init.select import Chosen
+from rosplc.model import save_definitions
 
-__all__ = ["SCHEMA", "check_text", "configuration", "refuse_to_overwrite", "write_file"]
+__all__ = [
+    "Draft",
+    "check_text",
+    "configuration",
+    "draft",
+    "refuse_to_overwrite",
+    "save",
+    "write_file",
+]
 
 _WIDTH = 108
 _PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
@@ -38,38 +52,23 @@ def configuration(
         folders: What ``types.paths`` names.
         date: When; the first line says it.
     """
-    lines = [
-        f"# yaml-language-server: $schema={SCHEMA}",
-        *_comment(f"Written by rosplc {__version__} init{f', {date}' if date else ''}, from {found.where}."),
-        *_comment("`rosplc check --schema` lists every key; `rosplc check` explains this file."),
-        "",
-        f"bridge: {_value(bridge)}",
-        "",
-        *_ros(found),
-        "",
-    ]
+    written = f"Written by rosplc {__version__} init{f', {date}' if date else ''}, from {found.where}."
+    lines = [f"# yaml-language-server: $schema={SCHEMA}", *_comment(written)]
+    lines += _comment("`rosplc check --schema` lists every key; `rosplc check` explains this file.")
+    lines += ["", f"bridge: {_value(bridge)}", "", *_ros(found), ""]
     if folders:
         paths = ", ".join(json.dumps(folder, ensure_ascii=False) for folder in folders)
-        lines += [
-            *_comment("Definitions that the distribution does not have."),
-            f"types: {{paths: [{paths}]}}",
-            "",
-        ]
-    lines += [
-        *_comment("Room for strings (bytes) and sequences (elements) where a topic says nothing else."),
-        "limits: {string: 80, sequence: 16}",
-        "",
-        *_comment("The PLC's task that calls the blocks; the interval is that of your task."),
-        "tasks:",
-        "  RosTask: {interval: 10ms, priority: 4}",
-        "",
-    ]
+        lines += _comment("Definitions that the distribution does not have.")
+        lines += [f"types: {{paths: [{paths}]}}", ""]
+    lines += _comment("Room for strings (bytes) and sequences (elements) where a topic says nothing else.")
+    lines += ["limits: {string: 80, sequence: 16}", ""]
+    lines += _comment("The PLC's task that calls the blocks; the interval is that of your task.")
+    lines += ["tasks:", "  RosTask: {interval: 10ms, priority: 4}", ""]
     if any(entry.limits for entry in entries):
         lines += _comment(f"Limits below come from data that was seen. {RULES}")
     lines.append("topics:" if entries else "topics: {}")
     for number, entry in enumerate(entries):
-        lines += [""] * bool(number)
-        lines += _topic(entry)
+        lines += [*([""] if number else []), *_topic(entry)]
     return "\n".join(lines) + "\n"
 
 
@@ -134,9 +133,8 @@ def _topic(entry: Entry) -> Iterator[str]:
     yield from _with_reasons([(f"    {each.key}: {each.value}", each.why) for each in entry.settings])
     if entry.limits:
         yield "    limits:"
-        yield from _with_reasons(
-            [(f"      {_key(each.path)}: {each.capacity}", each.why) for each in entry.limits]
-        )
+        rows = [(f"      {_key(each.path)}: {each.capacity}", each.why) for each in entry.limits]
+        yield from _with_reasons(rows)
 
 
 def _key(path: str) -> str:
@@ -151,11 +149,115 @@ def _with_reasons(rows: Sequence[tuple[str, str]]) -> Iterator[str]:
 
 
 def _comment(text: str, indent: int = 0) -> list[str]:
-    prefix = " " * indent + "# "
+    start = " " * indent + "# "
+    # Names come from the network: none may end the comment and begin a line.
     return textwrap.wrap(
-        one_line(text),  # names come from the network: none may end the comment and begin a line
-        _WIDTH,
-        initial_indent=prefix,
-        subsequent_indent=prefix,
-        break_on_hyphens=False,
+        one_line(text), _WIDTH, initial_indent=start, subsequent_indent=start, break_on_hyphens=False
     )
+
+
+@dataclass(frozen=True)
+class Draft:
+    """What a configuration will say.
+
+    Attributes:
+        entries: The topics in the file's order: towards the PLC first, then by name.
+        seen: What the messages of each topic were like.
+        left_out: Why a topic is not among them, by name.
+        definitions: Definition text by type, of the types in use that must be saved.
+        origins: Where each of them comes from.
+    """
+
+    entries: tuple[Entry, ...]
+    seen: Mapping[str, Seen]
+    left_out: Mapping[str, str]
+    definitions: Mapping[str, str]
+    origins: Mapping[str, str]
+
+
+def draft(
+    source: Source,
+    chosen: Mapping[str, Chosen],
+    *,
+    seconds: float,
+    progress: Callable[[str], None] = lambda words: None,
+) -> Draft:
+    """Learn types, listen, and propose.
+
+    Args:
+        source: The robot or the recording.
+        chosen: The topics by name.
+        seconds: How long to listen; 0: not at all.
+        progress: Called about once a second with how far it is, in words.
+
+    Raises:
+        RosplcError: A topic that the user named cannot be carried.
+    """
+    left_out: dict[str, str] = {}
+
+    @contextmanager
+    def or_left_out(name: str, each: Chosen) -> Iterator[None]:
+        try:
+            yield
+        except RosplcError as error:
+            if each.named:
+                raise
+            left_out[name] = f"{error.what}. {error.remedy}"
+
+    for name, each in chosen.items():
+        with or_left_out(name, each):
+            source.learn(name, each.type_name)
+    known = {name: each for name, each in chosen.items() if name not in left_out}
+    # What nobody publishes, and no bridge sent, has nothing to be heard.
+    heard = {name: each for name, each in known.items() if each.topic.publishers or each.topic.carried}
+    wanted = {name: each.type_name for name, each in heard.items()}
+    seen = source.listen(wanted, seconds, progress) if seconds > 0 and wanted else {}
+    store = source.definitions.store
+    entries = []
+    for name, each in known.items():
+        topic = source.found.topics.get(name, each.topic)
+        with or_left_out(name, each):
+            entries.append(propose(topic, each.type_name, each.to, store, seen.get(name)))
+    entries.sort(key=lambda entry: (entry.to != "plc", entry.topic))
+    used = {part for entry in entries for part in store.dependencies(entry.type_name)}
+    definitions = {name: text for name, text in source.definitions.texts.items() if name in used}
+    origins = {name: source.definitions.origins[name] for name in definitions}
+    return Draft(tuple(entries), seen, left_out, definitions, origins)
+
+
+def save(
+    source: Source,
+    made: Draft,
+    path: Path,
+    *,
+    bridge: str,
+    folders: Sequence[Path] = (),
+    force: bool = False,
+) -> tuple[str, tuple[Path, ...]]:
+    """Write definitions, configuration and its JSON Schema; return the text and the definitions' files.
+
+    Args:
+        source: The robot or the recording.
+        made: What the configuration says.
+        path: The configuration; definitions go into the folder ``msg`` beside it.
+        bridge: The bridge's name.
+        folders: The user's own folders with ``.msg`` files.
+        force: Replace a configuration that is there.
+
+    Raises:
+        ConfigError: CFG013, CFG014.
+        MessageTypeError: TYP009, a definition cannot be saved.
+    """
+    beside = path.parent / "msg"
+    files = save_definitions(made.definitions, beside) if made.definitions else ()
+    base, names = path.parent.resolve(), ["msg"] if files else []
+    full = [folder.resolve() for folder in folders]
+    names = [str(each.relative_to(base) if each.is_relative_to(base) else each) for each in full] + names
+    text = configuration(
+        source.found, made.entries, bridge=bridge, folders=names, date=time.strftime("%Y-%m-%d")
+    )
+    check_text(text, path.parent)
+    write_file(path, text, force=force)
+    with suppress(OSError):  # only the editor's help is missing then
+        (path.parent / SCHEMA).write_text(json.dumps(json_schema(), indent=1) + "\n", encoding="utf-8")
+    return text, files
