@@ -1,9 +1,10 @@
-"""Find a DDS domain that nobody on this machine uses, so that no real robot is disturbed."""
+"""Find a DDS domain that no program on this machine uses, so that no real robot is disturbed."""
 
 from __future__ import annotations
 
 import random
 import socket
+from contextlib import ExitStack
 
 from rosplc.errors import SetupError
 
@@ -24,17 +25,15 @@ class FreeDomain:
     """
 
     def __init__(self) -> None:
-        domains = list(range(_FIRST, _LAST + 1))
-        random.shuffle(domains)
-        for number in domains:
-            claim = _claim(number)
-            if claim is None:
-                continue
-            if _is_free(number):
-                self.number = number
-                self._claim = claim
+        for number in random.sample(range(_FIRST, _LAST + 1), _LAST):
+            # Two demonstrations that start together would find the same ports free. An abstract socket can
+            # be bound once per network namespace, as the ports can, and vanishes with its process.
+            claim = _bound(socket.AF_UNIX, f"\0rosplc-demo-domain-{number}")
+            if claim is not None and _is_free(number):
+                self.number, self._claim = number, claim
                 return
-            claim.close()
+            if claim is not None:
+                claim.close()
         raise SetupError("SYS003", f"every DDS domain from {_FIRST} to {_LAST} is in use")
 
     def close(self) -> None:
@@ -42,30 +41,25 @@ class FreeDomain:
         self._claim.close()
 
 
-def _claim(number: int) -> socket.socket | None:
-    # Two demonstrations that start together would find the same ports free. An abstract socket can
-    # be bound once per network namespace, as the ports can, and vanishes with its process.
-    claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-    try:
-        claim.bind(f"\0rosplc-demo-domain-{number}")
-    except OSError:
-        claim.close()
-        return None
-    return claim
-
-
 def _is_free(number: int) -> bool:
     # Ports of the DDSI-RTPS standard: 7400 + 250 × domain, + 0 and + 1 for multicast, then two
     # per participant from + 10 on.
     base = 7400 + 250 * number
-    ports = [base, base + 1, *(base + 10 + offset for offset in range(2 * _PARTICIPANTS))]
-    return all(_can_bind(port) for port in ports)
-
-
-def _can_bind(port: int) -> bool:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.bind(("127.0.0.1", port))
-        except OSError:
-            return False
+    with ExitStack() as stack:
+        for port in (base, base + 1, *range(base + 10, base + 10 + 2 * _PARTICIPANTS)):
+            probe = _bound(socket.AF_INET, ("127.0.0.1", port))
+            if probe is None:
+                return False
+            stack.enter_context(probe)
     return True
+
+
+def _bound(family: socket.AddressFamily, address: str | tuple[str, int]) -> socket.socket | None:
+    """Return a datagram socket that has an address; None if another has it."""
+    found = socket.socket(family, socket.SOCK_DGRAM)
+    try:
+        found.bind(address)
+    except OSError:
+        found.close()
+        return None
+    return found

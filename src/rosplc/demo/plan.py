@@ -53,23 +53,14 @@ class Plan:
 
     def configuration(self) -> dict[str, Any]:
         """Return the bridge's configuration, as ``rosplc run`` reads it."""
+        kept = {"every": True, "slots": self.slots}
+        scan = {"ranges": 64, "intensities": 1}
         topics: dict[str, Any] = {
-            name: {
-                "type": kind.type_name,
-                "to": "plc",
-                "every": True,
-                "slots": self.slots,
-                "limits": {"ranges": 64, "intensities": 1} if kind.name == "scan" else {},
-            }
+            name: {"type": kind.type_name, "to": "plc", **kept, "limits": scan if kind.name == "scan" else {}}
             for name, kind in robot_topics(self.topics).items()
         }
         command, type_name = COMMAND
-        topics[command] = {
-            "type": type_name,
-            "to": "ros",
-            "every": True,
-            "slots": self.slots,
-        }
+        topics[command] = {"type": type_name, "to": "ros", **kept}
         return {
             "bridge": "demo",
             "prefix": self.prefix,

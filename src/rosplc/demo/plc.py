@@ -62,10 +62,10 @@ class Program:
             self.sent += 1
 
     def _state(self) -> dict[str, Any]:
+        reads, write = self.reads, self.write
+        counters = {"sequence": "udiSequence", "lost": "udiLost", "error": "udiError"}
         return {
-            "ready": all(read.xPeerAlive for read in self.reads.values())
-            and self.write.xReady
-            and self.write.xPeerAlive,
+            "ready": all(block.xPeerAlive for block in self.blocks) and write.xReady,
             "waiting": {
                 block.topic: block.reason or "the bridge does not beat"
                 for block in self.blocks
@@ -73,12 +73,11 @@ class Program:
             },
             "sent": {COMMAND[0]: self.sent},
             "received": {topic: tally.to_dict() for topic, tally in self.arrivals.tallies.items()},
-            "counters": {topic: _counters(read) for topic, read in self.reads.items()},
+            "counters": {
+                topic: {key: getattr(read, output) for key, output in counters.items()}
+                for topic, read in reads.items()
+            },
         }
-
-
-def _counters(read: ReadBlock) -> dict[str, int]:
-    return {"sequence": read.udiSequence, "lost": read.udiLost, "error": read.udiError}
 
 
 def main() -> None:

@@ -27,12 +27,9 @@ _lock = threading.Lock()
 def report(kind: str, **facts: Any) -> None:
     """Send one report to the parent; a parent that is gone is noticed by :class:`Commands`."""
     line = json.dumps({"is": kind, **facts}) + "\n"
-    with _lock:
-        try:
-            sys.stdout.write(line)
-            sys.stdout.flush()
-        except (BrokenPipeError, ValueError):
-            pass
+    with _lock, contextlib.suppress(BrokenPipeError, ValueError):
+        sys.stdout.write(line)
+        sys.stdout.flush()
 
 
 class Commands:
@@ -60,8 +57,7 @@ class Commands:
     def _listen(self) -> None:
         events = {"go": self.go, "drain": self.drain, "stop": self.stop, **self.others}
         for line in sys.stdin:
-            event = events.get(line.strip())
-            if event is not None:
+            if (event := events.get(line.strip())) is not None:
                 event.set()
         self.stop.set()
 
@@ -107,12 +103,10 @@ class Child:
 
     def order(self, word: str) -> None:
         """Send an order; a process that is gone shows in :meth:`check`."""
-        try:
-            assert self._process.stdin is not None
+        assert self._process.stdin is not None
+        with contextlib.suppress(BrokenPipeError, ValueError):
             self._process.stdin.write(word + "\n")
             self._process.stdin.flush()
-        except (BrokenPipeError, ValueError):
-            pass
 
     def check(self) -> None:
         """Raise if the process has ended.
@@ -130,14 +124,11 @@ class Child:
             reason = f"it was ended by signal {signal.Signals(-status).name}"
         else:
             reason = f"it ended with status {status}"
-        output = self._output()
-        raise SetupError(
-            "SYS002",
-            f"the {self.role} process failed: {reason}" + (f"\n{output}" if output else ""),
-            remedy=""
-            if output
-            else "Run the demo again; if it persists, the message above says which part fails.",
-        )
+        self._log.seek(0)
+        output = "".join(f"\n  {self.role}: {line}" for line in self._log.read().splitlines()[-_LAST_LINES:])
+        again = "Run the demo again; if it persists, the message above says which part fails."
+        what = f"the {self.role} process failed: {reason}{output}"
+        raise SetupError("SYS002", what, remedy="" if output else again)
 
     def kill(self) -> None:
         """End it as a crash would (SIGKILL), and wait until it is gone."""
@@ -147,16 +138,13 @@ class Child:
     def finish(self, seconds: float = 5.0) -> None:
         """Tell it to stop and wait; kill it if it does not within ``seconds``."""
         self.order("stop")
-        try:
-            assert self._process.stdin is not None
+        assert self._process.stdin is not None
+        with contextlib.suppress(BrokenPipeError):
             self._process.stdin.close()
-        except BrokenPipeError:
-            pass
         try:
             self._process.wait(seconds)
         except subprocess.TimeoutExpired:
-            os.killpg(self._process.pid, signal.SIGKILL)
-            self._process.wait()
+            self.kill()
         self._reader.join(1.0)
 
     def close(self) -> None:
@@ -176,11 +164,6 @@ class Child:
                 self._error = facts
             else:
                 self.status = facts
-
-    def _output(self) -> str:
-        self._log.seek(0)
-        lines = self._log.read().splitlines()[-_LAST_LINES:]
-        return "\n".join(f"  {self.role}: {line}" for line in lines)
 
 
 def remove_objects(prefix: str, directory: str = "/dev/shm") -> int:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
 from rosplc.demo.messages import COMMAND
 
 __all__ = ["Flow", "Outage", "Result", "collect"]
+
+_COUNTERS = ("sent", "received", "lost", "torn", "repeated")
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,26 +108,24 @@ class Result:
         back = self.outage.to_plc_at is not None and self.outage.to_ros_at is not None
         return back and all(flow.recovered for flow in self.flows)
 
-    def total(self, to: str, what: str) -> int:
-        """Return the sum of one of the counters over a direction's topics."""
-        return sum(getattr(flow, what) for flow in self.flows if flow.to == to)
+    def totals(self, *ways: str) -> dict[str, int]:
+        """Return the sums of the counters over the topics of these directions."""
+        flows = [flow for flow in self.flows if flow.to in ways]
+        return {what: sum(getattr(flow, what) for flow in flows) for what in _COUNTERS}
 
     def summary(self) -> str:
         """Return the summary line."""
-        age = self.ages.get("", {"median_ms": float("nan"), "p99_ms": float("nan")})
-        lost = self.total("plc", "lost") + self.total("ros", "lost")
-        torn = self.total("plc", "torn") + self.total("ros", "torn")
-        repeated = self.total("plc", "repeated") + self.total("ros", "repeated")
+        age = self.ages.get("", {"median_ms": math.nan, "p99_ms": math.nan})
+        plc, ros, both = self.totals("plc"), self.totals("ros"), self.totals("plc", "ros")
         return (
-            f"ROS → PLC {self.total('plc', 'received')} of {self.total('plc', 'sent')} messages, "
-            f"PLC → ROS {self.total('ros', 'received')} of {self.total('ros', 'sent')}, "
-            f"lost {lost}, torn {torn}, repeated {repeated}, "
+            f"ROS → PLC {plc['received']} of {plc['sent']} messages, "
+            f"PLC → ROS {ros['received']} of {ros['sent']}, "
+            f"lost {both['lost']}, torn {both['torn']}, repeated {both['repeated']}, "
             f"age at the PLC median {age['median_ms']:.2f} ms, p99 {age['p99_ms']:.2f} ms"
         )
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as plain data."""
-        ages = {topic or "all": values for topic, values in self.ages.items()}
         return {
             "good": self.good,
             "complete": self.complete,
@@ -135,13 +136,9 @@ class Result:
                 {**asdict(flow), "complete": flow.complete, "rate_hz": flow.received / self.seconds}
                 for flow in self.flows
             ],
-            "to_plc": {
-                what: self.total("plc", what) for what in ("sent", "received", "lost", "torn", "repeated")
-            },
-            "to_ros": {
-                what: self.total("ros", what) for what in ("sent", "received", "lost", "torn", "repeated")
-            },
-            "age_at_plc": ages,
+            "to_plc": self.totals("plc"),
+            "to_ros": self.totals("ros"),
+            "age_at_plc": {topic or "all": values for topic, values in self.ages.items()},
             "cycle": self.cycle,
             "program": self.program,
             "metres": self.metres,
@@ -151,7 +148,7 @@ class Result:
 def collect(
     robot: dict[str, Any], plc: dict[str, Any], seconds: float, *, drained: bool, outage: Outage | None = None
 ) -> Result:
-    """Compare what the two ends report.
+    """Compare the last reports of the two ends, which sent messages for so many seconds.
 
     Args:
         robot: The robot's last report.
@@ -167,29 +164,11 @@ def collect(
     ]
     command = COMMAND[0]
     flows.append(_flow(command, "ros", plc["sent"][command], robot["received"][command], None))
-    return Result(
-        seconds,
-        tuple(flows),
-        plc.get("ages", {}),
-        plc.get("cycle", {}),
-        robot["metres"],
-        drained,
-        outage,
-        plc.get("program"),
-    )
+    ages, cycle, program = plc.get("ages", {}), plc.get("cycle", {}), plc.get("program")
+    return Result(seconds, tuple(flows), ages, cycle, robot["metres"], drained, outage, program)
 
 
 def _flow(topic: str, to: str, sent: int, tally: dict[str, int], counted: int | None) -> Flow:
-    received = tally["received"]
-    return Flow(
-        topic,
-        to,
-        sent,
-        received,
-        sent - received,
-        tally["torn"],
-        tally["repeated"],
-        counted,
-        tally["gaps"],
-        tally["newest"] == sent,
-    )
+    received, torn, repeated = tally["received"], tally["torn"], tally["repeated"]
+    whole = tally["newest"] == sent
+    return Flow(topic, to, sent, received, sent - received, torn, repeated, counted, tally["gaps"], whole)

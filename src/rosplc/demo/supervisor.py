@@ -89,7 +89,8 @@ class Demo:
         self._wait_until_ready()
         self.phase = "running"
         began = self._began = time.monotonic()
-        self._order("go")
+        for child in self.children:
+            child.order("go")
         kill_at = None if not kill else _KILL_AFTER if duration is None else duration / 3
         try:
             while duration is None or time.monotonic() - began < duration:
@@ -105,18 +106,17 @@ class Demo:
         self.phase = "draining"
         drained = self._drain()
         self.phase = "finished"
-        robot, plc = self._final()
-        return collect(robot, plc, seconds, drained=drained, outage=self.outage)
+        robot, _, plc = self.children
+        for child in (plc, robot):  # each sends one last, complete report when it is told to stop
+            child.finish()
+        return collect(robot.status, plc.status, seconds, drained=drained, outage=self.outage)
 
     def _start(self) -> None:
         configuration = Path(self._folder.name) / "rosplc.yaml"
         # JSON is YAML; no second writer of YAML is needed for a file that nobody edits.
         configuration.write_text(json.dumps(self.plan.configuration(), indent=2), encoding="utf-8")
-        environment = {
-            key: value
-            for key, value in os.environ.items()
-            if key not in ("CYCLONEDDS_URI", "ROS_STATIC_PEERS")
-        }
+        foreign = ("CYCLONEDDS_URI", "ROS_STATIC_PEERS")
+        environment = {key: value for key, value in os.environ.items() if key not in foreign}
         # Loopback alone, whatever this machine's ROS is set to; and no module of the folder in
         # which the user happens to stand in place of a library's (from Python 3.11 on).
         environment.update(
@@ -127,15 +127,13 @@ class Demo:
         )
         plan = self.plan.to_json()
         self.children.append(Child("robot", "rosplc.demo.robot", [plan], environment))
-        self._start_bridge = lambda: Child(
-            "bridge", "rosplc.demo.bridge", [str(configuration), self.plan.prefix], environment
-        )
+        given = [str(configuration), self.plan.prefix]
+        self._start_bridge = lambda: Child("bridge", "rosplc.demo.bridge", given, environment)
         self.children.append(self._start_bridge())
-        if self._structured_text is None:
-            plc = Child("PLC", "rosplc.demo.plc", [plan], environment)
-        else:
-            plc = Child("PLC", "rosplc.demo.st.process", [plan, str(self._structured_text)], environment)
-        self.children.append(plc)
+        module, more = "rosplc.demo.plc", []
+        if self._structured_text is not None:
+            module, more = "rosplc.demo.st.process", [str(self._structured_text)]
+        self.children.append(Child("PLC", module, [plan, *more], environment))
 
     def _kill_bridge(self, began: float) -> None:
         bridge = self.children[1]
@@ -201,17 +199,6 @@ class Demo:
             if time.monotonic() - since > quiet:
                 return False
         return True
-
-    def _final(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        # Each process sends one last, complete report when it is told to stop.
-        robot, _, plc = self.children
-        plc.finish()
-        robot.finish()
-        return robot.status, plc.status
-
-    def _order(self, word: str) -> None:
-        for child in self.children:
-            child.order(word)
 
     def _tick(self) -> None:
         for child in self.children:

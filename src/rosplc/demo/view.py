@@ -70,25 +70,40 @@ class LiveView:
 
     def _picture(self, demo: Demo) -> Group:
         if demo.phase == "starting":
-            return Group(
-                Text("Starting robot, bridge and virtual PLC: three processes that find each other …")
-            )
+            text = "Starting robot, bridge and virtual PLC: three processes that find each other …"
+            return Group(Text(text))
         robot, plc = demo.robot, demo.plc
         wide = self._live.console.width >= _WIDE
         table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, show_edge=False)
-        for name in ("topic", "type", "way") if wide else ("topic", "way"):
-            table.add_column(name, no_wrap=True)
-        counts = ("sent", "received", "per s", "under way", "lost", "torn", "age at PLC")
-        for name in counts if wide else (name for name in counts if name != "under way"):
-            table.add_column(name, justify="right", no_wrap=True)
-        for topic, kind in robot_topics(demo.plan.topics).items():
-            tally = plc.get("received", {}).get(topic, {})
-            age = plc.get("age", {}).get(topic)
-            names = (topic, kind.type_name, "→ PLC")
-            table.add_row(*self._row(names, robot["sent"].get(topic, 0), tally, age, wide=wide))
+        names = (
+            "topic",
+            "type",
+            "way",
+            "sent",
+            "received",
+            "per s",
+            "under way",
+            "lost",
+            "torn",
+            "age at PLC",
+        )
+        shown = [number for number, name in enumerate(names) if wide or name not in ("type", "under way")]
+        for number in shown:
+            table.add_column(names[number], no_wrap=True, justify="right" if number > 2 else "left")
         command, type_name = COMMAND
-        sent, tally = plc.get("sent", {}).get(command, 0), robot.get("received", {}).get(command, {})
-        table.add_row(*self._row((command, type_name, "→ ROS"), sent, tally, None, wide=wide))
+        rows = [(topic, kind.type_name, "→ PLC") for topic, kind in robot_topics(demo.plan.topics).items()]
+        for topic, type_, way in (*rows, (command, type_name, "→ ROS")):
+            sender, receiver = (plc, robot) if topic == command else (robot, plc)
+            tally = receiver.get("received", {}).get(topic, {})
+            received, lost = tally.get("received", 0), tally.get("missing", 0)
+            # The two ends report at different moments; what has arrived has been sent.
+            sent = max(sender.get("sent", {}).get(topic, 0), received + lost)
+            rate = self._rates.setdefault(topic, Rate()).of(received, time.monotonic_ns()) or 0.0
+            age = None if topic == command else plc.get("age", {}).get(topic)
+            cells = [topic, type_.rpartition("/")[2], way, str(sent), str(received), f"{rate:.0f}"]
+            cells += [str(sent - received - lost), str(lost), str(tally.get("torn", 0))]
+            cells.append("" if age is None else f"{age:.2f} ms")
+            table.add_row(*(cells[number] for number in shown))
         cycle = plc.get("cycle", {})
         task = (
             f"PLC task: {cycle.get('scans', 0)} scans of {demo.plan.interval * 1000:g} ms, "
@@ -96,33 +111,6 @@ class LiveView:
             f"at most {cycle.get('cycle_max_us', 0) / 1000:.2f} ms"
         )
         drive = f"The robot went {robot.get('metres', 0.0):.2f} m on the PLC's commands."
-        path = "robot (DDS) ⇄ bridge ⇄ shared memory ⇄ virtual PLC"
-        return Group(
-            Text(path, style="bold"),
-            Text(),
-            table,
-            Text(),
-            Text(task),
-            Text(drive),
-            Text(f"{demo.phase}; Ctrl-C ends it and sums up", style="dim"),
-        )
-
-    def _row(
-        self,
-        names: tuple[str, str, str],
-        sent: int,
-        tally: dict[str, int],
-        age: float | None,
-        *,
-        wide: bool,
-    ) -> list[str]:
-        topic, type_name, way = names
-        received, lost = tally.get("received", 0), tally.get("missing", 0)
-        row = [topic, type_name.rpartition("/")[2], way] if wide else [topic, way]
-        rate = self._rates.setdefault(topic, Rate()).of(received, time.monotonic_ns()) or 0.0
-        # The two ends report at different moments; what has arrived has been sent.
-        sent = max(sent, received + lost)
-        row += [str(sent), str(received), f"{rate:.0f}"]
-        if wide:
-            row.append(str(sent - received - lost))
-        return [*row, str(lost), str(tally.get("torn", 0)), "" if age is None else f"{age:.2f} ms"]
+        path = Text("robot (DDS) ⇄ bridge ⇄ shared memory ⇄ virtual PLC", style="bold")
+        end = Text(f"{demo.phase}; Ctrl-C ends it and sums up", style="dim")
+        return Group(path, Text(), table, Text(), Text(task), Text(drive), end)
