@@ -62,9 +62,8 @@ def command(
         root DIR: Work in this folder instead of /, for images of machines.
         dry_run: Show what would be done.
     """
-    from rosplc.service.install import execute, install_steps, uninstall_steps
+    from rosplc.service.install import execute, install_steps, service_states, uninstall_steps
     from rosplc.service.planning import plan_service, require_systemd
-    from rosplc.service.state import service_states
 
     root = root.absolute()
     if what is What.status:

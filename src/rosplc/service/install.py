@@ -16,11 +16,22 @@ from pathlib import Path
 from rosplc.errors import SetupError
 from rosplc.service.unit import MARK, Plan, drop_in, sysusers, template
 
-__all__ = ["Remove", "Run", "Step", "Write", "execute", "install_steps", "instances", "uninstall_steps"]
+__all__ = [
+    "Remove",
+    "Run",
+    "Step",
+    "Write",
+    "execute",
+    "install_steps",
+    "instances",
+    "service_states",
+    "uninstall_steps",
+]
 
 _TEMPLATE = Path("/etc/systemd/system/rosplc@.service")
 _DROP_IN = "10-rosplc.conf"
 _TIMEOUT_S = 60
+_PROPERTIES = ("ActiveState", "SubState", "UnitFileState", "NRestarts", "StatusText")
 
 
 @dataclass(frozen=True)
@@ -81,25 +92,12 @@ def uninstall_steps(name: str, root: Path) -> list[Step]:
     Raises:
         SetupError: SYS011 if there is no such service, or a file of it is somebody else's.
     """
-    others = [each for each in instances(root) if each != name]
-    if name not in instances(root):
-        there = f"; there are: {', '.join(others)}" if others else ""
-        raise SetupError(
-            "SYS011",
-            f"no service rosplc@{name} is installed{there}",
-            where=str(_at(root, _drop_in_file(name))),
-            remedy="`rosplc service status` lists what is installed.",
-        )
+    others = [each for each in _installed(root, name) if each != name]
     unit = f"rosplc@{name}.service"
-    steps: list[Step] = []
-    if root == Path("/"):
-        steps.append(Run(("systemctl", "disable", "--now", unit)))
-    else:
-        steps.append(Run(("systemctl", *_root_option(root), "disable", unit)))
+    now = ("--now",) if root == Path("/") else ()
+    steps: list[Step] = [Run(("systemctl", *_root_option(root), "disable", *now, unit))]
     files = [_at(root, _drop_in_file(name)), _at(root, _sysusers_file(name))]
-    if not others:
-        files.append(_at(root, _TEMPLATE))
-    for path in files:
+    for path in files if others else [*files, _at(root, _TEMPLATE)]:
         _refuse_foreign(path)
         steps.append(Remove(path))
     if root == Path("/"):
@@ -111,6 +109,20 @@ def instances(root: Path) -> list[str]:
     """Return the names of the bridges that are installed as services, sorted."""
     found = _at(root, _TEMPLATE.parent).glob(f"rosplc@*.service.d/{_DROP_IN}")
     return sorted(path.parent.name.removeprefix("rosplc@").removesuffix(".service.d") for path in found)
+
+
+def _installed(root: Path, name: str | None) -> list[str]:
+    """Return the names of the installed bridges; SYS011 if this one is not among them."""
+    names = instances(root)
+    if name is not None and name not in names:
+        there = f"; there are: {', '.join(names)}" if names else ""
+        raise SetupError(
+            "SYS011",
+            f"no service rosplc@{name} is installed{there}",
+            where=str(_at(root, _drop_in_file(name))),
+            remedy="`rosplc service status` lists what is installed, `rosplc service install` installs one.",
+        )
+    return names
 
 
 def execute(steps: list[Step], tell: Callable[[str], None]) -> None:
@@ -217,3 +229,42 @@ def _sysusers_file(name: str) -> Path:
 
 def _drop_in_file(name: str) -> Path:
     return _TEMPLATE.parent / f"rosplc@{name}.service.d" / _DROP_IN
+
+
+def service_states(root: Path, name: str | None = None) -> list[dict[str, object]]:
+    """Return a dictionary for each installed bridge: name, unit, enabled, active, restarts, status.
+
+    Args:
+        root: Where ``/etc`` lies.
+        name: Only this one.
+
+    Raises:
+        SetupError: SYS011 if that one is not installed.
+    """
+    return [_state(each, root) for each in _installed(root, name) if name in (None, each)]
+
+
+def _state(name: str, root: Path) -> dict[str, object]:
+    unit = f"rosplc@{name}.service"
+    enabled = root / f"etc/systemd/system/multi-user.target.wants/{unit}"
+    found = _ask(unit) if root == Path("/") else {}
+    active = "/".join(found[key] for key in ("ActiveState", "SubState") if found.get(key))
+    return {
+        "name": name,
+        "unit": unit,
+        "enabled": found.get("UnitFileState") or ("enabled" if enabled.is_symlink() else "disabled"),
+        "active": active or "unknown: systemd does not run here",
+        "restarts": int(found["NRestarts"]) if found.get("NRestarts", "").isdigit() else 0,
+        "status": found.get("StatusText", ""),
+    }
+
+
+def _ask(unit: str) -> dict[str, str]:
+    if shutil.which("systemctl") is None or not Path("/run/systemd/system").is_dir():
+        return {}
+    command = ["systemctl", "show", f"--property={','.join(_PROPERTIES)}", unit]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=10, check=False)
+    except (OSError, subprocess.TimeoutExpired):
+        return {}
+    return dict(line.partition("=")[::2] for line in done.stdout.splitlines())

@@ -68,10 +68,9 @@ def systemd_version() -> int:
     if shutil.which("systemctl") is None:
         return 0
     try:
-        said = subprocess.run(
-            ["systemctl", "--version"], capture_output=True, text=True, timeout=10, check=False
-        )
-        return int(said.stdout.split()[1])
+        command = ["systemctl", "--version"]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=10, check=False)
+        return int(done.stdout.split()[1])
     except (OSError, subprocess.TimeoutExpired, ValueError, IndexError):
         return 0
 
@@ -87,27 +86,23 @@ def require_systemd() -> None:
 
 
 def _absolute(program: Path) -> Path:
-    if program.name != "rosplc":  # python -m rosplc
-        beside = Path(sys.executable).with_name("rosplc")
-        found = str(beside) if beside.exists() else shutil.which("rosplc")
-        if found is None:
-            raise SetupError("SYS011", "the rosplc command is not on the PATH", remedy="Call it by its path.")
-        return Path(found).absolute()
-    found = shutil.which(str(program))
-    return Path(found or program).absolute()
+    if program.name == "rosplc":
+        return Path(shutil.which(str(program)) or program).absolute()
+    beside = Path(sys.executable).with_name("rosplc")  # python -m rosplc
+    found = str(beside) if beside.exists() else shutil.which("rosplc")
+    if found is None:
+        raise SetupError("SYS011", "the rosplc command is not on the PATH", remedy="Call it by its path.")
+    return Path(found).absolute()
 
 
 def _group_name(group: str | int | None) -> str:
-    if isinstance(group, int):
-        try:
-            return grp.getgrgid(group).gr_name
-        except KeyError:
-            raise SetupError(
-                "SYS011",
-                f"shm.group {group} has no name on this machine",
-                remedy="Name the group; it is created.",
-            ) from None
-    return group or ""
+    if not isinstance(group, int):
+        return group or ""
+    try:
+        return grp.getgrgid(group).gr_name
+    except KeyError:
+        what = f"shm.group {group} has no name on this machine"
+        raise SetupError("SYS011", what, remedy="Name the group; it is created.") from None
 
 
 def _notes(plan: Plan, config: Config) -> list[str]:

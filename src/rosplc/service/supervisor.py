@@ -1,23 +1,87 @@
-"""Between a running bridge and systemd: the watchdog is fed while messages can be carried, and no longer."""
+"""Between a running bridge and systemd: the watchdog is fed while messages can be carried, and no longer.
+
+What a service reports is one datagram of ``KEY=value`` lines to the socket that ``NOTIFY_SOCKET`` names
+(sd_notify(3)). The libraries for it bring more code than these lines, or a C library that a wheel cannot
+count on.
+"""
 
 from __future__ import annotations
 
 import logging
+import os
+import socket
 import threading
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Protocol
 
 from rosplc.bridge.status import BridgeStatus
-from rosplc.service.notify import Notifier
 
-__all__ = ["Supervisor", "Watched", "supervised"]
+__all__ = ["Notifier", "Supervisor", "Watched", "supervised"]
 
 log = logging.getLogger("rosplc.service")
 
 _START_S = 0.1
 _STATUS_S = 5.0
 _LEAST_S = 0.05
+
+
+class Notifier:
+    """The way to the service manager that started this process; silent where there is none.
+
+    Args:
+        address: ``NOTIFY_SOCKET``; empty for nobody.
+        watchdog_s: How often systemd wants to hear of us at least, in seconds; 0 if it does not.
+    """
+
+    def __init__(self, address: str = "", watchdog_s: float = 0.0) -> None:
+        self.watchdog_s = watchdog_s
+        # A leading @ stands for the abstract namespace, which the kernel writes as a NUL.
+        self._address = "\0" + address[1:] if address.startswith("@") else address
+
+    @property
+    def wanted(self) -> bool:
+        """Whether a service manager listens."""
+        return bool(self._address)
+
+    @classmethod
+    def of(cls, environment: Mapping[str, str] | None = None) -> Notifier:
+        """Return the way that the environment describes; None for the process's own."""
+        if environment is None:
+            environment = os.environ
+        try:
+            micros = int(environment.get("WATCHDOG_USEC", "0"))
+            pid = int(environment.get("WATCHDOG_PID", str(os.getpid())))
+        except ValueError:
+            micros, pid = 0, os.getpid()
+        # Children inherit the environment; the watchdog is the main process's.
+        return cls(environment.get("NOTIFY_SOCKET", ""), micros / 1e6 if pid == os.getpid() else 0.0)
+
+    def ready(self, status: str) -> None:
+        """Say that everything is open and carries."""
+        self._send(f"READY=1\nSTATUS={' '.join(status.split())}")
+
+    def stopping(self) -> None:
+        """Say that the end has begun."""
+        self._send("STOPPING=1")
+
+    def status(self, text: str) -> None:
+        """Say how the service stands, for ``systemctl status``."""
+        self._send(f"STATUS={' '.join(text.split())}")
+
+    def alive(self) -> None:
+        """Feed the watchdog."""
+        self._send("WATCHDOG=1")
+
+    def _send(self, message: str) -> None:
+        if not self._address:
+            return
+        with (
+            suppress(OSError),  # a manager that does not listen stops no bridge
+            socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as unix,
+        ):
+            unix.setblocking(False)
+            unix.sendto(message.encode(), self._address)
 
 
 class Watched(Protocol):

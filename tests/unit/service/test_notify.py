@@ -14,8 +14,7 @@ from pathlib import Path
 import pytest
 
 from rosplc.bridge.status import BridgeStatus
-from rosplc.service.notify import Notifier
-from rosplc.service.supervisor import Supervisor, supervised
+from rosplc.service.supervisor import Notifier, Supervisor, supervised
 from rosplc.shm import Namespace
 
 
