@@ -19,12 +19,12 @@ import typer
 
 from rosplc.cli.options import default_config
 from rosplc.cli.text import print_json, say, warn
-from rosplc.cli.verb import verb
+from rosplc.cli.verb import Between, verb
 
 if TYPE_CHECKING:
     from rosplc.bridge.ros_side import LiveTypes
     from rosplc.init.definitions import Definitions
-    from rosplc.ros import Backend, Qos
+    from rosplc.ros import Backend
 
 __all__ = ["ECHO", "HZ", "LIST", "PUB"]
 
@@ -32,7 +32,6 @@ _LOOK_S = 5.0
 """How long to look for a topic at most; the graph is complete earlier where it is small."""
 _WINDOW = 10_000
 
-_Topic = Annotated[str, typer.Argument(help="The topic's name.")]
 _Backend = Annotated[str | None, typer.Option(metavar="NAME", help="The way into ROS, as `ros.backend`.")]
 _Distro = Annotated[str | None, typer.Option(metavar="NAME", help="The ROS distribution.")]
 _Domain = Annotated[int | None, typer.Option(metavar="NUMBER", help="The ROS domain.")]
@@ -82,6 +81,8 @@ class _Node:
     @contextlib.contextmanager
     def messages(self, topic: str, type_name: str) -> Iterator[queue.SimpleQueue[tuple[float, bytes]]]:
         """Receive a topic into a queue of (arrival in s, bytes), with a QoS that its publishers meet."""
+        from rosplc.init.live import matching
+
         arrived: queue.SimpleQueue[tuple[float, bytes]] = queue.SimpleQueue()
         offered = [
             end.qos for end in self.backend.graph().endpoints if (end.topic, end.direction) == (topic, "out")
@@ -90,21 +91,11 @@ class _Node:
         def take(data: bytes, _: int) -> None:
             arrived.put((time.monotonic(), data))
 
-        subscription = self.backend.subscribe(topic, type_name, _qos_for(offered), take)
+        subscription = self.backend.subscribe(topic, type_name, matching(offered, depth=100), take)
         try:
             yield arrived
         finally:
             subscription.close()
-
-
-def _qos_for(offered: list[Qos]) -> Qos:
-    from rosplc.ros import Qos
-
-    reliable = all(qos.reliability == "reliable" for qos in offered)
-    latched = bool(offered) and all(qos.durability == "transient_local" for qos in offered)
-    return Qos(
-        "reliable" if reliable else "best_effort", "transient_local" if latched else "volatile", depth=100
-    )
 
 
 @contextlib.contextmanager
@@ -142,20 +133,26 @@ def _node(
 
 @verb
 def _list(
-    show_types: Annotated[bool, typer.Option("--show-types", "-t", help="Print the types, too.")] = False,
-    count: Annotated[bool, typer.Option("--count-topics", "-c", help="Print their number only.")] = False,
+    *,
+    show_types: bool = False,
+    count_topics: bool = False,
     backend: _Backend = None,
     distro: _Distro = None,
     domain: _Domain = None,
     types: _Types = None,
     as_json: bool = False,
 ) -> None:
-    """List the topics of the ROS graph."""
+    """List the topics of the ROS graph.
+
+    Options:
+        show_types: Print the types, too.
+        count_topics: Print their number only.
+    """
     with _node(backend, distro, domain, types) as node:
         topics = node.graph().topics
     if as_json:
         print_json({name: list(kinds) for name, kinds in topics.items()})
-    elif count:
+    elif count_topics:
         say(str(len(topics)))
     else:
         for name, kinds in topics.items():
@@ -164,20 +161,29 @@ def _list(
 
 @verb
 def _echo(
-    topic: _Topic,
-    message_type: Annotated[str | None, typer.Argument(help="Its type; else the graph is asked.")] = None,
-    once: Annotated[bool, typer.Option("--once", help="Print the first message and end.")] = False,
-    field: Annotated[str | None, typer.Option(metavar="PATH", help="Print this field only.")] = None,
-    full_length: Annotated[
-        bool, typer.Option("--full-length", "-f", help="Print long arrays and strings whole.")
-    ] = False,
+    topic: str,
+    message_type: str | None = None,
+    /,
+    *,
+    once: bool = False,
+    field: str | None = None,
+    full_length: bool = False,
     backend: _Backend = None,
     distro: _Distro = None,
     domain: _Domain = None,
     types: _Types = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document per line.")] = False,
+    as_json: bool = False,
 ) -> None:
-    """Print the messages of a ROS topic."""
+    """Print the messages of a ROS topic.
+
+    Options:
+        topic: The topic's name.
+        message_type: Its type; else the graph is asked.
+        once: Print the first message and end.
+        field PATH: Print this field only.
+        full_length: Print long arrays and strings whole.
+        as_json: Print one JSON document per line.
+    """
     from rosplc.cli.ros_text import Reader, as_yaml
     from rosplc.errors import RosplcError
 
@@ -206,16 +212,21 @@ def _echo(
 
 @verb
 def _hz(
-    topic: _Topic,
-    window: Annotated[
-        int, typer.Option("--window", "-w", min=2, help="Messages that the average is made of.")
-    ] = _WINDOW,
+    topic: str,
+    /,
+    *,
+    window: Annotated[int, Between(2)] = _WINDOW,
     backend: _Backend = None,
     distro: _Distro = None,
     domain: _Domain = None,
     types: _Types = None,
 ) -> None:
-    """Print the rate at which a ROS topic's messages arrive, every second."""
+    """Print the rate at which a ROS topic's messages arrive, every second.
+
+    Options:
+        topic: The topic's name.
+        window: Messages that the average is made of.
+    """
     with (
         _node(backend, distro, domain, types) as node,
         node.messages(topic, node.type_of(topic, None)) as arrived,
@@ -241,32 +252,37 @@ def _next(arrived: queue.SimpleQueue[tuple[float, bytes]]) -> tuple[float, bytes
 
 @verb
 def _pub(
-    topic: _Topic,
-    message_type: Annotated[str, typer.Argument(help="Its type, such as geometry_msgs/msg/Twist.")],
-    values: Annotated[str, typer.Argument(help="Fields as YAML; others have their defaults.")] = "{}",
+    topic: str,
+    message_type: str,
+    values: str = "{}",
+    /,
+    *,
     rate: Annotated[float, typer.Option("--rate", "-r", min=0.001, help="Messages per second.")] = 1.0,
-    once: Annotated[bool, typer.Option("--once", "-1", help="Publish one message and end.")] = False,
-    times: Annotated[
-        int | None, typer.Option("--times", "-t", min=1, help="Publish so many messages and end.")
-    ] = None,
-    wait: Annotated[
-        int | None,
-        typer.Option(
-            "--wait-matching-subscriptions",
-            "-w",
-            min=0,
-            help="Wait for so many subscribers; by default 1 with --once and --times, else 0.",
-        ),
-    ] = None,
-    qos_reliability: Annotated[str, typer.Option(help="`reliable` or `best_effort`.")] = "reliable",
-    qos_durability: Annotated[str, typer.Option(help="`volatile` or `transient_local`.")] = "volatile",
-    qos_depth: Annotated[int, typer.Option(help="Messages that wait at most.")] = 10,
+    once: bool = False,
+    times: Annotated[int | None, Between(1)] = None,
+    wait_matching_subscriptions: Annotated[int | None, Between(0)] = None,
+    qos_reliability: str = "reliable",
+    qos_durability: str = "volatile",
+    qos_depth: int = 10,
     backend: _Backend = None,
     distro: _Distro = None,
     domain: _Domain = None,
     types: _Types = None,
 ) -> None:
-    """Publish messages on a ROS topic."""
+    """Publish messages on a ROS topic.
+
+    Options:
+        topic: The topic's name.
+        message_type: Its type, such as geometry_msgs/msg/Twist.
+        values: Fields as YAML; others have their defaults.
+        once: Publish one message and end.
+        times: Publish so many messages and end.
+        wait_matching_subscriptions: Wait for so many subscribers; by default 1 with --once and --times,
+            else 0.
+        qos_reliability: `reliable` or `best_effort`.
+        qos_durability: `volatile` or `transient_local`.
+        qos_depth: Messages that wait at most.
+    """
     import yaml
 
     from rosplc.cli.ros_text import Reader, as_python, encode
@@ -285,7 +301,8 @@ def _pub(
         store = node.definitions.store
         shown = as_python(store, name, Reader(store, name)(encode(store, name, given)))
         publisher = node.backend.advertise(topic, name, qos)
-        wanted = (1 if most else 0) if wait is None else wait
+        wanted = wait_matching_subscriptions
+        wanted = (1 if most else 0) if wanted is None else wanted
         for look in itertools.count():
             if publisher.matched >= wanted:
                 break

@@ -47,8 +47,9 @@ _SPELLED = {"as_json": "json", "everything": "all", "listing": "list"}
 _LETTERS = {
     word: letter
     for letter, words in {
-        "a": "all", "f": "follow", "n": "count", "o": "out output", "q": "quiet", "t": "topic trigger",
-        "v": "verbose", "x": "exclude", "y": "yes",
+        "1": "once", "a": "all", "c": "count-topics", "f": "follow full-length", "n": "count",
+        "o": "out output", "q": "quiet", "t": "show-types times topic trigger", "v": "verbose",
+        "w": "wait-matching-subscriptions window", "x": "exclude", "y": "yes",
     }.items()
     for word in words.split()
 }  # fmt: skip

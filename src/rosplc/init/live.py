@@ -22,7 +22,7 @@ from rosplc.init.meter import Meter, Sample, Seen
 from rosplc.model import DISTROS, TypeStore
 from rosplc.ros import ROS1, Backend, Choice, EndpointInfo, GraphInfo, Qos, choose, settled_graph
 
-__all__ = ["NODE", "LiveRobot", "distro_here"]
+__all__ = ["NODE", "LiveRobot", "distro_here", "matching"]
 
 NODE = "rosplc_init"
 _ANY = "*"
@@ -162,7 +162,8 @@ class LiveRobot:
         with contextlib.ExitStack() as stack:
             subscriptions: dict[str, Any] = {}
             for topic, type_name in wanted.items():
-                qos = self._qos(topic)
+                known = self.found.topics.get(topic)
+                qos = matching(known.offered if known else (), depth=1000)
                 settle_s = min(_SETTLE_S, seconds / 4) if qos.durability == "transient_local" else 0.0
                 meter = Meter(self.definitions.store, type_name, version)
                 sample = samples[topic] = Sample(meter, int(settle_s * 1e9))
@@ -195,14 +196,6 @@ class LiveRobot:
             if name in before and name in now and now[name].offered
         }
 
-    def _qos(self, topic: str) -> Qos:
-        """Return what matches every publisher, and gets what they sent before."""
-        offered = self.found.topics[topic].offered if topic in self.found.topics else ()
-        reliable = all(qos.reliability == "reliable" for qos in offered)
-        latched = bool(offered) and all(qos.durability == "transient_local" for qos in offered)
-        kept: Literal["transient_local", "volatile"] = "transient_local" if latched else "volatile"
-        return Qos("reliable" if reliable else "best_effort", kept, depth=1000)
-
     def _refuse_nobody(self, info: GraphInfo, where: str, seconds: float) -> None:
         """Say why nothing was found: the master or router is away, or nobody is there."""
         if info.endpoints:
@@ -220,6 +213,14 @@ class LiveRobot:
     def close(self) -> None:
         """Leave the graph."""
         self._backend.close()
+
+
+def matching(offered: Collection[Qos], depth: int) -> Qos:
+    """Return the quality of service that meets every publisher's, and gets what they sent before."""
+    reliable = all(qos.reliability == "reliable" for qos in offered)
+    latched = bool(offered) and all(qos.durability == "transient_local" for qos in offered)
+    kept: Literal["transient_local", "volatile"] = "transient_local" if latched else "volatile"
+    return Qos("reliable" if reliable else "best_effort", kept, depth=depth)
 
 
 def _chosen_without_environment(distro: str) -> str:
