@@ -11,6 +11,7 @@ import shutil
 import signal
 import subprocess
 import threading
+import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -18,10 +19,12 @@ import pytest
 
 from rosplc.bridge import Bridge
 from rosplc.bridge.status import ClassicStatus, TopicStatus
+from rosplc.clock import SystemClock
 from rosplc.codec import Codec, Wire
 from rosplc.config import parse_config, resolve
 from rosplc.ros import DEFAULT, PRESETS
 from rosplc.ros.memory import open_backend
+from tests.lib.waiting import wait_for
 
 PEERS = Path(__file__).parent / "interop" / "classic" / "peers"
 CACHE = Path(__file__).parents[1] / ".cache" / "interop"
@@ -148,6 +151,18 @@ def remove(*names: str) -> None:
             (Path("/dev/shm") / f"{start}{name}").unlink(missing_ok=True)
 
 
+class _AskedClock(SystemClock):
+    """The machine's clock, which counts how often the thread that carries classic topics has asked it."""
+
+    def __init__(self) -> None:
+        self.asked = 0
+
+    def monotonic_ns(self) -> int:
+        """Return nanoseconds since some fixed moment."""
+        self.asked += threading.current_thread().name.startswith("rosplc-classic")
+        return time.monotonic_ns()
+
+
 class ClassicCell:
     """A bridge with one classic topic ``/t`` of ``cell_msgs/msg/Words``; a context manager.
 
@@ -182,7 +197,8 @@ class ClassicCell:
         domain = secrets.randbelow(200)
         self._bridge_side = open_backend(self.project.store, "bridge", domain=domain)
         self.ros = open_backend(self.project.store, "peer", domain=domain)
-        self.bridge = Bridge(self.project, self._bridge_side)
+        self._clock = _AskedClock()
+        self.bridge = Bridge(self.project, self._bridge_side, clock=self._clock)
         self.got: list[int | None] = []
         if to == "ros":
             self.ros.subscribe("/t", self.plan.type_name, DEFAULT, self._on_message)
@@ -223,6 +239,11 @@ class ClassicCell:
         found = self.status.classic
         assert found is not None
         return found
+
+    def turns(self, number: int = 3) -> None:
+        """Return once the bridge has looked at memory and lock so often again."""
+        wanted = self._clock.asked + 2 * (number + 1)  # a turn asks twice, and one may be under way
+        wait_for(lambda: self._clock.asked >= wanted, "the bridge to look at the memory")
 
     def plc(self, way: str, *, period_us: int = 1000, semaphore: str = "", **environment: object) -> Program:
         """Start the PLC's half in C, ``read`` or ``write``."""

@@ -138,8 +138,8 @@ def test_subscriber_counts_when_messages_reach_it(node: Backend, raw: RawPeer) -
     """A token without a subscriber matches nobody; with it, the very first message arrives."""
     publisher = node.advertise("/data", STRING, Qos())
     raw.show("MS", "/data")
-    wait_for(lambda: "/raw" in node.graph().nodes and "/data" in node.graph().topics)
-    time.sleep(0.2)
+    raw.show("MS", "/marker")  # later news, of which none is passed over
+    wait_for(lambda: {"/data", "/marker"} <= set(node.graph().topics) and "/raw" in node.graph().nodes)
     assert publisher.matched == 0
     assert publisher.status().reason == "Zenoh is about to connect"
     heard = raw.listen("/data")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 
 import pytest
 
@@ -14,6 +13,7 @@ from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.shm import Description, OwnedChannel
 from rosplc.virtual_plc import ReadBlock
+from tests.lib.waiting import repeat_until
 
 STORE = TypeStore.bundled("jazzy")
 
@@ -243,10 +243,7 @@ def test_a_channel_follows_its_name(bridge, attach):
     with pytest.raises(ChannelError, match="SHM101"):
         channel.snapshot()
     after = bridge(type_name="std_msgs/msg/String")
-    deadline = time.monotonic() + 30
-    while not channel.attached and time.monotonic() < deadline:
-        channel.read()
-        time.sleep(0.01)
+    repeat_until(channel.read, lambda: channel.attached)
     after.send(data="new")
     assert channel.read().data == "new"
 
@@ -431,9 +428,7 @@ def test_losses_are_counted_once_while_there_is_no_object(bridge, attach):
     assert not channel.attached
     assert channel.lost == 2
     bridge()
-    time.sleep(0.11)
-    channel.read()
-    assert channel.attached
+    repeat_until(channel.read, lambda: channel.attached)
     assert channel.lost == 2
     channel.close()
     assert channel.lost == 2

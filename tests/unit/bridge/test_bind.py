@@ -9,7 +9,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 import weakref
 from pathlib import Path
 from types import ModuleType
@@ -273,7 +272,9 @@ def test_a_binding_that_nobody_holds_lets_go_of_its_name(shm_namespace: Namespac
     """A forgotten close() costs no other program the name."""
     binding = bind("/text", STRING, prefix=shm_namespace.prefix)
     reference = weakref.ref(binding)
-    time.sleep(0.25)  # a few beats
+    with attach(shm_namespace, "/text") as found:
+        beat = found.snapshot().writer.beat
+        wait_for(lambda: found.snapshot().writer.beat >= beat + 2, "two beats")
     del binding
     wait_for(lambda: gc.collect() >= 0 and reference() is None)
     bind("/text", STRING, prefix=shm_namespace.prefix).close()

@@ -56,7 +56,7 @@ def test_what_stood_there_before_is_no_message(tmp_path: Path, to: str) -> None:
     name = unique_name()
     Path(f"/dev/shm/{name}").write_bytes(full(9))
     with ClassicCell(tmp_path, to, name=name) as cell:
-        time.sleep(0.1)
+        cell.turns()
         assert cell.got == [] and cell.image == full(9)
         if to == "ros":
             cell.write(10)
@@ -93,7 +93,7 @@ def test_a_memory_made_again_is_followed_towards_the_plc(tmp_path: Path, entry: 
         cell.path.unlink()
         wait_for(cell.path.exists)
         wait_for(lambda: cell.image == image)
-        time.sleep(0.05)
+        cell.turns()
         assert cell.image == image
         cell.publish(2)
         wait_for(lambda: cell.image == full(2))
@@ -126,7 +126,7 @@ def test_an_image_left_by_one_that_died_with_the_old_semaphore_is_no_message(tmp
             file.write(full(2)[: SIZE // 2])
         wait_for(lambda: cell.classic.timeouts)
         replace_semaphore(cell.name)
-        time.sleep(0.2)
+        cell.turns()
         assert cell.got == [1]
         cell.write(3)
         wait_for(lambda: cell.got == [1, 3])
@@ -186,7 +186,7 @@ def test_the_newest_waits_for_the_lock(tmp_path: Path) -> None:
         wait_for(lambda: cell.classic.timeouts == 1)
         for number in range(2, 6):
             cell.publish(number)
-        time.sleep(0.05)
+        cell.turns()
         assert cell.image == bytes(SIZE)
         semaphore.release()
         wait_for(lambda: cell.image == full(5))
@@ -234,20 +234,22 @@ def test_every_look_is_a_message_where_that_is_asked_for(tmp_path: Path) -> None
 
 
 def test_a_rate_limit_keeps_the_newest(tmp_path: Path) -> None:
-    """Towards ROS and the PLC alike the last message is never dropped."""
+    """Towards ROS and the PLC alike no more pass than the rate allows, and the last is never dropped."""
     with ClassicCell(tmp_path, "ros", entry="rate_limit: 100ms") as cell:
-        for number in range(1, 31):
+        began = time.monotonic()
+        cell.write(1)
+        wait_for(lambda: cell.got == [1])
+        for number in range(2, 31):
             cell.write(number)
-            time.sleep(0.005)
-        wait_for(lambda: cell.got[-1] == 30)
-        assert 2 <= len(cell.got) < 30
+        wait_for(lambda: cell.got[-1:] == [30])
+        assert 2 <= len(cell.got) <= 2 + (time.monotonic() - began) / 0.1
     with ClassicCell(tmp_path, "plc", entry="rate_limit: 100ms") as cell:
+        began = time.monotonic()
         for number in range(1, 31):
             cell.publish(number)
-            time.sleep(0.005)
         wait_for(lambda: cell.image == full(30))
         wait_for(lambda: cell.status.published + cell.status.skipped == 30)
-        assert cell.status.lost == 0 and cell.status.published < 30
+        assert cell.status.lost == 0 and cell.status.published <= 2 + (time.monotonic() - began) / 0.1
 
 
 def test_a_message_that_does_not_fit_is_refused(tmp_path: Path) -> None:
@@ -305,7 +307,7 @@ def test_a_bridge_can_be_started_again(tmp_path: Path) -> None:
         assert cell.path.exists()
         cell.write(2)
         cell.bridge.start()
-        time.sleep(0.05)
+        cell.turns()
         cell.write(3)
         wait_for(lambda: cell.got == [1, 3])
     wait_for(lambda: threading.active_count() <= before)

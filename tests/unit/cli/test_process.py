@@ -152,13 +152,13 @@ def test_run_carries_until_a_signal(tmp_path, shm_namespace, number):
     """`rosplc run` beats until a signal, ends with status 0, and leaves its objects."""
     path = run_config(tmp_path, shm_namespace.prefix)
     with process("run", path, "--status", "0.2") as child:
-        started(shm_namespace.prefix)
-        time.sleep(0.5)
+        said = ""
+        while "status:" not in said:
+            said += child.stderr.readline() or pytest.fail(f"no status line: {said}")
         child.send_signal(number)
-        out, err = child.communicate(timeout=60)
+        out, _ = child.communicate(timeout=60)
     assert (child.returncode, out) == (0, "")
-    assert "carries 1 topics" in err
-    assert "status:" in err
+    assert "carries 1 topics" in said
     assert shm_namespace.path("/cmd_vel").exists()
     assert not any(state.writer_alive for state in rosplc.topics(shm_namespace.prefix))
 
