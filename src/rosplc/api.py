@@ -60,17 +60,10 @@ def attach(
             ``layout`` differs; SHM114 if another writer holds the claim; and the others of
             spec/shm-format.md, section 9.
     """
-    deadline = time.monotonic() + timeout
+    deadline, names = time.monotonic() + timeout, Namespace(prefix, directory)
     while True:
         try:
-            return Channel(
-                topic,
-                namespace=Namespace(prefix, directory),
-                write=write,
-                latched=latched,
-                layout=layout,
-                task=task,
-            )
+            return Channel(topic, namespace=names, write=write, latched=latched, layout=layout, task=task)
         except ChannelError as error:
             if error.code != "SHM101" or not time.monotonic() < deadline:  # NaN is no time to wait
                 raise

@@ -57,17 +57,13 @@ def described_layout(description: Description, *, where: str = "") -> Layout:
         limits = json.dumps(dict(description.limits), sort_keys=True)
         layout = _layout(description.type, description.definition, limits, description.distro)
     except RosplcError as error:
-        raise ChannelError(
-            "SHM113", f"its type cannot be rebuilt: {error.what} [{error.code}]", where=where
-        ) from error
+        what = f"its type cannot be rebuilt: {error.what} [{error.code}]"
+        raise ChannelError("SHM113", what, where=where) from error
     except (TypeError, ValueError, AttributeError, RecursionError) as error:
         raise ChannelError("SHM113", f"its limits cannot be used: {error}", where=where) from error
     if layout.layout_id != description.layout_id:
-        raise ChannelError(
-            "SHM113",
-            f"it describes layout {layout.layout_id}, but states {description.layout_id}",
-            where=where,
-        )
+        what = f"it describes layout {layout.layout_id}, but states {description.layout_id}"
+        raise ChannelError("SHM113", what, where=where)
     return layout
 
 
@@ -80,12 +76,9 @@ def layout_of(attached: Attached) -> Layout:
     identity = attached.identity
     layout = described_layout(attached.description, where=attached.path)
     if (layout.layout_id, layout.size) != (identity.layout_id, identity.record_size):
-        raise ChannelError(
-            "SHM113",
-            f"it describes layout {layout.layout_id} of {layout.size} bytes, "
-            f"the header says {identity.layout_id} of {identity.record_size}",
-            where=attached.path,
-        )
+        what = f"it describes layout {layout.layout_id} of {layout.size} bytes, the header says "
+        what += f"{identity.layout_id} of {identity.record_size}"
+        raise ChannelError("SHM113", what, where=attached.path)
     return layout
 
 

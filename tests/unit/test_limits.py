@@ -203,7 +203,7 @@ def objects(patch: pytest.MonkeyPatch, folder: Path) -> None:
 
 @beyond("shm.constants.READER_LINES", "shm.constants.MAX_RETRIES", "shm.constants.MAX_BEAT_MS")
 def channels(patch: pytest.MonkeyPatch, folder: Path) -> None:
-    from rosplc.shm.liveness import Liveness
+    from rosplc.shm.claims import Liveness
 
     assert constants.reader_line(constants.READER_LINES - 1)
     with pytest.raises(IndexError):

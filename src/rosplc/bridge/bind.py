@@ -12,6 +12,7 @@ import os
 import threading
 import weakref
 from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -94,25 +95,11 @@ def bind(
     description = description_of(layout, topic, _DIRECTIONS[direction], bridge=name, distro=chosen)
     codec = Codec(layout, Wire.ROS1 if store.ros_version == 1 else Wire.CDR)
 
-    def open_channel() -> OwnedChannel:
-        return OwnedChannel.open(
-            Namespace(prefix, directory),
-            description,
-            record_size=layout.size,
-            slots=slots,
-            mode=mode,
-            gid=gid,
-        )
-
+    names = Namespace(prefix, directory)
+    size = layout.size
+    made = partial(OwnedChannel.open, names, description, record_size=size, slots=slots, mode=mode, gid=gid)
     return Binding(
-        description,
-        codec,
-        open_channel,
-        message_class,
-        clock=clock,
-        print=print,
-        truncate=truncate,
-        every=every,
+        description, codec, made, message_class, clock=clock, print=print, truncate=truncate, every=every
     )
 
 

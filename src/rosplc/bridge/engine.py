@@ -12,8 +12,7 @@ import threading
 from collections.abc import Callable, Collection
 from contextlib import ExitStack
 
-from rosplc.bridge.background import Duty, Rounds
-from rosplc.bridge.carrier import Carriers
+from rosplc.bridge.carrier import Carriers, Duty, Rounds
 from rosplc.bridge.diagnostics import Diagnostics
 from rosplc.bridge.leftovers import check_names, retire_leftovers
 from rosplc.bridge.port import Context, log

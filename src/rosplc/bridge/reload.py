@@ -17,7 +17,7 @@ from rosplc.bridge.stream import Stream
 from rosplc.clock import Clock
 from rosplc.config.problems import Problems
 from rosplc.config.resolve import Project, TopicPlan, object_name
-from rosplc.errors import BackendError, ConfigError, RosplcError
+from rosplc.errors import BackendError, RosplcError
 from rosplc.ros import Backend
 from rosplc.shm import Namespace
 
@@ -85,7 +85,7 @@ def _refuse_fixed(old: Project, new: Project, problems: Problems) -> None:
     for key in sorted(set(was) - _MAY_CHANGE):
         for path in _differing((key,), was[key], now[key]):
             what = f"it was {_written(old, path)} and would be {_written(new, path)}"
-            problems.add(ConfigError("CFG012", what, where=source.place(path)), source.line(path))
+            problems.add(source.wrong(path, what, code="CFG012"), source.line(path))
 
 
 def _differing(path: tuple[str, ...], was: Any, now: Any) -> list[tuple[str, ...]]:
@@ -113,7 +113,7 @@ def _refuse_redefined(new: Project, used: Mapping[str, str], problems: Problems)
             key = ("topics", plan.topic, "type")
             source = new.config.source
             what = f"the definition of {plan.type_name} is another than the one in use"
-            problems.add(ConfigError("CFG012", what, where=source.place(key)), source.line(key))
+            problems.add(source.wrong(key, what, code="CFG012"), source.line(key))
 
 
 @dataclass

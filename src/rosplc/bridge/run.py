@@ -28,6 +28,7 @@ __all__ = ["News", "on_terminal", "pause", "run_bridge", "run_until_signal", "st
 
 _log = logging.getLogger("rosplc.run")
 _FILES = 65536
+_SUMMED = ("received", "published", "lost", "refused")
 _SAME_SIGNAL_S = 0.2
 _LOOK_AGAIN_S = 0.1  # a signal's handler does not end a select early
 
@@ -243,15 +244,9 @@ class _Reporter:
     def report(self, status: BridgeStatus) -> None:
         topics = status.topics
         fine = sum(topic.judgement[0] == 0 for topic in topics)
-        _log.info(
-            "status: %d of %d topics fine; in %d, out %d, lost %d, refused %d",
-            fine,
-            len(topics),
-            sum(topic.received for topic in topics),
-            sum(topic.published for topic in topics),
-            sum(topic.lost for topic in topics),
-            sum(topic.refused for topic in topics),
-        )
+        sums = [sum(getattr(topic, name) for topic in topics) for name in _SUMMED]
+        text = "status: %d of %d topics fine; in %d, out %d, lost %d, refused %d"
+        _log.info(text, fine, len(topics), *sums)
         for topic in topics:
             level, message = topic.judgement
             # Rates and ages differ each time and are no news; a change of level is, and so is its reason.

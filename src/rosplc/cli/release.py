@@ -65,7 +65,7 @@ def _wait_for_silence(attached: Attached, topic: str) -> None:
     Raises:
         ChannelError: SHM114, it lives.
     """
-    from rosplc.shm.liveness import silence_ns
+    from rosplc.shm.claims import silence_ns
 
     first = attached.snapshot().writer
     end = time.monotonic_ns() + silence_ns(first.beat_ms)

@@ -158,7 +158,7 @@ def _with_new_names(data: dict[str, Any], source: YamlSource, problems: Problems
         new, path = RENAMED[old], ("topics", topic, old)
         if new in topics[topic]:
             what = f"{old!r} is the former name of {new!r}, which is written too; remove {old!r}"
-            problems.add(ConfigError("CFG010", what, where=source.place(path)), source.line(path))
+            problems.add(source.wrong(path, what, code="CFG010"), source.line(path))
         topics[topic] = {(new if key == old else key): value for key, value in topics[topic].items()}
         source.lines[("topics", topic, new)] = source.line(path)
         if number < _MOST_WARNINGS:
@@ -214,29 +214,23 @@ def _real_path(loc: tuple[str | int, ...], source: YamlSource) -> KeyPath:
 
 
 def _explain(item: dict[str, Any], path: KeyPath, source: YamlSource) -> ConfigError:
-    where = source.place(path)
     kind, value, context = item["type"], item.get("input"), item.get("ctx", {})
     if kind == "extra_forbidden":
-        return ConfigError(
-            "CFG003",
-            f"{path[-1]!r} is no key here{did_you_mean(str(path[-1]), _keys_at(path[:-1]))}",
-            where=where,
-        )
+        hint = did_you_mean(str(path[-1]), _keys_at(path[:-1]))
+        return source.wrong(path, f"{path[-1]!r} is no key here{hint}", code="CFG003")
     if kind == "missing":
-        return ConfigError(
-            "CFG005", f"{path[-1]!r} is missing", where=where, remedy=_MISSING.get(str(path[-1]), "")
-        )
+        return source.wrong(path, f"{path[-1]!r} is missing", _MISSING.get(str(path[-1]), ""), "CFG005")
     if kind == "literal_error":
         known = [word.strip(" '") for word in context["expected"].replace(" or ", ", ").split(", ")]
         hint = did_you_mean(str(value), known)
         listed = "" if hint.startswith("; there are") else f" There are: {', '.join(known)}"
-        return ConfigError("CFG004", f"{value!r} is not valid{hint}{listed}", where=where)
+        return source.wrong(path, f"{value!r} is not valid{hint}{listed}")
     if kind == "value_error":
-        return ConfigError("CFG004", str(context["error"]), where=where)
+        return source.wrong(path, str(context["error"]))
     if kind in _SHAPES:
-        return ConfigError("CFG004", f"{_show(value)} should be {_SHAPES[kind]}", where=where)
+        return source.wrong(path, f"{_show(value)} should be {_SHAPES[kind]}")
     text = item["msg"].replace("Input should be", f"{_show(value)} should be")
-    return ConfigError("CFG004", text[0].lower() + text[1:], where=where)
+    return source.wrong(path, text[0].lower() + text[1:])
 
 
 _MISSING = {

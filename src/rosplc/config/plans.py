@@ -63,29 +63,22 @@ def classic_plan(config: Config, topic: str, entry: TopicSettings, task: str) ->
     if asked is None:
         return None
     name = asked.name or classic_name(topic)
-    where = config.source.place(("topics", topic, "classic"))
+    key = ("topics", topic, "classic")
     if len(name) > MAX_NAME:
         what = f"the name {name!r} has {len(name)} characters; a PLC's STRING holds {MAX_NAME}"
-        raise ConfigError("CFG004", what, where=where, remedy="Give a shorter one with classic: {name: …}.")
+        raise config.source.wrong(key, what, "Give a shorter one with classic: {name: …}.")
     if name.startswith(settings.prefix + "."):
         what = f"the name {name!r} begins with {settings.prefix}., as this bridge's own objects do"
-        raise ConfigError("CFG004", what, where=where, remedy="Give another with classic: {name: …}.")
+        raise config.source.wrong(key, what, "Give another with classic: {name: …}.")
     if settings.shm.directory != "/dev/shm":
-        what = (
-            f"classic topics lie in /dev/shm, where semaphores are; shm.directory is {settings.shm.directory}"
-        )
-        raise ConfigError("CFG004", what, where=where)
+        what = "classic topics lie in /dev/shm, where semaphores are; shm.directory is "
+        raise config.source.wrong(key, what + settings.shm.directory)
     poll = settings.tick_ns
     if not passes_changes_only(entry) and entry.to == "ros":
         # Every look is a message here; a PLC has something new to say once per cycle at most.
         poll = entry.rate_limit_ns or entry.expected_rate_ns or settings.tasks[task].interval_ns
-    return ClassicPlan(
-        name=name,
-        semaphore="" if asked.semaphore == "none" else asked.semaphore or name,
-        wait_ns=asked.wait_ns,
-        recover_after_ns=asked.recover_after_ns,
-        poll_ns=poll,
-    )
+    semaphore = "" if asked.semaphore == "none" else asked.semaphore or name
+    return ClassicPlan(name, semaphore, asked.wait_ns, asked.recover_after_ns, poll)
 
 
 _SHORTEST_NS = parse_duration("1ms")
@@ -133,7 +126,7 @@ def stale_plan(config: Config, topic: str, entry: TopicSettings, layout: Layout,
     key: tuple[str | int, ...] = ("topics", topic, "on_stale")
 
     def wrong(what: str, remedy: str = "", at: tuple[str | int, ...] = key) -> ConfigError:
-        return ConfigError("CFG004", what, where=config.source.place(at), remedy=remedy)
+        return config.source.wrong(at, what, remedy)
 
     if isinstance(asked, str):
         if (asked == "stop") != (entry.to == "ros"):
@@ -184,19 +177,14 @@ def _record(config: Config, asked: OnStaleSettings, layout: Layout, key: tuple[s
     except LayoutError as error:
         at = (*key, *_parts(error.where))
         inner = f"{error.where}: " if error.where and error.where != layout.type_name else ""
-        raise ConfigError(
-            "CFG004",
-            inner + error.what,
-            where=config.source.place(at),
-            remedy=f"`rosplc types {layout.type_name}` shows the fields and their limits.",
-        ) from None
+        remedy = f"`rosplc types {layout.type_name}` shows the fields and their limits."
+        raise config.source.wrong(at, inner + error.what, remedy) from None
     for path, value in _leaves(asked.value, ()):
         # In Structured Text there is no way to write these.
         if isinstance(value, float) and not math.isfinite(value):
-            raise ConfigError("CFG004", f"{value} is no number", where=config.source.place((*key, *path)))
+            raise config.source.wrong((*key, *path), f"{value} is no number")
         if isinstance(value, str) and not value.isprintable():
-            what = f"{value!r} has characters that cannot be printed"
-            raise ConfigError("CFG004", what, where=config.source.place((*key, *path)))
+            raise config.source.wrong((*key, *path), f"{value!r} has characters that cannot be printed")
     return record
 
 

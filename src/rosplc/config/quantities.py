@@ -3,24 +3,11 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from fractions import Fraction
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema
-
-__all__ = [
-    "Duration",
-    "FileMode",
-    "Interval",
-    "StaleAfter",
-    "between",
-    "format_duration",
-    "parse_duration",
-    "parse_mode",
-    "parse_rate",
-    "parse_size",
-    "parse_stale",
-]
 
 _UNITS = {"ns": 1, "us": 10**3, "µs": 10**3, "ms": 10**6, "s": 10**9, "min": 60 * 10**9, "h": 3600 * 10**9}
 _RATES = {"mHz": Fraction(1, 1000), "Hz": Fraction(1), "kHz": Fraction(1000)}
@@ -36,10 +23,12 @@ _DURATION_PATTERN = r"^[0-9]{1,14}(\.[0-9]{1,9})? ?(ns|us|µs|ms|s|min|h)$"
 _EITHER_PATTERN = r"^[0-9]{1,14}(\.[0-9]{1,9})? ?(ns|us|µs|ms|s|min|h|mHz|Hz|kHz)$"
 
 
-def _split(value: Any, example: str) -> tuple[Fraction, str]:
+def _split(value: Any, example: str, units: Iterable[str]) -> tuple[Fraction, str]:
     match = _QUANTITY.match(value) if isinstance(value, str) else None
     if not match:
         raise ValueError(f"{value!r} should be a number with a unit, such as {example}")
+    if match[2] not in units:
+        raise ValueError(f"{value!r} has the unit {match[2]!r}; the units are {', '.join(units)}")
     return Fraction(match[1]), match[2]
 
 
@@ -49,9 +38,7 @@ def parse_duration(value: Any) -> int:
     Raises:
         ValueError: With a text that says what would be right.
     """
-    number, unit = _split(value, "10ms, 1s or 500us")
-    if unit not in _UNITS:
-        raise ValueError(f"{value!r} has the unit {unit!r}; the units are {', '.join(_UNITS)}")
+    number, unit = _split(value, "10ms, 1s or 500us", _UNITS)
     ns = number * _UNITS[unit]
     if ns.denominator != 1 or not 0 < ns <= _LONGEST:
         raise ValueError(f"{value!r} is not between 1ns and 24h")
@@ -64,11 +51,9 @@ def parse_rate(value: Any) -> int:
     Raises:
         ValueError: With a text that says what would be right.
     """
-    number, unit = _split(value, "50Hz or 20ms")
+    number, unit = _split(value, "50Hz or 20ms", (*_RATES, *_UNITS))
     if unit in _UNITS:
         return parse_duration(value)
-    if unit not in _RATES:
-        raise ValueError(f"{value!r} has the unit {unit!r}; the units are {', '.join((*_RATES, *_UNITS))}")
     hertz = number * _RATES[unit]
     if not 0 < hertz <= 10**6 or 10**9 / hertz > _LONGEST:
         raise ValueError(f"{value!r} is not between one a day and 1000kHz")
@@ -81,9 +66,7 @@ def parse_size(value: Any) -> int:
     Raises:
         ValueError: With a text that says what would be right.
     """
-    number, unit = _split(value, "200MB or 1GB")
-    if unit not in _SIZES:
-        raise ValueError(f"{value!r} has the unit {unit!r}; the units are {', '.join(_SIZES)}")
+    number, unit = _split(value, "200MB or 1GB", _SIZES)
     size = number * _SIZES[unit]
     if not 1 <= size <= 10**15:
         raise ValueError(f"{value!r} is not between 1B and 1000TB")

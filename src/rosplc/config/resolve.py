@@ -172,15 +172,13 @@ def resolve(config: Config) -> Project:
             name = entry.classic.name or classic_name(topic)
         if name in names:
             what = f"{topic} and {names[name]} both become {name}"
-            problems.add(
-                ConfigError("CFG007", what, where=config.source.place(where)), config.source.line(where)
-            )
+            problems.add(config.source.wrong(where, what, code="CFG007"), config.source.line(where))
         names[name] = topic
         task = entry.task or next(iter(settings.tasks))
         if task not in settings.tasks:
             key = (*where, "task")
             what = f"there is no task {task!r}; tasks has: {', '.join(settings.tasks)}"
-            problems.add(ConfigError("CFG004", what, where=config.source.place(key)), config.source.line(key))
+            problems.add(config.source.wrong(key, what), config.source.line(key))
             continue
         layout = _layout(config, store, topic, entry, problems)
         if layout is None:
@@ -242,8 +240,7 @@ def _plan(config: Config, topic: str, entry: TopicSettings, task: str, layout: L
     backend = config.settings.ros.backend
     if qos.promises and (backend not in ("auto", "dds") or layout.store.ros_version == 1):
         what = f"deadline and lease are carried by the dds backend alone; ros.backend is {backend}"
-        where = config.source.place(("topics", topic, "qos"))
-        raise ConfigError("CFG004", what, where=where, remedy="Remove them; stale_after needs neither.")
+        raise config.source.wrong(("topics", topic, "qos"), what, "Remove them; stale_after needs neither.")
     classic = classic_plan(config, topic, entry, task)
     every = entry.every if entry.every is not None else not to_plc and classic is None
     stale = entry.stale_after_ns if entry.stale_after_ns is not None else _STALE_NS[entry.to]
@@ -316,7 +313,7 @@ def _slots(config: Config, topic: str, entry: TopicSettings, task: str, record_s
             f"{entry.slots} slots are too few for a message every {format_duration(demand.period_ns)} "
             f"of {record_size} bytes; {least} are needed"
         )
-        raise ConfigError("CFG008", what, where=config.source.place(("topics", topic, "slots")))
+        raise config.source.wrong(("topics", topic, "slots"), what, code="CFG008")
     return slots
 
 
@@ -325,8 +322,7 @@ def check_ros(config: Config, problems: Problems) -> None:
     ros, source = config.settings.ros, config.source
 
     def refuse(key: tuple[str, ...], what: str, remedy: str = "", code: str = "CFG004") -> None:
-        error = ConfigError(code, what, where=source.place(key), remedy=remedy)
-        problems.add(error, source.line(key))
+        problems.add(source.wrong(key, what, remedy, code), source.line(key))
 
     if ros.backend in _ROS2 and ros.distro == ROS1:
         what = f"the {ros.backend} backend speaks ROS 2, and {ROS1} is ROS 1"

@@ -127,12 +127,15 @@ Distro = Annotated[
 
 class _Section(BaseModel):
     model_config = ConfigDict(
-        extra="forbid", frozen=True, validate_default=True, use_attribute_docstrings=False
+        extra="forbid",
+        frozen=True,
+        validate_default=True,
+        alias_generator=lambda name: name.removesuffix("_ns"),
     )
 
 
-def _f(default: Any, description: str, *, alias: str | None = None, **constraints: Any) -> Any:
-    return Field(default, description=description, alias=alias, **constraints)
+def _f(default: Any, description: str, **constraints: Any) -> Any:
+    return Field(default, description=description, **constraints)
 
 
 class ZenohSettings(_Section):
@@ -227,13 +230,12 @@ class DiagnosticsSettings(_Section):
 
     enabled: bool = _f(True, "Whether `diagnostic_msgs/msg/DiagnosticArray` is published.")
     period_ns: Annotated[Duration, between("100ms", "1h")] = _f(
-        "1s", "Time between two of them, 100ms to 1h.", alias="period"
+        "1s", "Time between two of them, 100ms to 1h."
     )
     debounce_ns: Annotated[Duration, between("1ms", "1h")] = _f(
         "500ms",
         "How long a source must be silent beyond `stale_after` before that is reported, and speak again "
         "before the report ends, 1ms to 1h: one late message changes no level.",
-        alias="debounce",
     )
 
 
@@ -273,11 +275,9 @@ class TaskSettings(_Section):
     """A task of the PLC; the PLC generator creates it, and the bridge sizes the slots by it."""
 
     kind: Literal["cyclic", "freewheeling"] = _f("cyclic", "The kind of task.")
-    interval_ns: Duration = _f("10ms", "The cycle time.", alias="interval")
+    interval_ns: Duration = _f("10ms", "The cycle time.")
     priority: StrictInt = _f(4, "0 is the highest, 31 the lowest.", ge=0, le=31)
-    watchdog_ns: Duration | None = _f(
-        None, "The longest a cycle may take. Without it there is no watchdog.", alias="watchdog"
-    )
+    watchdog_ns: Duration | None = _f(None, "The longest a cycle may take. Without it there is no watchdog.")
     watchdog_sensitivity: StrictInt = _f(1, "How many excesses in a row raise the watchdog.", ge=1, le=255)
 
 
@@ -302,13 +302,11 @@ class QosSettings(_Section):
         None,
         "`dds` only: the longest time between two messages. `to: plc` asks publishers for it, and one that "
         "does not offer it is not received; `to: ros` offers it to subscribers. What is missed is counted.",
-        alias="deadline",
     )
     lease_ns: Annotated[Duration, between("100ms", "1h")] | None = _f(
         None,
         "`dds` only: how long after its last sign of life a publisher counts as gone (automatic "
         "liveliness), 100ms to 1h. Asked for and offered as `deadline` is.",
-        alias="lease",
     )
 
 
@@ -333,15 +331,12 @@ class ClassicSettings(_Section):
         "`none`: nothing guards the memory, as in CODESYS' own sample.",
     )
     wait_ns: Annotated[Duration, between("100us", "1s")] = _f(
-        "5ms",
-        "How long a side tries to get the lock before it leaves it for the next time, 100us to 1s.",
-        alias="wait",
+        "5ms", "How long a side tries to get the lock before it leaves it for the next time, 100us to 1s."
     )
     recover_after_ns: Annotated[Duration, between("20ms", "1h")] = _f(
         "1s",
         "How long the lock must be held without any sign of life before its holder counts as dead and the "
         "bridge frees it, 20ms to 1h. Longer than anything that may stop a living holder.",
-        alias="recover_after",
     )
 
 
@@ -360,7 +355,6 @@ class OnStaleSettings(_Section):
         None,
         "`to: ros`, and needed there: how often the message is published while the PLC is silent, `10Hz` or "
         "`100ms`.",
-        alias="period",
     )
 
 
@@ -412,15 +406,12 @@ class TopicSettings(_Section):
         le=65536,
     )
     expected_rate_ns: Interval | None = _f(
-        None,
-        "The highest rate at which messages come, for sizing alone; `rate_limit` is what holds back.",
-        alias="expected_rate",
+        None, "The highest rate at which messages come, for sizing alone; `rate_limit` is what holds back."
     )
     rate_limit_ns: Interval | None = _f(
         None,
         "Highest rate (`10Hz`) or shortest interval (`100ms`) at which messages are passed on. "
         "In between the newest waits; the last one is never dropped.",
-        alias="rate_limit",
     )
     on_change: bool = _f(
         False,
@@ -435,7 +426,6 @@ class TopicSettings(_Section):
         None,
         "Age at which the last message counts as stale, or `never`. "
         "Default: `1s` towards the PLC, `never` towards ROS.",
-        alias="stale_after",
     )
     on_stale: OnStale = _f(
         None,
@@ -472,12 +462,10 @@ class Settings(_Section):
     limits: LimitSettings = _f({}, "Capacities of strings and sequences.")
     shm: ShmSettings = _f({}, "The objects in shared memory.")
     tick_ns: Annotated[Duration, between("50us", "1s")] = _f(
-        "1ms", "How often the bridge looks for messages from the PLC, 50us to 1s.", alias="tick"
+        "1ms", "How often the bridge looks for messages from the PLC, 50us to 1s."
     )
     beat_ns: Annotated[Duration, between("10ms", "10s")] = _f(
-        "100ms",
-        "How often the bridge shows that it lives, 10ms to 10s; three missed beats count as gone.",
-        alias="beat",
+        "100ms", "How often the bridge shows that it lives, 10ms to 10s; three missed beats count as gone."
     )
     diagnostics: DiagnosticsSettings = _f({}, "Diagnostics.")
     realtime: RealtimeSettings = _f({}, "Real-time scheduling.")

@@ -74,6 +74,12 @@ class YamlSource:
         text = one_line(text)
         return f"{self.name}:{self.line(path)}" + (f": {text}" if text else "")
 
+    def wrong(
+        self, path: Sequence[str | int], what: str, remedy: str = "", code: str = "CFG004"
+    ) -> ConfigError:
+        """Return an error at a key path."""
+        return ConfigError(code, what, where=self.place(path), remedy=remedy)
+
 
 def read_yaml(path: Path, problems: Problems, *, text: str | None = None) -> YamlSource:
     """Read a file; what is wrong in a way that lets reading go on goes into ``problems``.
@@ -114,12 +120,8 @@ def read_yaml(path: Path, problems: Problems, *, text: str | None = None) -> Yam
 
 
 def _too_large(name: str) -> ConfigError:
-    return ConfigError(
-        "CFG001",
-        f"the file has more than {LARGEST_FILE} bytes",
-        where=name,
-        remedy="Check that this is a configuration.",
-    )
+    what, remedy = f"the file has more than {LARGEST_FILE} bytes", "Check that this is a configuration."
+    return ConfigError("CFG001", what, where=name, remedy=remedy)
 
 
 def read_text(path: Path) -> str:
@@ -139,9 +141,9 @@ def read_text(path: Path) -> str:
     try:
         return raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        line = raw.count(b"\n", 0, error.start) + 1
+        place = f"{path}:" + str(raw.count(b"\n", 0, error.start) + 1)
         raise ConfigError(
-            "CFG002", "the text is not UTF-8", where=f"{path}:{line}", remedy="Save it as UTF-8."
+            "CFG002", "the text is not UTF-8", where=place, remedy="Save it as UTF-8."
         ) from None
 
 
@@ -162,12 +164,7 @@ class _Builder:
         if isinstance(event, yaml.DocumentStartEvent):
             self._documents += 1
             if self._documents > 1:
-                raise ConfigError(
-                    "CFG002",
-                    "a second document begins",
-                    where=f"{self.name}:{line}",
-                    remedy="Remove the ---.",
-                )
+                raise self._no_yaml("a second document begins", line, "Remove the ---.")
         elif isinstance(event, yaml.AliasEvent):
             self._refuse(f"*{event.anchor} is an alias", line)
             if self._expects_key():
@@ -176,7 +173,7 @@ class _Builder:
                 self._value(None, line)
         elif isinstance(event, yaml.ScalarEvent):
             if "\0" in event.value:  # which no name, path or text of a message can hold
-                raise ConfigError("CFG002", "a text holds a NUL", where=f"{self.name}:{line}")
+                raise self._no_yaml("a text holds a NUL", line)
             self._tag(event.tag, line)
             if self._expects_key():
                 self._key(event.value, line, event.start_mark.index if event.start_mark else 0)
@@ -185,14 +182,17 @@ class _Builder:
         elif isinstance(event, (yaml.MappingStartEvent, yaml.SequenceStartEvent)):
             self._tag(event.tag, line)
             if self._expects_key():
-                raise ConfigError("CFG002", "a key must be plain text", where=f"{self.name}:{line}")
+                raise self._no_yaml("a key must be plain text", line)
             if len(self._open) >= DEEPEST:
-                raise ConfigError("CFG002", f"more than {DEEPEST} levels", where=f"{self.name}:{line}")
+                raise self._no_yaml(f"more than {DEEPEST} levels", line)
             container: Any = {} if isinstance(event, yaml.MappingStartEvent) else []
             path = self._value(container, line)
             self._open.append(_Container(container, path))
         elif isinstance(event, (yaml.MappingEndEvent, yaml.SequenceEndEvent)):
             self._open.pop()
+
+    def _no_yaml(self, what: str, line: int, remedy: str = "") -> ConfigError:
+        return ConfigError("CFG002", what, where=f"{self.name}:{line}", remedy=remedy)
 
     def _expects_key(self) -> bool:
         return bool(self._open) and isinstance(self._open[-1].data, dict) and self._open[-1].key is None

@@ -16,7 +16,7 @@ from rosplc.monitor.expected import ClassicTopic
 from rosplc.monitor.message import Message, message_of
 from rosplc.monitor.picture import ChannelView, State
 from rosplc.shm.classic_memory import ClassicMemory
-from rosplc.shm.who import describe_owner
+from rosplc.shm.files import describe_owner
 
 _ATTEMPTS = 100
 

@@ -44,7 +44,7 @@ def open_object(path: str) -> Attached:
     """
     fd = open_plain_file(Path(path), os.O_RDONLY)
     try:
-        return Attached(fd, path, None, None, None, False)
+        return Attached(fd, path, None, False)
     finally:
         os.close(fd)
 

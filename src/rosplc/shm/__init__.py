@@ -8,11 +8,10 @@ from __future__ import annotations
 
 from rosplc._core import Group, Reader, Region, SlotInfo, Writer, distance
 from rosplc.shm.attach import Attached, attach
-from rosplc.shm.claims import ReaderClaim, WriterClaim
+from rosplc.shm.claims import Liveness, ReaderClaim, WriterClaim
 from rosplc.shm.constants import Direction
 from rosplc.shm.description import Description
 from rosplc.shm.header import Identity
-from rosplc.shm.liveness import Liveness
 from rosplc.shm.names import Namespace
 from rosplc.shm.owned import OwnedChannel
 from rosplc.shm.snapshot import ReaderState, Snapshot, WriterState

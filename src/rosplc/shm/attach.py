@@ -56,9 +56,19 @@ def attach(
     try:
         if write:
             refuse_second_name(fd, path)
-        return Attached(fd, str(path), layout_id, record_size, direction, write)
+        attached = Attached(fd, str(path), direction, write)
     finally:
         os.close(fd)
+    found = attached.identity
+    what = ""
+    if layout_id not in (None, found.layout_id):
+        what = f"layout id is {found.layout_id}, {layout_id} is expected"
+    elif record_size not in (None, found.record_size):
+        what = f"records have {found.record_size} bytes, not {record_size}"
+    if what:
+        attached.close()
+        raise channel_error(112, what, attached.path)
+    return attached
 
 
 class Mapped(ABC):
@@ -99,26 +109,9 @@ class Attached(Mapped):
         path: The object's path.
     """
 
-    def __init__(
-        self,
-        fd: int,
-        path: str,
-        layout_id: str | None,
-        record_size: int | None,
-        direction: Direction | None,
-        write: bool,
-    ) -> None:
+    def __init__(self, fd: int, path: str, direction: Direction | None, write: bool) -> None:
         super().__init__(fd, path, direction, write)
         self.path = path
-        found = self.identity
-        what = ""
-        if layout_id not in (None, found.layout_id):
-            what = f"layout id is {found.layout_id}, {layout_id} is expected"
-        elif record_size not in (None, found.record_size):
-            what = f"records have {found.record_size} bytes, not {record_size}"
-        if what:
-            self.close()
-            raise channel_error(112, what, path)
 
     @cached_property
     def description(self) -> Description:

@@ -1,4 +1,4 @@
-"""Claiming the writer's line and reader lines: spec/shm-format.md, M6, M7, M9 and M14.
+"""Who lives, and claiming the lines of who does not: spec/shm-format.md, M6, M7, M9, M14 and M21.
 
 A claim that is not free may be replaced once its holder has been silent for long enough, by
 the clock of whoever wants it. The classes here take one look per call, so that a scan cycle
@@ -12,12 +12,44 @@ from typing import TypeVar
 
 from rosplc._core import Reader, Region, Writer
 from rosplc.errors import ChannelError
-from rosplc.shm.constants import READER_LINE, READER_LINES, WRITER_LINE, reader_line
-from rosplc.shm.liveness import silence_ns
+from rosplc.shm.constants import MAX_BEAT_MS, READER_LINE, READER_LINES, WRITER_LINE, reader_line
 
-__all__ = ["ReaderClaim", "WriterClaim", "start_of", "take_over_line", "take_over_writer"]
+__all__ = ["Liveness", "ReaderClaim", "WriterClaim", "silence_ns", "start_of"]
 
 _T = TypeVar("_T")
+
+
+def silence_ns(beat_ms: int, factor: int = 3) -> int:
+    """Return how long, in ns, a beat may stand still before its claim counts as abandoned (M6, M9)."""
+    if beat_ms == 0:
+        return 1_000_000_000
+    return max(100, factor * min(beat_ms, MAX_BEAT_MS)) * 1_000_000
+
+
+class Liveness:
+    """Judge one peer from its beat and head, both 32-bit words.
+
+    A peer is alive from the first change that is seen until nothing has changed for ``factor``
+    periods. What stands still since the first look has shown no life.
+
+    Args:
+        period_ms: The period that the peer promises; 0 counts as a third of a second, more than
+            10 s as 10 s (a damaged word must not keep a dead peer alive for months).
+        factor: How many periods it may miss.
+    """
+
+    def __init__(self, period_ms: int, factor: int = 3) -> None:
+        self._limit_ns = factor * min(period_ms, MAX_BEAT_MS) * 1_000_000 if period_ms else 1_000_000_000
+        self._seen: tuple[int, int] | None = None
+        self._changed_ns: int | None = None
+
+    def observe(self, beat: int, head: int, now_ns: int) -> bool:
+        """Note the words at ``now_ns`` of a monotonic clock, and return whether the peer lives."""
+        if self._seen != (beat, head):
+            if self._seen is not None:
+                self._changed_ns = now_ns
+            self._seen = (beat, head)
+        return self._changed_ns is not None and now_ns - self._changed_ns < self._limit_ns
 
 
 class _Silence:

@@ -17,10 +17,9 @@ from contextlib import suppress
 from pathlib import Path
 
 from rosplc.errors import ChannelError
-from rosplc.shm.files import USUAL, Rights, open_plain_file, same_file
+from rosplc.shm.files import USUAL, Rights, describe_owner, open_plain_file, same_file
 from rosplc.shm.header import channel_error
 from rosplc.shm.semaphore import Semaphore
-from rosplc.shm.who import describe_owner
 
 __all__ = ["ClassicLock", "Entry"]
 

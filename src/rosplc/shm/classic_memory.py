@@ -11,19 +11,25 @@ import ctypes
 import mmap
 import os
 import re
-import secrets
 from contextlib import suppress
 from pathlib import Path
 
 from rosplc.errors import ChannelError
-from rosplc.shm.files import USUAL, Rights, open_plain_file, refuse_second_name, same_file
+from rosplc.shm.files import (
+    USUAL,
+    Rights,
+    create_complete,
+    describe_owner,
+    open_plain_file,
+    refuse_second_name,
+    same_file,
+)
 from rosplc.shm.header import channel_error
 from rosplc.shm.semaphore import read_at, size_of, write_at
-from rosplc.shm.who import describe_owner
 
 __all__ = ["ClassicMemory"]
 
-_TEMPORARY = re.compile(r"rosplc\.new\.[0-9a-f]{16}")
+_TEMPORARY = re.compile(r"rosplc\.new\.[0-9a-f]{8,16}")
 
 
 class ClassicMemory:
@@ -69,7 +75,11 @@ class ClassicMemory:
                     raise _denied(path) from error
                 if error.code != "SHM101":
                     raise
-                self.created = _create(path, record_size, rights)
+                try:
+                    self._fd = create_complete(path, "rosplc.new.", b"", record_size, rights, replace=False)
+                    self.created = True
+                except FileExistsError:
+                    continue  # somebody else was faster
         try:
             found = os.fstat(self._fd)
             self.identity = found.st_dev, found.st_ino
@@ -124,29 +134,6 @@ class ClassicMemory:
         if not size:
             what = f"the memory is empty (whoever made it gave it no size), the record has {self.record_size}"
         raise channel_error(129, what, str(self.path))
-
-
-def _create(path: Path, size: int, rights: Rights) -> bool:
-    """Make a zeroed object visible complete, or leave the one that somebody else made meanwhile."""
-    temporary = path.parent / f"rosplc.new.{secrets.token_hex(8)}"
-    fd = open_plain_file(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL, denied=123)
-    try:
-        try:
-            os.posix_fallocate(fd, 0, size)
-        except OSError as error:
-            raise channel_error(117, f"{size} bytes: {error.strerror}", str(path)) from error
-        rights.give(fd, path)
-        try:
-            os.link(temporary, path)  # unlike a rename it replaces nothing
-        except FileExistsError:
-            return False
-        except OSError as error:
-            raise channel_error(123, error.strerror or "", str(path)) from error
-    finally:
-        os.close(fd)
-        with suppress(OSError):
-            temporary.unlink()
-    return True
 
 
 def _remove_own_leftover(directory: Path, identity: tuple[int, int]) -> None:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import errno
+import grp
 import os
+import pwd
 import secrets
 import stat
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -124,7 +127,9 @@ def same_file(path: Path, device: int, inode: int) -> bool:
     return (found.st_dev, found.st_ino) == (device, inode)
 
 
-def create_complete(path: Path, temporary_prefix: str, head: bytes, size: int, rights: Rights) -> int:
+def create_complete(
+    path: Path, temporary_prefix: str, head: bytes, size: int, rights: Rights, *, replace: bool = True
+) -> int:
     """Make a file of ``size`` bytes that begins with ``head`` visible, complete or not at all (M1).
 
     Returns:
@@ -133,6 +138,7 @@ def create_complete(path: Path, temporary_prefix: str, head: bytes, size: int, r
     Raises:
         ChannelError: SHM117 if there is no room, SHM102 if owner or group cannot be set, SHM119 if
             another user's file stands at the name, SHM123 if the directory cannot be used.
+        FileExistsError: Without ``replace``, something is at the name.
     """
     temporary, fd = _new_file(path.parent, temporary_prefix)
     try:
@@ -144,13 +150,16 @@ def create_complete(path: Path, temporary_prefix: str, head: bytes, size: int, r
             raise channel_error(number, f"{size} bytes: {error.strerror}", str(path.parent)) from error
         rights.give(fd, temporary)
         try:
-            temporary.rename(path)
-        except IsADirectoryError as error:
-            raise channel_error(121, where=str(path)) from error
-        except PermissionError as error:
-            raise channel_error(119, where=str(path)) from error
+            if replace:
+                temporary.rename(path)
+            else:
+                os.link(temporary, path)
+                temporary.unlink(missing_ok=True)
+        except FileExistsError:
+            raise
         except OSError as error:
-            raise channel_error(123, error.strerror or "", str(path)) from error
+            number = {IsADirectoryError: 121, PermissionError: 119}.get(type(error), 123)
+            raise channel_error(number, (error.strerror or "") if number == 123 else "", str(path)) from error
     except BaseException:
         os.close(fd)
         temporary.unlink(missing_ok=True)
@@ -168,3 +177,30 @@ def _new_file(directory: Path, prefix: str) -> tuple[Path, int]:
             if not isinstance(error.__cause__, FileExistsError) or attempt == _ATTEMPTS - 1:
                 raise
     raise AssertionError  # the loop returns or raises
+
+
+def user_name(uid: int) -> str:
+    """Return a user's name, or the number where this machine knows none."""
+    with suppress(KeyError):
+        return pwd.getpwuid(uid).pw_name
+    return str(uid)
+
+
+def group_name(gid: int) -> str:
+    """Return a group's name, or the number where this machine knows none."""
+    with suppress(KeyError):
+        return grp.getgrgid(gid).gr_name
+    return str(gid)
+
+
+def describe_status(found: os.stat_result) -> str:
+    """Return owner, group and mode, ``root:root 0750``."""
+    return f"{user_name(found.st_uid)}:{group_name(found.st_gid)} {stat.S_IMODE(found.st_mode):04o}"
+
+
+def describe_owner(path: Path) -> str:
+    """Return a file's owner, group and mode, ``root:root 0750``."""
+    try:
+        return describe_status(path.stat())
+    except OSError:
+        return "somebody else"

@@ -8,9 +8,8 @@ import time
 from pathlib import Path
 
 from rosplc.errors import ChannelError
-from rosplc.shm.files import Rights, open_plain_file, refuse_second_name, same_file
+from rosplc.shm.files import Rights, open_plain_file, refuse_second_name, same_file, user_name
 from rosplc.shm.header import channel_error
-from rosplc.shm.who import user_name
 
 __all__ = ["NameLock"]
 

@@ -37,15 +37,16 @@ from rosplc.shm.description import Description
 from rosplc.shm.files import (
     Rights,
     create_complete,
+    describe_status,
     open_plain_file,
     read_header,
     refuse_second_name,
     same_file,
+    user_name,
 )
 from rosplc.shm.header import Identity, channel_error
 from rosplc.shm.lock import NameLock
 from rosplc.shm.names import Namespace
-from rosplc.shm.who import describe_status, user_name
 
 __all__ = ["OwnedChannel", "retire_file"]
 

@@ -15,8 +15,8 @@ from rosplc.described import described_layout, layout_of
 from rosplc.errors import ChannelError
 from rosplc.layout import Layout
 from rosplc.shm import Attached, Direction, Liveness, Namespace, attach
+from rosplc.shm.claims import silence_ns
 from rosplc.shm.constants import ErrorNumber
-from rosplc.shm.liveness import silence_ns
 from rosplc.virtual_plc.task import Scan, current_scan
 
 __all__ = ["Block", "Peer", "error_number"]

@@ -23,7 +23,7 @@ from aiohttp import web
 from aiohttp.typedefs import Handler, Middleware
 
 from rosplc.errors import RosplcError, WebError
-from rosplc.shm.who import describe_status
+from rosplc.shm.files import describe_status
 
 
 @dataclass(frozen=True)
