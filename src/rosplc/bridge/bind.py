@@ -50,7 +50,6 @@ def bind(
     mode: int = 0o660,
     gid: int | None = None,
     name: str = "bind",
-    clock: Clock = SYSTEM,
 ) -> Binding:
     """Create, or adopt, a topic's object and own it until :meth:`Binding.close`.
 
@@ -74,7 +73,6 @@ def bind(
         mode: Its permission bits.
         gid: Its group; None for this process's.
         name: What the self-description calls this program.
-        clock: Time, for stamps and for the next look at the object.
 
     Raises:
         ChannelError: SHM116 if a bridge or another program holds the name; SHM117, SHM118, SHM119.
@@ -98,9 +96,7 @@ def bind(
     names = Namespace(prefix, directory)
     size = layout.size
     made = partial(OwnedChannel.open, names, description, record_size=size, slots=slots, mode=mode, gid=gid)
-    return Binding(
-        description, codec, made, message_class, clock=clock, print=print, truncate=truncate, every=every
-    )
+    return Binding(description, codec, made, message_class, print=print, truncate=truncate, every=every)
 
 
 class Binding:

@@ -29,11 +29,8 @@ class Carrier:
 
     Args:
         name: The thread's name.
-        ports: The ports.
-        clock: Time.
 
     Attributes:
-        ports: As given.
         busy_since_ns: When it began to pass on what it holds; 0 while it waits for news.
         turned_ns: When it last began a round.
     """
@@ -181,7 +178,6 @@ class Carriers:
     """All carriers of a bridge, and which of them carries a stream.
 
     Args:
-        context: What the bridge's streams share.
         tick_ns: How often to look for messages from the PLC.
     """
 
@@ -265,9 +261,7 @@ class Duty:
     """Something to be done once per period; when it fails it is logged, and done again.
 
     Attributes:
-        what: In words, for the log.
         period_ns: Time between two times.
-        work: Does it.
         due_ns: When it is due first, after the start; later the monotonic time.
     """
 
@@ -279,11 +273,6 @@ class Duty:
 
 class Rounds:
     """A thread that looks after its duties.
-
-    Args:
-        name: The thread's.
-        clock: Time.
-        duties: What it does.
 
     Attributes:
         turned_ns: When it last began a round.

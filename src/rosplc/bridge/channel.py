@@ -33,10 +33,6 @@ _ALERT_NS = 10_000_000_000
 class ChannelPort(Port, Generic[_U]):
     """One channel that this bridge owns.
 
-    Args:
-        side: The stream.
-        context: What the bridge's streams share.
-
     Attributes:
         channel: The object; None while there is none.
         user: The writer or reader on it, likewise.
@@ -281,7 +277,6 @@ class ChannelsToRos(Ports[PortToRos]):
     """The channels that the bridge reads, with one native call per tick for all of them.
 
     Args:
-        context: What the bridge's streams share.
         tick_ns: How often to look.
     """
 

@@ -41,7 +41,6 @@ class ClassicPort(Port):
 
     Args:
         side: The stream; its plan has ``classic`` set.
-        context: What the bridge's streams share.
     """
 
     adopted = True  # other programs use the memory too: it is never retired
@@ -432,12 +431,7 @@ class ClassicToRos(ClassicPort):
 
 
 class ClassicPorts(Waiting[ClassicPort]):
-    """The classic ports of one direction.
-
-    Args:
-        context: What the bridge's streams share.
-        direction: The direction.
-    """
+    """The classic ports of one direction."""
 
     def __init__(self, context: Context, direction: Direction) -> None:
         super().__init__(context)

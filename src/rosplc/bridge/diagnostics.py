@@ -34,8 +34,6 @@ class Diagnostics:
 
     Args:
         store: Where the message type comes from.
-        backend: The ROS side.
-        clock: Time.
     """
 
     def __init__(self, store: TypeStore, backend: Backend, clock: Clock = SYSTEM) -> None:
@@ -51,11 +49,7 @@ class Diagnostics:
         self._packed: dict[str, tuple[dict[str, Any], bytes]] = {}
 
     def publish(self, status: BridgeStatus) -> None:
-        """Send the status, in as many messages as it takes.
-
-        Raises:
-            RosplcError: The middleware refused.
-        """
+        """Send the status, in as many messages as it takes. Raises RosplcError: The middleware refused."""
         now = self._clock.time_ns()
         entries = diagnostic_statuses(status)
         for at in range(0, len(entries), _PER_MESSAGE):

@@ -43,7 +43,6 @@ class Bridge:
         config: A configuration, or one that is resolved already.
         backend: The ROS side; by default the configuration's is opened, and closed again at the end.
         arguments: ROS arguments of the command line, for a backend that is opened.
-        clock: Time.
 
     Attributes:
         on_ended: Called once, with the reason, if the ROS side ends for good; the bridge itself only
@@ -265,11 +264,7 @@ class Bridge:
         self._streams = streams
 
     def run(self, stop: threading.Event) -> None:
-        """Start, carry until ``stop`` is set, and stop.
-
-        Raises:
-            RosplcError: As :meth:`start`.
-        """
+        """Start, carry until ``stop`` is set, and stop. Raises RosplcError: As :meth:`start`."""
         self.start()
         try:
             stop.wait()

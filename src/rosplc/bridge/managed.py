@@ -73,11 +73,7 @@ class ManagedBridge:
         return project
 
     def activate(self) -> None:
-        """Begin to carry.
-
-        Raises:
-            RosplcError: A topic cannot be opened; none is then.
-        """
+        """Begin to carry. Raises RosplcError: A topic cannot be opened; none is then."""
         if self._lifecycle is None:
             raise RuntimeError("a bridge is configured before it is activated")
         self._lifecycle.activate()

@@ -57,15 +57,11 @@ class Context:
     """What the streams of one bridge have in common.
 
     Attributes:
-        namespace: The names of the objects.
-        bridge: The bridge's name.
         bridge_id: 16 random bytes, drawn at start.
-        distro: The ROS distribution.
         rights: Mode, owner and group of the objects.
         beat_ns: The beat that is promised.
         debounce_ns: How long silence must last beyond what a topic allows before it is reported, and how long
             its end.
-        clock: Time.
         warnings: Where repeated warnings go.
     """
 
@@ -137,7 +133,6 @@ class Port(Protocol):
 
     Attributes:
         adopted: Whether :meth:`open` found an object and kept it; never asked before that.
-        side: The stream.
     """
 
     adopted: bool

@@ -55,11 +55,7 @@ class Realtime:
         self._since_full_s = 0
 
     def __enter__(self) -> Realtime:
-        """Take effect.
-
-        Raises:
-            SetupError: SYS010 if the kernel does not allow it, with what would.
-        """
+        """Take effect. Raises SetupError: SYS010 if the kernel does not allow it, with what would."""
         try:
             if self._wanted.lock_memory:
                 self._lock_memory()

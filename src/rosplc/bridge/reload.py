@@ -124,9 +124,6 @@ class Exchange:
         changes: What is to change.
         running: The streams that are carried.
         carriers: What carries them.
-        backend: The ROS side.
-        namespace: The names of the objects.
-        clock: Time.
         show: Takes the streams that are open at each moment, so that they beat.
     """
 

@@ -39,7 +39,6 @@ class RosSide:
     """A configuration together with a command line.
 
     Attributes:
-        config: The configuration.
         arguments: The ROS arguments of the command line.
     """
 
@@ -117,9 +116,6 @@ class RosSide:
 
 class LiveTypes:
     """A :class:`~rosplc.ros.backend.TypeSource` whose store can be exchanged while a backend has it.
-
-    Args:
-        store: The types to begin with.
 
     Attributes:
         store: Where types are looked up.

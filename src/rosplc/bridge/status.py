@@ -168,7 +168,6 @@ class BridgeStatus:
     """A bridge and its topics as they stand.
 
     Attributes:
-        bridge: Its name.
         backend: The ROS backend in use; empty before start.
         backend_why: How it was chosen, in words, with what was passed over; empty before start.
         running: Whether it is started.

@@ -35,11 +35,9 @@ class Stream(ABC):
 
     Args:
         plan: What to carry, and how.
-        context: What the bridge's streams share.
         ports: The kind of port that carries it.
 
     Attributes:
-        plan: As given.
         codec: Wire bytes to record and back.
         port: The PLC's side.
         counters: What was counted since the start.
@@ -245,9 +243,6 @@ class ToPlc(Stream):
     """One topic towards the PLC: the backend's thread gives each message to the port.
 
     Args:
-        plan: As for :class:`Stream`.
-        context: As for :class:`Stream`.
-        ports: As for :class:`Stream`.
         on_due: Called, from any thread, when a message waits for its time; :meth:`flush` sends it.
     """
 

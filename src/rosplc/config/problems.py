@@ -68,11 +68,7 @@ class Problems:
             self._errors.append((line, error))
 
     def check(self) -> None:
-        """Raise what was collected.
-
-        Raises:
-            ConfigErrors: Unless nothing was.
-        """
+        """Raise what was collected. Raises ConfigErrors: Unless nothing was."""
         if self._errors:
             self._errors.sort(key=lambda item: item[0])
             raise ConfigErrors(error for _, error in self._errors)

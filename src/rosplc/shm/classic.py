@@ -23,9 +23,7 @@ class ClassicObject:
     Args:
         name: The memory's name, without a slash.
         semaphore: The semaphore's, without ``sem.``; empty if nothing guards the memory.
-        record_size: Bytes of the record.
         write: Whether this side writes the record.
-        recover_after_ns: As for :class:`~rosplc.shm.classic_lock.ClassicLock`.
         rights: Of what is made here.
         directory: Where the objects lie.
 

@@ -36,13 +36,10 @@ class ClassicMemory:
     """An object that either side may have made, opened or created.
 
     Args:
-        path: Its file.
-        record_size: Bytes of the record.
         write: Whether it is written too; without it rights to read are enough.
         rights: Of a new one.
 
     Attributes:
-        path: As given.
         created: Whether it was made here.
         identity: Device and inode of its file.
         size: Bytes that it had when it was opened.

@@ -24,7 +24,6 @@ class Description:
         direction: Which way the messages go.
         limits: ``{"string": 80, "sequence": 16, "fields": {...}}``.
         layout_id: 16 hexadecimal digits.
-        bridge: The bridge's name.
         definition: The ``.msg`` text with every type that it uses.
     """
 
@@ -38,11 +37,7 @@ class Description:
     definition: str
 
     def to_json(self) -> bytes:
-        """Return the UTF-8 text that stands in the object.
-
-        Raises:
-            ValueError: If it exceeds 2²⁰ bytes.
-        """
+        """Return the UTF-8 text that stands in the object. Raises ValueError: If it exceeds 2²⁰ bytes."""
         members = {"format": FORMAT, **{field.name: getattr(self, field.name) for field in fields(self)}}
         members["direction"] = self.direction.word
         members["limits"] = dict(self.limits)

@@ -26,7 +26,6 @@ class NameLock:
         unheld_ns: For how long nothing had held the lock before, ns; 0 where that is not known.
 
     Args:
-        path: The lock file.
         rights: The object's: the lock file gets its mode and group, and its owner, as this process's user and
             root, may own an older lock file.
 

@@ -306,11 +306,21 @@ class VirtualPlc:
     def __init__(self) -> None:
         self.tasks: list[Task] = []
 
-    def task(self, name: str, interval: float, **options: Any) -> Task:
+    def task(
+        self,
+        name: str,
+        interval: float,
+        *,
+        priority: int = 15,
+        watchdog: float | None = None,
+        watchdog_sensitivity: int = 1,
+        realtime: bool = False,
+    ) -> Task:
         """Add a cyclic task and return it; the arguments are those of :class:`Task`."""
         if any(task.name == name for task in self.tasks):
             raise ValueError(f"a task named {name} exists already")
-        self.tasks.append(Task(name, interval, **options))
+        guard: Any = {"watchdog": watchdog, "watchdog_sensitivity": watchdog_sensitivity}
+        self.tasks.append(Task(name, interval, priority=priority, realtime=realtime, **guard))
         return self.tasks[-1]
 
     def start(self) -> None:
