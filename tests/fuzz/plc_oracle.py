@@ -178,7 +178,7 @@ def _check_script(text: str, project: PlcProject) -> None:
         values[ast.unparse(statement.targets[0])] = ast.literal_eval(statement.value)
     assert list(values) == ["PROGRAMS", "LIBRARIES", "NOTES", "TASKS", "OBJECTS"]
     assert values["NOTES"] == list(project.notes)
-    assert [task["name"] for task in values["TASKS"]] == [task.name for task in project.tasks]
+    assert [task["name"] for task in values["TASKS"]] == [task.task.name for task in project.tasks]
     items = project.items
     assert [one["name"] for one in values["OBJECTS"]] == [item.name for item in items]
     assert [one["declaration"] for one in values["OBJECTS"]] == [declaration(item) for item in items]

@@ -1,8 +1,7 @@
-"""What is done to the cell: one class for each kind of fault.
+"""What is done to the cell: a table of faults, and one function for each kind.
 
-``inflict`` does it and undoes it; when it returns, nothing stands in the way any more. What a fault
-makes impossible to account for, it says: a message that was under way in a process that dies is counted
-by nobody.
+A function does it and undoes it; when it returns, nothing is in the way any more. What a fault makes
+impossible to account for is in the table: nothing counts a message that was under way in a process that dies.
 """
 
 from __future__ import annotations
@@ -13,7 +12,9 @@ import random
 import resource
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from rosplc import attach
@@ -24,198 +25,132 @@ from tests.soak.messages import CAPACITY, CLASSIC, IN, OUT, TOPICS
 _FAKETIME = [Path(f"/usr/lib/{arch}-linux-gnu/faketime/libfaketimeMT.so.1") for arch in ("x86_64", "aarch64")]
 
 
-_ENDING = ("bridge", "plc", "publisher", "subscriber", "hub")
+_PARTS = ("bridge", "plc", "publisher", "subscriber")
 
 
+@dataclass(frozen=True)
 class Fault:
     """One kind of fault.
 
     Attributes:
         name: What it is called.
-        accounted: The topics on which every missing message must be counted by somebody, as far as those who
-            count on its way live on.
+        inflict: Does it, and undoes it.
+        accounted: The topics on which every missing message must be counted, as far as the parts that count
+            on its way live on.
         ends: The parts whose process it ends.
         may_end: The bridge may end of it, and is started again.
+        missing: Returns why it cannot be tried in a cell; empty if it can.
     """
 
-    name = ""
-    accounted: tuple[str, ...] = ()
+    name: str
+    inflict: Callable[[Cell, random.Random], None]
+    accounted: tuple[str, ...] = TOPICS
     ends: frozenset[str] = frozenset()
-    may_end = False
-
-    def missing(self, cell: Cell) -> str:
-        """Return why it cannot be tried here; empty if it can."""
-        return ""
-
-    def inflict(self, cell: Cell, dice: random.Random) -> None:
-        """Do it, and undo it."""
-        raise NotImplementedError
+    may_end: bool = False
+    missing: Callable[[Cell], str] = lambda _cell: ""
 
 
-class Kill(Fault):
-    """kill -9, and a new process at once, or after a while."""
-
-    def __init__(self, part: str) -> None:
-        self.part = part
-        self.name = f"kill -9 {part}"
-        self.ends = frozenset({part})
-        self.accounted = TOPICS
-
-    def inflict(self, cell: Cell, dice: random.Random) -> None:
-        cell.parts[self.part].kill()
-        time.sleep(dice.choice((0.0, 0.0, 0.4)))
-        cell.parts[self.part].start()
+def _kill(name: str, cell: Cell, dice: random.Random) -> None:
+    """Kill -9, and a new process at once, or after a while."""
+    cell.parts[name].kill()
+    time.sleep(dice.choice((0.0, 0.0, 0.4)))
+    cell.parts[name].start()
 
 
-class Restart(Fault):
+def _restart(name: str, cell: Cell, dice: random.Random) -> None:
     """SIGTERM, which everything of rosplc's ends by with status 0, and a new process."""
-
-    def __init__(self, part: str) -> None:
-        self.part = part
-        self.name = f"restart {part}"
-        self.ends = frozenset({part})
-        self.accounted = TOPICS
-
-    def inflict(self, cell: Cell, dice: random.Random) -> None:
-        if not cell.parts[self.part].terminate():
-            raise AssertionError(f"{self.part} did not end within a minute of SIGTERM")
-        status = cell.parts[self.part].status
-        if status and self.part != "hub":
-            raise AssertionError(f"{self.part} ended with status {status} after SIGTERM")
-        cell.parts[self.part].start()
+    part = cell.parts[name]
+    if not part.terminate():
+        raise AssertionError(f"{name} did not end within a minute of SIGTERM")
+    if part.status and name != "hub":
+        raise AssertionError(f"{name} ended with status {part.status} after SIGTERM")
+    part.start()
 
 
-class Stop(Fault):
-    """SIGSTOP, a while, SIGCONT."""
+@contextlib.contextmanager
+def _stopped(cell: Cell, name: str) -> Iterator[None]:
+    cell.parts[name].send(signal.SIGSTOP)
+    yield
+    cell.parts[name].send(signal.SIGCONT)
 
-    def __init__(self, part: str) -> None:
-        self.part = part
-        self.name = f"stop {part}"
-        self.accounted = TOPICS
 
-    def inflict(self, cell: Cell, dice: random.Random) -> None:
-        cell.parts[self.part].send(signal.SIGSTOP)
+@contextlib.contextmanager
+def _flood(cell: Cell) -> Iterator[None]:
+    """Ten times the configured rate, in both directions."""
+    cell.counters.control["flood"] = 10
+    yield
+    cell.counters.control["flood"] = 1
+
+
+def _stop(name: str, cell: Cell, dice: random.Random) -> None:
+    with _stopped(cell, name):
         time.sleep(dice.uniform(0.05, 1.2))
-        cell.parts[self.part].send(signal.SIGCONT)
 
 
-class KillTwo(Fault):
+def _kill_two(cell: Cell, dice: random.Random) -> None:
     """Two of the parts die at the same moment."""
-
-    name = "kill -9 two at once"
-    ends = frozenset(_ENDING)
-
-    def inflict(self, cell: Cell, dice: random.Random) -> None:
-        names = dice.sample(sorted(cell.parts), 2)
-        for name in names:
-            cell.parts[name].send(signal.SIGKILL)
-        for name in names:
-            cell.parts[name].kill()
-            cell.parts[name].start()
+    names = dice.sample(sorted(cell.parts), 2)
+    for name in names:
+        cell.parts[name].send(signal.SIGKILL)
+    for name in names:
+        cell.parts[name].kill()
+        cell.parts[name].start()
 
 
-class KillBesideStopped(Fault):
-    """One part dies and comes back while another stands still."""
-
-    name = "kill -9 beside a stopped one"
-    ends = frozenset(_ENDING)
-
-    def inflict(self, cell: Cell, dice: random.Random) -> None:
-        dead, still = dice.sample(sorted(cell.parts), 2)
-        cell.parts[still].send(signal.SIGSTOP)
+def _kill_beside_stopped(cell: Cell, dice: random.Random) -> None:
+    """One part dies and comes back while another is stopped."""
+    dead, still = dice.sample(sorted(cell.parts), 2)
+    with _stopped(cell, still):
         time.sleep(dice.uniform(0.0, 0.3))
         cell.parts[dead].kill()
         cell.parts[dead].start()
         time.sleep(dice.uniform(0.0, 0.8))
-        cell.parts[still].send(signal.SIGCONT)
 
 
-class Flood(Fault):
-    """Ten times the configured rate, in both directions."""
-
-    name = "flood"
-    accounted = TOPICS
-
-    def inflict(self, cell: Cell, dice: random.Random) -> None:
-        cell.counters.control["flood"] = 10
+def _flooded(cell: Cell, dice: random.Random) -> None:
+    with _flood(cell):
         time.sleep(dice.uniform(0.5, 1.5))
-        cell.counters.control["flood"] = 1
 
 
-class StopInFlood(Fault):
-    """The bridge stands still while ten times as much comes from both sides."""
-
-    name = "stop bridge in a flood"
-    accounted = TOPICS
-
-    def inflict(self, cell: Cell, dice: random.Random) -> None:
-        cell.counters.control["flood"] = 10
-        cell.parts["bridge"].send(signal.SIGSTOP)
+def _stop_in_flood(cell: Cell, dice: random.Random) -> None:
+    """The bridge is stopped while ten times as much comes from both sides."""
+    with _flood(cell), _stopped(cell, "bridge"):
         time.sleep(dice.uniform(0.5, 2.0))
-        cell.parts["bridge"].send(signal.SIGCONT)
-        cell.counters.control["flood"] = 1
 
 
-class Hang(Fault):
-    """A subscriber that is stopped while ten times as much comes as it is used to."""
-
-    name = "subscriber hangs in a flood"
-    accounted = IN
-
-    def inflict(self, cell: Cell, dice: random.Random) -> None:
-        cell.parts["subscriber"].send(signal.SIGSTOP)
-        cell.counters.control["flood"] = 10
-        time.sleep(dice.uniform(1.0, 2.0))
-        cell.counters.control["flood"] = 1
+def _hang(cell: Cell, dice: random.Random) -> None:
+    """A subscriber is stopped while ten times as much comes as it is used to."""
+    with _stopped(cell, "subscriber"):
+        with _flood(cell):
+            time.sleep(dice.uniform(1.0, 2.0))
         # The PLC's way may not depend on a subscriber that hangs.
-        cell.wait(_reaches_plc(cell), "the bridge carries to the PLC while a subscriber hangs")
-        cell.parts["subscriber"].send(signal.SIGCONT)
+        marks = cell.marks()
+        reached = "the bridge carries to the PLC while a subscriber hangs"
+        cell.wait(lambda: not set(cell.flows(marks)) & set(IN), reached)
 
 
-def _reaches_plc(cell: Cell) -> Callable[[], bool]:
-    marks = cell.marks()
-    return lambda: not set(cell.flows(marks)) & set(IN)
-
-
-class Remove(Fault):
+def _remove(everything: bool, cell: Cell, dice: random.Random) -> None:
     """Objects are unlinked: some, or all with their lock files."""
-
-    def __init__(self, everything: bool) -> None:
-        self._all = everything
-        self.name = "all files removed" if everything else "objects removed"
-
-    def inflict(self, cell: Cell, dice: random.Random) -> None:
-        if self._all:
-            cell.remove(path.name for path in SHM.glob(f"*{cell.prefix}*"))
-        else:
-            names = [name for name in sorted(cell.objects()) if not cell.is_classic(name)]
-            cell.remove(dice.sample(names, dice.randint(1, len(names))))
-        cell.wait(lambda: cell.expected_objects() <= cell.objects(), "the objects are made again")
-        if self._all:
-            cell.counters.control["reopen"] += 1  # classic objects cannot tell a PLC that they were replaced
+    if everything:
+        cell.remove(path.name for path in SHM.glob(f"*{cell.prefix}*"))
+    else:
+        names = [name for name in sorted(cell.objects()) if not cell.is_classic(name)]
+        cell.remove(dice.sample(names, dice.randint(1, len(names))))
+    cell.wait(lambda: cell.expected_objects() <= cell.objects(), "the objects are made again")
+    if everything:
+        cell.counters.control["reopen"] += 1  # classic objects cannot tell a PLC that they were replaced
 
 
-class Full(Fault):
-    """No room in shared memory while objects have to be made again."""
+def _shared(cell: Cell) -> str:
+    return "" if cell.private else "needs a /dev/shm of its own: root, and mount namespaces"
 
-    def __init__(self, nearly: bool) -> None:
-        self._nearly = nearly
-        self.name = "shared memory nearly full" if nearly else "shared memory full"
 
-    def missing(self, cell: Cell) -> str:
-        return "" if cell.private else "needs a /dev/shm of its own: root, and mount namespaces"
+def _full(leave: int, cell: Cell, dice: random.Random) -> None:
+    """No room in shared memory, but for some bytes, while objects have to be made again."""
+    filler = SHM / "filler"
+    channels = {cell.namespace.object_name(topic) for topic in TOPICS}
 
-    def inflict(self, cell: Cell, dice: random.Random) -> None:
-        filler = SHM / "filler"
-        try:
-            # What was removed in the rounds before may still be mapped, and give its room back only now: the
-            # objects are then made again without a word, and it has to be filled up and tried once more.
-            cell.wait(lambda: self._filled_up(cell, filler), "the bridge says that there is no room")
-        finally:
-            filler.unlink(missing_ok=True)
-
-    def _filled_up(self, cell: Cell, filler: Path) -> bool:
-        leave = 16384 if self._nearly else 0
+    def filled_up() -> bool:
         before = cell.said("SHM117")
         with filler.open("ab") as file, contextlib.suppress(OSError):
             room = os.statvfs(SHM)
@@ -223,85 +158,74 @@ class Full(Fault):
             if free > 0:
                 os.posix_fallocate(file.fileno(), file.tell(), free)
         # What is removed stays mapped, and its memory in use: there is really no room.
-        cell.remove([cell.namespace.object_name(topic) for topic in TOPICS])
-        channels = {cell.namespace.object_name(topic) for topic in TOPICS}
-        cell.wait(
-            lambda: cell.said("SHM117") > before or channels <= cell.objects(),
-            "the bridge sees what was removed",
-        )
+        cell.remove(channels)
+        seen = "the bridge sees what was removed"
+        cell.wait(lambda: cell.said("SHM117") > before or channels <= cell.objects(), seen)
         return cell.said("SHM117") > before
 
+    try:
+        # What was removed in the rounds before may still be mapped, and give its room back only now: the
+        # objects are then made again without a message, and it has to be filled up and tried once more.
+        cell.wait(filled_up, "the bridge reports that there is no room")
+    finally:
+        filler.unlink(missing_ok=True)
 
-class Limit(Fault):
+
+def _limit(what: str, cell: Cell, dice: random.Random) -> None:
     """The bridge may open no further file, or take no further memory, while its objects are removed."""
-
-    def __init__(self, what: str) -> None:
-        self._what = what
-        self.name = f"no further {what}"
-        self.may_end = True
-        self.ends = frozenset({"bridge"})
-
-    def missing(self, cell: Cell) -> str:
-        if cell.backend == "zenoh" and self._what == "memory":
-            return "the Zenoh library's receiving thread ends for good where memory cannot be had"
-        return ""
-
-    def inflict(self, cell: Cell, dice: random.Random) -> None:
-        bridge = cell.parts["bridge"]
-        kind = resource.RLIMIT_NOFILE if self._what == "descriptor" else resource.RLIMIT_AS
-        before = resource.prlimit(bridge.pid, kind)
-        resource.prlimit(bridge.pid, kind, (self._now(bridge.pid), before[1]))
-        cell.remove([cell.namespace.object_name(topic) for topic in OUT])
-        time.sleep(dice.uniform(1.2, 2.5))
-        if bridge.alive:
-            resource.prlimit(bridge.pid, kind, before)
-        cell.ensure()
-
-    def _now(self, pid: int) -> int:
-        if self._what == "descriptor":
-            return len(os.listdir(f"/proc/{pid}/fd"))
-        lines = Path(f"/proc/{pid}/status").read_text().splitlines()
-        return 1024 * next(int(line.split()[1]) for line in lines if line.startswith("VmSize:"))
+    bridge = cell.parts["bridge"]
+    if what == "descriptor":
+        kind, now = resource.RLIMIT_NOFILE, len(os.listdir(f"/proc/{bridge.pid}/fd"))
+    else:
+        lines = Path(f"/proc/{bridge.pid}/status").read_text().splitlines()
+        kind = resource.RLIMIT_AS
+        now = 1024 * next(int(line.split()[1]) for line in lines if line.startswith("VmSize:"))
+    before = resource.prlimit(bridge.pid, kind)
+    resource.prlimit(bridge.pid, kind, (now, before[1]))
+    cell.remove([cell.namespace.object_name(topic) for topic in OUT])
+    time.sleep(dice.uniform(1.2, 2.5))
+    if bridge.alive:
+        resource.prlimit(bridge.pid, kind, before)
+    cell.ensure()
 
 
-class Clock(Fault):
+def _zenoh_receives(cell: Cell) -> str:
+    lost = "the Zenoh library's receiving thread ends for good where memory cannot be had"
+    return lost if cell.backend == "zenoh" else ""
+
+
+def _faketime(_cell: Cell) -> str:
+    return "" if any(path.exists() for path in _FAKETIME) else "Debian package faketime is missing"
+
+
+def _clock(name: str, cell: Cell, dice: random.Random) -> None:
     """The wall clock of a process jumps, by an hour, a year, back; the machine's own never does."""
-
-    def __init__(self, part: str) -> None:
-        self.part = part
-        self.name = f"clock steps, {part}"
-        self.ends = frozenset({part})
-
-    def missing(self, cell: Cell) -> str:
-        return "" if any(path.exists() for path in _FAKETIME) else "Debian package faketime is missing"
-
-    def inflict(self, cell: Cell, dice: random.Random) -> None:
-        part = cell.parts[self.part]
-        clock = cell.folder / f"clock-{self.part}"
-        clock.write_text("+0")
-        honest = dict(part.environment)
-        part.environment |= {
-            "LD_PRELOAD": str(next(path for path in _FAKETIME if path.exists())),
-            "FAKETIME_TIMESTAMP_FILE": str(clock),
-            "FAKETIME_CACHE_DURATION": "1",
-            "DONT_FAKE_MONOTONIC": "1",
-            "FAKETIME_DONT_FAKE_MONOTONIC": "1",
-        }
-        part.through = "tests.soak.stepped"
-        try:
-            part.terminate()
-            part.start()
+    part = cell.parts[name]
+    clock = cell.folder / f"clock-{name}"
+    clock.write_text("+0")
+    honest = dict(part.environment)
+    part.environment |= {
+        "LD_PRELOAD": str(next(path for path in _FAKETIME if path.exists())),
+        "FAKETIME_TIMESTAMP_FILE": str(clock),
+        "FAKETIME_CACHE_DURATION": "1",
+        "DONT_FAKE_MONOTONIC": "1",
+        "FAKETIME_DONT_FAKE_MONOTONIC": "1",
+    }
+    part.through = "tests.soak.stepped"
+    try:
+        part.terminate()
+        part.start()
+        cell.await_flow(cell.marks())
+        for step in dice.sample((3600, -3600, 365 * 86400, -30), 2):
+            clock.write_text(f"{step:+d}")
+            cell.wait(_shifted(cell, name, step), f"the {name}'s clock is {step:+d} s off")
             cell.await_flow(cell.marks())
-            for step in dice.sample((3600, -3600, 365 * 86400, -30), 2):
-                clock.write_text(f"{step:+d}")
-                cell.wait(_shifted(cell, self.part, step), f"the {self.part}'s clock is {step:+d} s off")
-                cell.await_flow(cell.marks())
-        finally:
-            part.environment, part.through = honest, ""
-            part.terminate()
-            part.start()
-            for path in SHM.glob("*faketime_s*") if cell.private else ():
-                path.unlink()  # libfaketime's own, which it leaves if its process ends by a signal
+    finally:
+        part.environment, part.through = honest, ""
+        part.terminate()
+        part.start()
+        for path in SHM.glob("*faketime_s*") if cell.private else ():
+            path.unlink()  # libfaketime's own, which it leaves if its process ends by a signal
 
 
 def _shifted(cell: Cell, part: str, step: int) -> Callable[[], bool]:
@@ -314,31 +238,26 @@ def _shifted(cell: Cell, part: str, step: int) -> Callable[[], bool]:
     return is_shifted
 
 
-class Reload(Fault):
+def _reload(cell: Cell, dice: random.Random) -> None:
     """The configuration is changed while running: topics added, removed, changed."""
-
-    name = "configuration reloaded"
-    accounted = ("/soak/in", "/soak/out")
-
-    def inflict(self, cell: Cell, dice: random.Random) -> None:
-        extra = cell.extra
-        for topic in dice.sample(sorted(extra), dice.randint(0, len(extra))):
-            del extra[topic]
-        for topic in sorted(extra):
-            extra[topic] = _entry(dice)
-        for number in dice.sample(range(8), dice.randint(0, 3)):
-            extra[f"/soak/extra{number}"] = _entry(dice)
-        # The two topics that are not accounted for change, too: in manner, or in their layout.
-        manner = dice.choice((", qos: {depth: 30000}", ", rate_limit: 1ms", ", stale_after: 3s", ""))
-        layout = f", limits: {{data: {CAPACITY + dice.randint(0, 8)}}}"
-        cell.options["/soak/in_newest"] = manner
-        # Structured Text is compiled for one layout: there the manner changes alone.
-        cell.options["/soak/out_newest"] = layout if cell.plc == "python" else manner.replace("30000", "5000")
-        cell.write_config()
-        cell.hang_up("has reloaded its configuration")
-        cell.wait(lambda: cell.objects() == cell.expected_objects(), "objects are those of the new file")
-        for topic in (name for name, entry in extra.items() if "to: ros" in entry):
-            _is_carried(cell, topic)
+    extra = cell.extra
+    for topic in dice.sample(sorted(extra), dice.randint(0, len(extra))):
+        del extra[topic]
+    for topic in sorted(extra):
+        extra[topic] = _entry(dice)
+    for number in dice.sample(range(8), dice.randint(0, 3)):
+        extra[f"/soak/extra{number}"] = _entry(dice)
+    # The two topics that are not accounted for change, too: in manner, or in their layout.
+    manner = dice.choice((", qos: {depth: 30000}", ", rate_limit: 1ms", ", stale_after: 3s", ""))
+    layout = f", limits: {{data: {CAPACITY + dice.randint(0, 8)}}}"
+    cell.options["/soak/in_newest"] = manner
+    # Structured Text is compiled for one layout: there the manner changes alone.
+    cell.options["/soak/out_newest"] = layout if cell.plc == "python" else manner.replace("30000", "5000")
+    cell.write_config()
+    cell.hang_up("has reloaded its configuration")
+    cell.wait(lambda: cell.objects() == cell.expected_objects(), "objects are those of the new file")
+    for topic in (name for name, entry in extra.items() if "to: ros" in entry):
+        _is_carried(cell, topic)
 
 
 def _is_carried(cell: Cell, topic: str) -> None:
@@ -353,53 +272,17 @@ def _entry(dice: random.Random) -> str:
     return f"{{type: {kind}, to: {dice.choice(('plc', 'ros'))}{limits}}}"
 
 
-class Refused(Fault):
+def _refused(cell: Cell, dice: random.Random) -> None:
     """A file that is wrong, or changes what cannot change, is refused; nothing happens."""
-
-    name = "wrong configuration refused"
-    accounted = TOPICS
-
-    def inflict(self, cell: Cell, dice: random.Random) -> None:
-        cell.write_config(dice.choice(("tick: 3ms", "tick: nonsense", "nonsense: 1", "topics: [")))
-        cell.hang_up("the new configuration is refused")
-        cell.write_config()
-        cell.hang_up("has reloaded its configuration")
+    cell.write_config(dice.choice(("tick: 3ms", "tick: nonsense", "nonsense: 1", "topics: [")))
+    cell.hang_up("the new configuration is refused")
+    cell.write_config()
+    cell.hang_up("has reloaded its configuration")
 
 
-class Quiet(Fault):
+def _nothing(cell: Cell, dice: random.Random) -> None:
     """Nothing happens: what is missing then is missing for no reason."""
-
-    name = "nothing"
-    accounted = TOPICS
-
-    def inflict(self, cell: Cell, dice: random.Random) -> None:
-        time.sleep(dice.uniform(0.2, 1.0))
-
-
-_PARTS = ("bridge", "plc", "publisher", "subscriber")
-FAULTS: tuple[Fault, ...] = (
-    *(Kill(part) for part in _PARTS),
-    *(Restart(part) for part in _PARTS),
-    *(Stop(part) for part in _PARTS),
-    KillTwo(),
-    KillBesideStopped(),
-    Flood(),
-    StopInFlood(),
-    Hang(),
-    Remove(everything=False),
-    Remove(everything=True),
-    Full(nearly=False),
-    Full(nearly=True),
-    Limit("descriptor"),
-    Limit("memory"),
-    Clock("bridge"),
-    Clock("publisher"),
-    Reload(),
-    Refused(),
-    Quiet(),
-)
-HUB_FAULTS: tuple[Fault, ...] = (Kill("hub"), Restart("hub"), Stop("hub"))
-"""What happens to a router or a master, where there is one."""
+    time.sleep(dice.uniform(0.2, 1.0))
 
 
 def _stand_still_inside(cell: Cell) -> None:
@@ -418,70 +301,90 @@ def _held(cell: Cell, topic: str) -> Semaphore:
     return lock
 
 
-class KillInside(Fault):
-    """kill -9 of the PLC inside a lock."""
-
-    name = "kill -9 plc inside a lock"
-    ends = frozenset({"plc"})
-    accounted = TOPICS
-
-    def inflict(self, cell: Cell, dice: random.Random) -> None:
-        _stand_still_inside(cell)
-        cell.parts["plc"].kill()
-        cell.parts["plc"].start()
+def _kill_inside(cell: Cell, dice: random.Random) -> None:
+    """Kill -9 of the PLC inside a lock."""
+    _stand_still_inside(cell)
+    cell.parts["plc"].kill()
+    cell.parts["plc"].start()
 
 
-class KillBridgeInside(Fault):
-    """kill -9 of the bridge while a lock is taken and never given back: the semaphore knows no difference."""
-
-    name = "kill -9 bridge, a lock taken"
-    ends = frozenset({"bridge"})
-
-    def inflict(self, cell: Cell, dice: random.Random) -> None:
-        lock = _held(cell, dice.choice(CLASSIC))
-        cell.parts["bridge"].kill()
-        cell.parts["bridge"].start()
-        lock.close()
+def _kill_bridge_inside(cell: Cell, dice: random.Random) -> None:
+    """Kill -9 of the bridge while a lock is taken and never given back: the semaphore knows no difference."""
+    lock = _held(cell, dice.choice(CLASSIC))
+    cell.parts["bridge"].kill()
+    cell.parts["bridge"].start()
+    lock.close()
 
 
-class StrangerDies(Fault):
+def _stranger_dies(cell: Cell, dice: random.Random) -> None:
     """A third program takes a lock and is gone."""
-
-    name = "a third program dies inside a lock"
-    accounted = TOPICS
-
-    def inflict(self, cell: Cell, dice: random.Random) -> None:
-        _held(cell, dice.choice(CLASSIC)).close()
+    _held(cell, dice.choice(CLASSIC)).close()
 
 
-class StopInside(Fault):
+def _stop_inside(cell: Cell, dice: random.Random) -> None:
     """SIGSTOP of the PLC inside a lock, for less than after what it counts as dead."""
-
-    name = "stop plc inside a lock"
-    accounted = TOPICS
-
-    def inflict(self, cell: Cell, dice: random.Random) -> None:
-        _stand_still_inside(cell)
-        time.sleep(dice.uniform(0.05, 0.8))
-        cell.parts["plc"].send(signal.SIGCONT)
+    _stand_still_inside(cell)
+    time.sleep(dice.uniform(0.05, 0.8))
+    cell.parts["plc"].send(signal.SIGCONT)
 
 
-class OnlineChange(Fault):
+def _online_change(cell: Cell, dice: random.Random) -> None:
     """An online change moves every instance of the PLC's program."""
-
-    name = "online change"
-    accounted = TOPICS
-
-    def inflict(self, cell: Cell, dice: random.Random) -> None:
-        for _ in range(dice.randint(1, 3)):
-            cell.counters.control["online_change"] += 1
-            before = int(cell.counters.control["plc_scans"])
-            cell.wait(lambda: cell.counters.control["plc_scans"] > before + 2, "the PLC goes on")  # noqa: B023
+    for _ in range(dice.randint(1, 3)):
+        cell.counters.control["online_change"] += 1
+        before = int(cell.counters.control["plc_scans"])
+        cell.wait(lambda: cell.counters.control["plc_scans"] > before + 2, "the PLC goes on")  # noqa: B023
 
 
+_NONE: tuple[str, ...] = ()
+_ALL_PARTS = frozenset({*_PARTS, "hub"})
+
+
+def _of_parts(parts: tuple[str, ...]) -> tuple[Fault, ...]:
+    """Return kill, restart and stop of each."""
+    return (
+        *(Fault(f"kill -9 {part}", partial(_kill, part), ends=frozenset({part})) for part in parts),
+        *(Fault(f"restart {part}", partial(_restart, part), ends=frozenset({part})) for part in parts),
+        *(Fault(f"stop {part}", partial(_stop, part)) for part in parts),
+    )
+
+
+def _of_limit(what: str, missing: Callable[[Cell], str]) -> Fault:
+    ends = frozenset({"bridge"})
+    return Fault(f"no further {what}", partial(_limit, what), _NONE, ends, may_end=True, missing=missing)
+
+
+FAULTS: tuple[Fault, ...] = (
+    *_of_parts(_PARTS),
+    Fault("kill -9 two at once", _kill_two, _NONE, _ALL_PARTS),
+    Fault("kill -9 beside a stopped one", _kill_beside_stopped, _NONE, _ALL_PARTS),
+    Fault("flood", _flooded),
+    Fault("stop bridge in a flood", _stop_in_flood),
+    Fault("subscriber hangs in a flood", _hang, IN),
+    Fault("objects removed", partial(_remove, False), _NONE),
+    Fault("all files removed", partial(_remove, True), _NONE),
+    Fault("shared memory full", partial(_full, 0), _NONE, missing=_shared),
+    Fault("shared memory nearly full", partial(_full, 16384), _NONE, missing=_shared),
+    _of_limit("descriptor", lambda _cell: ""),
+    _of_limit("memory", _zenoh_receives),
+    *(
+        Fault(f"clock steps, {part}", partial(_clock, part), _NONE, frozenset({part}), missing=_faketime)
+        for part in ("bridge", "publisher")
+    ),
+    Fault("configuration reloaded", _reload, ("/soak/in", "/soak/out")),
+    Fault("wrong configuration refused", _refused),
+    Fault("nothing", _nothing),
+)
+HUB_FAULTS = _of_parts(("hub",))
+"""What happens to a router or a master, where there is one."""
 PLC_FAULTS: tuple[Fault, ...] = (
-    KillInside(), KillBridgeInside(), StrangerDies(), StopInside(), OnlineChange(),
-)  # fmt: skip
+    Fault("kill -9 plc inside a lock", _kill_inside, ends=frozenset({"plc"})),
+    Fault("kill -9 bridge, a lock taken", _kill_bridge_inside, _NONE, frozenset({"bridge"})),
+    Fault("a third program dies inside a lock", _stranger_dies),
+    Fault("stop plc inside a lock", _stop_inside),
+    Fault("online change", _online_change),
+)
+"""What happens to a PLC that executes Structured Text."""
 
 
 def faults_for(cell: Cell) -> tuple[Fault, ...]:
