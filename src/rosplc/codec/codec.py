@@ -14,10 +14,8 @@ if TYPE_CHECKING:
 
     from rosplc.layout import Layout
 
-__all__ = ["TRUNCATED", "Codec"]
 
-TRUNCATED = 2
-"""Bit of the flags: something was cut off to fit (spec/shm-format.md, section 5)."""
+TRUNCATED = 2  # Bit of the flags: something was cut off to fit (spec/shm-format.md, section 5).
 
 
 class Codec:

@@ -16,8 +16,6 @@ from rosplc.codec.wire import Wire
 from rosplc.errors import MessageTypeError
 from rosplc.layout.nodes import ArrayNode, Node, PaddingNode, ScalarNode, SequenceNode, StringNode, StructNode
 
-__all__ = ["CompiledPlan", "compile_plan"]
-
 
 @dataclass(frozen=True, slots=True)
 class CompiledPlan:

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 from rosplc.layout.nodes import ArrayNode, Node, ScalarNode, StructNode
 
-__all__ = ["Flat", "flat_form"]
-
 
 @dataclass(frozen=True, slots=True)
 class Flat:

@@ -9,13 +9,9 @@ from dataclasses import dataclass
 
 from rosplc.codec.wire import Wire
 
-__all__ = ["MAX_LOOPS", "SEQ_OF_BOOL", "Op", "OpCode", "pack_plan"]
+MAX_LOOPS = 32  # Loops inside loops that the executor runs (`RP_MAX_DEPTH`).
 
-MAX_LOOPS = 32
-"""Loops inside loops that the executor runs (``RP_MAX_DEPTH``)."""
-
-SEQ_OF_BOOL = 1
-"""Flag of SEQ: the elements are bools."""
+SEQ_OF_BOOL = 1  # Flag of SEQ: the elements are bools.
 
 _HEAD = struct.Struct("<6I")
 _OP = struct.Struct("<4B8I")

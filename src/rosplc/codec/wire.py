@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import enum
 
-__all__ = ["Wire"]
-
 
 class Wire(enum.Enum):
     """How a message is laid out on the wire; the values are those in a plan's head.

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from rosplc.layout.layout import Layout
     from rosplc.layout.nodes import Node
 
-__all__ = ["C_RESERVED", "c_header", "member_identifiers"]
 
 _WORDS = """
 alignas alignof and and_eq asm auto bitand bitor bool break case catch char char16_t char32_t
@@ -29,8 +28,8 @@ requires restrict return short signed sizeof static static_assert static_cast st
 template this thread_local throw true try typedef typeid typename typeof typeof_unqual union unix
 unsigned using virtual void volatile wchar_t while xor xor_eq
 """
+# Keywords of C and C++, and names that common headers or gcc define as macros.
 C_RESERVED = frozenset(_WORDS.split())
-"""Keywords of C and C++, and names that common headers or gcc define as macros."""
 
 _C_TYPES = {
     "bool": "uint8_t", "byte": "uint8_t", "char": "uint8_t", "uint8": "uint8_t", "int8": "int8_t",

@@ -23,12 +23,9 @@ from rosplc.model.parse import check_names
 if TYPE_CHECKING:
     from rosplc.model import Field, FieldType, TypeStore
 
-__all__ = ["MAX_ITEMS", "MAX_RECORD", "compute_struct"]
 
-MAX_RECORD = 1 << 30
-"""Largest record in bytes."""
-MAX_ITEMS = 1 << 16
-"""Most lines of a layout text: a definition of 32 levels could name billions of fields."""
+MAX_RECORD = 1 << 30  # Largest record in bytes.
+MAX_ITEMS = 1 << 16  # Most lines of a layout text: a definition of 32 levels could name billions of fields.
 
 _COUNT = ScalarNode("uint32", 4)
 

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 
     Buffer: TypeAlias = bytes | bytearray | memoryview
 
-__all__ = ["Layout", "compute_layout"]
-
 
 def compute_layout(store: TypeStore, type_name: str, limits: Limits | None = None) -> Layout:
     """Return the layout of a type with its limits applied.

@@ -10,12 +10,9 @@ from rosplc.errors import LayoutError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["MAX_SEQUENCE", "MAX_STRING", "Limits"]
 
-MAX_STRING = 65534
-"""Largest capacity of a string in bytes."""
-MAX_SEQUENCE = 1 << 24
-"""Largest capacity of a sequence in elements."""
+MAX_STRING = 65534  # Largest capacity of a string in bytes.
+MAX_SEQUENCE = 1 << 24  # Largest capacity of a sequence in elements.
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,6 @@ from typing import Any
 
 from rosplc.errors import LayoutError
 
-__all__ = ["multiarray_index"]
-
 
 def multiarray_index(message: Any, *indices: int) -> int:
     """Return the position of an element within ``message.data``.

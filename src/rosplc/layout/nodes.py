@@ -10,17 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TypeAlias
 
-__all__ = [
-    "ArrayNode",
-    "Member",
-    "Node",
-    "PaddingNode",
-    "ScalarNode",
-    "SequenceNode",
-    "StringNode",
-    "StructNode",
-]
-
 
 @dataclass(frozen=True, slots=True)
 class ScalarNode:

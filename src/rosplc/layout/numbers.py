@@ -15,16 +15,14 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 if TYPE_CHECKING:
     from rosplc.layout.nodes import ScalarNode
 
-__all__ = ["FORMATS", "Misfit", "Pack", "describe", "each_packer", "numbers_packer", "scalar_packer"]
 
+# Primitive → `struct` format character.
 FORMATS = {
     "bool": "?", "byte": "B", "char": "B", "uint8": "B", "int8": "b", "uint16": "H", "int16": "h",
     "uint32": "I", "int32": "i", "uint64": "Q", "int64": "q", "float32": "f", "float64": "d",
 }  # fmt: skip
-"""Primitive → :mod:`struct` format character."""
 
-Pack: TypeAlias = "Callable[[bytearray, int, Any], None]"
-"""Writes a value at an offset."""
+Pack: TypeAlias = "Callable[[bytearray, int, Any], None]"  # Writes a value at an offset.
 
 
 class Misfit(Exception):

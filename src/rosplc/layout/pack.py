@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from rosplc.layout.nodes import Member, Node
     from rosplc.model import TypeStore
 
-__all__ = ["StructPacker"]
 
 _MISSING = object()
 _COUNT = struct.Struct("<I")

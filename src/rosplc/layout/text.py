@@ -11,8 +11,6 @@ if TYPE_CHECKING:
 
     from rosplc.layout.nodes import Member, Node
 
-__all__ = ["layout_difference", "layout_text", "walk"]
-
 
 def walk(node: Node, offset: int = 0, path: str = "") -> Iterator[tuple[str, int, Node]]:
     """Yield path, offset and node of everything below a struct that has bytes of its own.

@@ -13,7 +13,6 @@ from rosplc.layout.numbers import FORMATS
 if TYPE_CHECKING:
     from rosplc.layout.nodes import Member, Node
 
-__all__ = ["Excerpt", "RecordView", "StructReader", "plain"]
 
 _Read: TypeAlias = "Callable[[memoryview, int], Any]"
 _COUNT = struct.Struct("<I")

@@ -29,8 +29,6 @@ from rosplc.model.types import (
     StringType,
 )
 
-__all__ = ["DISTROS", "EMPTY_MEMBER", "bundled_types", "parse_field_type"]
-
 _STORES = {
     "humble": Stores.ROS2_HUMBLE,
     "jazzy": Stores.ROS2_JAZZY,
@@ -39,11 +37,11 @@ _STORES = {
     "noetic": Stores.ROS1_NOETIC,
 }
 
+# The ROS distributions whose definitions are bundled.
 DISTROS: tuple[str, ...] = ("humble", "jazzy", "kilted", "lyrical", "noetic")
-"""The ROS distributions whose definitions are bundled."""
 
+# The member that ROS 2 adds to a message without fields; the model leaves it out.
 EMPTY_MEMBER = "structure_needs_at_least_one_member"
-"""The member that ROS 2 adds to a message without fields; the model leaves it out."""
 
 
 def bundled_types(distro: str) -> dict[str, MessageType]:

@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from rosplc.model.types import MessageType, Value
 
-__all__ = ["with_defaults"]
 
 _EVERY_ROS2: dict[str, dict[str, Value]] = {
     "geometry_msgs/msg/Quaternion": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},

@@ -11,8 +11,6 @@ from dataclasses import replace
 from rosplc.model.parse import parse_definition
 from rosplc.model.types import ArrayType, Field, MessageType, NamedType, SequenceType
 
-__all__ = ["with_desktop"]
-
 _TURTLE = {
     "Color": "uint8 r\nuint8 g\nuint8 b\n",
     "Pose": "float32 x\nfloat32 y\nfloat32 theta\nfloat32 linear_velocity\nfloat32 angular_velocity\n",

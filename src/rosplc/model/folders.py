@@ -15,12 +15,9 @@ if TYPE_CHECKING:
 
     from rosplc.model.parse import ParsedType
 
-__all__ = ["MAX_ENTRIES", "MAX_FILES", "parse_paths"]
 
-MAX_FILES = 10_000
-"""Most ``.msg`` files below one folder."""
-MAX_ENTRIES = 200_000
-"""Most files and folders below one folder: more is no folder of messages, but a disk."""
+MAX_FILES = 10_000  # Most `.msg` files below one folder.
+MAX_ENTRIES = 200_000  # Most files and folders below one folder: more is no folder of messages, but a disk.
 
 _PACKAGE = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
 

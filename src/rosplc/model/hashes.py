@@ -19,10 +19,9 @@ if TYPE_CHECKING:
 
     from rosplc.model.types import Field, FieldType, MessageType
 
-__all__ = ["ROS1_TIMES", "md5_text", "rihs01"]
 
+# Types that ROS 1 has built in, under another name.
 ROS1_TIMES = {"builtin_interfaces/msg/Time": "time", "builtin_interfaces/msg/Duration": "duration"}
-"""Types that ROS 1 has built in, under another name."""
 
 # `char` is 3, not FieldType's own 13: rosidl turns a .msg file's char into uint8 first.
 _TYPE_IDS = {

@@ -12,15 +12,13 @@ import struct
 
 from rosplc.model.types import ArrayType, FieldType, NamedType, PrimitiveType, SequenceType, StringType, Value
 
-__all__ = ["INTEGER_RANGES", "LiteralError", "format_value", "parse_value", "strip_comment"]
-
+# Integer primitive → smallest and largest value.
 INTEGER_RANGES: dict[str, tuple[int, int]] = {
     "byte": (0, 255),
     "char": (0, 255),
     **{f"uint{bits}": (0, 2**bits - 1) for bits in (8, 16, 32, 64)},
     **{f"int{bits}": (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) for bits in (8, 16, 32, 64)},
 }
-"""Integer primitive → smallest and largest value."""
 
 # Underscores between digits: ROS reads numbers as Python does.
 _INTEGER = re.compile(

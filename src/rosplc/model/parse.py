@@ -19,22 +19,10 @@ from rosplc.model.types import Constant, Field, FieldType, MessageType, Primitiv
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
 
-__all__ = [
-    "MAX_FIELDS",
-    "MAX_NAME",
-    "MAX_TEXT",
-    "ParsedType",
-    "check_names",
-    "full_name",
-    "parse_definition",
-]
 
-MAX_TEXT = 1 << 20
-"""Largest definition text in bytes."""
-MAX_FIELDS = 10_000
-"""Most fields and constants in one definition text."""
-MAX_NAME = 255
-"""Longest type, field or constant name."""
+MAX_TEXT = 1 << 20  # Largest definition text in bytes.
+MAX_FIELDS = 10_000  # Most fields and constants in one definition text.
+MAX_NAME = 255  # Longest type, field or constant name.
 
 _SEPARATOR = re.compile(r"={80}\s*\Z")
 _HEADER = re.compile(r"MSG:\s*(\S+)\s*\Z")

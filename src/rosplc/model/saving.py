@@ -12,7 +12,6 @@ from rosplc.model.parse import full_name
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["save_definitions", "split_definition"]
 
 _SEPARATOR = re.compile(r"^={80}\s*\nMSG:\s*(\S+)\s*\n", re.MULTILINE)
 

@@ -23,8 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = ["DISTROS", "MAX_DEPTH", "TypeStore"]
 
-MAX_DEPTH = 32
-"""Deepest nesting of message types."""
+MAX_DEPTH = 32  # Deepest nesting of message types.
 
 _TIME_FIELDS = (Field("sec", PrimitiveType("int32")), Field("nanosec", PrimitiveType("uint32")))
 _BUILTIN = {name: MessageType(name, _TIME_FIELDS) for name in ROS1_TIMES}

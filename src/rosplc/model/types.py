@@ -10,28 +10,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
-__all__ = [
-    "PRIMITIVES",
-    "ROS1_BYTE",
-    "ArrayType",
-    "Constant",
-    "Field",
-    "FieldType",
-    "MessageType",
-    "NamedType",
-    "PrimitiveType",
-    "SequenceType",
-    "StringType",
-    "Value",
-]
-
+# Primitive name → size in bytes, which is its alignment too (spec/type-mapping.md).
 PRIMITIVES: dict[str, int] = {
     "bool": 1, "byte": 1, "char": 1,
     "int8": 1, "uint8": 1, "int16": 2, "uint16": 2,
     "int32": 4, "uint32": 4, "int64": 8, "uint64": 8,
     "float32": 4, "float64": 8,
 }  # fmt: skip
-"""Primitive name → size in bytes, which is its alignment too (spec/type-mapping.md)."""
 
 Value: TypeAlias = "bool | int | float | str | tuple[Value, ...]"
 

@@ -16,38 +16,11 @@ from rosplc.ros.backend import EndpointInfo, EndpointStatus, GraphInfo, OnMessag
 from rosplc.ros.names import join, resolve_topic, validate_namespace, validate_node_name
 from rosplc.ros.qos import incompatibility
 
-__all__ = [
-    "LONGEST_REASON",
-    "MOST_REASONS",
-    "MOST_REMEMBERED",
-    "SETTLE_NS",
-    "BaseEndpoint",
-    "BaseNode",
-    "BasePublisher",
-    "BaseSubscription",
-    "Context",
-    "LogOnce",
-    "Problem",
-    "check_ros",
-    "describe",
-    "differs",
-    "domain_number",
-    "explain",
-    "graph_info",
-    "is_cdr",
-    "listed",
-    "opener",
-]
+MOST_REASONS = 8  # Peers of one topic that a reason names; the others are counted.
+LONGEST_REASON = 500  # Characters about one peer.
+MOST_REMEMBERED = 1000  # Reasons that a backend remembers to have logged; further ones are not logged.
 
-MOST_REASONS = 8
-"""Peers of one topic that a reason names; the others are counted."""
-LONGEST_REASON = 500
-"""Characters about one peer."""
-MOST_REMEMBERED = 1000
-"""Reasons that a backend remembers to have logged; further ones are not logged."""
-
-Problem = tuple[str, str]
-"""An error code, or an empty text, and words."""
+Problem = tuple[str, str]  # An error code, or an empty text, and words.
 
 SETTLE_NS = 1_000_000_000  # matching may take a moment; nothing is called a mismatch before
 _PADDING = (b"", b"\0", b"\0\0", b"\0\0\0")

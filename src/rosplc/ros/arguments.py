@@ -13,8 +13,6 @@ from dataclasses import dataclass, field
 from rosplc.errors import BackendError, ConfigError
 from rosplc.ros.names import resolve_topic, validate_namespace, validate_node_name
 
-__all__ = ["Remapping", "RosArguments", "split_arguments"]
-
 _NODE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
 _PARAMETER = re.compile(r"[A-Za-z0-9_./*-]+\Z")
 _LEVELS = ("debug", "info", "warn", "error", "fatal")

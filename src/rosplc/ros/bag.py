@@ -23,11 +23,8 @@ from rosplc.errors import BackendError
 from rosplc.ros.plain_file import unreadable_kind
 from rosplc.ros.qos import Qos
 
-__all__ = ["DAMAGE", "Bag", "BagTopic", "refuse_other_kinds"]
-
 # A closed list had holes: SQLite's wrapper and the decompressors below rosbags have errors of their own.
-DAMAGE = Exception
-"""What a reader lets through when bytes of a file are not what they should be: anything."""
+DAMAGE = Exception  # What a reader lets through when bytes of a file are not what they should be: anything.
 
 
 @dataclass(frozen=True, slots=True)

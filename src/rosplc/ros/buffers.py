@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-__all__ = ["cyclone_buffer", "default_buffer", "largest_message"]
-
 _CYCLONE = 1 << 20  # bytes that Cyclone DDS asks for where the default is smaller
 _CORE = Path("proc/sys/net/core")
 

@@ -14,8 +14,6 @@ from typing import Any
 
 from rosplc.errors import BackendError
 
-__all__ = ["BACKENDS", "INSTALL", "ROS1", "Choice", "choose", "load", "why_not_installed"]
-
 BACKENDS: dict[str, str] = {
     "dds": "rosplc.ros.dds",
     "rclpy": "rosplc.ros.rclpy",

@@ -24,8 +24,6 @@ from rosplc.ros.backend import (
     ended_for_good,
 )
 
-__all__ = ["LifecycleBackend", "LifecycleEndpoint"]
-
 _INACTIVE = "the node is not active"
 _SUMMED = ("messages", "dropped", "rejected", "failed")
 

@@ -27,8 +27,6 @@ from rosplc.ros._base import (
 )
 from rosplc.ros.backend import EndpointInfo, GraphInfo, OnMessage, Qos
 
-__all__ = ["MemoryBackend", "MemoryPublisher", "MemorySubscription", "open_backend"]
-
 _domains: dict[int, list[MemoryBackend]] = {}
 _graph = threading.RLock()  # guards _domains and every list of endpoints: one small graph, one lock
 
@@ -190,5 +188,5 @@ class MemoryBackend(BaseNode):
         self._join()
 
 
+# Connect to the graph of this process; arguments, without options, as `rosplc.ros.open_backend`.
 open_backend = opener(MemoryBackend)
-"""Connect to the graph of this process; arguments, without options, as :func:`rosplc.ros.open_backend`."""

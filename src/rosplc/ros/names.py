@@ -11,15 +11,6 @@ from collections.abc import Mapping
 
 from rosplc.errors import BackendError
 
-__all__ = [
-    "LONGEST_NAME",
-    "join",
-    "resolve_topic",
-    "validate_namespace",
-    "validate_node_name",
-    "validate_topic",
-]
-
 _TOKEN = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
 LONGEST_NAME = 247  # RMW_TOPIC_MAX_NAME_LENGTH: 255 less the prefixes of the middleware
 

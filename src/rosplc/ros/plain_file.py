@@ -5,8 +5,6 @@ from __future__ import annotations
 import stat
 from pathlib import Path
 
-__all__ = ["CHECK_PATH", "GIVE_FILE", "unreadable_kind"]
-
 CHECK_PATH = "Check the path."
 GIVE_FILE = "Give the file or folder of a recording; save what comes through a pipe in a file first."
 _OPENED = (".bag", ".db3", ".mcap", ".yaml", ".zstd")

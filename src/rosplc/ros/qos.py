@@ -12,18 +12,6 @@ from typing import Literal
 
 from rosplc.errors import BackendError
 
-__all__ = [
-    "DEFAULT",
-    "LATCHED",
-    "PRESETS",
-    "SENSOR_DATA",
-    "Durability",
-    "History",
-    "Qos",
-    "Reliability",
-    "incompatibility",
-]
-
 Reliability = Literal["reliable", "best_effort"]
 Durability = Literal["volatile", "transient_local"]
 History = Literal["keep_last"]

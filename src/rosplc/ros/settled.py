@@ -7,8 +7,6 @@ from collections.abc import Callable, Collection
 
 from rosplc.ros.backend import GraphInfo
 
-__all__ = ["settled_graph"]
-
 _LEAST_S = 1.0
 _STEADY_S = 1.0
 

@@ -37,8 +37,6 @@ from rosplc.ros.dds.idl import IdlTypes, dds_topic, ros_topic
 from rosplc.ros.dds.log import TRACING, library_log
 from rosplc.ros.dds.peers import Peer, PeerTable
 
-__all__ = ["DdsBackend", "open_backend"]
-
 _TICK_NS = 500_000_000  # how often the receive thread looks at what has no event of its own
 _PARTICIPANTS, _ANNOUNCEMENTS, _FIRST = 2, 3, 4  # keys in the waitset; 0 and 1 are endpoints of peers
 
@@ -271,5 +269,5 @@ class DdsBackend(BaseNode):
         domains.leave(self.domain)
 
 
+# Connect to a ROS 2 graph; arguments and errors as for `rosplc.ros.open_backend`; no options.
 open_backend = opener(DdsBackend)
-"""Connect to a ROS 2 graph; arguments and errors as for :func:`rosplc.ros.open_backend`; no options."""

@@ -14,8 +14,6 @@ from xml.sax.saxutils import quoteattr
 from rosplc.errors import BackendError
 from rosplc.ros._base import domain_number
 
-__all__ = ["MAX_DOMAIN", "check_peers", "domain_config", "domain_id"]
-
 MAX_DOMAIN = 232  # above, port numbers exceed 65535 (DDSI-RTPS 2.2, 9.6.1.1)
 
 # Cyclone looks at a limited number of participants per machine; rmw_cyclonedds_cpp chooses 32.

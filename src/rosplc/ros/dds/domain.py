@@ -13,17 +13,14 @@ from cyclonedds.topic import Topic
 
 from rosplc.ros.dds import native
 
-__all__ = ["TYPES", "Topics", "enter", "leave"]
-
 _logger = logging.getLogger("rosplc.ros.dds")
 
 
+# Held while types come and go.
+#
+# Creating a topic, the wheel walks the type library without the library's lock (cyclonedds 11.0.1; the report
+# is tests/interop/upstream/cyclonedds_types.md): whatever removes a type at that moment ends the process.
 TYPES = threading.RLock()
-"""Held while types come and go.
-
-Creating a topic, the wheel walks the type library without the library's lock (cyclonedds 11.0.1; the report
-is tests/interop/upstream/cyclonedds_types.md): whatever removes a type at that moment ends the process.
-"""
 
 
 class Topics:

@@ -17,8 +17,6 @@ from rosplc.ros.dds import native
 from rosplc.ros.dds.idl import dds_topic
 from rosplc.ros.dds.log import library_log
 
-__all__ = ["DdsPublisher", "DdsSubscription"]
-
 _BATCH = 256  # messages taken from one reader before the others get their turn
 
 

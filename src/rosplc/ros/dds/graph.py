@@ -24,20 +24,6 @@ from rosplc.ros.backend import Qos
 from rosplc.ros.dds import native
 from rosplc.ros.dds.idl import IdlTypes
 
-__all__ = [
-    "ANNOUNCEMENT",
-    "ANNOUNCEMENT_TOPIC",
-    "LONGEST_NAME",
-    "MOST_CLAIMED",
-    "MOST_PARTICIPANTS",
-    "Announcer",
-    "NodeEntities",
-    "announcement_types",
-    "decode_announcement",
-    "encode_announcement",
-    "gid_size",
-]
-
 _logger = logging.getLogger("rosplc.ros.dds")
 
 ANNOUNCEMENT_TOPIC = "ros_discovery_info"

@@ -24,8 +24,6 @@ from rosplc.model.types import (
     StringType,
 )
 
-__all__ = ["IdlTypes", "dds_topic", "dds_type_name", "ros_topic", "ros_type_name"]
-
 _PRIMITIVES: dict[str, Any] = {
     "bool": bool, "byte": idl_types.uint8, "char": idl_types.uint8,
     "int8": idl_types.int8, "uint8": idl_types.uint8, "int16": idl_types.int16, "uint16": idl_types.uint16,

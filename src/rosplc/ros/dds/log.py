@@ -15,8 +15,6 @@ import re
 import threading
 from collections import Counter
 
-__all__ = ["TRACING", "LibraryLog", "library_log"]
-
 _DROPPED = re.compile(rb"deserialization (\S+)/\S+ failed")
 _PUNCH_HOLE = 0x02 | 0x01  # FALLOC_FL_PUNCH_HOLE | FALLOC_FL_KEEP_SIZE
 _PAGE = 4096
@@ -74,8 +72,8 @@ def library_log() -> LibraryLog:
         return _instance
 
 
+# The part of the library's configuration that leads its warnings to a path.
 TRACING = (
     "<Tracing><Verbosity>warning</Verbosity><AppendToFile>true</AppendToFile>"
     "<OutputFile>{}</OutputFile></Tracing>"
 )
-"""The part of the library's configuration that leads its warnings to a path."""

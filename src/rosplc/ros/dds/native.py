@@ -15,27 +15,11 @@ from cyclonedds.internal import DDS, dds_c_t
 
 from rosplc.errors import BackendError
 
-__all__ = [
-    "ANY_STATE",
-    "RETCODE_TIMEOUT",
-    "WaitSet",
-    "alive_count",
-    "delete",
-    "function",
-    "matched_count",
-    "matched_handles",
-    "offered_deadline_missed",
-    "refusal",
-    "requested_deadline_missed",
-    "sample_lost",
-    "sample_rejected",
-]
-
 ANY_STATE: int = int(SampleState.Any | ViewState.Any | InstanceState.Any)
 RETCODE_TIMEOUT: int = DDSException.DDS_RETCODE_TIMEOUT
 
+# A second handle to the library: argument types set here must not disturb the wheel's own.
 library = ct.CDLL(DDS._dll_handle._name)
-"""A second handle to the library: argument types set here must not disturb the wheel's own."""
 
 
 def function(name: str, *arguments: Any, result: Any = ct.c_int32) -> Any:
@@ -57,16 +41,14 @@ def _status(name: str, value: str = "total_count") -> Callable[[int], int]:
     return read
 
 
-sample_lost = _status("sample_lost")
-"""How many messages a reader knows to have missed."""
-sample_rejected = _status("sample_rejected")
-"""How many messages a reader had no room for."""
+sample_lost = _status("sample_lost")  # How many messages a reader knows to have missed.
+sample_rejected = _status("sample_rejected")  # How many messages a reader had no room for.
+# How often a reader's deadline passed without a message.
 requested_deadline_missed = _status("requested_deadline_missed")
-"""How often a reader's deadline passed without a message."""
+# How often a writer's deadline passed without a message.
 offered_deadline_missed = _status("offered_deadline_missed")
-"""How often a writer's deadline passed without a message."""
+# How many of a reader's matched writers have kept to their lease.
 alive_count = _status("liveliness_changed", "alive_count")
-"""How many of a reader's matched writers have kept to their lease."""
 
 _delete = function("dds_delete", ct.c_int32)
 _create_waitset = function("dds_create_waitset", ct.c_int32)

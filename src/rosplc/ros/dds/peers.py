@@ -30,8 +30,6 @@ from rosplc.ros.backend import EndpointInfo, Qos
 from rosplc.ros.dds import native
 from rosplc.ros.dds.idl import ros_topic, ros_type_name
 
-__all__ = ["Peer", "PeerTable", "type_hash_in"]
-
 _TYPE_HASH = re.compile(rb"(?:^|;)typehash=(RIHS01_[0-9a-f]{64});")
 _BATCH = 256
 _INFINITE = 2**63 - 1

@@ -33,8 +33,6 @@ from rosplc.ros.rclpy.parameters import show
 from rosplc.ros.rclpy.peers import profile, read_peers
 from rosplc.ros.rclpy.spin import OwnNode, guard_takes, read_options
 
-__all__ = ["RclpyBackend", "from_node", "open_backend"]
-
 _GIVES_STAMPS = hasattr(NativeSubscription, "CallbackType")  # since ROS 2 Iron
 
 RclpyEndpoint = RclpySubscription | RclpyPublisher
@@ -267,10 +265,9 @@ def _open(context: Context) -> RclpyBackend:
     return backend
 
 
+# Connect to a ROS 2 graph with a context, a node and a thread of its own.
+#
+# Arguments and errors are those of `rosplc.ros.open_backend`. `environment` serves for
+# `ROS_DOMAIN_ID` alone: everything else (RMW_IMPLEMENTATION, ROS_SECURITY_*, discovery) the
+# middleware reads from the process. `options` are described in `rosplc.ros.rclpy.spin.Options`.
 open_backend = opener(_open)
-"""Connect to a ROS 2 graph with a context, a node and a thread of its own.
-
-Arguments and errors are those of :func:`rosplc.ros.open_backend`. ``environment`` serves for
-``ROS_DOMAIN_ID`` alone: everything else (RMW_IMPLEMENTATION, ROS_SECURITY_*, discovery) the
-middleware reads from the process. ``options`` are described in :class:`rosplc.ros.rclpy.spin.Options`.
-"""

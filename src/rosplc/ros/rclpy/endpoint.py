@@ -29,7 +29,6 @@ except ImportError:  # ROS 2 Humble
         UnsupportedEventTypeError,
     )
 
-__all__ = ["RclpyPublisher", "RclpySubscription", "create"]
 
 _BATCH = 64  # messages taken from one subscription before the others get their turn
 _EVENTS = (

@@ -21,8 +21,6 @@ from rosplc.model.types import (
 )
 from rosplc.ros.backend import TypeSource
 
-__all__ = ["MessageClasses", "field_text", "message_class"]
-
 # How rosidl_generator_py writes a field's type (resource/_msg.py.em); `char` is uint8 there.
 _NAMES = {"bool": "boolean", "byte": "octet", "char": "uint8", "float32": "float", "float64": "double"}
 

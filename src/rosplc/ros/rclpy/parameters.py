@@ -10,8 +10,6 @@ from rclpy.parameter import Parameter
 
 from rosplc._version import __version__
 
-__all__ = ["Shown", "show"]
-
 _WORDS = "shown only; set by rosplc"
 
 

@@ -11,8 +11,6 @@ from rosplc.ros.backend import EndpointInfo
 from rosplc.ros.names import join
 from rosplc.ros.qos import Qos
 
-__all__ = ["profile", "read_peers", "settings"]
-
 _INFINITE_NS = 2**31 * 10**9  # DDS's infinite seconds; what middlewares make of it in rmw is longer
 # What rmw_dds_common reports for participants that are no ROS nodes.
 _NAMELESS = {"", "_NODE_NAME_UNKNOWN_", "_CREATED_BY_BARE_DDS_APP_"}

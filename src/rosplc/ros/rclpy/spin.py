@@ -21,8 +21,6 @@ from rclpy.node import Node
 from rosplc.clock import Clock
 from rosplc.errors import BackendError
 
-__all__ = ["Options", "OwnNode", "guard_takes", "read_options"]
-
 
 @dataclass(frozen=True, slots=True)
 class Options:

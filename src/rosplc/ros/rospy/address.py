@@ -14,8 +14,6 @@ from urllib.parse import urlsplit
 
 from rosplc.errors import BackendError
 
-__all__ = ["DEFAULT_MASTER", "Address", "is_node_uri", "read_address"]
-
 DEFAULT_MASTER = "http://localhost:11311"
 
 

@@ -19,8 +19,6 @@ from rosplc.ros.rospy.outbound import Outgoing, RospyPublisher
 from rosplc.ros.rospy.registration import Key, Registration
 from rosplc.ros.rospy.slave import Servers
 
-__all__ = ["RospyBackend", "open_backend"]
-
 _CONNECTING = 16  # connections that are being made at once
 _SETTLE_NS = 5_000_000_000  # a subscriber that has not connected by then cannot reach us
 
@@ -258,9 +256,8 @@ class RospyBackend(BaseNode):
                 one.join()
 
 
+# Connect to a ROS 1 graph; arguments and errors as for `rosplc.ros.open_backend`.
+#
+# ROS 1 has no domains: `ROS_MASTER_URI` tells which graph it is. There are no options. The call
+# returns at once, with or without a master; the node registers as soon as there is one.
 open_backend = opener(RospyBackend)
-"""Connect to a ROS 1 graph; arguments and errors as for :func:`rosplc.ros.open_backend`.
-
-ROS 1 has no domains: ``ROS_MASTER_URI`` tells which graph it is. There are no options. The call
-returns at once, with or without a master; the node registers as soon as there is one.
-"""

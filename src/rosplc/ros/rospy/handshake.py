@@ -13,27 +13,10 @@ from typing import Any, NamedTuple
 
 from rosplc.clock import SYSTEM, Clock
 
-__all__ = [
-    "ANY",
-    "MOST_HEADER",
-    "Definition",
-    "HandshakeError",
-    "Topic",
-    "connection_info",
-    "encode_header",
-    "mismatch",
-    "peer_type",
-    "prepare",
-    "read_header",
-    "ros1_name",
-    "ros2_name",
-]
+ANY = "*"  # Stands for any type and any checksum.
 
-ANY = "*"
-"""Stands for any type and any checksum."""
-
+# Bytes of a connection header, which holds the definition with all types that it needs.
 MOST_HEADER = 4 << 20
-"""Bytes of a connection header, which holds the definition with all types that it needs."""
 
 _ids = itertools.count(1)
 

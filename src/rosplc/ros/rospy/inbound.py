@@ -28,17 +28,6 @@ from rosplc.ros.rospy.handshake import (
 )
 from rosplc.ros.rospy.master import RefusedError, UnreachableError, call, proxy
 
-__all__ = [
-    "ANY_TYPE",
-    "LARGEST_MESSAGE",
-    "Incoming",
-    "Link",
-    "RospySubscription",
-    "cut",
-    "handshake",
-    "request",
-]
-
 _logger = logging.getLogger("rosplc.ros.rospy")
 
 _TIMEOUT_S = 5.0
@@ -48,8 +37,7 @@ _REFUSED_NS = 60_000_000_000  # a publisher with another type logs each attempt
 LARGEST_MESSAGE = 1 << 30  # a length beyond this is no message but a stream out of step
 _READ = 65536
 
-ANY_TYPE = Definition(ANY, ANY, "")
-"""Of a subscriber that takes whatever a topic carries."""
+ANY_TYPE = Definition(ANY, ANY, "")  # Of a subscriber that takes whatever a topic carries.
 
 
 def request(uri: str, caller: str, topic: str) -> tuple[str, int]:

@@ -11,10 +11,7 @@ from xml.parsers.expat import ExpatError
 
 from rosplc.clock import SYSTEM, Clock
 
-__all__ = ["MOST_ANSWER", "Master", "RefusedError", "SystemState", "UnreachableError", "call", "proxy"]
-
-MOST_ANSWER = 16 << 20
-"""Bytes of an answer; the state of a graph of thousands of nodes has less."""
+MOST_ANSWER = 16 << 20  # Bytes of an answer; the state of a graph of thousands of nodes has less.
 
 _TIMEOUT_S = 3.0
 _LONGEST = 10  # times the timeout for all of an answer: one that drips in must not hold us for ever

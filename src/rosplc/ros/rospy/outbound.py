@@ -23,8 +23,6 @@ from rosplc.ros.rospy.handshake import (
     prepare,
 )
 
-__all__ = ["Outgoing", "RospyPublisher"]
-
 _FLUSH_NS = 500_000_000  # how long the last messages of a publisher may take to leave
 _GONE = select.POLLHUP | select.POLLERR | select.POLLRDHUP | select.POLLNVAL
 

@@ -19,16 +19,13 @@ from rosplc.ros.rospy.inbound import Incoming
 from rosplc.ros.rospy.master import Master, RefusedError, SystemState, UnreachableError
 from rosplc.ros.rospy.outbound import Outgoing
 
-__all__ = ["Key", "Registration"]
-
 _logger = logging.getLogger("rosplc.ros.rospy")
 
 _TICK_NS = 250_000_000
 _PERIOD_NS = 1_000_000_000
 _SHARE = 50  # the watch takes at most this part of the time, however large the graph
 
-Key = tuple[str, str]
-"""Direction (``in`` or ``out``) and topic."""
+Key = tuple[str, str]  # Direction (`in` or `out`) and topic.
 
 
 class Registration:

@@ -20,16 +20,11 @@ from rosplc.ros.rospy.handshake import HandshakeError, encode_header, read_heade
 from rosplc.ros.rospy.inbound import Incoming
 from rosplc.ros.rospy.outbound import Outgoing
 
-__all__ = ["MOST_CALLERS", "MOST_GREETINGS", "MOST_REQUEST", "Servers", "Topics"]
-
 _logger = logging.getLogger("rosplc.ros.rospy")
 
-MOST_REQUEST = 4 << 20
-"""Bytes of a call; the list of a topic's publishers has far less."""
-MOST_CALLERS = 1000
-"""Connections that callers may have open at once."""
-MOST_GREETINGS = 128
-"""Subscribers whose headers are waited for at once."""
+MOST_REQUEST = 4 << 20  # Bytes of a call; the list of a topic's publishers has far less.
+MOST_CALLERS = 1000  # Connections that callers may have open at once.
+MOST_GREETINGS = 128  # Subscribers whose headers are waited for at once.
 
 _TIMEOUT_S = 5.0
 

@@ -22,8 +22,6 @@ from rosplc.ros.rospy.handshake import HandshakeError
 from rosplc.ros.rospy.inbound import ANY_TYPE, handshake, request
 from rosplc.ros.rospy.master import Master, RefusedError, UnreachableError
 
-__all__ = ["WireDefinition", "definition_on_wire", "save_definition"]
-
 _CALLER = "/rosplc_types"
 _PAUSE_NS = 200_000_000
 

@@ -18,8 +18,6 @@ from rosplc.ros.zenoh.endpoint import ZenohPublisher, ZenohSubscription
 from rosplc.ros.zenoh.keys import NO_TYPE_HASH, Entity, Kind, TokenTable, explain, tokens_of_domain
 from rosplc.ros.zenoh.session import Link
 
-__all__ = ["ZenohBackend", "open_backend"]
-
 _TICK_S = 0.5  # how often the receive thread looks at what has no event of its own
 
 ZenohEndpoint = ZenohSubscription | ZenohPublisher
@@ -173,10 +171,9 @@ class ZenohBackend(BaseNode):
         self.tokens.clear()
 
 
+# Connect to a ROS 2 graph over Zenoh; arguments and errors as for `rosplc.ros.open_backend`.
+#
+# Options (`ros.zenoh`): `mode` (`peer` or `client`), `connect` and `listen` (lists
+# of endpoints such as `tcp/192.168.1.10:7447`), `config` (a JSON5 file of Zenoh's). ROS013 if an option is
+# not valid, ROS010 if an environment variable is not.
 open_backend = opener(ZenohBackend)
-"""Connect to a ROS 2 graph over Zenoh; arguments and errors as for :func:`rosplc.ros.open_backend`.
-
-Options (``ros.zenoh``): ``mode`` (``peer`` or ``client``), ``connect`` and ``listen`` (lists
-of endpoints such as ``tcp/192.168.1.10:7447``), ``config`` (a JSON5 file of Zenoh's). ROS013 if an option is
-not valid, ROS010 if an environment variable is not.
-"""

@@ -16,13 +16,9 @@ import zenoh
 
 from rosplc.errors import BackendError
 
-__all__ = ["LARGEST_FILE", "OPTIONS", "SessionConfig", "session_config", "words"]
+LARGEST_FILE = 1 << 20  # Bytes that a configuration of Zenoh's may have.
 
-LARGEST_FILE = 1 << 20
-"""Bytes that a configuration of Zenoh's may have."""
-
-OPTIONS = ("mode", "connect", "listen", "config")
-"""The keys of ``ros.zenoh``."""
+OPTIONS = ("mode", "connect", "listen", "config")  # The keys of `ros.zenoh`.
 
 _MODES = ("peer", "client")
 _FILE, _OVERRIDE = "ZENOH_SESSION_CONFIG_URI", "ZENOH_CONFIG_OVERRIDE"

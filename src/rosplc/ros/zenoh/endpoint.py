@@ -17,8 +17,6 @@ from rosplc.ros._base import BaseEndpoint, BasePublisher, BaseSubscription, Prob
 from rosplc.ros.backend import OnMessage
 from rosplc.ros.zenoh.keys import Attachment, Entity, fits, gid_of, pack, topic_key, unpack
 
-__all__ = ["ZenohPublisher", "ZenohSubscription"]
-
 _HEARTBEAT_S = 0.5  # as rmw_zenoh's reliable and transient_local publishers
 _SENDERS = 1024  # publishers whose sequence numbers a subscription remembers
 _MOST_LOST = 1 << 20  # a larger step in the sequence is no loss but nonsense, and counting begins again

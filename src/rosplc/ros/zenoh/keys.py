@@ -32,37 +32,11 @@ from rosplc.ros.backend import EndpointInfo, GraphInfo
 from rosplc.ros.names import join, validate_namespace, validate_node_name, validate_topic
 from rosplc.ros.qos import Durability, Qos, Reliability
 
-__all__ = [
-    "LONGEST_TOKEN",
-    "MOST_TOKENS",
-    "NO_TYPE_HASH",
-    "Attachment",
-    "Entity",
-    "Kind",
-    "TokenTable",
-    "dds_type_name",
-    "decode_qos",
-    "encode_qos",
-    "explain",
-    "fits",
-    "gid_of",
-    "pack",
-    "parse_token",
-    "ros_type_name",
-    "tokens_of_domain",
-    "topic_key",
-    "unpack",
-]
+NO_TYPE_HASH = "TypeHashNotSupported"  # Stands for the type hash on Humble, which has none.
+LONGEST_TOKEN = 2048  # Characters of a token; ROS' own names leave it far below.
+MOST_TOKENS = 65_536  # Nodes and endpoints that are kept in mind; far above any real graph.
 
-NO_TYPE_HASH = "TypeHashNotSupported"
-"""Stands for the type hash on Humble, which has none."""
-LONGEST_TOKEN = 2048
-"""Characters of a token; ROS' own names leave it far below."""
-MOST_TOKENS = 65_536
-"""Nodes and endpoints that are kept in mind; far above any real graph."""
-
-Kind = Literal["NN", "MP", "MS"]
-"""A node, a publisher, a subscription."""
+Kind = Literal["NN", "MP", "MS"]  # A node, a publisher, a subscription.
 
 _DDS_TYPE = re.compile(r"(\w+)::(\w+)::dds_::(\w+)_\Z", re.ASCII)
 _TYPE = re.compile(r"[A-Za-z0-9_:/]{1,255}\Z")

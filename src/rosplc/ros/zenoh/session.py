@@ -18,8 +18,6 @@ from rosplc.clock import Clock
 from rosplc.errors import BackendError
 from rosplc.ros.zenoh.config import SessionConfig, words
 
-__all__ = ["Link"]
-
 _logger = logging.getLogger("rosplc.ros.zenoh")
 
 _RETRY_NS = 1_000_000_000
