@@ -133,15 +133,11 @@ def _bottom_up(node: StructNode, seen: dict[int, None]) -> list[StructNode]:
     """Return the structs that ``node`` holds, each after those it holds, itself last."""
     result: list[StructNode] = []
     for member in node.members:
-        inner = _innermost(member.node)
+        inner = member.node.element if isinstance(member.node, ArrayNode | SequenceNode) else member.node
         if isinstance(inner, StructNode) and id(inner) not in seen:
             seen[id(inner)] = None
             result += _bottom_up(inner, seen)
     return [*result, node]
-
-
-def _innermost(node: Node) -> Node:
-    return node.element if isinstance(node, ArrayNode | SequenceNode) else node
 
 
 def _struct(node: StructNode, names: _Names) -> str:
@@ -166,9 +162,7 @@ def _struct(node: StructNode, names: _Names) -> str:
 def _declaration(node: Node, name: str, names: _Names) -> str:
     if isinstance(node, PaddingNode):
         return f"uint8_t {name}[{node.size}]"
-    if isinstance(node, ArrayNode):
-        return _declaration(node.element, f"{name}[{node.length}]", names)
-    if isinstance(node, SequenceNode):
+    if isinstance(node, ArrayNode | SequenceNode):
         return _declaration(node.element, f"{name}[{node.capacity}]", names)
     if isinstance(node, StringNode):
         return f"char {name}[{node.size}]"

@@ -54,22 +54,22 @@ class PaddingNode:
         return 1
 
 
-@dataclass(frozen=True, slots=True)
-class ArrayNode:
-    """``length`` elements, ``stride`` bytes apart (the element's size)."""
+class _Elements:
+    """Elements ``stride`` bytes apart: ``capacity`` of them have room."""
 
+    __slots__ = ()
     element: ScalarNode | StringNode | StructNode
-    length: int
+    capacity: int
 
     @property
     def stride(self) -> int:
-        """Bytes from one element to the next."""
+        """Bytes from one element to the next: the element's size."""
         return self.element.size
 
     @property
     def size(self) -> int:
         """Bytes of all elements."""
-        return self.length * self.element.size
+        return self.capacity * self.element.size
 
     @property
     def align(self) -> int:
@@ -78,7 +78,20 @@ class ArrayNode:
 
 
 @dataclass(frozen=True, slots=True)
-class SequenceNode:
+class ArrayNode(_Elements):
+    """``length`` elements."""
+
+    element: ScalarNode | StringNode | StructNode
+    length: int
+
+    @property
+    def capacity(self) -> int:  # type: ignore[override]
+        """The same as ``length``."""
+        return self.length
+
+
+@dataclass(frozen=True, slots=True)
+class SequenceNode(_Elements):
     """An array of ``capacity`` elements whose number in use is a member of its own.
 
     The enclosing struct holds two members for a sequence: the count, a ``uint32`` scalar
@@ -88,21 +101,6 @@ class SequenceNode:
     element: ScalarNode | StringNode | StructNode
     capacity: int
     bound: int | None = None
-
-    @property
-    def stride(self) -> int:
-        """Bytes from one element to the next."""
-        return self.element.size
-
-    @property
-    def size(self) -> int:
-        """Bytes of all ``capacity`` elements."""
-        return self.capacity * self.element.size
-
-    @property
-    def align(self) -> int:
-        """The element's alignment."""
-        return self.element.align
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import keyword
 import struct
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from rosplc.layout.nodes import ArrayNode, PaddingNode, ScalarNode, SequenceNode, StringNode, StructNode
 from rosplc.layout.numbers import Misfit, Pack, describe, each_packer, numbers_packer, scalar_packer
 
 if TYPE_CHECKING:
-    from rosplc.layout.nodes import Member, Node
+    from rosplc.layout.nodes import Node
     from rosplc.model import TypeStore
 
 
@@ -48,9 +48,10 @@ class StructPacker:
         for member in node.members:
             if isinstance(member.node, PaddingNode) or member.count_of is not None:
                 continue
-            pack, start = _packer(member, node, store)
+            count = next((m.offset for m in node.members if m.count_of == member.name), 0) - member.offset
+            pack, start = _packer(member.node, count, store)
             self._fields[member.name] = (member.offset, pack)
-            _put_initial(image, member, start)
+            image[member.offset : member.offset + len(start)] = start
             if member.name in defaults:
                 pack(image, member.offset, defaults[member.name])
         self.initial = bytes(image)
@@ -104,29 +105,30 @@ class StructPacker:
         return _MISSING
 
 
-def _packer(member: Member, parent: StructNode, store: TypeStore) -> tuple[Pack, bytes]:
-    """Return how to write a member, and its initial bytes without its own default value."""
-    node = member.node
-    if isinstance(node, SequenceNode):
-        count = next(m.offset for m in parent.members if m.count_of == member.name)
-        return _sequence(node, count - member.offset, store), b""
+def _packer(node: Node, count: int, store: TypeStore) -> tuple[Pack, bytes]:
+    """Return how to write a member, and its initial bytes without its own default value.
+
+    Args:
+        node: What lies there.
+        count: Where the count of a sequence lies, from the sequence's own place.
+        store: Knows the default values.
+    """
     if isinstance(node, StructNode):
         inner = StructPacker(node, store)
         return inner, inner.initial
-    if isinstance(node, ArrayNode):
-        return _array(node, store)
-    return _single(node), b""
-
-
-def _put_initial(image: bytearray, member: Member, start: bytes) -> None:
-    image[member.offset : member.offset + len(start)] = start
-
-
-def _single(node: Node) -> Pack:
     if isinstance(node, StringNode):
-        return _string(node.capacity)
-    assert isinstance(node, ScalarNode)
-    return scalar_packer(node.kind)
+        return _string(node.capacity), b""
+    if isinstance(node, ScalarNode):
+        return scalar_packer(node.kind), b""
+    assert isinstance(node, ArrayNode | SequenceNode)
+    if isinstance(node.element, ScalarNode):
+        fill, initial = numbers_packer(node.element), b""
+    else:
+        one, initial = _packer(node.element, 0, store)
+        fill = each_packer(one, node.stride)
+    if isinstance(node, SequenceNode):
+        return _sequence(node, count, fill, initial), b""
+    return _array(node.length, fill), initial * node.length
 
 
 def _string(capacity: int) -> Pack:
@@ -149,20 +151,17 @@ def _string(capacity: int) -> Pack:
     return pack
 
 
-def _array(node: ArrayNode, store: TypeStore) -> tuple[Pack, bytes]:
-    fill, initial = _elements(node.element, store)
-
+def _array(length: int, fill: Pack) -> Pack:
     def pack(buffer: bytearray, offset: int, value: Any) -> None:
         items = _items(value)
-        if len(items) != node.length:
-            raise Misfit(f"{len(items)} elements for an array of {node.length}")
+        if len(items) != length:
+            raise Misfit(f"{len(items)} elements for an array of {length}")
         fill(buffer, offset, items)
 
-    return pack, initial * node.length
+    return pack
 
 
-def _sequence(node: SequenceNode, count: int, store: TypeStore) -> Pack:
-    fill, initial = _elements(node.element, store)
+def _sequence(node: SequenceNode, count: int, fill: Pack, initial: bytes) -> Pack:
     stride, capacity = node.stride, node.capacity
 
     def pack(buffer: bytearray, offset: int, value: Any) -> None:
@@ -179,18 +178,6 @@ def _sequence(node: SequenceNode, count: int, store: TypeStore) -> Pack:
         _COUNT.pack_into(buffer, offset + count, size)
 
     return pack
-
-
-def _elements(
-    node: ScalarNode | StringNode | StructNode, store: TypeStore
-) -> tuple[Callable[[bytearray, int, Any], None], bytes]:
-    """Return how to write elements from a sized collection, and one element's initial bytes."""
-    if isinstance(node, StructNode):
-        inner = StructPacker(node, store)
-        return each_packer(inner, node.size), inner.initial
-    if isinstance(node, StringNode):
-        return each_packer(_string(node.capacity), node.size), b""
-    return numbers_packer(node), b""
 
 
 def _items(value: Any) -> Any:

@@ -141,14 +141,14 @@ def _show(value: Any) -> str:
 
 def _reader(member: Member, parent: StructNode, most: int | None) -> _Read:
     node = member.node
+    if not isinstance(node, ArrayNode | SequenceNode):
+        return _single(node, most)
+    read, capacity = _elements(node.element, most), node.capacity
     if isinstance(node, ArrayNode):
-        read_elements = _elements(node.element, most)
-        length = node.length
-        return lambda buffer, offset: read_elements(buffer, offset, length)
-    if isinstance(node, SequenceNode):
-        count = next(m.offset for m in parent.members if m.count_of == member.name) - member.offset
-        return _sequence(node, count, most)
-    return _single(node, most)
+        return lambda buffer, offset: read(buffer, offset, capacity)
+    count = next(m.offset for m in parent.members if m.count_of == member.name) - member.offset
+    get = _COUNT.unpack_from
+    return lambda buffer, offset: read(buffer, offset, min(get(buffer, offset + count)[0], capacity))
 
 
 def _single(node: Node, most: int | None) -> _Read:
@@ -166,19 +166,7 @@ def _single(node: Node, most: int | None) -> _Read:
 def _string(capacity: int) -> _Read:
     def read(buffer: memoryview, offset: int) -> str:
         data = bytes(buffer[offset : offset + capacity])
-        end = data.find(0)
-        return (data if end < 0 else data[:end]).decode("utf-8", "surrogateescape")
-
-    return read
-
-
-def _sequence(node: SequenceNode, count: int, most: int | None) -> _Read:
-    read_elements = _elements(node.element, most)
-    capacity = node.capacity
-
-    def read(buffer: memoryview, offset: int) -> list[Any]:
-        size = _COUNT.unpack_from(buffer, offset + count)[0]
-        return read_elements(buffer, offset, min(size, capacity))
+        return data.split(b"\0", 1)[0].decode("utf-8", "surrogateescape")
 
     return read
 
@@ -186,26 +174,19 @@ def _sequence(node: SequenceNode, count: int, most: int | None) -> _Read:
 def _elements(
     node: ScalarNode | StringNode | StructNode, most: int | None
 ) -> Callable[[memoryview, int, int], list[Any]]:
-    if most is not None:
-        read_all = _elements_of(node, most)
-
-        def read_first(buffer: memoryview, offset: int, size: int) -> list[Any]:
-            read = read_all(buffer, offset, min(size, most))
-            return Excerpt(read, size) if size > most else read
-
-        return read_first
-    return _elements_of(node, None)
-
-
-def _elements_of(
-    node: ScalarNode | StringNode | StructNode, most: int | None
-) -> Callable[[memoryview, int, int], list[Any]]:
     if isinstance(node, ScalarNode) and node.kind != "bool":
         code = FORMATS[node.kind]
-        return lambda buffer, offset, size: list(struct.unpack_from(f"<{size}{code}", buffer, offset))
-    read, stride = _single(node, most), node.size
 
-    def read_each(buffer: memoryview, offset: int, size: int) -> list[Any]:
-        return [read(buffer, offset + index * stride) for index in range(size)]
+        def read(buffer: memoryview, offset: int, size: int) -> list[Any]:
+            return list(struct.unpack_from(f"<{size}{code}", buffer, offset))
+    else:
+        single, stride = _single(node, most), node.size
 
-    return read_each
+        def read(buffer: memoryview, offset: int, size: int) -> list[Any]:
+            return [single(buffer, offset + index * stride) for index in range(size)]
+
+    def read_first(buffer: memoryview, offset: int, size: int) -> list[Any]:
+        assert most is not None
+        return Excerpt(read(buffer, offset, most), size) if size > most else read(buffer, offset, size)
+
+    return read if most is None else read_first

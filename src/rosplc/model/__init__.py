@@ -1,6 +1,6 @@
 """ROS message types as data: bundled with a distribution, custom, or from a self-description."""
 
-from rosplc.model.saving import save_definitions, split_definition
+from rosplc.model.folders import save_definitions, split_definition
 from rosplc.model.store import DISTROS, MAX_DEPTH, TypeStore
 from rosplc.model.types import (
     PRIMITIVES,

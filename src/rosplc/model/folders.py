@@ -1,4 +1,4 @@
-"""Finding custom ``.msg`` files: which files, of which package."""
+"""Custom ``.msg`` files: which are found, of which package; and definitions from elsewhere, written."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
 from rosplc.errors import MessageTypeError
-from rosplc.model.parse import MAX_TEXT, parse_definition
+from rosplc.model.parse import MAX_TEXT, full_name, parse_definition
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
     from rosplc.model.parse import ParsedType
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 MAX_FILES = 10_000  # Most `.msg` files below one folder.
 MAX_ENTRIES = 200_000  # Most files and folders below one folder: more is no folder of messages, but a disk.
 
+_SEPARATOR = re.compile(r"^={80}\s*\nMSG:\s*(\S+)\s*\n", re.MULTILINE)
 _PACKAGE = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
 
 
@@ -138,3 +139,60 @@ def _name_in(manifest: Path) -> str:
         return (ElementTree.fromstring(text).findtext("name") or "").strip()
     except (ElementTree.ParseError, OSError, ValueError):
         raise MessageTypeError("TYP002", "is not a readable package manifest", where=str(manifest)) from None
+
+
+# -- writing
+
+
+def split_definition(type_name: str, text: str) -> dict[str, str]:
+    """Return the parts of a definition text by full type name, the text's own type first.
+
+    Args:
+        type_name: The type that the text defines first.
+        text: The ``.msg`` text, other types after lines of 80 ``=``; one that parses.
+    """
+    first, *others = _SEPARATOR.split(text.replace("\r\n", "\n"))
+    parts = {full_name(type_name): first.strip("\n") + "\n"}
+    for name, part in zip(others[::2], others[1::2], strict=True):
+        parts.setdefault(full_name(name), part.strip("\n") + "\n")
+    return parts
+
+
+def save_definitions(texts: Mapping[str, str], folder: Path) -> tuple[Path, ...]:
+    """Write ``package/msg/Name.msg`` below a folder for each text; return the files.
+
+    A file that has the same text already is left as it is.
+
+    Args:
+        texts: Definition by full type name.
+        folder: Where the packages are; made if it does not exist.
+
+    Raises:
+        MessageTypeError: TYP001 if a name is none; TYP009 if a file of that name has another text,
+            or cannot be written. Nothing is written in the first two cases.
+    """
+    wanted = {}
+    for name, text in texts.items():
+        package, _, base = full_name(name).split("/")
+        wanted[folder / package / "msg" / f"{base}.msg"] = text
+    for file, text in wanted.items():  # all or nothing
+        _check(file, text)
+    for file, text in wanted.items():
+        try:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text(text, encoding="utf-8")
+        except OSError as error:
+            what = f"cannot be written: {error.strerror}"
+            raise MessageTypeError("TYP009", what, where=str(file)) from None
+    return tuple(wanted)
+
+
+def _check(file: Path, text: str) -> None:
+    try:
+        if file.read_text(encoding="utf-8") != text:
+            raise MessageTypeError("TYP009", "holds another definition", where=str(file))
+    except FileNotFoundError:
+        pass
+    except (OSError, UnicodeDecodeError) as error:
+        what = getattr(error, "strerror", None) or "is not UTF-8 text"
+        raise MessageTypeError("TYP009", f"is in the way: {what}", where=str(file)) from None

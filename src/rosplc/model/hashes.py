@@ -57,8 +57,7 @@ def md5_text(message: MessageType, md5_of: Callable[[str], str]) -> str:
     """
     lines = [f"{c.type} {c.name}={c.text}" for c in message.constants]
     for field in message.fields:
-        kind = field.type
-        element = kind.element if isinstance(kind, ArrayType | SequenceType) else kind
+        kind, element = field.type, field.type.inner
         if isinstance(element, NamedType) and element.name not in ROS1_TIMES:
             lines.append(f"{md5_of(element.name)} {field.name}")  # brackets are left out there
         elif isinstance(element, NamedType):

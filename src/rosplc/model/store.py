@@ -9,14 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rosplc.errors import MessageTypeError
-from rosplc.model._rosbags import DISTROS, bundled_types
-from rosplc.model.defaults import with_defaults
-from rosplc.model.desktop import with_desktop
+from rosplc.model._rosbags import DISTROS
+from rosplc.model.bundled import bundled
 from rosplc.model.folders import parse_paths
 from rosplc.model.hashes import ROS1_TIMES, md5_text, rihs01
 from rosplc.model.literals import format_value
 from rosplc.model.parse import ParsedType, full_name, parse_definition
-from rosplc.model.types import ArrayType, Constant, Field, MessageType, NamedType, PrimitiveType, SequenceType
+from rosplc.model.types import Constant, Field, MessageType, NamedType, PrimitiveType
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -209,7 +208,7 @@ class TypeStore:
 
     def _add_builtin(self, message: MessageType) -> None:
         # ROS 1 texts say `time` and give no definition of it.
-        for needed in _needs(message):
+        for needed in message.needs:
             if needed in _BUILTIN:
                 self._types.setdefault(needed, _BUILTIN[needed])
 
@@ -250,8 +249,8 @@ class TypeStore:
         if len(above) <= MAX_DEPTH:
             needed: dict[str, str] = {}
             for field, place in zip(message.fields, places, strict=True):
-                if (other := _needed(field)) is not None:
-                    needed.setdefault(other, place)
+                if isinstance(kind := field.type.inner, NamedType):
+                    needed.setdefault(kind.name, place)
             below += [self._visit(other, heights, (*above, name), place) for other, place in needed.items()]
         heights[name] = 1 + max(below)
         if heights[name] > MAX_DEPTH or len(above) >= MAX_DEPTH:
@@ -262,15 +261,14 @@ class TypeStore:
     def _collect(self, name: str, order: dict[str, None]) -> None:
         """Add ``name`` and what it needs in order of first use, depth first."""
         order[name] = None
-        for other in _needs(self._types[name]):
+        for other in self._types[name].needs:
             if other not in order and not (self.ros_version == 1 and other in ROS1_TIMES):
                 self._collect(other, order)
 
     def _text(self, message: MessageType) -> str:
         lines = [f"{c.type} {c.name}={self._constant_text(c)}" for c in message.constants]
         for field in message.fields:
-            kind = field.type.element if isinstance(field.type, ArrayType | SequenceType) else field.type
-            text = str(field.type)
+            kind, text = field.type.inner, str(field.type)
             if isinstance(kind, NamedType):
                 short = ROS1_TIMES.get(kind.name) if self.ros_version == 1 else None
                 text = text.replace(kind.name, short or _short(kind.name))
@@ -288,16 +286,6 @@ def _short(name: str) -> str:
     return name.replace("/msg/", "/")
 
 
-def _needed(field: Field) -> str | None:
-    kind = field.type.element if isinstance(field.type, ArrayType | SequenceType) else field.type
-    return kind.name if isinstance(kind, NamedType) else None
-
-
-def _needs(message: MessageType) -> tuple[str, ...]:
-    """Return the names of the types of a message's fields, each once, in their order."""
-    return tuple(dict.fromkeys(filter(None, map(_needed, message.fields))))
-
-
 def _same_shape(one: MessageType, other: MessageType) -> bool:
     fields = [[(f.name, f.type) for f in m.fields] for m in (one, other)]
     return fields[0] == fields[1] and set(one.constants) == set(other.constants)
@@ -305,4 +293,4 @@ def _same_shape(one: MessageType, other: MessageType) -> bool:
 
 @cache
 def _bundled(distro: str) -> TypeStore:
-    return TypeStore(distro, with_desktop(distro, with_defaults(distro, bundled_types(distro))))
+    return TypeStore(distro, bundled(distro))

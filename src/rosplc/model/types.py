@@ -21,8 +21,17 @@ PRIMITIVES: dict[str, int] = {
 Value: TypeAlias = "bool | int | float | str | tuple[Value, ...]"
 
 
+class _Kind:
+    __slots__ = ()
+
+    @property
+    def inner(self) -> PrimitiveType | StringType | NamedType:
+        """The type of the elements of an array or sequence; any other type itself."""
+        return self.element if isinstance(self, ArrayType | SequenceType) else self  # type: ignore[return-value]
+
+
 @dataclass(frozen=True, slots=True)
-class PrimitiveType:
+class PrimitiveType(_Kind):
     """One of :data:`PRIMITIVES`. ``byte`` and ``char`` are unsigned 8-bit numbers.
 
     ``written`` is how the definition writes it, where that differs: ROS 1's ``byte`` is an ``int8``.
@@ -39,7 +48,7 @@ ROS1_BYTE = PrimitiveType("int8", "byte")
 
 
 @dataclass(frozen=True, slots=True)
-class StringType:
+class StringType(_Kind):
     """A string of UTF-8 bytes; ``bound`` is the definition's own limit in bytes, if any."""
 
     bound: int | None = None
@@ -49,7 +58,7 @@ class StringType:
 
 
 @dataclass(frozen=True, slots=True)
-class NamedType:
+class NamedType(_Kind):
     """Another message type, by its full name ``package/msg/Name``."""
 
     name: str
@@ -59,7 +68,7 @@ class NamedType:
 
 
 @dataclass(frozen=True, slots=True)
-class ArrayType:
+class ArrayType(_Kind):
     """A fixed number of elements."""
 
     element: PrimitiveType | StringType | NamedType
@@ -70,7 +79,7 @@ class ArrayType:
 
 
 @dataclass(frozen=True, slots=True)
-class SequenceType:
+class SequenceType(_Kind):
     """Any number of elements up to ``bound`` (the definition's own limit, if any)."""
 
     element: PrimitiveType | StringType | NamedType
@@ -112,3 +121,9 @@ class MessageType:
     name: str
     fields: tuple[Field, ...]
     constants: tuple[Constant, ...] = field(default=())
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """The names of the types of its fields, each once, in their order."""
+        inner = (field.type.inner for field in self.fields)
+        return tuple(dict.fromkeys(kind.name for kind in inner if isinstance(kind, NamedType)))

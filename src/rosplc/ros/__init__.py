@@ -23,9 +23,9 @@ from rosplc.ros.backend import (
     TypeSource,
     ended_for_good,
     incompatibility,
+    settled_graph,
 )
 from rosplc.ros.choice import BACKENDS, INSTALL, ROS1, Choice, choose, load
-from rosplc.ros.settled import settled_graph
 
 __all__ = [
     "BACKENDS",
@@ -98,14 +98,6 @@ def open_backend(
             f"the package of backend {name} is not installed: {error}",
             remedy=f"For {name}: {INSTALL.get(name, 'a complete rosplc')}.",
         ) from error
-    backend: Backend = module.open_backend(
-        store,
-        node_name,
-        namespace,
-        domain,
-        remap=remap,
-        environment=environment,
-        options=options,
-        clock=clock,
-    )
+    others = {"remap": remap, "environment": environment, "options": options, "clock": clock}
+    backend: Backend = module.open_backend(store, node_name, namespace, domain, **others)
     return backend

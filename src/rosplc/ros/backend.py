@@ -11,10 +11,11 @@ subscription.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
+from rosplc.clock import SYSTEM, Clock
 from rosplc.model.types import MessageType
 from rosplc.ros.qos import DEFAULT, LATCHED, PRESETS, SENSOR_DATA, Qos, incompatibility
 
@@ -34,8 +35,10 @@ __all__ = [
     "TypeSource",
     "ended_for_good",
     "incompatibility",
+    "settled_graph",
 ]
 
+_STEADY_NS = 1_000_000_000
 OnMessage = Callable[[bytes, int], None]
 """Called with a message's bytes and its source stamp (ns since 1970; the sender's clock)."""
 
@@ -228,3 +231,30 @@ class Backend(Protocol):
 def ended_for_good(backend: Backend | None) -> str:
     """Return why a backend's node has left the graph for good; empty if it has not, or never does."""
     return str(getattr(backend, "ended", ""))
+
+
+def settled_graph(
+    graph: Callable[[], GraphInfo], seconds: float, needed: Collection[str] = (), *, clock: Clock = SYSTEM
+) -> GraphInfo:
+    """Return the graph once it has not changed for a second, or when the time is over.
+
+    Discovery takes a moment, and nothing shows when it is over.
+
+    Args:
+        graph: :meth:`rosplc.ros.backend.Backend.graph`.
+        seconds: The longest time.
+        needed: Topics that are waited for.
+        clock: Time.
+    """
+    start = changed = clock.monotonic_ns()
+    seen = graph()
+    while (now := clock.monotonic_ns()) - start < seconds * 1e9:
+        clock.sleep(100_000_000)
+        if (again := graph()) != seen:
+            seen, changed = again, now
+        # A graph without other nodes may still be about to appear: it is waited for to the end.
+        complete = bool(seen.nodes) and all(end.node for end in seen.endpoints)
+        complete = complete and all(topic in seen.topics for topic in needed)
+        if complete and min(now - start, now - changed) > _STEADY_NS:
+            break
+    return seen

@@ -8,8 +8,9 @@ import pytest
 
 from rosplc.errors import BackendError
 from rosplc.model import TypeStore
-from rosplc.ros import open_backend
+from rosplc.ros import GraphInfo, open_backend, settled_graph
 from tests.interop.graphs import LOCAL, free_domain
+from tests.lib.clock import SteppedClock
 
 STORE = TypeStore.bundled("jazzy")
 
@@ -57,3 +58,23 @@ def test_ros_1_types_need_another_backend() -> None:
     pytest.importorskip("cyclonedds", reason="no wheel of cyclonedds for this machine")
     with pytest.raises(BackendError, match=r"noetic is ROS 1.*ROS001"):
         open_backend("dds", TypeStore.bundled("noetic"), "node")
+
+
+def test_graph_is_settled_once_it_has_not_changed_for_a_second() -> None:
+    """A graph that changes is looked at again for a second; without another node, until the time is over."""
+    clock, looks = SteppedClock(), []
+
+    def passing(_: int) -> None:
+        clock.advance(0.1)
+
+    clock.sleep = passing  # type: ignore[method-assign]
+
+    def graph(nodes: int) -> GraphInfo:
+        looks.append(clock.monotonic_ns())
+        return GraphInfo(tuple(f"/node{number}" for number in range(min(len(looks), nodes))))
+
+    assert len(settled_graph(lambda: graph(5), 30.0, clock=clock).nodes) == 5
+    assert looks[-1] - looks[0] < 3e9
+    looks.clear()
+    assert settled_graph(lambda: graph(0), 5.0, clock=clock).nodes == ()
+    assert looks[-1] - looks[0] >= 5e9

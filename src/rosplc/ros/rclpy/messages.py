@@ -14,7 +14,6 @@ from rosplc.model.types import (
     ArrayType,
     FieldType,
     MessageType,
-    NamedType,
     PrimitiveType,
     SequenceType,
     StringType,
@@ -104,10 +103,8 @@ class MessageClasses:
                 f"{message.name} is installed with another definition than the bridge has ("
                 f"{self._store.distro}): {_first_difference(ours, theirs)}",
             )
-        for field in message.fields:
-            kind = field.type.element if isinstance(field.type, ArrayType | SequenceType) else field.type
-            if isinstance(kind, NamedType):
-                self._compare(self._store[kind.name], seen)
+        for name in message.needs:
+            self._compare(self._store[name], seen)
 
 
 def _first_difference(ours: list[tuple[str, str]], theirs: list[tuple[str, str]]) -> str:
