@@ -31,7 +31,7 @@ CACHE = Path(__file__).parents[1] / ".cache" / "interop"
 WORDS = 256
 """Words of the record of ``cell_msgs/msg/Words``; all hold the same number, so that a torn one shows."""
 SIZE = 4 * WORDS
-WATCHDOG_S = 60.0
+WATCHDOG_S = 100.0
 
 
 def build_plc() -> Path:

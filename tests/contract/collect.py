@@ -29,7 +29,7 @@ topics:
   /in: {type: geometry_msgs/msg/Twist, to: plc, stale_after: 200ms}
   /out: {type: sensor_msgs/msg/JointState, to: ros, limits: {name: 6, position: 6, velocity: 6, effort: 6}}
 """
-WATCHDOG_S = 60.0
+WATCHDOG_S = 100.0
 MESSAGE = {"name": ["a"], "position": [1.0], "velocity": [], "effort": []}
 
 

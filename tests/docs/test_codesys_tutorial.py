@@ -25,7 +25,7 @@ from tests.docs.pages import blocks
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "tutorial" / "codesys.md"
-WATCHDOG_S = 60.0
+WATCHDOG_S = 100.0
 
 
 def page_files(folder: Path, prefix: str) -> None:

@@ -24,7 +24,7 @@ from tests.lib.waiting import wait_for
 
 INT, LONG = "std_msgs/msg/Int32", "std_msgs/msg/Int64"
 TOPICS = f"  /in: {{type: {INT}, to: plc}}\n  /out: {{type: {INT}, to: ros}}\n"
-WATCHDOG_S = 60.0
+WATCHDOG_S = 100.0
 Document = dict[str, Any]
 ENVIRONMENT = {**os.environ, **LOCAL}
 

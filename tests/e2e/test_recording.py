@@ -173,8 +173,8 @@ def test_every_recorded_message_arrives_equal_and_every_answer_comes_back(
             env=environment, capture_output=True, text=True, check=False, timeout=200,
         )  # fmt: skip
         assert player.returncode == 0, player.stderr
-        plc.communicate("stop\n", timeout=20)
-        heard = json.loads(listener.communicate("stop\n", timeout=20)[0])
+        plc.communicate("stop\n", timeout=100)
+        heard = json.loads(listener.communicate("stop\n", timeout=100)[0])
     result = pickle.loads(out.read_bytes())
     assert result["lost"] == dict.fromkeys(topics, 0)
     for topic in topics:

@@ -36,7 +36,7 @@ STORE = TypeStore.bundled("jazzy")
 LAYOUT = compute_layout(STORE, TYPE, Limits())
 # Of each file that 0.1.0 generated: the first half of its SHA-256.
 TYPES: dict[str, dict[str, str]] = json.loads((HERE / "types-0.1.0.json").read_text("utf-8"))
-WATCHDOG_S = 60.0
+WATCHDOG_S = 100.0
 NO_BRIDGE = 125
 
 

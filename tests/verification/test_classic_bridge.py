@@ -21,7 +21,7 @@ from tests.verification.plc_cell import READ, WRITE, layout_of, store
 from tests.verification.test_classic_crash import stop_inside
 
 DOMAIN = 47
-WATCHDOG_S = 30.0
+WATCHDOG_S = 100.0
 _CODEC = Codec(layout_of(TWIST), Wire.CDR)
 
 

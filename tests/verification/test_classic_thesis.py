@@ -16,7 +16,7 @@ from tests.verification.classic_cell import TWIST, ClassicCell, record
 
 pytestmark = pytest.mark.needs(*PACKAGES)
 
-WATCHDOG_S = 60.0
+WATCHDOG_S = 100.0
 
 
 @pytest.fixture(scope="module")

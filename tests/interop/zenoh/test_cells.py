@@ -20,8 +20,6 @@ from rosplc.ros import Backend, Qos, open_backend
 from tests.interop.zenoh.processes import Router, free_port
 from tests.lib.waiting import wait_for
 
-pytestmark = pytest.mark.timeout(120)
-
 ROOT = Path(__file__).parents[3]
 STRING = "std_msgs/msg/String"
 DOMAIN = 13

@@ -26,8 +26,6 @@ from tests.interop.graphs import STRING, string, text_of
 from tests.interop.zenoh.processes import Router, free_port
 from tests.lib.waiting import wait_for
 
-pytestmark = pytest.mark.timeout(60)
-
 DOMAIN = 17
 STORE = TypeStore.bundled("jazzy")
 HASH = STORE.type_hash(STRING)

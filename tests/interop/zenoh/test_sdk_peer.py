@@ -22,8 +22,6 @@ from tests.interop.zenoh.processes import Router, free_port
 from tests.interop.zenoh.sdk import TRANSIENT_LOCAL, SdkPeer
 from tests.lib.waiting import repeat_until, wait_for
 
-pytestmark = pytest.mark.timeout(120)
-
 DOMAIN = 11
 CUSTOM = "cell_msgs/msg/State"
 DEFINITIONS = {

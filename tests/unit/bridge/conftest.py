@@ -20,7 +20,7 @@ from rosplc.shm import Attached, Namespace, Reader, Writer, attach
 
 DOMAIN = 41
 STORE = TypeStore.bundled("jazzy")
-WATCHDOG_S = 20.0
+WATCHDOG_S = 100.0
 STRING = "std_msgs/msg/String"
 INT = "std_msgs/msg/Int32"
 JOINTS = "sensor_msgs/msg/JointState"

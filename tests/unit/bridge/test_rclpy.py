@@ -48,7 +48,7 @@ def test_bridge_carries_both_ways_and_shows_itself(
             rosplc.attach("/up", prefix=shm_namespace.prefix, write=True) as up,
         ):
             source.write(b"\0\1\0\0\7\0\0\0")
-            message = down.wait(timeout=10)
+            message = down.wait(timeout=100)
             assert message is not None
             assert message.data == 7
             up.write({"data": 8})

@@ -22,7 +22,6 @@ from rosplc.demo.domain import FreeDomain
 from rosplc.project import check
 from tests.unit.init.robots import PART, PART_TEXTS, Robot, record
 
-pytestmark = pytest.mark.timeout(180)
 MEMORY = ("--backend", "memory", "--listen", "300ms")
 _domains = iter(range(1, 233))
 

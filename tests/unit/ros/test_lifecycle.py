@@ -13,8 +13,6 @@ from rosplc.ros.lifecycle import LifecycleBackend
 from tests.interop.graphs import STRING, free_domain, string
 from tests.lib.waiting import wait_for
 
-pytestmark = pytest.mark.timeout(60)
-
 
 @pytest.fixture
 def nodes() -> Iterator[tuple[LifecycleBackend, Backend]]:

@@ -26,7 +26,6 @@ from tests.interop.graphs import STRING, string
 from tests.lib.waiting import wait_for
 
 pytestmark = [
-    pytest.mark.timeout(60),
     pytest.mark.needs(when=importlib.util.find_spec("rclpy") is None, why="the real rclpy is here"),
 ]
 

@@ -22,7 +22,6 @@ PACKAGE = Path(__file__).parents[3] / "packaging" / "ros2" / "rosplc_bridge"
 INT32 = "std_msgs/msg/Int32"
 
 pytestmark = [
-    pytest.mark.timeout(60),
     pytest.mark.needs(when=importlib.util.find_spec("rclpy") is None, why="the real rclpy is here"),
 ]
 
@@ -113,7 +112,7 @@ def test_states_open_and_close_what_they_say(cell: Cell) -> None:
             assert cell.trigger("activate") == "active"
             wait_for(lambda: source.matched and sink.matched)
             source.write(int32(life))
-            message = down.wait(timeout=10)
+            message = down.wait(timeout=100)
             assert message is not None
             assert message.data == life
             up.write({"data": 10 * life})

@@ -23,8 +23,6 @@ from rosplc.ros.rospy.outbound import Outgoing, _Queue
 from tests.interop.ros1.graph import free_port
 from tests.lib.clock import SteppedClock
 
-pytestmark = pytest.mark.timeout(60)
-
 NOETIC = TypeStore.bundled("noetic")
 STRING = "std_msgs/msg/String"
 DEFINITION = Definition(STRING, "0", "string data\n")

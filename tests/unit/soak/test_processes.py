@@ -13,8 +13,6 @@ import pytest
 from tests.soak.messages import Counters
 from tests.soak.processes import ForkServer, Part
 
-pytestmark = pytest.mark.timeout(120)
-
 
 @pytest.fixture
 def plc(tmp_path: Path) -> Iterator[Part]:
