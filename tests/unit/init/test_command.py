@@ -39,8 +39,8 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 @pytest.fixture
 def memory(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[str, ...]]:
     """A robot in this process, and the options that lead to it."""
-    for name in ("_LEAST_S", "_STEADY_S"):  # nobody else comes into a graph of this process
-        monkeypatch.setattr(f"rosplc.ros.settled.{name}", 0.1)
+    # No other node comes into a graph of this process.
+    monkeypatch.setattr("rosplc.ros.backend._STEADY_NS", 100_000_000)
     domain = next(_domains)
     with Robot("memory", domain):
         yield (*MEMORY, "--domain", str(domain))
