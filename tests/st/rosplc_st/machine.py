@@ -34,6 +34,10 @@ _COUNTERS = (
     "opens", "opened", "closes", "creates", "deletes", "faults", "open_handles", "bad_handles", "barriers",
     "sem_creates", "sem_made", "sem_enters", "sem_timeouts", "sem_leaves", "sem_waited", "sem_endless",
 )  # fmt: skip
+_CALLS = {
+    "start": ("st_start",), "stop": ("st_stop",), "change": ("st_online_change",),
+    "power": ("st_forget", "st_warm_start"), "time": ("st_set_time",), "prefix": ("st_set_prefix",),
+}  # fmt: skip
 _STEP = re.compile(r"\.?(\w+)|\[(-?\d+)\]")
 _CODES = {(8, True): "b", (8, False): "B", (16, True): "h", (16, False): "H", (32, True): "i",
           (32, False): "I", (64, True): "q", (64, False): "Q"}  # fmt: skip
@@ -79,41 +83,43 @@ class Machine:
         """Return where an index or divisor was wrong last."""
         raise NotImplementedError
 
-    def _start(self) -> None:
+    def _call(self, command: str, *arguments: int | str) -> None:
+        """Have the runtime do one of :data:`_CALLS`, or ``scan``."""
         raise NotImplementedError
 
-    def stop(self) -> None:
-        """End the program as a download does: FB_Exit(FALSE)."""
-        raise NotImplementedError
-
-    def online_change(self) -> None:
-        """Move every instance: FB_Exit(TRUE), FB_Init(FALSE, TRUE), copy, FB_Reinit."""
-        raise NotImplementedError
-
-    def power_cycle(self) -> None:
-        """End the runtime and start it again: retained lists keep their values, FB_Init(FALSE, FALSE)."""
-        raise NotImplementedError
-
-    def set_time(self, milliseconds: int) -> None:
-        """Set what TIME() returns."""
-        raise NotImplementedError
-
-    def option(self, name: str, value: int = 1) -> None:
-        """Switch one of the runtime's variations, a member of ``st_options``."""
-        raise NotImplementedError
-
-    def set_prefix(self, prefix: str) -> None:
-        """Have a text put before every name of a memory or semaphore."""
-        raise NotImplementedError
-
-    def _scan(self, program: str, count: int, step: int) -> None:
-        raise NotImplementedError
-
-    # ---- scans
+    # ---- what both do
 
     def start(self) -> None:
         """Start the program: initial values, then FB_Init(TRUE, FALSE)."""
-        self._start()
+        self._call("start")
+
+    def stop(self) -> None:
+        """End the program as a download does: FB_Exit(FALSE)."""
+        self._call("stop")
+
+    def online_change(self) -> None:
+        """Move every instance: FB_Exit(TRUE), FB_Init(FALSE, TRUE), copy, FB_Reinit."""
+        self._call("change")
+
+    def power_cycle(self) -> None:
+        """End the runtime and start it again: retained lists keep their values, FB_Init(FALSE, FALSE)."""
+        self._call("power")
+
+    def set_time(self, milliseconds: int) -> None:
+        """Set what TIME() returns."""
+        self._time = milliseconds & 0xFFFFFFFF
+        self._call("time", self._time)
+
+    def option(self, name: str, value: int = 1) -> None:
+        """Switch one of the runtime's variations, a member of ``st_options``."""
+        assert name in _OPTIONS
+        self._call("option", name, value)
+
+    def set_prefix(self, prefix: str) -> None:
+        """Have a text put before every name of a memory or semaphore."""
+        self._call("prefix", prefix)
+
+    # ---- scans
 
     def scan(self, *programs: str, count: int = 1, step: int = 10) -> None:
         """Run programs ``count`` times, the clock advancing by ``step`` ms before each round.
@@ -124,9 +130,8 @@ class Machine:
         for _ in range(count if len(programs) > 1 else 1):
             self.set_time(self._time + step if len(programs) > 1 else self._time)
             for program in programs:
-                self._scan(
-                    program.upper(), count if len(programs) == 1 else 1, step if len(programs) == 1 else 0
-                )
+                one = len(programs) == 1
+                self._call("scan", program.upper(), count if one else 1, step if one else 0)
         if len(programs) == 1:
             self._time = (self._time + step * count) & 0xFFFFFFFF
         self.check()
@@ -308,39 +313,19 @@ class LibraryMachine(Machine):
         if self._broken is not None:
             raise self._broken
 
-    def _start(self) -> None:
-        self.library.st_start()
+    def _call(self, command: str, *arguments: int | str) -> None:
+        if command == "scan":
+            self._scan(*arguments)
+        elif command == "option":
+            options: Any = (ctypes.c_uint32 * len(_OPTIONS)).in_dll(self.library, "st_options")
+            options[_OPTIONS.index(str(arguments[0]))] = arguments[1]
+        else:
+            given = [one.encode() if isinstance(one, str) else ctypes.c_uint32(one) for one in arguments]
+            for name in _CALLS[command]:
+                getattr(self.library, name)(*given)
 
-    def stop(self) -> None:
-        """End the program as a download does: FB_Exit(FALSE)."""
-        self.library.st_stop()
-
-    def online_change(self) -> None:
-        """Move every instance: FB_Exit(TRUE), FB_Init(FALSE, TRUE), copy, FB_Reinit."""
-        self.library.st_online_change()
-
-    def power_cycle(self) -> None:
-        """End the runtime and start it again: retained lists keep their values, FB_Init(FALSE, FALSE)."""
-        self.library.st_forget()
-        self.library.st_warm_start()
-
-    def set_time(self, milliseconds: int) -> None:
-        """Set what TIME() returns."""
-        self._time = milliseconds & 0xFFFFFFFF
-        self.library.st_set_time(ctypes.c_uint32(self._time))
-
-    def option(self, name: str, value: int = 1) -> None:
-        """Switch one of the runtime's variations, a member of ``st_options``."""
-        options: Any = (ctypes.c_uint32 * len(_OPTIONS)).in_dll(self.library, "st_options")
-        options[_OPTIONS.index(name)] = value
-
-    def set_prefix(self, prefix: str) -> None:
-        """Have a text put before every name of a memory or semaphore."""
-        self.library.st_set_prefix(prefix.encode())
-
-    def _scan(self, program: str, count: int, step: int) -> None:
-        name = program.encode()
-        now = self._time
+    def _scan(self, program: Any, count: Any, step: Any) -> None:
+        name, now = program.encode(), self._time
         for _ in range(count):
             now = (now + step) & 0xFFFFFFFF
             self.library.st_set_time(ctypes.c_uint32(now))
@@ -428,38 +413,9 @@ class ProcessMachine(Machine):
         """Return where an index or divisor was wrong last."""
         return self._ask("fault")
 
-    def _start(self) -> None:
-        self._ask("start")
-
-    def stop(self) -> None:
-        """End the program as a download does: FB_Exit(FALSE)."""
-        self._ask("stop")
-
-    def online_change(self) -> None:
-        """Move every instance: FB_Exit(TRUE), FB_Init(FALSE, TRUE), copy, FB_Reinit."""
-        self._ask("change")
-
-    def power_cycle(self) -> None:
-        """End the runtime and start it again: retained lists keep their values, FB_Init(FALSE, FALSE)."""
-        self._ask("power")
-
-    def set_time(self, milliseconds: int) -> None:
-        """Set what TIME() returns."""
-        self._time = milliseconds & 0xFFFFFFFF
-        self._ask(f"time {self._time}")
-
-    def option(self, name: str, value: int = 1) -> None:
-        """Switch one of the runtime's variations, a member of ``st_options``."""
-        assert name in _OPTIONS
-        self._ask(f"option {name} {value}")
-
-    def set_prefix(self, prefix: str) -> None:
-        """Have a text put before every name of a memory or semaphore."""
-        self._ask(f"prefix {prefix}")
+    def _call(self, command: str, *arguments: int | str) -> None:
+        self._ask(" ".join(map(str, (command, *arguments))))
 
     def become(self, user: int) -> None:
         """Go on as a user without rights; only root can."""
         self._ask(f"user {user}")
-
-    def _scan(self, program: str, count: int, step: int) -> None:
-        self._ask(f"scan {program} {count} {step}")

@@ -10,7 +10,6 @@ from typing import Any
 from rosplc_st.translator import types as t
 from rosplc_st.translator.declarations import Callable_, Declared
 from rosplc_st.translator.expressions import Expressions
-from rosplc_st.translator.library import LIBRARY
 from rosplc_st.translator.source import TranslationError
 from rosplc_st.translator.types import (
     ALIASES,
@@ -18,6 +17,7 @@ from rosplc_st.translator.types import (
     ANY_REAL,
     BOOL,
     ELEMENTARY,
+    LIBRARY,
     NANOSECONDS,
     Array,
     Block,
@@ -25,8 +25,8 @@ from rosplc_st.translator.types import (
     Pointer,
     String,
     Struct,
+    Value,
 )
-from rosplc_st.translator.value import Value
 
 __all__ = ["LIFECYCLE", "bind", "call", "call_statement", "store", "virtual_methods"]
 

@@ -7,9 +7,7 @@ from typing import Any
 
 from rosplc_st.translator import types as t
 from rosplc_st.translator.declarations import Callable_, Declared, Place, Program
-from rosplc_st.translator.library import alias, constant
-from rosplc_st.translator.literals import Literals
-from rosplc_st.translator.operators import Operators
+from rosplc_st.translator.operators import Literals, Operators
 from rosplc_st.translator.types import (
     BOOL,
     Array,
@@ -20,8 +18,11 @@ from rosplc_st.translator.types import (
     String,
     Struct,
     Type,
+    Value,
+    alias,
+    c_string,
+    constant,
 )
-from rosplc_st.translator.value import Value, c_string
 
 __all__ = ["Expressions"]
 

@@ -8,8 +8,7 @@ from typing import Any
 from rosplc_st.translator.calls import bind, store
 from rosplc_st.translator.declarations import Declared, Program
 from rosplc_st.translator.expressions import Expressions
-from rosplc_st.translator.types import Array, Block, Struct, Type
-from rosplc_st.translator.value import Value
+from rosplc_st.translator.types import Array, Block, Struct, Type, Value
 
 __all__ = ["instances", "set_initial"]
 

@@ -1,4 +1,4 @@
-"""Operators: arithmetic at the processor's width, comparisons, bits, times, pointers.
+"""Conversions, literals and operators: what may be stored where, and arithmetic at the processor's width.
 
 CODESYS computes intermediate results in registers: the difference of two UDINTs that wraps is
 a large number on a 64-bit processor until a UDINT holds it. The C text does the same: operands
@@ -7,15 +7,267 @@ are widened to ``cpu_bits``, and only assignments, parameters and conversions cu
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from typing import Any
 
 from rosplc_st.translator import types as t
-from rosplc_st.translator.conversions import Conversions
-from rosplc_st.translator.types import ANY_INT, ANY_REAL, BOOL, Elementary, Pointer, String
-from rosplc_st.translator.value import Value, c_string
+from rosplc_st.translator.declarations import Place, Program
+from rosplc_st.translator.source import TranslationError
+from rosplc_st.translator.types import (
+    ANY_INT,
+    ANY_REAL,
+    BOOL,
+    ELEMENTARY,
+    NANOSECONDS,
+    Array,
+    Elementary,
+    Pointer,
+    String,
+    Type,
+    Value,
+    c_string,
+)
 
-__all__ = ["Operators"]
+
+class Conversions:
+    """Conversions at a place in a text; ``program`` knows the processor's width."""
+
+    program: Program
+    here: Place
+
+    # ---- types of results
+
+    def width(self, type_: Elementary) -> str:
+        """Return the C type in which a value of a type is computed."""
+        bits = max(type_.bits, self.program.cpu_bits)
+        return f"{'' if type_.signed else 'u'}int{bits}_t"
+
+    def common(self, a: Elementary, b: Elementary) -> Elementary:
+        """Return the type in which two integers are computed."""
+        if a.bits == b.bits:
+            if a.signed != b.signed:
+                raise self.here.error(f"{a.name} and {b.name} in one expression: the sign is ambiguous")
+            return a if a.kind == "int" else b
+        wide, narrow = (a, b) if a.bits > b.bits else (b, a)
+        if narrow.signed and not wide.signed:
+            raise self.here.error(f"{a.name} and {b.name} in one expression: the sign is ambiguous")
+        return wide
+
+    def pair(self, a: Value, b: Value) -> tuple[Elementary, Value, Value]:
+        """Return the common integer type of two operands, literals adapted."""
+        ta, tb = a.type, b.type
+        assert isinstance(ta, Elementary) and isinstance(tb, Elementary)
+        if ta is ANY_INT and tb is ANY_INT:
+            return ANY_INT, a, b
+        if ta is ANY_INT:
+            ta, a = self.adapt(a, tb)
+        elif tb is ANY_INT:
+            tb, b = self.adapt(b, ta)
+        return self.common(ta, tb), a, b
+
+    def adapt(self, literal: Value, other: Elementary) -> tuple[Elementary, Value]:
+        """Return the type and value of a literal beside an operand of another type."""
+        assert isinstance(literal.constant, int)
+        if t.fits(literal.constant, other):
+            return other, self.number(literal.constant, other)
+        type_ = t.smallest(literal.constant)
+        if literal.constant >= 0 and other.signed:
+            type_ = next(
+                e for e in map(ELEMENTARY.__getitem__, ("INT", "DINT", "LINT")) if t.fits(literal.constant, e)
+            )
+        return type_, self.number(literal.constant, type_)
+
+    @staticmethod
+    def number(value: int, type_: Type | None = ANY_INT) -> Value:
+        """Return an integer constant."""
+        if value >= 1 << 63:
+            code = f"{value}ULL"
+        elif value == -(1 << 63):
+            code = "(-9223372036854775807LL - 1)"
+        else:
+            code = f"({value}LL)" if value < 0 else f"{value}LL"
+        return Value(code, type_, value)
+
+    # ---- storing
+
+    def convert(self, value: Value, target: Type) -> str:
+        """Return C code of a value as it is stored in a variable of a type; refuse what CODESYS refuses."""
+        source = value.type
+        if isinstance(target, Elementary):
+            if not isinstance(source, Elementary):
+                raise self.refuse(source, target)
+            return self._elementary(value, source, target)
+        if isinstance(target, Pointer):
+            if isinstance(source, Pointer):
+                return value.code
+            if isinstance(value.constant, int) and value.constant == 0:
+                return "(uint8_t *)0"
+            raise self.refuse(source, target)
+        if isinstance(target, String) and isinstance(source, String):
+            return value.code
+        if source == target:
+            return value.code
+        raise self.refuse(source, target)
+
+    def _elementary(self, value: Value, source: Elementary, target: Elementary) -> str:
+        literal = value.constant is not None and isinstance(value.constant, int)
+        if target.kind == "bool":
+            if source.kind == "bool" or (source is ANY_INT and value.constant in (0, 1)):
+                return value.code
+            raise self.refuse(source, target)
+        if target.kind == "real":
+            if source.kind in ("int", "bit") or source is ANY_REAL:
+                return f"(({target.c})({value.code}))"
+            if source.kind == "real" and source.bits <= target.bits:
+                return f"(({target.c})({value.code}))"
+            raise self.refuse(source, target)
+        if target.kind == "time":
+            if source == target:
+                return f"(({target.c})({value.code}))"
+            if {source.name, target.name} == {"TIME", "LTIME"} and value.constant is not None:
+                return self.number(
+                    int(value.constant) * NANOSECONDS[source.name] // NANOSECONDS[target.name]
+                ).code
+            raise self.refuse(source, target)
+        if not source.integral:
+            raise self.refuse(source, target)
+        if literal:
+            number = int(value.constant or 0)
+            if not t.fits(number, target):
+                raise self.here.error(f"{number} does not fit into {target.name}")
+            return self.number(number).code
+        if source.bits > target.bits:
+            raise self.refuse(source, target)
+        return f"(({target.c})({value.code}))"
+
+    def refuse(self, source: Type | None, target: Type) -> TranslationError:
+        """Return the error of a conversion that CODESYS does not make by itself."""
+        return self.here.error(f"cannot convert {self.name(source)} to {self.name(target)}")
+
+    @staticmethod
+    def name(type_: Type | None) -> str:
+        """Return a type as a person writes it."""
+        if type_ is None:
+            return "nothing"
+        if isinstance(type_, String):
+            return f"STRING({type_.length})"
+        if isinstance(type_, Pointer):
+            return "POINTER"
+        if isinstance(type_, Array):
+            return f"ARRAY[{type_.low}..{type_.high}]"
+        return type_.name
+
+
+_ESCAPES = {"L": b"\n", "N": b"\n", "P": b"\f", "R": b"\r", "T": b"\t", "$": b"$", "'": b"'"}
+
+
+def string_bytes(token: str, place: Place) -> bytes:
+    """Return the bytes of a string literal, dollar escapes resolved."""
+    text, out, index = token[1:-1], bytearray(), 0
+    while index < len(text):
+        char = text[index]
+        if char != "$":
+            out += char.encode("latin-1")
+            index += 1
+            continue
+        two = text[index + 1 : index + 3]
+        if two[:1].upper() in _ESCAPES:
+            out += _ESCAPES[two[:1].upper()]
+            index += 2
+        elif re.fullmatch("[0-9A-Fa-f]{2}", two):
+            out.append(int(two, 16))
+            index += 3
+        else:
+            raise place.error(f"string escape ${two}")
+    return bytes(out)
+
+
+class Literals(Conversions):
+    """Translates literals; the methods have the names of blark's nodes."""
+
+    def _typed(self, value: int, node: Any) -> Value:
+        if not node.type_name:
+            return self.number(value)
+        type_ = ELEMENTARY.get(str(node.type_name).upper())
+        if type_ is None or not t.fits(value, type_):
+            raise self.here.error(f"literal {node.type_name}#{value}")
+        if type_.kind == "bool":
+            return Value(str(value), BOOL, value)
+        if type_.kind == "real":
+            return Value(f"{value}.0", type_, float(value))
+        return self.number(value, type_)
+
+    def _Integer(self, node: Any) -> Value:
+        return self._typed(int(str(node.value).replace("_", "")), node)
+
+    def _based(self, node: Any, base: int) -> Value:
+        text = str(node.value).replace("_", "")
+        return self._typed(int(text.rpartition("#")[2], base), node)
+
+    def _HexInteger(self, node: Any) -> Value:
+        return self._based(node, 16)
+
+    _HexBitString = _HexInteger
+
+    def _BinaryInteger(self, node: Any) -> Value:
+        return self._based(node, 2)
+
+    _BinaryBitString = _BinaryInteger
+
+    def _OctalInteger(self, node: Any) -> Value:
+        return self._based(node, 8)
+
+    _OctalBitString = _OctalInteger
+
+    def _BitString(self, node: Any) -> Value:
+        return self._typed(int(str(node.value).replace("_", "")), node)
+
+    def _Real(self, node: Any) -> Value:
+        number = float(str(node.value).replace("_", ""))
+        type_ = ELEMENTARY[str(node.type_name).upper()] if node.type_name else ANY_REAL
+        return Value(f"({number!r})" if number < 0 else repr(number), type_, number)
+
+    def _Boolean(self, node: Any) -> Value:
+        on = str(node.value).upper().rpartition("#")[2] in ("TRUE", "1")
+        return Value("1" if on else "0", BOOL, int(on))
+
+    def _String(self, node: Any) -> Value:
+        token = str(node.value)
+        if not token.startswith("'"):
+            raise self.here.error("WSTRING literal")
+        data = string_bytes(token, self.here)
+        return Value(c_string(data), String(max(len(data), 1)))
+
+    def _duration(self, node: Any, units: dict[str, int]) -> int:
+        total = 0.0
+        whole = 0
+        for unit, factor in units.items():
+            text = getattr(node, unit, None)
+            if text is not None:
+                number = str(text).replace("_", "")
+                if "." in number:
+                    total += float(number) * factor
+                else:
+                    whole += int(number) * factor
+        total_ns = whole + round(total)
+        if node.negative:
+            raise self.here.error("negative duration")
+        return total_ns
+
+    def _Duration(self, node: Any) -> Value:
+        units = {"days": 86400000, "hours": 3600000, "minutes": 60000, "seconds": 1000, "milliseconds": 1}
+        ms = self._duration(node, units)
+        if ms >= 1 << 32:
+            raise self.here.error(f"T#{ms}ms does not fit into TIME")
+        return self.number(ms, ELEMENTARY["TIME"])
+
+    def _Lduration(self, node: Any) -> Value:
+        ns = 1
+        units = {"nanoseconds": ns, "microseconds": 1000, "milliseconds": 10**6, "seconds": 10**9}
+        units |= {"minutes": 60 * 10**9, "hours": 3600 * 10**9, "days": 86400 * 10**9}
+        return self.number(self._duration(node, units), ELEMENTARY["LTIME"])
+
 
 _COMPARE = {"=": "==", "<>": "!=", "<": "<", ">": ">", "<=": "<=", ">=": ">="}
 _BITS = {"AND": "&", "OR": "|", "XOR": "^"}
