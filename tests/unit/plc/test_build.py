@@ -16,7 +16,7 @@ from rosplc.plc.build import build_project, build_type_library
 from rosplc.plc.delivery import project_files
 from rosplc.plc.plan import PlcTask
 from rosplc.plc.project import Dut, Gvl, Pou
-from tests.unit.plc.projects import JOINTS, POSE, STORE, TWIST, custom, layout, named, project, read, write
+from tests.unit.plc.projects import JOINTS, POSE, STORE, TWIST, layout, named, project, read, write
 
 FAST, SLOW = PlcTask("Fast", 1_000_000, 1), PlcTask("Slow", 100_000_000, 10, watchdog_ns=500_000)
 
@@ -230,24 +230,16 @@ def test_every_type_that_an_object_uses_is_part_of_the_project():
         assert element in names | known or element.startswith("STRING("), f"{where}: {text}"
 
 
-def test_nesting_ten_deep_is_generated(tmp_path):
-    """Every delivery can be written for a deep type with sequences of strings at its bottom."""
-    definitions = {"L0": "string[<=2] words\n"} | {f"L{n}": f"L{n - 1}[<=2] inner\n" for n in range(1, 11)}
-    store = custom(tmp_path, **definitions)
-    each = layout("cell_msgs/msg/L10", Limits(sequence=2), store=store)
-    files = project_files(build_type_library(store, [each]), [each], "rosplc")
-    assert "st/Types/cell_msgs_L10.st" in files
-
-
 GENERATE = """
 import hashlib, sys
 from rosplc.layout import Limits
 from rosplc.plc.delivery import project_files
+from rosplc.plc.plan import Classic
 from tests.unit.plc.projects import JOINTS, TWIST, project, read, write
 topics = [read("/z"), read("/a/b"), read("/a_b"), write("/t", TWIST), read("/j", JOINTS, task="Slow"),
           read("/k", JOINTS, limits=Limits(fields={"name[]": 9, "name": 3})),
           read("/img", "sensor_msgs/msg/Image", limits=Limits(fields={"data": 100000})),
-          read("/m", "visualization_msgs/msg/Marker")]
+          read("/m", "visualization_msgs/msg/Marker"), write("/n", TWIST, classic=Classic("n", "n"))]
 if sys.argv[1] == "back":
     topics.reverse()
 layouts = [topic.layout for topic in sorted(topics, key=lambda topic: topic.topic)]

@@ -34,7 +34,7 @@ def classic(name="cmd_vel", semaphore=None, wait_ms=2):
 def made():
     return project(
         read("/cmd_vel", TWIST, classic=classic(), stale_after_ns=500 * MS),
-        read("/joints", JOINTS, classic=classic("joints", "lock"), latched=True, in_order=True),
+        read("/joints", JOINTS, classic=classic("joints", "lock"), latched=True),
         write("/speed", TWIST, classic=classic("speed", "")),
         read("/plain", TWIST),
         write("/back", TWIST),
@@ -55,13 +55,11 @@ def test_instances_take_the_names_of_memory_and_semaphore(made):
     )  # fmt: skip
     assert instance(made, "ROS_Write", "speed").type == "geometry_msgs_Twist_ClassicWrite"
     assert instance(made, "ROS_Write", "speed").arguments == (("sMemory", "'speed'"), ("sSemaphore", "''"))
-
-
-def test_default_blocks_of_the_same_type_stand_beside_them(made):
-    """A project mixes both kinds; they share the DUT."""
+    # A project mixes both kinds; they share the DUT.
     assert instance(made, "ROS_Read", "plain").type == "geometry_msgs_Twist_Read"
     assert instance(made, "ROS_Write", "back").arguments == (("sTopic", "'/back'"),)
     assert [dut.name for dut in made.duts].count("geometry_msgs_Twist") == 1
+    assert b"Classic topics" in project_files(made, [], "rosplc")["README.txt"]
 
 
 def test_calls_say_what_the_configuration_says(made):
@@ -159,19 +157,6 @@ def test_the_script_runs_twice_and_is_python_2(made):
     before, ide.changes = ide.tree(), []
     run(script, ide)
     assert (ide.changes, ide.tree()) == ([], before)
-
-
-def test_the_same_input_gives_the_same_files(made):
-    """Another order of topics changes no byte."""
-    topics = [
-        read("/a", TWIST, classic=classic("a")),
-        write("/b", JOINTS, classic=classic("b")),
-        read("/c", TWIST),
-    ]
-    layouts = [topic.layout for topic in topics]
-    first = project_files(project(*topics), layouts, "rosplc")
-    assert first == project_files(project(*reversed(topics)), layouts, "rosplc")
-    assert b"Classic topics" in first["README.txt"]
 
 
 @pytest.mark.parametrize("name", ["/cmd_vel", "a b", "", "x" * 81, "grün"])

@@ -8,7 +8,7 @@ import pytest
 
 from rosplc.plc.base import HELPER_NAMES, base_objects, parse_object, read_objects, render
 from rosplc.plc.names import is_reserved
-from rosplc.plc.project import Dut, Gvl, Pou, declaration, object_text
+from rosplc.plc.project import Gvl, Pou, declaration, object_text
 from tests.unit.plc.projects import JOINTS, project, read, write
 
 TEMPLATES = sorted(
@@ -101,12 +101,3 @@ def test_abstract_blocks_and_bases_are_kept():
     assert isinstance(reader, Pou)
     assert (reader.abstract, reader.extends) == (True, "RosPlc_Channel")
     assert "FUNCTION_BLOCK ABSTRACT RosPlc_Reader EXTENDS RosPlc_Channel\n" in object_text(reader)
-
-
-def test_attributes_with_and_without_value_are_kept():
-    """``pack_mode`` has one, ``qualified_only`` has none."""
-    header = next(item for item in base_objects("ROS/Base") if item.name == "RosPlc_Header")
-    assert isinstance(header, Dut)
-    assert "{attribute 'pack_mode' := '8'}\n" in object_text(header)
-    state = next(item for item in base_objects("ROS/Base") if item.name == "RosPlc_State")
-    assert "{attribute 'qualified_only'}\n" in object_text(state)
