@@ -357,6 +357,10 @@ def _bridges(views: tuple[ChannelView, ...]) -> tuple[BridgeView, ...]:
 
 
 _LOOKS = 4
+_SHARED = (
+    "prefix", "topic", "type_name", "direction", "record_size", "slots", "layout_id", "bridge", "refused",
+    "truncated",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -435,18 +439,9 @@ def _state(view: ChannelView, directory: str) -> ObjectState:
     if view.state is State.UNREADABLE:
         return ObjectState(view.prefix, view.topic, path, error=view.words, code=view.code)
     return ObjectState(
-        prefix=view.prefix,
-        topic=view.topic,
+        **{name: getattr(view, name) for name in _SHARED},
         path=path,
-        type_name=view.type_name,
-        direction=view.direction,
-        record_size=view.record_size,
-        slots=view.slots,
-        layout_id=view.layout_id,
-        bridge=view.bridge,
         head=view.received,
-        refused=view.refused,
-        truncated=view.truncated,
         writer_alive=view.writer_alive is True,
         readers=tuple(each.task or f"process {each.pid}" for each in view.readers if each.alive),
     )

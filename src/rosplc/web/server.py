@@ -132,7 +132,6 @@ class _Api:
         self.feed: Feed
         self._settings = settings
         self._writing = ThreadPoolExecutor(1, thread_name_prefix="rosplc-web-write")
-        self._last_wrong = 0.0
 
     async def status(self, _request: web.Request) -> web.Response:
         """Answer with what ``rosplc status --json`` prints, as of the last look."""

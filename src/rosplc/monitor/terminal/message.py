@@ -122,8 +122,8 @@ class ValueTree(Tree[str]):
         self.guide_depth = 2
         self._known: dict[str, TreeNode[str]] = {}
         self._labels: dict[str, str] = {}
+        self._items: dict[str, Any] = {}
         self._shape: object = None
-        self._values: dict[str, Any] = {}
 
     def show(self, values: dict[str, Any], shape: object) -> None:
         """Show values.
@@ -138,27 +138,14 @@ class ValueTree(Tree[str]):
             self.root.expand()
             self._known = {"": self.root}
             self._labels.clear()
-        self._values = values
+        self._items = {"": values}
         self._update(self.root, "", values)
 
     def on_tree_node_expanded(self, event: Tree.NodeExpanded[str]) -> None:
         """Fill what was opened."""
         path = event.node.data or ""
-        value = self._at(path)
-        if value is not None:
-            self._update(event.node, path, value)
-
-    def _at(self, path: str) -> Any:
-        found: Any = self._values
-        for part in path.replace("[", ".[").split("."):
-            try:
-                if part.startswith("["):
-                    found = found[int(part[1:-1])]
-                elif part:
-                    found = found[part]
-            except (KeyError, IndexError, TypeError, ValueError):
-                return None
-        return found
+        if path in self._items:
+            self._update(event.node, path, self._items[path])
 
     def _update(self, node: TreeNode[str], path: str, value: Any) -> None:
         if not node.is_expanded:
@@ -169,6 +156,7 @@ class ValueTree(Tree[str]):
                 self._forget(child.data or "")
                 child.remove()
         for child_path, (name, item) in items.items():
+            self._items[child_path] = item
             inner = isinstance(item, (dict, list)) and bool(item)
             known = self._known.get(child_path)
             if known is not None and known.allow_expand != inner:
