@@ -79,7 +79,7 @@ class Demo:
         """Run for ``duration`` seconds (None: until KeyboardInterrupt), drain, and compare.
 
         Args:
-            duration: Seconds for which messages are sent.
+            duration: Seconds for which messages are sent; longer until a killed bridge carries again.
             kill: Kill the bridge on the way, and start it again.
 
         Raises:
@@ -93,7 +93,7 @@ class Demo:
             child.order("go")
         kill_at = None if not kill else _KILL_AFTER if duration is None else duration / 3
         try:
-            while duration is None or time.monotonic() - began < duration:
+            while duration is None or time.monotonic() - began < duration + self._grace():
                 self._tick()
                 if kill_at is not None and time.monotonic() - began >= kill_at:
                     kill_at = None
@@ -110,6 +110,11 @@ class Demo:
         for child in (plc, robot):  # each sends one last, complete report when it is told to stop
             child.finish()
         return collect(robot.status, plc.status, seconds, drained=drained, outage=self.outage)
+
+    def _grace(self) -> float:
+        """Return for how many seconds more than wanted a bridge that starts again is waited for."""
+        outage = self.outage
+        return self._startup if outage and None in (outage.to_plc_at, outage.to_ros_at) else 0.0
 
     def _start(self) -> None:
         configuration = Path(self._folder.name) / "rosplc.yaml"
@@ -189,7 +194,7 @@ class Demo:
             and _newest(self.plc) == self.robot["sent"]
         )
 
-    def _settle(self, stopped: Callable[[], Any], arrived: Callable[[], bool], quiet: float = 3.0) -> bool:
+    def _settle(self, stopped: Callable[[], Any], arrived: Callable[[], bool], quiet: float = 10.0) -> bool:
         last, since = None, time.monotonic()
         while not (stopped() and arrived()):
             self._tick()
