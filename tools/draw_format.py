@@ -39,13 +39,7 @@ def region_map() -> str:
             for k in range(READER_LINES)
         ),
         (reserved, 22, "box", "reserved", ""),
-        (
-            made.description_offset,
-            44,
-            "box",
-            "self-description",
-            "JSON: topic, type, limits, .msg text",
-        ),
+        (made.description_offset, 44, "box", "self-description", "JSON: topic, type, limits, .msg text"),
         *(
             (made.slots_offset + k * made.slot_stride, 38, "shm", f"slot {k}", "slot header | record")
             for k in range(made.slot_count)
@@ -213,12 +207,7 @@ def torn_read() -> str:
     parts += [
         text(memory - 124, 470, "The copy goes into a shadow. What the PLC's", "left small"),
         text(memory - 124, 488, "program sees changes only after the second", "left small"),
-        text(
-            memory - 124,
-            506,
-            f"look; after {MAX_RETRIES} failed repetitions the last",
-            "left small",
-        ),
+        text(memory - 124, 506, f"look; after {MAX_RETRIES} failed repetitions the last", "left small"),
         text(memory - 124, 524, "message stays until the next scan.", "left small"),
     ]
     title = (

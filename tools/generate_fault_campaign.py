@@ -19,14 +19,7 @@ from generated_page import ROOT, filled, write_or_verify
 sys.path.insert(0, str(ROOT))
 
 from tests.soak.draw import draw_recovery, draw_series
-from tests.soak.results import (
-    cell_name,
-    compact,
-    processes,
-    recovery_table,
-    run_table,
-    trend_table,
-)
+from tests.soak.results import cell_name, compact, processes, recovery_table, run_table, trend_table
 
 PAGE = ROOT / "docs" / "explanation" / "fault-campaign.md"
 IMAGES = ROOT / "docs" / "images" / "soak"

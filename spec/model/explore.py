@@ -96,11 +96,7 @@ def _disturb(reader: Reader) -> Reader:
 
 
 def _trace(
-    config: Config,
-    writers: _Numbers[Writer],
-    readers: _Numbers[Reader],
-    parents: dict[int, int],
-    state: int,
+    config: Config, writers: _Numbers[Writer], readers: _Numbers[Reader], parents: dict[int, int], state: int
 ) -> list[str]:
     """Return the labels of the steps from the first state to this one."""
     path = [state]

@@ -261,8 +261,7 @@ LARGE: list[Scenario] = [
     *_both("large: head scribbled with any value", **{**NEAR, "messages": 7, "modulus": 48}),
     *_both("large: head scribbled twice with any value", **{**NEAR, "messages": 5, "scribbles": 2}),
     *_both(
-        "large: far away twice, writer restarted",
-        **{**FAR, "messages": 3, "scribbles": 2, "restarts": 1},
+        "large: far away twice, writer restarted", **{**FAR, "messages": 3, "scribbles": 2, "restarts": 1}
     ),
     *_both("large: no seal, killed and restarted three times", **PLAIN, messages=7, restarts=3),
     *_both("large: delayed writer, killed and restarted twice", **DELAYED, messages=7, restarts=2),

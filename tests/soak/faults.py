@@ -389,8 +389,4 @@ PLC_FAULTS: tuple[Fault, ...] = (
 
 def faults_for(cell: Cell) -> tuple[Fault, ...]:
     """Return the faults that there are with a cell's backend and PLC."""
-    return (
-        *FAULTS,
-        *(HUB_FAULTS if "hub" in cell.parts else ()),
-        *(PLC_FAULTS if cell.plc == "st" else ()),
-    )
+    return (*FAULTS, *(HUB_FAULTS if "hub" in cell.parts else ()), *(PLC_FAULTS if cell.plc == "st" else ()))

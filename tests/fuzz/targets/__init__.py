@@ -77,11 +77,7 @@ TARGETS: dict[str, Entry] = {
     ),
     "zenoh": Entry("Zenoh: liveliness tokens, attachments, samples", "zenoh", ("rosplc.ros",), 2048, _ZENOH),
     "dds": Entry(
-        "DDS: announcements of nodes, type names, user data",
-        "dds",
-        ("rosplc.ros",),
-        2048,
-        needs=_DDS,
+        "DDS: announcements of nodes, type names, user data", "dds", ("rosplc.ros",), 2048, needs=_DDS
     ),
     "plc": Entry(
         "names, constants, default values and safe messages that try to become PLC code",
