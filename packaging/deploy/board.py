@@ -16,8 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from deploy.run import DeployError, run
-from deploy.wheel import PIP, build_wheel
+from deploy.wheel import PIP, DeployError, build_wheel, run
 
 __all__ = ["ARCHITECTURES", "Architecture", "Board"]
 

@@ -19,8 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from deploy.board import ARCHITECTURES, Board
-from deploy.run import DeployError, run
-from deploy.wheel import PIP, ROOT, build_wheel, project_version
+from deploy.wheel import PIP, ROOT, DeployError, build_wheel, project_version, run
 
 __all__ = [
     "EXTRAS", "Target", "build_for_board", "build_here", "debian_version", "install_into", "main",
@@ -68,14 +67,8 @@ class Target:
 
     def depends(self) -> str:
         """Return the package's ``Depends``."""
-        needed = [
-            f"python3 (>= 3.{self.python}~)",
-            f"python3 (<< 3.{self.python + 1})",
-            f"libc6 (>= {self.libc})",
-            "libstdc++6",
-            "passwd",
-        ]
-        return ", ".join((*needed, *self.packages))
+        python = f"python3 (>= 3.{self.python}~), python3 (<< 3.{self.python + 1})"
+        return ", ".join((python, f"libc6 (>= {self.libc})", "libstdc++6", "passwd", *self.packages))
 
 
 def debian_version(version: str) -> str:
@@ -88,9 +81,6 @@ def make_environment(stage: Path) -> Path:
 
     Args:
         stage: The folder that stands for the machine's root.
-
-    Returns:
-        The environment's folder.
     """
     home = stage / _HOME
     home.parent.mkdir(parents=True)
@@ -109,15 +99,8 @@ def install_into(stage: Path, wheel: Path, extras: Sequence[str] = EXTRAS, *, al
     """
     what = f"{wheel}[{','.join(extras)}]" if extras else str(wheel)
     options = ["--no-deps", "--force-reinstall"] if alone else []
-    command: list[str | Path] = [
-        *PIP,
-        "--python",
-        stage / _HOME / "bin/python",
-        "install",
-        "--quiet",
-        "--no-compile",
-    ]
-    run([*command, "--only-binary=:all:", *options, what])
+    command: list[str | Path] = [*PIP, "--python", stage / _HOME / "bin/python", "install", "--quiet"]
+    run([*command, "--no-compile", "--only-binary=:all:", *options, what])
 
 
 def _settle(stage: Path) -> None:
@@ -148,9 +131,6 @@ def pack(stage: Path, folder: Path, version: str, target: Target) -> Path:
         folder: Gets the package.
         version: rosplc's version.
         target: What the package is for.
-
-    Returns:
-        The package.
     """
     _settle(stage)
     (stage / "usr/bin").mkdir(parents=True, exist_ok=True)
@@ -167,15 +147,11 @@ def pack(stage: Path, folder: Path, version: str, target: Target) -> Path:
         (control / name).chmod(0o755)
     size = sum(path.lstat().st_size for path in stage.rglob("*")) // 1024
     text = (_SCRIPTS / "control.in").read_text(encoding="utf-8")
-    fields = {
-        "version": debian_version(version),
-        "architecture": target.architecture,
-        "size": size,
-        "depends": target.depends(),
-    }
-    (control / "control").write_text(text.format(**fields), encoding="utf-8")
+    name, machine = debian_version(version), target.architecture
+    text = text.format(version=name, architecture=machine, size=size, depends=target.depends())
+    (control / "control").write_text(text, encoding="utf-8")
     folder.mkdir(parents=True, exist_ok=True)
-    package = folder / f"rosplc_{debian_version(version)}_{target.architecture}.deb"
+    package = folder / f"rosplc_{name}_{machine}.deb"
     run(["dpkg-deb", "--root-owner-group", "-Zzstd", "-z9", "--build", stage, package])
     return package
 
@@ -236,9 +212,6 @@ def pack_board(board: Board, stage: Path, folder: Path, version: str) -> Path:
         stage: A folder that does not exist yet.
         folder: Gets the package.
         version: rosplc's version.
-
-    Returns:
-        The package.
     """
     os.umask(0o022)
     shutil.copytree(board.root / _HOME, stage / _HOME, symlinks=True)
@@ -286,12 +259,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--suite", default="bookworm", help="the board's Debian (default: %(default)s)")
     options = parser.parse_args(arguments)
     extras = tuple(word for word in options.extras.split(",") if word)
+    folder = options.out.absolute()
     try:
-        folder = options.out.absolute()
-        if options.board:
-            print(build_for_board(folder, options.board, options.suite))
-        else:
-            print(build_here(folder, extras))
+        on_board = options.board
+        print(build_for_board(folder, on_board, options.suite) if on_board else build_here(folder, extras))
     except DeployError as error:
         print(f"deploy: {error}", file=sys.stderr)
         return 1

@@ -1,7 +1,9 @@
 """Memory and start of a bridge on an emulated board: ``python -m deploy.measure BOARD``.
 
 BOARD is a folder that becomes a 32-bit ARM Debian with rosplc in it, unless it is one already. Memory is
-that of the program in the emulator (:mod:`deploy.guest`), so it is the board's. Start is processor time
+that of the program in the emulator, so it is the board's: the emulator lays the program's address space of
+4 GiB at one place of its own, and what is resident there would be on the board. The emulator's own memory,
+above all the code that it translated, lies elsewhere and is not counted. Start is processor time
 in the emulator, so it only says what takes long; a board's own time has to be measured there.
 """
 
@@ -20,14 +22,62 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from deploy.board import ARCHITECTURES, Board
-from deploy.guest import ENVIRONMENT, GuestMemory, guest_memory
-from deploy.run import DeployError, run
+from deploy.wheel import DeployError, run
 
-__all__ = ["Result", "main", "measure", "table"]
+__all__ = ["ENVIRONMENT", "GuestMemory", "Result", "guest_memory", "main", "measure", "table"]
 
 _SETTLE_S = 5.0
 _LONGEST_S = 300.0
 _TICKS = os.sysconf("SC_CLK_TCK")
+_BASE = 0x2_0000_0000
+_SIZE = 1 << 32
+ENVIRONMENT = {"QEMU_GUEST_BASE": hex(_BASE)}
+"""Makes the emulator use the place that :func:`guest_memory` looks at."""
+
+
+@dataclass(frozen=True)
+class GuestMemory:
+    """Resident memory in KiB.
+
+    Attributes:
+        own: Pages that only this process has: heap, stacks, changed data.
+        files: Pages of programs and libraries, which processes with the same ones share.
+        shared: Pages of shared memory, such as channels.
+    """
+
+    own: int
+    files: int
+    shared: int
+
+    @property
+    def total(self) -> int:
+        """All of it."""
+        return self.own + self.files + self.shared
+
+
+def guest_memory(pid: int) -> GuestMemory:
+    """Return what the program in an emulator holds.
+
+    Args:
+        pid: The emulator's process, started with :data:`ENVIRONMENT`.
+
+    Raises:
+        OSError: The process has ended.
+    """
+    sizes = {"own": 0, "files": 0, "shared": 0}
+    inside, kind = False, ""
+    for line in Path(f"/proc/{pid}/smaps").read_text(encoding="utf-8", errors="replace").splitlines():
+        words = line.split()
+        if not words[0].endswith(":"):
+            start = int(words[0].partition("-")[0], 16)
+            inside = _BASE <= start < _BASE + _SIZE
+            kind = "shared" if " /dev/shm" in line else "files"
+        elif inside and words[0] == "Rss:":
+            sizes[kind] += int(words[1])
+        elif inside and words[0] == "Anonymous:":
+            sizes[kind] -= int(words[1])
+            sizes["own"] += int(words[1])
+    return GuestMemory(**sizes)
 
 
 @dataclass(frozen=True)

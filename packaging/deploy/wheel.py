@@ -1,16 +1,15 @@
-"""A wheel of this checkout, for this machine or for another architecture."""
+"""A wheel of this checkout, for this machine or for another architecture; and running other programs."""
 
 from __future__ import annotations
 
 import re
 import shutil
+import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from deploy.run import run
-
-__all__ = ["PIP", "ROOT", "build_wheel", "copy_source", "project_version"]
+__all__ = ["PIP", "ROOT", "DeployError", "build_wheel", "copy_source", "project_version", "run"]
 
 ROOT = Path(__file__).resolve().parents[2]
 PIP = (sys.executable, "-m", "pip", "--disable-pip-version-check")
@@ -40,9 +39,8 @@ def copy_source(target: Path, version: str | None = None) -> Path:
         shutil.copy(ROOT / name, target / name)
     if version is not None:
         path = target / "src/rosplc/_version.py"
-        path.write_text(
-            _VERSION.sub(f'__version__ = "{version}"', path.read_text(encoding="utf-8")), encoding="utf-8"
-        )
+        text = _VERSION.sub(f'__version__ = "{version}"', path.read_text(encoding="utf-8"))
+        path.write_text(text, encoding="utf-8")
     return target
 
 
@@ -69,3 +67,41 @@ def build_wheel(
     shutil.rmtree(source)
     (wheel,) = folder.glob("rosplc-*.whl")
     return wheel
+
+
+class DeployError(Exception):
+    """A step did not work; the text says which, and what it printed."""
+
+
+def run(
+    command: Sequence[str | Path],
+    *,
+    cwd: Path | None = None,
+    environment: Mapping[str, str] | None = None,
+    seconds: float = 900.0,
+) -> str:
+    """Run a program and return what it printed.
+
+    Args:
+        command: The program and its arguments.
+        cwd: Where it runs.
+        environment: Its environment; None for this process's own.
+        seconds: When it is given up.
+
+    Raises:
+        DeployError: It does not exist, failed, or did not end in time.
+    """
+    words = [str(word) for word in command]
+    try:
+        done = subprocess.run(
+            words, cwd=cwd, env=environment and dict(environment), stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace", timeout=seconds,
+            check=False,
+        )  # fmt: skip
+    except FileNotFoundError:
+        raise DeployError(f"{words[0]} is not installed") from None
+    except subprocess.TimeoutExpired:
+        raise DeployError(f"{' '.join(words)}\ndid not end within {seconds:.0f} s") from None
+    if done.returncode:
+        raise DeployError(f"{' '.join(words)}\nended with {done.returncode}:\n{done.stdout}")
+    return done.stdout

@@ -11,9 +11,8 @@ import pytest
 
 from deploy.board import ARCHITECTURES, Board
 from deploy.deb import pack_board
-from deploy.guest import ENVIRONMENT, guest_memory
-from deploy.run import DeployError, run
-from deploy.wheel import project_version
+from deploy.measure import ENVIRONMENT, guest_memory
+from deploy.wheel import DeployError, project_version, run
 from tests.soak.cell import Cell
 from tests.soak.processes import Part
 

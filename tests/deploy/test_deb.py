@@ -13,8 +13,7 @@ from pathlib import Path
 import pytest
 
 from deploy.deb import Target, debian_version, install_into, make_environment, pack
-from deploy.run import run
-from deploy.wheel import PIP, build_wheel, project_version
+from deploy.wheel import PIP, build_wheel, project_version, run
 from rosplc.shm import Namespace
 from tests.deploy.machine import Machine, need_namespaces
 

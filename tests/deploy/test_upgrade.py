@@ -10,8 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.run import run
-from deploy.wheel import PIP, build_wheel, project_version
+from deploy.wheel import PIP, build_wheel, project_version, run
 from rosplc.shm import attach
 from tests.soak.cell import Cell
 from tests.soak.messages import OUT, TOPICS
