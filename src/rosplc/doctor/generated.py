@@ -94,11 +94,10 @@ def read_generated(folder: Path) -> Generated:
 
 
 def _block(base: Path, name: str, topic: str, to_plc: bool) -> Block:
-    path = _block_file(base / "Blocks", name)
-    text = _text(path)
+    text = _text(path := _block_file(base / "Blocks", name))
     if found := _IDS.search(text):
-        low, high = int(found[1], 16), int(found[2], 16)
-        return Block(topic, name, to_plc, False, layout_id_text(low, high), int(found[3]))
+        layout_id = layout_id_text(int(found[1], 16), int(found[2], 16))
+        return Block(topic, name, to_plc, False, layout_id, int(found[3]))
     if found := _CLASSIC.search(text):
         return Block(topic, name, to_plc, True, "", int(found[1]))
     raise ValueError(f"{path} names no layout")

@@ -5,20 +5,19 @@ A middleware may hang, crash or print as it likes: here it can do so without the
 
 from __future__ import annotations
 
-import dataclasses
-import json
+import base64
 import os
+import pickle
 import subprocess
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from rosplc.bridge.ros_side import RosSide, choose_backend
 from rosplc.config import Project, load_project
 from rosplc.doctor.graph import Graph
 from rosplc.errors import BackendError, RosplcError
-from rosplc.ros import ROS1, EndpointInfo, GraphInfo, Qos, open_backend, settled_graph
+from rosplc.ros import ROS1, open_backend, settled_graph
 from rosplc.ros.names import join, resolve_topic
 
 __all__ = ["NODE", "main", "see_graph"]
@@ -54,37 +53,20 @@ def see_graph(config: Path, seconds: float, variables: Mapping[str, str]) -> Gra
         if process.poll() is None:
             process.kill()
             process.communicate()
-    words = _last_line(noise)
+    lines = noise.decode("utf-8", "replace").strip().splitlines()
+    words = lines[-1].strip()[:_LONGEST_WORDS] if lines else ""
     try:
-        answer = json.loads(out.decode("utf-8", "replace").splitlines()[-1])
-    except (IndexError, ValueError):
+        # Written by this module, in a process of our own; a library may have printed something before it.
+        answer = pickle.loads(base64.b64decode(out.rpartition(b"\n")[2], validate=True))
+    except (ValueError, EOFError, pickle.UnpicklingError):
         what = f"the look at the graph ended with status {process.returncode}: {words or 'it said nothing'}"
         raise BackendError("ROS002", what) from None
-    if "error" in answer:
-        error = answer["error"]
-        # What the library wrote would otherwise be lost with the process.
-        what = (
-            f"{error['what']} (the library: {words})"
-            if words and error["code"] == "ROS002"
-            else error["what"]
-        )
-        raise BackendError(error["code"], what, where=error["where"], remedy=error["remedy"])
-    return _graph_of(answer)
-
-
-def _last_line(noise: bytes) -> str:
-    lines = noise.decode("utf-8", "replace").strip().splitlines()
-    return lines[-1].strip()[:_LONGEST_WORDS] if lines else ""
-
-
-def _graph_of(answer: dict[str, Any]) -> Graph:
-    ends = tuple(
-        EndpointInfo(**{**end, "qos": Qos(**end["qos"]), "obstacles": tuple(end["obstacles"])})
-        for end in answer["endpoints"]
-    )
-    topics = {topic: tuple(types) for topic, types in answer["topics"].items()}
-    info = GraphInfo(tuple(answer["nodes"]), ends, topics)
-    return Graph(answer["backend"], info, answer["names"], answer["bridge"], answer["where"])
+    if isinstance(answer, Graph):
+        return answer
+    # What the library wrote would otherwise be lost with the process.
+    library = f" (the library: {words})" if words and answer["code"] == "ROS002" else ""
+    what = f"{answer['what']}{library}"
+    raise BackendError(answer["code"], what, where=answer["where"], remedy=answer["remedy"])
 
 
 def _look(project: Project, seconds: float) -> Graph:
@@ -118,24 +100,15 @@ def _look(project: Project, seconds: float) -> Graph:
 
 
 def main() -> None:
-    """Print what is seen, or the error, as one line of JSON."""
+    """Write what is seen, or the error as plain data, to stdout."""
     # Libraries write to stdout as they like; the answer goes to where stdout was.
-    answer = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    answer = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     try:
-        graph = _look(load_project(sys.argv[1]), float(sys.argv[2]))
-        document: dict[str, Any] = {
-            "backend": graph.backend,
-            "nodes": graph.info.nodes,
-            "endpoints": [dataclasses.asdict(end) for end in graph.info.endpoints],
-            "topics": dict(graph.info.topics),
-            "names": graph.names,
-            "bridge": graph.bridge,
-            "where": graph.where,
-        }
+        seen: Graph | dict[str, str] = _look(load_project(sys.argv[1]), float(sys.argv[2]))
     except RosplcError as error:
-        document = {"error": error.to_dict()}
-    answer.write(json.dumps(document) + "\n")
+        seen = error.to_dict()
+    answer.write(b"\n" + base64.b64encode(pickle.dumps(seen)))
     answer.flush()
     # Threads of a middleware may be in the way of an ordinary end.
     os._exit(0)
