@@ -13,7 +13,7 @@ from typing import Literal
 from rosplc.errors import LayoutError
 from rosplc.harmless import plural
 from rosplc.init.found import Topic
-from rosplc.init.meter import Length, Seen
+from rosplc.init.meter import Seen
 from rosplc.layout import MAX_SEQUENCE, MAX_STRING, Layout, Limits, compute_layout
 from rosplc.layout.compute import limit_paths
 from rosplc.layout.nodes import SequenceNode, StringNode
@@ -204,11 +204,8 @@ def _limits(draft: _Draft, type_name: str, store: TypeStore, seen: Seen | None) 
                 raise
             del wanted[error.where]
     plain = {path: node for path, _, node in compute_layout(store, type_name).fields()}
-    for path, limit in wanted.items():
-        node = plain.get(path)
-        if isinstance(node, StringNode | SequenceNode) and node.capacity == limit.capacity:
-            continue  # as the default
-        draft.limits.append(limit)
+    defaults = {path: getattr(node, "capacity", None) for path, node in plain.items()}
+    draft.limits += [limit for path, limit in wanted.items() if defaults.get(path) != limit.capacity]
     unseen = [path for path in variable if path not in wanted]
     if unseen:
         shown = ", ".join(unseen[:6]) + (f" and {len(unseen) - 6} more" if len(unseen) > 6 else "")
@@ -224,27 +221,21 @@ def _wanted(store: TypeStore, type_name: str, seen: Seen) -> dict[str, Limit]:
         node = nodes.get(path)
         if length.most == 0 or not isinstance(node, StringNode | SequenceNode):
             continue
-        limit = (
-            _string(path, length) if isinstance(node, StringNode) else _sequence(path, length, seen.messages)
-        )
+        if isinstance(node, StringNode):
+            capacity = min(max(_STRING_LEAST, _up(length.most * _STRING_HEADROOM, _STRING_STEP)), MAX_STRING)
+            limit = Limit(path, capacity, f"longest seen: {plural(length.most, 'byte')}")
+        elif length.least == length.most and seen.messages >= _SURE:
+            why = f"always {length.most} in {seen.messages} messages"
+            limit = Limit(path, min(length.most, MAX_SEQUENCE), why)
+        else:
+            capacity = min(_up(length.most * _SEQUENCE_HEADROOM, _SEQUENCE_STEP), MAX_SEQUENCE)
+            limit = Limit(path, capacity, f"most seen: {length.most}")
         if seen.messages < _SURE and limit.capacity < node.capacity:
             limit = Limit(path, node.capacity, limit.why)
         if node.bound is not None and limit.capacity > node.bound:
             limit = Limit(path, node.bound, f"{limit.why}; the type allows {node.bound}")
         found[path] = limit
     return found
-
-
-def _string(path: str, length: Length) -> Limit:
-    capacity = max(_STRING_LEAST, _up(length.most * _STRING_HEADROOM, _STRING_STEP))
-    return Limit(path, min(capacity, MAX_STRING), f"longest seen: {plural(length.most, 'byte')}")
-
-
-def _sequence(path: str, length: Length, messages: int) -> Limit:
-    if length.least == length.most and messages >= _SURE:
-        return Limit(path, min(length.most, MAX_SEQUENCE), f"always {length.most} in {messages} messages")
-    capacity = _up(length.most * _SEQUENCE_HEADROOM, _SEQUENCE_STEP)
-    return Limit(path, min(capacity, MAX_SEQUENCE), f"most seen: {length.most}")
 
 
 def _quality(draft: _Draft, topic: Topic) -> None:
