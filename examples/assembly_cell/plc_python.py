@@ -8,10 +8,11 @@ from typing import Any
 
 from examples.assembly_cell.handshake import Handshake
 from examples.assembly_cell.image import PlcSide
-from examples.assembly_cell.plc_host import serve
+from rosplc.demo.processes import Commands
+from rosplc.demo.task import serve
 from rosplc.virtual_plc import ReadBlock, WriteBlock
 
-__all__ = ["Press", "Program"]
+__all__ = ["Press", "Program", "run"]
 
 
 class Press:
@@ -132,5 +133,11 @@ class Program:
             block.close()
 
 
+def run(program: Any) -> None:
+    """Run either program in the PLC's task, every ten milliseconds, until told to stop."""
+    serve(program, 0.01, Commands(), lambda stats: {"scans": stats.scans, **program.facts()})
+    program.close()
+
+
 if __name__ == "__main__":
-    serve(Program(Path(sys.argv[1]), sys.argv[2]))
+    run(Program(Path(sys.argv[1]), sys.argv[2]))

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from examples.assembly_cell.image import PlcSide
-from examples.assembly_cell.plc_host import serve
+from examples.assembly_cell.plc_python import run
 from rosplc.demo.st.checkout import find_translator
 from rosplc_st.run_project import load_texts
 
@@ -62,4 +62,4 @@ class Program:
 
 
 if __name__ == "__main__":
-    serve(Program(Path(sys.argv[1])))
+    run(Program(Path(sys.argv[1])))

@@ -41,8 +41,9 @@ def processes(parent):
     with contextlib.suppress(OSError):
         for pid in Path(f"/proc/{parent.pid}/task/{parent.pid}/children").read_text().split():
             words = Path(f"/proc/{pid}/cmdline").read_bytes().decode().split("\0")
-            if "-m" in words:
-                found[words[words.index("-m") + 1].removeprefix("rosplc.demo.")] = int(pid)
+            # A child that was forked a moment ago still has its parent's command line.
+            if "-m" in words and (module := words[words.index("-m") + 1]).startswith("rosplc.demo."):
+                found[module.removeprefix("rosplc.demo.")] = int(pid)
     return found if len(found) == 3 else None
 
 

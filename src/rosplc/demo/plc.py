@@ -11,7 +11,7 @@ from typing import Any
 from rosplc.demo.messages import COMMAND, command, robot_topics, steer
 from rosplc.demo.plan import Plan
 from rosplc.demo.processes import Commands
-from rosplc.demo.task import Arrivals, serve
+from rosplc.demo.task import Arrivals, serve_demo
 from rosplc.virtual_plc import ReadBlock, WriteBlock
 
 __all__ = ["main"]
@@ -85,7 +85,7 @@ def main() -> None:
     commands = Commands()
     plan = Plan.from_json(sys.argv[1])
     program = Program(plan, commands)
-    serve(program, plan.interval, commands)
+    serve_demo(program, plan.interval, commands)
     for block in program.blocks:
         block.close()
 

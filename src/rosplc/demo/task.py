@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from statistics import median, quantiles
 from typing import Any, Protocol
 
 from rosplc.demo.messages import Opened, Tally
 from rosplc.demo.processes import Commands, report
-from rosplc.virtual_plc import VirtualPlc
+from rosplc.virtual_plc import CycleStats, VirtualPlc
 
-__all__ = ["Arrivals", "Program", "serve"]
+__all__ = ["Arrivals", "Program", "serve", "serve_demo"]
 
 _STATUS_SECONDS = 0.1
 _AGES_KEPT = 200_000
@@ -51,8 +51,38 @@ def _percentiles(values: list[int]) -> dict[str, float]:
     return {"median_ms": median(values) / 1e6, "p99_ms": p99 / 1e6}
 
 
+def serve(
+    program: Callable[[], None],
+    interval: float,
+    commands: Commands,
+    facts: Callable[[CycleStats], dict[str, Any]],
+) -> CycleStats:
+    """Run ``program`` every ``interval`` seconds and report its facts, until told to stop.
+
+    Args:
+        program: Runs one scan.
+        interval: Seconds.
+        commands: The parent's commands.
+        facts: What a report contains; gets the task's statistics.
+
+    Returns:
+        The task's statistics.
+
+    Raises:
+        BaseException: What the program raised.
+    """
+    plc = VirtualPlc()
+    task = plc.task("RosTask", interval, priority=4)
+    task.program(program)
+    with plc:
+        while not commands.stop.wait(_STATUS_SECONDS):
+            plc.check()
+            report("status", **facts(task.stats))
+    return task.stats
+
+
 class Program(Protocol):
-    """A PLC program that the task calls once per scan.
+    """A PLC program of the demonstration.
 
     Attributes:
         arrivals: What it took.
@@ -68,25 +98,14 @@ class Program(Protocol):
         """Run one scan."""
 
 
-def serve(program: Program, interval: float, commands: Commands) -> None:
-    """Run ``program`` every ``interval`` seconds and report, until told to stop.
+def serve_demo(program: Program, interval: float, commands: Commands) -> None:
+    """Run a program of the demonstration; its last report has the ages of all messages."""
 
-    Raises:
-        BaseException: What the program raised.
-    """
-    plc = VirtualPlc()
-    task = plc.task("RosTask", interval, priority=4)
-    task.program(program)
-    with plc:
-        while not commands.stop.wait(_STATUS_SECONDS):
-            plc.check()
-            with program.lock:
-                state = program.state
-            report(
-                "status",
-                drained=commands.drain.is_set(),
-                cycle=task.stats.to_dict(),
-                age=program.arrivals.recent(),
-                **state,
-            )
-    report("status", cycle=task.stats.to_dict(), ages=program.arrivals.summary(), **program.state)
+    def facts(stats: CycleStats) -> dict[str, Any]:
+        with program.lock:
+            state = program.state
+        age, drained = program.arrivals.recent(), commands.drain.is_set()
+        return {"drained": drained, "cycle": stats.to_dict(), "age": age, **state}
+
+    stats = serve(program, interval, commands, facts)
+    report("status", cycle=stats.to_dict(), ages=program.arrivals.summary(), **program.state)

@@ -19,7 +19,7 @@ from rosplc.demo.plan import Plan
 from rosplc.demo.processes import Commands, report
 from rosplc.demo.st.checkout import find_translator
 from rosplc.demo.st.sources import CONFIGURATION, INBOX, MAIN, READ, RECORDER, WRITE, read_texts
-from rosplc.demo.task import Arrivals, serve
+from rosplc.demo.task import Arrivals, serve_demo
 from rosplc.errors import CODES, RosplcError, SetupError
 from rosplc.layout import Layout
 from rosplc.plc.names import instance_names
@@ -67,21 +67,11 @@ class Inbox:
         ]
 
 
-class Block:
-    """A function block's outputs."""
-
-    def __init__(self, machine: Any, path: str, *names: str) -> None:
-        self._words = {name: Word(machine, f"{path}.{name}") for name in names}
-
-    def __getitem__(self, name: str) -> int:
-        return self._words[name].get()
-
-    @property
-    def reason(self) -> str:
-        """Why it waits; empty if it does not."""
-        if error := self["udiError"]:
-            return CODES[f"SHM{error}"].title
-        return "" if self["xPeerAlive"] else "the bridge does not beat"
+def _reason(block: dict[str, Word]) -> str:
+    """Return why a block waits; empty if it does not."""
+    if error := block["udiError"].get():
+        return CODES[f"SHM{error}"].title
+    return "" if block["xPeerAlive"].get() else "the bridge does not beat"
 
 
 class Program:
@@ -96,14 +86,15 @@ class Program:
         layouts = {topic.topic: topic.layout for topic in load_project(folder / CONFIGURATION).topics}
         names = instance_names(list(self._kinds))
         self._inboxes = {topic: Inbox(machine, names[topic], layouts[topic]) for topic in self._kinds}
+
+        def outputs(path: str, *more: str) -> dict[str, Word]:
+            return {name: Word(machine, f"{path}.{name}") for name in ("xPeerAlive", "udiError", *more)}
+
         self._reads = {
-            topic: Block(
-                machine, f"ROS_Read.{names[topic]}", "xPeerAlive", "udiError", "udiSequence", "udiLost"
-            )
-            for topic in self._kinds
+            topic: outputs(f"ROS_Read.{names[topic]}", "udiSequence", "udiLost") for topic in self._kinds
         }
-        write = f"ROS_Write.{instance_names([COMMAND[0]])[COMMAND[0]]}"
-        self._write = Block(machine, write, "xPeerAlive", "udiError", "xReady", "udiPublished")
+        write = instance_names([COMMAND[0]])[COMMAND[0]]
+        self._write = outputs(f"ROS_Write.{write}", "xReady", "udiPublished")
         self._drive = Word(machine, f"{MAIN}.xDrive")
         self.arrivals = Arrivals(self._kinds)
         self.lock = threading.Lock()
@@ -141,14 +132,15 @@ class Program:
 
     def _state(self) -> dict[str, Any]:
         blocks = {**self._reads, COMMAND[0]: self._write}
-        waiting = {topic: reason for topic, block in blocks.items() if (reason := block.reason)}
+        waiting = {topic: reason for topic, block in blocks.items() if (reason := _reason(block))}
+        keys = {"sequence": "udiSequence", "lost": "udiLost", "error": "udiError"}
         return {
-            "ready": not waiting and bool(self._write["xReady"]),
+            "ready": not waiting and bool(self._write["xReady"].get()),
             "waiting": waiting,
-            "sent": {COMMAND[0]: self._write["udiPublished"]},
+            "sent": {COMMAND[0]: self._write["udiPublished"].get()},
             "received": {topic: tally.to_dict() for topic, tally in self.arrivals.tallies.items()},
             "counters": {
-                topic: {"sequence": read["udiSequence"], "lost": read["udiLost"], "error": read["udiError"]}
+                topic: {key: read[output].get() for key, output in keys.items()}
                 for topic, read in self._reads.items()
             },
             "program": {
@@ -168,7 +160,7 @@ def main() -> None:
     plan = Plan.from_json(sys.argv[1])
     try:
         program = Program(plan, commands, Path(sys.argv[2]))
-        serve(program, plan.interval, commands)
+        serve_demo(program, plan.interval, commands)
     except RosplcError as error:
         report("error", **error.to_dict())
         sys.exit(1)
