@@ -28,7 +28,7 @@ import signal
 import sys
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -46,7 +46,6 @@ __all__ = ["command"]
 
 
 _UNATTENDED = 20.0
-_PLCS = ("python", "st")
 
 
 @verb
@@ -55,7 +54,7 @@ def command(
     duration: str | None = None,
     rate: Annotated[float, Between(1.0, 1000.0)] = 100.0,
     topics: Annotated[int, Between(1, 32)] = 3,
-    plc: str = "python",
+    plc: Literal["python", "st"] = "python",
     kill: bool = False,
     as_json: bool = False,
 ) -> None:
@@ -73,8 +72,6 @@ def command(
     from rosplc.demo.domain import FreeDomain
     from rosplc.demo.supervisor import new_plan
 
-    if plc not in _PLCS:
-        raise typer.BadParameter(f"there are: {', '.join(_PLCS)}", param_hint="--plc")
     seconds = None if duration is None else parse_duration(duration)
     if seconds is None and not sys.stdout.isatty():
         seconds = _UNATTENDED

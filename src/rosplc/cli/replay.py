@@ -19,7 +19,7 @@ from __future__ import annotations
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import typer
 
@@ -43,7 +43,7 @@ def command(
     file: Path,
     /,
     *,
-    to: str | None = None,
+    to: Literal["plc", "ros"] | None = None,
     listing: bool = False,
     topic: list[str] | None = None,
     exclude: list[str] | None = None,
@@ -52,7 +52,7 @@ def command(
     loop: bool = False,
     start: str | None = None,
     end: str | None = None,
-    stamps: str = "now",
+    stamps: Literal["now", "original"] = "now",
     wait: str = "2s",
     prefix: str | None = None,
     config: Path | None = None,
@@ -88,7 +88,7 @@ def command(
     from rosplc.recorder.replay import chosen_topics
     from rosplc.recorder.source import open_source
 
-    if not listing and to not in ("plc", "ros"):
+    if not listing and to is None:
         raise typer.BadParameter("say where to: plc or ros", param_hint="--to")
     options = _options(speed, loop, start, end, stamps)
     renames = _renames(rename or [])
@@ -113,11 +113,11 @@ def command(
         source.close()
 
 
-def _options(speed: str, loop: bool, start: str | None, end: str | None, stamps: str) -> ReplayOptions:
+def _options(
+    speed: str, loop: bool, start: str | None, end: str | None, stamps: Literal["now", "original"]
+) -> ReplayOptions:
     from rosplc.recorder.replay import ReplayOptions
 
-    if stamps not in ("now", "original"):
-        raise typer.BadParameter(f"{stamps!r} is neither now nor original", param_hint="--stamps")
     try:
         factor = 0.0 if speed == "max" else float(speed)
     except ValueError:
@@ -127,7 +127,7 @@ def _options(speed: str, loop: bool, start: str | None, end: str | None, stamps:
     begin, finish = duration(start, "--start"), duration(end, "--end")
     if finish and finish <= begin:
         raise typer.BadParameter("it lies before --start", param_hint="--end")
-    return ReplayOptions(factor, loop, begin, finish, "now" if stamps == "now" else "original")
+    return ReplayOptions(factor, loop, begin, finish, stamps)
 
 
 def _renames(texts: list[str]) -> dict[str, str]:

@@ -14,11 +14,10 @@ configuration with `realtime:` is given more: the limits that its settings need.
 
 from __future__ import annotations
 
-import enum
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import typer
 
@@ -32,17 +31,9 @@ if TYPE_CHECKING:
 __all__ = ["command"]
 
 
-class What(str, enum.Enum):
-    """What to do."""
-
-    install = "install"
-    uninstall = "uninstall"
-    status = "status"
-
-
 @verb
 def command(
-    what: What,
+    what: Literal["install", "uninstall", "status"],
     name: str | None = None,
     /,
     *,
@@ -66,17 +57,17 @@ def command(
     from rosplc.service.planning import plan_service, require_systemd
 
     root = root.absolute()
-    if what is What.status:
+    if what == "status":
         _show(service_states(root, name), as_json=as_json)
         return
     if not dry_run and root == Path("/") and os.geteuid() != 0:
         raise SetupError(
             "SYS011",
-            f"only root may {what.value} a service",
+            f"only root may {what} a service",
             remedy="Run it with sudo; --dry-run shows what would be done, and needs no rights.",
         )
     notes: tuple[str, ...] = ()
-    if what is What.install:
+    if what == "install":
         plan, notes = plan_service(name, config, user, root, Path(sys.argv[0]))
         steps = install_steps(plan, root)
     else:
@@ -95,7 +86,7 @@ def command(
     if dry_run:
         return
     execute(steps, (lambda _: None) if as_json else say)
-    if what is What.install and not as_json:
+    if what == "install" and not as_json:
         say(f"\nIt starts with the machine. To start it now: systemctl start {plan.unit}")
 
 
