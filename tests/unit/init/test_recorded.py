@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from rosbags.rosbag1 import Writer
+from rosbags.typesys import Stores, get_typestore
 
 from rosplc.errors import RosplcError
 from rosplc.init import RecordedRobot, draft, parse_wish, save, select
@@ -68,6 +70,20 @@ def test_ros1_recording_leads_to_ros1(tmp_path: Path) -> None:
     source.close()
     with pytest.raises(RosplcError, match="ROS001"):
         robot(tmp_path / "turtle.bag", "jazzy")
+
+
+def test_relative_names_of_ros1_are_absolute_ones(tmp_path: Path) -> None:
+    """ROS 1 records a name as the node wrote it; the configuration has it with its slash, and measured."""
+    with Writer(tmp_path / "chatter.bag") as writer:
+        store = get_typestore(Stores.ROS1_NOETIC)
+        connection = writer.add_connection("chatter", "std_msgs/msg/UInt16", typestore=store)
+        for number in range(2):
+            writer.write(connection, 5 + number, bytes([number, 0]))
+    source = robot(tmp_path / "chatter.bag")
+    made, _ = drafted(source)
+    assert [entry.topic for entry in made.entries] == ["/chatter"]
+    assert made.seen["/chatter"].messages == 2
+    source.close()
 
 
 def test_damage_is_said(tmp_path: Path) -> None:
