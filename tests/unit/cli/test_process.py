@@ -200,3 +200,24 @@ def test_run_takes_ros_arguments(tmp_path, shm_namespace):
     assert child.returncode == 2
     assert "CFG011" in err
     assert "/cmd_vel=/base" in err
+
+
+def test_help_and_completion_need_the_command_alone():
+    """They list every verb without importing what the verbs do."""
+    code = (
+        "import sys\nfrom rosplc.cli import main\n"
+        "try:\n    main()\n"
+        "except SystemExit:\n    pass\n"
+        "own = {name.split('.')[1] for name in sys.modules if name.startswith('rosplc.')}\n"
+        "print('IMPORTED', *sorted(own))"
+    )
+    help_ = subprocess.run(
+        [sys.executable, "-c", code, "--help"], capture_output=True, text=True, timeout=120
+    )
+    imported = set(help_.stdout.splitlines()[-1].split()[1:])
+    assert "cli" in imported
+    assert not imported & {"bridge", "config", "demo", "doctor", "monitor", "plc", "recorder", "ros", "web"}
+    asked = {**os.environ, "_ROSPLC_COMPLETE": "complete_bash", "COMP_WORDS": "rosplc re", "COMP_CWORD": "1"}
+    command = [sys.executable, "-m", "rosplc"]
+    done = subprocess.run(command, env=asked, capture_output=True, text=True, timeout=120)
+    assert done.stdout.split() == ["reload", "release", "record", "replay"]
