@@ -147,22 +147,23 @@ def _translating() -> Iterator[Callable[[int, int], None]]:
 
 
 def _run(plan: Plan, seconds: float | None, *, kill: bool, live: bool, folder: Path | None) -> Result:
+    from rich.console import Console
+    from rich.progress import Progress
+
     from rosplc.demo.supervisor import Demo
+    from rosplc.demo.view import LiveView
 
     with contextlib.ExitStack() as stack:
-        draw = None
+        draw: Callable[[Demo], None] | None = None
         if live:
-            from rich.console import Console
-
-            from rosplc.demo.view import LiveView
-
             draw = stack.enter_context(LiveView(Console())).draw
         elif sys.stderr.isatty():
-            from rich.console import Console
+            progress = stack.enter_context(Progress(console=Console(stderr=True), transient=True))
+            task = progress.add_task("starting", total=seconds)
 
-            from rosplc.demo.view import ProgressLine
+            def draw(demo: Demo) -> None:
+                progress.update(task, description=demo.phase, completed=demo.elapsed)
 
-            draw = stack.enter_context(ProgressLine(Console(stderr=True), seconds)).draw
         demo = stack.enter_context(Demo(plan, on_tick=draw, structured_text=folder))
         return demo.run(seconds, kill=kill)
 

@@ -7,7 +7,6 @@ import time
 from rich.box import SIMPLE_HEAD
 from rich.console import Console, Group
 from rich.live import Live
-from rich.progress import Progress
 from rich.table import Table
 from rich.text import Text
 
@@ -15,35 +14,11 @@ from rosplc.demo.messages import COMMAND, robot_topics
 from rosplc.demo.supervisor import Demo
 from rosplc.monitor.tracked import Rate
 
-__all__ = ["LiveView", "ProgressLine"]
+__all__ = ["LiveView"]
 
 # Columns of the terminal from which on the table has room for everything; a narrow one must still
 # show topics and numbers whole, so it does without the types and what the counts tell anyway.
 _WIDE = 104
-
-
-class ProgressLine:
-    """One line on stderr for a run whose result goes elsewhere; a context manager.
-
-    Args:
-        console: The terminal.
-        seconds: How long the run sends.
-    """
-
-    def __init__(self, console: Console, seconds: float | None) -> None:
-        self._progress = Progress(console=console, transient=True)
-        self._task = self._progress.add_task("starting", total=seconds)
-
-    def __enter__(self) -> ProgressLine:
-        self._progress.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._progress.stop()
-
-    def draw(self, demo: Demo) -> None:
-        """Show the present phase and time."""
-        self._progress.update(self._task, description=demo.phase, completed=demo.elapsed)
 
 
 class LiveView:
