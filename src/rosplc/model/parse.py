@@ -75,12 +75,7 @@ def check_names(message: MessageType) -> None:
 
 
 def parse_definition(
-    type_name: str,
-    text: str,
-    *,
-    where: str = "",
-    ros_version: int = 2,
-    siblings: Collection[str] = (),
+    type_name: str, text: str, *, where: str = "", ros_version: int = 2, siblings: Collection[str] = ()
 ) -> list[ParsedType]:
     """Parse a definition text.
 

@@ -9,20 +9,13 @@ from __future__ import annotations
 
 import re
 import threading
-from typing import Any, Protocol
+from typing import Any
 
 from cyclonedds.idl import make_idl_struct
 from cyclonedds.idl import types as idl_types
 
-from rosplc.model.types import (
-    ArrayType,
-    FieldType,
-    MessageType,
-    NamedType,
-    PrimitiveType,
-    SequenceType,
-    StringType,
-)
+from rosplc.model.types import ArrayType, FieldType, MessageType, NamedType, PrimitiveType, StringType
+from rosplc.ros.backend import TypeSource
 
 _PRIMITIVES: dict[str, Any] = {
     "bool": bool, "byte": idl_types.uint8, "char": idl_types.uint8,
@@ -58,17 +51,10 @@ def ros_topic(name: str) -> str | None:
     return name[2:] if name.startswith("rt/") else None
 
 
-class Definitions(Protocol):
-    """What the types are built from; a type store is one."""
-
-    def __getitem__(self, name: str) -> MessageType:
-        """Return a type; TYP001 if it is unknown."""
-
-
 class IdlTypes:
     """The wheel's type classes for the message types of one store, made when first asked for."""
 
-    def __init__(self, store: Definitions) -> None:
+    def __init__(self, store: TypeSource) -> None:
         self._store = store
         self._made: dict[str, Any] = {}
         self._lock = threading.Lock()
@@ -100,7 +86,4 @@ class IdlTypes:
         element = self._field(kind.element)
         if isinstance(kind, ArrayType):
             return idl_types.array[element, kind.length]
-        assert isinstance(kind, SequenceType)
-        if kind.bound is None:
-            return idl_types.sequence[element]
-        return idl_types.sequence[element, kind.bound]
+        return idl_types.sequence[element if kind.bound is None else (element, kind.bound)]

@@ -23,11 +23,7 @@ try:
         UnsupportedEventTypeError,
     )
 except ImportError:  # ROS 2 Humble
-    from rclpy.qos_event import (
-        PublisherEventCallbacks,
-        SubscriptionEventCallbacks,
-        UnsupportedEventTypeError,
-    )
+    from rclpy.qos_event import PublisherEventCallbacks, SubscriptionEventCallbacks, UnsupportedEventTypeError
 
 
 _BATCH = 64  # messages taken from one subscription before the others get their turn

@@ -10,14 +10,7 @@ import importlib
 from typing import Any
 
 from rosplc.errors import BackendError
-from rosplc.model.types import (
-    ArrayType,
-    FieldType,
-    MessageType,
-    PrimitiveType,
-    SequenceType,
-    StringType,
-)
+from rosplc.model.types import ArrayType, FieldType, MessageType, PrimitiveType, SequenceType, StringType
 from rosplc.ros.backend import TypeSource
 
 # How rosidl_generator_py writes a field's type (resource/_msg.py.em); `char` is uint8 there.
