@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import threading
+from collections import deque
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeVar
@@ -246,6 +247,40 @@ class BaseSubscription(BaseEndpoint):
         if not reason and self._rejected:
             reason = f"{self._rejected} messages on {self.topic} were none that a ROS 2 node sends"
         return code, reason
+
+
+class QueuedSubscription(BaseSubscription):
+    """A subscription whose messages wait in a queue of ``depth`` for the receive thread."""
+
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self._waiting: deque[tuple[bytes, int]] = deque()
+        self._delivering = threading.RLock()  # re-entrant: on_message may close its own subscription
+
+    def _put(self, payload: bytes, stamp_ns: int) -> bool:
+        """Queue a message; return False if the oldest gave way. The endpoint's lock is held."""
+        self._waiting.append((payload, stamp_ns))
+        if len(self._waiting) <= self.qos.depth:
+            return True
+        self._waiting.popleft()
+        self._dropped += 1
+        return False
+
+    def deliver(self) -> bool:
+        """Hand over one message, if any waits; called by the receive thread alone."""
+        with self._delivering:
+            with self._lock:
+                if self.closed or not self._waiting:
+                    return False
+                message = self._waiting.popleft()
+            self._deliver(*message)
+            return True
+
+    def close(self) -> None:
+        """Stop receiving; after the return no callback runs or starts (unless called from it)."""
+        super().close()
+        with self._delivering:
+            self._waiting.clear()
 
 
 class BasePublisher(BaseEndpoint):

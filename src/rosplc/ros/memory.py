@@ -17,9 +17,9 @@ from rosplc.ros._base import (
     BaseEndpoint,
     BaseNode,
     BasePublisher,
-    BaseSubscription,
     Context,
     Problem,
+    QueuedSubscription,
     domain_number,
     explain,
     graph_info,
@@ -62,37 +62,13 @@ class _Endpoint(BaseEndpoint):
             super().close()
 
 
-class MemorySubscription(BaseSubscription, _Endpoint):
+class MemorySubscription(QueuedSubscription, _Endpoint):
     """A topic being received; see :class:`rosplc.ros.backend.Subscription`."""
-
-    def __init__(self, *arguments: Any) -> None:
-        super().__init__(*arguments)
-        self._waiting: deque[tuple[bytes, int]] = deque()
-        self._delivering = threading.RLock()
 
     def put(self, payload: bytes, stamp_ns: int) -> None:
         """Queue a message; the oldest one gives way. The graph's lock is held."""
-        if len(self._waiting) == self.qos.depth:
-            self._waiting.popleft()
-            self._dropped += 1
-        self._waiting.append((payload, stamp_ns))
+        self._put(payload, stamp_ns)
         self._node.news.set()
-
-    def deliver(self) -> None:
-        """Hand over what waits; called by the receive thread alone."""
-        with self._delivering:
-            while not self.closed:
-                with _graph:
-                    if not self._waiting:
-                        return
-                    message = self._waiting.popleft()
-                self._deliver(*message)
-
-    def close(self) -> None:
-        """Stop receiving; after the return no callback runs or starts."""
-        super().close()
-        with self._delivering:
-            self._waiting.clear()
 
 
 class MemoryPublisher(BasePublisher, _Endpoint):
@@ -139,8 +115,8 @@ class MemoryBackend(BaseNode):
             self.news.wait()
             self.news.clear()
             for endpoint in self.endpoints():
-                if isinstance(endpoint, MemorySubscription):
-                    endpoint.deliver()
+                while isinstance(endpoint, MemorySubscription) and endpoint.deliver():
+                    pass
 
     def _details(self, topic: str, type_name: str, qos: Qos) -> tuple[Any, ...]:
         full, name = self._resolve(topic, type_name)

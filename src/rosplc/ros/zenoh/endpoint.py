@@ -13,7 +13,7 @@ from typing import Any
 import zenoh
 import zenoh.ext
 
-from rosplc.ros._base import BaseEndpoint, BasePublisher, BaseSubscription, Problem, is_cdr
+from rosplc.ros._base import BaseEndpoint, BasePublisher, Problem, QueuedSubscription, is_cdr
 from rosplc.ros.backend import OnMessage
 from rosplc.ros.zenoh.keys import Attachment, Entity, fits, gid_of, pack, topic_key, unpack
 
@@ -93,7 +93,7 @@ def _read(sample: Any) -> tuple[bytes, Attachment]:
     return payload, unpack(sample.attachment.to_bytes())
 
 
-class ZenohSubscription(BaseSubscription, _Endpoint):
+class ZenohSubscription(QueuedSubscription, _Endpoint):
     """A topic being received; see :class:`rosplc.ros.backend.Subscription`.
 
     Threads of the library put messages into a queue of ``depth``, where the oldest give way; the
@@ -102,8 +102,6 @@ class ZenohSubscription(BaseSubscription, _Endpoint):
 
     def __init__(self, on_message: OnMessage, node: Any, entity: Entity) -> None:
         super().__init__(on_message, node, entity)
-        self._waiting: deque[tuple[bytes, int]] = deque()
-        self._delivering = threading.RLock()  # re-entrant: on_message may close its own subscription
         self._sequences: OrderedDict[bytes, int] = OrderedDict()
 
     def _declare(self, session: Any) -> list[Any]:
@@ -131,10 +129,7 @@ class ZenohSubscription(BaseSubscription, _Endpoint):
             if self.closed:
                 return
             self._count_missing(gid, sequence)
-            self._waiting.append((payload, stamp_ns))
-            if len(self._waiting) > self.qos.depth:
-                self._waiting.popleft()
-                self._dropped += 1
+            if not self._put(payload, stamp_ns):
                 return  # the receive thread knows of as many messages as wait
         self._node.wake(self)
 
@@ -149,21 +144,6 @@ class ZenohSubscription(BaseSubscription, _Endpoint):
         self._sequences[gid] = max(sequence, last)
         if len(self._sequences) > _SENDERS:
             self._sequences.popitem(last=False)
-
-    def deliver(self) -> None:
-        """Hand over one message; called by the receive thread alone."""
-        with self._delivering:
-            with self._lock:
-                if self.closed or not self._waiting:
-                    return
-                message = self._waiting.popleft()
-            self._deliver(*message)
-
-    def close(self) -> None:
-        """Stop receiving; after the return no callback runs or starts (unless called from it)."""
-        super().close()
-        with self._delivering:
-            self._waiting.clear()
 
 
 class ZenohPublisher(BasePublisher, _Endpoint):
