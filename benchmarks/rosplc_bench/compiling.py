@@ -85,15 +85,15 @@ def find_library(name: str, package: str) -> tuple[str, ...]:
     return tuple(found.stdout.split())
 
 
-def compile_with_modbus(context: Context, what: str, *names: str) -> tuple[list[Path], bool]:
-    """Return programs, none without a compiler, and whether they know Modbus; note what is missing."""
+def compile_with_modbus(context: Context, what: str, name: str) -> tuple[Path | None, bool]:
+    """Return a program, None without a compiler, and whether it knows Modbus; note what is missing."""
     options: tuple[str, ...] = ()
     try:
         options = ("-DWITH_MODBUS", *find_library("libmodbus", "libmodbus-dev"))
     except Missing as missing:
         context.skip(f"{what} over libmodbus", missing.reason, missing.remedy)
     try:
-        return [compile_program(name, context.cache, options=options) for name in names], bool(options)
+        return compile_program(name, context.cache, options=options), bool(options)
     except Missing as missing:
         context.skip(f"{what} in C", missing.reason, missing.remedy)
-        return [], False
+        return None, False

@@ -64,13 +64,13 @@ class Starter:
 
     def __init__(self, context: Context, stack: ExitStack) -> None:
         self._context, self._stack = context, stack
-        self._programs, self._modbus = compile_with_modbus(context, "scan cycle", "scan")
+        self._program, self._modbus = compile_with_modbus(context, "scan cycle", "scan")
 
     def methods(self) -> list[Method]:
         """Start all that are wanted."""
         context = self._context
         starters: dict[str, Callable[[], list[Side]]] = {}
-        if self._programs:
+        if self._program:
             areas = str(context.scratch / f"areas-{secrets.token_hex(4)}-")
             starters |= {
                 "none": partial(self._in_c, "none"),
@@ -78,7 +78,7 @@ class Starter:
                 "semaphore": partial(self._in_c, "semaphore", f"{areas}locked"),
                 "plain": partial(self._in_c, "plain", f"{areas}plain"),
             }
-        if self._modbus:
+        if self._program and self._modbus:
             starters |= {name: partial(self._over_modbus, name) for name in ("modbus-slave", "modbus-master")}
         if context.effort.name == "quick":
             what = "scan cycle in Python, OPC UA among it"
@@ -102,17 +102,17 @@ class Starter:
 
     def hogs(self, stack: ExitStack) -> bool:
         """Let a program compute without end on each core until ``stack`` ends; False without a compiler."""
-        for _ in os.sched_getaffinity(0) if self._programs else ():
-            hog = stack.enter_context(Side("hog", [str(self._programs[0]), "hog"]))
+        for _ in os.sched_getaffinity(0) if self._program else ():
+            hog = stack.enter_context(Side("hog", [str(self._program), "hog"]))
             hog.receive_json()
-        return bool(self._programs)
+        return self._program is not None
 
     def _run(self, name: str, command: list[str]) -> tuple[Side, str]:
         side = self._stack.enter_context(Side(name, command))
         return side, str(side.receive_json()["port"])
 
     def _run_c(self, role: str, method: str, *places: str) -> tuple[Side, str]:
-        return self._run(f"{method} {role}", [str(self._programs[0]), role, method, *places])
+        return self._run(f"{method} {role}", [str(self._program), role, method, *places])
 
     def _in_c(self, method: str, *places: str) -> list[Side]:
         """Start both; ``places``: what the task writes, what it reads."""

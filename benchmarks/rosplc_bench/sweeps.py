@@ -245,14 +245,12 @@ class Sweep:
 
 def _native(context: Context, stack: ExitStack) -> tuple[Path | None, int]:
     """Return the program in C and the port of its Modbus server; None and 0 for what is missing."""
-    programs, with_modbus = compile_with_modbus(context, "sweeps", "sweep")
-    if not programs:
-        return None, 0
-    if not with_modbus:
-        return programs[0], 0
-    server = Side("libmodbus server", [str(programs[0]), "modbus-server"])
+    program, with_modbus = compile_with_modbus(context, "sweeps", "sweep")
+    if program is None or not with_modbus:
+        return program, 0
+    server = Side("libmodbus server", [str(program), "modbus-server"])
     stack.callback(server.close, 0.1)  # it serves until it is killed
-    return programs[0], int(server.receive_json()["port"])
+    return program, int(server.receive_json()["port"])
 
 
 def channels(folder: Path, count: int, size: int, stack: ExitStack) -> list[OwnedChannel]:

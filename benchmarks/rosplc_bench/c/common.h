@@ -121,11 +121,11 @@ HELPER void set_order(char side)
 
 /* ---------------------------------------------------------------- shared memory and semaphores */
 
-/* Maps a file, or with -1 memory of this program's own. */
+/* Maps a file, or with -1 memory of the same kind without a name. */
 HELPER void *map(int fd, size_t size)
 {
-    int kind = fd < 0 ? MAP_PRIVATE | MAP_ANONYMOUS : MAP_SHARED;
-    void *memory = mmap(NULL, size, PROT_READ | PROT_WRITE, kind | MAP_POPULATE, fd, 0);
+    int kind = MAP_SHARED | MAP_POPULATE | (fd < 0 ? MAP_ANONYMOUS : 0);
+    void *memory = mmap(NULL, size, PROT_READ | PROT_WRITE, kind, fd, 0);
     if (memory == MAP_FAILED)
         stop("mmap");
     if (fd >= 0)
