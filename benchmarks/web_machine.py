@@ -152,7 +152,7 @@ def bridge(prefix: str, count: int, stopped: threading.Event) -> None:
     # Spread, so that not all of one rate are due in one moment.
     due = [time.monotonic() + random.random() / max(source.hz, 1) for source, _ in writers]
     for _, writer in writers:
-        writer._writer.set_sources(1)  # as a bridge says that a robot is there
+        writer._user.set_sources(1)  # as a bridge says that a robot is there
     while not stopped.wait(TICK):
         now, wall = time.monotonic(), time.time()
         for index, (source, writer) in enumerate(writers):
