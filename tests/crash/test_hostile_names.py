@@ -18,9 +18,8 @@ import pytest
 
 from rosplc.errors import ChannelError
 from rosplc.shm import Namespace, OwnedChannel, attach
-from rosplc.shm.classic import ClassicObject
+from rosplc.shm.classic import ClassicMemory, ClassicObject
 from rosplc.shm.classic_lock import SEMAPHORE_SIZE, ClassicLock
-from rosplc.shm.classic_memory import ClassicMemory
 from rosplc.shm.files import Rights
 from rosplc.shm.lock import NameLock
 from tests.classic_cell import remove, unique_name

@@ -25,7 +25,7 @@ from rosplc.config.plans import (
     passes_changes_only,
     stale_plan,
     usual_slots,
-)  # fmt: skip
+)
 from rosplc.config.problems import Absent, Problems, relocated
 from rosplc.config.quantities import format_duration
 from rosplc.config.settings import TaskSettings, TopicSettings

@@ -15,7 +15,7 @@ from rosplc.errors import ChannelError
 from rosplc.monitor.expected import ClassicTopic
 from rosplc.monitor.message import Message, message_of
 from rosplc.monitor.picture import ChannelView, State
-from rosplc.shm.classic_memory import ClassicMemory
+from rosplc.shm.classic import ClassicMemory
 from rosplc.shm.files import describe_owner
 
 _ATTEMPTS = 100

@@ -21,32 +21,16 @@ from typing import Any
 
 from rosplc._core import check_identity
 from rosplc.errors import CODES, ChannelError
-from rosplc.shm.constants import (
-    HEADER_SIZE,
-    IDENTITY,
-    IDENTITY_SIZE,
-    KIND_TOPIC,
-    LINE_SIZE,
-    MAGIC,
-    MAX_DESCRIPTION_SIZE,
-    MAX_OBJECT_SIZE,
-    MAX_RECORD_SIZE,
-    MAX_SLOTS,
-    READER_LINES,
-    SLOT_HEADER_SIZE,
-    STATE_LIVE,
-    VERSION,
-    Direction,
-    ErrorNumber,
-)
+from rosplc.shm import constants as spec
+from rosplc.shm.constants import Direction, ErrorNumber
 
 __all__ = ["Identity", "channel_error", "layout_id_text", "layout_id_words"]
 
 _FORMAT = struct.Struct("<19I16s5I16x")
-_NAMES = [name for name in IDENTITY if name != "reserved"]
+_NAMES = [name for name in spec.IDENTITY if name != "reserved"]
 _FIXED = {
-    "magic": MAGIC, "header_size": HEADER_SIZE, "features_required": 0, "kind": KIND_TOPIC,
-    "slot_header_size": SLOT_HEADER_SIZE, "reader_lines": READER_LINES, "identity_crc": 0,
+    "magic": spec.MAGIC, "header_size": spec.HEADER_SIZE, "features_required": 0, "kind": spec.KIND_TOPIC,
+    "slot_header_size": spec.SLOT_HEADER_SIZE, "reader_lines": spec.READER_LINES, "identity_crc": 0,
 }  # fmt: skip
 _GEOMETRY = (
     *("header_size", "state", "slot_count", "slot_stride", "slot_header_size", "record_size", "slots_offset"),
@@ -79,7 +63,7 @@ def layout_id_text(low: int, high: int) -> str:
 
 
 def _round_up(value: int) -> int:
-    return -(-value // LINE_SIZE) * LINE_SIZE
+    return -(-value // spec.LINE_SIZE) * spec.LINE_SIZE
 
 
 @dataclass(frozen=True)
@@ -105,8 +89,8 @@ class Identity:
     bridge_id: bytes
     creator_pid: int = 0
     created_ns: int = 0
-    state: int = STATE_LIVE
-    version: int = VERSION
+    state: int = spec.STATE_LIVE
+    version: int = spec.VERSION
     features_optional: int = 0
 
     @classmethod
@@ -123,25 +107,28 @@ class Identity:
             ValueError: If the number of slots is no power of two from 4 to 65536, the record is not
                 of 1 to 2³⁰ bytes, or the object would exceed 2³¹ - 1 bytes.
         """
-        stride = _round_up(SLOT_HEADER_SIZE + record_size)
-        start = _round_up(HEADER_SIZE + description_size)
+        stride = _round_up(spec.SLOT_HEADER_SIZE + record_size)
+        start = _round_up(spec.HEADER_SIZE + description_size)
         identity = cls(
             slot_count=slots,
             slot_stride=stride,
             record_size=record_size,
             slots_offset=start,
             object_size=start + slots * stride,
-            description_offset=HEADER_SIZE,
+            description_offset=spec.HEADER_SIZE,
             description_size=description_size,
             **others,
         )
-        fits = min(slots, record_size, description_size) > 0 and identity.object_size <= MAX_OBJECT_SIZE
-        if not fits or check_identity(identity.build().ljust(HEADER_SIZE, b"\0"), identity.object_size, 0):
+        fits = min(slots, record_size, description_size) > 0 and identity.object_size <= spec.MAX_OBJECT_SIZE
+        if fits:
+            image = identity.build().ljust(spec.HEADER_SIZE, b"\0")
+            fits = not check_identity(image, identity.object_size, 0)
+        if not fits:
             raise ValueError(
                 f"slot_count {slots}, record_size {record_size}, description_size {description_size}, "
-                f"object_size {identity.object_size}: slot_count is a power of two, 4 to {MAX_SLOTS}, "
-                f"record_size 1 to {MAX_RECORD_SIZE}, description_size 2 to {MAX_DESCRIPTION_SIZE}, "
-                f"object_size at most {MAX_OBJECT_SIZE}"
+                f"object_size {identity.object_size}: slot_count is a power of two, 4 to {spec.MAX_SLOTS}, "
+                f"record_size 1 to {spec.MAX_RECORD_SIZE}, description_size 2 to "
+                f"{spec.MAX_DESCRIPTION_SIZE}, object_size at most {spec.MAX_OBJECT_SIZE}"
             )
         return identity
 
@@ -189,7 +176,7 @@ class Identity:
         Raises:
             ChannelError: SHM103 to SHM111, the first of section 9 that fails.
         """
-        available = size if len(first) >= HEADER_SIZE else len(first)
+        available = size if len(first) >= spec.HEADER_SIZE else len(first)
         number = check_identity(first, available, direction or 0)
         if number and not (number == ErrorNumber.RETIRED and accept_retired):
             raise channel_error(number, _explain(number, first, available, direction), where)
@@ -207,19 +194,19 @@ def _words(first: bytes) -> dict[str, Any]:
 def _explain(number: int, first: bytes, size: int, direction: Direction | None) -> str:
     """Say what check ``number`` found; empty where the code's title says it all."""
     if number == ErrorNumber.TOO_SMALL:
-        return f"object has {size} bytes, a header has {HEADER_SIZE}"
+        return f"object has {size} bytes, a header has {spec.HEADER_SIZE}"
     found = _words(first)
-    version = found["version"]
+    version, ours = found["version"], spec.VERSION >> 16
     wanted_way = direction.word if direction is not None else "to_plc or to_ros"
     texts = {
-        ErrorNumber.NOT_ROSPLC: f"magic is 0x{found['magic']:08X}, not 0x{MAGIC:08X}",
-        ErrorNumber.VERSION: f"format version is {version >> 16}.{version & 0xFFFF}, not {VERSION >> 16}.x",
+        ErrorNumber.NOT_ROSPLC: f"magic is 0x{found['magic']:08X}, not 0x{spec.MAGIC:08X}",
+        ErrorNumber.VERSION: f"format version is {version >> 16}.{version & 0xFFFF}, not {ours}.x",
         ErrorNumber.FEATURES: f"features 0x{found['features_required']:08X} are required and unknown",
         ErrorNumber.IDENTITY: f"identity_crc is 0x{found['identity_crc']:08X}, not 0x{_crc(first):08X}",
         ErrorNumber.GEOMETRY: "inconsistent: " + ", ".join(f"{name} {found[name]}" for name in _GEOMETRY),
         ErrorNumber.TRUNCATED: f"object has {size} bytes, and its header {found['object_size']}",
         ErrorNumber.DIRECTION: f"kind is {found['kind']} and direction {found['direction']}, "
-        f"not {KIND_TOPIC} and {wanted_way}",
+        f"not {spec.KIND_TOPIC} and {wanted_way}",
     }
     return texts.get(ErrorNumber(number), "")
 
@@ -229,5 +216,5 @@ def _crc(image: bytes) -> int:
     return zlib.crc32(image[16:108], zlib.crc32(image[:12]))
 
 
-if _FORMAT.size != IDENTITY_SIZE:  # pragma: no cover - found at import
+if _FORMAT.size != spec.IDENTITY_SIZE:  # pragma: no cover - found at import
     raise AssertionError("the identity has 128 bytes")

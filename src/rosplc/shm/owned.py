@@ -18,21 +18,10 @@ from pathlib import Path
 
 from rosplc._core import Reader, Writer
 from rosplc.errors import ChannelError
+from rosplc.shm import constants as spec
 from rosplc.shm.attach import Mapped
 from rosplc.shm.claims import start_of, take_over_line, take_over_writer
-from rosplc.shm.constants import (
-    HEADER_SIZE,
-    IDENTITY,
-    IDENTITY_SIZE,
-    MAGIC,
-    READER_LINE,
-    SLOT_HEADER,
-    STATE_LIVE,
-    STATE_RETIRED,
-    WRITER_LINE,
-    Direction,
-    reader_line,
-)
+from rosplc.shm.constants import Direction
 from rosplc.shm.description import Description
 from rosplc.shm.files import (
     Rights,
@@ -197,7 +186,7 @@ class OwnedChannel(Mapped):
             and self._lock.still_there()
             # First the size: whoever cut the object to nothing made looking at it deadly.
             and self._whole()
-            and self.region.read(0, IDENTITY_SIZE) == self._first[:IDENTITY_SIZE]
+            and self.region.read(0, spec.IDENTITY_SIZE) == self._first[: spec.IDENTITY_SIZE]
         )
 
     def _whole(self) -> bool:
@@ -208,7 +197,7 @@ class OwnedChannel(Mapped):
 
     def retire(self) -> None:
         """Tell every process that has the object mapped to leave it, remove its name, and close."""
-        self.region.store(IDENTITY["state"], STATE_RETIRED)
+        self.region.store(spec.IDENTITY["state"], spec.STATE_RETIRED)
         if same_file(self.path, *self._file):
             self.path.unlink(missing_ok=True)
             self._lock.remember_object(False)
@@ -245,12 +234,14 @@ os.register_at_fork(after_in_child=_forked)
 
 def _image(identity: Identity, text: bytes) -> bytes:
     """Return an object from its first byte to the end of its self-description; the rest is zero."""
-    head = bytearray(HEADER_SIZE)
-    head[:IDENTITY_SIZE] = identity.build()
+    head = bytearray(spec.HEADER_SIZE)
+    head[: spec.IDENTITY_SIZE] = identity.build()
     if identity.direction is Direction.TO_ROS:
         # Line 0 stands for "nothing taken" from the start, so that no crash between creation and
         # claim makes the next bridge skip what the PLC has sent meanwhile.
-        struct.pack_into("<I", head, reader_line(0) + READER_LINE["generation"], identity.generation)
+        struct.pack_into(
+            "<I", head, spec.reader_line(0) + spec.READER_LINE["generation"], identity.generation
+        )
     return bytes(head) + text
 
 
@@ -297,11 +288,11 @@ def _refuse_foreign(fd: int, path: Path, uid: int | None, ours: bool) -> None:
         raise channel_error(119, f"user {user_name(status.st_uid)} owns it", str(path))
     refuse_second_name(fd, path)
     first, size = read_header(fd)
-    if ours or first[:4] == MAGIC.to_bytes(4, "little"):
+    if ours or first[:4] == spec.MAGIC.to_bytes(4, "little"):
         return
     what = f"a file of {size} bytes that no bridge has made stands at this name"
     raise ChannelError(
-        "SHM103" if size < HEADER_SIZE else "SHM104",
+        "SHM103" if size < spec.HEADER_SIZE else "SHM104",
         what,
         where=str(path),
         remedy="If nothing uses it, remove it; otherwise choose another prefix.",
@@ -332,14 +323,14 @@ def _difference(fd: int, description: Description, wanted: Identity, rights: Rig
 
 def _head_without_slot(fd: int, found: Identity) -> str:
     """Say that head names a slot which does not hold it; empty if all is well."""
-    head = _word(fd, WRITER_LINE["head"])
+    head = _word(fd, spec.WRITER_LINE["head"])
     for _ in range(_LOOKS):
         slot = found.slots_offset + head % found.slot_count * found.slot_stride
-        if head == 0 or _word(fd, slot + SLOT_HEADER["sequence"]) == head:
+        if head == 0 or _word(fd, slot + spec.SLOT_HEADER["sequence"]) == head:
             return ""
         # The PLC goes on meanwhile, and may have come round to this slot: only under a head that
         # stands still is the slot's word evidence.
-        before, head = head, _word(fd, WRITER_LINE["head"])
+        before, head = head, _word(fd, spec.WRITER_LINE["head"])
         if before == head:
             return f"head is {head}, which its slot does not hold"
     return ""  # it moves faster than we can look: somebody writes
@@ -355,16 +346,16 @@ def retire_file(fd: int) -> None:
     # Of LIVE and RETIRED only one byte differs, so this is one access whatever the kernel copies with.
     # What is not ours by its magic is left as it is.
     if (
-        size >= HEADER_SIZE
-        and int.from_bytes(first[:4], "little") == MAGIC
-        and first[12:16] != _state(STATE_RETIRED)
+        size >= spec.HEADER_SIZE
+        and int.from_bytes(first[:4], "little") == spec.MAGIC
+        and first[12:16] != _state(spec.STATE_RETIRED)
     ):
-        os.pwrite(fd, _state(STATE_RETIRED), IDENTITY["state"])
+        os.pwrite(fd, _state(spec.STATE_RETIRED), spec.IDENTITY["state"])
 
 
 def _state(value: int) -> bytes:
     return struct.pack("<I", value)
 
 
-if _state(STATE_LIVE)[1:] != _state(STATE_RETIRED)[1:]:  # pragma: no cover - found at import
+if _state(spec.STATE_LIVE)[1:] != _state(spec.STATE_RETIRED)[1:]:  # pragma: no cover - found at import
     raise AssertionError("LIVE and RETIRED differ in more than one byte")
