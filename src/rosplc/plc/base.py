@@ -226,4 +226,4 @@ def helper_objects(store: TypeStore, builder: DutBuilder, folder: str) -> tuple[
         if type_name in store:
             builder.add(compute_layout(store, type_name))
             names += helpers
-    return read_objects("helpers", names, folder)
+    return read_objects("helpers", tuple(names), folder)
