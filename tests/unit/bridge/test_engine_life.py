@@ -347,9 +347,13 @@ def test_both_sides_know_how_many_stand_behind(cell: Cell) -> None:
     wait_for(lambda: incoming.attached.snapshot().writer.sources == 1)
     wait_for(lambda: outgoing.attached.snapshot().readers[0].sinks == 2)
     assert bridge.status().topic("/in").tasks == ("MainTask",)
-    level, words = bridge.status().topic("/in").judgement
-    assert level is Level.STALE
-    assert "one is there: it is silent, or it has another definition" in words
+
+    def judged() -> bool:
+        beaten()
+        level, words = bridge.status().topic("/in").judgement
+        return level is Level.STALE and "one is there: it is silent, or it has another definition" in words
+
+    wait_for(judged)
     wait_for(
         lambda: not bridge.status().topic("/in").peer_alive and not bridge.status().topic("/out").peer_alive
     )
