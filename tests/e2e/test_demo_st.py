@@ -209,7 +209,7 @@ def test_a_plc_without_fences_works_with_the_bridge(kill, tmp_path, dds_domain):
         built.path.unlink(missing_ok=True)
     assert result.good, result
     assert result.drained
-    assert result.total("plc", "torn") == result.total("ros", "torn") == 0
+    assert result.totals("plc", "ros")["torn"] == 0
 
 
 @pytest.fixture(scope="module")
