@@ -55,7 +55,6 @@ class _Node:
 
     def type_of(self, topic: str, named: str | None) -> str:
         """Return the full name of a topic's type, asked for or seen in the graph; it is known then."""
-        from rosplc.errors import MessageTypeError
         from rosplc.model.parse import full_name
 
         if named is None:
@@ -66,9 +65,7 @@ class _Node:
             named = types[0]
         name = full_name(named)
         if not self.definitions.find_installed(name):
-            store = self.definitions.store
-            remedy = "Name the folder of its package with --types, or source the setup.bash that has it."
-            raise MessageTypeError("TYP001", f"{name} is unknown in {store.distro}", remedy=remedy)
+            raise self.definitions.unknown(name)
         self.types.store = self.definitions.store
         return name
 
@@ -205,7 +202,7 @@ def _echo(
                 if as_json:
                     print_json(value, one_line=True)
                 else:
-                    say(f"{as_yaml(value, whole=full_length).removesuffix('...' + chr(10)).rstrip()}\n---")
+                    say(f"{as_yaml(value, whole=full_length)}\n---")
                 if once:
                     return
 
@@ -285,7 +282,7 @@ def _pub(
     """
     import yaml
 
-    from rosplc.cli.ros_text import Reader, as_python, encode
+    from rosplc.cli.ros_text import Reader, Writer, as_python
     from rosplc.ros import Qos
 
     try:
@@ -299,7 +296,8 @@ def _pub(
     with _node(backend, distro, domain, types) as node:
         name = node.type_of(topic, message_type)
         store = node.definitions.store
-        shown = as_python(store, name, Reader(store, name)(encode(store, name, given)))
+        message = Writer(store, name, given)
+        shown = as_python(store, name, Reader(store, name)(message()))
         publisher = node.backend.advertise(topic, name, qos)
         wanted = wait_matching_subscriptions
         wanted = (1 if most else 0) if wanted is None else wanted
@@ -312,7 +310,7 @@ def _pub(
         say("publisher: beginning loop")
         due = time.monotonic()
         for number in itertools.count(1):
-            publisher.write(encode(store, name, given))
+            publisher.write(message())
             say(f"publishing #{number}: {shown}\n")
             if number == most:
                 time.sleep(0.1)  # as ros2cli's --keep-alive: what was written is delivered

@@ -16,7 +16,7 @@ from rosplc.layout import Limits, compute_layout
 from rosplc.layout.compute import limit_paths
 from rosplc.model import ArrayType, NamedType, PrimitiveType, SequenceType, TypeStore
 
-__all__ = ["Reader", "as_python", "as_yaml", "encode"]
+__all__ = ["Reader", "Writer", "as_python", "as_yaml"]
 
 _SHOWN = 128
 """Elements and characters that are shown of a long array or string, as ``ros2 topic echo`` does."""
@@ -64,30 +64,41 @@ class Reader:
         return self._codec.layout.to_dict(self._codec.decode(data))
 
 
-def encode(store: TypeStore, type_name: str, value: Mapping[str, Any]) -> bytes:
-    """Return the message that values make; what they lack has its default.
+class Writer:
+    """Encodes the message that values make, as often as it is called; what they lack has its default.
 
     ``header: auto`` and ``stamp: now`` become the present time, as in ``ros2 topic pub``.
 
-    Raises:
-        LayoutError: LAY006, naming the field that does not fit.
+    Args:
+        store: Knows the type.
+        type_name: Its full name.
+        value: Fields, nested as the type is.
     """
-    value = _with_time(store, type_name, value)
-    lengths: dict[str, int] = {}
-    _note_lengths(value, "", lengths)
-    known = set(limit_paths(store, type_name))
-    capacities = {path: max(1, length) for path, length in lengths.items() if path in known}
-    layout = compute_layout(store, type_name, Limits(fields=capacities))
-    return Codec(layout, _wire(store)).encode(layout.pack(value))
+
+    def __init__(self, store: TypeStore, type_name: str, value: Mapping[str, Any]) -> None:
+        self._store, self._type_name, self._value = store, type_name, value
+        lengths: dict[str, int] = {}
+        _note_lengths(_with_time(store, type_name, value), "", lengths)
+        known = set(limit_paths(store, type_name))
+        capacities = {path: max(1, length) for path, length in lengths.items() if path in known}
+        self._codec = Codec(compute_layout(store, type_name, Limits(fields=capacities)), _wire(store))
+
+    def __call__(self) -> bytes:
+        """Return the message as it is now.
+
+        Raises:
+            LayoutError: LAY006, naming the field that does not fit.
+        """
+        value = _with_time(self._store, self._type_name, self._value)
+        return self._codec.encode(self._codec.layout.pack(value))
 
 
 def _with_time(store: TypeStore, type_name: str, value: Any) -> Any:
-    nanoseconds = "nanosec" if store.ros_version == 2 else "nsec"
     if type_name == "std_msgs/msg/Header" and value == "auto":
         value = {"stamp": "now"}
     if type_name == "builtin_interfaces/msg/Time" and value == "now":
         seconds, rest = divmod(time.time_ns(), 10**9)
-        return {"sec": seconds, nanoseconds: rest}
+        return {"sec": seconds, "nanosec": rest}
     if not isinstance(value, Mapping):
         return value
     types = {each.name: each.type for each in store[type_name].fields}
@@ -111,7 +122,8 @@ def _note_lengths(value: Any, path: str, lengths: dict[str, int]) -> None:
 def as_yaml(value: Any, *, whole: bool = False) -> str:
     """Return a message as ``ros2 topic echo`` prints it, without the line between two messages."""
     shown = value if whole else _shortened(value)
-    return yaml.safe_dump(shown, sort_keys=False, allow_unicode=True, width=2**31, default_flow_style=False)
+    text = yaml.safe_dump(shown, sort_keys=False, allow_unicode=True, width=2**31, default_flow_style=False)
+    return text.removesuffix("\n...\n").rstrip("\n")  # YAML's mark after a lone value
 
 
 def _shortened(value: Any) -> Any:

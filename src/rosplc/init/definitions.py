@@ -87,6 +87,15 @@ class Definitions:
         self.learn(type_name, text, str(first))
         return True
 
+    def unknown(self, type_name: str, more: str = "") -> MessageTypeError:
+        """Return the error of a type that was found nowhere: TYP001."""
+        return MessageTypeError(
+            "TYP001",
+            f"{type_name} is unknown in {self.store.distro}{more}",
+            remedy="Name the folder of its package with --types, or source the setup.bash of a "
+            "workspace that has it.",
+        )
+
     def _file(self, type_name: str) -> Path | None:
         package, _, base = type_name.split("/")
         for folder in self._roots():

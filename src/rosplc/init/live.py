@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 from rosplc.bridge.ros_side import LiveTypes, RosSide
 from rosplc.config import Config
-from rosplc.errors import BackendError, MessageTypeError, RosplcError
+from rosplc.errors import BackendError, RosplcError
 from rosplc.harmless import plural
 from rosplc.init.definitions import Definitions
 from rosplc.init.domains import elsewhere
@@ -122,12 +122,7 @@ class LiveRobot:
         definitions = self.definitions
         if not definitions.find_installed(type_name):
             if self._backend.name != "rospy":
-                raise MessageTypeError(
-                    "TYP001",
-                    f"{type_name} is unknown in {definitions.store.distro}, and ROS 2 tells no definitions",
-                    remedy="Name the folder of its package with --types, or source the setup.bash of a "
-                    "workspace that has it.",
-                )
+                raise definitions.unknown(type_name, ", and ROS 2 tells no definitions")
             self._ask(topic, type_name)
         self._types.store = definitions.store
         self._compare(topic, type_name)

@@ -8,11 +8,12 @@ import random
 import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
 
-from rosplc.cli.ros_text import Reader, as_python, encode
+from rosplc.cli.ros_text import Reader, Writer, as_python
 from tests.codec_oracle import random_value
 from tests.interop.graphs import LOCAL, text_of
 from tests.interop.ros2.conftest import Peer
@@ -45,7 +46,7 @@ def test_what_a_real_node_publishes_is_echoed(domain: int, peer: Peer, tmp_path:
     """Its type is taken from the graph."""
     peer.advertise("/label", "std_msgs/msg/String")
     process = start(domain, tmp_path, "echo", "/label", "--once")
-    message = encode(STORE, "std_msgs/msg/String", {"data": "door"})
+    message = Writer(STORE, "std_msgs/msg/String", {"data": "door"})()
     repeat_until(
         lambda: peer.publish("/label", message), lambda: process.poll() is not None, "the end of rosplc echo"
     )
@@ -70,10 +71,8 @@ def test_ctrl_c_ends_hz(domain: int, peer: Peer, tmp_path: Path) -> None:
     """As it ends ros2cli's."""
     peer.advertise("/label", "std_msgs/msg/String")
     process = start(domain, tmp_path, "hz", "/label")
-    message = encode(STORE, "std_msgs/msg/String", {"data": "door"})
+    message = Writer(STORE, "std_msgs/msg/String", {"data": "door"})()
     assert process.stdout is not None
-    import threading
-
     lines: list[str] = []
     reader = threading.Thread(target=lambda: lines.extend(iter(process.stdout.readline, "")))
     reader.start()

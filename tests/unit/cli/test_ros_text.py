@@ -8,7 +8,7 @@ import time
 import pytest
 import yaml
 
-from rosplc.cli.ros_text import Reader, as_python, as_yaml, encode
+from rosplc.cli.ros_text import Reader, Writer, as_python, as_yaml
 from rosplc.errors import CodecError, LayoutError
 from rosplc.model import TypeStore
 from tests.codec_oracle import Oracle, random_value
@@ -22,7 +22,7 @@ def test_yaml_that_is_published_is_what_is_echoed(store: TypeStore) -> None:
     """Fields that were not given have their defaults; lengths need no limits."""
     text = "{name: [elbow, ü], position: [1.5, -2.0, 3.25]}"
     value = Reader(store, "sensor_msgs/msg/JointState")(
-        encode(store, "sensor_msgs/msg/JointState", yaml.safe_load(text))
+        Writer(store, "sensor_msgs/msg/JointState", yaml.safe_load(text))()
     )
     shown = yaml.safe_load(as_yaml(value))
     assert shown["name"] == ["elbow", "ü"]
@@ -39,15 +39,16 @@ def test_random_messages_are_read_as_an_independent_codec_wrote_them(name: str) 
     read, dice = Reader(JAZZY, name), random.Random(1)
     for _ in range(20):
         data = ORACLE.cdr(name, random_value(ORACLE, name, dice))
-        assert encode(JAZZY, name, read(data)) == data
+        assert Writer(JAZZY, name, read(data))() == data
 
 
-def test_present_time_stands_for_auto_and_now() -> None:
+@pytest.mark.parametrize("store", [JAZZY, NOETIC], ids=["CDR", "ROS 1"])
+def test_present_time_stands_for_auto_and_now(store: TypeStore) -> None:
     """As in ``ros2 topic pub``."""
     before = time.time()
     for value in ({"header": "auto"}, {"header": {"stamp": "now"}}):
-        stamp = Reader(JAZZY, "geometry_msgs/msg/PoseStamped")(
-            encode(JAZZY, "geometry_msgs/msg/PoseStamped", value)
+        stamp = Reader(store, "geometry_msgs/msg/PoseStamped")(
+            Writer(store, "geometry_msgs/msg/PoseStamped", value)()
         )["header"]["stamp"]
         assert before - 1 <= stamp["sec"] + stamp["nanosec"] / 1e9 <= time.time() + 1
 
@@ -61,9 +62,16 @@ def test_long_values_are_shortened_unless_asked_for() -> None:
     assert yaml.safe_load(as_yaml(value, whole=True)) == value
 
 
+@pytest.mark.parametrize(("value", "shown"), [({"data": "wait..."}, "data: wait..."), (0.5, "0.5")])
+def test_only_the_mark_of_the_end_is_left_out(value: object, shown: str) -> None:
+    """YAML ends a lone value with three dots; a text may do so as well."""
+    assert as_yaml(value) == shown
+    assert as_yaml({"data": "a" * 1000}).endswith("aaa...")
+
+
 def test_python_notation() -> None:
     """As the generated classes' ``repr``; the tests with a real rclpy compare every type."""
-    value = Reader(JAZZY, "geometry_msgs/msg/Vector3")(encode(JAZZY, "geometry_msgs/msg/Vector3", {"x": 1}))
+    value = Reader(JAZZY, "geometry_msgs/msg/Vector3")(Writer(JAZZY, "geometry_msgs/msg/Vector3", {"x": 1})())
     assert (
         as_python(JAZZY, "geometry_msgs/msg/Vector3", value)
         == "geometry_msgs.msg.Vector3(x=1.0, y=0.0, z=0.0)"
@@ -73,9 +81,9 @@ def test_python_notation() -> None:
 def test_wrong_fields_and_bytes_are_named() -> None:
     """Neither ends in a traceback."""
     with pytest.raises(LayoutError, match="linar"):
-        encode(JAZZY, "geometry_msgs/msg/Twist", {"linar": {"x": 1}})
+        Writer(JAZZY, "geometry_msgs/msg/Twist", {"linar": {"x": 1}})()
     with pytest.raises(LayoutError):
-        encode(JAZZY, "geometry_msgs/msg/Twist", {"linear": {"x": "fast"}})
+        Writer(JAZZY, "geometry_msgs/msg/Twist", {"linear": {"x": "fast"}})()
     with pytest.raises(CodecError):
         Reader(JAZZY, "geometry_msgs/msg/Twist")(b"\0\1\0\0abc")
 
