@@ -6,7 +6,7 @@ ssh -t -L 8480:localhost:8480 MACHINE rosplc web  —  the page of another machi
 
 rosplc web --config cell.yaml  —  with what a configuration expects of its topics, and its classic topics
 
-rosplc web --allow-write  —  test messages may be written, by whoever has the token that it prints
+rosplc web --allow-write  —  test messages may be written, by anyone who has the token that it prints
 
 rosplc web --bind 192.168.1.5 --token-file web.token  —  reachable in the network, with a token of your own
 
@@ -58,7 +58,7 @@ def command(
         bind ADDRESS: Where to listen; `0.0.0.0` for every network.
         name HOST: A name by which browsers reach it; may be repeated.
         allow_write: Let who has the token write test messages.
-        token_file FILE: The token stands in it; otherwise one is made and printed.
+        token_file FILE: A file that holds the token; otherwise one is made and printed.
         token_to_view: Ask for the token before anything is shown, on loopback too.
         as_json: Print address and token as JSON.
     """

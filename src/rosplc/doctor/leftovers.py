@@ -109,7 +109,7 @@ def soundness(objects: Objects, prefix: str | None) -> Iterator[Finding]:
         what = f"{seen.path}: {error.what} [{error.code}]"
         if error.code in _HIDDEN:
             owner = user_name(seen.status.st_uid)
-            what = f"not visible: what stands in {seen.path}, which belongs to {owner} ({error.what})"
+            what = f"not visible: the content of {seen.path}, which belongs to {owner} ({error.what})"
             yield found("DOC003", what)
         elif error.code == "SHM121":
             command = f"rm{'dir' if stat.S_ISDIR(seen.status.st_mode) else ''} {seen.path}"

@@ -111,7 +111,7 @@ class Member:
         name: The field's name; for a sequence's count the sequence's name (``count_of`` tells
             the two apart); empty for padding. Generators choose identifiers for both.
         offset: Bytes from the start of the enclosing struct.
-        node: What lies there.
+        node: What is there.
         count_of: For a sequence's count: the name of the sequence member; else None.
     """
 

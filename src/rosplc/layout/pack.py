@@ -109,7 +109,7 @@ def _packer(node: Node, count: int, store: TypeStore) -> tuple[Pack, bytes]:
     """Return how to write a member, and its initial bytes without its own default value.
 
     Args:
-        node: What lies there.
+        node: What is there.
         count: Where the count of a sequence lies, from the sequence's own place.
         store: Knows the default values.
     """

@@ -340,7 +340,7 @@ class Inlet:
     def _run(self) -> None:
         try:
             self._take_all()
-        except Exception as error:  # whoever waits for the recording is told
+        except Exception as error:  # reported where the recording is waited for
             self.error = error
         finally:
             self._ready.set()
@@ -446,7 +446,7 @@ class Outlet:
                 continue
             try:
                 self._take(seal(batch, self._compression))
-            except Exception as error:  # whoever waits for the recording is told
+            except Exception as error:  # reported where the recording is waited for
                 self._drop(batch)
                 with self._lock:
                     self.error = error

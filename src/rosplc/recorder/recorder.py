@@ -345,7 +345,7 @@ class Recorder:
                     store.finish()
                     self._files += store.written
                 self._saves.append("; ".join(reasons))
-            except Exception as error:  # whoever waits for the recording is told
+            except Exception as error:  # reported where the recording is waited for
                 self._save_error = error
 
         self._saver = threading.Thread(target=write, name="rosplc-save", daemon=True)

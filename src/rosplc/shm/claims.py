@@ -111,7 +111,7 @@ class ReaderClaim:
         return False
 
     def take_over(self, index: int) -> bool:
-        """Claim a line from whoever has it now; return whether that was still the one who has it."""
+        """Claim a line from its present holder; return False if the holder has changed."""
         return self._try(index, self._region.word(reader_line(index)))
 
     def patience_ns(self) -> int:

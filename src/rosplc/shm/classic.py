@@ -107,7 +107,7 @@ class ClassicMemory:
 
     def write(self, record: bytes) -> None:
         """Write the record. Raises SHM129 if the object has become too small, SHM117 without room."""
-        # A write beyond the end would make it grow again under the hands of whoever cut it.
+        # A write beyond the end would make it grow again after it was cut.
         self._large_enough(size_of(self._fd))
         if write_at(self._fd, record) != len(record):
             raise channel_error(117, "a record was written in part", str(self.path))
@@ -133,7 +133,7 @@ class ClassicMemory:
             return
         what = f"the memory has {size} bytes, the record {self.record_size}"
         if not size:
-            what = f"the memory is empty (whoever made it gave it no size), the record has {self.record_size}"
+            what = f"the memory is empty (it was created without a size), the record has {self.record_size}"
         raise channel_error(129, what, str(self.path))
 
 

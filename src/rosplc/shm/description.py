@@ -37,7 +37,7 @@ class Description:
     definition: str
 
     def to_json(self) -> bytes:
-        """Return the UTF-8 text that stands in the object. Raises ValueError: If it exceeds 2²⁰ bytes."""
+        """Return the object's UTF-8 text. Raises ValueError: If it exceeds 2²⁰ bytes."""
         members = {"format": FORMAT, **{field.name: getattr(self, field.name) for field in fields(self)}}
         members["direction"] = self.direction.word
         members["limits"] = dict(self.limits)
