@@ -9,7 +9,7 @@ import signal
 import subprocess
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from tests.lib import isolated
@@ -64,10 +64,22 @@ class Shell:
         """Start a command in the shell's folder and leave it running; ``name`` is its terminal."""
         _, folder = self.run("pwd")
         world = isolated.command(join=self.process.pid) if isolated.possible() else []
-        job = Background(command, Path(folder.strip()), self.env, world)
+        job = Background(command, Path(folder.strip()), self.env, world, self._diagnose)
         self.background.append(job)
         self.terminals[name] = job
         return job
+
+    def _diagnose(self) -> None:
+        """Print what a person would look at when a terminal does not show what it should; end the page."""
+        for command in (
+            "rosplc status --json",
+            "rosplc list --json",
+            "rosplc status --json",
+            "ls -l /dev/shm",
+        ):
+            with contextlib.suppress(AssertionError, OSError):
+                print(f"$ {command}\n{self.run(f'timeout 20 {command} 2>&1')[1]}")
+        self._abort()
 
     def _abort(self) -> None:
         """End every program of the page; those in Python print where their threads are."""
@@ -91,8 +103,16 @@ class Shell:
 class Background:
     """A command that runs beside the page's shell; its output is kept."""
 
-    def __init__(self, command: str, folder: Path, env: dict[str, str], world: Sequence[str]) -> None:
+    def __init__(
+        self,
+        command: str,
+        folder: Path,
+        env: dict[str, str],
+        world: Sequence[str],
+        on_timeout: Callable[[], None],
+    ) -> None:
         self.command = command
+        self.on_timeout = on_timeout
         self.output = b""
         self.seen = 0
         self.process = subprocess.Popen(
@@ -123,6 +143,8 @@ class Background:
             ended = self.process.poll() is not None and not self.thread.is_alive()
             if (ended and not found.search(self.text(), self.seen)) or time.monotonic() > watchdog:
                 text = self.text()[self.seen :]
+                if not ended:
+                    self.on_timeout()
                 raise AssertionError(f"`{self.command}` did not print what is shown, but:\n{text}")
             time.sleep(0.05)
         self.seen = shown.end()
