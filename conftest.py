@@ -7,6 +7,7 @@ Three tiers (tests/README.md), told apart by markers: ``make test`` has neither 
   installation, ``needs(when=…, why="…")`` anything else. A check whose need is not met is deselected and
   listed at the end, never skipped. In CI, which can install packages, a missing one is a failure.
 * What needs a package or a variable, and whatever lies in a folder of ``FOREIGN``, is ``foreign``.
+* A test that failed and passed when it was repeated (CI asks for that with ``ROSPLC_RERUNS``) is listed.
 * ``ROSPLC_DEADLINE`` (seconds since 1970) ends a run: a check that no longer fits is not started, and listed.
 
 ``tools/checks.py`` reads the lists (a JSON file named by ``ROSPLC_REPORT``) and closes with them.
@@ -154,10 +155,13 @@ class Ledger:
         self.absent: dict[str, str] = {}
         self.skipped: dict[str, str] = {}
         self.unreached: list[str] = []
+        self.repeated: list[str] = []
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         if report.skipped and not hasattr(report, "wasxfail"):
             self.skipped[report.nodeid] = skip_reason(report)
+        if report.outcome == "rerun":  # type: ignore[comparison-overlap]  # pytest-rerunfailures' own
+            self.repeated.append(report.nodeid)
 
     def pytest_collectreport(self, report: pytest.CollectReport) -> None:
         if report.skipped:  # a module whose library has no wheel for this machine
@@ -174,8 +178,7 @@ class Ledger:
         if output is not None:
             output["rosplc"] = (self.absent, self.unreached)
         elif path := os.environ.get("ROSPLC_REPORT"):
-            found = {"absent": self.absent, "skipped": self.skipped, "unreached": self.unreached}
-            Path(path).write_text(json.dumps(found))
+            Path(path).write_text(json.dumps(vars(self)))
 
     def pytest_terminal_summary(self, terminalreporter: Any) -> None:
         for nodeid, why in sorted(self.absent.items()):

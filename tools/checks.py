@@ -42,6 +42,7 @@ class Outcome:
     absent: dict[str, str] = field(default_factory=dict)
     skipped: dict[str, str] = field(default_factory=dict)
     unreached: list[str] = field(default_factory=list)
+    repeated: list[str] = field(default_factory=list)
     summaries: list[str] = field(default_factory=list)
     ends: float | None = None
 
@@ -103,12 +104,15 @@ def run_pytest(
         colour = "yes" if sys.stdout.isatty() else "no"
         command = [str(python or sys.executable), "-m", "pytest", *places, "-m", marks, *options]
         command += ["--durations=5", f"--color={colour}"]
+        if reruns := os.environ.get("ROSPLC_RERUNS"):
+            command += ["--reruns", reruns, "--max-suite-reruns=5", "--rerun-show-tracebacks", "-rfE"]
         status, text = stream(command, env)
         if report.exists():
             found = json.loads(report.read_text())
             outcome.absent.update(found["absent"])
             outcome.skipped.update(found["skipped"])
             outcome.unreached += found["unreached"]
+            outcome.repeated += found["repeated"]
     good = status == 0 or (may_be_empty and status == NO_TESTS)
     lines = [line for line in text.splitlines() if SUMMARY.match(COLOUR.sub("", line))]
     if status != NO_TESTS:
@@ -221,6 +225,9 @@ def report(outcome: Outcome) -> None:
         print("\nSkipped:")
         for place, reason in sorted(outcome.skipped.items()):
             print(f"   {place}: {reason}")
+    if outcome.repeated:
+        print("\nUNRELIABLE, failed and was repeated:")
+        print_places(outcome.repeated)
     if path := os.environ.get("ROSPLC_SUMMARY"):
         with Path(path).open("a") as file:
             file.writelines(f"{line}\n" for line in outcome.summaries)

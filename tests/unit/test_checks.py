@@ -92,6 +92,27 @@ def test_missing_package_fails_in_ci(folder: Path, workers: tuple[str, ...]) -> 
     assert set(reported["absent"]) == set(ABSENT) - {"test_lacks_a_package"}
 
 
+@pytest.mark.parametrize("workers", [(), ("-n", "2")], ids=["one process", "xdist"])
+def test_a_test_that_has_to_be_repeated_is_reported(folder: Path, workers: tuple[str, ...]) -> None:
+    """One that fails twice is a failure; one that fails once passes, and is named."""
+    (folder / "test_sample.py").write_text(
+        "from pathlib import Path\n"
+        "def test_never(): raise OSError('always')\n"
+        "def test_second_time():\n"
+        "    seen = Path(__file__).with_suffix('.seen')\n"
+        "    if not seen.exists():\n        seen.touch()\n        raise OSError('once')\n",
+        encoding="utf-8",
+    )
+    again = ("-p", "pytest_rerunfailures", "--reruns", "1", "--rerun-show-tracebacks")
+    status, output, reported = run(folder, *workers, *again)
+    assert status == 1 and "1 failed, 1 passed, 2 rerun" in output
+    assert [name.partition("::")[2] for name in sorted(reported["repeated"])] == [
+        "test_never",
+        "test_second_time",
+    ]
+    assert "OSError: once" in output
+
+
 def test_what_needs_a_package_or_a_variable_is_foreign(folder: Path) -> None:
     """Such checks are no part of the first tier, and need no second marker for it."""
     status, output, reported = run(folder, "-m", "foreign")
@@ -150,12 +171,14 @@ def test_summary_names_packages_and_unreached_checks(
     }
     outcome.skipped = {"c": "why not"}
     outcome.unreached = ["b"]
+    outcome.repeated = ["e[x]", "e[y]"]
     module.report(outcome)
     text = capsys.readouterr().out
     assert "ONE is not set\n      d (2 cases)\n" in text
     assert "sudo apt-get install one" in text
     assert "neither passed nor failed: 1 checks\n      b\n" in text
     assert "Skipped:\n   c: why not\n" in text
+    assert "UNRELIABLE, failed and was repeated:\n      e (2 cases)\n" in text
     assert text.splitlines()[-1] == "==== 3 passed in 1.00s ===="
 
 
