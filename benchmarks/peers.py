@@ -28,7 +28,8 @@ from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.ros import ROS1, Backend, Qos, open_backend
 from rosplc.shm import Direction, Namespace, OwnedChannel, attach
-from rosplc.shm.classic import ClassicObject, Entry
+from rosplc.shm.classic import ClassicObject
+from rosplc.shm.classic_lock import Entry
 from rosplc_bench.process import reply
 
 TYPE = "geometry_msgs/msg/PoseStamped"
@@ -408,7 +409,7 @@ def _subscribe_plainly(
     from cyclonedds.util import duration
 
     from rosplc.ros.dds.backend import dds_qos
-    from rosplc.ros.dds.config import domain_config
+    from rosplc.ros.dds.domain import domain_config
     from rosplc.ros.dds.idl import IdlTypes, dds_topic
 
     domain = Domain(plan["domain"], domain_config(os.environ, plan["distro"]))

@@ -59,7 +59,7 @@ Message definitions:
     size of one record | layout.compute.MAX_RECORD | bytes | LAY003
     sequences within sequences | codec.ops.MAX_LOOPS | levels | TYP007
 Objects in shared memory:
-    name of an object | shm.names.MAX_NAME | characters | shortened with a hash
+    name of an object | shm.constants.MAX_NAME | characters | shortened with a hash
     size of an object | shm.constants.MAX_OBJECT_SIZE | bytes | SHM108
     size of a record | shm.constants.MAX_RECORD_SIZE | bytes | SHM108
     self-description | shm.constants.MAX_DESCRIPTION_SIZE | bytes | SHM108
@@ -76,11 +76,11 @@ ROS over DDS:
     name of a node in an announcement | ros.dds.graph.LONGEST_NAME | bytes | refused
     nodes or endpoints that it may claim | ros.dds.graph.MOST_CLAIMED | each | refused
     participants whose announcements are kept | ros.dds.graph.MOST_PARTICIPANTS | participants | not kept
-    domain | ros.dds.config.MAX_DOMAIN |  | ROS010
+    domain | ros.dds.domain.MAX_DOMAIN |  | ROS010
 ROS over Zenoh:
     liveliness token | ros.zenoh.keys.LONGEST_TOKEN | characters | refused, counted
     tokens that are kept | ros.zenoh.keys.MOST_TOKENS | tokens | refused, counted
-    configuration file of Zenoh's | ros.zenoh.config.LARGEST_FILE | bytes | ROS013, ROS010
+    configuration file of Zenoh's | ros.zenoh.session.LARGEST_FILE | bytes | ROS013, ROS010
 ROS 1:
     connection header | ros.rospy.handshake.MOST_HEADER | bytes | connection closed
     message | ros.rospy.inbound.LARGEST_MESSAGE | bytes | connection closed

@@ -13,7 +13,8 @@ from rosplc._core import distance as native_distance
 from rosplc._core import next_sequence as native_next
 from rosplc.errors import ChannelError
 from rosplc.shm import Namespace
-from rosplc.shm.names import MAX_NAME, fnv1a
+from rosplc.shm.constants import MAX_NAME
+from rosplc.shm.names import fnv1a
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "spec" / "model"))

@@ -18,9 +18,8 @@ from rosplc.codec import Fault
 from rosplc.config.quantities import format_duration
 from rosplc.errors import ChannelError
 from rosplc.shm import Direction
-from rosplc.shm.classic import ClassicObject, Entry
-
-__all__ = ["ClassicPort", "ClassicPorts", "ClassicToPlc", "ClassicToRos"]
+from rosplc.shm.classic import ClassicObject
+from rosplc.shm.classic_lock import Entry
 
 LOOK_NS = 50_000_000
 """How often names and lock are looked at while nothing else leads there."""
@@ -37,11 +36,7 @@ _ALERT_NS = 10_000_000_000
 
 
 class ClassicPort(Port):
-    """The memory of a classic stream with its lock, used by one thread; nothing in it can beat or tell.
-
-    Args:
-        side: The stream; its plan has ``classic`` set.
-    """
+    """The memory of a classic stream with its lock, used by one thread; nothing in it can beat or tell."""
 
     adopted = True  # other programs use the memory too: it is never retired
 

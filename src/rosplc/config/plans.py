@@ -13,7 +13,7 @@ from rosplc.config.quantities import format_duration, parse_duration
 from rosplc.config.settings import OnStaleSettings, TopicSettings
 from rosplc.errors import ConfigError, LayoutError
 from rosplc.layout import Layout
-from rosplc.shm.names import MAX_NAME
+from rosplc.shm.constants import MAX_NAME
 
 __all__ = ["ClassicPlan", "Demand", "StalePlan", "classic_name", "classic_plan", "flag_topic", "least_slots"]
 

@@ -13,9 +13,16 @@ from typing import Any, Literal, TypeVar
 from rosplc.clock import SYSTEM, Clock
 from rosplc.errors import BackendError
 from rosplc.harmless import one_line
-from rosplc.ros.backend import EndpointInfo, EndpointStatus, GraphInfo, OnMessage, Qos, TypeSource
+from rosplc.ros.backend import (
+    EndpointInfo,
+    EndpointStatus,
+    GraphInfo,
+    OnMessage,
+    Qos,
+    TypeSource,
+    incompatibility,
+)
 from rosplc.ros.names import join, resolve_topic, validate_namespace, validate_node_name
-from rosplc.ros.qos import incompatibility
 
 MOST_REASONS = 8  # Peers of one topic that a reason names; the others are counted.
 LONGEST_REASON = 500  # Characters about one peer.
@@ -53,11 +60,7 @@ def opener(make: Callable[[Context], _B]) -> Callable[..., _B]:
 
 
 def domain_number(domain: int | None, environment: Mapping[str, str], most: int | None = None) -> int | None:
-    """Return the ROS domain: the given one, else ``ROS_DOMAIN_ID``, else None.
-
-    Raises:
-        BackendError: ROS010 if it is no number from 0 to ``most``.
-    """
+    """Return the ROS domain: the given one, else ``ROS_DOMAIN_ID``, else None; ROS010 above ``most``."""
     source = "ros.domain" if domain is not None else "ROS_DOMAIN_ID"
     text = str(domain) if domain is not None else environment.get("ROS_DOMAIN_ID") or ""
     if not text:
@@ -113,12 +116,7 @@ def differs(ours: str, theirs: str) -> bool:
 
 
 def describe(peer: EndpointInfo, name: str = "") -> str:
-    """Return what a peer does, such as ``node /talker publishes /chatter as std_msgs/msg/String``.
-
-    Args:
-        peer: The peer's endpoint.
-        name: What to call the peer instead of by its node.
-    """
+    """Return what a peer (``name``, or its node) does: ``node /talker publishes /chatter as …``."""
     verb = "publishes" if peer.direction == "out" else "subscribes to"
     return f"{name or f'node {peer.node}'} {verb} {peer.topic} as {peer.type_name}"
 
@@ -126,13 +124,9 @@ def describe(peer: EndpointInfo, name: str = "") -> str:
 def explain(
     peer: EndpointInfo, ours: BaseEndpoint | EndpointInfo, name: str = "", *, matched: bool = False
 ) -> Problem | None:
-    """Return what is wrong between a peer and one of our endpoints; None if nothing that is known.
+    """Return what is wrong between a peer and our endpoint of the other direction; None if nothing is known.
 
-    Args:
-        peer: The peer's endpoint on the same topic, of the other direction.
-        ours: Our endpoint.
-        name: What to call the peer instead of by its node.
-        matched: Whether the middleware has matched the two: then their settings fit.
+    The peer is called ``name``, or by its node. What the middleware has ``matched`` has settings that fit.
     """
     does = describe(peer, name)
     if peer.type_name != ours.type_name:
@@ -152,15 +146,7 @@ def _short(type_hash: str) -> str:
 
 
 class BaseEndpoint:
-    """An endpoint's counts and its end.
-
-    Args:
-        node: The node that has it.
-        topic: The absolute topic name.
-        type_name: ``package/msg/Name``.
-        qos: The settings.
-        type_hash: The ROS 2 type hash; empty if there is none to compare.
-    """
+    """An endpoint's counts and its end; ``type_hash`` is empty if there is none to compare."""
 
     direction: Literal["in", "out"]
 
@@ -304,14 +290,7 @@ class BasePublisher(BaseEndpoint):
 
 
 class BaseNode:
-    """A node's names, types, endpoints and receive thread.
-
-    Args:
-        context: What it is opened with.
-
-    Attributes:
-        node: The node's full name.
-        clock: Time.
+    """A node's names, types, endpoints and receive thread; its full name is ``node``.
 
     Raises:
         BackendError: ROS001 if the types are those of the other ROS, ROS005 for a bad name.

@@ -20,8 +20,8 @@ from rosbags.rosbag2 import Reader as Reader2
 from rosbags.typesys import Stores, get_types_from_idl, get_typestore
 
 from rosplc.errors import BackendError
+from rosplc.ros.backend import Qos
 from rosplc.ros.plain_file import unreadable_kind
-from rosplc.ros.qos import Qos
 
 # A closed list had holes: SQLite's wrapper and the decompressors below rosbags have errors of their own.
 DAMAGE = Exception  # What a reader lets through when bytes of a file are not what they should be: anything.
@@ -51,11 +51,7 @@ class BagTopic:
 
 
 def refuse_other_kinds(path: Path) -> None:
-    """Refuse what is neither a plain file nor a folder, before anything waits for it.
-
-    Raises:
-        BackendError: ROS006.
-    """
+    """Refuse (ROS006) what is neither a plain file nor a folder, before anything waits for it."""
     what, remedy = unreadable_kind(path)
     if what:
         raise BackendError("ROS006", f"recording cannot be read: {what}", where=str(path), remedy=remedy)
@@ -68,7 +64,6 @@ class Bag:
         path: A ``.bag``, ``.mcap`` or ``.db3`` file, or a folder of ``ros2 bag``.
 
     Attributes:
-        path: As given.
         ros_version: 1 or 2.
         distro: The ROS distribution that the file names; empty if it names none.
 
@@ -129,10 +124,7 @@ class Bag:
         return int(self._reader.start_time), int(self._reader.end_time)
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[tuple[str, str, int, bytes]]:
-        """Yield topic, type, time (ns since 1970) and bytes of every message, in their order.
-
-        Args:
-            topics: Only those of these topics; None for all.
+        """Yield topic, type, time (ns since 1970) and bytes of each message (of these topics), in order.
 
         Raises:
             BackendError: ROS006, the file is damaged.

@@ -29,14 +29,7 @@ _SUMMED = ("messages", "dropped", "rejected", "failed")
 
 
 class LifecycleEndpoint:
-    """A topic that is received or sent while the backend is active.
-
-    Args:
-        before: The status before the first activation: it has topic, type and direction.
-        qos: The settings.
-        make: Opens the endpoint of the backend itself.
-        on_close: Called once, when it is closed for good.
-    """
+    """A topic that is received or sent while the backend is active; ``before`` tells which."""
 
     def __init__(
         self, before: EndpointStatus, qos: Qos, make: Callable[[], Any], on_close: Callable[[Any], None]
@@ -98,14 +91,12 @@ class LifecycleBackend:
     """A backend that is connected while it is active; see :class:`rosplc.ros.backend.Backend`.
 
     Args:
-        inner: The backend; closed by :meth:`close`.
         check: Called with the type's name when an endpoint is asked for, to refuse at once what
             could not be opened later.
         always: Topics that are connected in every state.
 
     Attributes:
         active: Whether endpoints are open; they are not at first.
-        check: As given.
     """
 
     def __init__(
@@ -149,11 +140,7 @@ class LifecycleBackend:
             self._endpoints = [one for one in self._endpoints if one is not endpoint]
 
     def activate(self) -> None:
-        """Open all endpoints, or none.
-
-        Raises:
-            RosplcError: As the backend's ``subscribe`` and ``advertise``.
-        """
+        """Open all endpoints, or none. Raises as the backend's ``subscribe`` and ``advertise``."""
         with self._lock:
             try:
                 for endpoint in self._endpoints:

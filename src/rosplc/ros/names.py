@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from rosplc.errors import BackendError
 
 _TOKEN = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
+_DDS_TYPE = re.compile(r"(\w+)::(\w+)::dds_::(\w+)_\Z", re.ASCII)
 LONGEST_NAME = 247  # RMW_TOPIC_MAX_NAME_LENGTH: 255 less the prefixes of the middleware
 
 
@@ -55,6 +56,18 @@ def validate_node_name(name: str) -> str:
     return name
 
 
+def dds_type_name(name: str) -> str:
+    """Return ``std_msgs::msg::dds_::String_`` for ``std_msgs/msg/String``."""
+    package, kind, base = name.split("/")
+    return f"{package}::{kind}::dds_::{base}_"
+
+
+def ros_type_name(name: str) -> str:
+    """Undo :func:`dds_type_name`; other names are returned as they are."""
+    found = _DDS_TYPE.match(name)
+    return "/".join(found.groups()) if found else name
+
+
 def join(namespace: str, name: str) -> str:
     """Return ``name`` inside ``namespace``: ``/`` and ``talker`` give ``/talker``."""
     return f"{namespace.rstrip('/')}/{name}"
@@ -65,11 +78,7 @@ def resolve_topic(
 ) -> str:
     """Expand a topic name (absolute, relative, or private with ``~``) and remap it.
 
-    Args:
-        name: The name as written.
-        namespace: The node's namespace.
-        node_name: The node's base name, for ``~``.
-        remap: Topic → topic; both are expanded the same way before they are compared.
+    Both sides of a rule of ``remap`` are expanded the same way before they are compared.
 
     Raises:
         BackendError: ROS005 if the outcome breaks a rule.

@@ -13,9 +13,7 @@ _OPENED = (".bag", ".db3", ".mcap", ".yaml", ".zstd")
 def unreadable_kind(path: Path, *, folder: bool = True) -> tuple[str, str]:
     """Return why a path cannot be a recording, and what to do; two empty texts if it may be one.
 
-    Args:
-        path: A file or folder; a folder's files are looked at as well.
-        folder: Whether a folder may be one.
+    A folder's files are looked at as well.
     """
     try:
         mode = path.stat().st_mode

@@ -6,23 +6,18 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
+from rosplc.shm.constants import FNV_OFFSET, FNV_PRIME, MAX_NAME, NAME_KEPT
 from rosplc.shm.header import channel_error
-
-__all__ = ["MAX_NAME", "Namespace", "fnv1a"]
-
-MAX_NAME = 80
-"""Characters of a default STRING in a PLC."""
 
 _PREFIX = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,31}")
 _TOPIC = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
-_HASHED = MAX_NAME - 9
 
 
 def fnv1a(text: str) -> int:
     """Return the 32-bit FNV-1a hash of a text of ASCII characters."""
-    value = 0x811C9DC5
+    value = FNV_OFFSET
     for byte in text.encode("ascii"):
-        value = (value ^ byte) * 0x01000193 & 0xFFFFFFFF
+        value = (value ^ byte) * FNV_PRIME & 0xFFFFFFFF
     return value
 
 
@@ -51,7 +46,7 @@ class Namespace:
             raise channel_error(118, f"topic {topic!r} does not match {_TOPIC.pattern}")
         name = f"{self.prefix}.t.{topic[1:].replace('/', '.')}"
         if len(name) > MAX_NAME:
-            name = f"{name[:_HASHED]}~{fnv1a(name):08x}"
+            name = f"{name[:NAME_KEPT]}~{fnv1a(name):08x}"
         return name
 
     def path(self, topic: str) -> Path:

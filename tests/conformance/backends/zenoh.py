@@ -69,8 +69,8 @@ class ZenohHarness(Harness):
         import zenoh
 
         from rosplc.model import TypeStore
-        from rosplc.ros.zenoh.config import session_config
         from rosplc.ros.zenoh.keys import pack, topic_key
+        from rosplc.ros.zenoh.session import session_config
 
         assert self.domain is not None
         store = TypeStore.bundled(self.distros[0])

@@ -7,10 +7,11 @@ from typing import Literal
 
 from rosplc.ros import EndpointInfo
 from rosplc.ros._base import explain
+from rosplc.ros.backend import Qos
 from rosplc.ros.dds.graph import LONGEST_NAME, NodeEntities, decode_announcement, encode_announcement
-from rosplc.ros.dds.idl import dds_topic, dds_type_name, ros_topic, ros_type_name
+from rosplc.ros.dds.idl import dds_topic, ros_topic
 from rosplc.ros.dds.peers import type_hash_in
-from rosplc.ros.qos import Qos
+from rosplc.ros.names import dds_type_name, ros_type_name
 from tests.fuzz.choices import Choices
 
 __all__ = ["check", "seeds"]

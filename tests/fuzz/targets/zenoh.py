@@ -11,7 +11,7 @@ import zenoh
 
 from rosplc.clock import SYSTEM
 from rosplc.harmless import harmless
-from rosplc.ros.qos import Qos
+from rosplc.ros.backend import Qos
 from rosplc.ros.zenoh import endpoint
 from rosplc.ros.zenoh import keys as attachment
 from rosplc.ros.zenoh.keys import (

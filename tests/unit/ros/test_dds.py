@@ -23,7 +23,7 @@ from rosplc.errors import BackendError
 from rosplc.model import DISTROS, TypeStore
 from rosplc.ros import Qos
 from rosplc.ros.dds import domain as domain_module
-from rosplc.ros.dds.config import check_peers, domain_config, domain_id
+from rosplc.ros.dds.domain import check_peers, domain_config, domain_id
 from rosplc.ros.dds.graph import (
     ANNOUNCEMENT,
     ANNOUNCEMENT_TOPIC,
@@ -33,7 +33,7 @@ from rosplc.ros.dds.graph import (
     encode_announcement,
     gid_size,
 )
-from rosplc.ros.dds.idl import IdlTypes, dds_topic, dds_type_name, ros_topic, ros_type_name
+from rosplc.ros.dds.idl import IdlTypes, dds_topic, ros_topic
 from tests.interop.graphs import STRING, Graph, free_domain, string
 from tests.lib.waiting import wait_for
 
@@ -193,9 +193,6 @@ def test_names_are_those_of_ros_2() -> None:
     """Topic and type names are mangled as every ROS 2 layer over DDS does it."""
     assert dds_topic("/a/b") == "rt/a/b"
     assert (ros_topic("rt/a/b"), ros_topic("rq/a/bRequest"), ros_topic("plain")) == ("/a/b", None, None)
-    assert dds_type_name("pkg/msg/T") == dds_type_name("pkg/T") == "pkg::msg::dds_::T_"
-    assert ros_type_name("pkg::msg::dds_::T_") == "pkg/msg/T"
-    assert ros_type_name("Plain::Type") == "Plain::Type"
 
 
 OPEN_ALL = """

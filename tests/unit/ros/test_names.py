@@ -6,8 +6,10 @@ import pytest
 
 from rosplc.errors import BackendError
 from rosplc.ros.names import (
+    dds_type_name,
     join,
     resolve_topic,
+    ros_type_name,
     validate_namespace,
     validate_node_name,
     validate_topic,
@@ -84,3 +86,10 @@ def test_remapping_compares_expanded_names() -> None:
         resolve_topic(n, namespace="/ns", node_name="n", remap=rules) for n in ("/ns/a", "b", "/ns/n/c", "/a")
     ]
     assert found == ["/x", "/ns/y", "/ns/n/z", "/a"]
+
+
+def test_type_names_in_dds_and_zenoh() -> None:
+    """A type has the name that every ROS 2 middleware gives it; other names are left as they are."""
+    assert dds_type_name("pkg/msg/T") == "pkg::msg::dds_::T_"
+    assert ros_type_name("pkg::msg::dds_::T_") == "pkg/msg/T"
+    assert [ros_type_name(name) for name in ("Plain::Type", "not/a::type")] == ["Plain::Type", "not/a::type"]

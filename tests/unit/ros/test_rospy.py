@@ -15,10 +15,9 @@ from rosplc.errors import RosplcError
 from rosplc.model import TypeStore
 from rosplc.ros import Qos, open_backend
 from rosplc.ros.rospy import handshake
-from rosplc.ros.rospy.address import read_address
 from rosplc.ros.rospy.handshake import Definition, mismatch
 from rosplc.ros.rospy.inbound import Incoming, RospySubscription, cut
-from rosplc.ros.rospy.master import Master
+from rosplc.ros.rospy.master import Master, read_address
 from rosplc.ros.rospy.outbound import Outgoing, _Queue
 from tests.interop.ros1.graph import free_port
 from tests.lib.clock import SteppedClock

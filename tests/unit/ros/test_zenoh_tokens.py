@@ -15,12 +15,10 @@ from rosplc.ros.zenoh import keys as attachment
 from rosplc.ros.zenoh.keys import (
     Entity,
     TokenTable,
-    dds_type_name,
     decode_qos,
     encode_qos,
     gid_of,
     parse_token,
-    ros_type_name,
     topic_key,
 )
 
@@ -161,5 +159,3 @@ def test_topic_key() -> None:
     """The key is domain, topic, type and hash, as an independent implementation builds it."""
     ours = topic_key(3, "/robot1/state", STRING, HASH)
     assert ours == topic_keyexpr(3, "/robot1/state", "std_msgs::msg::dds_::String_", HASH)
-    assert ros_type_name(dds_type_name(STRING)) == STRING
-    assert ros_type_name("not/a::type") == "not/a::type"

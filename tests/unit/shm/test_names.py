@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 
 from rosplc.errors import ChannelError
 from rosplc.shm import Namespace
-from rosplc.shm.names import MAX_NAME, fnv1a
+from rosplc.shm.constants import MAX_NAME
+from rosplc.shm.names import fnv1a
 
 _TOPICS = st.lists(st.from_regex(r"[A-Za-z_][A-Za-z0-9_]{0,15}", fullmatch=True), min_size=1, max_size=8).map(
     lambda parts: "/" + "/".join(parts)

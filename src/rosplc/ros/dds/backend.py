@@ -30,7 +30,7 @@ from rosplc.ros._base import (
 from rosplc.ros.backend import EndpointInfo, GraphInfo, OnMessage, Qos
 from rosplc.ros.dds import domain as domains
 from rosplc.ros.dds import native
-from rosplc.ros.dds.config import check_peers, domain_config, domain_id
+from rosplc.ros.dds.domain import check_peers, domain_config, domain_id
 from rosplc.ros.dds.endpoint import DdsPublisher, DdsSubscription
 from rosplc.ros.dds.graph import Announcer
 from rosplc.ros.dds.idl import IdlTypes, dds_topic, ros_topic
@@ -69,11 +69,7 @@ def dds_qos(qos: Qos, type_hash: str) -> DdsQos:
 
 
 class DdsBackend(BaseNode):
-    """One ROS 2 node on DDS; see :class:`rosplc.ros.backend.Backend`.
-
-    Attributes:
-        domain: The ROS domain.
-    """
+    """One ROS 2 node on DDS; see :class:`rosplc.ros.backend.Backend`."""
 
     name = "dds"
     capabilities = frozenset({"topics", "deadline"})

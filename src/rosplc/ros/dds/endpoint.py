@@ -21,12 +21,7 @@ _BATCH = 256  # messages taken from one reader before the others get their turn
 
 
 class _Endpoint(BaseEndpoint):
-    """What both directions have in common.
-
-    Args:
-        entity: The wheel's reader or writer.
-        arguments: Those of :class:`BaseEndpoint`; the type hash is empty on Humble.
-    """
+    """What both directions have in common; the type hash is empty on Humble."""
 
     def __init__(self, entity: Any, *arguments: Any) -> None:
         super().__init__(*arguments)

@@ -36,14 +36,7 @@ LONGEST_NAME = 256  # the bound in rmw_dds_common/msg/NodeEntitiesInfo
 
 @dataclass(frozen=True, slots=True)
 class NodeEntities:
-    """One node of a participant.
-
-    Attributes:
-        namespace: Such as ``/`` or ``/robot1``.
-        name: The base name.
-        readers: The 16-byte ids of its subscriptions' DDS readers.
-        writers: The 16-byte ids of its publishers' DDS writers.
-    """
+    """One node of a participant: its names, and the 16-byte ids of its endpoints' DDS readers and writers."""
 
     namespace: str
     name: str
@@ -85,11 +78,7 @@ def encode_announcement(participant: bytes, nodes: Sequence[NodeEntities], size:
 
 
 def decode_announcement(data: bytes, size: int) -> tuple[bytes, tuple[NodeEntities, ...]]:
-    """Return the participant's 16-byte id and its nodes.
-
-    Raises:
-        ValueError: If the bytes are no such message.
-    """
+    """Return the participant's 16-byte id and its nodes; ValueError if the bytes are no such message."""
     if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
         raise ValueError("no plain CDR")
     order = "<I" if data[1] else ">I"
@@ -155,12 +144,7 @@ class Announcer:
     """One node's place in the graph.
 
     Args:
-        participant: The wheel's participant.
-        topics: Opens its topics.
         guid: Its 16-byte id.
-        namespace: The node's namespace.
-        name: The node's base name.
-        distro: The ROS distribution.
         qos_of: Makes the wheel's QoS from a :class:`Qos` and a type hash.
     """
 

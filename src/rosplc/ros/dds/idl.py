@@ -7,7 +7,6 @@ XCDR version 1; ``byte`` and ``char`` travel as octets
 
 from __future__ import annotations
 
-import re
 import threading
 from typing import Any
 
@@ -16,6 +15,7 @@ from cyclonedds.idl import types as idl_types
 
 from rosplc.model.types import ArrayType, FieldType, MessageType, NamedType, PrimitiveType, StringType
 from rosplc.ros.backend import TypeSource
+from rosplc.ros.names import dds_type_name
 
 _PRIMITIVES: dict[str, Any] = {
     "bool": bool, "byte": idl_types.uint8, "char": idl_types.uint8,
@@ -25,20 +25,7 @@ _PRIMITIVES: dict[str, Any] = {
     "float32": idl_types.float32, "float64": idl_types.float64,
 }  # fmt: skip
 
-_ROS_TYPE = re.compile(r"(\w+)::(\w+)::dds_::(\w+)_\Z", re.ASCII)
 _PLACEHOLDER = "structure_needs_at_least_one_member"  # rosidl's member of a message without fields
-
-
-def dds_type_name(type_name: str) -> str:
-    """Return ``geometry_msgs::msg::dds_::Twist_`` for ``geometry_msgs/msg/Twist``."""
-    package, _, name = type_name.partition("/")
-    return f"{package}::msg::dds_::{name.rpartition('/')[2]}_"
-
-
-def ros_type_name(name: str) -> str:
-    """Return the ROS name of a DDS type, or the DDS name as it is if it is not ROS's."""
-    found = _ROS_TYPE.match(name)
-    return "/".join(found.groups()) if found else name
 
 
 def dds_topic(topic: str) -> str:

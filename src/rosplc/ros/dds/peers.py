@@ -28,7 +28,8 @@ from cyclonedds.core import InstanceState
 
 from rosplc.ros.backend import EndpointInfo, Qos
 from rosplc.ros.dds import native
-from rosplc.ros.dds.idl import ros_topic, ros_type_name
+from rosplc.ros.dds.idl import ros_topic
+from rosplc.ros.names import ros_type_name
 
 _TYPE_HASH = re.compile(rb"(?:^|;)typehash=(RIHS01_[0-9a-f]{64});")
 _BATCH = 256
@@ -45,9 +46,7 @@ class Peer:
     """An endpoint of another participant.
 
     Attributes:
-        guid: Its 16-byte id.
         handle: Its instance handle, by which DDS lists matched peers.
-        dds_topic: The DDS topic name.
         info: The endpoint in ROS's words, without its node; the topic is DDS's if it is none of ROS.
     """
 
@@ -61,7 +60,6 @@ class PeerTable:
     """What the builtin topics have shown so far; updated by the receive thread.
 
     Args:
-        participant: The wheel's participant.
         own: Its 16-byte id; its own endpoints are left out.
     """
 

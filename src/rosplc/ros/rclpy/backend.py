@@ -27,10 +27,9 @@ from rosplc.ros._base import (
 )
 from rosplc.ros.backend import EndpointInfo, GraphInfo, OnMessage, Qos, TypeSource
 from rosplc.ros.names import join, validate_namespace, validate_node_name
-from rosplc.ros.rclpy.endpoint import RclpyPublisher, RclpySubscription, create
+from rosplc.ros.rclpy.endpoint import RclpyPublisher, RclpySubscription, create, profile, read_peers
 from rosplc.ros.rclpy.messages import MessageClasses
 from rosplc.ros.rclpy.parameters import show
-from rosplc.ros.rclpy.peers import profile, read_peers
 from rosplc.ros.rclpy.spin import OwnNode, guard_takes, read_options
 
 _GIVES_STAMPS = hasattr(NativeSubscription, "CallbackType")  # since ROS 2 Iron
@@ -43,9 +42,6 @@ class RclpyBackend(BaseNode):
 
     Made by :func:`open_backend`, with a node and a thread of its own, or by :func:`from_node`, on a
     node that the caller spins.
-
-    Attributes:
-        domain: The ROS domain.
     """
 
     name = "rclpy"
@@ -247,17 +243,17 @@ def from_node(node: Any, store: TypeSource, *, remap: Mapping[str, str] | None =
 
 def _open(context: Context) -> RclpyBackend:
     check_ros("rclpy", context.store)
-    chosen = read_options(context.options)
+    ros_args, parameters = read_options(context.options)
     name, namespace = validate_node_name(context.node_name), validate_namespace(context.namespace)
     number = domain_number(context.domain, context.environment)
     try:
-        own = OwnNode(name, namespace, number, chosen.ros_args, context.clock)
+        own = OwnNode(name, namespace, number, ros_args, context.clock)
     except Exception as error:
         raise refusal(f"cannot join the graph as {join(namespace, name)}", error) from error
     backend = RclpyBackend(own.node, context.store, context.remap, context.clock)
     backend.adopt(own)
     try:
-        show(own.node, chosen.parameters)
+        show(own.node, parameters)
     except BaseException:
         own.leave()
         raise
@@ -269,5 +265,5 @@ def _open(context: Context) -> RclpyBackend:
 #
 # Arguments and errors are those of `rosplc.ros.open_backend`. `environment` serves for
 # `ROS_DOMAIN_ID` alone: everything else (RMW_IMPLEMENTATION, ROS_SECURITY_*, discovery) the
-# middleware reads from the process. `options` are described in `rosplc.ros.rclpy.spin.Options`.
+# middleware reads from the process. `options` are described in `rosplc.ros.rclpy.spin.read_options`.
 open_backend = opener(_open)

@@ -62,11 +62,7 @@ def field_text(kind: FieldType) -> str:
 
 
 class MessageClasses:
-    """The classes of a store's types, each compared once.
-
-    Args:
-        store: The bridge's own definitions.
-    """
+    """The classes of the types of a store, the bridge's own definitions, each compared once."""
 
     def __init__(self, store: TypeSource) -> None:
         self._store = store

@@ -16,10 +16,8 @@ _WORDS = "shown only; set by rosplc"
 def show(node: Any, values: Mapping[str, str | list[str]]) -> None:
     """Declare read-only parameters; ``version`` always, and those given.
 
-    Args:
-        node: An ``rclpy.node.Node``.
-        values: Name → value. An override from outside (``-p name:=value``) does not change it, and
-            an empty list is left out: rclpy cannot tell its type.
+    An override from outside (``-p name:=value``) does not change a value, and an empty list is left out:
+    rclpy cannot tell its type.
     """
     for name, value in {"version": __version__, **values}.items():
         if value != [] and not node.has_parameter(name):
@@ -31,10 +29,7 @@ class Shown:
     """Parameters that change with the bridge's configuration, and that nobody else can set.
 
     rclpy lets nobody change a read-only parameter, its own node included; so these are guarded by a
-    callback.
-
-    Args:
-        node: An ``rclpy.node.Node``; ``version`` is declared at once.
+    callback. ``version`` is declared at once.
     """
 
     def __init__(self, node: Any) -> None:

@@ -10,7 +10,6 @@ import logging
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
 from typing import Any
 
 from rclpy.context import Context
@@ -22,22 +21,13 @@ from rosplc.clock import Clock
 from rosplc.errors import BackendError
 
 
-@dataclass(frozen=True, slots=True)
-class Options:
-    """The backend's own keys.
+def read_options(options: Mapping[str, object]) -> tuple[list[str], Mapping[str, str | list[str]]]:
+    """Read the backend's own keys.
 
-    Attributes:
-        ros_args: ROS arguments for the bridge's node, as after ``--ros-args`` on a command line:
-            ``["-r", "cmd_vel:=base/cmd_vel", "--enclave", "/cell1"]``.
-        parameters: Name → value of parameters that the node shows, and nobody can set.
-    """
-
-    ros_args: tuple[str, ...] = ()
-    parameters: Mapping[str, str | list[str]] = field(default_factory=dict)
-
-
-def read_options(options: Mapping[str, object]) -> Options:
-    """Read the keys.
+    Returns:
+        ROS arguments for the bridge's node, as after ``--ros-args`` on a command line:
+        ``["-r", "cmd_vel:=base/cmd_vel", "--enclave", "/cell1"]``; and name → value of parameters that the
+        node shows, and nobody can set.
 
     Raises:
         BackendError: ROS013, a key is unknown or its value is not of its kind.
@@ -53,7 +43,7 @@ def read_options(options: Mapping[str, object]) -> Options:
         raise BackendError(
             "ROS013", f"ros.rclpy.parameters is {parameters!r}; it maps names to strings or lists of strings"
         )
-    return Options(tuple(one for one in arguments if one != "--ros-args"), dict(parameters))
+    return [one for one in arguments if one != "--ros-args"], parameters
 
 
 def _is_shown(value: object) -> bool:
@@ -68,10 +58,6 @@ def guard_takes(executor: Any, refused: Callable[[Any, Exception], None]) -> Non
 
     An empty serialized message makes the middleware's take raise (rmw_cyclonedds). rclpy's executors then
     never release the subscription and its callback group, which is that of all our subscriptions.
-
-    Args:
-        executor: An executor of rclpy.
-        refused: Called with the subscription and the error.
     """
     take = executor._take_subscription
     if hasattr(take, "refused"):
@@ -94,11 +80,8 @@ class OwnNode:
     """One node that a thread of its own serves until :meth:`close`.
 
     Args:
-        name: Its base name.
-        namespace: Its namespace.
         domain: The ROS domain; None leaves it to ``ROS_DOMAIN_ID``.
         ros_args: ROS arguments, as after ``--ros-args``; they apply to this node alone.
-        clock: Time.
 
     Raises:
         Exception: Whatever rclpy raises; nothing is left behind.

@@ -12,9 +12,9 @@ from typing import Any, Literal
 from rosplc.errors import BackendError
 from rosplc.ros._base import BaseNode, Context, Problem, graph_info, opener
 from rosplc.ros.backend import EndpointInfo, GraphInfo, OnMessage, Qos
-from rosplc.ros.rospy.address import read_address
 from rosplc.ros.rospy.handshake import ANY, Definition, ros2_name
 from rosplc.ros.rospy.inbound import Incoming, RospySubscription
+from rosplc.ros.rospy.master import read_address
 from rosplc.ros.rospy.outbound import Outgoing, RospyPublisher
 from rosplc.ros.rospy.registration import Key, Registration
 from rosplc.ros.rospy.slave import Servers

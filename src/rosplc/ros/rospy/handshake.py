@@ -111,14 +111,9 @@ def peer_type(fields: Mapping[str, str]) -> tuple[str, str]:
 def mismatch(
     node: str, verb: str, topic: str, theirs: tuple[str, str], ours: tuple[str, str]
 ) -> tuple[str, str] | None:
-    """Return code and words if two types are not the same; None if they are.
+    """Return code and words if type name and MD5 sum of a peer (``*``: any) are not ours; None if they are.
 
-    Args:
-        node: The peer's full name.
-        verb: ``publishes`` or ``subscribes to``.
-        topic: The topic.
-        theirs: The peer's type name and MD5 sum; ``*`` stands for any.
-        ours: Ours.
+    ``verb`` is ``publishes`` or ``subscribes to``.
     """
     (name, md5), (own_name, own_md5) = theirs, ours
     does = f"node {node} {verb} {topic} as {name}"
@@ -148,13 +143,7 @@ class Definition(NamedTuple):
 
 
 class Topic:
-    """A topic that the node receives or sends; the subscriptions or publishers of it share its connections.
-
-    Args:
-        node: The backend.
-        topic: The topic.
-        definition: Its type.
-    """
+    """A topic that the node receives or sends; its subscriptions or publishers share its connections."""
 
     direction: str
 

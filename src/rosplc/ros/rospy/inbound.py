@@ -79,11 +79,7 @@ def handshake(
 
 
 def cut(buffer: bytearray) -> list[bytes]:
-    """Take the whole messages out of a stream's bytes.
-
-    Raises:
-        HandshakeError: A length is none.
-    """
+    """Take the whole messages out of a stream's bytes. Raises HandshakeError: A length is none."""
     found, at, end = [], 0, len(buffer)
     with memoryview(buffer) as view:
         while end - at >= 4:
@@ -102,16 +98,11 @@ class Link:
     """The connection to one publisher, and the thread that reads from it.
 
     Args:
-        incoming: The topic.
-        uri: The publisher's node.
         former: The connection before it, if there was one.
 
     Attributes:
         node: The publisher's name, once its header has named it.
-        connected: Whether messages flow.
-        latching: Whether the publisher latches.
         problem: Code and words for what keeps it from connecting, or from being the right type.
-        ended: Whether its thread has ended.
     """
 
     def __init__(self, incoming: Incoming, uri: str, former: Link | None = None) -> None:

@@ -31,10 +31,6 @@ Key = tuple[str, str]  # Direction (`in` or `out`) and topic.
 class Registration:
     """A thread that keeps the master's knowledge of one node right.
 
-    Args:
-        node: The backend.
-        master: The master's URI.
-
     Attributes:
         trouble: Why the master cannot be reached, in words; empty if it can.
         state: What the master knew when it was last asked.

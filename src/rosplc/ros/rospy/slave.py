@@ -11,14 +11,12 @@ import os
 import socket
 import threading
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 from xmlrpc.server import SimpleXMLRPCDispatcher, SimpleXMLRPCRequestHandler
 
 from rosplc.clock import SYSTEM, Clock
-from rosplc.ros.rospy.address import Address, is_node_uri
 from rosplc.ros.rospy.handshake import HandshakeError, encode_header, read_header, ros1_name
-from rosplc.ros.rospy.inbound import Incoming
-from rosplc.ros.rospy.outbound import Outgoing
+from rosplc.ros.rospy.master import Address, is_node_uri
 
 _logger = logging.getLogger("rosplc.ros.rospy")
 
@@ -29,33 +27,17 @@ MOST_GREETINGS = 128  # Subscribers whose headers are waited for at once.
 _TIMEOUT_S = 5.0
 
 
-class Topics(Protocol):
-    """What the servers ask of the node."""
-
-    def incoming(self) -> dict[str, Incoming]:
-        """Return the topics that are received."""
-
-    def outgoing(self) -> dict[str, Outgoing]:
-        """Return the topics that are sent."""
-
-    def publishers_changed(self, topic: str, uris: tuple[str, ...]) -> None:
-        """Take the master's word for who publishes a topic."""
-
-    def told_to_leave(self, caller: str, why: str) -> None:
-        """Take the demand to shut down."""
-
-
 class _Api:
     """The Slave API: every public method is callable by any node; so nothing here trusts its arguments."""
 
-    def __init__(self, master: str, topics: Topics, place: tuple[str, int]) -> None:
-        self._master, self._topics, self._place = master, topics, place
+    def __init__(self, master: str, node: Any, place: tuple[str, int]) -> None:
+        self._master, self._node, self._place = master, node, place
 
     def getBusStats(self, caller_id: object) -> tuple[int, str, list[Any]]:
         return 1, "", [[], [], []]
 
     def getBusInfo(self, caller_id: object) -> tuple[int, str, list[Any]]:
-        topics: list[Any] = [*self._topics.outgoing().values(), *self._topics.incoming().values()]
+        topics: list[Any] = [*self._node.outgoing().values(), *self._node.incoming().values()]
         return 1, "bus info", [row for topic in topics for row in topic.info()]
 
     def getMasterUri(self, caller_id: object) -> tuple[int, str, str]:
@@ -65,10 +47,10 @@ class _Api:
         return 1, "", os.getpid()
 
     def getSubscriptions(self, caller_id: object) -> tuple[int, str, list[Any]]:
-        return 1, "subscriptions", _types(self._topics.incoming())
+        return 1, "subscriptions", _types(self._node.incoming())
 
     def getPublications(self, caller_id: object) -> tuple[int, str, list[Any]]:
-        return 1, "publications", _types(self._topics.outgoing())
+        return 1, "publications", _types(self._node.outgoing())
 
     def paramUpdate(self, caller_id: object, key: object, value: object) -> tuple[int, str, int]:
         return -1, "not subscribed", 0
@@ -76,11 +58,11 @@ class _Api:
     def publisherUpdate(self, caller_id: object, topic: object, publishers: object) -> tuple[int, str, int]:
         if not isinstance(topic, str) or not isinstance(publishers, list):
             return -1, "a topic's name and a list of URIs are expected", 0
-        self._topics.publishers_changed(topic, tuple(uri for uri in publishers if is_node_uri(uri)))
+        self._node.publishers_changed(topic, tuple(uri for uri in publishers if is_node_uri(uri)))
         return 1, "", 0
 
     def requestTopic(self, caller_id: object, topic: object, protocols: object) -> tuple[int, str, list[Any]]:
-        if not isinstance(topic, str) or topic not in self._topics.outgoing():
+        if not isinstance(topic, str) or topic not in self._node.outgoing():
             return -1, f"Not a publisher of [{str(topic)[:256]}]", []
         wanted = protocols if isinstance(protocols, list) else []
         if not any(isinstance(each, list) and each[:1] == ["TCPROS"] for each in wanted):
@@ -89,7 +71,7 @@ class _Api:
         return 1, f"ready on {host}:{port}", ["TCPROS", host, port]
 
     def shutdown(self, caller_id: object, msg: object = "") -> tuple[int, str, int]:
-        self._topics.told_to_leave(str(caller_id)[:256], str(msg)[:256])
+        self._node.told_to_leave(str(caller_id)[:256], str(msg)[:256])
         return 1, "shutdown", 0
 
 
@@ -124,13 +106,7 @@ class _Listener:
     """Accepts connections; each is served in a thread of its own, so that a silent caller keeps none waiting.
 
     Args:
-        bind: The address to listen at.
-        serve: Called with each connection.
         most: Connections that are served at once; further ones are closed.
-        clock: Time.
-
-    Raises:
-        OSError: There is no such address here.
     """
 
     def __init__(self, bind: str, serve: Callable[[socket.socket], None], most: int, clock: Clock) -> None:
@@ -186,9 +162,7 @@ class Servers:
     """Both servers of one node, running.
 
     Args:
-        address: Where to listen, and what to tell others.
-        topics: What is received and sent.
-        clock: Time.
+        node: The backend, with the topics that are received and sent.
 
     Attributes:
         uri: The URI of the node's XML-RPC interface, as the master is told.
@@ -197,8 +171,8 @@ class Servers:
         OSError: There is no such address here.
     """
 
-    def __init__(self, address: Address, topics: Topics, clock: Clock = SYSTEM) -> None:
-        self._topics, self._clock = topics, clock
+    def __init__(self, address: Address, node: Any, clock: Clock = SYSTEM) -> None:
+        self._node, self._clock = node, clock
         self.data = _Listener(address.bind, self._greet, MOST_GREETINGS, clock)
         try:
             self.rpc = _Listener(address.bind, self._answer, MOST_CALLERS, clock)
@@ -208,7 +182,7 @@ class Servers:
         self.uri = f"http://{address.host}:{self.rpc.port}/"
         self._api: Any = _Dispatcher()
         self._api.register_multicall_functions()
-        self._api.register_instance(_Api(address.master, topics, (address.host, self.data.port)))
+        self._api.register_instance(_Api(address.master, node, (address.host, self.data.port)))
         for listener in (self.data, self.rpc):
             listener.start()
 
@@ -219,7 +193,7 @@ class Servers:
     def _greet(self, sock: socket.socket) -> None:
         sock.settimeout(_TIMEOUT_S)
         header = read_header(sock, _TIMEOUT_S, self._clock)
-        topic = self._topics.outgoing().get(header.get("topic", ""))
+        topic = self._node.outgoing().get(header.get("topic", ""))
         missing = [name for name in ("topic", "md5sum", "callerid") if name not in header]
         if missing:
             refusal = f"Missing required '{missing[0]}' field"

@@ -17,10 +17,9 @@ from rosplc.clock import SYSTEM, Clock
 from rosplc.errors import BackendError
 from rosplc.model import TypeStore, save_definitions, split_definition
 from rosplc.ros.names import resolve_topic
-from rosplc.ros.rospy.address import is_node_uri, read_address
 from rosplc.ros.rospy.handshake import HandshakeError
 from rosplc.ros.rospy.inbound import ANY_TYPE, handshake, request
-from rosplc.ros.rospy.master import Master, RefusedError, UnreachableError
+from rosplc.ros.rospy.master import Master, RefusedError, UnreachableError, is_node_uri, read_address
 
 _CALLER = "/rosplc_types"
 _PAUSE_NS = 200_000_000
@@ -52,13 +51,7 @@ class WireDefinition:
 def definition_on_wire(
     topic: str, timeout_s: float = 5.0, *, environment: Mapping[str, str] | None = None, clock: Clock = SYSTEM
 ) -> WireDefinition:
-    """Ask a running publisher for a topic's type and definition.
-
-    Args:
-        topic: The topic; a relative name stands in the root namespace.
-        timeout_s: How long to wait for a publisher.
-        environment: Variables to use in place of the process's own; ``ROS_MASTER_URI`` counts.
-        clock: Time.
+    """Ask a running publisher, waited for at most ``timeout_s``, for a topic's type and definition.
 
     Raises:
         BackendError: ROS014 without a master, ROS017 if there is no publisher or what it says cannot

@@ -13,10 +13,9 @@ import zenoh
 from rosplc.errors import BackendError
 from rosplc.ros._base import BaseNode, Context, Problem, domain_number, opener
 from rosplc.ros.backend import GraphInfo, OnMessage, Qos
-from rosplc.ros.zenoh.config import session_config
 from rosplc.ros.zenoh.endpoint import ZenohPublisher, ZenohSubscription
 from rosplc.ros.zenoh.keys import NO_TYPE_HASH, Entity, Kind, TokenTable, explain, tokens_of_domain
-from rosplc.ros.zenoh.session import Link
+from rosplc.ros.zenoh.session import Link, session_config
 
 _TICK_S = 0.5  # how often the receive thread looks at what has no event of its own
 
@@ -24,12 +23,7 @@ ZenohEndpoint = ZenohSubscription | ZenohPublisher
 
 
 class ZenohBackend(BaseNode):
-    """One ROS 2 node on Zenoh; see :class:`rosplc.ros.backend.Backend`.
-
-    Attributes:
-        domain: The ROS domain.
-        tokens: What is seen of the graph.
-    """
+    """One ROS 2 node on Zenoh; see :class:`rosplc.ros.backend.Backend`."""
 
     name = "zenoh"
     logger = logging.getLogger("rosplc.ros.zenoh")

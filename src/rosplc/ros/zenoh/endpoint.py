@@ -23,12 +23,7 @@ _MOST_LOST = 1 << 20  # a larger step in the sequence is no loss but nonsense, a
 
 
 class _Endpoint(BaseEndpoint):
-    """What both directions have in common.
-
-    Args:
-        node: The backend.
-        entity: What the endpoint's token announces; the session's id is filled in by :meth:`declare`.
-    """
+    """What both directions have in common; the session's id is filled in by :meth:`declare`."""
 
     def __init__(self, node: Any, entity: Entity) -> None:
         assert entity.qos is not None

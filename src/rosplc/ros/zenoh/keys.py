@@ -28,9 +28,15 @@ import xxhash
 
 from rosplc.errors import BackendError
 from rosplc.ros import _base
-from rosplc.ros.backend import EndpointInfo, GraphInfo
-from rosplc.ros.names import join, validate_namespace, validate_node_name, validate_topic
-from rosplc.ros.qos import Durability, Qos, Reliability
+from rosplc.ros.backend import Durability, EndpointInfo, GraphInfo, Qos, Reliability
+from rosplc.ros.names import (
+    dds_type_name,
+    join,
+    ros_type_name,
+    validate_namespace,
+    validate_node_name,
+    validate_topic,
+)
 
 NO_TYPE_HASH = "TypeHashNotSupported"  # Stands for the type hash on Humble, which has none.
 LONGEST_TOKEN = 2048  # Characters of a token; ROS' own names leave it far below.
@@ -38,24 +44,11 @@ MOST_TOKENS = 65_536  # Nodes and endpoints that are kept in mind; far above any
 
 Kind = Literal["NN", "MP", "MS"]  # A node, a publisher, a subscription.
 
-_DDS_TYPE = re.compile(r"(\w+)::(\w+)::dds_::(\w+)_\Z", re.ASCII)
 _TYPE = re.compile(r"[A-Za-z0-9_:/]{1,255}\Z")
 _HASH = re.compile(r"[A-Za-z0-9_]{1,128}\Z")
 _ID = re.compile(r"[A-Za-z0-9_.\-]{1,64}\Z")
 _SPACE = "@ros2_lv"
 _NODE_PARTS, _ENDPOINT_PARTS = 9, 13  # later releases may append more
-
-
-def dds_type_name(name: str) -> str:
-    """Return ``std_msgs::msg::dds_::String_`` for ``std_msgs/msg/String``."""
-    package, kind, base = name.split("/")
-    return f"{package}::{kind}::dds_::{base}_"
-
-
-def ros_type_name(name: str) -> str:
-    """Undo :func:`dds_type_name`; other names are returned as they are."""
-    found = _DDS_TYPE.match(name)
-    return "/".join(found.groups()) if found else name
 
 
 def topic_key(domain: int, topic: str, type_name: str, type_hash: str) -> str:
@@ -144,15 +137,9 @@ class Entity:
     """What one token announces.
 
     Attributes:
-        domain: The ROS domain.
-        session: The id of the Zenoh session.
         node_id: Number of the node in its session.
         entity_id: Number of the entity in its session; a node's own number if it is a node.
-        kind: What it is.
-        namespace: The node's namespace.
-        node: The node's base name.
         topic: The absolute topic name; empty for a node.
-        type_name: The ROS type name; empty for a node.
         type_hash: The type hash as the key has it (:data:`NO_TYPE_HASH` on Humble).
         qos: The settings; None for a node.
     """
@@ -207,11 +194,7 @@ def gid_of(token: str) -> bytes:
 
 
 def parse_token(token: str) -> Entity | None:
-    """Read a token; None for the kinds that are no part of topics (services, clients).
-
-    Raises:
-        ValueError: It is not what a ROS node announces.
-    """
+    """Read a token; None for services and clients, ValueError if it is not what a ROS node announces."""
     if len(token) > LONGEST_TOKEN:
         raise ValueError(f"it has {len(token)} characters")
     parts = token.split("/")
