@@ -24,8 +24,6 @@ from rosplc.layout import Limits, compute_layout
 from rosplc.model import DISTROS, TypeStore
 from rosplc.shm import Description, Direction, Namespace, OwnedChannel
 
-__all__ = ["Binding", "bind"]
-
 _log = logging.getLogger("rosplc.bind")
 _LOOK_NS = 1_000_000_000
 BEAT_MS = 100

@@ -18,17 +18,12 @@ from rosplc.config.resolve import TopicPlan
 from rosplc.errors import RosplcError
 from rosplc.shm import Direction
 
-__all__ = ["Carrier", "Carriers", "Duty", "Rounds"]
-
 _HANGS = "the ROS side does not return from publishing; the bridge leaves it behind"
 _PATIENCE_S = 5.0
 
 
 class Carrier:
     """The thread of all streams over one kind of port in one direction; without streams there is none.
-
-    Args:
-        name: The thread's name.
 
     Attributes:
         busy_since_ns: When it began to pass on what it holds; 0 while it waits for news.
@@ -80,12 +75,8 @@ class Carrier:
     def replace(self, leaving: Collection[Stream], coming: Collection[Stream]) -> bool:
         """Carry other streams from now on; from any thread but its own.
 
-        Args:
-            leaving: Streams to let go of, after a last look at what is new; the caller may close them.
-            coming: Streams to carry as well; they are connected.
-
-        Returns:
-            False if the thread hangs in the ROS side; nothing has changed then.
+        The leaving ones get a last look at what is new, and may be closed then; the coming ones are
+        connected. Return False if the thread hangs in the ROS side; nothing has changed then.
         """
         if self._thread is None:
             self._replace(leaving, coming)
@@ -175,11 +166,7 @@ class Carrier:
 
 
 class Carriers:
-    """All carriers of a bridge, and which of them carries a stream.
-
-    Args:
-        tick_ns: How often to look for messages from the PLC.
-    """
+    """All carriers of a bridge, and which of them carries a stream; ``tick_ns`` is that towards ROS."""
 
     def __init__(self, context: Context, tick_ns: int) -> None:
         self._context = context
@@ -224,12 +211,7 @@ class Carriers:
     def replace(self, leaving: Collection[Stream], coming: Collection[Stream]) -> bool:
         """Carry other streams from now on; what the leaving ones still held has been passed on.
 
-        Args:
-            leaving: Streams to let go of; their endpoints and ports are still open.
-            coming: Streams to carry as well; they are open and connected.
-
-        Returns:
-            False if the ROS side hangs; nothing has changed then.
+        The endpoints and ports of all are open. Return False if the ROS side hangs; nothing has changed then.
         """
         now = self._context.clock.monotonic_ns()
         for stream in coming:
@@ -272,11 +254,7 @@ class Duty:
 
 
 class Rounds:
-    """A thread that looks after its duties.
-
-    Attributes:
-        turned_ns: When it last began a round.
-    """
+    """A thread that looks after its duties; it last began a round at ``turned_ns``."""
 
     def __init__(self, name: str, clock: Clock, *duties: Duty) -> None:
         self._clock = clock

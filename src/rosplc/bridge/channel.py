@@ -19,8 +19,6 @@ from rosplc.shm.snapshot import task_name
 
 _U = TypeVar("_U", Writer, Reader)
 
-__all__ = ["ChannelPort", "ChannelsToPlc", "ChannelsToRos", "PortToPlc", "PortToRos"]
-
 _IN_ORDER = 1
 _LINE_WORDS = LINE_SIZE // 4
 _LONGEST_WAIT_NS = 200_000_000
@@ -31,13 +29,7 @@ _ALERT_NS = 10_000_000_000
 
 
 class ChannelPort(Port, Generic[_U]):
-    """One channel that this bridge owns.
-
-    Attributes:
-        channel: The object; None while there is none.
-        user: The writer or reader on it, likewise.
-        peer_alive: Whether the PLC's side beats.
-    """
+    """One channel that this bridge owns; ``channel`` and ``user``, its writer or reader, may be None."""
 
     def __init__(self, side: Side, context: Context) -> None:
         self.side = side
@@ -274,11 +266,7 @@ class ChannelsToPlc(Waiting[PortToPlc]):
 
 
 class ChannelsToRos(Ports[PortToRos]):
-    """The channels that the bridge reads, with one native call per tick for all of them.
-
-    Args:
-        tick_ns: How often to look.
-    """
+    """The channels that the bridge reads, with one native call per tick for all of them."""
 
     def __init__(self, context: Context, tick_ns: int) -> None:
         self._context = context

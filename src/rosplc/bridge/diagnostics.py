@@ -16,8 +16,6 @@ from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.ros import DEFAULT, Backend, Publisher
 
-__all__ = ["TOPIC", "TYPE", "Diagnostics", "diagnostic_statuses"]
-
 TOPIC = "/diagnostics"
 TYPE = "diagnostic_msgs/msg/DiagnosticArray"
 _STATUS = "diagnostic_msgs/msg/DiagnosticStatus"
@@ -30,11 +28,7 @@ _PER_MESSAGE = 32
 
 
 class Diagnostics:
-    """Publishes a bridge's status.
-
-    Args:
-        store: Where the message type comes from.
-    """
+    """Publishes a bridge's status."""
 
     def __init__(self, store: TypeStore, backend: Backend, clock: Clock = SYSTEM) -> None:
         self._clock = clock

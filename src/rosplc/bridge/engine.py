@@ -27,8 +27,6 @@ from rosplc.config.resolve import Project, open_doors, resolve, rights
 from rosplc.errors import ChannelError, RosplcError
 from rosplc.ros import Backend, Choice, RosArguments, ended_for_good
 
-__all__ = ["Bridge"]
-
 _CHECK_NS = 1_000_000_000
 _STUCK_NS = 5_000_000_000
 _APPLY = "`rosplc reload` or a restart of the bridge applies it"

@@ -10,9 +10,6 @@ import threading
 from collections import deque
 from collections.abc import Callable, Sequence
 
-__all__ = ["Grace", "Hold", "OnChange", "RateLimiter", "Silence", "Stage", "Substitute", "Unsent"]
-
-
 Item = tuple[bytes, int]
 """A message's wire bytes and its stamp, ns since 1970."""
 
@@ -29,10 +26,6 @@ class Silence:
     Args:
         limit_ns: Age at which the last message counts as stale; 0 for never.
         debounce_ns: How long silence must last beyond that before it is reported, and how long its end.
-        now_ns: The monotonic time from which on the source is expected to send.
-
-    Attributes:
-        last_ns: When the last message came in; None before the first.
     """
 
     def __init__(self, limit_ns: int, debounce_ns: int, now_ns: int) -> None:
@@ -104,12 +97,7 @@ class Stage:
 
 
 class Hold:
-    """The stages of one stream; from any thread.
-
-    Args:
-        stages: In the order in which messages pass them.
-        send: Takes what passed them all, and the time.
-    """
+    """The stages of one stream, in their order; ``send`` takes what passed them all. From any thread."""
 
     def __init__(self, stages: Sequence[Stage], send: Callable[[bytes, int, int], None]) -> None:
         self.stages = list(stages)
@@ -159,11 +147,7 @@ class Hold:
 
 
 class OnChange(Stage):
-    """Lets a message through if it differs from the one before.
-
-    Args:
-        key: What is compared; None where a message cannot be: it is let through.
-    """
+    """Lets a message through if it differs from the one before by its key, or has none."""
 
     def __init__(self, key: Callable[[bytes], bytes | None] = lambda data: data) -> None:
         self.last: bytes | None = None
@@ -185,11 +169,7 @@ class OnChange(Stage):
 
 
 class RateLimiter(Stage):
-    """Lets one message through per interval; in between the newest waits, and the last is never dropped.
-
-    Args:
-        interval_ns: Shortest time between two messages.
-    """
+    """Lets one message through per interval; in between the newest waits, and the last is never dropped."""
 
     def __init__(self, interval_ns: int) -> None:
         self._interval_ns = interval_ns
@@ -225,7 +205,6 @@ class Grace(Stage):
     what was sent before that.
 
     Args:
-        until_ns: When the time is over.
         most: How many messages may wait; with 1 the newest alone.
         matched: Whether there is a subscriber; asked only while something waits.
     """
@@ -294,13 +273,7 @@ class Substitute(Stage):
     """Publishes a message of the configuration's at a steady rate while the PLC is silent.
 
     Args:
-        silence: The source's.
-        period_ns: Time between two substitutes.
-        publish: Sends one; gets the time.
         changed: Called when substitutes begin (True) or end, before the first of the others is sent.
-
-    Attributes:
-        active: Whether the PLC is silent, and substitutes are published.
     """
 
     clears = True

@@ -11,8 +11,6 @@ from rosplc.errors import ChannelError
 from rosplc.shm import Direction, OwnedChannel, attach
 from rosplc.shm.lock import NameLock
 
-__all__ = ["check_names", "retire_leftovers"]
-
 
 def check_names(project: Project) -> None:
     """Try every configured name's lock: if another process holds one, nothing is disturbed.

@@ -19,8 +19,6 @@ from rosplc.model import TypeStore
 from rosplc.ros.backend import Backend
 from rosplc.ros.lifecycle import LifecycleBackend
 
-__all__ = ["ManagedBridge"]
-
 _logger = logging.getLogger("rosplc.bridge")
 
 

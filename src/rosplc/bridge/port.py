@@ -21,8 +21,6 @@ from rosplc.errors import ChannelError
 from rosplc.shm import Namespace
 from rosplc.shm.files import USUAL, Rights
 
-__all__ = ["Context", "Counters", "Port", "Ports", "RepeatedWarnings", "Side", "Waiting", "log"]
-
 log = logging.getLogger("rosplc.bridge")
 
 QUIET_NS = 10_000_000_000
@@ -57,12 +55,9 @@ class Context:
     """What the streams of one bridge have in common.
 
     Attributes:
-        bridge_id: 16 random bytes, drawn at start.
-        rights: Mode, owner and group of the objects.
         beat_ns: The beat that is promised.
         debounce_ns: How long silence must last beyond what a topic allows before it is reported, and how long
             its end.
-        warnings: Where repeated warnings go.
     """
 
     namespace: Namespace
@@ -98,9 +93,6 @@ class Side(Protocol):
     """What a port may ask of its stream.
 
     Attributes:
-        plan: What to carry, and how.
-        codec: Wire bytes to record and back.
-        counters: What was counted since the start.
         problem: Why the stream cannot be carried at present; empty if it is.
     """
 
@@ -139,11 +131,7 @@ class Port(Protocol):
     side: Side
 
     def open(self) -> None:
-        """Create or adopt the object, and claim it.
-
-        Raises:
-            ChannelError: It cannot be had (SHM116 if another bridge holds its name).
-        """
+        """Create or adopt the object, and claim it; SHM116 if another bridge holds its name."""
 
     def close(self) -> None:
         """Leave the object with its last state; harmless twice."""
@@ -159,8 +147,7 @@ class Port(Protocol):
     def check(self, now_ns: int) -> bool:
         """Look after object and peer, about once a second; return whether it must be opened again.
 
-        Raises:
-            ChannelError: The object cannot be used any more.
+        Raises ChannelError: The object cannot be used any more.
         """
         return not self.owned()
 

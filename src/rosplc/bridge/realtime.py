@@ -17,8 +17,6 @@ import threading
 from rosplc.config.file import Config
 from rosplc.errors import SetupError
 
-__all__ = ["HIGHEST_TASK_PRIORITY", "LOWEST_TASK_PRIORITY", "Realtime", "contention"]
-
 LOWEST_TASK_PRIORITY, HIGHEST_TASK_PRIORITY = 52, 67
 """SCHED_FIFO priorities of CODESYS' IEC tasks on Linux: 15, the lowest, to 0, the highest."""
 

@@ -21,21 +21,12 @@ from rosplc.errors import BackendError, RosplcError
 from rosplc.ros import Backend
 from rosplc.shm import Namespace
 
-__all__ = ["Changes", "Exchange", "compare"]
-
 _MAY_CHANGE = frozenset({"topics", "limits", "types", "tasks", "programs"})
 
 
 @dataclass(frozen=True)
 class Changes:
-    """A new configuration's topics, beside those that are carried.
-
-    Attributes:
-        added: New topics.
-        removed: Topics that are no more.
-        changed: Topics that are carried otherwise, old and new.
-        kept: Topics of which nothing changes.
-    """
+    """A new configuration's topics, beside those that are carried; of ``changed`` ones old and new."""
 
     added: tuple[TopicPlan, ...] = ()
     removed: tuple[TopicPlan, ...] = ()
@@ -53,12 +44,7 @@ class Changes:
 
 
 def compare(old: Project, new: Project, used: Mapping[str, str]) -> Changes:
-    """Return what changes.
-
-    Args:
-        old: What runs.
-        new: What should.
-        used: Definitions by type name that the ROS side has been given.
+    """Return what changes; ``used`` are the definitions that the ROS side has been given, by type name.
 
     Raises:
         ConfigErrors: CFG012, for each key that cannot change while the bridge runs, and for each type
@@ -120,11 +106,7 @@ def _refuse_redefined(new: Project, used: Mapping[str, str], problems: Problems)
 class Exchange:
     """Carry other streams; those that are kept are not touched.
 
-    Attributes:
-        changes: What is to change.
-        running: The streams that are carried.
-        carriers: What carries them.
-        show: Takes the streams that are open at each moment, so that they beat.
+    ``show`` takes the streams that are open at each moment, so that they beat.
     """
 
     changes: Changes

@@ -17,17 +17,11 @@ from rosplc.model import TypeStore
 from rosplc.model.types import MessageType
 from rosplc.ros import ROS1, Backend, Choice, RosArguments, TypeSource, choose, open_backend
 
-__all__ = ["LiveTypes", "RosSide", "choose_backend"]
-
 log = logging.getLogger("rosplc.bridge")
 
 
 def choose_backend(config: Config, environment: Mapping[str, str] | None = None) -> Choice:
-    """Return the backend that the configuration leads to on this machine.
-
-    Raises:
-        BackendError: ROS001, ``auto`` found nothing that would reach the graph.
-    """
+    """Return the backend that the configuration leads to here; ROS001 if ``auto`` finds none."""
     ros = config.settings.ros
     if ros.backend != "auto":
         return Choice(ros.backend, "ros.backend names it")
@@ -36,11 +30,7 @@ def choose_backend(config: Config, environment: Mapping[str, str] | None = None)
 
 @dataclass(frozen=True)
 class RosSide:
-    """A configuration together with a command line.
-
-    Attributes:
-        arguments: The ROS arguments of the command line.
-    """
+    """A configuration together with the ROS arguments of a command line."""
 
     config: Config
     arguments: RosArguments = field(default_factory=RosArguments)
@@ -81,11 +71,7 @@ class RosSide:
         return shown if path is None else shown | {"config": str(path.absolute())}
 
     def open(self, store: TypeSource) -> tuple[Backend, Choice]:
-        """Join the graph; return the backend, and how it was chosen.
-
-        Raises:
-            BackendError: As :func:`rosplc.ros.open_backend`.
-        """
+        """Join the graph; return the backend, and how it was chosen. Raises as ``open_backend``."""
         environment = self.environment()
         choice = choose_backend(self.config, environment)
         if self.config.settings.ros.backend == "auto":

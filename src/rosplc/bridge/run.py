@@ -24,8 +24,6 @@ from rosplc.errors import BackendError, ConfigError, RosplcError, SetupError
 from rosplc.harmless import log_to_stderr
 from rosplc.ros import RosArguments
 
-__all__ = ["News", "on_terminal", "pause", "run_bridge", "run_until_signal", "stop_on_signals"]
-
 _log = logging.getLogger("rosplc.run")
 _FILES = 65536
 _SUMMED = ("received", "published", "lost", "refused")
@@ -110,11 +108,7 @@ def run_until_signal(
     """Run a bridge until SIGTERM or SIGINT comes (:func:`stop_on_signals`); SIGUSR1 reloads its file.
 
     Without a terminal SIGHUP reloads it, too, as service managers expect; with one it ends the bridge.
-
-    Args:
-        bridge: The bridge.
-        report: Takes the bridge's status now and then.
-        seconds: How often.
+    ``report`` takes the bridge's status every ``seconds``.
 
     Raises:
         RosplcError: As :meth:`Bridge.start`.

@@ -21,8 +21,6 @@ from rosplc.ros import Backend, EndpointStatus, Publisher, Qos, Subscription
 from rosplc.shm import Direction
 from rosplc.shm.constants import FLAG_FIRST, STAMP_SYSTEM
 
-__all__ = ["Stream", "ToPlc", "ToRos"]
-
 _EXPLAINED_NS = 2_000_000_000
 _NO_TIME = 2**63 - 1
 """DDS and ROS count ns since 1970 in signed 64 bits; the largest number means none."""
@@ -33,17 +31,9 @@ _FLAG_QOS = Qos(reliability="reliable", durability="transient_local", depth=1)
 class Stream(ABC):
     """One topic; :class:`rosplc.bridge.port.Side` is what its port sees of it.
 
-    Args:
-        plan: What to carry, and how.
-        ports: The kind of port that carries it.
-
     Attributes:
-        codec: Wire bytes to record and back.
-        port: The PLC's side.
-        counters: What was counted since the start.
         problem: Why it cannot be carried at present; empty if it is.
         silence: Since when its source has been silent.
-        hold: What holds its messages back.
         substituting: Whether something else is passed on in the source's place.
     """
 
@@ -242,8 +232,7 @@ class Stream(ABC):
 class ToPlc(Stream):
     """One topic towards the PLC: the backend's thread gives each message to the port.
 
-    Args:
-        on_due: Called, from any thread, when a message waits for its time; :meth:`flush` sends it.
+    ``on_due`` is called, from any thread, when a message waits for its time; :meth:`flush` sends it.
     """
 
     def __init__(

@@ -22,8 +22,6 @@ from rosplc.shm.header import Identity, channel_error
 from rosplc.shm.names import Namespace
 from rosplc.shm.snapshot import Snapshot
 
-__all__ = ["Attached", "Mapped", "attach"]
-
 _LOOK_NS = 5_000_000
 _M = TypeVar("_M", bound="Mapped")
 

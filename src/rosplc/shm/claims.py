@@ -14,8 +14,6 @@ from rosplc._core import Reader, Region, Writer
 from rosplc.errors import ChannelError
 from rosplc.shm.constants import MAX_BEAT_MS, READER_LINE, READER_LINES, WRITER_LINE, reader_line
 
-__all__ = ["Liveness", "ReaderClaim", "WriterClaim", "silence_ns", "start_of"]
-
 _T = TypeVar("_T")
 
 
@@ -75,11 +73,7 @@ class WriterClaim:
         self._silence = _Silence()
 
     def attempt(self, now_ns: int) -> Writer | None:
-        """Return the writer, or None while another holds the claim.
-
-        Args:
-            now_ns: The caller's monotonic clock.
-        """
+        """Return the writer, or None while another holds the claim; ``now_ns`` is monotonic."""
         head, epoch, beat, beat_ms = self._region.words(WRITER_LINE["head"], 4)
         if epoch and not self._silence.lasts((head, epoch, beat), now_ns, silence_ns(beat_ms)):
             return None
@@ -154,10 +148,8 @@ def take_over_line(region: Region, reader: Reader, index: int, beat_ms: int, tas
 def start_of(region: Region, *, latched: bool, line: int | None = None) -> int:
     """Return the ``last`` that a new reader starts from (M14).
 
-    Args:
-        region: The object.
-        latched: Start before everything that the object holds.
-        line: Go on from this line's ``taken`` if it belongs to the object's generation.
+    With ``latched``, before everything that the object holds; with ``line``, from that line's ``taken`` if it
+    belongs to the object's generation.
     """
     if line is not None:
         at = reader_line(line)

@@ -31,8 +31,6 @@ from rosplc.shm.files import (
 from rosplc.shm.header import channel_error
 from rosplc.shm.lock import NameLock
 
-__all__ = ["ClassicMemory", "ClassicObject", "Entry"]
-
 _TEMPORARY = re.compile(r"rosplc\.new\.[0-9a-f]{8,16}")
 
 
@@ -41,10 +39,8 @@ class ClassicMemory:
 
     Args:
         write: Whether it is written too; without it rights to read are enough.
-        rights: Of a new one.
 
     Attributes:
-        created: Whether it was made here.
         identity: Device and inode of its file.
         size: Bytes that it had when it was opened.
 
@@ -54,14 +50,7 @@ class ClassicMemory:
             a directory.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        record_size: int,
-        *,
-        write: bool = True,
-        rights: Rights = USUAL,
-    ) -> None:
+    def __init__(self, path: Path, record_size: int, *, write: bool = True, rights: Rights = USUAL) -> None:
         self.path = path
         self.record_size = record_size
         self.created = False
@@ -159,18 +148,11 @@ class ClassicObject:
     """The memory of one classic topic with its lock; used by one thread.
 
     Args:
-        name: The memory's name, without a slash.
         semaphore: The semaphore's, without ``sem.``; empty if nothing guards the memory.
-        write: Whether this side writes the record.
-        rights: Of what is made here.
-        directory: Where the objects lie.
 
     Attributes:
-        memory: None while it is not attached.
         lock: None while it is not attached, and without a semaphore.
         attachments: How often it was attached.
-        recovered: How often a lock was freed, over all attachments.
-        mended: How often a lock would have let in more than one, over all attachments.
     """
 
     def __init__(
@@ -211,11 +193,7 @@ class ClassicObject:
         return self.lock is None or self.lock.doubtful
 
     def claim(self) -> None:
-        """Keep other bridges away from this memory, whatever their prefix.
-
-        Raises:
-            ChannelError: SHM116 if one has it, and the others of :class:`~rosplc.shm.lock.NameLock`.
-        """
+        """Keep other bridges away from this memory, whatever their prefix; raises as its lock does."""
         path = self._directory / f"rosplc.classic.{self.name}"
         self._claim = NameLock(path, self._rights)
 
@@ -224,12 +202,7 @@ class ClassicObject:
         return self._claim is not None and self._claim.still_there()
 
     def attach(self) -> None:
-        """Open memory and semaphore, and make what is missing.
-
-        Raises:
-            ChannelError: As :class:`~rosplc.shm.classic.ClassicMemory` and
-                :class:`~rosplc.shm.classic_lock.ClassicLock`.
-        """
+        """Open memory and semaphore, and make what is missing; raises as their classes do."""
         self.detach()
         memory = ClassicMemory(
             self._directory / self.name, self.record_size, write=self._write, rights=self._rights

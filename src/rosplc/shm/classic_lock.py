@@ -26,8 +26,6 @@ from rosplc.errors import ChannelError
 from rosplc.shm.files import USUAL, Rights, describe_owner, open_plain_file, same_file
 from rosplc.shm.header import channel_error
 
-__all__ = ["ClassicLock", "Entry", "Semaphore", "read_at", "size_of", "write_at"]
-
 _C = ctypes.PyDLL(None, use_errno=True)
 _sem_open = _C.sem_open
 _sem_open.restype = ctypes.c_void_p
@@ -157,13 +155,9 @@ class ClassicLock:
     """A semaphore that either side may have made, opened or created with the value 1.
 
     Args:
-        name: Without a slash and without ``sem.``.
         recover_after_ns: See :class:`rosplc.config.plans.ClassicPlan`.
-        rights: Of a new one.
-        directory: Where the C library keeps semaphores.
 
     Attributes:
-        created: Whether it was made here.
         held_since_ns: Since when it was taken at every look without a sign of life; None if it was free.
         recovered: How often it was freed for a holder that counted as dead.
         mended: How often it would have let in more than one.
@@ -175,12 +169,7 @@ class ClassicLock:
     """
 
     def __init__(
-        self,
-        name: str,
-        recover_after_ns: int,
-        *,
-        rights: Rights = USUAL,
-        directory: Path | str = "/dev/shm",
+        self, name: str, recover_after_ns: int, *, rights: Rights = USUAL, directory: Path | str = "/dev/shm"
     ) -> None:
         self.name = name
         self.path = Path(directory) / f"sem.{name}"
@@ -199,12 +188,7 @@ class ClassicLock:
         return self._semaphore.value
 
     def enter(self, now_ns: int, *, alive: bool = False) -> Entry:
-        """Try to take the lock.
-
-        Args:
-            now_ns: The time, of a monotonic clock.
-            alive: Whether something showed since the last attempt that the holder lives.
-        """
+        """Try to take the lock; ``alive`` says that the holder showed life since the last attempt."""
         if not self._semaphore.enter():
             return self._taken(now_ns, alive)
         self.held_since_ns = None

@@ -10,8 +10,6 @@ from typing import Any
 from rosplc.shm.constants import FORMAT, MAX_DESCRIPTION_SIZE, Direction
 from rosplc.shm.header import channel_error, layout_id_words
 
-__all__ = ["Description"]
-
 
 @dataclass(frozen=True)
 class Description:

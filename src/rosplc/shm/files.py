@@ -16,8 +16,6 @@ from rosplc.errors import ChannelError
 from rosplc.shm.constants import HEADER_SIZE
 from rosplc.shm.header import channel_error
 
-__all__ = ["Rights", "create_complete", "open_plain_file", "read_header", "refuse_second_name", "same_file"]
-
 _NO_PLAIN_FILE = {
     # What the kernel says of these ("too many levels of symbolic links") is about something else.
     errno.ELOOP: "a symbolic link stands at this name",
@@ -53,12 +51,6 @@ USUAL = Rights()
 def open_plain_file(path: Path, flags: int, *, denied: int = 102, mode: int = 0o600) -> int:
     """Open a plain file, never a link, a device or a pipe, and return its descriptor.
 
-    Args:
-        path: The file.
-        flags: ``os.O_*`` beyond those that are always set.
-        denied: The number to raise where the file may not be opened.
-        mode: For ``os.O_CREAT``.
-
     Raises:
         ChannelError: SHM101 if there is none, SHM121 if it is no plain file, SHM123 if the
             directory cannot be used, SHM117 if there is no room for a new one, or ``denied``.
@@ -75,13 +67,10 @@ def open_plain_file(path: Path, flags: int, *, denied: int = 102, mode: int = 0o
 
 
 def refuse_second_name(fd: int, path: Path) -> None:
-    """Refuse a file that has other names too, before anything of it is changed.
+    """Refuse (SHM121) a file that has other names too, before anything of it is changed.
 
     Whoever may create names in the directory can give another file, which they may not write, the name
     of an object (where fs.protected_hardlinks is off). Objects and lock files have one name each.
-
-    Raises:
-        ChannelError: SHM121.
     """
     count = os.fstat(fd).st_nlink
     if count > 1:
@@ -132,8 +121,7 @@ def create_complete(
 ) -> int:
     """Make a file of ``size`` bytes that begins with ``head`` visible, complete or not at all (M1).
 
-    Returns:
-        Its descriptor, open for reading and writing.
+    Return its descriptor, open for reading and writing.
 
     Raises:
         ChannelError: SHM117 if there is no room, SHM102 if owner or group cannot be set, SHM119 if

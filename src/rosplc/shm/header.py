@@ -24,8 +24,6 @@ from rosplc.errors import CODES, ChannelError
 from rosplc.shm import constants as spec
 from rosplc.shm.constants import Direction, ErrorNumber
 
-__all__ = ["Identity", "channel_error", "layout_id_text", "layout_id_words"]
-
 _FORMAT = struct.Struct("<19I16s5I16x")
 _NAMES = [name for name in spec.IDENTITY if name != "reserved"]
 _FIXED = {
@@ -45,11 +43,7 @@ def channel_error(number: int, what: str = "", where: str = "") -> ChannelError:
 
 
 def layout_id_words(layout_id: str) -> tuple[int, int]:
-    """Return the words ``layout_id_lo`` and ``layout_id_hi`` of 16 hexadecimal digits.
-
-    Raises:
-        ValueError: If it is anything else.
-    """
+    """Return ``layout_id_lo`` and ``layout_id_hi`` of 16 hexadecimal digits; ValueError for anything else."""
     raw = bytes.fromhex(layout_id)
     if len(raw) != 8 or len(layout_id) != 16:
         raise ValueError(f"a layout id has 16 hexadecimal digits, not {layout_id!r}")
@@ -96,12 +90,6 @@ class Identity:
     @classmethod
     def plan(cls, *, slots: int, record_size: int, description_size: int, **others: Any) -> Identity:
         """Lay out a new object: self-description at 512, then the slots, each part on a new line.
-
-        Args:
-            slots: How many.
-            record_size: Bytes of a record.
-            description_size: Bytes of the self-description.
-            **others: ``direction``, ``layout_id``, ``generation``, ``bridge_id``, …
 
         Raises:
             ValueError: If the number of slots is no power of two from 4 to 65536, the record is not
@@ -164,14 +152,10 @@ class Identity:
         where: str = "",
         accept_retired: bool = False,
     ) -> Identity:
-        """Check and return the identity in the first bytes of an object of ``size`` bytes.
+        """Check and return the identity in ``first``, a private copy of the first 512 of ``size`` bytes.
 
-        Args:
-            first: A private copy of the object's first 512 bytes.
-            size: Bytes of the whole object.
-            direction: The direction expected; None accepts both.
-            where: The object's path, for messages.
-            accept_retired: Return a retired object's identity instead of raising SHM111.
+        Without ``direction`` both are accepted; ``where`` is the path, for messages. ``accept_retired``
+        returns a retired object's identity too, instead of raising SHM111.
 
         Raises:
             ChannelError: SHM103 to SHM111, the first of section 9 that fails.

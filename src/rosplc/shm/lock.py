@@ -11,8 +11,6 @@ from rosplc.errors import ChannelError
 from rosplc.shm.files import Rights, open_plain_file, refuse_second_name, same_file, user_name
 from rosplc.shm.header import channel_error
 
-__all__ = ["NameLock"]
-
 
 class NameLock:
     """An exclusive flock on a name's lock file, held until :meth:`release`.

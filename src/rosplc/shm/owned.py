@@ -37,8 +37,6 @@ from rosplc.shm.header import Identity, channel_error
 from rosplc.shm.lock import NameLock
 from rosplc.shm.names import Namespace
 
-__all__ = ["OwnedChannel", "retire_file"]
-
 _LOOKS = 100
 
 

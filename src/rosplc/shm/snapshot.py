@@ -9,8 +9,6 @@ from rosplc._core import Region
 from rosplc.shm.constants import CHANGING_WORDS, IDENTITY, IDENTITY_SIZE, LINE_SIZE, READER_LINES
 from rosplc.shm.header import layout_id_text
 
-__all__ = ["ReaderState", "Snapshot", "WriterState", "task_name"]
-
 _WORDS = LINE_SIZE // 4
 
 
@@ -59,12 +57,7 @@ class Snapshot:
 
     @classmethod
     def of(cls, region: Region, *, free: bool = True) -> Snapshot:
-        """Look at a mapped object.
-
-        Args:
-            region: The object.
-            free: Return free reader lines too; who looks at hundreds of objects can do without them.
-        """
+        """Look at a mapped object; ``free`` reader lines can be left out, where hundreds are looked at."""
         words = region.words(IDENTITY_SIZE, CHANGING_WORDS)
         lines = [words[at : at + _WORDS] for at in range(0, len(words), _WORDS)]
         readers = tuple(
