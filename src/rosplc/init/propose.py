@@ -152,15 +152,8 @@ def propose(
             f"A record has {layout.size} bytes: copying it takes part of a scan. "
             "Lower its largest limits if you can."
         )
-    return Entry(
-        topic.name,
-        layout.type_name,
-        to,
-        tuple(draft.about),
-        tuple(draft.limits),
-        tuple(draft.settings),
-        layout.size,
-    )
+    said = (tuple(draft.about), tuple(draft.limits), tuple(draft.settings))
+    return Entry(topic.name, layout.type_name, to, *said, layout.size)
 
 
 def _tell(draft: _Draft, topic: Topic, to: str, seen: Seen | None) -> None:
@@ -259,7 +252,7 @@ def _times(draft: _Draft, topic: Topic, seen: Seen | None, *, fast: bool) -> Non
     if fast and seen.rate_hz > _FAST_HZ:
         rate = min(_up(seen.rate_hz * _RATE_HEADROOM, _RATE_STEP), 1_000_000)
         draft.settings.append(
-            Setting("rate", f"{rate}Hz", f"{seen.rate_hz:.4g} Hz seen; for sizing the slots")
+            Setting("expected_rate", f"{rate}Hz", f"{seen.rate_hz:.4g} Hz seen; for sizing the slots")
         )
 
 

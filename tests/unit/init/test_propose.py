@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from rosplc.init import Length, Seen, Topic, propose
+from rosplc.init import Topic
+from rosplc.init.meter import Length, Seen
+from rosplc.init.propose import propose
 from rosplc.model import TypeStore
 from rosplc.ros import LATCHED, SENSOR_DATA, Qos
 
@@ -89,5 +91,5 @@ def test_what_is_sent_once_is_latched_and_never_stale() -> None:
 def test_slow_and_fast_topics_get_their_times() -> None:
     """Stale is three times the longest pause above a second; from 100 Hz on the rate is written."""
     assert settings(JOINTS, 5, gap=2.1, rate=0.5) == {"stale_after": "7s"}
-    assert settings(JOINTS, gap=0.001, rate=1000.0) == {"rate": "1500Hz"}
+    assert settings(JOINTS, gap=0.001, rate=1000.0) == {"expected_rate": "1500Hz"}
     assert settings(JOINTS, gap=0.02, rate=99.0) == {}
