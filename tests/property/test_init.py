@@ -11,7 +11,10 @@ from hypothesis import strategies as st
 
 from rosplc.config import load_project
 from rosplc.errors import RosplcError
-from rosplc.init import Definitions, Found, Length, Seen, Topic, Wish, draft, save, select
+from rosplc.init import Topic, Wish, draft, save, select
+from rosplc.init.definitions import Definitions
+from rosplc.init.found import Found
+from rosplc.init.meter import Length, Seen
 from rosplc.layout.compute import limit_paths
 from rosplc.model import DISTROS
 from rosplc.project import check

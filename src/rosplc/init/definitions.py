@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from rosplc.errors import MessageTypeError, RosplcError
-from rosplc.model import ArrayType, FieldType, NamedType, SequenceType, TypeStore, split_definition
+from rosplc.model import TypeStore, split_definition
 from rosplc.model.parse import MAX_TEXT, full_name, parse_definition
 
 __all__ = ["Definitions"]
@@ -126,9 +126,4 @@ def _needed(name: str, text: str, ros_version: int) -> list[str]:
         (parsed,) = parse_definition(name, text, ros_version=ros_version)
     except (RosplcError, ValueError):
         return []  # whoever learns the text says what is wrong with it
-    kinds = (_element(field.type) for field in parsed.message.fields)
-    return [kind.name for kind in kinds if isinstance(kind, NamedType)]
-
-
-def _element(kind: FieldType) -> FieldType:
-    return kind.element if isinstance(kind, ArrayType | SequenceType) else kind
+    return list(parsed.message.needs)

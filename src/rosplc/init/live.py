@@ -162,9 +162,8 @@ class LiveRobot:
                 settle_s = min(_SETTLE_S, seconds / 4) if qos.durability == "transient_local" else 0.0
                 meter = Meter(self.definitions.store, type_name, version)
                 sample = samples[topic] = Sample(meter, int(settle_s * 1e9))
-                take = partial(_take, sample)
                 try:
-                    made = self._backend.subscribe(topic, type_name, qos, take)
+                    made = self._backend.subscribe(topic, type_name, qos, partial(_take, sample))
                 except RosplcError as error:
                     trouble[topic] = f"{error.what} [{error.code}]"
                     continue

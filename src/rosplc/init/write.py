@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rosplc._version import __version__
-from rosplc.config import Project, json_schema, parse_config, resolve
+from rosplc.config import json_schema, parse_config, resolve
 from rosplc.errors import ConfigError, RosplcError
 from rosplc.harmless import one_line
 from rosplc.init.found import Found, Source
@@ -24,7 +24,6 @@ from rosplc.model import save_definitions
 
 __all__ = [
     "Draft",
-    "check_text",
     "configuration",
     "draft",
     "refuse_to_overwrite",
@@ -70,15 +69,6 @@ def configuration(
     for number, entry in enumerate(entries):
         lines += [*([""] if number else []), *_topic(entry)]
     return "\n".join(lines) + "\n"
-
-
-def check_text(text: str, base: Path) -> Project:
-    """Return the project that a text leads to; ``base`` is the folder of its relative paths.
-
-    Raises:
-        ConfigErrors: It is not valid: a defect of the proposal, or of the user's own folders.
-    """
-    return resolve(parse_config(text, name="<proposal>", base=base))
 
 
 def refuse_to_overwrite(path: Path, *, force: bool) -> None:
@@ -256,7 +246,8 @@ def save(
     text = configuration(
         source.found, made.entries, bridge=bridge, folders=names, date=time.strftime("%Y-%m-%d")
     )
-    check_text(text, path.parent)
+    # What is wrong is a defect of the proposal, or of the user's own folders.
+    resolve(parse_config(text, name="<proposal>", base=path.parent))
     write_file(path, text, force=force)
     with suppress(OSError):  # only the editor's help is missing then
         (path.parent / SCHEMA).write_text(json.dumps(json_schema(), indent=1) + "\n", encoding="utf-8")
