@@ -25,7 +25,7 @@ from rosplc.demo.messages import COMMAND, command, open_command, steer
 from rosplc.demo.plan import Plan
 from rosplc.demo.st.checkout import find_translator
 from rosplc.demo.st.sources import CONFIGURATION, MAIN, read_texts, write_configuration, write_texts
-from rosplc.demo.supervisor import Demo, new_plan
+from rosplc.demo.supervisor import Demo
 from rosplc.errors import GenerationError
 from rosplc.layout import compute_layout
 from rosplc.model import TypeStore
@@ -200,7 +200,7 @@ def generate(folder, plan, options):
 @pytest.mark.parametrize("kill", [False, True])
 def test_a_plc_without_fences_works_with_the_bridge(kill, tmp_path, dds_domain):
     """By the delayed rule all arrives, too; a killed bridge is survived, and nothing is torn."""
-    plan = new_plan(domain=dds_domain, rate=30.0, topics=3)
+    plan = Plan(domain=dds_domain, rate=30.0, topics=3)
     _, built = generate(tmp_path, plan, ProjectOptions(fenced=False))
     try:
         with Demo(plan, structured_text=tmp_path) as run:

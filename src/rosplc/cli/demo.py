@@ -70,13 +70,13 @@ def command(
         as_json: Print the result as JSON.
     """
     from rosplc.demo.domain import FreeDomain
-    from rosplc.demo.supervisor import new_plan
+    from rosplc.demo.plan import Plan
 
     seconds = None if duration is None else parse_duration(duration)
     if seconds is None and not sys.stdout.isatty():
         seconds = _UNATTENDED
     domain = FreeDomain()
-    plan = new_plan(domain=domain.number, rate=rate, topics=topics)
+    plan = Plan(domain=domain.number, rate=rate, topics=topics)
     live = sys.stdout.isatty() and not as_json
     with _ended_by_sigterm(), _structured_text(plan) if plc == "st" else contextlib.nullcontext() as folder:
         result = _run(plan, seconds, kill=kill, live=live, folder=folder)

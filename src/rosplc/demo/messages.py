@@ -10,13 +10,12 @@ from __future__ import annotations
 import math
 import zlib
 from array import array
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from typing import Any
 
 __all__ = [
     "COMMAND",
-    "KINDS",
     "Kind",
     "Opened",
     "Tally",
@@ -118,9 +117,6 @@ _POSE = Kind("pose", "geometry_msgs/msg/PoseStamped", "odom", _pose_numbers)
 _JOINT = Kind("joint_states", "sensor_msgs/msg/JointState", "base", _joint_numbers)
 _SCAN = Kind("scan", "sensor_msgs/msg/LaserScan", "laser", _scan_numbers)
 
-KINDS: dict[str, Kind] = {kind.name: kind for kind in (_POSE, _JOINT, _SCAN)}
-"""What the robot can send, by name."""
-
 COMMAND = ("/turtle/cmd_vel", "geometry_msgs/msg/Twist")
 """Topic and type of what the PLC sends back."""
 
@@ -150,26 +146,6 @@ def open_command(message: Any) -> Opened:
     number = int(linear.z)
     whole = linear.y == angular.y == 0.0 and angular.x == _crc(number, 0, [linear.x, angular.z])
     return Opened(number if whole else 0, whole)
-
-
-def joint_state(angles: Sequence[float], speed: float) -> dict[str, Any]:
-    """Return the contents of a JointState: four wheels at ``angles`` (rad), ``speed`` (rad/s)."""
-    return {
-        "name": list(_JOINTS),
-        "position": list(angles),
-        "velocity": [speed] * len(_JOINTS),
-        "effort": [0.1 * angle for angle in angles],
-    }
-
-
-def laser_scan(distances: Sequence[float]) -> dict[str, Any]:
-    """Return the contents of a LaserScan; values are rounded to the type's ``float32``."""
-    low, high, far, *ranges = array("f", [-3.14159, 3.14159, 30.0, *distances])
-    return {"angle_min": low, "angle_max": high, "range_max": far, "ranges": ranges}
-
-
-BEAMS = _BEAMS
-JOINTS = len(_JOINTS)
 
 
 _WHEEL_RADIUS = 0.05
@@ -208,9 +184,16 @@ class Turtle:
             orientation = {"x": 0.0, "y": 0.0, "z": math.sin(half), "w": math.cos(half)}
             return {"pose": {"position": {"x": self.x, "y": self.y, "z": 0.0}, "orientation": orientation}}
         if kind == "joint_states":
-            return joint_state([self.wheel] * JOINTS, self.forward / _WHEEL_RADIUS)
+            values = {
+                "position": self.wheel,
+                "velocity": self.forward / _WHEEL_RADIUS,
+                "effort": 0.1 * self.wheel,
+            }
+            return {"name": list(_JOINTS), **{key: [value] * len(_JOINTS) for key, value in values.items()}}
         away = math.hypot(self.x, self.y)
-        return laser_scan([_ROOM_RADIUS - away * math.cos(beam * math.tau / BEAMS) for beam in range(BEAMS)])
+        distances = [_ROOM_RADIUS - away * math.cos(beam * math.tau / _BEAMS) for beam in range(_BEAMS)]
+        low, high, far, *ranges = array("f", [-3.14159, 3.14159, 30.0, *distances])  # as the type rounds them
+        return {"angle_min": low, "angle_max": high, "range_max": far, "ranges": ranges}
 
 
 def steer(x: float, y: float, heading: float, corner: int) -> tuple[float, float, int]:

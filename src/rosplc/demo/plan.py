@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import asdict, dataclass
+import secrets
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from rosplc.demo.messages import COMMAND, robot_topics
@@ -17,18 +18,18 @@ class Plan:
     """The run's settings.
 
     Attributes:
-        prefix: First part of the objects' names; unique, so that nothing else is touched.
-        domain: The DDS domain, likewise.
+        domain: The DDS domain; unused by others, so that nothing else is touched.
         rate: Messages per second and topic that the robot sends.
         topics: How many topics the robot sends.
+        prefix: First part of the objects' names, likewise unique.
         interval: The virtual PLC's cycle time, seconds.
         distro: Whose message definitions hold.
     """
 
-    prefix: str
     domain: int
     rate: float
     topics: int
+    prefix: str = field(default_factory=lambda: f"demo-{secrets.token_hex(4)}")
     interval: float = 0.01
     distro: str = "jazzy"
 

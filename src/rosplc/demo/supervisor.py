@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import secrets
 import tempfile
 import time
 from collections.abc import Callable
@@ -17,16 +16,11 @@ from rosplc.demo.processes import Child, remove_objects
 from rosplc.demo.result import Outage, Result, collect
 from rosplc.errors import SetupError
 
-__all__ = ["Demo", "new_plan"]
+__all__ = ["Demo"]
 
 _POLL = 0.05
 _KILL_AFTER = 5.0
 _DOWN_SECONDS = 0.5
-
-
-def new_plan(*, domain: int, rate: float, topics: int) -> Plan:
-    """Return a plan with a prefix that nobody else uses."""
-    return Plan(prefix=f"demo-{secrets.token_hex(4)}", domain=domain, rate=rate, topics=topics)
 
 
 class Demo:

@@ -11,7 +11,7 @@ import pytest
 
 from rosplc.codec import Codec, Wire
 from rosplc.demo.domain import FreeDomain
-from rosplc.demo.messages import COMMAND, KINDS, Tally, Turtle, command, open_command, robot_topics, steer
+from rosplc.demo.messages import COMMAND, Tally, Turtle, command, open_command, robot_topics, steer
 from rosplc.demo.plan import Plan
 from rosplc.demo.processes import Child, remove_objects
 from rosplc.demo.result import Outage, collect
@@ -20,6 +20,7 @@ from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 
 STORE = TypeStore.bundled("jazzy")
+KINDS = {kind.name: kind for kind in robot_topics(3).values()}
 
 
 @pytest.mark.parametrize("name", KINDS)
