@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from generated_page import REFERENCE, filled, run
+from rosplc.config.plans import ClassicPlan
 from rosplc.errors import CODES
 from rosplc.layout import compute_layout
 from rosplc.model import TypeStore
 from rosplc.plc.base import HELPER_NAMES, base_objects, classic_objects
 from rosplc.plc.build import build_project
-from rosplc.plc.plan import Classic, PlcTask, PlcTopic
+from rosplc.plc.plan import PlcTask, PlcTopic
 from rosplc.plc.project import Dut, Enumeration, Item, Pou, Variable
 
 PAGE = REFERENCE / "plc-blocks.md"
@@ -92,7 +93,7 @@ def parts() -> dict[str, str]:
     topics = [
         PlcTopic(f"/{way}{'_classic' if classic else ''}", layout, way, "RosTask", classic=classic)
         for way in ("read", "write")
-        for classic in (None, Classic("pose", "pose"))
+        for classic in (None, ClassicPlan("pose", "pose"))
     ]
     project = build_project(store, topics, [PlcTask("RosTask")])
     pous = {pou.name: pou for pou in project.pous}

@@ -8,12 +8,13 @@ from xml.etree import ElementTree
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from rosplc.config.plans import ClassicPlan
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.plc.build import build_project
 from rosplc.plc.delivery import project_files
 from rosplc.plc.names import is_reserved
-from rosplc.plc.plan import Classic, PlcTask, PlcTopic, ProjectOptions
+from rosplc.plc.plan import PlcTask, PlcTopic, ProjectOptions
 from rosplc.plc.project import Enumeration
 from tests.unit.plc.fake_scriptengine import Project, run
 
@@ -79,7 +80,7 @@ def test_any_project_is_well_formed_in_every_delivery(texts, topics, tasks, pins
                 layout,
                 "read" if reading else "write",
                 tasks[index % len(tasks)],
-                classic=Classic(f"m{index}", f"s{index}") if classic else None,
+                classic=ClassicPlan(f"m{index}", f"s{index}") if classic else None,
             )
         )
     used = [PlcTask(name) for name in tasks if name in {plan.task for plan in plans}]

@@ -20,6 +20,7 @@ from rosplc.codec.compile import compile_plan
 from rosplc.codec.ops import MAX_LOOPS
 from rosplc.config import problems, settings, yaml_source
 from rosplc.config.file import Config, parse_config
+from rosplc.config.plans import ClassicPlan
 from rosplc.config.problems import ConfigErrors, Problems
 from rosplc.errors import LONGEST_TEXT, RosplcError
 from rosplc.layout import Limits, compute_layout
@@ -27,7 +28,7 @@ from rosplc.layout import compute as layout_compute
 from rosplc.layout.limits import MAX_SEQUENCE, MAX_STRING
 from rosplc.model import TypeStore, folders, parse, store
 from rosplc.plc import build, delivery
-from rosplc.plc.plan import LONGEST_NAME, Classic
+from rosplc.plc.plan import LONGEST_NAME
 from rosplc.ros import _base as words
 from rosplc.ros import names
 from rosplc.shm import Description, Namespace, OwnedChannel, constants
@@ -374,7 +375,7 @@ def plc_code(patch: pytest.MonkeyPatch, folder: Path) -> None:
     many = [read(f"/t{number}", task=f"T{number}") for number in range(build.MOST_TASKS + 1)]
     refused("PLC003", lambda: project(*many))
     refused("PLC006", lambda: project(read("/" + "a" * build.LONGEST_TOPIC)))
-    memory = Classic("m" * (LONGEST_NAME + 1), "s")
+    memory = ClassicPlan("m" * (LONGEST_NAME + 1), "s")
     refused("PLC007", lambda: project(read("/a", classic=memory)))
 
 

@@ -14,9 +14,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from rosplc.config.plans import ClassicPlan
 from rosplc.layout import Limits
 from rosplc.plc.build import build_project
-from rosplc.plc.plan import Classic, PlcTask, PlcTopic, ProjectOptions
+from rosplc.plc.plan import PlcTask, PlcTopic, ProjectOptions
 from rosplc.plc.project import project_texts
 from rosplc_st.build import Build, Toolchain, build
 from rosplc_st.machine import LibraryMachine, Machine, ProcessMachine
@@ -59,7 +60,7 @@ def classic_texts() -> dict[str, str]:
     topics = []
     for topic, (type_name, direction, semaphore, more) in TOPICS.items():
         layout = layout_of(type_name, "jazzy", _SMALL if type_name == JOINTS else None)
-        classic = Classic(topic[1:], semaphore, 5_000_000)
+        classic = ClassicPlan(topic[1:], semaphore, 5_000_000)
         topics.append(PlcTopic(topic, layout, direction, "RosTask", classic=classic, **more))
     texts = project_texts(build_project(store(), topics, [PlcTask("RosTask")], ProjectOptions()))
     return {**texts, "Patient": PATIENT}

@@ -8,9 +8,10 @@ from collections.abc import Iterator
 
 import pytest
 
+from rosplc.config.plans import ClassicPlan
 from rosplc.layout import Limits
 from rosplc.plc.build import build_project
-from rosplc.plc.plan import Classic, PlcTask, PlcTopic
+from rosplc.plc.plan import PlcTask, PlcTopic
 from rosplc.plc.project import project_texts
 from rosplc_st.build import build
 from tests.verification.classic_cell import JOINTS, TOPICS, ClassicCell, Peer, classic_target, record
@@ -212,7 +213,7 @@ def test_blocks_that_share_a_lock_wait_once() -> None:
     """Ten blocks under one semaphore cost a task one wait in all, not one each."""
     layout = layout_of("std_msgs/msg/Float64")
     topics = [
-        PlcTopic(f"/t{n}", layout, "read", "T", classic=Classic(f"t{n}", "shared", 5_000_000))
+        PlcTopic(f"/t{n}", layout, "read", "T", classic=ClassicPlan(f"t{n}", "shared", 5_000_000))
         for n in range(10)
     ]
     texts = project_texts(build_project(store(), topics, [PlcTask("T")]))

@@ -9,9 +9,10 @@ import sys
 from pathlib import Path
 
 from rosplc.codec import Codec, Wire
+from rosplc.config.plans import ClassicPlan
 from rosplc.layout import Limits
 from rosplc.plc.build import build_project
-from rosplc.plc.plan import Classic, PlcTask, PlcTopic
+from rosplc.plc.plan import PlcTask, PlcTopic
 from rosplc.plc.project import project_texts
 from rosplc_st.build import build
 from rosplc_st.run_project import load_texts
@@ -31,7 +32,7 @@ def test_types_cross_unchanged() -> None:
     limits = Limits(12, 4)
     layouts = [layout_of(name, "jazzy", limits) for name in _TYPES]
     topics = [
-        PlcTopic(f"/{way[0]}{index}", layout, way, "T", classic=Classic(f"{way[0]}{index}", "all"))  # type: ignore[arg-type]
+        PlcTopic(f"/{way[0]}{index}", layout, way, "T", classic=ClassicPlan(f"{way[0]}{index}", "all"))  # type: ignore[arg-type]
         for index, layout in enumerate(layouts)
         for way in ("read", "write")
     ]

@@ -33,8 +33,8 @@ class ClassicPlan:
 
     name: str
     semaphore: str
-    wait_ns: int
-    recover_after_ns: int
+    wait_ns: int = 5_000_000
+    recover_after_ns: int = 1_000_000_000
     poll_ns: int = 1_000_000
 
 

@@ -101,10 +101,9 @@ def _mend(node: Node, path: str, builder: DutBuilder, depth: int) -> Iterator[_S
             else:
                 yield from _mend(member.node, inner, builder, depth)
     elif isinstance(node, (ArrayNode, SequenceNode)) and isinstance(node.element, (StringNode, StructNode)):
-        length = node.length if isinstance(node, ArrayNode) else node.capacity
         steps = tuple(_mend(node.element, f"{path}[udi{depth}]", builder, depth + 1))
         if steps:
-            yield _Step("loop", f"udi{depth}", length - 1, steps)
+            yield _Step("loop", f"udi{depth}", node.capacity - 1, steps)
 
 
 def _all(steps: tuple[_Step, ...]) -> Iterator[_Step]:

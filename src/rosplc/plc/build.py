@@ -9,26 +9,31 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
 
 from rosplc._version import __version__
-from rosplc.config.resolve import Project, TopicPlan, object_size
+from rosplc.config.resolve import Project, object_size
 from rosplc.errors import GenerationError
 from rosplc.layout import Layout
 from rosplc.model import TypeStore
-from rosplc.plc.base import CLASSIC_NAMES, HELPER_NAMES, base_objects, classic_objects, helper_objects
+from rosplc.plc.base import (
+    CLASSIC_NAMES,
+    HELPER_NAMES,
+    base_objects,
+    classic_objects,
+    helper_objects,
+    parse_object,
+    render,
+)
 from rosplc.plc.blocks import block
-from rosplc.plc.names import Scope, instance_names, literal, plain_name, string_literal, time_literal
+from rosplc.plc.names import Scope, instance_names, plain_name, string_literal, time_literal
 from rosplc.plc.plan import (
     LIBRARY,
     UNKNOWN_BEAT_MS,
-    Classic,
     PlcTask,
     PlcTopic,
     ProjectOptions,
     beat_ms,
     check_classic,
-    classic_arguments,
     classic_wait,
 )
 from rosplc.plc.project import Dut, Enumeration, Gvl, PlcProject, Pou, Task, VarBlock, Variable
@@ -191,10 +196,11 @@ def build_project(
         wanted, name = plain_name(topic.topic), names[topic.direction][topic.topic]
         if name != wanted:
             renamings.append(Renaming(f"instance of {topic.topic}", wanted, name))
-        argument: tuple[tuple[str, str], ...] = (("sTopic", string_literal(topic.topic)),)
+        names_of = {"sTopic": topic.topic}
         if topic.classic is not None:
-            argument = classic_arguments(topic.classic)
-        instances[topic.direction].append(Variable(name, block_name, None, _what(topic), argument))
+            names_of = {"sMemory": topic.classic.name, "sSemaphore": topic.classic.semaphore}
+        arguments = tuple((key, string_literal(text)) for key, text in names_of.items())
+        instances[topic.direction].append(Variable(name, block_name, None, _what(topic), arguments))
         line = call(name, topic, indices[topic.task], cycles[topic.task])
         calls.setdefault((topic.direction, topic.task), []).append(line)
     programs, plc_tasks = programs_of(order, calls, options, builder.scope)
@@ -262,26 +268,10 @@ def _settings(options: ProjectOptions, tasks: Sequence[PlcTask]) -> Gvl:
     beats = [str(max(beat_ms(task), options.beat_ms)) for task in tasks]
     if len(beats) < MOST_TASKS:
         beats.append(f"{MOST_TASKS - len(beats)}({UNKNOWN_BEAT_MS})")
-    variables = (
-        Variable("sVersion", "STRING(32)", string_literal(__version__), "of rosplc, which generated this"),
-        Variable("sPrefix", "STRING(32)", string_literal(options.prefix), "prefix of the bridge's objects"),
-        Variable("xArm", "BOOL", literal("bool", options.target == "arm"), "generated for ARM, else for x86"),
-        Variable(
-            "xFenced",
-            "BOOL",
-            literal("bool", options.fenced),
-            "FALSE: the delayed rule is in force in any case",
-        ),
-        Variable(
-            "audiBeatMs",
-            f"ARRAY[0..{MOST_TASKS - 1}] OF UDINT",
-            f"[{', '.join(beats)}]",
-            "per task: longest time between two calls of a block, in ms",
-        ),
-    )
-    block = VarBlock("VAR_GLOBAL", variables, constant=True)
-    comment = "What the generation fixed for the whole project."
-    return Gvl(_SETTINGS_GVL, (block,), (("qualified_only", ""),), comment, f"{options.folder}/Base")
+    text = render("RosPlc_Settings.st", version=__version__, options=options, beats=beats, most=MOST_TASKS)
+    settings = parse_object(text, _SETTINGS_GVL, f"{options.folder}/Base")
+    assert isinstance(settings, Gvl)
+    return settings
 
 
 def _safe(topics: Sequence[PlcTopic], names: dict[str, str], builder: DutBuilder) -> list[Variable]:
@@ -290,7 +280,7 @@ def _safe(topics: Sequence[PlcTopic], names: dict[str, str], builder: DutBuilder
         Variable(
             names[topic.topic],
             builder.add(topic.layout),
-            initial_value(topic.layout, topic.safe, builder),
+            initial_value(topic.layout.root, topic.safe, builder),
             f"{topic.topic}, silent for {time_literal(topic.stale_after_ns)}",
         )
         for topic in topics
@@ -359,21 +349,14 @@ def _topics(project: Project) -> list[PlcTopic]:
             task=plan.task,
             object_size=object_size(project, plan) if plan.port == "channel" else 0,
             stale_after_ns=plan.stale_after_ns,
-            on_stale=_on_stale(plan),
+            on_stale=action if (action := plan.on_stale.action) == "zero" or action == "value" else "hold",
             safe=plan.on_stale.value if plan.on_stale.action == "value" else None,
             in_order=plan.every,
             latched=plan.latched,
-            classic=None
-            if plan.classic is None
-            else Classic(plan.classic.name, plan.classic.semaphore, plan.classic.wait_ns),
+            classic=plan.classic,
         )
         for plan in project.topics
     ]
-
-
-def _on_stale(plan: TopicPlan) -> Literal["hold", "zero", "value"]:
-    action = plan.on_stale.action
-    return "hold" if action == "stop" or action == "substitute" else action
 
 
 def _tasks(project: Project) -> list[PlcTask]:

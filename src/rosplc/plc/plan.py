@@ -6,31 +6,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from rosplc.config.plans import ClassicPlan
 from rosplc.errors import GenerationError
 from rosplc.layout import Layout
-from rosplc.plc.names import string_literal
 from rosplc.shm.constants import MAX_BEAT_MS
 
 LIBRARY = "SysSemProcess"
 LONGEST_NAME = 80  # characters: SysShm and SysSemProcess take a STRING
 
 
-@dataclass(frozen=True)
-class Classic:
-    """Where a classic topic lies.
-
-    Attributes:
-        name: The shared memory's name, without a slash.
-        semaphore: The semaphore's; empty if nothing guards the memory.
-        wait_ns: How long an access waits for the lock at most.
-    """
-
-    name: str
-    semaphore: str
-    wait_ns: int = 2_000_000
-
-
-def check_classic(topic: str, classic: Classic) -> None:
+def check_classic(topic: str, classic: ClassicPlan) -> None:
     """Raise what makes a name impossible: GenerationError PLC007."""
     for name in (classic.name, classic.semaphore):
         plain = all("!" <= char <= "~" and char != "/" for char in name)
@@ -38,12 +23,7 @@ def check_classic(topic: str, classic: Classic) -> None:
             raise GenerationError("PLC007", f"{name!r} is none", where=topic)
 
 
-def classic_arguments(classic: Classic) -> tuple[tuple[str, str], ...]:
-    """Return FB_Init's arguments."""
-    return (("sMemory", string_literal(classic.name)), ("sSemaphore", string_literal(classic.semaphore)))
-
-
-def classic_wait(classic: Classic, cycle_ns: int) -> int:
+def classic_wait(classic: ClassicPlan, cycle_ns: int) -> int:
     """Return how long a block may wait for the lock, in ms: never more than half of its task's cycle.
 
     Args:
@@ -83,7 +63,7 @@ class PlcTopic:
     safe: Mapping[str, Any] | None = None
     in_order: bool = False
     latched: bool = False
-    classic: Classic | None = None
+    classic: ClassicPlan | None = None
 
 
 @dataclass(frozen=True)

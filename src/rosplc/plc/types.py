@@ -82,8 +82,7 @@ class DutBuilder:
 
     def struct(self, node: StructNode) -> MemberNames:
         """Build a struct's DUT, after those that it contains."""
-        known = self._names.get(node)
-        if known:
+        if known := self._names.get(node):
             return known
         for member in node.members:
             inner = _element(member.node)
@@ -97,12 +96,16 @@ class DutBuilder:
         if node.type_name in self._seen_types:
             wanted += "_" + hashlib.sha256(repr(node).encode()).hexdigest()[:6]
         dut = self.scope.give(wanted)
-        result = MemberNames(dut, names)
-        self._names[node] = result
+        result = self._names[node] = MemberNames(dut, names)
         self._note(node, result, plain)
         defaults = {item.name: item for item in message.fields}
         members = tuple(
-            Variable(name, self._type(member.node), _initial(member, defaults), self._comment(member))
+            Variable(
+                name,
+                self._type(member.node),
+                _initial(member, defaults),
+                f"elements of {member.count_of} in use" if member.count_of else "",
+            )
             for name, member in zip(names, node.members, strict=True)
         )
         self.omitted.extend(
@@ -132,19 +135,9 @@ class DutBuilder:
             return f"STRING({node.capacity})"
         if isinstance(node, PaddingNode):
             return f"ARRAY[0..{node.size - 1}] OF BYTE"
-        if isinstance(node, ArrayNode):
-            return f"ARRAY[0..{node.length - 1}] OF {self._type(node.element)}"
-        if isinstance(node, SequenceNode):
+        if isinstance(node, ArrayNode | SequenceNode):
             return f"ARRAY[0..{node.capacity - 1}] OF {self._type(node.element)}"
         return self.struct(node).dut
-
-    @staticmethod
-    def _comment(member: Member) -> str:
-        if isinstance(member.node, PaddingNode):
-            return ""
-        if member.count_of:
-            return f"elements of {member.count_of} in use"
-        return ""
 
     def _constants(self, message: MessageType) -> None:
         if not message.constants:
@@ -212,21 +205,17 @@ def _element(node: Node) -> Node:
     return node.element if isinstance(node, (ArrayNode, SequenceNode)) else node
 
 
-def initial_value(layout: Layout, value: Mapping[str, Any], builder: DutBuilder) -> str | None:
+def initial_value(node: StructNode, value: Mapping[str, Any], builder: DutBuilder) -> str | None:
     """Return the initial value that gives a message these fields, and all others their own initial value.
 
     Args:
-        layout: The message's layout.
+        node: The message's struct.
         value: Fields as :meth:`Layout.pack` takes them from a mapping; it has accepted them.
         builder: Knows the identifiers.
 
     Returns:
         The text; None if ``value`` names no field.
     """
-    return _struct(layout.root, value, builder)
-
-
-def _struct(node: StructNode, value: Mapping[str, Any], builder: DutBuilder) -> str | None:
     names = builder.struct(node)
     parts = []
     for member in node.members:
@@ -241,7 +230,7 @@ def _struct(node: StructNode, value: Mapping[str, Any], builder: DutBuilder) -> 
 
 def _value(node: Node, value: Any, builder: DutBuilder) -> str | None:
     if isinstance(node, StructNode):
-        return _struct(node, value, builder)
+        return initial_value(node, value, builder)
     if isinstance(node, ScalarNode):
         return literal(node.kind, value)
     if isinstance(node, StringNode):
@@ -255,14 +244,13 @@ def _elements(node: ArrayNode | SequenceNode, value: Any, builder: DutBuilder) -
     element = node.element
     if isinstance(element, StructNode):
         # An element without a field of its own still needs a place: it names one that is initial.
-        texts = [_struct(element, item, builder) or _untouched(element, builder) for item in value]
+        texts = [initial_value(element, item, builder) or _untouched(element, builder) for item in value]
         return None if None in texts or not texts else f"[{', '.join(str(text) for text in texts)}]"
     kind = element.kind if isinstance(element, ScalarNode) else "string"
     texts = [literal(kind, item) for item in value]
-    capacity = node.length if isinstance(node, ArrayNode) else node.capacity
-    if capacity > len(texts):
+    if node.capacity > len(texts):
         # Written out: a default value of the definition, which may be longer, must not show through.
-        texts.append(f"{capacity - len(texts)}({literal(kind, '' if kind == 'string' else 0)})")
+        texts.append(f"{node.capacity - len(texts)}({literal(kind, '' if kind == 'string' else 0)})")
     return f"[{', '.join(str(text) for text in texts)}]"
 
 

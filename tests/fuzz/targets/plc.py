@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from functools import cache
 from typing import Any, cast
 
+from rosplc.config.plans import ClassicPlan
 from rosplc.errors import GenerationError, LayoutError, MessageTypeError
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import (
@@ -20,7 +21,7 @@ from rosplc.model import (
 )
 from rosplc.plc import base
 from rosplc.plc.build import build_project
-from rosplc.plc.plan import Classic, PlcTask, PlcTopic, ProjectOptions
+from rosplc.plc.plan import PlcTask, PlcTopic, ProjectOptions
 from tests.fuzz.choices import Choices
 from tests.fuzz.oracle import refusals
 from tests.fuzz.plc_oracle import check_project
@@ -96,7 +97,7 @@ def check(data: bytes) -> None:
             topic, reading, task = _name(choices, _TOPICS), choices.flag(), _name(choices, _TASKS)
             safe = None
             classic = (
-                Classic(_name(choices, _WORDS), _name(choices, _WORDS)) if choices.below(4) == 3 else None
+                ClassicPlan(_name(choices, _WORDS), _name(choices, _WORDS)) if choices.below(4) == 3 else None
             )
             if reading and message.fields and choices.flag():
                 field = choices.pick(message.fields)

@@ -234,12 +234,12 @@ GENERATE = """
 import hashlib, sys
 from rosplc.layout import Limits
 from rosplc.plc.delivery import project_files
-from rosplc.plc.plan import Classic
+from rosplc.config.plans import ClassicPlan
 from tests.unit.plc.projects import JOINTS, TWIST, project, read, write
 topics = [read("/z"), read("/a/b"), read("/a_b"), write("/t", TWIST), read("/j", JOINTS, task="Slow"),
           read("/k", JOINTS, limits=Limits(fields={"name[]": 9, "name": 3})),
           read("/img", "sensor_msgs/msg/Image", limits=Limits(fields={"data": 100000})),
-          read("/m", "visualization_msgs/msg/Marker"), write("/n", TWIST, classic=Classic("n", "n"))]
+          read("/m", "visualization_msgs/msg/Marker"), write("/n", TWIST, classic=ClassicPlan("n", "n"))]
 if sys.argv[1] == "back":
     topics.reverse()
 layouts = [topic.layout for topic in sorted(topics, key=lambda topic: topic.topic)]

@@ -39,14 +39,14 @@ def test_fields_that_are_given_are_written(
     type_name: str, value: dict[str, object], text: str | None
 ) -> None:
     """Fields that are left out stay out, so that the structure's own initial values hold for them."""
-    assert initial_value(layout(type_name), value, DutBuilder(STORE)) == text
+    assert initial_value(layout(type_name).root, value, DutBuilder(STORE)) == text
 
 
 def test_elements_without_fields_of_their_own(tmp_path: Path) -> None:
     """An element that nobody filled is written with its defaults, whatever its first member is."""
     store = custom(tmp_path, Point="int32[3] where\nint8 kind 7\n", Path="Point[<=3] points\nint8 kind 7\n")
     text = initial_value(
-        layout("cell_msgs/msg/Path", store=store), {"points": [{"kind": 1}, {}]}, DutBuilder(store)
+        layout("cell_msgs/msg/Path", store=store).root, {"points": [{"kind": 1}, {}]}, DutBuilder(store)
     )
     assert text == "(points_count := 2, points := [(kind := 1), (where := [0])])"
 
