@@ -1,6 +1,6 @@
 """The bridge over every backend: added latency, messages per second without loss, CPU under load and at rest.
 
-usage: python benchmarks/bench_bridge.py [--rounds N] [--json]
+usage: python -m benchmarks.bench_bridge [--rounds N] [--json]
 
 The backends take turns in every round. On each, one publisher sends a PoseStamped of about 200 bytes by
 turns to a subscriber without a bridge ("bare": over DDS nothing but the cyclonedds wheel, else rosplc's
@@ -23,12 +23,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-if __name__ == "__main__":
-    sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
-
 from benchmarks import measure
 from benchmarks.peers import BARE, EVERY, SENT, STRING, TO_PLC, TO_ROS, TYPE, names
-from benchmarks.processes import RosGraph, bridge, lost_in_bridge, peer, ros_domain, share
+from benchmarks.processes import RosGraph, bridge, lost_in_bridge, peers, ros_domain, share
 from rosplc_bench.process import Side, pin
 from tests.conformance.backends.registry import HARNESSES
 
@@ -86,8 +83,7 @@ class Contender:
             ages = {"bare": found[BARE], "bridge": found[TO_ROS]}
             return {**ages, "without its tick": found[SENT]} if found[SENT] else ages
         cores = sorted(os.sched_getaffinity(0))
-        with peer("spinner", self.plan, self.graph.domain, self.graph.variables) as spinner:
-            spinner.receive()
+        with peers("spinner", self.plan, self.graph.domain, self.graph.variables) as (spinner,):
             if len(cores) > 1:  # a program that spins needs a core of its own
                 pin([spinner.pid], cores[-1])
                 pin(self.pids, *cores[:-1])
@@ -104,8 +100,7 @@ class Contender:
     def without_loss(self, rates: Sequence[int], seconds: float) -> dict[str, float]:
         """Return the highest rates, in messages per second, at which everything arrives: bare and bridged."""
         found = {"bare": 0.0, "bridge": 0.0}
-        with peer("counter", self.plan, self.graph.domain, self.graph.variables) as counter:
-            counter.receive()
+        with peers("counter", self.plan, self.graph.domain, self.graph.variables) as (counter,):
             for name, topic in (("bare", BARE), ("bridge", EVERY)):
                 for rate in rates:
                     count = round(rate * seconds)
@@ -152,12 +147,7 @@ def contend(stack: ExitStack, title: str, graph: RosGraph) -> Contender:
     head = [f"bridge: {prefix}", f"prefix: {prefix}", f"ros: {graph.settings()}"]
     text = "\n".join([*head, "diagnostics: {enabled: false}", "topics:", *latency_topics(), ""])
     process = stack.enter_context(bridge(folder, text, graph.domain, graph.variables))
-    subscriber, source = (
-        stack.enter_context(peer(role, plan, graph.domain, graph.variables))
-        for role in ("subscriber", "source")
-    )
-    for one in (subscriber, source):
-        one.receive()
+    subscriber, source = stack.enter_context(peers("subscriber source", plan, graph.domain, graph.variables))
     made = Contender(title, graph, plan, [process.pid, source.pid, subscriber.pid], source, subscriber)
     made.ages("out", 100, 10)  # everything has run once before anything counts
     return made
@@ -200,9 +190,7 @@ def loaded(topics: int, rate: int, rounds: int, seconds: float, graph: RosGraph)
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         text = load_config(prefix, topics, depth=4096, ros=graph.settings())
         process = stack.enter_context(bridge(folder, text, graph.domain, graph.variables))
-        plc, ros = (
-            stack.enter_context(peer(role, plan, graph.domain, graph.variables)) for role in ("plc", "ros")
-        )
+        plc, ros = stack.enter_context(peers("plc ros", plan, graph.domain, graph.variables))
         begin(plc, ros)
         began = time.monotonic()
         time.sleep(min(1.0, seconds))
@@ -237,8 +225,6 @@ def loaded(topics: int, rate: int, rounds: int, seconds: float, graph: RosGraph)
 
 def begin(plc: Side, ros: Side) -> None:
     """Have both ends of a load send: first one message of each topic, then the others at their rate."""
-    for side in (plc, ros):
-        side.receive()
     for word in ("go", "more"):
         for side in (plc, ros):
             side.send(word)
@@ -258,8 +244,7 @@ def quiet(topics: int, rounds: int, seconds: float) -> dict[str, Any]:
         time.sleep(min(3.0, seconds))
         found = share({"bridge, no PLC": process.pid}, seconds, rounds)
         plan = {"topics": topics // 2, "count": 0, "rate": 100, "per_scan": 1, "prefix": prefix}
-        with peer("plc", plan, domain) as plc:
-            plc.receive()
+        with peers("plc", plan, domain):
             time.sleep(min(3.0, seconds))
             found |= share({"bridge, a PLC scans": process.pid}, seconds, rounds)
     rows = [measure.row(name, values) for name, values in found.items()]

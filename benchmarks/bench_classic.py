@@ -1,6 +1,6 @@
 """Classic mode against the default channel: the same bridge, message, peer and run.
 
-usage: python benchmarks/bench_classic.py [--rounds N] [--json]
+usage: python -m benchmarks.bench_classic [--rounds N] [--json]
 
 The bridge carries over the in-process ROS graph, so that what is compared is the way between bridge and
 PLC alone. The PLC's half is another process (Python). "held" means that it stops for 2 ms every 10 ms
@@ -13,7 +13,6 @@ from __future__ import annotations
 import json
 import secrets
 import struct
-import sys
 import tempfile
 import threading
 import time
@@ -21,11 +20,8 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-if __name__ == "__main__":
-    sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
-
 from benchmarks import measure
-from benchmarks.processes import peer
+from benchmarks.processes import peers
 from rosplc.bridge import Bridge
 from rosplc.config import parse_config, resolve
 from rosplc.ros import DEFAULT
@@ -142,8 +138,7 @@ def run(rounds: int, messages: int = MESSAGES, topics: int = TOPICS) -> dict[str
     shares: dict[str, list[float]] = {}
     with ExitStack() as stack:
         setting = Setting(stack, prefix, topics)
-        plc = stack.enter_context(peer("classic_plc", {"prefix": prefix, "size": SIZE}))
-        plc.receive()
+        (plc,) = stack.enter_context(peers("classic_plc", {"prefix": prefix, "size": SIZE}))
         way_in(setting, plc, 10, 0)
         for _ in range(rounds):
             for word, hold in (("", 0), (", held", HOLD_US)):

@@ -1,6 +1,6 @@
 """Decode and encode cost per message: the plan against rosbags and struct.pack.
 
-usage: python benchmarks/bench_codec.py [--rounds N] [--json]
+usage: python -m benchmarks.bench_codec [--rounds N] [--json]
 
 The alternative turns a message into the same record the way one would without rosplc: rosbags
 deserializes it, then struct packs the fields. All contenders run in every round, in turn, so that a
@@ -10,15 +10,10 @@ slow moment of the machine hits them alike; a round's value is the mean over a b
 from __future__ import annotations
 
 import struct
-import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 from rosbags.typesys import Stores, get_typestore
-
-if __name__ == "__main__":
-    sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks import measure
 from rosplc.codec import Codec, Wire

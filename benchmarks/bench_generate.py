@@ -1,6 +1,6 @@
 """Generation of every type of a distribution: time by step, and size of the text per type.
 
-usage: python benchmarks/bench_generate.py [--rounds N] [--json]
+usage: python -m benchmarks.bench_generate [--rounds N] [--json]
 
 Both blocks of each type are built and written into memory, as ``rosplc generate --all-types`` does
 before it writes files. Steps are measured in every round, in turn, so that a slow moment of the
@@ -10,14 +10,9 @@ machine hits them alike.
 from __future__ import annotations
 
 import statistics
-import sys
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import Any
-
-if __name__ == "__main__":
-    sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks import measure
 from rosplc.layout import Layout, compute_layout

@@ -1,6 +1,6 @@
 """What `realtime:` changes at the PLC while other programs want every processor.
 
-usage: python benchmarks/bench_realtime.py [--rounds N] [--json]
+usage: python -m benchmarks.bench_realtime [--rounds N] [--json]
 
 Two bridges run beside each other, one as an ordinary process, one with SCHED_FIFO, locked memory and the
 garbage collector off. One publisher sends to both by turns, and one reader, which stands for a fast PLC
@@ -23,12 +23,9 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-if __name__ == "__main__":
-    sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
-
 from benchmarks import measure
 from benchmarks.peers import REALTIME_TOPIC, REALTIME_TYPE
-from benchmarks.processes import RosGraph, bridge, peer, ros_domain
+from benchmarks.processes import RosGraph, bridge, peers, ros_domain
 from rosplc_bench.process import Side
 
 ORDINARY, FIFO = "ordinary", "fifo"
@@ -117,11 +114,7 @@ def run(rounds: int, rate: int = 200, count: int = 400) -> dict[str, Any]:
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
             stack.enter_context(bridge(folder, config(name, prefix), domain))
         plan = {"prefixes": prefixes, **RosGraph(domain).plan()}
-        source, plc = (
-            stack.enter_context(peer(role, plan, domain)) for role in ("realtime_source", "realtime_plc")
-        )
-        for side in (source, plc):
-            side.receive()
+        source, plc = stack.enter_context(peers("realtime_source realtime_plc", plan, domain))
         one_round(source, plc, rate, 10)  # everything has run once before anything counts
         for _ in range(rounds):
             for title, number in loads.items():

@@ -1,6 +1,6 @@
 """One Read and one Write block per cycle, in compiled Structured Text, against the C core doing the same.
 
-usage: python benchmarks/bench_st.py [--rounds N] [--json]
+usage: python -m benchmarks.bench_st [--rounds N] [--json]
 
 The generated text is translated to C (tests/st/rosplc_st) and compiled with the same options as the core. A
 cycle of Read takes one message in order, a cycle of Write publishes one; both look at the object's state
@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import shutil
 import subprocess
-import sys
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -20,9 +19,6 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
-
-if __name__ == "__main__":
-    sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks import measure
 from rosplc.described import description_of

@@ -1,6 +1,6 @@
 """What `rosplc top`, `rosplc web` and `rosplc record` cost beside a bridge, and how much record takes.
 
-usage: python benchmarks/bench_views.py [--rounds N] [--json]
+usage: python -m benchmarks.bench_views [--rounds N] [--json]
 
 The bridge carries 20 topics x 1 kHz, half of them each way, over DDS. In every round each view runs for some
 seconds, and so does none: what is compared are the bridge's share of a core and the time from the PLC's
@@ -15,21 +15,18 @@ from __future__ import annotations
 import json
 import secrets
 import statistics
-import sys
 import tempfile
 import time
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-if __name__ == "__main__":
-    sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
-
 from benchmarks import measure
 from benchmarks.bench_bridge import begin, latency_topics, load_config
 from benchmarks.peers import SENT, TO_ROS
-from benchmarks.processes import RosGraph, bridge, cpu_seconds, peer, ros_domain, share
+from benchmarks.processes import RosGraph, bridge, cpu_seconds, peers, ros_domain, share
 from benchmarks.views import VIEWS, recorder, view
+from rosplc.demo.processes import remove_objects
 from rosplc_bench.process import Side
 
 TOPICS = 20
@@ -70,11 +67,7 @@ def views(rounds: int, topics: int, rate: int, seconds: float, settle: float) ->
         plan |= {"qos_depth": 5000, "prefix": prefix, **RosGraph(domain).plan()}
         text = load_config(prefix, topics // 2, depth=4096, more=latency_topics())
         process = stack.enter_context(bridge(folder, text, domain))
-        plc, ros, subscriber, source = (
-            stack.enter_context(peer(role, plan, domain)) for role in ("plc", "ros", "subscriber", "source")
-        )
-        subscriber.receive()
-        source.receive()
+        plc, ros, subscriber, source = stack.enter_context(peers("plc ros subscriber source", plan, domain))
         begin(plc, ros)
         for _ in range(rounds):
             for kind in VIEWS:
@@ -128,18 +121,15 @@ def record(topics: int, rate: int, slots: int, seconds: float, folder: Path) -> 
     out.unlink(missing_ok=True)
     count = round(rate * seconds)
     plan = {"prefix": prefix, "topics": topics, "rate": rate, "count": count, "slots": slots}
-    with peer("feeder", plan) as feeder:
-        feeder.receive()
-        with recorder(prefix, out) as process:
-            before, began = sum(cpu_seconds(process.pid)), time.monotonic()
-            feeder.send("go")
-            sent = feeder.receive_json(seconds + 60)
-            used = 100 * (sum(cpu_seconds(process.pid)) - before) / (time.monotonic() - began)
-            time.sleep(0.5)
-            process.terminate()
-            facts = json.loads(process.communicate()[0])
-    for left in Path("/dev/shm").glob(f"{prefix}.*"):
-        left.unlink()
+    with peers("feeder", plan) as (feeder,), recorder(prefix, out) as process:
+        before, began = sum(cpu_seconds(process.pid)), time.monotonic()
+        feeder.send("go")
+        sent = feeder.receive_json(seconds + 60)
+        used = 100 * (sum(cpu_seconds(process.pid)) - before) / (time.monotonic() - began)
+        time.sleep(0.5)
+        process.terminate()
+        facts = json.loads(process.communicate()[0])
+    remove_objects(prefix)
     missing = sent["sent"] * topics - facts["received"]
     return {
         "lost": 100 * missing / (sent["sent"] * topics),

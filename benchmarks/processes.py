@@ -9,12 +9,13 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from rosplc.demo.domain import FreeDomain
+from rosplc.demo.processes import remove_objects
 from rosplc_bench.process import Side
 
 __all__ = [
@@ -23,7 +24,7 @@ __all__ = [
     "cpu_seconds",
     "environment",
     "lost_in_bridge",
-    "peer",
+    "peers",
     "ros_domain",
     "share",
 ]
@@ -84,17 +85,19 @@ def environment(domain: int, variables: Mapping[str, str] | None = None) -> dict
 
 
 @contextmanager
-def peer(
-    role: str, plan: Mapping[str, Any], domain: int = 0, variables: Mapping[str, str] | None = None
-) -> Iterator[Side]:
-    """Run a role of :mod:`benchmarks.peers`, which ends with the block."""
-    command = [sys.executable, "-m", "benchmarks.peers", role, json.dumps(plan)]
-    side = Side(role, command, environment(domain, variables))
-    try:
-        yield side
-    finally:
-        side.kill()
-        side.close()
+def peers(
+    roles: str, plan: Mapping[str, Any], domain: int = 0, variables: Mapping[str, str] | None = None
+) -> Iterator[list[Side]]:
+    """Run roles of :mod:`benchmarks.peers`, which are ready when the block begins and end with it."""
+    with ExitStack() as stack:
+        sides: list[Side] = []
+        for role in roles.split():
+            command = [sys.executable, "-m", "benchmarks.peers", role, json.dumps(plan)]
+            sides.append(stack.enter_context(Side(role, command, environment(domain, variables))))
+            stack.callback(sides[-1].kill)
+        for side in sides:
+            side.receive()
+        yield sides
 
 
 @contextmanager
@@ -125,8 +128,7 @@ def bridge(
                 process.kill()
                 process.wait()
             prefix = next(line.split()[1] for line in config.splitlines() if line.startswith("prefix:"))
-            for left in Path("/dev/shm").glob(f"{prefix}.*"):
-                left.unlink()
+            remove_objects(prefix)
 
 
 def lost_in_bridge(folder: Path) -> int:

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmarks.processes import peer
+from benchmarks.processes import peers
 from rosplc_bench.process import Side
 
 __all__ = ["VIEWS", "View", "recorder", "rosplc", "view", "web"]
@@ -56,8 +56,7 @@ def view(kind: str, prefix: str, folder: Path, domain: int) -> Iterator[View]:
                 yield found
             else:
                 plan = {"url": url, "channel": f"{prefix}.t.load.in_0"}
-                with peer("page", plan, domain) as client:
-                    client.receive()
+                with peers("page", plan, domain):
                     yield found
 
 

@@ -16,7 +16,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from benchmarks import measure
@@ -24,6 +23,7 @@ from benchmarks.processes import cpu_seconds, environment
 from benchmarks.views import web
 from benchmarks.web_machine import COMMANDS, SOURCES, UNUSED
 from rosplc import bind
+from rosplc.demo.processes import remove_objects
 from rosplc_bench.process import Side
 
 CHROMIUM = "/usr/bin/chromium"
@@ -118,8 +118,7 @@ def _machine(channels: int) -> Iterator[tuple[str, str, int]]:
             machine.receive()
             yield prefix, url, pid
     finally:
-        for left in Path("/dev/shm").glob(f"{prefix}.*"):
-            left.unlink()
+        remove_objects(prefix)
 
 
 def main() -> None:

@@ -173,7 +173,7 @@ def long(outcome: Outcome) -> None:
 def bench(outcome: Outcome) -> None:
     """Run every measurement in benchmarks/."""
     for path in sorted((ROOT / "benchmarks").glob("bench_*.py")):
-        step(outcome, path.name, [sys.executable, str(path)])
+        step(outcome, path.name, [sys.executable, "-m", f"benchmarks.{path.stem}"])
 
 
 STEPS: dict[str, Callable[[Outcome], None]] = {

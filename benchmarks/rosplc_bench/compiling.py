@@ -88,10 +88,8 @@ def find_library(name: str, package: str) -> tuple[str, ...]:
 def compile_with_modbus(context: Context, what: str, name: str) -> tuple[Path | None, bool]:
     """Return a program, None without a compiler, and whether it knows Modbus; note what is missing."""
     options: tuple[str, ...] = ()
-    try:
+    with context.leaving_out(f"{what} over libmodbus"):
         options = ("-DWITH_MODBUS", *find_library("libmodbus", "libmodbus-dev"))
-    except Missing as missing:
-        context.skip(f"{what} over libmodbus", missing.reason, missing.remedy)
     try:
         return compile_program(name, context.cache, options=options), bool(options)
     except Missing as missing:

@@ -23,7 +23,7 @@ from rosplc_bench.draw import Cell, Figure, Series
 from rosplc_bench.end_to_end_sides import DISTRO, KINDS, LIMITS, register_count, topics
 from rosplc_bench.process import Side, free_port, python
 from rosplc_bench.report import Page, Section, Table, median, paragraphs, percentile, text
-from rosplc_bench.run import Context, Missing, need
+from rosplc_bench.run import Context, need
 
 RATE_HZ = 100.0
 _FIND_S = 60.0
@@ -102,14 +102,11 @@ def _check(context: Context, rounds: list[dict[str, Any]]) -> None:
 def _methods(context: Context) -> list[str]:
     found = []
     for method, package in (("rosplc", "cyclonedds"), ("modbus", "pymodbus"), ("opcua", "asyncua")):
-        if not context.wants(method):
-            continue
-        try:
-            need("cyclonedds")
-            need(package)
-            found.append(method)
-        except Missing as missing:
-            context.skip(f"end to end over {method}", missing.reason, missing.remedy)
+        with context.leaving_out(f"end to end over {method}"):
+            if context.wants(method):
+                need("cyclonedds")
+                need(package)
+                found.append(method)
     return found
 
 

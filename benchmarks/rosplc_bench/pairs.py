@@ -400,13 +400,11 @@ class _Turns:
         }
 
     def _can(self, contender: Contender, arrangement: Arrangement) -> bool:
-        try:
+        with self._context.leaving_out(f"{contender.title}, {arrangement.title}"):
             if arrangement.name in contender.needs:
                 need(contender.needs[arrangement.name])
-        except Missing as missing:
-            self._context.skip(f"{contender.title}, {arrangement.title}", missing.reason, missing.remedy)
-            return False
-        return True
+            return True
+        return False
 
     def _calibrate(self, arrangement: Arrangement, contender: Contender) -> Plan | None:
         turn = self._turn(arrangement, contender, Plan(2, 1, (10,)))

@@ -117,6 +117,16 @@ class Context:
         """Note what went wrong; the run continues, and its report is not good."""
         self.failures.append(Failure(what, reason))
 
+    @contextlib.contextmanager
+    def leaving_out(self, what: str) -> Iterator[None]:
+        """Note a :class:`Missing` in the block as skipped, a SetupError as failed; the rest is measured."""
+        try:
+            yield
+        except Missing as missing:
+            self.skip(what, missing.reason, missing.remedy)
+        except SetupError as error:
+            self.fail(what, error.what)
+
 
 MEMORY = Path("/dev/shm")
 PREFIX = "rosplc-bench-"

@@ -18,12 +18,13 @@ from functools import partial
 from typing import Any, NamedTuple
 
 from rosplc.errors import SetupError
-from rosplc.shm import Description, Direction, Namespace, OwnedChannel
+from rosplc.shm import Direction
 from rosplc_bench.compiling import compile_with_modbus
 from rosplc_bench.draw import Cell, Figure, Series
 from rosplc_bench.process import Side, free_port, python
 from rosplc_bench.report import Page, Section, Table, median, paragraphs, percentile, text
-from rosplc_bench.run import Context, Missing, need
+from rosplc_bench.run import Context, need
+from rosplc_bench.sweeps import channels
 
 NAMES = {
     "none": "no exchange (C)",
@@ -85,19 +86,15 @@ class Starter:
             context.skip(what, "left out of a quick run", "leave --quick out")
         else:
             starters["rosplc-python"] = self._rosplc_python
-            try:
+            with context.leaving_out("scan cycle over OPC UA"):
                 need("asyncua")
                 plan = {"port": free_port()}
                 starters["opcua-python"] = partial(self._in_python, "opcua", {"task": plan, "peer": plan})
-            except Missing as missing:
-                context.skip("scan cycle over OPC UA", missing.reason, missing.remedy)
         found = []
         for name, starter in starters.items():
-            try:
+            with context.leaving_out(f"scan cycle, {NAMES[name]}"):
                 if context.wants(name):
                     found.append(Method(name, *starter()))
-            except SetupError as error:  # the others are measured
-                context.fail(f"scan cycle, {NAMES[name]}", error.what)
         return found
 
     def hogs(self, stack: ExitStack) -> bool:
@@ -133,15 +130,9 @@ class Starter:
 
     def _channels(self) -> tuple[str, str]:
         """Return the paths of the channel to ROS and the channel to the PLC."""
-        paths = []
-        for direction in (Direction.TO_ROS, Direction.TO_PLC):
-            namespace = Namespace(f"scan-{secrets.token_hex(4)}", str(self._context.scratch))
-            about = Description(
-                "/scan", "std_msgs/msg/Empty", "jazzy", direction, {}, "0" * 16, "bench", "uint8 x"
-            )
-            channel = self._stack.enter_context(OwnedChannel.open(namespace, about, record_size=BYTES))
-            paths.append(str(channel.path))
-        return paths[0], paths[1]
+        place = self._context.scratch, 1, BYTES, self._stack
+        to_ros, to_plc = (channels(*place, way)[0] for way in (Direction.TO_ROS, Direction.TO_PLC))
+        return str(to_ros.path), str(to_plc.path)
 
     def _rosplc_python(self) -> list[Side]:
         to_ros, to_plc = self._channels()

@@ -110,17 +110,15 @@ def run(context: Context) -> dict[str, Any]:
         for done, (kind, key, value) in enumerate(steps):
             what = f"one message of {value} bytes" if kind == "payload" else f"{value} topics"
             context.notify(done, len(steps), what)
+            files = _files(_FILES_PER_TOPIC * value if kind == "topics" else 0)
             try:
-                with ExitStack() as here, _files(_FILES_PER_TOPIC * value if kind == "topics" else 0):
+                with context.leaving_out(what), ExitStack() as here, files:
                     found = _turns(context, getattr(sweep, kind)(value, here), amount)
-            except Missing as missing:
-                context.skip(what, missing.reason, missing.remedy)
+                    data[kind] += [{key: value, "contender": name, "ns": ns} for name, ns in found.items()]
             except ChannelError as error:
                 if error.code != "SHM117":
                     raise
                 context.skip(what, error.what, "make room in /dev/shm")
-            else:
-                data[kind] += [{key: value, "contender": name, "ns": ns} for name, ns in found.items()]
     return data
 
 
@@ -183,22 +181,14 @@ class Sweep:
             stack.callback(self._opcua.close)
 
     def _server(self, context: Context, method: str, package: str, stack: ExitStack) -> int:
-        if not context.wants(package):
-            return 0
-        try:
-            need(package)
-        except Missing as missing:
-            context.skip(f"sweeps over {package}", missing.reason, missing.remedy)
-            return 0
-        port = free_port()
-        side = Side(f"{package} server", python("sweeps", method, str(port), str(self._most)))
-        stack.callback(side.close)
-        try:
-            side.receive_json(_START_SECONDS + WATCHDOG_S)
-        except SetupError as error:  # the others go on
-            context.fail(f"sweeps over {package}", error.what)
-            return 0
-        return port
+        with context.leaving_out(f"sweeps over {package}"):
+            if context.wants(package):
+                need(package)
+                port = free_port()
+                server = Side(f"{package} server", python("sweeps", method, str(port), str(self._most)))
+                stack.enter_context(server).receive_json(_START_SECONDS + WATCHDOG_S)
+                return port
+        return 0
 
     def payload(self, size: int, stack: ExitStack) -> list[Contender]:
         """Start the contenders that can carry a message of ``size`` bytes."""
@@ -253,13 +243,15 @@ def _native(context: Context, stack: ExitStack) -> tuple[Path | None, int]:
     return program, int(server.receive_json()["port"])
 
 
-def channels(folder: Path, count: int, size: int, stack: ExitStack) -> list[OwnedChannel]:
+def channels(
+    folder: Path, count: int, size: int, stack: ExitStack, direction: Direction = Direction.TO_ROS
+) -> list[OwnedChannel]:
     """Make channels for records of ``size`` bytes; they are gone with ``stack``."""
     namespace = Namespace(f"sweep-{secrets.token_hex(4)}", str(folder))
     made = []
     for index in range(count):
         topic = (f"/topic{index}", "std_msgs/msg/Empty", "jazzy")
-        about = Description(*topic, Direction.TO_ROS, {}, "0" * 16, "bench", "uint8 x")
+        about = Description(*topic, direction, {}, "0" * 16, "bench", "uint8 x")
         made.append(OwnedChannel.open(namespace, about, record_size=size))
         stack.callback(made[-1].retire)  # the memory is wanted for the next size
     return made

@@ -12,9 +12,9 @@ from typing import Any
 
 import pytest
 
-from benchmarks.bench_bridge import load_config
+from benchmarks.bench_bridge import begin, load_config
 from benchmarks.peers import names
-from benchmarks.processes import bridge, peer
+from benchmarks.processes import bridge, peers
 
 TOPICS = 20
 
@@ -24,19 +24,12 @@ def carry(folder: Path, text: str, order: dict[str, Any]) -> tuple[dict[str, Any
     domain = order["domain"]
     with ExitStack() as stack:
         stack.enter_context(bridge(folder, text, domain))
-        peers = [stack.enter_context(peer(role, order, domain)) for role in ("plc", "ros")]
-        for side in peers:
-            assert side.receive_json() == {"ready": True}
-        for side in peers:
-            side.send("go")
-        for side in peers:
-            assert side.receive_json() == {"heard": True}
-        for side in peers:
-            side.send("more")
-        for side in peers:
+        sides = stack.enter_context(peers("plc ros", order, domain))
+        begin(*sides)
+        for side in sides:
             reported = side.receive_json(180) | side.receive_json(180)  # in either order
             assert reported == {"sent": order["count"], "arrived": True}
-        ros, plc = (side.ask("stop") for side in reversed(peers))
+        ros, plc = (side.ask("stop") for side in reversed(sides))
     return ros, plc
 
 
