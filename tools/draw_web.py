@@ -9,11 +9,14 @@ the bridge's place and one in the PLC's, which is stopped and started once so th
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 import time
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
+
+from rosplc.demo.processes import remove_objects
+from rosplc_bench.process import Side
 
 ROOT = Path(__file__).resolve().parent.parent
 FOLDER = ROOT / "docs/images/web"
@@ -22,14 +25,12 @@ DESK = {"width": 1360, "height": 850}
 TABLET = {"width": 820, "height": 1100}
 
 
-def start(*command: str) -> subprocess.Popen[str]:
-    """Start one of the project's modules, and wait for its first line."""
-    child = subprocess.Popen(
-        [sys.executable, "-m", *command], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=ROOT
-    )
-    assert child.stdout is not None
-    child.first_line = child.stdout.readline()  # type: ignore[attr-defined]
-    return child
+def start(stack: ExitStack, *command: str) -> tuple[Side, str]:
+    """Start one of the project's modules, which ends with the stack; return it and its first line."""
+    child = Side(command[0], ["env", "-C", str(ROOT), sys.executable, "-m", *command])
+    stack.enter_context(child)
+    stack.callback(child.kill)
+    return child, child.receive()
 
 
 def shoot(page: Any, name: str) -> None:
@@ -98,29 +99,25 @@ def main() -> None:
     """Write all pictures."""
     from playwright.sync_api import sync_playwright
 
-    children = [start("benchmarks.web_machine", role, PREFIX) for role in ("bridge", "plc")]
+    with ExitStack() as stack:
+        stack.callback(remove_objects, PREFIX)
+        _, (plc, _) = (start(stack, "benchmarks.web_machine", role, PREFIX) for role in ("bridge", "plc"))
 
-    def restart_plc() -> None:
-        children[1].kill()
-        time.sleep(5)
-        children[1] = start("benchmarks.web_machine", "plc", PREFIX)
+        def restart_plc() -> None:
+            plc.kill()
+            time.sleep(5)
+            start(stack, "benchmarks.web_machine", "plc", PREFIX)
 
-    try:
-        children.append(start("rosplc", "web", "--prefix", PREFIX, "--port", "0", "--allow-write", "--json"))
-        url = json.loads(children[2].first_line)["url"]  # type: ignore[attr-defined]
-        with sync_playwright() as driver:
-            browser = driver.chromium.launch(executable_path="/usr/bin/chromium", args=["--no-sandbox"])
-            overview(browser, url, restart_plc)
-            message(browser, url)
-            plots(browser, url)
-            write(browser, url)
-            browser.close()
-    finally:
-        for child in children:
-            child.kill()
-            child.wait()
-        for left in Path("/dev/shm").glob(f"{PREFIX}.*"):
-            left.unlink()
+        _, served = start(stack, "rosplc", "web", "--prefix", PREFIX, "--port=0", "--allow-write", "--json")
+        url = json.loads(served)["url"]
+        browser = stack.enter_context(sync_playwright()).chromium.launch(
+            executable_path="/usr/bin/chromium", args=["--no-sandbox"]
+        )
+        overview(browser, url, restart_plc)
+        message(browser, url)
+        plots(browser, url)
+        write(browser, url)
+        browser.close()
 
 
 if __name__ == "__main__":

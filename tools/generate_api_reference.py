@@ -21,41 +21,25 @@ All derive from `RosplcError` and have `code`, `what`, `where` and `remedy`. Wha
 
 | class | codes | raised for |
 | --- | --- | --- |"""
-# Package → what stands before its names, and the names; () for all that it exports.
-PACKAGES: dict[str, tuple[str, tuple[str, ...]]] = {
+# Package → the text before its names, and the names; none for all that it exports.
+PACKAGES = {
     "rosplc": (
         "Channels for any program on the machine: they need neither ROS nor a configuration, since an\n"
         "object in shared memory describes itself. Configurations, loaded, checked and turned into PLC\n"
         "code. Importing rosplc loads no middleware.",
-        (
-            "attach",
-            "Channel",
-            "topics",
-            "ObjectState",
-            "bind",
-            "Binding",
-            "load_project",
-            "Project",
-            "ConfigErrors",
-            "check",
-            "generate",
-            "Delivery",
-            "RecordView",
-            "SlotInfo",
-            "Direction",
-            "include_dir",
-        ),
+        "attach Channel topics ObjectState bind Binding load_project Project ConfigErrors check generate "
+        "Delivery RecordView SlotInfo Direction include_dir",
     ),
-    "rosplc.virtual_plc": ("Scan cycles over the same objects as a PLC, for laptops and CI.", ()),
-    "rosplc.model": ("Message types, from a distribution's definitions or from `.msg` text.", ("TypeStore",)),
+    "rosplc.virtual_plc": ("Scan cycles over the same objects as a PLC, for laptops and CI.", ""),
+    "rosplc.model": ("Message types, from a distribution's definitions or from `.msg` text.", "TypeStore"),
     "rosplc.layout": (
         "What a type becomes in memory: offsets, capacities, the layout id.",
-        ("compute_layout", "Layout", "Limits"),
+        "compute_layout Layout Limits",
     ),
-    "rosplc.codec": ("Between wire bytes and records.", ("Codec", "Wire")),
+    "rosplc.codec": ("Between wire bytes and records.", "Codec Wire"),
     "rosplc.ros": (
         "The ROS side for programs without ROS: a node of its own, over any backend.",
-        ("open_backend", "Backend", "Publisher", "Subscription", "Qos", "EndpointStatus"),
+        "open_backend Backend Publisher Subscription Qos EndpointStatus",
     ),
 }
 
@@ -65,7 +49,7 @@ def module(name: str) -> Iterator[str]:
     text, names = PACKAGES[name]
     home = importlib.import_module(name)
     yield f"## {name}\n\n{text}\n"
-    for each in names or home.__all__:
+    for each in names.split() or home.__all__:
         thing = getattr(home, each)
         if inspect.isclass(thing) or inspect.isfunction(thing):
             yield f"### {each}\n"
