@@ -19,6 +19,7 @@ from tests.soak.cell import SHM, Cell, WatchdogError
 from tests.soak.checks import Checker
 from tests.soak.faults import Fault
 from tests.soak.messages import ALL, TOPICS
+from tests.soak.processes import proc_status
 from tests.soak.results import leaks
 
 _TAIL = 1 << 20
@@ -71,11 +72,9 @@ def _numbers(cell: Cell, index: int) -> dict[str, int]:
 
 def _process(pid: int) -> dict[str, str]:
     try:
-        lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+        return {name: value for name, value in proc_status(pid).items() if name in _STATUS}
     except OSError:
         return {"State": "ended"}
-    fields = (line.partition(":") for line in lines)
-    return {name: value.strip() for name, _, value in fields if name in _STATUS}
 
 
 _MOST_VIOLATIONS = 20

@@ -39,10 +39,6 @@ class WatchdogError(Exception):
     """What was waited for did not come."""
 
 
-class Extra(dict[str, str]):
-    """Topics that reloading adds, changes and removes: name → entry of the configuration."""
-
-
 class Cell:
     """The processes and what they share.
 
@@ -56,7 +52,7 @@ class Cell:
     Attributes:
         parts: Name → process.
         counters: What was sent and received.
-        extra: Topics beside those that carry patterns.
+        extra: Topics that reloading adds, changes and removes: name → entry of the configuration.
         options: More keys for the four topics' entries.
     """
 
@@ -69,7 +65,7 @@ class Cell:
         self.prefix = f"soak{secrets.token_hex(4)}"
         self.namespace = Namespace(self.prefix)
         self.counters = Counters(folder / "counters", create=True)
-        self.extra = Extra()
+        self.extra: dict[str, str] = {}
         self.options = dict.fromkeys(ALL, "")
         self.config = folder / "soak.yaml"
         self._plc_config, self._plc_built = folder / "plc.yaml", folder / "plc.built"

@@ -21,6 +21,7 @@ from rosplc import attach
 from rosplc.shm.classic_lock import Semaphore
 from tests.soak.cell import SHM, Cell
 from tests.soak.messages import CAPACITY, CLASSIC, IN, OUT, TOPICS
+from tests.soak.processes import proc_status
 
 _FAKETIME = [Path(f"/usr/lib/{arch}-linux-gnu/faketime/libfaketimeMT.so.1") for arch in ("x86_64", "aarch64")]
 
@@ -93,8 +94,7 @@ def _kill_two(cell: Cell, dice: random.Random) -> None:
     for name in names:
         cell.parts[name].send(signal.SIGKILL)
     for name in names:
-        cell.parts[name].kill()
-        cell.parts[name].start()
+        cell.parts[name].replace()
 
 
 def _kill_beside_stopped(cell: Cell, dice: random.Random) -> None:
@@ -102,8 +102,7 @@ def _kill_beside_stopped(cell: Cell, dice: random.Random) -> None:
     dead, still = dice.sample(sorted(cell.parts), 2)
     with _stopped(cell, still):
         time.sleep(dice.uniform(0.0, 0.3))
-        cell.parts[dead].kill()
-        cell.parts[dead].start()
+        cell.parts[dead].replace()
         time.sleep(dice.uniform(0.0, 0.8))
 
 
@@ -177,9 +176,7 @@ def _limit(what: str, cell: Cell, dice: random.Random) -> None:
     if what == "descriptor":
         kind, now = resource.RLIMIT_NOFILE, len(os.listdir(f"/proc/{bridge.pid}/fd"))
     else:
-        lines = Path(f"/proc/{bridge.pid}/status").read_text().splitlines()
-        kind = resource.RLIMIT_AS
-        now = 1024 * next(int(line.split()[1]) for line in lines if line.startswith("VmSize:"))
+        kind, now = resource.RLIMIT_AS, 1024 * int(proc_status(bridge.pid)["VmSize"].split()[0])
     before = resource.prlimit(bridge.pid, kind)
     resource.prlimit(bridge.pid, kind, (now, before[1]))
     cell.remove([cell.namespace.object_name(topic) for topic in OUT])
@@ -304,15 +301,13 @@ def _held(cell: Cell, topic: str) -> Semaphore:
 def _kill_inside(cell: Cell, dice: random.Random) -> None:
     """Kill -9 of the PLC inside a lock."""
     _stand_still_inside(cell)
-    cell.parts["plc"].kill()
-    cell.parts["plc"].start()
+    cell.parts["plc"].replace()
 
 
 def _kill_bridge_inside(cell: Cell, dice: random.Random) -> None:
     """Kill -9 of the bridge while a lock is taken and never given back: the semaphore knows no difference."""
     lock = _held(cell, dice.choice(CLASSIC))
-    cell.parts["bridge"].kill()
-    cell.parts["bridge"].start()
+    cell.parts["bridge"].replace()
     lock.close()
 
 

@@ -81,6 +81,10 @@ def wire_codec(store: TypeStore) -> Codec:
 
 GENERATIONS = 1 << 16
 _COUNTERS = ("received", "missing", "torn", "invented", "disordered", "generation", "number", "block_lost")
+_CONTROL = (
+    *("flood", "diagnostics", "stamp_ns", "plc_scans", "publisher_turns", "publisher_clock_ns"),
+    *("stop_inside", "online_change", "reopen"),
+)
 _BRIDGE = ("received", "published", "skipped", "lost", "refused")
 
 
@@ -110,18 +114,7 @@ class Counters:
                 ("bridge", [(name, np.int64) for name in _BRIDGE], (len(TOPICS),)),
                 (
                     "control",
-                    [
-                        ("flood", np.int64),
-                        ("diagnostics", np.int64),
-                        ("stamp_ns", np.int64),
-                        ("plc_scans", np.int64),
-                        ("publisher_turns", np.int64),
-                        ("publisher_clock_ns", np.int64),
-                        ("stop_inside", np.int64),
-                        ("online_change", np.int64),
-                        ("reopen", np.int64),
-                        ("dropped", np.int64, (len(TOPICS),)),
-                    ],
+                    [*((name, np.int64) for name in _CONTROL), ("dropped", np.int64, (len(TOPICS),))],
                 ),
             ]
         )

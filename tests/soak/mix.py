@@ -11,7 +11,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
@@ -20,40 +19,28 @@ from tests.soak.results import compact, recovery_table, run_table, trend_table
 _SAY_EVERY_S = 30.0
 
 
-@dataclass(frozen=True)
-class Member:
-    """One cell of the mix.
-
-    Attributes:
-        name: Its files are called so.
-        arguments: What makes it.
-    """
-
-    name: str
-    arguments: tuple[str, ...]
-
-
-MIX = (
-    Member("dds", ("--backend", "dds")),
-    Member("dds-bridge-spared", ("--backend", "dds", "--spare", "bridge")),
-    Member("zenoh", ("--backend", "zenoh")),
-    Member("rospy", ("--backend", "rospy")),
-    Member("structured-text", ("--plc", "st")),
-)
+MIX = {
+    "dds": "--backend dds",
+    "dds-bridge-spared": "--backend dds --spare bridge",
+    "zenoh": "--backend zenoh",
+    "rospy": "--backend rospy",
+    "structured-text": "--plc st",
+}
+"""Name of a cell, and of its files: the options that make it."""
 
 
 class _Campaign:
     """A member that runs."""
 
-    def __init__(self, member: Member, folder: Path, arguments: list[str]) -> None:
-        self.name = member.name
-        self.json = folder / f"{member.name}.json"
-        self.log = folder / f"{member.name}.log"
+    def __init__(self, name: str, folder: Path, arguments: list[str]) -> None:
+        self.name = name
+        self.json = folder / f"{name}.json"
+        self.log = folder / f"{name}.log"
         self.json.unlink(missing_ok=True)
         self._output: IO[bytes] = self.log.open("wb")
-        files = ["--json", str(self.json), "--logs", str(folder / f"{member.name}-failed")]
+        files = ["--json", str(self.json), "--logs", str(folder / f"{name}-failed")]
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "tests.soak", *member.arguments, *arguments, *files],
+            [sys.executable, "-m", "tests.soak", *MIX[name].split(), *arguments, *files],
             stdin=subprocess.DEVNULL,
             stdout=self._output,
             stderr=self._output,
@@ -85,7 +72,7 @@ def run_mix(folder: Path, seed: int, limits: list[str], say: Callable[[str], Non
     """
     folder.mkdir(parents=True, exist_ok=True)
     running = [
-        _Campaign(member, folder, ["--seed", str(seed + place), *limits]) for place, member in enumerate(MIX)
+        _Campaign(name, folder, ["--seed", str(seed + place), *limits]) for place, name in enumerate(MIX)
     ]
     say(f"{len(running)} cells, seeds from {seed} on; each one's lines stand in {folder}/NAME.log")
     try:

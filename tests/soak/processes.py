@@ -150,10 +150,6 @@ def main() -> None:
     _serve(socket.socket(fileno=int(number)), campaign)
 
 
-_LIBC = ctypes.CDLL(None)
-_PR_SET_PDEATHSIG = 1
-
-
 @dataclass(frozen=True)
 class Usage:
     """What a process holds.
@@ -171,6 +167,12 @@ class Usage:
     threads: int
     rss_kb: int
     private_kb: int
+
+
+def proc_status(pid: int) -> dict[str, str]:
+    """Return what the kernel says of a process; OSError if it has ended."""
+    lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    return {name: value.strip() for name, _, value in (line.partition(":") for line in lines)}
 
 
 def _prepare() -> None:
@@ -271,6 +273,11 @@ class Part:
         if self._process is not None:
             self._process.wait()
 
+    def replace(self) -> None:
+        """End it with kill -9, and start it again."""
+        self.kill()
+        self.start()
+
     def terminate(self, seconds: float = 60.0) -> bool:
         """Ask it to end; return whether it did in time, else it is killed."""
         self.send(signal.SIGTERM)
@@ -284,19 +291,10 @@ class Part:
 
     def usage(self) -> Usage | None:
         """Return what it holds; None if it has ended."""
-        root = Path(f"/proc/{self.pid}")
         try:
-            status = dict(
-                line.split(":", 1) for line in (root / "status").read_text().splitlines() if ":" in line
-            )
-            files = len(os.listdir(root / "fd"))
-            return Usage(
-                self.pid,
-                files,
-                int(status["Threads"]),
-                int(status["VmRSS"].split()[0]),
-                int(status["RssAnon"].split()[0]),
-            )
+            status, files = proc_status(self.pid), len(os.listdir(f"/proc/{self.pid}/fd"))
+            held = (int(status[key].split()[0]) for key in ("Threads", "VmRSS", "RssAnon"))
+            return Usage(self.pid, files, *held)
         except (OSError, KeyError, ValueError):
             return None
 

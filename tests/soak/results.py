@@ -146,17 +146,8 @@ def compact(run: Run) -> dict[str, Any]:
     kept = samples[:: max(1, -(-len(samples) // _MOST_SAMPLES))]
     parts = sorted({name for sample in samples for name, use in sample.items() if isinstance(use, dict)})
     known = (
-        "seed",
-        "backend",
-        "plc",
-        "spared",
-        "peers",
-        "seconds",
-        "messages",
-        "machine",
-        "violations",
-        "skipped",
-        "cpu_s",
+        *("seed", "backend", "plc", "spared", "peers", "seconds"),
+        *("messages", "machine", "violations", "skipped", "cpu_s"),
     )
     pids = {use["pid"] for sample in samples for use in sample.values() if isinstance(use, dict)}
     return {

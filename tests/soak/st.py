@@ -79,13 +79,17 @@ class _Reading:
 
     def __init__(self, machine: Any, topic: str, block: str, layout: Layout) -> None:
         self.index = ALL.index(topic)
-        self._machine, self._layout = machine, layout
-        self._new = Word(machine, f"{block}.xNew")
+        self._machine, self._topic, self._block, self._layout = machine, topic, block, layout
         self._every = topic == IN[0]
+        self._lost_before = 0
+
+    def find(self) -> None:
+        """Look up where everything is."""
+        machine, block = self._machine, self._block
+        self._new = Word(machine, f"{block}.xNew")
         self._address, _ = machine.find("Soak_Inbox.astMessage[0]" if self._every else f"{block}.msg")
         self._count = Word(machine, "Soak_Inbox.udiCount")
-        self._lost = None if topic in CLASSIC else Word(machine, f"{block}.udiLost")
-        self._lost_before = 0
+        self._lost = None if self._topic in CLASSIC else Word(machine, f"{block}.udiLost")
 
     def judge(self, counters: Counters) -> None:
         """Hand over to the counters what came in this scan."""
@@ -104,11 +108,14 @@ class _Writing:
 
     def __init__(self, machine: Any, topic: str, block: str, layout: Layout) -> None:
         self.index = ALL.index(topic)
-        self._machine, self._layout = machine, layout
-        self._enable = Word(machine, f"{block}.xEnable")
-        self._published = Word(machine, f"{block}.xPublished")
-        self._address, _ = machine.find(f"{block}.msg")
+        self._machine, self._block, self._layout = machine, block, layout
         self._number = 1
+
+    def find(self) -> None:
+        """Look up where everything is."""
+        self._enable = Word(self._machine, f"{self._block}.xEnable")
+        self._published = Word(self._machine, f"{self._block}.xPublished")
+        self._address, _ = self._machine.find(f"{self._block}.msg")
 
     def fill(self, counters: Counters, generation: int) -> None:
         """Put the next message into ``msg``."""
@@ -142,22 +149,27 @@ class Program:
         machine.may_create = classic
         machine.start()
         names = instance_names([plan.topic for plan in project.topics])
-        self._blocks = {
-            plan.topic: f"ROS_{'Read' if towards_plc(plan.topic) else 'Write'}.{names[plan.topic]}"
-            for plan in project.topics
-        }
-        self._reopen = [
-            Word(machine, f"{block}.xReopen") for topic, block in self._blocks.items() if topic in CLASSIC
-        ]
-        self._find({plan.topic: plan.layout for plan in project.topics})
+        self._reads: list[_Reading] = []
+        self._writes: list[_Writing] = []
+        self._classic: list[str] = []
+        for plan in project.topics:
+            if towards_plc(plan.topic):
+                block = f"ROS_Read.{names[plan.topic]}"
+                self._reads.append(_Reading(machine, plan.topic, block, plan.layout))
+            else:
+                block = f"ROS_Write.{names[plan.topic]}"
+                self._writes.append(_Writing(machine, plan.topic, block, plan.layout))
+            if plan.classic:
+                self._classic.append(block)
+        self._find()
 
-    def _find(self, layouts: dict[str, Layout]) -> None:
-        reads = [topic for topic in self._blocks if towards_plc(topic)]
-        writes = [topic for topic in self._blocks if not towards_plc(topic)]
-        machine, blocks = self._machine, self._blocks
-        self._layouts = layouts
-        self._reads = [_Reading(machine, topic, blocks[topic], layouts[topic]) for topic in reads]
-        self._writes = [_Writing(machine, topic, blocks[topic], layouts[topic]) for topic in writes]
+    def _find(self) -> None:
+        """Look up where everything is: at the start, and after an online change has moved every instance."""
+        self._reopen = [Word(self._machine, f"{block}.xReopen") for block in self._classic]
+        for reading in self._reads:
+            reading.find()
+        for writing in self._writes:
+            writing.find()
 
     def __call__(self) -> None:
         """Run one scan."""
@@ -186,23 +198,8 @@ class Program:
         self._seen["reopen"] = int(control["reopen"])
         if int(control["online_change"]) != self._seen["online_change"]:
             self._seen["online_change"] = int(control["online_change"])
-            self._change()
-
-    def _change(self) -> None:
-        self._machine.online_change()
-        numbers = [writing._number for writing in self._writes]
-        lost = [reading._lost_before for reading in self._reads]
-        # Every instance has moved; so have the addresses that this host keeps.
-        self._reopen = [
-            Word(self._machine, f"{block}.xReopen")
-            for topic, block in self._blocks.items()
-            if topic in CLASSIC
-        ]
-        self._find(self._layouts)
-        for writing, number in zip(self._writes, numbers, strict=True):
-            writing._number = number
-        for reading, before in zip(self._reads, lost, strict=True):
-            reading._lost_before = before
+            self._machine.online_change()
+            self._find()
 
     def close(self) -> None:
         """End the program as a PLC's stop does; its claims are given back."""
