@@ -6,7 +6,6 @@ import contextlib
 import hashlib
 import os
 import signal
-import struct
 import subprocess
 import uuid
 from functools import lru_cache
@@ -21,12 +20,11 @@ from rosplc.plc.plan import PlcTask, PlcTopic, ProjectOptions
 from rosplc.plc.project import project_texts
 from rosplc_st.build import Build, Toolchain, build
 from rosplc_st.machine import LibraryMachine, Machine, ProcessMachine
-from tests.verification.plc_cell import READ, TARGETS, WRITE, layout_of, store
+from tests.verification.plc_cell import READ, TARGETS, TWIST, WRITE, Blocks, layout_of, store
 
-__all__ = ["TOPICS", "TWIST", "ClassicCell", "Peer", "classic_build", "classic_target", "record"]
+__all__ = ["TOPICS", "TWIST", "ClassicCell", "Peer", "classic_build", "classic_target"]
 
 SHM = Path("/dev/shm")
-TWIST = "geometry_msgs/msg/Twist"
 JOINTS = "sensor_msgs/msg/JointState"
 LARGE = "geometry_msgs/msg/PoseWithCovariance"  # 43 doubles: long enough for a copy to be interrupted
 _SMALL = Limits(8, 16, {"name": 3, "position": 3, "velocity": 3, "effort": 3})
@@ -47,11 +45,6 @@ PATIENT = """PROGRAM Patient
 ROS_Read.in(tWait := T#49d17h2m47s295ms);
 END_PROGRAM
 """
-
-
-def record(number: float) -> bytes:
-    """Return a Twist's record whose six numbers are all ``number``."""
-    return struct.pack("<6d", *[float(number)] * 6)
 
 
 @lru_cache
@@ -155,7 +148,7 @@ class Peer:
         return line.rstrip("\n")
 
 
-class ClassicCell:
+class ClassicCell(Blocks):
     """A PLC with classic blocks, and names that nobody else has; a context manager."""
 
     def __init__(self, built: Build | None = None, *, start: bool = True, **options: int) -> None:
@@ -222,19 +215,6 @@ class ClassicCell:
     def block(self, topic: str) -> str:
         """Return the path of a topic's block."""
         return f"ROS_{'Read' if TOPICS[topic][1] == 'read' else 'Write'}.{topic[1:]}"
-
-    def get(self, topic: str, *names: str) -> Any:
-        """Return variables of a topic's block: one value, or a tuple."""
-        values = tuple(self.machine.get(f"{self.block(topic)}.{name}") for name in names)
-        return values[0] if len(values) == 1 else values
-
-    def set(self, topic: str, name: str, value: Any) -> None:
-        """Set an input of a topic's block."""
-        self.machine.set(f"{self.block(topic)}.{name}", value)
-
-    def msg(self, topic: str) -> bytes:
-        """Return a topic's msg."""
-        return self.machine.read(f"{self.block(topic)}.msg")
 
     def put(self, topic: str, data: bytes) -> None:
         """Set a topic's msg and let it be written from the next scan on."""

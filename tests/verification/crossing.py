@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rosplc.codec import Codec, Wire
+from rosplc.described import description_of
 from rosplc.layout import Layout
 from rosplc.layout.nodes import ArrayNode, Node, PaddingNode, ScalarNode, SequenceNode, StringNode, StructNode
 from rosplc.plc.build import build_type_library
@@ -21,7 +22,7 @@ from rosplc.shm import Direction, Namespace, OwnedChannel
 from rosplc_st.build import Toolchain, build
 from rosplc_st.machine import LibraryMachine, Machine, ProcessMachine
 from rosplc_st.translator import Options
-from tests.verification.plc_cell import describe, store
+from tests.verification.plc_cell import store
 
 __all__ = ["Crossing", "check_layout", "random_record"]
 
@@ -91,9 +92,8 @@ class Crossing:
         owned, ends = [], []
         for index, layout in enumerate(self.layouts):
             for topic, direction in ((f"/r{index}", Direction.TO_PLC), (f"/w{index}", Direction.TO_ROS)):
-                owned.append(
-                    OwnedChannel.open(namespace, describe(topic, layout, direction), record_size=layout.size)
-                )
+                about = description_of(layout, topic, direction, bridge="test")
+                owned.append(OwnedChannel.open(namespace, about, record_size=layout.size))
             ends.append((owned[-2].writer(), owned[-1].reader()))
         try:
             for _ in range(6 * len(self.layouts) + 20):

@@ -13,19 +13,20 @@ from typing import Any, Literal
 
 import pytest
 
+from rosplc.described import description_of
 from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.plc.build import build_project
 from rosplc.plc.plan import PlcTask, PlcTopic, ProjectOptions
 from rosplc.plc.project import project_texts
-from rosplc.shm import Description, Direction, Namespace, OwnedChannel
+from rosplc.shm import Direction, Namespace, OwnedChannel
 from rosplc_st.build import ARMHF, Build, Toolchain, build
 from rosplc_st.machine import LibraryMachine, Machine, ProcessMachine
 from rosplc_st.translator import Options
 
 __all__ = [
-    "READ", "TARGETS", "WRITE", "Cell", "cell_build", "cell_texts", "describe", "layout_of", "needs_armhf",
-    "pattern", "store", "target", "targets", "twist",
+    "READ", "TARGETS", "TWIST", "WRITE", "Blocks", "Cell", "cell_build", "cell_texts", "layout_of",
+    "needs_armhf", "pattern", "store", "target", "targets", "twist",
 ]  # fmt: skip
 
 READ, WRITE = "SharedMemory_Read", "SharedMemory_Write"
@@ -41,22 +42,13 @@ def layout_of(name: str, distro: str = "jazzy", limits: Limits | None = None) ->
     return compute_layout(store(distro), name, limits or Limits())
 
 
-def describe(topic: str, layout: Layout, direction: Direction) -> Description:
-    """Return the self-description that a bridge writes."""
-    return Description(
-        topic=topic, type=layout.type_name, distro=layout.store.distro, direction=direction,
-        limits=layout.limits.to_dict(), layout_id=layout.layout_id, bridge="test",
-        definition=layout.store.definition_text(layout.type_name),
-    )  # fmt: skip
-
-
 def twist(number: float) -> dict[str, Any]:
     """Return a Twist whose six numbers are all ``number``."""
     vector = {"x": number, "y": number, "z": number}
     return {"linear": vector, "angular": vector}
 
 
-def pattern(number: int) -> bytes:
+def pattern(number: float) -> bytes:
     """Return a Twist's record whose six numbers are all ``number``."""
     return struct.pack("<6d", *[float(number)] * 6)
 
@@ -142,7 +134,30 @@ def target(name: str, more: Mapping[str, str] | None = None) -> Build:
     return cell_build(options, toolchain, program=toolchain is not None, more=more, target=processor)
 
 
-class Cell:
+class Blocks:
+    """A PLC's blocks, by the topic of each."""
+
+    machine: Machine
+
+    def block(self, topic: str) -> str:
+        """Return the path of a topic's block."""
+        raise NotImplementedError
+
+    def get(self, topic: str, *names: str) -> Any:
+        """Return variables of a topic's block: one value, or a tuple."""
+        values = tuple(self.machine.get(f"{self.block(topic)}.{name}") for name in names)
+        return values[0] if len(values) == 1 else values
+
+    def set(self, topic: str, name: str, value: Any) -> None:
+        """Set an input of a topic's block."""
+        self.machine.set(f"{self.block(topic)}.{name}", value)
+
+    def record(self, topic: str) -> bytes:
+        """Return a topic's msg."""
+        return self.machine.read(f"{self.block(topic)}.msg")
+
+
+class Cell(Blocks):
     """A folder of shared memory, the bridge's channels in it, and a PLC; a context manager."""
 
     def __init__(self, machine_of: Build | None = None, machine: Machine | None = None) -> None:
@@ -151,7 +166,7 @@ class Cell:
         self.channels: list[OwnedChannel] = []
         built = machine_of or cell_build()
         kind = ProcessMachine if built.toolchain.runner else LibraryMachine
-        self.machine: Machine = machine or kind(built, str(self.folder))
+        self.machine = machine or kind(built, str(self.folder))
         if machine is None:
             self.machine.start()
             for topic in ("/out", "/out2"):
@@ -176,9 +191,8 @@ class Cell:
         layout = layout or layout_of(TWIST)
         if direction is None:
             direction = Direction.TO_PLC if TOPICS[topic]["direction"] == "read" else Direction.TO_ROS
-        channel = OwnedChannel.open(
-            self.namespace, describe(topic, layout, direction), record_size=layout.size, slots=slots
-        )
+        about = description_of(layout, topic, direction, bridge="test")
+        channel = OwnedChannel.open(self.namespace, about, record_size=layout.size, slots=slots)
         self.channels.append(channel)
         return channel
 
@@ -191,19 +205,6 @@ class Cell:
         """Return the path of a topic's block."""
         kind = "Read" if TOPICS[topic]["direction"] == "read" else "Write"
         return f"ROS_{kind}.{topic.strip('/')}"
-
-    def get(self, topic: str, *names: str) -> Any:
-        """Return outputs of a topic's block: one value, or a tuple."""
-        values = tuple(self.machine.get(f"{self.block(topic)}.{name}") for name in names)
-        return values[0] if len(values) == 1 else values
-
-    def set(self, topic: str, name: str, value: Any) -> None:
-        """Set an input of a topic's block."""
-        self.machine.set(f"{self.block(topic)}.{name}", value)
-
-    def record(self, topic: str) -> bytes:
-        """Return a topic's msg."""
-        return self.machine.read(f"{self.block(topic)}.msg")
 
     def scan(self, count: int = 1, step: int = 10, beats: Iterable[Any] = ()) -> None:
         """Run both programs ``count`` times; ``beats``: the bridge's ends, which beat before each scan."""

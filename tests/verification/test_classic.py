@@ -14,8 +14,8 @@ from rosplc.plc.build import build_project
 from rosplc.plc.plan import PlcTask, PlcTopic
 from rosplc.plc.project import project_texts
 from rosplc_st.build import build
-from tests.verification.classic_cell import JOINTS, TOPICS, ClassicCell, Peer, classic_target, record
-from tests.verification.plc_cell import WRITE, layout_of, store, targets
+from tests.verification.classic_cell import JOINTS, TOPICS, ClassicCell, Peer, classic_target
+from tests.verification.plc_cell import WRITE, layout_of, pattern, store, targets
 
 
 @pytest.fixture
@@ -38,13 +38,13 @@ def test_messages_cross_both_ways(target: str, way: str, first: str) -> None:
         cell.scan(2)
         assert cell.get("/in", "xAttached", "xValid", "xNew", "udiError") == (True, False, False, 0)
         for number in (1.5, -2.25, 3e300):
-            reader.write(record(number))
-            cell.put("/out", record(2 * number))
+            reader.write(pattern(number))
+            cell.put("/out", pattern(2 * number))
             cell.scan()
-            assert cell.msg("/in") == record(number)
+            assert cell.record("/in") == pattern(number)
             assert cell.get("/in", "xValid", "xNew", "xError") == (True, True, False)
             assert cell.get("/out", "xPublished", "xReady") == (True, True)
-            assert writer.read() == record(2 * number)
+            assert writer.read() == pattern(2 * number)
             cell.scan()
             assert cell.get("/in", "xValid", "xNew") == (True, False)
         assert cell.get("/in", "udiChanges", "udiTimeouts") == (3, 0)
@@ -56,10 +56,10 @@ def test_without_a_semaphore(cell: ClassicCell) -> None:
     """With '' as semaphore nothing is entered and none is made."""
     reader, writer = cell.peer("/bare"), cell.peer("/bare_out")
     cell.scan()
-    reader.write(record(4))
-    cell.put("/bare_out", record(5))
+    reader.write(pattern(4))
+    cell.put("/bare_out", pattern(5))
     cell.scan()
-    assert (cell.msg("/bare"), cell.get("/bare", "xNew"), writer.read()) == (record(4), True, record(5))
+    assert (cell.record("/bare"), cell.get("/bare", "xNew"), writer.read()) == (pattern(4), True, pattern(5))
     cell.scan(1000)
     assert not cell.semaphore("/bare").exists()
     assert cell.get("/bare", "udiReopened", "udiTimeouts", "udiError") == (0, 0, 0)
@@ -68,9 +68,9 @@ def test_without_a_semaphore(cell: ClassicCell) -> None:
 def test_write_only_when_enabled(cell: ClassicCell) -> None:
     """A Write block writes nothing before a program says so."""
     peer = cell.peer("/out")
-    peer.write(record(7))
+    peer.write(pattern(7))
     cell.scan(5)
-    assert peer.read() == record(7)
+    assert peer.read() == pattern(7)
     assert cell.get("/out", "xReady", "xPublished", "udiPublished") == (True, False, 0)
 
 
@@ -78,10 +78,10 @@ def test_what_stands_there_at_the_start_is_shown_and_not_new() -> None:
     """A record found when opening is in msg, valid, and no new message, unless the topic is latched."""
     with ClassicCell(start=False) as cell:
         for topic in ("/in", "/latched"):
-            cell.peer(topic).write(record(9))
+            cell.peer(topic).write(pattern(9))
         cell.start()
         cell.scan()
-        assert (cell.msg("/in"), cell.msg("/latched")) == (record(9), record(9))
+        assert (cell.record("/in"), cell.record("/latched")) == (pattern(9), pattern(9))
         assert cell.get("/in", "xValid", "xNew", "xStale") == (True, False, True)
         assert cell.get("/latched", "xValid", "xNew") == (True, True)
 
@@ -90,19 +90,19 @@ def test_stale_by_the_plcs_own_clock(cell: ClassicCell) -> None:
     """A record that does not change gets old, the next change makes it fresh, and zero means zero."""
     peers = [cell.peer(topic) for topic in ("/in", "/zero")]
     for peer in peers:
-        peer.write(record(1))
+        peer.write(pattern(1))
     cell.scan()
     assert cell.get("/in", "xStale", "xNew") == (False, True)
     cell.scan(20)
     assert cell.get("/in", "xStale") is False
     cell.scan()
-    assert (cell.get("/in", "xStale", "tAge"), cell.msg("/in")) == ((True, 210), record(1))
-    assert (cell.msg("/zero"), cell.get("/zero", "xSubstituted")) == (bytes(48), True)
+    assert (cell.get("/in", "xStale", "tAge"), cell.record("/in")) == ((True, 210), pattern(1))
+    assert (cell.record("/zero"), cell.get("/zero", "xSubstituted")) == (bytes(48), True)
     assert cell.get("/in", "xSubstituted") is False, "held, and still the source's"
     for peer in peers:
-        peer.write(record(2))
+        peer.write(pattern(2))
     cell.scan()
-    assert (cell.get("/in", "xStale"), cell.msg("/zero")) == (False, record(2))
+    assert (cell.get("/in", "xStale"), cell.record("/zero")) == (False, pattern(2))
     assert cell.get("/zero", "xSubstituted") is False
 
 
@@ -131,9 +131,9 @@ def test_a_semaphore_made_by_the_plc_works(target: str, born_locked: int) -> Non
         cell.scan(40)
         assert cell.get("/in", "udiMended", "udiError") == (born_locked, 0)
         assert peer.ask("count") == "1"
-        peer.write(record(3))
+        peer.write(pattern(3))
         cell.scan()
-        assert cell.msg("/in") == record(3)
+        assert cell.record("/in") == pattern(3)
         assert cell.get("/in", "udiSurplus") == 0
 
 
@@ -141,7 +141,7 @@ def test_a_locked_semaphore_that_was_found_is_left_to_the_bridge() -> None:
     """Who did not make it cannot know whether somebody is inside: waits stay short, and are counted."""
     with ClassicCell(start=False) as cell:
         peer = cell.peer("/in", "make")
-        peer.write(record(1))
+        peer.write(pattern(1))
         peer.ask("enter")
         cell.start()
         cell.scan(100)
@@ -150,7 +150,7 @@ def test_a_locked_semaphore_that_was_found_is_left_to_the_bridge() -> None:
         assert peer.ask("count") == "0"
         peer.ask("leave")  # the bridge, or whoever held it
         cell.scan()
-        assert (cell.get("/in", "udiError", "xError"), cell.msg("/in")) == ((0, False), record(1))
+        assert (cell.get("/in", "udiError", "xError"), cell.record("/in")) == ((0, False), pattern(1))
 
 
 def test_a_holder_during_the_birth_is_not_overtaken() -> None:
@@ -198,14 +198,14 @@ def test_a_runtime_that_knows_its_caller_again() -> None:
 def test_waits_are_bounded(cell: ClassicCell) -> None:
     """A lock that stays taken costs one wait of tWait, then only looks; and the message stays."""
     peer = cell.peer("/in")
-    peer.write(record(5))
+    peer.write(pattern(5))
     cell.scan()
     peer.ask("enter")
     before = cell.machine.counters().sem_waited
     cell.scan(150)
     assert cell.machine.counters().sem_waited - before == 5
     assert cell.get("/in", "udiTimeouts", "xValid", "udiError") == (150, True, 127)
-    assert cell.msg("/in") == record(5)
+    assert cell.record("/in") == pattern(5)
     assert cell.get("/in", "xStale") is True
 
 
@@ -249,7 +249,7 @@ def test_the_lock_is_held_while_copying(cell: ClassicCell) -> None:
     """Inside the lock the semaphore's count is 0, and the block never touches the memory outside."""
     peer, seen = cell.peer("/in"), []
     cell.machine.on_inside(lambda: seen.append(peer.ask("count")))
-    peer.write(record(1))
+    peer.write(pattern(1))
     cell.scan()
     assert "0" in seen
     cell.machine.on_inside(None)
@@ -260,23 +260,23 @@ def test_a_memory_that_is_too_small(option: str) -> None:
     """Where the runtime tells the size, a smaller memory is error 129, and nothing is read."""
     with ClassicCell(start=False, **{option: 1}) as cell:
         peer = cell.peer("/in", size=16)
-        peer.write(record(1)[:16])
+        peer.write(pattern(1)[:16])
         cell.start()
         cell.scan(30)
         assert cell.get("/in", "xAttached", "udiError", "xValid") == (False, 129, False)
         cell.memory("/in").unlink()
-        cell.peer("/in").write(record(2))
+        cell.peer("/in").write(pattern(2))
         cell.scan(400)
-        assert (cell.get("/in", "udiError"), cell.msg("/in")) == (0, record(2))
+        assert (cell.get("/in", "udiError"), cell.record("/in")) == (0, pattern(2))
 
 
 def test_sizes_that_nobody_tells() -> None:
     """Where the runtime tells nothing, what lies behind a smaller memory reads as zeros within its page."""
     with ClassicCell(start=False) as cell:
-        cell.peer("/in", size=16).write(record(1)[:16])
+        cell.peer("/in", size=16).write(pattern(1)[:16])
         cell.start()
         cell.scan()
-        assert cell.msg("/in") == record(1)[:16] + bytes(32)
+        assert cell.record("/in") == pattern(1)[:16] + bytes(32)
 
 
 def test_a_larger_memory_is_fine() -> None:
@@ -285,9 +285,9 @@ def test_a_larger_memory_is_fine() -> None:
         peer = cell.peer("/out", size=96)
         peer.write(bytes([7]) * 96)
         cell.start()
-        cell.put("/out", record(1))
+        cell.put("/out", pattern(1))
         cell.scan()
-        assert peer.read() == record(1) + bytes([7]) * 48
+        assert peer.read() == pattern(1) + bytes([7]) * 48
 
 
 @pytest.mark.needs(when=os.geteuid() == 0, why="only root can start a PLC as another user")
@@ -332,8 +332,8 @@ def test_attempts_to_open_are_few() -> None:
 def test_an_online_change_keeps_everything(cell: ClassicCell) -> None:
     """Handles, message and counters move with the instance; nothing is closed, opened or invented."""
     reader, writer = cell.peer("/in"), cell.peer("/out")
-    reader.write(record(1))
-    cell.put("/out", record(2))
+    reader.write(pattern(1))
+    cell.put("/out", pattern(2))
     cell.scan(5)
     before = cell.machine.counters()
     cell.machine.online_change()
@@ -341,10 +341,10 @@ def test_an_online_change_keeps_everything(cell: ClassicCell) -> None:
     after = cell.machine.counters()
     assert all(before[name] == after[name] for name in ("closes", "creates", "sem_creates", "open_handles"))
     assert cell.get("/in", "xValid", "xNew", "udiError") == (True, False, 0)
-    reader.write(record(3))
-    cell.put("/out", record(4))
+    reader.write(pattern(3))
+    cell.put("/out", pattern(4))
     cell.scan()
-    assert (cell.msg("/in"), writer.read()) == (record(3), record(4))
+    assert (cell.record("/in"), writer.read()) == (pattern(3), pattern(4))
 
 
 def test_the_end_of_the_program_closes_and_keeps_the_names(cell: ClassicCell) -> None:

@@ -16,8 +16,8 @@ from rosplc.config import parse_config
 from rosplc.ros import Publisher, Qos
 from rosplc.ros.memory import open_backend
 from rosplc_st.machine import ProcessMachine
-from tests.verification.classic_cell import TWIST, ClassicCell, record
-from tests.verification.plc_cell import READ, WRITE, layout_of, store
+from tests.verification.classic_cell import TWIST, ClassicCell
+from tests.verification.plc_cell import READ, WRITE, layout_of, pattern, store
 from tests.verification.test_classic_crash import stop_inside
 
 DOMAIN = 47
@@ -64,7 +64,7 @@ class Joint:
 
     def publish(self, number: float) -> None:
         """Send a Twist towards the PLC."""
-        self.publisher.write(_CODEC.encode(record(number)), 0)
+        self.publisher.write(_CODEC.encode(pattern(number)), 0)
 
     def scan_until(self, condition: Callable[[], Any], what: str) -> None:
         """Let the PLC run until something holds."""
@@ -78,9 +78,9 @@ class Joint:
     def exchange(self, number: float) -> None:
         """Send a number both ways, and see it arrive."""
         self.publish(number)
-        self.cell.put("/out", record(-number))
-        self.scan_until(lambda: self.cell.msg("/in") == record(number), f"{number} in the PLC")
-        sent = _CODEC.encode(record(-number))
+        self.cell.put("/out", pattern(-number))
+        self.scan_until(lambda: self.cell.record("/in") == pattern(number), f"{number} in the PLC")
+        sent = _CODEC.encode(pattern(-number))
         self.scan_until(lambda: sent in self.received, f"{-number} in ROS")
 
 
@@ -124,7 +124,7 @@ def test_either_side_starts_again(joint: Joint) -> None:
     joint.stop_bridge()
     for _ in range(20):
         joint.cell.machine.scan(READ, WRITE)
-    assert joint.cell.msg("/in") == record(1)
+    assert joint.cell.record("/in") == pattern(1)
     joint.start_bridge()
     joint.exchange(2)
     joint.cell.machine.stop()
@@ -144,7 +144,7 @@ def test_plc_killed_inside_the_lock(joint: Joint) -> None:
     joint.publish(2)
     machine.kill()
     joint.cell.start()
-    joint.scan_until(lambda: joint.cell.msg("/in") == record(2), "the message sent meanwhile")
+    joint.scan_until(lambda: joint.cell.record("/in") == pattern(2), "the message sent meanwhile")
     joint.exchange(3)
     assert joint.cell.get("/in", "udiError", "udiMended") == (0, 0)
 
@@ -184,5 +184,5 @@ def test_plc_killed_anywhere(joint: Joint, rounds: int) -> None:
         joint.cell.machines.remove(machine)
     joint.cell.start()
     joint.exchange(1000)
-    allowed = {_CODEC.encode(record(-number)) for number in (*range(1, rounds + 1), 1000)}
+    allowed = {_CODEC.encode(pattern(-number)) for number in (*range(1, rounds + 1), 1000)}
     assert set(joint.received) <= allowed

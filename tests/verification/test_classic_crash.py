@@ -10,8 +10,8 @@ from collections.abc import Iterator
 import pytest
 
 from rosplc_st.machine import LibraryMachine, ProcessMachine
-from tests.verification.classic_cell import TOPICS, ClassicCell, record
-from tests.verification.plc_cell import READ, WRITE
+from tests.verification.classic_cell import TOPICS, ClassicCell
+from tests.verification.plc_cell import READ, WRITE, pattern
 
 
 @pytest.fixture
@@ -39,22 +39,22 @@ def test_peer_killed_inside_and_started_again(cell: ClassicCell) -> None:
     """While a dead peer holds the lock the last message stays; the new semaphore of the next one is found."""
     cell.scan()
     peer = cell.peer("/in", "make")
-    peer.write(record(1))
+    peer.write(pattern(1))
     cell.set("/in", "xReopen", True)  # the peer made its own semaphore after the PLC's
     cell.scan(20)
-    assert (cell.msg("/in"), cell.get("/in", "udiError")) == (record(1), 0)
+    assert (cell.record("/in"), cell.get("/in", "udiError")) == (pattern(1), 0)
     peer.ask("half 255")
     peer.kill()
     cell.scan(150)
-    assert (cell.msg("/in"), cell.get("/in", "xValid", "udiError")) == (record(1), (True, 127))
+    assert (cell.record("/in"), cell.get("/in", "xValid", "udiError")) == (pattern(1), (True, 127))
     again = cell.peer("/in", "make")
-    again.write(record(2))
+    again.write(pattern(2))
     cell.scan(400)
-    assert (cell.msg("/in"), cell.get("/in", "udiError", "xNew")) == (record(2), (0, False))
+    assert (cell.record("/in"), cell.get("/in", "udiError", "xNew")) == (pattern(2), (0, False))
     assert cell.get("/in", "udiChanges") == 2
-    again.write(record(3))
+    again.write(pattern(3))
     cell.scan()
-    assert cell.msg("/in") == record(3)
+    assert cell.record("/in") == pattern(3)
 
 
 def test_a_lock_that_stays_taken_is_looked_for_rarely(cell: ClassicCell) -> None:
@@ -76,15 +76,15 @@ def test_runtimes_that_differ(options: dict[str, int]) -> None:
     """Another result for a wait in vain, or handles kept by name, change nothing about bounded waits."""
     with ClassicCell(**options) as cell:
         peer = cell.peer("/in")
-        peer.write(record(1))
+        peer.write(pattern(1))
         cell.scan()
         peer.ask("enter")
         cell.scan(500)
-        assert (cell.msg("/in"), cell.get("/in", "udiError", "xValid")) == (record(1), (127, True))
+        assert (cell.record("/in"), cell.get("/in", "udiError", "xValid")) == (pattern(1), (127, True))
         peer.ask("leave")
-        peer.write(record(2))
+        peer.write(pattern(2))
         cell.scan(3)
-        assert (cell.msg("/in"), cell.get("/in", "udiError")) == (record(2), 0)
+        assert (cell.record("/in"), cell.get("/in", "udiError")) == (pattern(2), 0)
 
 
 @pytest.mark.parametrize("option", ["sem_cache", "cache_names", "no_duplicate"])
@@ -92,7 +92,7 @@ def test_handles_do_not_pile_up(option: str) -> None:
     """Whatever a runtime makes of a name that it knows, an hour of silence costs next to no handles."""
     with ClassicCell(**{option: 1}) as cell:
         peer = cell.peer("/in")
-        peer.write(record(1))
+        peer.write(pattern(1))
         cell.scan(50)
         before = cell.machine.counters()
         cell.scan(3600, step=1000)
@@ -100,16 +100,16 @@ def test_handles_do_not_pile_up(option: str) -> None:
         assert after.sem_creates == before.sem_creates
         assert after.open_handles <= before.open_handles + len(TOPICS)
         assert peer.ask("count") == "1"
-        peer.write(record(2))
+        peer.write(pattern(2))
         cell.scan()
-        assert cell.msg("/in") == record(2)
+        assert cell.record("/in") == pattern(2)
 
 
 def test_a_memory_made_anew_is_found(cell: ClassicCell) -> None:
     """A peer that ended in order, and took both names away, is found again by what the new memory holds."""
     reader, writer = cell.peer("/in", "make"), cell.peer("/out", "make")
-    reader.write(record(1))
-    cell.put("/out", record(-1))
+    reader.write(pattern(1))
+    cell.put("/out", pattern(-1))
     cell.scan(3)
     for topic, peer in (("/in", reader), ("/out", writer)):
         peer.kill()
@@ -117,10 +117,10 @@ def test_a_memory_made_anew_is_found(cell: ClassicCell) -> None:
         cell.semaphore(topic).unlink()
     cell.scan(5)
     reader, writer = cell.peer("/in", "make"), cell.peer("/out", "make")
-    reader.write(record(2))
+    reader.write(pattern(2))
     cell.scan(700)
-    assert (cell.msg("/in"), cell.get("/in", "udiChanges", "udiError")) == (record(2), (2, 0))
-    assert (writer.read(), cell.get("/out", "xPublished")) == (record(-1), True)
+    assert (cell.record("/in"), cell.get("/in", "udiChanges", "udiError")) == (pattern(2), (2, 0))
+    assert (writer.read(), cell.get("/out", "xPublished")) == (pattern(-1), True)
     for topic, peer in (("/in", reader), ("/out", writer)):
         peer.ask("enter")  # and both hold the new lock
         cell.scan()
@@ -133,9 +133,9 @@ def test_a_memory_whose_name_was_removed_is_made_again(cell: ClassicCell) -> Non
     """If nobody has made the names anew, the PLC does, and the peer that comes later finds it."""
     cell.scan()
     cell.memory("/out").unlink()
-    cell.put("/out", record(1))
+    cell.put("/out", pattern(1))
     cell.scan(700)
-    assert cell.peer("/out").read() == record(1)
+    assert cell.peer("/out").read() == pattern(1)
 
 
 def test_a_semaphore_made_anew_is_found_when_its_maker_speaks(cell: ClassicCell) -> None:
@@ -143,9 +143,9 @@ def test_a_semaphore_made_anew_is_found_when_its_maker_speaks(cell: ClassicCell)
     cell.scan()
     for number in (1, 2):
         peer = cell.peer("/in", "make")  # as the original class does on each start
-        peer.write(record(number))
+        peer.write(pattern(number))
         cell.scan(3)
-        assert cell.msg("/in") == record(number)
+        assert cell.record("/in") == pattern(number)
         peer.ask("enter")
         cell.scan()
         assert cell.get("/in", "udiError") == 127
@@ -160,7 +160,7 @@ def test_a_semaphore_made_anew_within_minutes_needs_a_person(cell: ClassicCell) 
     cell.scan()
     for _ in range(2):
         peer = cell.peer("/in", "make")
-        peer.write(record(time.monotonic()))
+        peer.write(pattern(time.monotonic()))
         cell.scan(60)
     peer.ask("enter")
     cell.scan()
@@ -179,7 +179,7 @@ def test_handles_are_lost_rarely() -> None:
         peer = cell.peer("/in")
         before = cell.machine.counters().sem_creates
         for number in range(3600):
-            peer.write(record(number + 1))
+            peer.write(pattern(number + 1))
             cell.scan(1, step=1000)
         assert cell.get("/in", "udiChanges") == 3600
         assert cell.get("/in", "udiReopened") <= 7
@@ -190,24 +190,24 @@ def test_handles_are_lost_rarely() -> None:
 def test_a_new_memory_of_zeros_is_no_message(cell: ClassicCell) -> None:
     """Opened again, a memory that nobody has written leaves msg as it was, and says that it is not valid."""
     peer = cell.peer("/in")
-    peer.write(record(1))
+    peer.write(pattern(1))
     cell.scan()
     peer.kill()
     cell.memory("/in").unlink()
     peer = cell.peer("/in")
     cell.set("/in", "xReopen", True)
     cell.scan(3)
-    assert (cell.msg("/in"), cell.get("/in", "xValid", "xNew")) == (record(1), (False, False))
-    peer.write(record(2))
+    assert (cell.record("/in"), cell.get("/in", "xValid", "xNew")) == (pattern(1), (False, False))
+    peer.write(pattern(2))
     cell.scan()
-    assert (cell.msg("/in"), cell.get("/in", "xValid", "xNew")) == (record(2), (True, True))
+    assert (cell.record("/in"), cell.get("/in", "xValid", "xNew")) == (pattern(2), (True, True))
 
 
 def test_plc_killed_inside() -> None:
     """The PLC's successor finds the lock taken, waits briefly at each start and never breaks in by itself."""
     with ClassicCell(start=False) as cell:
         peer = cell.peer("/in")
-        peer.write(record(1))
+        peer.write(pattern(1))
         first = cell.start(process=True)
         assert isinstance(first, ProcessMachine)
         stop_inside(first)
@@ -220,7 +220,7 @@ def test_plc_killed_inside() -> None:
         cell.set("/in", "xUnlock", True)  # a person, who knows that nobody is inside
         cell.scan(60)
         assert (peer.ask("count"), cell.get("/in", "udiError")) == ("1", 0)
-        assert cell.msg("/in") == record(1)
+        assert cell.record("/in") == pattern(1)
         cell.set("/in", "xUnlock", False)
         cell.scan()
         cell.set("/in", "xUnlock", True)  # the lock is free: nothing to do
@@ -256,9 +256,9 @@ def test_no_torn_message(cell: ClassicCell, seconds: float) -> None:
     until, number = time.monotonic() + seconds, 0
     while time.monotonic() < until:
         number += 1
-        machine.write("ROS_Write.large_out.msg", record(number)[:8] * 43)
+        machine.write("ROS_Write.large_out.msg", pattern(number)[:8] * 43)
         machine.scan(READ, WRITE)
-        message = cell.msg("/large")
+        message = cell.record("/large")
         assert message == message[:8] * 43 or not cell.get("/large", "xValid")
     assert int(reader.answer()) > 0
     looks, broken = map(int, writer.answer().split())

@@ -12,7 +12,8 @@ import pytest
 from tests.classic_cell import Program, build
 from tests.interop.classic.test_thesis_node import LIBRARIES
 from tests.interop.ros1.graph import PACKAGES, Graph, lend
-from tests.verification.classic_cell import TWIST, ClassicCell, record
+from tests.verification.classic_cell import TWIST, ClassicCell
+from tests.verification.plc_cell import pattern
 
 pytestmark = pytest.mark.needs(*PACKAGES)
 
@@ -61,11 +62,11 @@ def test_the_node_and_the_blocks_exchange_messages(program: Path, graph: Graph) 
 
         def both(number: float, *, orderly: bool) -> None:
             with joint.node("write", "/in") as writer, joint.node("read", "/out") as reader:
-                cell.put("/out", record(-number))
+                cell.put("/out", pattern(-number))
 
                 def arrived() -> bool:
                     outbox.write(struct.pack("<6d", *[number] * 6))
-                    return cell.msg("/in") == record(number)
+                    return cell.record("/in") == pattern(number)
 
                 joint.scan_until(arrived, f"{number} in the PLC")
                 sent = struct.pack("<6d", *[-number] * 6)

@@ -7,6 +7,8 @@ import struct
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
 
@@ -65,11 +67,11 @@ END_PROGRAM
 _WRITER = """
 import struct, sys
 from tests.verification.test_stress import block_layout
-from tests.verification.plc_cell import describe
+from rosplc.described import description_of
 from rosplc.shm import Direction, Namespace, OwnedChannel
 layout = block_layout()
-channel = OwnedChannel.open(Namespace("rosplc", sys.argv[1]), describe("/block", layout, Direction.TO_PLC),
-                            record_size=layout.size)
+about = description_of(layout, "/block", Direction.TO_PLC, bridge="test")
+channel = OwnedChannel.open(Namespace("rosplc", sys.argv[1]), about, record_size=layout.size)
 writer, number = channel.writer(), 0
 print("ready", flush=True)
 while True:
@@ -98,14 +100,20 @@ def stress_build(broken: bool = False) -> Build:
     return build(texts, None, Toolchain(flags=("-O1",)), program=True)
 
 
-def read_stress(built: Build, seconds: float, fenced: bool) -> dict[str, int]:
-    """Let Structured Text read from a bridge that publishes without a pause; return what it counted."""
-    with Cell(machine=ProcessMachine(built)) as cell:
-        plc = cell.machine
-        assert isinstance(plc, ProcessMachine)
+@contextmanager
+def started(built: Build, fenced: bool) -> Iterator[tuple[Cell, ProcessMachine]]:
+    """Give a cell and its PLC, which is killed with the block."""
+    plc = ProcessMachine(built)
+    with Cell(machine=plc) as cell:
         plc._ask(f"directory {cell.folder}")
         plc.start()
         plc.set("RosPlc_Settings.xFenced", fenced)
+        yield cell, plc
+
+
+def read_stress(built: Build, seconds: float, fenced: bool) -> dict[str, int]:
+    """Let Structured Text read from a bridge that publishes without a pause; return what it counted."""
+    with started(built, fenced) as (cell, plc):
         child = subprocess.Popen(
             [sys.executable, "-c", _WRITER, str(cell.folder)], stdout=subprocess.PIPE, cwd=_ROOT
         )
@@ -128,12 +136,7 @@ def read_stress(built: Build, seconds: float, fenced: bool) -> dict[str, int]:
 def write_stress(built: Build, seconds: float, fenced: bool) -> tuple[int, int]:
     """Let Structured Text write without a pause to a bridge that reads; return messages and torn ones."""
     layout = block_layout()
-    with Cell(machine=ProcessMachine(built)) as cell:
-        plc = cell.machine
-        assert isinstance(plc, ProcessMachine)
-        plc._ask(f"directory {cell.folder}")
-        plc.start()
-        plc.set("RosPlc_Settings.xFenced", fenced)
+    with started(built, fenced) as (cell, plc):
         reader = cell.channel("/back", layout, Direction.TO_ROS).reader()
         plc.scan("Produce", count=50, step=10)
         assert plc.get("ROS_Write.back.xReady")
