@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import os
 import resource
-import shutil
 import signal
-import subprocess
 import sys
 from pathlib import Path
 
@@ -15,6 +13,7 @@ import pytest
 from rosplc.errors import ChannelError
 from rosplc.shm import Namespace, attach
 from tests.lib.channels import open_channel
+from tests.lib.isolated import mounted
 
 _TOPIC = "/robot1/cmd_vel"
 _ROOT = Path(__file__).resolve().parents[2]
@@ -22,9 +21,6 @@ _ROOT = Path(__file__).resolve().parents[2]
 
 def test_full_directory(tmp_path: Path) -> None:
     """A directory without room is an error at creation, never a SIGBUS later; what lives there lives on."""
-    unshare = shutil.which("unshare")
-    if unshare is None:
-        pytest.skip("Debian package util-linux is missing")
     script = """
 import os, sys
 from rosplc.errors import ChannelError
@@ -51,18 +47,7 @@ assert reader.latest(out).sequence == 49
 open_channel(namespace, topic="/other", record_size=64).close()
 print("fine")
 """
-    mount = (
-        f'mount -t tmpfs -o size=128k tmpfs {tmp_path} || exit 77; exec {sys.executable} -c "$1" {tmp_path}'
-    )
-    done = subprocess.run(
-        [unshare, "-rm", "sh", "-c", mount, "sh", script],
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd=_ROOT,
-    )
-    if done.returncode in (1, 77) and "fine" not in done.stdout and "Traceback" not in done.stderr:
-        pytest.skip(f"this machine permits no mount of one's own: {done.stderr.strip()}")
+    done = mounted(tmp_path, "size=128k", 'exec "$0" -c "$1" "$2"', sys.executable, script, str(tmp_path))
     assert done.stdout.strip() == "fine", done.stderr
 
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import random
-import shutil
-import subprocess
 import sys
 import threading
 import time
@@ -19,6 +17,7 @@ from rosbags.highlevel import AnyReader
 from rosplc.recorder.store import repair
 from rosplc.shm import Namespace
 from tests.lib.channels import start_child, until
+from tests.lib.isolated import mounted
 from tests.unit.recorder.making import Feed, read_from_the_front
 
 _ROOT = Path(__file__).resolve().parents[2]
@@ -147,25 +146,11 @@ def whole(path: Path, count: int) -> None:
 
 def test_a_full_disk_ends_a_recording_cleanly(shm_namespace: Namespace, tmp_path: Path) -> None:
     """On a disk that is full the file gets its end and can be read; what did not fit is counted."""
-    unshare = shutil.which("unshare")
-    if unshare is None:
-        pytest.skip("Debian package util-linux is missing")
     disk, copy = tmp_path / "disk", tmp_path / "copy.mcap"
     disk.mkdir()
-    mount = (
-        f"mount -t tmpfs -o size=200k tmpfs {disk} || exit 77; "
-        f'{sys.executable} -c "$1" {shm_namespace.prefix} {disk}/a && cp {disk}/a.mcap {copy}'
-    )
+    record = f'"$0" -c "$1" {shm_namespace.prefix} {disk}/a && cp {disk}/a.mcap {copy}'
     with talking(shm_namespace):
-        done = subprocess.run(
-            [unshare, "-rm", "sh", "-c", mount, "sh", _FULL],
-            capture_output=True,
-            text=True,
-            check=False,
-            cwd=_ROOT,
-        )
-    if done.returncode in (1, 77) and "fine" not in done.stdout and "Traceback" not in done.stderr:
-        pytest.skip(f"this machine permits no mount of one's own: {done.stderr.strip()}")
+        done = mounted(disk, "size=200k", record, sys.executable, _FULL)
     word, count, lost = done.stdout.split()
     assert (word, lost) == ("fine", "True"), done.stderr
     whole(copy, int(count))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import shutil
 import signal
 import socket
 import struct
@@ -25,6 +24,7 @@ from rosplc.model import TypeStore
 from rosplc.ros import DEFAULT, Backend, Qos, open_backend
 from rosplc.shm import Namespace
 from tests.command import rosplc as command
+from tests.lib.isolated import mounted
 from tests.lib.waiting import wait_for
 
 INT, STRING = "std_msgs/msg/Int32", "std_msgs/msg/String"
@@ -235,19 +235,8 @@ def test_object_of_another_user(
 )
 def test_directory_that_cannot_take_an_object(config: Callable[..., Path], options: str, code: str) -> None:
     """A /dev/shm that is read-only, full or out of inodes ends the bridge with the reason."""
-    unshare = shutil.which("unshare")
-    if unshare is None:
-        pytest.skip("Debian package util-linux is missing")
     path = config("topics: {/in: {type: sensor_msgs/Image, to: plc, limits: {data: 10000}}}\n")
-    mount = f'mount -t tmpfs -o {options} tmpfs /dev/shm || exit 77; exec "$0" -m rosplc run "$1"'
-    done = subprocess.run(
-        [unshare, "-rm", "sh", "-c", mount, sys.executable, str(path)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    if "rosplc: " not in done.stderr and "Traceback" not in done.stderr:
-        pytest.skip(f"this machine permits no mount of one's own: {done.stderr.strip()}")
+    done = mounted("/dev/shm", options, 'exec "$0" -m rosplc run "$1"', sys.executable, str(path))
     assert (done.returncode, done.stderr.count(f"rosplc: error {code}")) == (1, 1), done.stderr
 
 

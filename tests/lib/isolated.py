@@ -11,13 +11,14 @@ import ctypes
 import fcntl
 import functools
 import os
+import shutil
 import socket
 import struct
 import subprocess
 import sys
 from pathlib import Path
 
-__all__ = ["ROOT", "command", "possible"]
+__all__ = ["ROOT", "command", "mounted", "possible"]
 
 ROOT = Path(__file__).resolve().parents[2]
 _NEWNS, _NEWUSER, _NEWNET = 0x00020000, 0x10000000, 0x40000000
@@ -35,6 +36,27 @@ def command(join: int | None = None) -> list[str]:
 def possible() -> bool:
     """Return whether this user may make such a world."""
     return subprocess.run([*command(), "true"], capture_output=True, check=False).returncode == 0
+
+
+def mounted(place: Path | str, options: str, line: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run a shell's line with a small disk at ``place``; skip the test where that is not permitted.
+
+    Args:
+        place: The folder over which a tmpfs is mounted.
+        options: Its mount options, such as ``size=128k``.
+        line: What the shell runs; ``$0``, ``$1`` … are the arguments.
+        arguments: See there.
+    """
+    import pytest  # the program that this module is as well does without
+
+    script = f"mount -t tmpfs -o {options} tmpfs {place} && echo mounted >&2 || exit 77; {line}"
+    if (unshare := shutil.which("unshare")) is None:
+        pytest.skip("Debian package util-linux is missing")
+    command = [unshare, "-rm", "sh", "-c", script, *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
+    if not done.stderr.startswith("mounted"):
+        pytest.skip(f"this machine permits no mount of one's own: {done.stderr.strip()}")
+    return done
 
 
 def _call(function: str, *arguments: object) -> None:
