@@ -59,12 +59,9 @@ class Conversion:
     A field that only the source has is dropped, one that only the target has stays zero; both are noted.
 
     Args:
-        source: Has the recorded type.
-        source_type: Its name.
-        target: Has the type that is wanted.
-        target_type: Its name.
-        from_ros1: Whether messages come in ROS 1's serialization; else in CDR.
-        to_ros1: Whether they are wanted in ROS 1's.
+        source: Has the recorded type ``source_type``.
+        target: Has the wanted type ``target_type``.
+        from_ros1: Whether messages come in ROS 1's serialization; else in CDR. ``to_ros1`` likewise.
         where: The topic, for errors.
 
     Attributes:
@@ -107,8 +104,7 @@ class Conversion:
     def __call__(self, data: bytes) -> bytes:
         """Return a message under the target's definition.
 
-        Raises:
-            CodecError: COD001, COD002, COD003, COD008: it does not fit one of the two definitions.
+        Raises CodecError COD001, COD002, COD003 or COD008 if it does not fit one of the two definitions.
         """
         if self.unchanged:
             return data

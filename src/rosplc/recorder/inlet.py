@@ -30,11 +30,9 @@ from rosplc.shm.constants import STAMP_SYSTEM, WRITER_LINE
 
 @dataclass(frozen=True)
 class Selection:
-    """What is taken and what is left out.
+    """Names or patterns of topics, such as ``/robot1/*``; without ``topics`` all but those of ``exclude``.
 
-    Attributes:
-        topics: Names or patterns such as ``/robot1/*``; empty for all. A ``*`` also matches slashes.
-        exclude: Names or patterns that are left out all the same.
+    A ``*`` also matches slashes.
     """
 
     topics: tuple[str, ...] = ()
@@ -69,8 +67,6 @@ class CarriedChannel:
             taken. None: what comes after :meth:`begin` is.
 
     Attributes:
-        topic: As its description says.
-        description: Its self-description.
         slots: Its slots; one message less can wait.
         codec: Record to CDR.
         reader: Takes every message in order, and counts what it missed.
@@ -99,8 +95,7 @@ class CarriedChannel:
     def begin(self) -> Reader:
         """Return the reader, which takes what comes from now on; what came while it was opened is no loss.
 
-        Raises:
-            ChannelError: SHM111, the object has been retired meanwhile.
+        Raises ChannelError SHM111 if the object has been retired meanwhile.
         """
         if not self._begun:
             self._begun = True
@@ -120,7 +115,7 @@ class CarriedChannel:
         return count if count < _NO_COUNT else 0
 
     def close(self) -> None:
-        """Let go of the object."""
+        """Unmap the object."""
         self._attached.close()
 
 
@@ -159,13 +154,9 @@ _LOSS = 1 << 24
 
 @dataclass
 class TopicCount:
-    """What was taken of a topic, and what was missed.
+    """Messages of a topic: taken and kept, missed, and taken but not encodable.
 
-    Attributes:
-        type_name: Its type.
-        received: Messages taken and kept.
-        lost: Messages missed: overwritten before they were read, or dropped because the disk did not keep up.
-        refused: Messages taken that could not be encoded.
+    ``lost`` were overwritten before they were read, or dropped because the disk did not keep up.
     """
 
     type_name: str
@@ -198,7 +189,7 @@ class Inlet:
     """Reads the channels of one prefix; :meth:`start` begins, :meth:`stop` ends.
 
     Args:
-        namespace: Where the objects stand.
+        namespace: The objects' prefix and directory.
         selection: Which topics are taken.
         put: Given each full batch, by the taking thread.
         chunk_bytes: How many bytes make a batch full.
@@ -256,7 +247,7 @@ class Inlet:
         self._ready.wait()
 
     def stop(self) -> None:
-        """Take what is there, put the last batch, and let go of everything."""
+        """Take what is there, put the last batch, and close everything."""
         self._stopping = True
         self._group.wake()
         if self._started:
@@ -267,10 +258,9 @@ class Inlet:
         self._entries.clear()
 
     def look_after(self) -> None:
-        """Count losses, attach to objects that have come, let go of those that went; about once a second.
+        """Count losses, attach to objects that have come, release those that went; about once a second.
 
-        Raises:
-            ChannelError: SHM123 if the directory cannot be listed.
+        Raises ChannelError SHM123 if the directory cannot be listed.
         """
         for name, entry in list(self._entries.items()):
             entry.note_losses()
@@ -392,16 +382,10 @@ class Inlet:
 
 
 class Outlet:
-    """Compresses batches and passes them on, in order; bounded.
+    """Compresses batches and passes the chunks to ``take`` in a thread of its own, in order.
 
-    Args:
-        take: Given each chunk, by this outlet's thread.
-        compression: How chunks are compressed.
-        most_bytes: Uncompressed bytes that may wait; what comes beyond is dropped and counted.
-
-    Attributes:
-        dropped: Channel id → messages that were dropped, because the disk does not keep up or failed.
-        error: What ended it before its time; None if nothing has.
+    At most ``most_bytes`` wait, uncompressed; what comes beyond is dropped and counted per channel id, as is
+    everything once ``error`` is set.
     """
 
     def __init__(
@@ -462,13 +446,7 @@ _CHANNEL_OVERHEAD = 300  # its places in two dictionaries
 
 
 class Ring:
-    """Keeps chunks for a time and within a size; the oldest give way. From any thread.
-
-    Args:
-        keep_ns: How long a chunk is kept.
-        most_bytes: Bytes that all of them may have.
-        clock: What their age is judged by.
-    """
+    """Keeps chunks for ``keep_ns`` and within ``most_bytes``; the oldest give way. From any thread."""
 
     def __init__(self, keep_ns: int, most_bytes: int, clock: Clock = SYSTEM) -> None:
         self._clock = clock

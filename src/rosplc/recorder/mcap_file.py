@@ -59,8 +59,7 @@ class Batch:
     Attributes:
         data: Message records.
         index: Channel id → log time and offset in ``data`` of each of its messages, alternating.
-        start_ns: The earliest log time.
-        end_ns: The latest.
+        start_ns: The earliest log time; ``end_ns`` the latest.
     """
 
     __slots__ = ("data", "end_ns", "index", "start_ns")
@@ -76,12 +75,8 @@ class Batch:
     def add(self, channel: int, sequence: int, log_ns: int, publish_ns: int, payload: bytes) -> None:
         """Add a message.
 
-        Args:
-            channel: Its channel's id, from 1 to 65535.
-            sequence: Its number, 32 bits.
-            log_ns: When it was taken (ns since 1970).
-            publish_ns: When its source sent it (ns since 1970).
-            payload: Its bytes.
+        ``channel`` is from 1 to 65535, ``sequence`` has 32 bits; ``log_ns`` is when it was taken and
+        ``publish_ns`` when its source sent it (ns since 1970).
         """
         data = self.data
         places = self.index.get(channel)
@@ -154,14 +149,9 @@ def seal(batch: Batch, compression: Compression) -> SealedChunk:
 
 
 class McapFile:
-    """A file that is being written.
-
-    Args:
-        path: Where; there must be nothing at this name yet.
-        profile: What readers may rely on, ``ros2``.
+    """A file that is being written; nothing may have its name yet.
 
     Attributes:
-        path: As given.
         size: Bytes, whole records only.
         finished: Whether the summary is written.
         counts: Channel id → messages written.
@@ -238,14 +228,10 @@ class McapFile:
     def finish(self, last_words: Callable[[], Mapping[str, Mapping[str, str]]] = dict) -> None:
         """Write metadata and the summary, and close the file.
 
-        On a full disk the last chunks make room for them: tools that need a summary are many, and a second
-        of messages is little. :attr:`taken_back` then has their messages.
-
-        Args:
-            last_words: Returns metadata records, name → values; asked again when a chunk has made room.
-
-        Raises:
-            OSError: There was no room for it even so; the file is closed, and readable from the front.
+        On a full disk the last chunks make room for them: many tools need a summary, and a second of messages
+        is little. :attr:`taken_back` then has their messages. ``last_words`` returns metadata records, name →
+        values; it is called again when a chunk has made room. Raises OSError if there was no room even so;
+        the file is closed, and readable from the front.
         """
         try:
             while not self.finished:
@@ -364,15 +350,12 @@ class Survey:
     """What a file holds.
 
     Attributes:
-        path: The file.
         profile: From the header.
-        schemas: By id.
-        channels: By id.
+        schemas: By id, as are ``channels``.
         metadata: Metadata records, in their order.
         parts: Where messages are, in the order of the file.
         counts: Channel id → messages; empty where the file does not have it and was not counted.
-        complete: Whether the file ends as it should.
-        problem: Why it does not.
+        complete: Whether the file ends as it should; ``problem`` is why it does not.
         damaged: Parts that cannot be read; :func:`survey` finds them only if it has to look inside.
     """
 
@@ -423,15 +406,11 @@ class _Bounded:
 
 
 def survey(path: Path, *, count: bool = False) -> Survey:
-    """Go through a file and return what it holds.
+    """Return what a file holds.
 
-    Args:
-        path: The file.
-        count: Look into every chunk, also where a summary tells what is in it: finds damage.
-
-    Raises:
-        RecordingError: REC003, it is no MCAP file or cannot be opened. A file that is cut off or damaged
-            behind its beginning is no error: ``complete`` is False.
+    ``count`` looks into every chunk, also where a summary gives its content: that finds damage. Raises
+    RecordingError REC003 if it is no MCAP file or cannot be opened. A file that is cut off or damaged behind
+    its beginning is no error: ``complete`` is False.
     """
     what, remedy = unreadable_kind(path, folder=False)
     if what:
@@ -453,11 +432,7 @@ def survey(path: Path, *, count: bool = False) -> Survey:
 
 
 def read_part(path: Path, part: Part) -> list[Message]:
-    """Return the messages of a part, in the order of the file.
-
-    Raises:
-        RecordingError: REC003, it is damaged.
-    """
+    """Return a part's messages, in the order of the file; raises RecordingError REC003 if it is damaged."""
     try:
         return [record for record in _records(path, part) if isinstance(record, Message)]
     except _DAMAGE as error:

@@ -34,17 +34,12 @@ class RecordingOptions:
     Attributes:
         namespace: The channels' prefix and directory.
         base: The file's path without ``.mcap``; of a ring buffer's files, what their names begin with.
-        selection: Which topics.
-        split: When a new file begins.
         bag: Write folders as `ros2 bag record` does.
-        compression: How chunks are compressed.
-        chunk_bytes: How large a chunk becomes.
         flush_ns: How old a chunk becomes before it is written: what a crash may cost.
         qos: Topic → QoS, as far as a configuration says it.
         distro: The ROS distribution that is named in the file.
         keep_ns: How much a ring buffer keeps; 0: everything is written at once.
         memory: Bytes that a ring buffer's chunks may have.
-        triggers: What makes a ring buffer be saved.
         after_ns: How long it goes on after a trigger before it is saved.
         most_files: How many times it is saved; more would fill the disk.
         expected: What is stale, as far as a configuration says it.
@@ -70,17 +65,7 @@ class RecordingOptions:
 
 @dataclass(frozen=True)
 class Progress:
-    """How a recording stands.
-
-    Attributes:
-        seconds: How long it has run.
-        topics: Topics that are, or were, recorded.
-        received: Messages taken and kept.
-        lost: Messages missed.
-        size: Bytes on the disk, or in the ring buffer.
-        span_ns: What the ring buffer holds; 0 without one.
-        files: Files that are finished.
-    """
+    """How far a recording is: ``size`` in bytes, and the time ``span_ns`` that a ring buffer holds."""
 
     seconds: float
     topics: int
@@ -93,15 +78,10 @@ class Progress:
 
 @dataclass(frozen=True)
 class Result:
-    """What a recording became.
+    """What became of a recording.
 
-    Attributes:
-        files: The files.
-        topics: Per topic what was taken and missed.
-        seconds: How long it ran.
-        saves: Why a ring buffer was saved, per time.
-        unsaved: Triggers for which nothing was saved any more.
-        cut_short: Whether memory held less than it was to keep.
+    ``saves`` has why a ring buffer was saved, each time; ``unsaved`` counts the triggers after the last save;
+    ``cut_short``: memory held less than it was to keep.
     """
 
     files: tuple[Written, ...]
@@ -126,9 +106,8 @@ class Result:
 def quick_process() -> Iterator[None]:
     """Make this process answer quickly, for a program that does nothing but record.
 
-    A thread that computes gives way after half a millisecond instead of five, and a collection of
-    garbage no longer goes through everything that was there at the start. Both would cost messages of
-    channels with few slots.
+    A thread that computes gives way after half a millisecond instead of five, and garbage collection skips
+    what was there at the start. Both would cost messages of channels with few slots.
     """
     before = sys.getswitchinterval()
     sys.setswitchinterval(0.0005)
@@ -144,16 +123,7 @@ def quick_process() -> Iterator[None]:
 class Recorder:
     """A recording; :meth:`start`, :meth:`look_after` a few times a second, :meth:`stop`.
 
-    Args:
-        options: What is to be recorded.
-        clock: What the recording goes by.
-
-    Attributes:
-        inlet: What takes the messages.
-        result: What the recording became, once it has been stopped.
-
-    Raises:
-        RecordingError: REC005, a trigger is wrong; REC001 or REC002, the file cannot be created.
+    Raises RecordingError: REC005, a trigger is wrong; REC001 or REC002, the file cannot be created.
     """
 
     def __init__(self, options: RecordingOptions, clock: Clock = SYSTEM) -> None:
@@ -191,10 +161,8 @@ class Recorder:
     def start(self) -> None:
         """Begin.
 
-        Raises:
-            ChannelError: SHM123 if the directory cannot be listed.
-            RecordingError: REC005, a trigger's field does not exist; REC001 or REC002, what a ring buffer
-                would save cannot be written.
+        Raises ChannelError SHM123 if the directory cannot be listed; RecordingError REC005 if a trigger's
+        field does not exist, REC001 or REC002 if what a ring buffer would save cannot be written.
         """
         if self._ring is not None:
             # Not only when a trigger fires: what is in memory then would be lost.
@@ -212,8 +180,7 @@ class Recorder:
     def look_after(self) -> None:
         """Look for channels that came or went, for triggers, and for what went wrong.
 
-        Raises:
-            RecordingError: REC001 or REC002, it cannot go on; :meth:`stop` finishes what there is.
+        Raises RecordingError REC001 or REC002: it cannot continue; :meth:`stop` finishes what there is.
         """
         now = self._clock.monotonic_ns()
         if now - self._looked_ns >= _LOOK_NS:
@@ -245,7 +212,7 @@ class Recorder:
         return {one.text: one.topic for one in self._triggers.conditions if one.topic not in known}
 
     def progress(self) -> Progress:
-        """Return how it stands."""
+        """Return how far it is."""
         counts = list(self.inlet.counts.values())
         dropped = sum(self._dropped().values())
         store, ring = self._store, self._ring
@@ -262,10 +229,8 @@ class Recorder:
     def stop(self) -> Result:
         """Take what is there, finish the files, and return what became of it.
 
-        Without a message no file is left, but for those of a ring buffer.
-
-        Raises:
-            RecordingError: REC001 or REC002: the last file could not be finished, and has no summary.
+        Without a message no file is left, except those of a ring buffer. Raises RecordingError REC001 or
+        REC002 if the last file could not be finished, and has no summary.
         """
         seconds = self._seconds()
         self.inlet.stop()
@@ -372,7 +337,7 @@ class Recorder:
         }
 
     def _facts(self) -> dict[str, str]:
-        """Return what the file says of its own making."""
+        """Return what the file reports about itself."""
         topics = self._topics()
         return {
             "rosplc": __version__,

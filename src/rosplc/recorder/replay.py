@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import stat
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 from rosplc.bridge.bind import Binding
 from rosplc.clock import SYSTEM, Clock
@@ -36,8 +37,8 @@ class SentCount:
     reason: str = ""
 
 
-class Target(Protocol):
-    """Where messages go.
+class Target(ABC):
+    """Where messages go; converted on the way.
 
     Attributes:
         counts: Topic → what became of its messages.
@@ -45,30 +46,52 @@ class Target(Protocol):
         linger_s: How long to stay after the last message, in seconds.
     """
 
-    counts: dict[str, SentCount]
-    notes: list[str]
-    linger_s: float
+    linger_s = 0.0
+
+    def __init__(self, topics: Collection[str]) -> None:
+        self.counts = {name: SentCount() for name in topics}
+        self.notes: list[str] = []
+        self._conversions: dict[str, Conversion] = {}
+
+    @abstractmethod
+    def write(self, topic: str, data: bytes, stamp_ns: int) -> str:
+        """Pass a converted message on, and return why it is lost; what does not fit is refused."""
+
+    @abstractmethod
+    def missing(self) -> list[str]:
+        """Return the topics without a reader or subscriber."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Close everything; channels keep their last message."""
+
+    def _convert_by(self, name: str, conversion: Conversion) -> None:
+        self._conversions[name] = conversion
+        self.notes += [f"{name}: {note}" for note in conversion.notes]
 
     def send(self, topic: str, data: bytes, stamp_ns: int) -> None:
-        """Pass a message on; what does not fit is counted and never raised."""
-
-    def missing(self) -> list[str]:
-        """Return the topics that nobody takes yet."""
-
-    def close(self) -> None:
-        """Let go of everything; channels keep their last message."""
+        """Convert a message and pass it on; what is refused or lost is counted and never raised."""
+        count = self.counts[topic]
+        try:
+            lost = self.write(topic, self._conversions[topic](data), stamp_ns)
+        except RosplcError as error:
+            count.refused += 1
+            where = f"{error.where}: " if error.where else ""
+            count.reason = count.reason or f"{where}{error.what} [{error.code}]"
+            return
+        if lost:
+            count.lost += 1
+            count.reason = lost
+        else:
+            count.sent += 1
 
 
 def wait_for_readers(
     target: Target, seconds: float, stopped: Callable[[float], bool], clock: Clock = SYSTEM
 ) -> list[str]:
-    """Wait until every topic has somebody who takes it, and return those that have not.
+    """Wait until every topic has a reader or subscriber, and return those that have none.
 
-    Args:
-        target: Where messages will go.
-        seconds: How long to wait.
-        stopped: Waits for so many seconds; returns True if the wait is to end.
-        clock: By which it is waited.
+    ``stopped`` waits for so many seconds; it returns True if the wait is to end.
     """
     end = clock.monotonic_ns() + seconds * 1e9
     while (missing := target.missing()) and clock.monotonic_ns() < end:
@@ -88,8 +111,7 @@ class ReplayOptions:
     """How a recording is replayed.
 
     Attributes:
-        speed: 1 as recorded, 2 twice as fast; 0 as fast as it goes.
-        loop: Begin again at the end.
+        speed: 1 as recorded, 2 twice as fast; 0 as fast as possible.
         start_ns: Leave out so much at the beginning.
         end_ns: End so long after the recording's beginning; 0 for its end.
         stamps: ``now``: a message is stamped when it is sent; ``original``: as it was recorded.
@@ -105,16 +127,10 @@ class ReplayOptions:
 def chosen_topics(
     source: Source, selection: Selection, rename: Mapping[str, str], *, to_plc: bool
 ) -> tuple[dict[str, SourceTopic], list[str]]:
-    """Return new name → topic of what is to be replayed, and in words what was left out.
+    """Return new name → topic of what is to be replayed, and sentences on what was left out.
 
-    Args:
-        source: The recording.
-        selection: Which topics; without names, towards the PLC those that the PLC wrote are left out.
-        rename: Topic → new name.
-        to_plc: Whether they go into channels.
-
-    Raises:
-        RecordingError: REC006, nothing is left; REC007, two topics would have one name.
+    Without names, towards the PLC the topics that the PLC wrote are left out; ``rename`` is topic → new name.
+    Raises RecordingError REC006 if nothing is left, REC007 if two topics would have one name.
     """
     remarks = [f"{name} is left out: {why}" for name, why in source.unusable.items() if name in selection]
     chosen: dict[str, SourceTopic] = {}
@@ -140,14 +156,9 @@ def chosen_topics(
 class Player:
     """Plays a recording into a target.
 
-    Args:
-        source: The recording.
-        target: Where it goes.
-        topics: New name → topic.
-        options: How.
-        clock: What the pace is kept by, and messages are stamped with.
-
     Attributes:
+        topics: New name → topic.
+        clock: What the pace is kept by, and messages are stamped with.
         rounds: How many times it was begun.
         position_ns: How far it is from the recording's beginning.
         latest_ns: The most that a message was sent too late, at a speed other than the fastest.
@@ -167,12 +178,9 @@ class Player:
     def play(self, stopped: Callable[[float], bool], look: Callable[[], None] = lambda: None) -> None:
         """Play until the end, or until told to stop.
 
-        Args:
-            stopped: Waits for so many seconds, and returns True if it is to stop.
-            look: Called a few times a second, for progress.
-
-        Raises:
-            RecordingError: REC003, the file is damaged; what lies before has been sent.
+        ``stopped`` waits for so many seconds, and returns True if it is to stop; ``look`` is called a few
+        times a second, for progress. Raises RecordingError REC003 if the file is damaged; what lies before
+        has been sent.
         """
         while not stopped(0.0):
             self.rounds += 1
@@ -220,49 +228,12 @@ _SLOTS = 64
 """Of a channel that neither a configuration nor a recording nor an object describes."""
 
 
-class _Converting:
-    """Counts what becomes of messages, and converts them on the way; ``write`` returns why one is lost."""
-
-    def __init__(self, topics: Collection[str]) -> None:
-        self.counts = {name: SentCount() for name in topics}
-        self.notes: list[str] = []
-        self._conversions: dict[str, Conversion] = {}
-
-    def write(self, topic: str, data: bytes, stamp_ns: int) -> str:
-        raise NotImplementedError
-
-    def _convert_by(self, name: str, conversion: Conversion) -> None:
-        self._conversions[name] = conversion
-        self.notes += [f"{name}: {note}" for note in conversion.notes]
-
-    def send(self, topic: str, data: bytes, stamp_ns: int) -> None:
-        """Convert a message and pass it on; what is refused or lost is counted."""
-        count = self.counts[topic]
-        try:
-            lost = self.write(topic, self._conversions[topic](data), stamp_ns)
-        except RosplcError as error:
-            count.refused += 1
-            where = f"{error.where}: " if error.where else ""
-            count.reason = count.reason or f"{where}{error.what} [{error.code}]"
-            return
-        if lost:
-            count.lost += 1
-            count.reason = lost
-        else:
-            count.sent += 1
-
-
-class PlcTarget(_Converting):
+class PlcTarget(Target):
     """Channels towards the PLC, each made or adopted as a bridge would.
 
-    A channel's limits and depth are those of the configuration, else of the object that is there, else of
-    the recording: so the code in the PLC goes on to fit.
-
-    Args:
-        topics: Name in shared memory → topic.
-        namespace: Where the objects stand.
-        project: A configuration, whose channels these are; None if there is none.
-        distro: Whose definitions hold where the recording has none.
+    A channel's limits and depth are those of the configuration (``project``), else of the object that is
+    there, else of the recording: so the code in the PLC still fits. ``topics`` is name in shared memory →
+    topic, ``distro`` names whose definitions hold where the recording has none.
 
     Raises:
         ChannelError: SHM116, a bridge or another program writes the channel; SHM117 and others.
@@ -278,7 +249,6 @@ class PlcTarget(_Converting):
         distro: str = "jazzy",
     ) -> None:
         super().__init__(topics)
-        self.linger_s = 0.0
         self._namespace = namespace
         self._bindings: dict[str, Binding] = {}
         self._before: dict[str, tuple[tuple[int, int], ...]] = {}
@@ -352,8 +322,7 @@ class PlcTarget(_Converting):
     ) -> None:
         """Note how a topic's messages become those of a channel.
 
-        Raises:
-            RecordingError: REC007, the PLC writes the channel, or it has messages of another type.
+        Raises RecordingError REC007 if the PLC writes the channel, or it has messages of another type.
         """
         if direction is not Direction.TO_PLC:
             raise RecordingError(
@@ -415,10 +384,7 @@ def _layout(store: TypeStore, type_name: str, limits: Mapping[str, Any] | None) 
     return compute_layout(store, type_name)
 
 
-_LINGER_S = 1.0  # a middleware may still be sending, or repeating what got lost
-
-
-class RosTarget(_Converting):
+class RosTarget(Target):
     """Publishers on ROS topics, over any backend.
 
     Args:
@@ -433,6 +399,8 @@ class RosTarget(_Converting):
         BackendError: ROS001, ROS002 …
     """
 
+    linger_s = 1.0  # a middleware may still be sending, or repeating what got lost
+
     def __init__(
         self,
         topics: Mapping[str, SourceTopic],
@@ -443,7 +411,6 @@ class RosTarget(_Converting):
         join: Callable[..., Backend] = open_backend,
     ) -> None:
         super().__init__(topics)
-        self.linger_s = _LINGER_S
         store = TypeStore.bundled(distro)
         for name, topic in topics.items():
             own = topic.types(distro)
@@ -469,7 +436,7 @@ class RosTarget(_Converting):
         return "" if self._publishers[topic].write(data, stamp_ns) else "a subscriber does not keep up"
 
     def missing(self) -> list[str]:
-        """Return the topics that nobody subscribes to."""
+        """Return the topics without a subscriber."""
         return [name for name, publisher in self._publishers.items() if not publisher.matched]
 
     def close(self) -> None:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import heapq
 import json
+from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from rosplc.errors import RecordingError, RosplcError
 from rosplc.model import DISTROS, TypeStore
@@ -27,7 +28,6 @@ class SourceTopic:
     """A topic of a recording.
 
     Attributes:
-        name: The topic.
         type_name: ``package/msg/Name``.
         definition: The ``.msg`` text with every type that it needs; None if the distribution has it.
         count: Messages.
@@ -53,11 +53,8 @@ class SourceTopic:
     def types(self, distro: str = "jazzy") -> TypeStore:
         """Return a store that has the topic's type, as it was recorded.
 
-        Args:
-            distro: Whose types hold where the recording has neither definition nor distribution.
-
-        Raises:
-            RecordingError: REC007, there is no definition of it, or one that cannot be used.
+        ``distro`` names whose types hold where the recording has neither definition nor distribution. Raises
+        RecordingError REC007 if there is no definition of it, or one that cannot be used.
         """
         try:
             if self.definition is not None:
@@ -83,34 +80,34 @@ class SourceMessage:
     data: bytes
 
 
-class Source(Protocol):
+class Source(ABC):
     """A recording that is open."""
 
-    topics: dict[str, SourceTopic]
-    unusable: dict[str, str]
-    """Topic → why it cannot be replayed."""
-    notes: tuple[str, ...]
-    """What is to be said of the file as a whole."""
-    start_ns: int
-    end_ns: int
+    start_ns = end_ns = 0
+    notes: tuple[str, ...] = ()
+    """Remarks on the file as a whole."""
 
+    def __init__(self) -> None:
+        self.topics: dict[str, SourceTopic] = {}
+        self.unusable: dict[str, str] = {}
+        """Topic → why it cannot be replayed."""
+
+    @abstractmethod
     def messages(self, topics: Collection[str], start_ns: int, end_ns: int) -> Iterator[SourceMessage]:
-        """Yield the messages of these topics with start_ns ≤ log time ≤ end_ns, in order of log time."""
+        """Yield the messages of these topics with start_ns ≤ log time ≤ end_ns, in order of log time.
 
-    def close(self) -> None:
-        """Close the file."""
+        Raises RecordingError REC003 if the file is damaged; everything before was given.
+        """
+
+    def close(self) -> None:  # noqa: B027
+        """Close the file, if it is open between two reads."""
 
 
 def open_source(path: Path, distro: str = "jazzy") -> Source:
-    """Open a recording.
+    """Open an ``.mcap`` or ``.bag`` file, or the folder of a ROS 2 recording.
 
-    Args:
-        path: An ``.mcap`` or ``.bag`` file, or the folder of a ROS 2 recording.
-        distro: Whose types hold where the file has no definitions and names no distribution.
-
-    Raises:
-        RecordingError: REC003, it cannot be read.
-        BackendError: ROS006, the same for a recording of another kind than MCAP.
+    ``distro`` names whose types hold where the file has no definitions and names no distribution. Raises
+    RecordingError REC003 if it cannot be read, BackendError ROS006 for a recording of another kind than MCAP.
     """
     what, remedy = unreadable_kind(path)
     if what:
@@ -121,13 +118,12 @@ def open_source(path: Path, distro: str = "jazzy") -> Source:
     return McapSource(files)
 
 
-class McapSource:
+class McapSource(Source):
     """One MCAP file, or the files of a folder together."""
 
     def __init__(self, files: list[Path]) -> None:
+        super().__init__()
         self._surveys = [survey(file) for file in files]
-        self.topics: dict[str, SourceTopic] = {}
-        self.unusable: dict[str, str] = {}
         self._names = [self._add(found) for found in self._surveys]
         parts = [part for found in self._surveys for part in found.parts]
         self.start_ns = min((part.start_ns for part in parts), default=0)
@@ -138,15 +134,8 @@ class McapSource:
             if not found.complete or found.damaged
         )
 
-    def close(self) -> None:
-        """Nothing is open between two reads."""
-
     def messages(self, topics: Collection[str], start_ns: int, end_ns: int) -> Iterator[SourceMessage]:
-        """Yield the messages of these topics, in order of log time.
-
-        Raises:
-            RecordingError: REC003, the file is damaged; before that, everything up to there was given.
-        """
+        """Read the chunks that overlap in time together."""
         waiting = [
             (part.start_ns, number, part.offset, part)
             for number, found in enumerate(self._surveys)
@@ -232,14 +221,12 @@ def _topic(channel: Channel, schema: Schema, count: int) -> SourceTopic:
     )
 
 
-class _BagSource:
+class _BagSource(Source):
     """A recording that rosbags reads: ROS 1 bags, and rosbag2's SQLite."""
 
     def __init__(self, path: Path, distro: str) -> None:
+        super().__init__()
         self._bag = Bag(path)
-        self.topics: dict[str, SourceTopic] = {}
-        self.unusable: dict[str, str] = {}
-        self.notes: tuple[str, ...] = ()
         self.start_ns, self.end_ns = self._bag.span()
         self._names: dict[str, str] = {}
         ros1 = self._bag.ros_version == 1

@@ -8,10 +8,11 @@ the last one with numbers for QoS policies: Humble and Iron read no other, and l
 from __future__ import annotations
 
 import errno
+import os
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -50,10 +51,9 @@ def qos_text(qos: Qos) -> str:
 
 
 def qos_of_text(text: str) -> Qos:
-    """Return what ``offered_qos_profiles`` says of the first publisher, else the default.
+    """Return the QoS of the first publisher in ``offered_qos_profiles``, else the default.
 
-    Only what decides who receives what is taken over: promises about time are not, as a replay may
-    be slower than they allow.
+    Only what decides who receives what is taken over: a replay may be slower than promises about time allow.
     """
     try:
         profile = yaml.safe_load(text)[0]
@@ -66,49 +66,6 @@ def qos_of_text(text: str) -> Qos:
         durability="transient_local" if durability in ("1", "transient_local") else "volatile",
         depth=min(max(depth, DEFAULT.depth), 10_000),
     )
-
-
-def bag_information(
-    files: Sequence[Written], topics: Iterable[tuple[ChannelInfo, int]], distro: str
-) -> dict[str, Any]:
-    """Return what ``metadata.yaml`` holds, below its only key."""
-    filled = [file for file in files if file.messages]
-    start = min((file.start_ns for file in filled), default=0)
-    end = max((file.end_ns for file in filled), default=0)
-    return {
-        "version": _VERSION,
-        "storage_identifier": "mcap",
-        "duration": {"nanoseconds": end - start},
-        "starting_time": {"nanoseconds_since_epoch": start},
-        "message_count": sum(file.messages for file in files),
-        "topics_with_message_count": [
-            {
-                "topic_metadata": {
-                    "name": channel.topic,
-                    "type": channel.schema_name,
-                    "serialization_format": "cdr",
-                    "offered_qos_profiles": channel.metadata.get("offered_qos_profiles", ""),
-                    "type_description_hash": channel.metadata.get("topic_type_hash", ""),
-                },
-                "message_count": count,
-            }
-            for channel, count in topics
-        ],
-        "compression_format": "",
-        "compression_mode": "",
-        "relative_file_paths": [file.path.name for file in files],
-        "files": [
-            {
-                "path": file.path.name,
-                "starting_time": {"nanoseconds_since_epoch": file.start_ns},
-                "duration": {"nanoseconds": file.end_ns - file.start_ns},
-                "message_count": file.messages,
-            }
-            for file in files
-        ],
-        "custom_data": {},
-        "ros_distro": distro,
-    }
 
 
 def to_yaml(value: Any) -> str:
@@ -142,7 +99,7 @@ def dated(base: Path, time_ns: int) -> Path:
 def free_name(base: Path) -> Path:
     """Return a base that neither a file nor a folder has; a number is put behind it if need be."""
     taken, number = base, 1
-    while any(_exists(one) for one in (taken, file_name(taken), file_name(taken, 0))):
+    while any(map(os.path.lexists, (taken, file_name(taken), file_name(taken, 0)))):
         number += 1
         taken = base.with_name(f"{base.name}-{number}")
     return taken
@@ -151,10 +108,6 @@ def free_name(base: Path) -> Path:
 def file_name(base: Path, part: int | None = None) -> Path:
     """Return the file of a base, or one of its parts: ``base_0.mcap``."""
     return base.with_name(f"{base.name}{'' if part is None else f'_{part}'}{SUFFIX}")
-
-
-def _exists(path: Path) -> bool:
-    return path.exists() or path.is_symlink()
 
 
 METADATA = "rosplc"
@@ -173,15 +126,9 @@ class Split:
 
 @dataclass(frozen=True)
 class Written:
-    """A file that is finished.
+    """A finished file: its bytes, earliest and latest log time (0 without messages), topic → messages.
 
-    Attributes:
-        path: The file.
-        size: Its bytes.
-        start_ns: The earliest log time; 0 without messages.
-        end_ns: The latest.
-        counts: Topic → messages.
-        complete: Whether it has its summary.
+    ``complete``: it has its summary.
     """
 
     path: Path
@@ -215,7 +162,7 @@ class FileStore:
     Args:
         base: The file's path without ``.mcap``, or the folder's.
         channels: Channel id → how files name it; it may grow.
-        facts: Returns what the metadata record says; asked often, and written when it changed.
+        facts: Returns the contents of the metadata record; asked often, and written when they changed.
         split: When a new file begins.
         bag: Write a folder with a ``metadata.yaml``, as `ros2 bag record` does.
         distro: The ROS distribution that ``metadata.yaml`` names.
@@ -280,11 +227,7 @@ class FileStore:
             self._close(self._file)
 
     def discard(self) -> None:
-        """Remove the finished files, because nothing is in them.
-
-        Raises:
-            RecordingError: REC001.
-        """
+        """Remove the finished files, because nothing is in them. Raises RecordingError REC001."""
         with _writing(self._base):
             for one in self.written:
                 one.path.unlink()
@@ -339,10 +282,47 @@ class FileStore:
         return {"serialized_metadata": to_yaml(self._contents([self._summary(file)], file.counts))}
 
     def _contents(self, files: list[Written], counts: Mapping[int, int]) -> dict[str, Any]:
+        """Return what ``metadata.yaml`` holds, below its only key."""
         channels = dict(self._channels)
         topics = [(channels[number], counts[number]) for number in sorted(channels) if number in counts]
         distros = (one.metadata.get("rosplc.distro", "") for one in channels.values())
-        return bag_information(files, topics, self._distro or next(distros, ""))
+        filled = [file for file in files if file.messages]
+        start = min((file.start_ns for file in filled), default=0)
+        end = max((file.end_ns for file in filled), default=0)
+        return {
+            "version": _VERSION,
+            "storage_identifier": "mcap",
+            "duration": {"nanoseconds": end - start},
+            "starting_time": {"nanoseconds_since_epoch": start},
+            "message_count": sum(file.messages for file in files),
+            "topics_with_message_count": [
+                {
+                    "topic_metadata": {
+                        "name": channel.topic,
+                        "type": channel.schema_name,
+                        "serialization_format": "cdr",
+                        "offered_qos_profiles": channel.metadata.get("offered_qos_profiles", ""),
+                        "type_description_hash": channel.metadata.get("topic_type_hash", ""),
+                    },
+                    "message_count": count,
+                }
+                for channel, count in topics
+            ],
+            "compression_format": "",
+            "compression_mode": "",
+            "relative_file_paths": [file.path.name for file in files],
+            "files": [
+                {
+                    "path": file.path.name,
+                    "starting_time": {"nanoseconds_since_epoch": file.start_ns},
+                    "duration": {"nanoseconds": file.end_ns - file.start_ns},
+                    "message_count": file.messages,
+                }
+                for file in files
+            ],
+            "custom_data": {},
+            "ros_distro": self._distro or next(distros, ""),
+        }
 
     def _write_metadata(self) -> None:
         path = self._base / "metadata.yaml"
@@ -354,10 +334,9 @@ class FileStore:
 
 
 def try_place(base: Path) -> None:
-    """Make the folder of a file that is written later, and try that a file can be created in it.
+    """Make the folder of a file that is written later, and try to create a file in it.
 
-    Raises:
-        RecordingError: REC001 or REC002, as it would be raised then.
+    Raises RecordingError REC001 or REC002, as the write would.
     """
     with _writing(base.parent):
         base.parent.mkdir(parents=True, exist_ok=True)
@@ -384,14 +363,9 @@ _REPAIR = "rosplc.repair"
 
 @dataclass(frozen=True)
 class Repaired:
-    """What was saved.
+    """What was saved: the new file, its messages per topic, and what was wrong with the old one (or nothing).
 
-    Attributes:
-        path: The new file.
-        messages: Messages in it.
-        topics: Topic → messages.
-        problem: What was wrong with the old one; empty if nothing was.
-        damaged: Parts of it that could not be read.
+    ``damaged`` counts the parts of it that could not be read.
     """
 
     path: Path
@@ -404,14 +378,8 @@ class Repaired:
 def repair(source: Path, target: Path, look: Callable[[int], None] = lambda _: None) -> Repaired:
     """Copy every message that can be read, with its topic and times, into a new and complete file.
 
-    Args:
-        source: The file, which stays as it is.
-        target: The new file; there must be nothing at this name yet.
-        look: Called now and then with the messages saved so far.
-
-    Raises:
-        RecordingError: REC003, nothing of the file can be read; REC001 or REC002, the new one cannot be
-            written.
+    ``look`` is called now and then with the messages saved so far. Raises RecordingError REC003 if nothing of
+    the file can be read, REC001 or REC002 if the new one cannot be written.
     """
     found = survey(source, count=True)
     infos = {}

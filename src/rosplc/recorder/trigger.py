@@ -19,7 +19,7 @@ import re
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from rosplc.errors import RecordingError
 from rosplc.layout import Layout, RecordView
@@ -43,15 +43,7 @@ _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?
 
 @dataclass(frozen=True)
 class Condition:
-    """A condition on one field.
-
-    Attributes:
-        text: As it was written.
-        topic: The topic.
-        path: The field, ``pose.position.x`` or ``codes[2]``.
-        operator: The comparison; empty for "true, or other than 0".
-        value: What is compared with.
-    """
+    """A condition on one field, ``pose.position.x`` or ``codes[2]``; without operator: true, or not 0."""
 
     text: str
     topic: str
@@ -60,11 +52,7 @@ class Condition:
     value: bool | int | float | str | None = None
 
     def check(self, layout: Layout) -> None:
-        """See that a type has the field, and that it can be compared so.
-
-        Raises:
-            RecordingError: REC005.
-        """
+        """Raise RecordingError REC005 unless a type has the field, and it can be compared so."""
         nodes = {path: node for path, _, node in layout.fields()}
         wanted = re.sub(r"\[[0-9]+\]", "[]", self.path)
         node = nodes.get(wanted)
@@ -99,11 +87,7 @@ class Condition:
 
 
 def parse_condition(text: str) -> Condition:
-    """Read ``/topic.field``, with a comparison or without.
-
-    Raises:
-        RecordingError: REC005.
-    """
+    """Read ``/topic.field``, with a comparison or without; raises RecordingError REC005."""
     found = _CONDITION.fullmatch(text.strip())
     if found is None:
         what = f"{text!r} is neither stale nor error nor a field of a topic"
@@ -123,8 +107,7 @@ def _value(text: str, where: str) -> bool | int | float | str:
     raise RecordingError("REC005", what, where=where)
 
 
-@dataclass(frozen=True)
-class Fired:
+class Fired(NamedTuple):
     """A trigger that has fired: when (ns since 1970), and why."""
 
     time_ns: int
@@ -132,13 +115,9 @@ class Fired:
 
 
 class Triggers:
-    """All triggers of a recording; fed by the taking thread and by whoever watches the channels.
+    """All triggers of a recording; fed by the taking thread and by the one that watches the channels.
 
-    Args:
-        texts: As on the command line.
-
-    Raises:
-        RecordingError: REC005, one of them cannot be understood.
+    Raises RecordingError REC005 if a text, as on the command line, is not understood.
     """
 
     def __init__(self, texts: Iterable[str]) -> None:
@@ -177,28 +156,16 @@ class Triggers:
                 except RecordingError as error:
                     self.problems.append(error)
                 else:
-                    mine.append(_Edge(condition))
+                    mine.append(condition)
         if not mine:
             return None
+        held = [True] * len(mine)  # what holds from the first message on has not become true
 
         def look(channel: CarriedChannel, data: bytes, time_ns: int) -> None:
             message = channel.codec.layout.view(channel.codec.decode(data))
-            for edge in mine:
-                if edge.rises(message):
-                    self.fire(time_ns, edge.condition.text)
+            for at, condition in enumerate(mine):
+                before, held[at] = held[at], condition.holds(message)
+                if held[at] and not before:
+                    self.fire(time_ns, condition.text)
 
         return look
-
-
-class _Edge:
-    """A condition, and whether it held before; what holds from the first message on has not risen."""
-
-    def __init__(self, condition: Condition) -> None:
-        self.condition = condition
-        self._before = True
-
-    def rises(self, message: RecordView) -> bool:
-        now = self.condition.holds(message)
-        rose = now and not self._before
-        self._before = now
-        return rose
