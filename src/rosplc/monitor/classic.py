@@ -1,13 +1,13 @@
 """A classic topic's memory and lock, which cannot describe themselves, and what a look now and then shows.
 
-The lock is not taken: whoever looks must not be able to make a PLC wait. A record read so may be
-half written, and is read until two reads agree.
+The lock is not taken: an observer must not make a PLC wait. A record read without it may be half written, and
+is read until two reads agree.
 """
 
 from __future__ import annotations
 
 import os
-import struct
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,18 +23,15 @@ _ATTEMPTS = 100
 
 @dataclass(frozen=True)
 class ClassicState:
-    """Memory and lock as they stand.
+    """Memory and lock at one moment.
 
     Attributes:
-        name: The memory's name.
         semaphore: The semaphore's name; empty if there is none by configuration.
         size: Bytes of the memory; 0 while there is none.
         owner: Its owner and mode, ``root:root 0750``.
         value: How many could enter now: 1 if the lock is free, 0 if it is taken; None if there is
             no semaphore or it cannot be read.
-        record: The record; None if it cannot be read.
-        error: Why it cannot be read; empty if it can.
-        code: The error's code.
+        record: The record; None if it cannot be read: ``error`` and ``code`` are why.
     """
 
     name: str
@@ -57,15 +54,9 @@ class ClassicState:
 
 
 def look_at(name: str, semaphore: str, record_size: int) -> ClassicState:
-    """Return how a classic topic's memory and lock stand; what is missing stands in ``error``.
-
-    Args:
-        name: The memory's name.
-        semaphore: The semaphore's name; empty if there is none.
-        record_size: Bytes of the record.
-    """
+    """Return a classic topic's memory and lock (none: an empty name); what is missing is in ``error``."""
     path = Path("/dev/shm") / name
-    value = _value(semaphore) if semaphore else None
+    value = semaphore_value(Path(f"/dev/shm/sem.{semaphore}")) if semaphore else None
     if not os.path.lexists(path):
         return ClassicState(name, semaphore, value=value, error="there is no such memory", code="SHM101")
     try:
@@ -84,27 +75,19 @@ def look_at(name: str, semaphore: str, record_size: int) -> ClassicState:
         )
 
 
-def _value(semaphore: str) -> int | None:
+def semaphore_value(path: Path) -> int | None:
+    """Return how many could enter now; None if the file cannot be read or is no semaphore of glibc."""
     try:
-        content = (Path("/dev/shm") / f"sem.{semaphore}").read_bytes()
+        content = path.read_bytes()
     except OSError:
         return None
-    if len(content) == 32:
-        return int(struct.unpack_from("=I", content)[0])
     # 32-bit programs keep a flag for waiters in the lowest bit.
-    return int(struct.unpack_from("=I", content)[0]) >> 1 if len(content) == 16 else None
+    flags = {32: 0, 16: 1}.get(len(content))
+    return None if flags is None else int.from_bytes(content[:4], sys.byteorder) >> flags
 
 
 class ClassicWatch:
-    """Watches one classic memory; nothing stays open between two looks.
-
-    Args:
-        prefix: Its bridge's prefix.
-        topic: What the configuration says of it.
-
-    Attributes:
-        id: The channel's id.
-    """
+    """Watches one classic memory of a bridge's prefix; nothing stays open between two looks."""
 
     def __init__(self, prefix: str, topic: ClassicTopic) -> None:
         self.id = f"classic:{topic.memory}"
@@ -116,7 +99,7 @@ class ClassicWatch:
         self._since_ns: int | None = None
 
     def look(self, now_ns: int) -> ChannelView:
-        """Return how the memory stands; ``now_ns`` is of a monotonic clock."""
+        """Return the memory's state; ``now_ns`` is of a monotonic clock."""
         topic, found = self._topic, self._look()
         if self._since_ns is None:
             self._since_ns = now_ns
@@ -150,13 +133,9 @@ class ClassicWatch:
         )
 
     def message(self, elements: int | None = None) -> Message:
-        """Return the content of the memory.
+        """Return the content of the memory, at most ``elements`` of each array (None: all).
 
-        Args:
-            elements: How many elements of each array are wanted at most; None for all.
-
-        Raises:
-            ChannelError: It cannot be read.
+        Raises ChannelError if it cannot be read.
         """
         found = self._look()
         if found.record is None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 
+from rosplc.harmless import plural
 from rosplc.levels import Level
 from rosplc.monitor.picture import BridgeView, ChannelView, Event, State, silence_words
 
@@ -17,11 +18,7 @@ def channel_events(
 ) -> Iterator[Event]:
     """Yield what happened to channels, each by its id, between two looks.
 
-    Args:
-        before: The channels of the look before.
-        after: Those of this look.
-        silent: The channels with a ``stale`` that no ``recovered`` has followed; brought up to date.
-        time_ns: When this look was taken.
+    ``silent`` has the channels with a ``stale`` that no ``recovered`` has followed; it is brought up to date.
     """
     for identifier, view in after.items():
         known = before.get(identifier)
@@ -70,12 +67,13 @@ def _changes(before: ChannelView, after: ChannelView, time_ns: int) -> Iterator[
 
 
 def _counters(before: ChannelView, after: ChannelView, time_ns: int) -> Iterator[Event]:
-    if (count := after.refused - before.refused) > 0:
-        yield _event(time_ns, "refused", after, f"{_messages(count)} refused", Level.WARN)
-    if (count := after.truncated - before.truncated) > 0:
-        yield _event(time_ns, "truncated", after, f"{_messages(count)} cut to fit", Level.WARN)
-    if after.state is State.LOST and (count := after.lost - before.lost) > 0:
-        yield _event(time_ns, "lost", after, f"{_messages(count)} lost", Level.WARN)
+    for kind, what, count in (
+        ("refused", "refused", after.refused - before.refused),
+        ("truncated", "cut to fit", after.truncated - before.truncated),
+        ("lost", "lost", after.lost - before.lost if after.state is State.LOST else 0),
+    ):
+        if count > 0:
+            yield _event(time_ns, kind, after, f"{plural(count, 'message')} {what}", Level.WARN)
 
 
 def bridge_events(
@@ -89,26 +87,17 @@ def bridge_events(
             continue
         who = f"bridge {bridge.name}" + (f", process {bridge.pid}," if bridge.pid else "")
         if bridge.alive is False and earlier.alive:
-            words = f"{who} " + ("does not beat any more" if bridge.pid else "has ended")
-            words += f": {bridge.process}" if bridge.process else ""
-            yield Event(
-                time_ns,
-                "bridge-gone",
-                Level.ERROR if bridge.pid else Level.WARN,
-                "",
-                bridge.prefix,
-                "",
-                words,
-            )
+            level, what = (Level.ERROR, "does not beat any more") if bridge.pid else (Level.WARN, "has ended")
+            words = f"{who} {what}" + (f": {bridge.process}" if bridge.process else "")
+            yield Event(time_ns, "bridge-gone", level, "", bridge.prefix, "", words)
         elif bridge.alive and earlier.alive is False:
             yield Event(time_ns, "bridge-back", Level.OK, "", bridge.prefix, "", f"{who} beats again")
 
 
 def grouped(events: Iterable[Event]) -> list[Event]:
-    """Return events with the same words at the same look as one: a bridge that starts has many channels.
+    """Return events in order, those with the same words at the same look as one: a bridge has many channels.
 
-    Returns:
-        The events in order, ``topic`` of those that stand for several as ``/a and 3 more``.
+    The ``topic`` of such an event is ``/a and 3 more``.
     """
     groups: dict[tuple[int, str, str, str], list[Event]] = {}
     for event in events:
@@ -121,7 +110,3 @@ def grouped(events: Iterable[Event]) -> list[Event]:
 
 def _event(time_ns: int, kind: str, view: ChannelView, words: str, level: Level = Level.OK) -> Event:
     return Event(time_ns, kind, level, view.id, view.prefix, view.topic, words)
-
-
-def _messages(count: int) -> str:
-    return "1 message" if count == 1 else f"{count} messages"

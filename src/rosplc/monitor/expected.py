@@ -1,4 +1,4 @@
-"""What a look may expect of a topic; a configuration knows, and the object does not say it."""
+"""What a look may expect of a topic; a configuration knows it, and the object does not."""
 
 from __future__ import annotations
 
@@ -10,8 +10,6 @@ from rosplc.config.resolve import Project, load_project
 from rosplc.layout import Layout
 from rosplc.shm import Direction
 
-_STALE_TO_PLC_NS = 1_000_000_000
-
 
 @dataclass(frozen=True)
 class Expectation:
@@ -20,7 +18,7 @@ class Expectation:
     Attributes:
         stale_after_ns: How old its newest message may become; 0 for never.
         in_order: Whether each message counts, so that a loss is a fault. False where it is not known.
-        configured: Whether a configuration says so.
+        configured: Whether this is from a configuration.
     """
 
     stale_after_ns: int
@@ -32,13 +30,8 @@ class Expectation:
 class ClassicTopic:
     """A classic topic, whose memory cannot describe itself.
 
-    Attributes:
-        topic: As ROS writes it.
-        direction: Where its messages go.
-        memory: The memory's name.
-        semaphore: The semaphore's name; empty if there is none.
-        layout: The record's layout.
-        stale_after_ns: How long its record may stay the same; 0 for never.
+    ``semaphore`` is empty if there is none; ``stale_after_ns`` is how long its record may stay the same, 0
+    for ever.
     """
 
     topic: str
@@ -51,37 +44,25 @@ class ClassicTopic:
 
 @dataclass(frozen=True)
 class Expected:
-    """What configurations say.
+    """What configurations expect: per prefix and topic, and of classic topics with their bridge's prefix.
 
-    Attributes:
-        topics: Per prefix and topic.
-        classic: Classic topics, with the prefix of their bridge.
-        stale_after_ns: For topics towards the PLC that no configuration names; 0 for never.
-        prefixes: Of the configurations' bridges.
+    ``stale_after_ns`` is for topics towards the PLC that no configuration names; 0 for never.
     """
 
     topics: Mapping[tuple[str, str], Expectation] = field(default_factory=dict)
     classic: tuple[tuple[str, ClassicTopic], ...] = ()
-    stale_after_ns: int = _STALE_TO_PLC_NS
+    stale_after_ns: int = 1_000_000_000
     prefixes: frozenset[str] = frozenset()
 
     def of(self, prefix: str, topic: str, direction: Direction) -> Expectation:
         """Return what is expected of a topic."""
-        known = self.topics.get((prefix, topic))
-        return known or default_expectation(direction, self.stale_after_ns)
-
-
-def default_expectation(direction: Direction, stale_after_ns: int = _STALE_TO_PLC_NS) -> Expectation:
-    """Return what a configuration says that says nothing: 1 s towards the PLC, never towards ROS."""
-    return Expectation(stale_after_ns if direction is Direction.TO_PLC else 0, configured=False)
+        # Without a configuration silence towards ROS is never stale.
+        default = Expectation(self.stale_after_ns if direction is Direction.TO_PLC else 0, configured=False)
+        return self.topics.get((prefix, topic)) or default
 
 
 def expected_by(files: Iterable[Path]) -> Expected:
-    """Read configurations and return what they say together; of none, what holds without any.
-
-    Raises:
-        ConfigErrors: A file is wrong.
-    """
+    """Read configurations and return what they expect together. Raises ConfigErrors if a file is wrong."""
     topics: dict[tuple[str, str], Expectation] = {}
     classic: list[tuple[str, ClassicTopic]] = []
     prefixes: set[str] = set()
@@ -94,7 +75,7 @@ def expected_by(files: Iterable[Path]) -> Expected:
 
 
 def expected_of(project: Project) -> Expected:
-    """Return what a resolved configuration says."""
+    """Return what a resolved configuration expects."""
     prefix = project.namespace.prefix
     topics: dict[tuple[str, str], Expectation] = {}
     classic: list[tuple[str, ClassicTopic]] = []

@@ -24,7 +24,7 @@ _CLOCKS = {STAMP_SYSTEM: "system", STAMP_ROS: "ros", STAMP_PLC: "plc"}
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """A message and what its slot says about it.
+    """A message, with its values as nested dicts and lists in the order of the type.
 
     Attributes:
         channel: The channel's id.
@@ -32,8 +32,7 @@ class Message:
         sequence: Its number; 0 for a classic topic, which has none.
         stamp_ns: The source's time stamp, ns since its clock's epoch; 0 for none.
         clock: That clock: ``system``, ``ros`` or ``plc``; empty for none.
-        marks: What of ``first``, ``truncated`` and ``substituted`` holds.
-        values: The fields, nested dicts and lists in the order of the type.
+        marks: Which of ``first``, ``truncated`` and ``substituted`` hold.
     """
 
     channel: str
@@ -61,14 +60,9 @@ def message_of(
     info: SlotInfo | None,
     elements: int | None = None,
 ) -> Message:
-    """Return a record as a message.
+    """Return a record as a message, at most ``elements`` of each array (None: all).
 
-    Args:
-        channel: The channel's id.
-        layout: The record's layout.
-        record: The bytes.
-        info: Its slot header; None for a classic topic.
-        elements: How many elements of each array are wanted at most; None for all.
+    ``info`` is the record's slot header; None for a classic topic.
     """
     values = layout.to_dict(record) if elements is None else layout.excerpt(record, elements)
     if info is None:
@@ -81,13 +75,7 @@ def message_of(
 def numbers(values: Any, *, elements: int = 64, path: str = "") -> Iterator[tuple[str, float]]:
     """Yield the path and value of every number in a message, ``pose.position.x`` or ``ranges[3]``.
 
-    Args:
-        values: A message's values.
-        elements: How many elements of an array are followed at most.
-        path: What every path begins with.
-
-    Yields:
-        Paths and numbers; a BOOL is 0 or 1, what is not finite is left out.
+    At most ``elements`` of an array are followed. A BOOL is 0 or 1; what is not finite is left out.
     """
     if isinstance(values, dict):
         for name, value in values.items():

@@ -15,10 +15,7 @@ from rosplc.levels import Level, format_age
 
 
 class State(enum.Enum):
-    """How a channel stands. The order is that of severity: the worst stands first.
-
-    The value is the word for people and for JSON.
-    """
+    """The state of a channel, the worst first. The value is the word for people and for JSON."""
 
     UNREADABLE = "unreadable"
     """The object cannot be used: damaged, closed to this user, no object of this format."""
@@ -98,18 +95,15 @@ class ReaderView:
 
 @dataclass(frozen=True, slots=True)
 class ChannelView:
-    """One channel as it stands. Text comes from the object, and may hold any character.
+    """One channel at one moment. Text comes from the object, and may hold any character.
 
     Attributes:
         id: The object's name, unique on the machine; ``classic:`` and the memory's name for a classic topic.
-        prefix: The bridge's ``prefix:``.
         topic: As ROS writes it; the object's name where that cannot be known.
         direction: ``to_plc`` or ``to_ros``; empty if it cannot be known.
         type_name: ``package/msg/Name``; empty if it cannot be known.
-        bridge: The bridge's name.
-        bridge_pid: Its process, as it wrote it; 0 if there is none.
-        state: How it stands, in a word.
-        words: The same in a sentence, without time or numbers that change at each look.
+        bridge_pid: The bridge's process, as it wrote it; 0 if there is none.
+        words: The state in a sentence, without time or numbers that change at each look.
         code: The error's code where there is one.
         rate_hz: Messages per second over the last seconds; None before it can be known.
         age_ns: Time since the newest message came; None before the first. It is exact once a message came
@@ -123,22 +117,17 @@ class ChannelView:
         writer_alive: Whether the writer beats: the bridge towards the PLC, the PLC towards ROS. None if it
             cannot be known, or not yet.
         reader_alive: Whether one of the readers beats: a PLC task towards the PLC, the bridge towards ROS.
-        bridge_alive: That one of the two which is the bridge.
-        plc_alive: That one of the two which is the PLC.
+        bridge_alive: The one of these two that is the bridge's; ``plc_alive`` likewise.
         plc_claimed: Whether the PLC's side holds a claim: alive, or dead without having given it back.
-        ros_peers: ROS publishers towards the PLC, subscribers towards ROS; None if nobody counts them.
+        ros_peers: ROS publishers towards the PLC, subscribers towards ROS; None if they are not counted.
         stale: Whether the newest message is older than ``stale_after_ns``.
         silent: The same, half a second later and half a second longer: one late message changes nothing.
         stale_after_ns: How old it may become; 0 for never.
-        configured: Whether a configuration said so; otherwise it is the default.
-        record_size: Bytes of a record.
+        configured: Whether that is from a configuration; otherwise it is the default.
         slots: Slots of the object: the channel's depth.
-        object_size: Bytes of the object.
         layout_id: 16 hexadecimal digits.
-        generation: Drawn anew with each object.
+        generation: A random number, another for each object.
         created_ns: When the object was made, ns since 1970 UTC.
-        readers: The claimed reader lines.
-        classic: Whether it is a classic topic's memory.
     """
 
     id: str
@@ -190,14 +179,9 @@ class ChannelView:
 class BridgeView:
     """One bridge as its channels show it.
 
-    Attributes:
-        prefix: Its ``prefix:``.
-        name: Its name.
-        pid: Its process, as it wrote it; 0 if it has ended.
-        alive: Whether it beats; None before that can be known.
-        process: How its process stands, in words, if it does not beat; empty otherwise.
-        channels: How many channels it has.
-        worst: The worst state among them.
+    ``pid`` is its process, as it wrote it, 0 if it has ended; ``alive`` None before it can be known;
+    ``process`` the state of its process in words, if it does not beat; ``worst`` the worst state among its
+    channels.
     """
 
     prefix: str
@@ -225,9 +209,7 @@ class Event:
             ``recovered``, ``refused``, ``lost``, ``truncated``, ``bridge-gone``, ``bridge-back``,
             ``plc-gone``, ``plc-back``.
         level: How grave it is; OK for what is no trouble, or its end.
-        channel: The channel's id; empty where it concerns a whole bridge.
-        prefix: The bridge's prefix.
-        topic: The topic; empty where it concerns a whole bridge.
+        channel: The channel's id; empty where it concerns a whole bridge, as is ``topic``.
         words: What happened, as a sentence.
     """
 
@@ -248,12 +230,8 @@ class Event:
 class Picture:
     """The machine's channels at one moment.
 
-    Attributes:
-        time_ns: When, ns since 1970 UTC.
-        channels: Sorted by prefix, topic and id.
-        bridges: Sorted by prefix and name.
-        events: What happened since the look before.
-        notes: What keeps the picture from being complete.
+    Channels are sorted by prefix, topic and id, bridges by prefix and name. ``events`` happened since the
+    look before; ``notes`` are what keeps the picture from being complete.
     """
 
     time_ns: int
@@ -294,11 +272,8 @@ def judge(
 ) -> tuple[State, str]:
     """Return how a channel is, in a word and a sentence; of several things the worst counts.
 
-    Args:
-        seen: What was seen of it.
-        starting: Whether the bridge has a claim, and is too young to be expected to beat.
-        refused_lately: Whether messages were refused lately.
-        lost_lately: Whether messages were lost lately where each one counts.
+    ``starting``: the bridge has a claim, and is too young to be expected to beat. ``lost_lately``: messages
+    were lost where each one counts.
     """
     to_plc = seen.direction == "to_plc"
     if seen.bridge_alive is False:

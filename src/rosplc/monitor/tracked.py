@@ -45,13 +45,8 @@ class Peers:
     def alive(self, key: int, claim: int, beat_ms: int, beat: int, count: int, now_ns: int) -> bool | None:
         """Return whether a claimant lives; None before that can be known.
 
-        Args:
-            key: Which line.
-            claim: The claim; 0 is nobody, and nobody is not alive.
-            beat_ms: The period that is promised.
-            beat: The beat.
-            count: What moves as well: head or taken.
-            now_ns: The time of a monotonic clock.
+        ``key`` is its line; a ``claim`` of 0 is nobody, and not alive. It lives if ``beat`` or ``count``
+        (head or taken) moves within the period that ``beat_ms`` promises; ``now_ns`` is of a monotonic clock.
         """
         if not claim:
             self._known.pop(key, None)
@@ -84,12 +79,7 @@ class Rate:
         self._changes: deque[tuple[int, int]] = deque()
 
     def of(self, count: int, now_ns: int) -> float | None:
-        """Note the number at ``now_ns`` of a monotonic clock; return the rate in Hz, None before it is known.
-
-        Args:
-            count: Messages so far; it never falls.
-            now_ns: The time.
-        """
+        """Note the messages so far, at a monotonic ``now_ns``; return the rate in Hz, None until known."""
         changes = self._changes
         if not changes or changes[-1][1] != count:
             changes.append((now_ns, count))
@@ -120,10 +110,7 @@ _START_TIME = 19
 def is_starting(pid: int, proc: Path = Path("/proc"), *, now_s: float | None = None) -> bool:
     """Return whether a bridge that was not seen to beat is so young that it may not have begun to.
 
-    Args:
-        pid: Its number, as the bridge wrote it; 0 for none.
-        proc: Where the kernel tells; another place is for tests.
-        now_s: Seconds since the machine's start; None asks the clock.
+    ``now_s`` is in seconds since the machine's start; None asks the clock.
     """
     if not pid or process_words(pid, proc) != _THERE:
         return False
@@ -137,12 +124,7 @@ def is_starting(pid: int, proc: Path = Path("/proc"), *, now_s: float | None = N
 
 
 def process_words(pid: int, proc: Path = Path("/proc")) -> str:
-    """Return how a process stands that should be a bridge's and does not beat; empty if that is not known.
-
-    Args:
-        pid: Its number, as the bridge wrote it.
-        proc: Where the kernel tells; another place is for tests.
-    """
+    """Return the state of a process that should be a bridge's and does not beat; empty if it is not known."""
     folder = proc / str(pid)
     try:
         # The name in parentheses may hold anything, parentheses too.
@@ -181,16 +163,9 @@ class Recently:
 
 
 class Tracked:
-    """An attached object and what is remembered of it.
+    """An attached object, mapped read-only, and what is remembered of it.
 
-    Args:
-        namespace: The names of its bridge.
-        name: The object's name.
-        attached: The object, mapped read-only; closed by :meth:`close`.
-        now_ns: The time of a monotonic clock.
-
-    Raises:
-        ChannelError: SHM113 if the self-description cannot be read, or is of another object.
+    Raises ChannelError SHM113 if the self-description cannot be read, or is of another object.
     """
 
     def __init__(self, namespace: Namespace, name: str, attached: Attached, now_ns: int) -> None:
@@ -224,15 +199,9 @@ class Tracked:
         self.attached.close()
 
     def look(self, expectation: Expectation, now_ns: int, wall_ns: int) -> ChannelView:
-        """Return how the channel stands.
+        """Return the channel's state; ``now_ns`` is of a monotonic clock, ``wall_ns`` in ns since 1970 UTC.
 
-        Args:
-            expectation: What is expected of the topic.
-            now_ns: The time of a monotonic clock.
-            wall_ns: The time in ns since 1970 UTC.
-
-        Raises:
-            ChannelError: SHM111 or SHM112, the name must be opened again.
+        Raises ChannelError SHM111 or SHM112: the name must be opened again.
         """
         self.attached.valid()
         identity, snapshot = self.attached.identity, Snapshot.of(self.attached.region, free=False)

@@ -12,7 +12,7 @@ import re
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from rosplc.clock import SYSTEM, Clock
 from rosplc.described import layout_of
@@ -30,17 +30,10 @@ from rosplc.shm.header import channel_error
 _OBJECT = re.compile(r"([A-Za-z][A-Za-z0-9_-]{0,31})\.t\..+", re.DOTALL)
 
 
-def object_prefix(name: str) -> str | None:
-    """Return the prefix in the name of a topic's object; None if the name is of something else."""
-    found = _OBJECT.fullmatch(name)
-    return None if found is None else found[1]
-
-
 def open_object(path: str) -> Attached:
     """Map an object read-only, by its file: a shortened name does not give its topic away.
 
-    Raises:
-        ChannelError: As :func:`rosplc.shm.attach`.
+    Raises ChannelError as :func:`rosplc.shm.attach`.
     """
     fd = open_plain_file(Path(path), os.O_RDONLY)
     try:
@@ -58,8 +51,7 @@ MAX_RECORD = 256 * 1024 * 1024
 _RETRY_NS = 1_000_000_000
 
 
-@dataclass(frozen=True, slots=True)
-class _File:
+class _File(NamedTuple):
     """What the directory says of an object."""
 
     name: str
@@ -68,8 +60,7 @@ class _File:
     size: int
 
 
-@dataclass(slots=True)
-class _Broken:
+class _Broken(NamedTuple):
     """An object that could not be opened; it is tried again when it changes, and about once a second."""
 
     file: _File
@@ -82,14 +73,13 @@ class Watch:
 
     Args:
         prefix: Only those of this prefix, or of these; None for all.
-        directory: Where the objects stand.
-        expected: What configurations say of topics; without it the defaults hold.
+        directory: The objects' folder.
+        expected: What configurations expect of topics; without it the defaults hold.
         topic: Only this topic; None for all.
         clock: What ages, rates and signs of life are judged by.
 
     Attributes:
         prefixes: The prefixes that were asked for; empty for all.
-        clock: As given.
 
     Raises:
         ChannelError: SHM118 if the prefix is not valid.
@@ -138,17 +128,14 @@ class Watch:
     def look(self) -> Picture:
         """Look at every channel once; one to ten times a second is sensible.
 
-        Returns:
-            How they stand; rates and signs of life are unknown in the first picture.
-
-        Raises:
-            ChannelError: SHM123 if the directory cannot be listed.
+        Rates and signs of life are unknown in the first picture. Raises ChannelError SHM123 if the directory
+        cannot be listed.
         """
         now, wall = self.clock.monotonic_ns(), self.clock.time_ns()
         files, notes = self._list()
-        for name in [name for name in self._tracked if name not in files]:
+        for name in self._tracked.keys() - files.keys():
             self._drop(name)
-        for name in [name for name in self._broken if name not in files]:
+        for name in self._broken.keys() - files.keys():
             del self._broken[name]
         views = [self._view(file, now, wall) for file in files.values()]
         views += [watch.look(now) for watch in self._classic]
@@ -157,16 +144,11 @@ class Watch:
         return self._picture(tuple(views), wall, notes)
 
     def message(self, channel: ChannelView | str, elements: int | None = None) -> Message | None:
-        """Return a channel's newest message; None if there is none yet.
+        """Return a channel's newest message, or that of an id; None if there is none yet.
 
-        Args:
-            channel: One of the last picture's, or its id.
-            elements: How many elements of each array are wanted at most, for a view that shows no more; a
-                longer array becomes an :class:`rosplc.layout.view.Excerpt`. None for all.
-
-        Raises:
-            ChannelError: SHM101 if it is gone, SHM113 if its type cannot be rebuilt, or what keeps it from
-                being read.
+        At most ``elements`` of each array are decoded; a longer one becomes an
+        :class:`rosplc.layout.view.Excerpt` (None: all). Raises ChannelError SHM101 if it is gone, SHM113 if
+        its type cannot be rebuilt, or what keeps it from being read.
         """
         identifier = channel if isinstance(channel, str) else channel.id
         classic = next((each for each in self._classic if each.id == identifier), None)
@@ -209,8 +191,8 @@ class Watch:
         try:
             with os.scandir(self._directory) as entries:
                 for entry in entries:
-                    prefix = object_prefix(entry.name)
-                    if prefix is None or not self._wanted(prefix, name=entry.name):
+                    named = _OBJECT.fullmatch(entry.name)
+                    if named is None or not self._wanted(named[1], name=entry.name):
                         continue
                     if len(found) >= MAX_CHANNELS:
                         more += 1
@@ -219,7 +201,7 @@ class Watch:
                         status = entry.stat(follow_symlinks=False)
                     except OSError:
                         continue  # gone in between
-                    found[entry.name] = _File(entry.name, prefix, status.st_ino, status.st_size)
+                    found[entry.name] = _File(entry.name, named[1], status.st_ino, status.st_size)
         except OSError as error:
             raise channel_error(123, f"cannot list: {error.strerror}", self._directory) from error
         return found, ((f"{more} more objects are not looked at",) if more else ())
@@ -230,14 +212,19 @@ class Watch:
             try:
                 tracked = self._track(file, now)
             except ChannelError as reason:
-                return self._unreadable(file, reason)
+                error = reason
+                break
             expectation = self._expected.of(file.prefix, tracked.description.topic, tracked.direction)
             try:
                 return tracked.look(expectation, now, wall)
             except ChannelError as reason:
                 self._drop(file.name)
                 error = reason
-        return self._unreadable(file, error)
+        topic = Namespace(file.prefix, self._directory).topic_of(file.name) or file.name
+        return ChannelView(
+            file.name, file.prefix, topic, state=State.UNREADABLE, words=error.what, code=error.code,
+            object_size=file.size,
+        )  # fmt: skip
 
     def _track(self, file: _File, now: int) -> Tracked:
         known = self._tracked.get(file.name)
@@ -272,18 +259,6 @@ class Watch:
         if known is not None:
             known[1].close()
 
-    def _unreadable(self, file: _File, error: ChannelError) -> ChannelView:
-        topic = Namespace(file.prefix, self._directory).topic_of(file.name) or file.name
-        return ChannelView(
-            id=file.name,
-            prefix=file.prefix,
-            topic=topic,
-            state=State.UNREADABLE,
-            words=error.what,
-            code=error.code,
-            object_size=file.size,
-        )
-
     def _missing(self, views: list[ChannelView]) -> list[ChannelView]:
         there = {(view.prefix, view.topic) for view in views}
         return [
@@ -310,26 +285,21 @@ class Watch:
             events += bridge_events(self._bridges, bridges, wall)
             events += channel_events(self._before, after, self._silent, wall)
         self._before = {name: _known_life(self._before, view) for name, view in after.items()}
-        self._bridges = _known_bridges(self._bridges, bridges)
+        known = {(bridge.prefix, bridge.name): bridge.alive for bridge in self._bridges}
+        self._bridges = tuple(
+            replace(one, alive=known.get((one.prefix, one.name))) if one.alive is None else one
+            for one in bridges
+        )
         return Picture(wall, views, bridges, tuple(events), notes)
 
 
 def _known_life(before: dict[str, ChannelView] | None, view: ChannelView) -> ChannelView:
     """Return a view in which the PLC is as it was known last, where that cannot be known yet.
 
-    Whoever comes back has another claim, whose beat was not seen yet: dead, unknown, alive is one return.
+    A PLC that comes back has another claim, whose beat was not seen yet: dead, unknown, alive is one return.
     """
     earlier = before.get(view.id) if before and view.plc_alive is None else None
     return view if earlier is None else replace(view, plc_alive=earlier.plc_alive)
-
-
-def _known_bridges(before: tuple[BridgeView, ...], after: tuple[BridgeView, ...]) -> tuple[BridgeView, ...]:
-    """Return bridges likewise."""
-    known = {(bridge.prefix, bridge.name): bridge.alive for bridge in before}
-    return tuple(
-        replace(bridge, alive=known.get((bridge.prefix, bridge.name))) if bridge.alive is None else bridge
-        for bridge in after
-    )
 
 
 def _bridges(views: tuple[ChannelView, ...]) -> tuple[BridgeView, ...]:

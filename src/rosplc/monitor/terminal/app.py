@@ -77,12 +77,7 @@ _EVENTS = 200
 
 
 class TopApp(App[None]):
-    """Shows every channel of the machine until it is left.
-
-    Args:
-        watch: The watch; the caller closes it.
-        seconds: Time between two looks.
-    """
+    """Shows every channel of the machine until it is left; the caller closes the watch."""
 
     ENABLE_COMMAND_PALETTE = False
     BINDINGS: ClassVar[list[BindingType]] = [Binding("ctrl+c", "quit", "Quit", show=False, priority=True)]

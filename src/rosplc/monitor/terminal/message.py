@@ -79,13 +79,7 @@ class Course(Vertical):
         yield Static("", id="course-figures")
 
     def show(self, path: str, values: list[float], seconds: float) -> None:
-        """Show a number's course.
-
-        Args:
-            path: Its path.
-            values: One per look, the oldest first; none if it is no number.
-            seconds: Time between two looks.
-        """
+        """Show a number's course: its values, one per look, the oldest first (none if it is no number)."""
         name = self.query_one("#course-name", Static)
         bars = self.query_one("#course-bars", Sparkline)
         figures = self.query_one("#course-figures", Static)
@@ -126,12 +120,7 @@ class ValueTree(Tree[str]):
         self._shape: object = None
 
     def show(self, values: dict[str, Any], shape: object) -> None:
-        """Show values.
-
-        Args:
-            values: A message's values.
-            shape: Tells types apart; where it differs from the last one, the tree is built again.
-        """
+        """Show a message's values; where ``shape`` differs from the last one, the tree is built again."""
         if shape != self._shape:
             self._shape = shape
             self.clear()
@@ -168,10 +157,10 @@ class ValueTree(Tree[str]):
                 opened = isinstance(item, dict) and path.count(".") < 2
                 known = node.add("", data=child_path, expand=opened and inner, allow_expand=inner)
                 self._known[child_path] = known
-            label = f"{name}\0{_shown(item)}"
-            if self._labels.get(child_path) != label:
-                self._labels[child_path] = label
-                known.set_label(_label(name, _shown(item)))
+            shown = _shown(item)
+            if self._labels.get(child_path) != shown:
+                self._labels[child_path] = shown
+                known.set_label(Text.assemble((name, "bold"), " ", shown, no_wrap=True, end=""))
             if inner:
                 self._update(known, child_path, item)
 
@@ -190,10 +179,6 @@ def _items(path: str, value: Any) -> dict[str, tuple[str, Any]]:
     if isinstance(value, list):
         return {f"{path}[{index}]": (f"[{index}]", item) for index, item in enumerate(value[:ELEMENTS])}
     return {}
-
-
-def _label(name: str, shown: str) -> Text:
-    return Text.assemble((name, "bold"), " ", shown, no_wrap=True, end="")
 
 
 def _shown(value: Any) -> str:
@@ -218,13 +203,7 @@ _SHARE = 10
 
 
 class MessageScreen(Screen[None]):
-    """Shows one channel until it is left.
-
-    Args:
-        watch: Where messages come from; the application looks, this screen asks for messages.
-        channel: The channel as it stood when it was chosen.
-        seconds: Time between two looks.
-    """
+    """Shows one channel until it is left; ``seconds`` lie between two looks."""
 
     DEFAULT_CSS = """
     MessageScreen Static { text-wrap: nowrap; text-overflow: ellipsis; }

@@ -30,11 +30,7 @@ class OverviewScreen(Screen[None]):
     """The first screen."""
 
     class Chosen(Message):
-        """A channel was chosen, to see its message.
-
-        Attributes:
-            channel: The channel.
-        """
+        """A channel was chosen, to see its message."""
 
         def __init__(self, channel: ChannelView) -> None:
             super().__init__()
@@ -87,12 +83,7 @@ class OverviewScreen(Screen[None]):
         self._show_events()
 
     def show(self, picture: Picture, events: list[Event]) -> None:
-        """Show a new look.
-
-        Args:
-            picture: The look.
-            events: What happened since the start, the newest last.
-        """
+        """Show a new look, and what happened since the start, the newest last."""
         self._picture, self._events = picture, events
         self._draw()
 
@@ -193,8 +184,8 @@ class OverviewScreen(Screen[None]):
     def action_filter(self) -> None:
         """Ask for words.
 
-        With a binding of priority and without waiting, so that "/pose" works in one piece, too: what follows
-        the slash must find the field.
+        With a binding of priority and without waiting: in "/pose", typed in one piece, the rest must find the
+        field.
         """
         field = self.query_one(Input)
         field.display = True

@@ -90,13 +90,9 @@ ORDERS: dict[str, tuple[bool, Callable[[ChannelView], Any]]] = {
 
 @dataclass(frozen=True)
 class Sorting:
-    """What a person chose.
+    """What a person chose: the order ``by`` one of :data:`ORDERS`, and which channels.
 
-    Attributes:
-        by: One of :data:`ORDERS`.
-        reverse: The other way round.
-        words: Only channels in which each of these words stands: in topic, type, bridge, prefix or state.
-        wrong: Only channels with which something is wrong.
+    Each of the ``words`` must be in topic, type, bridge, prefix or state.
     """
 
     by: str = "topic"
@@ -137,12 +133,10 @@ class Column:
     """A column.
 
     Attributes:
-        by: The name of the order that it stands for.
-        title: Its heading.
+        by: The name of its order.
         width: Cells, without the space that follows; 0 takes what is left.
         from_width: How wide the screen must be for it to be shown.
-        text: A channel's text in it.
-        figure: Whether that is a figure, which stands to the right.
+        figure: Whether its text is a figure, which is aligned to the right.
     """
 
     by: str
@@ -204,11 +198,7 @@ class ChannelTable(ScrollView, can_focus=True):
         """A channel was chosen, by Enter or a second click."""
 
     class HeadingClicked(Message):
-        """A heading was clicked.
-
-        Attributes:
-            by: The name of the order that it stands for.
-        """
+        """A heading was clicked; ``by`` is the name of its order."""
 
         def __init__(self, by: str) -> None:
             super().__init__()
@@ -239,12 +229,7 @@ class ChannelTable(ScrollView, can_focus=True):
         return self._views[self._row] if self._row < len(self._views) else None
 
     def show(self, channels: list[ChannelView], order: Sorting) -> None:
-        """Show channels.
-
-        Args:
-            channels: The channels, in order.
-            order: Their order, for the headings.
-        """
+        """Show channels, which are in this order."""
         chosen = self.chosen
         self._views, self._sorting = channels, order
         row = next((at for at, view in enumerate(channels) if chosen and view.id == chosen.id), self._row)
