@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import struct
+import shlex
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from rosplc.config.plans import ClassicPlan
-from rosplc.doctor.finding import Finding
+from rosplc.doctor.finding import Finding, listed, user_name
 from rosplc.doctor.kinds import fine, found, judged
-from rosplc.doctor.words import listed, remove, user_name
-
-__all__ = ["create_or_open", "locks", "sizes"]
+from rosplc.monitor.classic import semaphore_value
 
 _LOOKS = 12
 _PAUSE_S = 0.05
@@ -23,13 +21,9 @@ _SIZES = {32: 64, 16: 32}
 def locks(
     directory: Path, plans: Sequence[ClassicPlan], bits: int, *, sleep: Callable[[float], None] = time.sleep
 ) -> Iterator[Finding]:
-    """Judge the semaphores.
+    """Judge the semaphores of the configuration's classic topics.
 
-    Args:
-        directory: Where the C library keeps them.
-        plans: The configuration's classic topics.
-        bits: Word size of the programs that a bridge shares them with: its own.
-        sleep: Waits for so many seconds.
+    ``bits`` is the word size of the programs that a bridge shares them with: its own.
     """
     paths = {plan.semaphore: directory / f"sem.{plan.semaphore}" for plan in plans if plan.semaphore}
     present = {name: path for name, path in sorted(paths.items()) if path.is_file()}
@@ -43,59 +37,39 @@ def locks(
     same = {name: path for name, path in present.items() if name not in other}
     most = dict.fromkeys(same, 0)
     for look in range(_LOOKS):
-        most = {name: max(value, _value(same[name])) for name, value in most.items()}
+        most = {name: max(value, semaphore_value(same[name]) or 0) for name, value in most.items()}
         if all(most.values()):
             break
         if look < _LOOKS - 1:
             sleep(_PAUSE_S)
     taken = [name for name, value in most.items() if not value]
     what = f"taken at all of {_LOOKS} looks: {listed(taken)}" if taken else ""
-    command = remove(same[name] for name in taken) if taken else ""
+    command = _remove(*(same[name] for name in taken)) if taken else ""
     yield judged("DOC214", what, "no lock of a classic topic stays taken", command=command)
     many = [f"{name} ({value})" for name, value in most.items() if value > 1]
     what = f"more than one may enter: {listed(many)}" if many else ""
     yield judged("DOC216", what, "no semaphore lets in more than one")
 
 
-def _value(path: Path) -> int:
-    """Return how many could enter now; 0 if it is gone."""
-    try:
-        content = path.read_bytes()
-    except OSError:
-        return 0
-    if len(content) == 32:
-        return int(struct.unpack_from("=I", content)[0])
-    # 32-bit programs keep a flag for waiters in the lowest bit.
-    return int(struct.unpack_from("=I", content)[0]) >> 1 if len(content) == 16 else 0
+def _remove(*paths: Path) -> str:
+    return f"rm {' '.join(shlex.quote(str(path)) for path in paths)}"
 
 
 def sizes(directory: Path, plans: Sequence[tuple[str, ClassicPlan, int]]) -> Iterator[Finding]:
-    """Judge the memories' sizes.
-
-    Args:
-        directory: Where they lie.
-        plans: Topic, plan and bytes of its record.
-    """
+    """Judge the memories' sizes; ``plans`` has topic, plan and bytes of its record."""
     small = []
     for topic, plan, record in plans:
         path = directory / plan.name
         if path.is_file() and (size := path.stat().st_size) < record:
             what = f"{topic}: {path} has {size} bytes, the record {record}"
-            small.append(found("DOC217", what, command=remove([path])))
+            small.append(found("DOC217", what, command=_remove(path)))
     yield from small or [fine("DOC217", "memories of classic topics are large enough")]
 
 
 def create_or_open(
     root: Path, directory: Path, plans: Sequence[ClassicPlan], uids: Sequence[int]
 ) -> Iterator[Finding]:
-    """Judge whether the kernel lets a runtime create-or-open what another user has made.
-
-    Args:
-        root: Where ``proc`` stands.
-        directory: Where memories and semaphores lie.
-        plans: The configuration's classic topics.
-        uids: Users of PLC runtimes.
-    """
+    """Judge whether the kernel lets a runtime, one of ``uids``, create-or-open what another user has made."""
     try:
         protected = int((root / "proc/sys/fs/protected_regular").read_text(encoding="ascii"))
     except (OSError, ValueError):

@@ -7,15 +7,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from rosplc.config.resolve import TopicPlan
-from rosplc.doctor.finding import Finding
+from rosplc.doctor.finding import Finding, listed
 from rosplc.doctor.generated import Block, Generated
 from rosplc.doctor.kinds import fine, found, judged
 from rosplc.doctor.objects import Objects
-from rosplc.doctor.words import listed
 from rosplc.harmless import plural
 from rosplc.shm import Direction, Namespace
-
-__all__ = ["against_config", "against_live", "fences", "files"]
 
 _ARM = ("aarch64", "armv8l", "armv7l", "armv6l")
 
@@ -28,14 +25,9 @@ def against_config(
     *,
     differences: Mapping[str, str] | None = None,
 ) -> Iterator[Finding]:
-    """Compare each block with what would be generated now.
+    """Compare each block with what would be generated now, by ``command``.
 
-    Args:
-        code: What is in the folder.
-        plans: The configuration's topics.
-        prefix: The configuration's prefix.
-        command: What generates the code again.
-        differences: Type → what differs in its declaration.
+    ``differences`` is type → what differs in its declaration.
     """
     other = f"the code looks for {code.prefix}.t.…, the configuration's prefix is {prefix}"
     same = code.prefix == prefix
@@ -101,15 +93,9 @@ def fences(code: Generated, machine: str, command: str) -> Iterator[Finding]:
 
 
 def files(folder: Path, expected: Mapping[str, bytes], command: str) -> tuple[list[Finding], dict[str, str]]:
-    """Compare the files with what would be generated now.
+    """Compare the files with what would be generated now: path below the output folder → content.
 
-    Args:
-        folder: The output folder.
-        expected: Path below it → content.
-        command: What generates the code again.
-
-    Returns:
-        What is found where no layout differs, and type → the first line of its declaration that differs.
+    Return what is found where no layout differs, and type → the first line of its declaration that differs.
     """
     other, differences = [], {}
     for path, content in sorted(expected.items()):

@@ -6,11 +6,8 @@ import ipaddress
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
-from rosplc.doctor.finding import Finding
+from rosplc.doctor.finding import Finding, listed
 from rosplc.doctor.kinds import fine, found, judged
-from rosplc.doctor.words import listed
-
-__all__ = ["Wish", "addresses", "distro", "domain", "middleware", "reach", "values"]
 
 _MAX_DOMAIN = 232
 _RANGES = ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT")
@@ -18,14 +15,7 @@ _RANGES = ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT")
 
 @dataclass(frozen=True)
 class Wish:
-    """What the configuration says about ROS.
-
-    Attributes:
-        distro: Its distribution.
-        ros1: Whether that is ROS 1.
-        backend: The backend that it leads to; empty if that is not known.
-        domain: The domain that it names; None if it names none.
-    """
+    """The configuration's ROS settings; ``backend`` empty if not known, ``domain`` None if none is set."""
 
     distro: str
     ros1: bool
@@ -121,11 +111,8 @@ def addresses(
 ) -> Iterator[Finding]:
     """Judge the hosts that ROS was given.
 
-    Args:
-        environment: The variables.
-        wish: The configuration's ROS side; None without one.
-        resolve: Returns a name's IPv4 addresses; raises OSError if it has none.
-        is_local: Whether an address is this machine's.
+    ``resolve`` returns a name's IPv4 addresses, or raises OSError; ``is_local``: an address is this
+    machine's.
     """
     if wish is None or not wish.ros1:
         yield from _peers(environment.get("ROS_STATIC_PEERS", ""), resolve)

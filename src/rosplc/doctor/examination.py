@@ -31,19 +31,16 @@ from rosplc.doctor import (
     rights,
 )
 from rosplc.doctor.environment import Wish
-from rosplc.doctor.finding import Area, Finding, Level, Report
+from rosplc.doctor.finding import Area, Finding, Level, Report, user_name
 from rosplc.doctor.generated import Generated, read_generated
 from rosplc.doctor.kinds import fine, found, judged
 from rosplc.doctor.look import see_graph
 from rosplc.doctor.objects import Objects, held_files, is_held, look_at_objects
 from rosplc.doctor.probe import Probe, run_probe
-from rosplc.doctor.words import user_name
 from rosplc.errors import RosplcError
 from rosplc.plc.plan import ProjectOptions
 from rosplc.project import expected_files
 from rosplc.ros import ROS1
-
-__all__ = ["Question", "examine"]
 
 _LOOK_S = 3.5
 """How long to watch objects for beats, at most: who beats ends it sooner."""
@@ -57,10 +54,9 @@ class Question:
         config: The configuration file; None for the machine alone.
         code: The folder of generated PLC code; None for none.
         plc_user: The user of the PLC runtime, where it does not run now; empty: found by its process.
-        ros: Whether to look at the ROS graph.
-        seconds: How long to look at it, at most.
-        root: Where ``proc``, ``sys``, ``etc`` and ``run`` stand.
-        directory: Where objects lie without a configuration.
+        ros: Whether to look at the ROS graph, for at most ``seconds``.
+        root: The folder of ``proc``, ``sys``, ``etc`` and ``run``.
+        directory: The objects' folder without a configuration.
         variables: The environment variables.
     """
 
@@ -75,12 +71,7 @@ class Question:
 
 
 def examine(question: Question, progress: Callable[[str], None] = lambda what: None) -> Report:
-    """Examine everything that the question names; nothing is changed by it.
-
-    Args:
-        question: What to examine.
-        progress: Called with what is looked at next.
-    """
+    """Examine what the question names, and change nothing; ``progress`` is told what comes next."""
     examination = _Examination(question)
     findings: list[Finding] = []
     for probe in examination.probes():

@@ -1,15 +1,16 @@
-"""What the doctor reports: findings, each of a kind that the table in :mod:`rosplc.doctor.kinds` has."""
+"""What the doctor reports: findings, each of a kind in :mod:`rosplc.doctor.kinds`, and words in them."""
 
 from __future__ import annotations
 
 import enum
+import grp
+import pwd
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
 from rosplc._version import __version__
-
-__all__ = ["SCHEMA", "Area", "Finding", "Kind", "Level", "Report"]
 
 SCHEMA = 1
 """Version of the JSON document; keys are only added under the same number."""
@@ -53,7 +54,6 @@ class Kind:
 
     Attributes:
         code: Three letters and three digits; it never changes its meaning.
-        area: What it is about.
         level: How much it matters when it is found.
         title: What is examined, in a few words.
         meaning: What it means when it is found, in a sentence or two.
@@ -70,16 +70,7 @@ class Kind:
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was looked at.
-
-    Attributes:
-        code: Its kind.
-        area: What it is about.
-        level: How much it matters.
-        seen: What was seen.
-        remedy: What to do; empty if nothing.
-        command: The exact command that does it; empty if there is none.
-    """
+    """One thing that was examined: what was seen, what to do, and the command that does it (or empty)."""
 
     code: str
     area: Area
@@ -96,12 +87,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Report:
-    """What an examination found.
-
-    Attributes:
-        findings: In the order of the examinations.
-        config: The configuration file; None for the machine alone.
-    """
+    """The findings in the order of the examinations; ``config`` is None for the machine alone."""
 
     findings: tuple[Finding, ...]
     config: str | None = None
@@ -137,3 +123,29 @@ class Report:
             "counts": self.counts(),
             "findings": [finding.to_dict() for finding in self.findings],
         }
+
+
+_MOST = 4
+
+
+def listed(items: Iterable[object]) -> str:
+    """Return the first few of many things, and how many more there are."""
+    texts = [str(item) for item in items]
+    more = f" and {len(texts) - _MOST} more" if len(texts) > _MOST else ""
+    return ", ".join(texts[:_MOST]) + more
+
+
+def user_name(uid: int) -> str:
+    """Return a user's name; its number where it has none here."""
+    try:
+        return pwd.getpwuid(uid).pw_name
+    except KeyError:
+        return f"user {uid}"
+
+
+def group_name(gid: int) -> str:
+    """Return a group's name; its number where it has none here."""
+    try:
+        return grp.getgrgid(gid).gr_name
+    except KeyError:
+        return f"group {gid}"

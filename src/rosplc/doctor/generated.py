@@ -1,7 +1,7 @@
-"""What a folder of generated PLC code says of itself: topics, blocks, layout ids, prefix.
+"""Topics, blocks, layout ids and prefix of a folder of generated PLC code.
 
-Read from the Structured Text, not from a list beside it, so that it is what the PLC will do. The
-few lines that are read stand at the end of generation as they do here; a test reads every delivery.
+Read from the Structured Text, not from a list beside it, so that it is what the PLC will do. The few lines
+that are read are written by the generator as they are here; a test reads every delivery.
 """
 
 from __future__ import annotations
@@ -11,8 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rosplc.shm.header import layout_id_text
-
-__all__ = ["LARGEST_FILE", "Block", "Generated", "read_generated"]
 
 LARGEST_FILE = 4 << 20
 _INSTANCE = re.compile(r"^ +\w+ : (\w+)\('((?:[^'$]|\$.)*)'(?:, '(?:[^'$]|\$.)*')?\);", re.MULTILINE)
@@ -29,13 +27,8 @@ _SETTING = re.compile(r"^ +(sPrefix|xFenced|xArm) : [^:]+ := ('?)(\w[\w-]*)\2;",
 class Block:
     """A function block's instance.
 
-    Attributes:
-        topic: The topic; of a classic one the memory's name.
-        name: The block's type.
-        to_plc: Whether it reads.
-        classic: Whether it is a classic block.
-        layout_id: The layout id that it was generated for; empty if it is classic.
-        record_size: Bytes of its record.
+    ``topic`` is the memory's name if it is classic, and ``layout_id`` empty; ``name`` is the block's type,
+    ``record_size`` the bytes of its record.
     """
 
     topic: str
@@ -48,14 +41,9 @@ class Block:
 
 @dataclass(frozen=True)
 class Generated:
-    """A folder's code.
+    """A folder's code: its instances, and the settings that it was generated with.
 
-    Attributes:
-        blocks: Every instance.
-        prefix: The prefix of the objects that it looks for.
-        fenced: Whether it relies on a memory fence.
-        arm: Whether it was generated for ARM.
-        programs: What the names of its programs begin with.
+    ``fenced``: it relies on a memory fence. ``programs``: what the names of its programs begin with.
     """
 
     blocks: tuple[Block, ...]
@@ -66,13 +54,9 @@ class Generated:
 
 
 def read_generated(folder: Path) -> Generated:
-    """Read what `rosplc generate` wrote.
+    """Read the output folder of `rosplc generate`, or the folder ``st`` in it.
 
-    Args:
-        folder: Its output folder, or the folder ``st`` in it.
-
-    Raises:
-        ValueError: There is no such code, or it cannot be understood; the text says what.
+    Raises ValueError with what is wrong: there is no such code, or it is not understood.
     """
     base = folder / "st" if (folder / "st").is_dir() else folder
     settings = {name: value for name, _, value in _SETTING.findall(_text(base / "Base/RosPlc_Settings.st"))}

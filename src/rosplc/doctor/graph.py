@@ -12,15 +12,12 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from rosplc.config.resolve import TopicPlan
-from rosplc.doctor.finding import Finding, Level
+from rosplc.doctor.finding import Finding, Level, listed
 from rosplc.doctor.kinds import fine, found, judged
-from rosplc.doctor.words import listed
 from rosplc.harmless import plural
 from rosplc.init.domains import elsewhere
 from rosplc.ros import EndpointInfo, GraphInfo, incompatibility
 from rosplc.shm import Direction
-
-__all__ = ["Graph", "judge_graph"]
 
 _ANY = "*"
 """What ROS 1's master says where nobody has told the type."""
@@ -50,12 +47,8 @@ def judge_graph(
 ) -> Iterator[Finding]:
     """Compare each topic with what the graph has.
 
-    Args:
-        graph: What was seen.
-        plans: The configuration's topics.
-        type_hash: Returns what a node of the configuration's distribution announces for a type; empty
-            if such nodes announce nothing.
-        bridge_runs: Whether a bridge holds the configuration's objects.
+    ``type_hash`` returns what a node of the configuration's distribution announces for a type, empty if such
+    nodes announce nothing; ``bridge_runs``: a bridge holds the configuration's objects.
     """
     others, info = [node for node in graph.info.nodes if node != graph.bridge], graph.info
     empty = not others and not info.endpoints

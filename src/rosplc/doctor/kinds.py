@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from rosplc.doctor.finding import Area, Finding, Kind, Level
 
-__all__ = ["KINDS", "fine", "found", "judged"]
-
 KINDS: dict[str, Kind] = {}
 
 
@@ -23,12 +21,8 @@ def found(
 ) -> Finding:
     """Return that it was found.
 
-    Args:
-        code: Its kind.
-        seen: What was seen, one sentence without a full stop at the end.
-        remedy: What to do, if not the usual; a full sentence.
-        command: The exact command that does it, where there is one.
-        level: How much it matters this time, if not the usual.
+    ``seen`` is a sentence without a full stop, ``command`` the exact command that helps; remedy (a full
+    sentence) and level replace the usual ones.
     """
     usual = KINDS[code]
     wanted, how = usual.level if level is None else level, usual.remedy if remedy is None else remedy

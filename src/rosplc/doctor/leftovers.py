@@ -7,24 +7,21 @@ import stat
 from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 
-from rosplc.doctor.finding import Finding, Level
+from rosplc.doctor.finding import Finding, Level, listed, user_name
 from rosplc.doctor.kinds import fine, found, judged
 from rosplc.doctor.objects import Objects, Seen, lock_of
-from rosplc.doctor.words import listed, user_name
 from rosplc.harmless import plural
 from rosplc.shm.constants import STATE_RETIRED
-
-__all__ = ["concerned", "leftovers", "ownership", "soundness"]
 
 _HIDDEN = ("SHM102", "SHM123")
 """Errors that say nothing about an object: no right, or no descriptor, to look at it."""
 
 
 def concerned(objects: Objects, prefix: str | None) -> tuple[Seen, ...]:
-    """Return the objects to judge: of one prefix, or, without one, whatever is a bridge's.
+    """Return the objects to judge: of one prefix, or, without one, all that are a bridge's.
 
-    Any program may have a file whose name looks like an object's. Without a prefix it counts only if
-    it is sound, has the default prefix, or has a lock file beside it.
+    Any program may have a file whose name looks like an object's. Without a prefix it counts only if it is
+    sound, has the default prefix, or has a lock file beside it.
     """
     if prefix is not None:
         return tuple(seen for seen in objects.objects if seen.prefix == prefix)
@@ -36,13 +33,7 @@ def concerned(objects: Objects, prefix: str | None) -> tuple[Seen, ...]:
 
 
 def leftovers(objects: Objects, prefix: str | None, configured: Collection[Path] | None) -> Iterator[Finding]:
-    """Tell what nobody holds.
-
-    Args:
-        objects: What was found.
-        prefix: The configuration's; None without one.
-        configured: The paths of the configuration's objects; None without one.
-    """
+    """Report objects that no bridge holds; without a configuration, ``configured`` (paths) is None."""
     seen = [each for each in concerned(objects, prefix) if each.error is None and not each.live]
     unknown = [each for each in seen if each.held is None]
     idle = [each for each in seen if each.held is False]
@@ -98,7 +89,7 @@ def _names(seen: Sequence[Seen]) -> str:
 
 
 def soundness(objects: Objects, prefix: str | None) -> Iterator[Finding]:
-    """Tell which objects are damaged, are no objects, or may not be looked at."""
+    """Report which objects are damaged, are no objects, or may not be looked at."""
     # Without a configuration it is unknown whether a bridge of this machine needs these names.
     level = Level.WARNING if prefix is None else None
     codes = set()
@@ -125,13 +116,9 @@ def soundness(objects: Objects, prefix: str | None) -> Iterator[Finding]:
 def ownership(
     objects: Objects, prefix: str | None, owners: Collection[int], *, root: bool
 ) -> Iterator[Finding]:
-    """Tell which objects are another user's, and which are open to everybody.
+    """Report which objects are another user's, and which are open to all users.
 
-    Args:
-        objects: What was found.
-        prefix: The configuration's; None without one.
-        owners: Users whose objects a bridge of this user may take over.
-        root: Whether this user is root.
+    ``owners`` are users whose objects a bridge of this user may take over; ``root``: this user is root.
     """
     files = [seen for seen in concerned(objects, prefix) if stat.S_ISREG(seen.status.st_mode)]
     others = [] if prefix is None else [s for s in files if s.status.st_uid not in owners and not s.live]

@@ -6,15 +6,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from rosplc.config.resolve import TopicPlan
-from rosplc.doctor.finding import Finding, Level
+from rosplc.doctor.finding import Finding, Level, listed
 from rosplc.doctor.kinds import fine, found, judged
 from rosplc.doctor.objects import Objects, Seen
-from rosplc.doctor.words import listed
 from rosplc.harmless import plural
 from rosplc.monitor.tracked import is_starting, process_words
 from rosplc.shm import Direction
-
-__all__ = ["Carried", "beating", "bridges", "holders", "layouts", "refusals"]
 
 _NO_LAYOUT = "0" * 16
 _RESTART = "Look at its log, and restart it."
@@ -22,7 +19,7 @@ _RESTART = "Look at its log, and restart it."
 
 @dataclass(frozen=True)
 class Carried:
-    """A topic of the configuration and what stands at its object's name."""
+    """A topic of the configuration and what has its object's name."""
 
     plan: TopicPlan
     seen: Seen | None
@@ -34,12 +31,9 @@ class Carried:
 
 
 def holders(topics: Sequence[Carried], classic: Mapping[str, bool], config: str) -> Iterator[Finding]:
-    """Tell whether a bridge holds the topics.
+    """Report whether a bridge holds the topics.
 
-    Args:
-        topics: The topics that have a channel.
-        classic: Classic topic → whether a bridge holds the lock file of its memory.
-        config: The configuration file, for the command.
+    ``classic`` is classic topic → whether a bridge holds the lock file of its memory.
     """
     held = {each.plan.topic: each.live for each in topics} | dict(classic)
     start, count = f"rosplc run {config}", plural(len(held), "topic")
@@ -63,7 +57,7 @@ def holders(topics: Sequence[Carried], classic: Mapping[str, bool], config: str)
 
 
 def bridges(objects: Objects) -> Iterator[Finding]:
-    """Report of every bridge that holds objects of this machine, whatever its prefix, whether it beats."""
+    """Report whether each bridge that holds objects of this machine beats, whatever its prefix."""
     groups: dict[tuple[str, str], list[Seen]] = {}
     for seen in objects.objects:
         if seen.live and seen.description is not None:
@@ -115,7 +109,7 @@ def _difference(plan: TopicPlan, seen: Seen) -> str:
 
 
 def beating(topics: Sequence[Carried]) -> Iterator[Finding]:
-    """Tell which topics no task of a PLC uses, and which layouts running tasks expect."""
+    """Report which topics no task of a PLC uses, and which layouts running tasks expect."""
     live = [(each.plan, each.seen) for each in topics if each.live and each.seen is not None]
     if not live:
         return

@@ -1,6 +1,6 @@
-"""A process that looks at the ROS graph and tells what it saw.
+"""A process that looks at the ROS graph and reports what it saw.
 
-A middleware may hang, crash or print as it likes: here it can do so without the doctor.
+A middleware may hang, crash or print as it likes: here the doctor survives it.
 """
 
 from __future__ import annotations
@@ -20,8 +20,6 @@ from rosplc.errors import BackendError, RosplcError
 from rosplc.ros import ROS1, open_backend, settled_graph
 from rosplc.ros.names import join, resolve_topic
 
-__all__ = ["NODE", "main", "see_graph"]
-
 NODE = "rosplc_doctor"
 _PROGRAM = "from rosplc.doctor.look import main; main()"
 _START_S = 30.0
@@ -30,16 +28,10 @@ _LONGEST_WORDS = 200
 
 
 def see_graph(config: Path, seconds: float, variables: Mapping[str, str]) -> Graph:
-    """Look at the ROS graph of a configuration, in a process of its own.
+    """Look at the ROS graph of a configuration in another process, for at most so many seconds.
 
-    Args:
-        config: The configuration file.
-        seconds: How long to look at most; less if nothing changes any more.
-        variables: The environment variables.
-
-    Raises:
-        BackendError: What the middleware or the backend says.
-        TimeoutError: The process did not end in time, and was killed.
+    Raises BackendError as the middleware or the backend; TimeoutError: it did not end in time, and was
+    killed.
     """
     command = [sys.executable, "-c", _PROGRAM, str(config), str(seconds)]
     process = subprocess.Popen(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import configparser
 import os
+import re
 import resource
 import stat
 import struct
@@ -13,18 +14,6 @@ from pathlib import Path
 from rosplc.doctor.finding import Finding, Level
 from rosplc.doctor.kinds import fine, found, judged
 from rosplc.doctor.rights import Mount
-
-__all__ = [
-    "architecture",
-    "capabilities",
-    "clock",
-    "logout",
-    "mode",
-    "mounted",
-    "open_files",
-    "real_time",
-    "room",
-]
 
 _TESTED = ("x86_64", "aarch64", "armv7l", "armv8l", "armv6l", "i686", "i386")
 _WIDE = ("x86_64", "aarch64", "armv8l")
@@ -41,14 +30,7 @@ _MIB = 1 << 20
 def architecture(
     machine: str, release: str, *, bits: int = struct.calcsize("P") * 8, byte_order: str = "little"
 ) -> Iterator[Finding]:
-    """Judge kernel and word size.
-
-    Args:
-        machine: The kernel's architecture, as ``uname -m`` prints it.
-        release: The kernel's release.
-        bits: Word size of this Python.
-        byte_order: ``little`` or ``big``.
-    """
+    """Judge the kernel (as ``uname -m`` and ``-r`` print it) and the word size of this Python."""
     seen, little = f"Linux {release} on {machine}", byte_order == "little"
     wrong = "" if machine in _TESTED else f"{seen}, which rosplc is not tested on"
     wrong = wrong if little else f"{seen}, which is big-endian"
@@ -82,10 +64,8 @@ def open_files(limit: int, topics: int) -> Iterator[Finding]:
 def real_time(priority: int, locked: int, capabilities: int) -> Iterator[Finding]:
     """Report whether real-time priority and locked memory may be had.
 
-    Args:
-        priority: Soft limit RLIMIT_RTPRIO; ``resource.RLIM_INFINITY`` for none.
-        locked: Soft limit RLIMIT_MEMLOCK in bytes.
-        capabilities: The process's effective capabilities, as a set of bits.
+    ``priority`` and ``locked`` (bytes) are soft limits, ``resource.RLIM_INFINITY`` for none; ``capabilities``
+    are the process's effective ones, as a set of bits.
     """
     may_run = priority != 0 or capabilities >> _CAP_SYS_NICE & 1
     may_lock = locked == resource.RLIM_INFINITY or locked >= _ENOUGH or capabilities >> _CAP_IPC_LOCK & 1
@@ -97,23 +77,18 @@ def real_time(priority: int, locked: int, capabilities: int) -> Iterator[Finding
 
 
 def capabilities(status: Path) -> int:
-    """Return the effective capabilities in a process's ``status``; 0 if it does not tell."""
-    for line in status.read_text(encoding="utf-8", errors="replace").splitlines():
-        if line.startswith("CapEff:"):
-            return int(line.split()[1], 16)
-    return 0
+    """Return the effective capabilities in a process's ``status``; 0 if it has none."""
+    found = re.search(r"^CapEff:\s*([0-9a-fA-F]+)", status.read_text("utf-8", "replace"), re.MULTILINE)
+    return int(found[1], 16) if found else 0
 
 
 def logout(
     root: Path, uid: int, user: str, listing: Callable[[Path], list[Path]] | None = None
 ) -> Iterator[Finding]:
-    """Judge whether systemd removes the bridge's objects when a user logs out.
+    """Judge whether systemd removes the bridge's objects when their owner logs out.
 
-    Args:
-        root: The folder that contains ``etc`` and ``run``.
-        uid: The user who owns the objects.
-        user: That user's name.
-        listing: Lists a folder's ``.conf`` files in their order; for tests.
+    ``root`` contains ``etc`` and ``run``; ``listing`` lists a folder's ``.conf`` files in their order, for
+    tests.
     """
     value, where = _remove_ipc(root, listing or _conf_files)
     if not (root / "run/systemd/seats").is_dir():
@@ -155,7 +130,7 @@ def _remove_ipc(root: Path, listing: Callable[[Path], list[Path]]) -> tuple[bool
 
 
 def mounted(directory: Path, mount: Mount | None) -> Iterator[Finding]:
-    """Judge what the kernel says is mounted at /dev/shm (None: nothing), and whether objects are there."""
+    """Judge what the kernel has mounted at /dev/shm (None: nothing), and whether objects are there."""
     if not directory.is_dir():
         yield found("DOC201", f"{directory} is no folder", command=f"mkdir -p {directory}")
     elif directory != Path("/dev/shm"):
@@ -173,7 +148,7 @@ def mounted(directory: Path, mount: Mount | None) -> Iterator[Finding]:
 
 
 def mode(directory: Path, *, writable: bool) -> Iterator[Finding]:
-    """Judge the directory's mode; ``writable`` tells whether this user may make files in it."""
+    """Judge the directory's mode; ``writable``: this user may make files in it."""
     bits = stat.S_IMODE(directory.stat().st_mode)
     seen = f"{directory} has mode {bits:04o}"
     what = seen if writable else f"{seen}, and this user may not make files there"
@@ -185,11 +160,8 @@ def mode(directory: Path, *, writable: bool) -> Iterator[Finding]:
 def room(directory: Path, space: os.statvfs_result, needed: int, present: int) -> Iterator[Finding]:
     """Judge the room for objects.
 
-    Args:
-        directory: The folder of the objects.
-        space: What ``os.statvfs`` returns for it.
-        needed: Bytes of all of the configuration's objects; 0 without one.
-        present: Bytes of those that exist already, as they are allocated.
+    ``needed`` are the bytes of all of the configuration's objects (0 without one), ``present`` those of the
+    objects that exist already, as they are allocated.
     """
     size, free = space.f_blocks * space.f_frsize, space.f_bavail * space.f_frsize
     seen = f"{directory} has {_mib(free)} of {_mib(size)} free"

@@ -9,13 +9,10 @@ from urllib.parse import urlsplit
 
 from rosplc.codec import Codec, Wire
 from rosplc.config import TopicPlan
-from rosplc.doctor.finding import Finding, Level
+from rosplc.doctor.finding import Finding, Level, listed
 from rosplc.doctor.kinds import found, judged
-from rosplc.doctor.words import listed
 from rosplc.ros.buffers import cyclone_buffer, default_buffer, largest_message
 from rosplc.shm import Direction
-
-__all__ = ["answers", "is_local", "master", "multicast", "no_master", "receive_buffers", "resolve", "routers"]
 
 _UP, _LOOPBACK, _MULTICAST = 0x1, 0x8, 0x1000
 _PATIENCE_S = 2.0
@@ -37,7 +34,7 @@ def is_local(address: str) -> bool:
 
 
 def answers(host: str, port: int) -> str:
-    """Return why nobody takes a TCP connection there; empty if somebody does."""
+    """Return why a TCP connection is refused there; empty if it is accepted."""
     try:
         socket.create_connection((host, port), _PATIENCE_S).close()
     except (OSError, UnicodeError, OverflowError) as error:
@@ -67,10 +64,8 @@ def multicast(sys: Path) -> Iterator[Finding]:
 def receive_buffers(topics: Sequence[TopicPlan], root: Path, *, cyclone: bool) -> Iterator[Finding]:
     """Judge whether each topic's largest message fits into its subscribers' buffers.
 
-    Args:
-        topics: The topics; towards ROS, subscribers are taken to have this machine's settings.
-        root: The folder that contains ``proc``.
-        cyclone: Whether the bridge itself uses Cyclone DDS; otherwise Fast DDS.
+    Towards ROS, subscribers are taken to have this machine's settings; ``root`` contains ``proc``;
+    ``cyclone``: the bridge itself uses Cyclone DDS, otherwise Fast DDS.
     """
     default = default_buffer(root)
     if not default:
@@ -111,17 +106,12 @@ def no_master(uri: str) -> str:
 
 
 def master(
-    uri: str,
-    *,
-    call: Callable[[str, int], str] = answers,
-    ask: Callable[[str], str] = no_master,
+    uri: str, *, call: Callable[[str, int], str] = answers, ask: Callable[[str], str] = no_master
 ) -> Iterator[Finding]:
     """Judge whether the ROS master answers.
 
-    Args:
-        uri: ``ROS_MASTER_URI``, or its default.
-        call: Returns why nobody answers at host and port; empty if somebody does.
-        ask: Returns why that is no master; empty if it is.
+    ``call`` returns why a host and port do not answer, ``ask`` why that is no master; both empty if all is
+    well.
     """
     try:
         parts = urlsplit(uri)
@@ -139,12 +129,7 @@ def master(
 
 
 def routers(locators: Sequence[str], *, call: Callable[[str, int], str] = answers) -> Iterator[Finding]:
-    """Judge whether the Zenoh routers answer.
-
-    Args:
-        locators: Where a bridge connects to, such as ``tcp/localhost:7447``.
-        call: As for :func:`master`.
-    """
+    """Judge whether Zenoh routers, as ``tcp/localhost:7447``, answer; ``call`` as for :func:`master`."""
     for locator in locators:
         protocol, _, address = locator.partition("/")
         host, _, rest = address.rpartition(":")

@@ -1,7 +1,7 @@
-"""The objects of this machine, looked at for a while: who holds them, who beats in them.
+"""The objects of this machine, watched for a while: which processes hold them, and which sides beat.
 
-Nothing is mapped, locked or written: everything is read with ``pread`` and from ``/proc/locks``. A
-lock would have to be taken to be tried, and whoever takes it keeps a starting bridge out.
+Nothing is mapped, locked or written: everything is read with ``pread`` and from ``/proc/locks``. To try a
+lock is to take it, which would keep a starting bridge out.
 """
 
 from __future__ import annotations
@@ -21,8 +21,6 @@ from rosplc.shm import Description, Direction, Identity, Namespace, ReaderState,
 from rosplc.shm.constants import HEADER_SIZE
 from rosplc.shm.files import open_plain_file
 
-__all__ = ["Held", "Objects", "Seen", "held_files", "is_held", "lock_holders", "lock_of", "look_at_objects"]
-
 _NAME = re.compile(r"([A-Za-z][A-Za-z0-9_-]{0,31})\.([tln])\.(.+)")
 _PAUSE_S = 0.05
 _LEAST_S, _LEAST_UNHELD_S, _MOST_S = 2.0, 0.5, 3.5
@@ -34,13 +32,11 @@ Held = Mapping[tuple[int, int, int], int]
 
 @dataclass(frozen=True)
 class Seen:
-    """One object as it stood while it was looked at.
+    """One object while it was looked at.
 
     Attributes:
-        path: Its file.
-        prefix: The prefix in its name.
         topic: The topic, as far as name or self-description tell; else the object's name.
-        status: Owner, mode and size; of what stands there, a link itself included.
+        status: Owner, mode and size; of a link, the link's own.
         error: The check of the format that failed; None if it is sound.
         identity: Lines 0 and 1; None if they cannot be read.
         description: The self-description; None if it cannot be read.
@@ -81,13 +77,9 @@ class Seen:
 
 @dataclass(frozen=True)
 class Objects:
-    """What was found under all prefixes.
+    """What was found under all prefixes: objects by path, and the paths of lock files and temporaries.
 
-    Attributes:
-        objects: The objects, by path.
-        locks: The lock files' paths.
-        temporaries: The temporaries' paths.
-        locks_seen: Whether the kernel's list of locks could be read.
+    ``locks_seen``: the kernel's list of locks could be read.
     """
 
     objects: tuple[Seen, ...] = ()
@@ -170,14 +162,12 @@ class _Watched:
     def look(self) -> None:
         self.last = _snapshot(self.fd)
         before, now = self.first, self.last
-        if now.writer.epoch and (now.writer.beat, now.writer.head) != (
-            before.writer.beat,
-            before.writer.head,
-        ):
+        old, new = before.writer, now.writer
+        if new.epoch and (new.beat, new.head) != (old.beat, old.head):
             self.moved.add(-1)
-        for old, new in zip(before.readers, now.readers, strict=True):
-            if new.claim and (new.beat, new.taken) != (old.beat, old.taken):
-                self.moved.add(new.index)
+        for line, later in zip(before.readers, now.readers, strict=True):
+            if later.claim and (later.beat, later.taken) != (line.beat, line.taken):
+                self.moved.add(later.index)
 
     def quiet(self) -> bool:
         """Whether somebody has a claim, and has not been seen to move."""
@@ -187,7 +177,7 @@ class _Watched:
         return bool(claims - self.moved)
 
     def patience_s(self) -> float:
-        """Return how long whoever is quiet may be so and live: three of the beats that it promises."""
+        """Return how long a quiet side may be so and live: three of the beats that it promises."""
         promised = [line.beat_ms for line in self.last.readers if line.claim]
         if self.last.writer.epoch:
             promised.append(self.last.writer.beat_ms)
@@ -221,17 +211,9 @@ def look_at_objects(
     seconds: float = _MOST_S,
     sleep: Callable[[float], None] = time.sleep,
 ) -> Objects:
-    """Look at every object for as long as it takes to see whoever lives in it.
+    """Look at every object for as long as it takes to see the sides that live, at most so many ``seconds``.
 
-    Args:
-        directory: Where the objects lie.
-        held: See :func:`held_files`.
-        prefix: Only objects of this prefix; None for all.
-        seconds: The longest time to look; who promises to beat more often is waited for less.
-        sleep: Waits for so many seconds.
-
-    Raises:
-        OSError: If the directory cannot be listed.
+    Raises OSError if the directory cannot be listed.
     """
     locks: set[Path] = set()
     temporaries: list[Path] = []

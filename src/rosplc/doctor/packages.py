@@ -17,8 +17,6 @@ from rosplc.errors import RosplcError
 from rosplc.ros import BACKENDS, INSTALL
 from rosplc.ros.choice import choose, why_not_installed
 
-__all__ = ["backend", "needed", "packages", "pip_here", "wheels"]
-
 _OPTIONAL = ("cyclonedds", "eclipse-zenoh")
 _DDS_MACHINES = ("x86_64",)
 _ZENOH_MACHINES = ("x86_64", "i686", "aarch64", "armv7l", "armv6l")
@@ -36,13 +34,9 @@ def needed() -> list[str]:
 def packages(
     names: list[str], python: str, release: str, *, version_of: Callable[[str], str] = version
 ) -> Iterator[Finding]:
-    """Report the versions of what is installed, and what is missing.
+    """Report the versions of what is installed, and what is missing of the required ``names``.
 
-    Args:
-        names: The packages that are required.
-        python: Python's version.
-        release: This rosplc's version.
-        version_of: Returns a package's version, or raises PackageNotFoundError.
+    ``version_of`` returns a package's version, or raises PackageNotFoundError.
     """
     present, missing = [], []
     for name in (*_OPTIONAL, *names):
@@ -57,12 +51,7 @@ def packages(
 
 
 def wheels(machine: str, python: tuple[int, int]) -> Iterator[Finding]:
-    """Report which ways into ROS PyPI has no wheel for, here.
-
-    Args:
-        machine: The architecture, as ``uname -m`` prints it.
-        python: Major and minor version of Python.
-    """
+    """Report which ways into ROS have no wheel on PyPI for this machine (``uname -m``) and Python."""
     missing = []
     if machine not in _DDS_MACHINES:
         missing.append(f"cyclonedds has none for {machine}")
@@ -86,13 +75,8 @@ def backend(
 ) -> Iterator[Finding]:
     """Report which backend a bridge would use here, and why.
 
-    Args:
-        distro: The configuration's ROS distribution.
-        wanted: ``ros.backend``.
-        environment: The environment variables.
-        zenoh_settings: Whether the configuration says how to reach Zenoh.
-        configured: Whether there is a configuration; without one a bad choice is only a warning.
-        missing: Returns why a backend cannot be imported; empty if it can.
+    ``wanted`` is ``ros.backend``; without a configuration a bad choice is only a warning; ``missing`` returns
+    why a backend cannot be imported, empty if it can.
     """
     if wanted != "auto":
         reason = missing(wanted)
@@ -111,10 +95,9 @@ def backend(
 
 
 def pip_here(text: str) -> str:
-    """Return a remedy with the pip, and the source of rosplc, that this installation uses.
+    """Return a text with the pip, and the source of rosplc, that this installation uses.
 
-    Args:
-        text: Any text; ``pip install`` and ``'rosplc[EXTRA]'`` in it are replaced.
+    ``pip install`` and ``'rosplc[EXTRA]'`` in it are replaced.
     """
     here = Path(sys.executable).parent / "pip"
     pip = shlex.quote(str(here)) if here.exists() else f"{shlex.quote(sys.executable)} -m pip"

@@ -1,7 +1,7 @@
 """Running an examination so that nothing it meets can stop the doctor.
 
-A file system or a network name may not answer at all. Each examination therefore runs in a thread
-of its own that is given up after its time; what it had found until then is kept.
+A file system or a network name may not answer at all. Each examination therefore runs in its own thread,
+which is given up after its time; what it had found until then is kept.
 """
 
 from __future__ import annotations
@@ -14,19 +14,12 @@ from rosplc.doctor.finding import Area, Finding, Level
 from rosplc.doctor.kinds import found
 from rosplc.errors import RosplcError
 
-__all__ = ["Probe", "run_probe"]
-
 
 @dataclass(frozen=True)
 class Probe:
-    """One examination.
+    """One examination: what it looks at, as a person would say it, and how many seconds it may take.
 
-    Attributes:
-        what: What it looks at, as a person would say it.
-        area: What it is about; what it could not do is told there.
-        look: Returns, or yields, what it finds.
-        seconds: After this time it is given up.
-        vital: Without it the answer is worth little: if it fails or hangs, that is an error.
+    ``look`` returns, or yields, what it finds. If a ``vital`` one fails or hangs, that is an error.
     """
 
     what: str

@@ -8,23 +8,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from rosplc.doctor.finding import Finding, Level
+from rosplc.doctor.finding import Finding, Level, group_name, listed, user_name
 from rosplc.doctor.kinds import fine, found, judged
-from rosplc.doctor.words import group_name, listed, user_name
 from rosplc.harmless import plural
-
-__all__ = [
-    "File",
-    "Mount",
-    "Runtime",
-    "container",
-    "find_runtimes",
-    "may_use",
-    "rights",
-    "runtimes",
-    "same_memory",
-    "shm_mount",
-]
 
 _SHARE = (
     "Start both containers with one /dev/shm: docker run --ipc=host, or in compose `ipc: host` "
@@ -45,15 +31,9 @@ class Mount:
 
 @dataclass(frozen=True)
 class Runtime:
-    """A process of a PLC runtime.
+    """A process of a PLC runtime: the user and groups that it acts as, and what it sees at /dev/shm.
 
-    Attributes:
-        pid: Its number.
-        name: Its name.
-        bits: Word size of its program; 0 if that may not be seen.
-        uid: The user that it acts as.
-        gids: The groups that it acts with.
-        shm: What it sees at /dev/shm; None if that may not be seen.
+    ``bits`` is the word size of its program, 0 if that may not be seen; ``shm`` None likewise.
     """
 
     pid: int
@@ -114,8 +94,7 @@ def _bits(folder: Path) -> int:
 def shm_mount(mountinfo: Path) -> Mount | None:
     """Return what is mounted at /dev/shm according to a process's mountinfo; None if nothing is.
 
-    Raises:
-        OSError: If the file cannot be read.
+    Raises OSError if the file cannot be read.
     """
     best: Mount | None = None
     for line in mountinfo.read_text(encoding="utf-8", errors="replace").splitlines():
@@ -143,10 +122,7 @@ class File:
 def runtimes(seen: Sequence[Runtime], machine_bits: int, *, classic: bool) -> Iterator[Finding]:
     """Report which PLC runtimes run here, and their word size.
 
-    Args:
-        seen: The processes.
-        machine_bits: Word size of the kernel.
-        classic: Whether the configuration has classic topics with a lock.
+    ``classic``: the configuration has classic topics with a lock.
     """
     if not seen:
         yield found("DOC301", "no process named codesyscontrol* runs here")
@@ -203,12 +179,9 @@ def same_memory(seen: Sequence[Runtime], own: Mount | None) -> Iterator[Finding]
 
 
 def container(root: Path, environment_word: str, *, runtime_seen: bool) -> Iterator[Finding]:
-    """Report whether this is a container.
+    """Report whether this is a container, by files and by the variable ``container``, which some set.
 
-    Args:
-        root: The folder that contains ``run`` and ``proc``.
-        environment_word: The variable ``container``, which some set.
-        runtime_seen: Whether a PLC runtime runs in it, too.
+    ``root`` contains ``run`` and ``proc``; ``runtime_seen``: a PLC runtime runs in it, too.
     """
     sign = _container_sign(root, environment_word)
     alone = f"the doctor runs in a container ({sign}), and no PLC runtime in it"
