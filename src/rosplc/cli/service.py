@@ -53,8 +53,14 @@ def command(
         root DIR: Work in this folder instead of /, for images of machines.
         dry_run: Show what would be done.
     """
-    from rosplc.service.install import execute, install_steps, service_states, uninstall_steps
-    from rosplc.service.planning import plan_service, require_systemd
+    from rosplc.service.install import (
+        execute,
+        install_steps,
+        plan_service,
+        require_systemd,
+        service_states,
+        uninstall_steps,
+    )
 
     root = root.absolute()
     if what == "status":

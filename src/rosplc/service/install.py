@@ -1,42 +1,38 @@
-"""Installing and removing a bridge's service: first a list of steps, then their execution.
+"""Installing and removing a bridge's service: its plan, a list of steps, and their execution.
 
 The list is what ``--dry-run`` shows. Nothing is done that is not in it.
 """
 
 from __future__ import annotations
 
+import grp
 import os
+import re
 import shutil
 import subprocess
+import sys
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from rosplc.bridge.realtime import contention
+from rosplc.config.file import Config, read_config
+from rosplc.config.resolve import open_doors
 from rosplc.errors import SetupError
 from rosplc.service.unit import MARK, Plan, drop_in, sysusers, template
-
-__all__ = [
-    "Remove",
-    "Run",
-    "Step",
-    "Write",
-    "execute",
-    "install_steps",
-    "instances",
-    "service_states",
-    "uninstall_steps",
-]
 
 _TEMPLATE = Path("/etc/systemd/system/rosplc@.service")
 _DROP_IN = "10-rosplc.conf"
 _TIMEOUT_S = 60
+_HIDDEN = ("/home", "/root", "/run/user", "/tmp", "/var/tmp")
+"""What ProtectHome= and PrivateTmp= keep from the service."""
 _PROPERTIES = ("ActiveState", "SubState", "UnitFileState", "NRestarts", "StatusText")
 
 
 @dataclass(frozen=True)
 class Write:
-    """Write a file, unless it stands there just so."""
+    """Write a file, unless it has this content already."""
 
     path: Path
     text: str
@@ -60,14 +56,9 @@ Step = Write | Remove | Run
 
 
 def install_steps(plan: Plan, root: Path) -> list[Step]:
-    """Return what is to be done for a bridge to run as a service.
+    """Return what is to be done for a bridge to run as a service; ``root`` contains ``etc``.
 
-    Args:
-        plan: The bridge.
-        root: Where ``/etc`` lies; ``/`` for this machine.
-
-    Raises:
-        SetupError: SYS011 if a file of somebody else stands at one of the names.
+    Raises SetupError SYS011 if somebody else's file has one of the names.
     """
     steps: list[Step] = [
         Write(_at(root, _sysusers_file(plan.name)), sysusers(plan)),
@@ -85,12 +76,10 @@ def install_steps(plan: Plan, root: Path) -> list[Step]:
 
 
 def uninstall_steps(name: str, root: Path) -> list[Step]:
-    """Return what is to be done to take a bridge's service away again.
+    """Return what is to be done to remove a bridge's service.
 
-    User and group stay, as files may be theirs; so do configuration and objects.
-
-    Raises:
-        SetupError: SYS011 if there is no such service, or a file of it is somebody else's.
+    User and group stay, as files may be theirs; so do configuration and objects. Raises SetupError SYS011 if
+    there is no such service, or a file of it is somebody else's.
     """
     others = [each for each in _installed(root, name) if each != name]
     unit = f"rosplc@{name}.service"
@@ -116,25 +105,17 @@ def _installed(root: Path, name: str | None) -> list[str]:
     names = instances(root)
     if name is not None and name not in names:
         there = f"; there are: {', '.join(names)}" if names else ""
-        raise SetupError(
-            "SYS011",
-            f"no service rosplc@{name} is installed{there}",
-            where=str(_at(root, _drop_in_file(name))),
-            remedy="`rosplc service status` lists what is installed, `rosplc service install` installs one.",
-        )
+        what, where = f"no service rosplc@{name} is installed{there}", str(_at(root, _drop_in_file(name)))
+        remedy = "`rosplc service status` lists what is installed, `rosplc service install` installs one."
+        raise SetupError("SYS011", what, where=where, remedy=remedy)
     return names
 
 
 def execute(steps: list[Step], tell: Callable[[str], None]) -> None:
-    """Do the steps, in order.
+    """Do the steps, in order; ``tell`` gets a line for each.
 
-    Args:
-        steps: What to do.
-        tell: Gets a line for each step.
-
-    Raises:
-        SetupError: SYS011 if a file cannot be written or a command fails; the steps before stay done,
-            and the next attempt goes on from there.
+    Raises SetupError SYS011 if a file cannot be written or a command fails; the steps before stay done, and
+    the next attempt continues from there.
     """
     for step in steps:
         tell(in_words(step))
@@ -182,11 +163,8 @@ def _write(step: Write) -> None:
 
 def _run(argv: tuple[str, ...]) -> None:
     if shutil.which(argv[0]) is None:
-        raise SetupError(
-            "SYS011",
-            f"there is no {argv[0]} on this machine",
-            remedy="Install the Debian package systemd, or run the bridge under another service manager.",
-        )
+        remedy = "Install the Debian package systemd, or run the bridge under another service manager."
+        raise SetupError("SYS011", f"there is no {argv[0]} on this machine", remedy=remedy)
     try:
         done = subprocess.run(argv, capture_output=True, text=True, timeout=_TIMEOUT_S, check=False)
     except subprocess.TimeoutExpired:
@@ -200,12 +178,9 @@ def _run(argv: tuple[str, ...]) -> None:
 def _refuse_foreign(path: Path) -> None:
     text = _read(path)
     if text is not None and not text.startswith(MARK):
-        raise SetupError(
-            "SYS011",
-            "this file was not written by rosplc service install, or its first line was removed",
-            where=str(path),
-            remedy="Move it away; changes of your own belong into `systemctl edit`'s files.",
-        )
+        what = "this file was not written by rosplc service install, or its first line was removed"
+        remedy = "Move it away; changes of your own belong into `systemctl edit`'s files."
+        raise SetupError("SYS011", what, where=str(path), remedy=remedy)
 
 
 def _read(path: Path) -> str | None:
@@ -234,12 +209,7 @@ def _drop_in_file(name: str) -> Path:
 def service_states(root: Path, name: str | None = None) -> list[dict[str, object]]:
     """Return a dictionary for each installed bridge: name, unit, enabled, active, restarts, status.
 
-    Args:
-        root: Where ``/etc`` lies.
-        name: Only this one.
-
-    Raises:
-        SetupError: SYS011 if that one is not installed.
+    Raises SetupError SYS011 if the only one that is wanted is not installed.
     """
     return [_state(each, root) for each in _installed(root, name) if name in (None, each)]
 
@@ -260,11 +230,100 @@ def _state(name: str, root: Path) -> dict[str, object]:
 
 
 def _ask(unit: str) -> dict[str, str]:
-    if shutil.which("systemctl") is None or not Path("/run/systemd/system").is_dir():
+    if not Path("/run/systemd/system").is_dir():
         return {}
-    command = ["systemctl", "show", f"--property={','.join(_PROPERTIES)}", unit]
+    lines = _systemctl("show", f"--property={','.join(_PROPERTIES)}", unit).splitlines()
+    return dict(line.partition("=")[::2] for line in lines)
+
+
+def _systemctl(*arguments: str) -> str:
+    """Return what systemctl prints; empty if there is none, or it does not answer."""
+    command = ["systemctl", *arguments]
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=10, check=False)
+        return subprocess.run(command, capture_output=True, text=True, timeout=10, check=False).stdout
     except (OSError, subprocess.TimeoutExpired):
-        return {}
-    return dict(line.partition("=")[::2] for line in done.stdout.splitlines())
+        return ""
+
+
+def plan_service(
+    name: str | None, config: Path | None, user: str, root: Path, program: Path
+) -> tuple[Plan, tuple[str, ...]]:
+    """Return the service of a configuration, and what a person should know about it.
+
+    ``name`` None takes the file's, ``config`` None is ``/etc/rosplc/NAME.yaml``, looked for below ``root``,
+    too. Raises SetupError SYS011 if the name or a path is not usable, or neither was given; ConfigErrors if
+    the configuration is wrong.
+    """
+    if config is None:
+        if name is None:
+            remedy = "Give --config FILE, or a name for /etc/rosplc/NAME.yaml."
+            raise SetupError("SYS011", "it is not said which bridge", remedy=remedy)
+        config = Path(f"/etc/rosplc/{name}.yaml")
+    config = Path(config if config.is_absolute() else config.absolute())
+    found = root / config.relative_to("/")
+    settings = read_config(found if found.exists() else config)
+    realtime, shm = settings.settings.realtime, settings.settings.shm
+    plan = Plan(
+        name=config.stem if name is None else name,
+        user=user,
+        config=config,
+        program=_absolute(program),
+        group=_group_name(shm.group),
+        directory=shm.directory,
+        priority=realtime.priority if realtime.policy else 0,
+        lock_memory=realtime.lock_memory,
+        affinity=bool(realtime.affinity),
+        systemd=_systemd_version(),
+    )
+    return plan, tuple(_notes(plan, settings))
+
+
+def _systemd_version() -> int:
+    """Return the version of this machine's systemd; 0 if there is none."""
+    found = re.match(r"systemd (\d+)", _systemctl("--version"))
+    return int(found[1]) if found else 0
+
+
+def require_systemd() -> None:
+    """Raise SYS011 unless systemd runs this machine."""
+    if not Path("/run/systemd/system").is_dir():
+        remedy = "In a container let its manager run `rosplc run FILE`; --root DIR prepares an image."
+        raise SetupError("SYS011", "systemd does not run this machine", remedy=remedy)
+
+
+def _absolute(program: Path) -> Path:
+    if program.name == "rosplc":
+        return Path(shutil.which(str(program)) or program).absolute()
+    beside = Path(sys.executable).with_name("rosplc")  # python -m rosplc
+    found = str(beside) if beside.exists() else shutil.which("rosplc")
+    if found is None:
+        raise SetupError("SYS011", "the rosplc command is not on the PATH", remedy="Call it by its path.")
+    return Path(found).absolute()
+
+
+def _group_name(group: str | int | None) -> str:
+    if not isinstance(group, int):
+        return group or ""
+    try:
+        return grp.getgrgid(group).gr_name
+    except KeyError:
+        what = f"shm.group {group} has no name on this machine"
+        raise SetupError("SYS011", what, remedy="Name the group; it is created.") from None
+
+
+def _notes(plan: Plan, config: Config) -> list[str]:
+    notes = [*open_doors(config), *contention(config)]
+    for what, path in (("the rosplc command", plan.program), ("the configuration", plan.config)):
+        if any(path.is_relative_to(hidden) for hidden in _HIDDEN):
+            notes.append(f"{what} is {path}, which the service cannot see; install into /opt, /usr or /etc")
+    owner = config.settings.shm.owner
+    if owner not in (None, plan.user):
+        notes.append(
+            f"shm.owner is {owner}: only root can give objects away, and the service runs as {plan.user}"
+        )
+    if not plan.group:
+        notes.append(
+            f"shm.group is not set: only {plan.user} and root can use the objects; a PLC runtime of another "
+            "user needs a common group"
+        )
+    return notes

@@ -1,8 +1,7 @@
-"""Between a running bridge and systemd: the watchdog is fed while messages can be carried, and no longer.
+"""Between a running bridge and systemd: the watchdog is fed only while messages can be carried.
 
-What a service reports is one datagram of ``KEY=value`` lines to the socket that ``NOTIFY_SOCKET`` names
-(sd_notify(3)). The libraries for it bring more code than these lines, or a C library that a wheel cannot
-count on.
+A service reports with a datagram of ``KEY=value`` lines to the socket in ``NOTIFY_SOCKET`` (sd_notify(3)).
+The libraries for it bring more code than these lines, or a C library that a wheel cannot count on.
 """
 
 from __future__ import annotations
@@ -13,11 +12,11 @@ import socket
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from typing import Protocol
+from typing import TYPE_CHECKING
 
-from rosplc.bridge.status import BridgeStatus
-
-__all__ = ["Notifier", "Supervisor", "Watched", "supervised"]
+if TYPE_CHECKING:
+    from rosplc.bridge.engine import Bridge
+    from rosplc.bridge.status import BridgeStatus
 
 log = logging.getLogger("rosplc.service")
 
@@ -29,9 +28,8 @@ _LEAST_S = 0.05
 class Notifier:
     """The way to the service manager that started this process; silent where there is none.
 
-    Args:
-        address: ``NOTIFY_SOCKET``; empty for nobody.
-        watchdog_s: How often systemd wants to hear of us at least, in seconds; 0 if it does not.
+    ``address`` is ``NOTIFY_SOCKET``, empty for none; ``watchdog_s`` how often systemd expects a sign of life
+    at least, in seconds, 0 for never.
     """
 
     def __init__(self, address: str = "", watchdog_s: float = 0.0) -> None:
@@ -46,7 +44,7 @@ class Notifier:
 
     @classmethod
     def of(cls, environment: Mapping[str, str] | None = None) -> Notifier:
-        """Return the way that the environment describes; None for the process's own."""
+        """Return the way that the environment describes; None for the process's."""
         if environment is None:
             environment = os.environ
         try:
@@ -58,15 +56,15 @@ class Notifier:
         return cls(environment.get("NOTIFY_SOCKET", ""), micros / 1e6 if pid == os.getpid() else 0.0)
 
     def ready(self, status: str) -> None:
-        """Say that everything is open and carries."""
+        """Report that everything is open and carries."""
         self._send(f"READY=1\nSTATUS={' '.join(status.split())}")
 
     def stopping(self) -> None:
-        """Say that the end has begun."""
+        """Report that the end has begun."""
         self._send("STOPPING=1")
 
     def status(self, text: str) -> None:
-        """Say how the service stands, for ``systemctl status``."""
+        """Report the service's state, for ``systemctl status``."""
         self._send(f"STATUS={' '.join(text.split())}")
 
     def alive(self) -> None:
@@ -84,25 +82,10 @@ class Notifier:
             unix.sendto(message.encode(), self._address)
 
 
-class Watched(Protocol):
-    """What this needs of :class:`rosplc.bridge.engine.Bridge`."""
-
-    def status(self) -> BridgeStatus:
-        """Return how it stands."""
-
-    def stuck(self, longest_ns: int) -> str:
-        """Return what stands still; empty if nothing does."""
-
-
 class Supervisor:
-    """Tells the service manager how a bridge stands.
+    """Reports a bridge's state to the service manager."""
 
-    Args:
-        bridge: The bridge.
-        notifier: The way to the manager.
-    """
-
-    def __init__(self, bridge: Watched, notifier: Notifier) -> None:
+    def __init__(self, bridge: Bridge, notifier: Notifier) -> None:
         self._bridge = bridge
         self._notifier = notifier
         watchdog = notifier.watchdog_s
@@ -113,11 +96,7 @@ class Supervisor:
         self._running = False
 
     def look(self) -> float:
-        """Tell what has changed, and feed the watchdog unless the bridge stands still.
-
-        Returns:
-            After how many seconds the next look is due.
-        """
+        """Report changes, and feed the watchdog unless the bridge is stuck; return the seconds to wait."""
         status = self._bridge.status()
         if not status.running:
             # Before the start, or after the end began: systemd has other times for these.
@@ -136,7 +115,7 @@ class Supervisor:
         return self._period_s
 
     def ended(self) -> None:
-        """Tell that the bridge stops, if it did run."""
+        """Report that the bridge stops, if it did run."""
         if self._running:
             self._notifier.stopping()
         self._running = False
@@ -156,12 +135,10 @@ class Supervisor:
 
 
 @contextmanager
-def supervised(bridge: Watched, environment: Mapping[str, str] | None = None) -> Iterator[None]:
-    """Tell the service manager how a bridge stands, where one has started this process.
+def supervised(bridge: Bridge, environment: Mapping[str, str] | None = None) -> Iterator[None]:
+    """Report a bridge's state to the service manager, where one has started this process.
 
-    Args:
-        bridge: The bridge; it may be started and stopped inside.
-        environment: Where ``NOTIFY_SOCKET`` and ``WATCHDOG_USEC`` stand; None for the process's own.
+    The bridge may be started and stopped inside; without ``environment`` it is the process's.
     """
     notifier = Notifier.of(environment)
     if not notifier.wanted:

@@ -1,7 +1,7 @@
 """The unit of systemd that runs a bridge, and the files beside it.
 
-One template, ``rosplc@.service``, is hardened for every bridge alike. What one bridge has of its own (its
-configuration, user and group, real-time limits) stands in a drop-in of its instance.
+One template, ``rosplc@.service``, is hardened for every bridge alike. What differs between bridges (their
+configuration, user and group, real-time limits) is in a drop-in of the instance.
 """
 
 from __future__ import annotations
@@ -11,8 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rosplc.errors import SetupError
-
-__all__ = ["MARK", "Plan", "drop_in", "sysusers", "template"]
 
 MARK = "# Written by rosplc service install; `systemctl edit` puts changes beside it."
 """The first line of every file that is ours to replace and remove."""
@@ -29,18 +27,16 @@ class Plan:
 
     Attributes:
         name: The instance: the unit is ``rosplc@NAME.service``.
-        user: Who runs it.
-        config: The configuration file, absolute.
-        program: The rosplc command, absolute.
+        user: The user that runs it.
+        config: The configuration file, absolute; so is ``program``, the rosplc command.
         group: The group of the objects; empty for the user's own.
-        directory: Where the objects lie.
-        priority: SCHED_FIFO priority that is asked for; 0 for none.
-        lock_memory: Whether memory is to be locked.
-        affinity: Whether threads are to be kept on certain processors.
+        directory: The objects' folder.
+        priority: The wanted SCHED_FIFO priority; 0 for none.
+        lock_memory: Whether memory is to be locked; ``affinity``: threads are to be kept on processors.
         systemd: The version of systemd that will read the files; 0 if unknown.
 
     Raises:
-        SetupError: SYS011 if a name or path cannot stand in a unit.
+        SetupError: SYS011 if a name or path cannot be in a unit.
     """
 
     name: str
@@ -75,11 +71,8 @@ class Plan:
 
 def _valid(what: str, value: str, pattern: re.Pattern[str]) -> None:
     if not pattern.fullmatch(value):
-        raise SetupError(
-            "SYS011",
-            f"{what} {value!r} cannot stand in a unit of systemd",
-            remedy="Use letters, digits, _ and -, in paths also / . + @ : and comma.",
-        )
+        remedy = "Use letters, digits, _ and -, in paths also / . + @ : and comma."
+        raise SetupError("SYS011", f"{what} {value!r} cannot stand in a unit of systemd", remedy=remedy)
 
 
 def sysusers(plan: Plan) -> str:

@@ -1,9 +1,9 @@
 """Who may ask: the server's settings and token, and the Host and Origin headers, before any handler runs.
 
-A browser sends every page's requests to the address that a name leads to. A foreign page could
-therefore reach a server on loopback directly (cross-site), or under a name of its own that it makes
-lead here (DNS rebinding). Against the second the Host header must be an address or a known name;
-against the first the Origin header must be this very server.
+A browser sends every page's requests to the address that a name leads to. A foreign page could therefore
+reach a server on loopback directly (cross-site), or under its own name that it makes lead here (DNS
+rebinding). Against the second the Host header must be an address or a known name; against the first the
+Origin header must be this very server.
 """
 
 from __future__ import annotations
@@ -32,11 +32,10 @@ class Settings:
 
     Attributes:
         prefix: Only channels of this prefix; None for all.
-        directory: Where the objects stand.
+        directory: The objects' folder.
         names: Host names under which the server may be asked, besides ``localhost`` and addresses.
         allow_write: Whether test messages may be written.
-        token: What who writes, or looks, has to know; empty if nobody has to.
-        token_to_view: Whether looking needs the token too.
+        token: What is required to write, or to look (``token_to_view``); empty for nothing.
         viewers: How many pages may be connected at once.
     """
 
@@ -59,16 +58,15 @@ _CHARACTERS = re.compile(rf"[!-~]{{{_FEWEST},{_MOST}}}")
 
 
 def new_token() -> str:
-    """Return a token that nobody can guess: 144 random bits, as text that fits into an address."""
+    """Return a token that cannot be guessed: 144 random bits, as text that fits into an address."""
     return secrets.token_urlsafe(18)
 
 
 def read_token(path: Path) -> str:
     """Return the token that a file holds, blanks around it left out.
 
-    Raises:
-        WebError: WEB002, the file cannot be read, is open to other users, or holds something that
-            is no token: 16 to 256 printable characters without a blank.
+    Raises WebError WEB002: the file cannot be read, is open to other users, or holds no token, which is 16 to
+    256 printable characters without a blank.
     """
     try:
         with path.open("rb") as file:
@@ -141,11 +139,7 @@ def wrong_origin(origin: str, host: str) -> bool:
 
 
 def require_token(settings: Settings, given: str) -> None:
-    """Let nobody pass without the token.
-
-    Raises:
-        WebError: WEB005.
-    """
+    """Raise WebError WEB005 unless the token is right."""
     if not same_token(settings.token, given):
         raise WebError("WEB005", "a token is needed" if not given else "the token is not the right one")
 

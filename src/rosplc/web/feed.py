@@ -31,11 +31,7 @@ _STEP = re.compile(r"(?:^|\.)([A-Za-z_][A-Za-z0-9_]*)|\[([0-9]{1,8})\]")
 
 @lru_cache(maxsize=1024)
 def parse_path(text: str) -> tuple[str | int, ...]:
-    """Return the steps of a path: names of fields and indices of elements.
-
-    Raises:
-        ValueError: It is no path.
-    """
+    """Return the steps of a path, names of fields and indices of elements; raises ValueError for others."""
     steps: list[str | int] = []
     at = 0
     while at < len(text) <= MAX_PATH:
@@ -75,22 +71,16 @@ _MAX_ID = 300
 
 @dataclass(frozen=True)
 class Wants:
-    """What one page wants.
-
-    Attributes:
-        messages: Ids of channels whose newest message it shows.
-        plots: Per id the paths of the fields that it plots.
-    """
+    """What one page wants: ids of channels whose message it shows, and per id the paths that it plots."""
 
     messages: frozenset[str] = frozenset()
     plots: dict[str, frozenset[str]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, data: Any) -> Wants:
-        """Return what a page's JSON says.
+        """Return the wants in a page's JSON.
 
-        Raises:
-            WebError: WEB009, it has another form, or wants more than one page may.
+        Raises WebError WEB009 if it has another form, or wants more than one page may.
         """
         if not isinstance(data, dict):
             raise _malformed("what a page wants is an object")
@@ -143,11 +133,7 @@ class Look:
 
 
 class Looker:
-    """Takes looks; for one thread.
-
-    Args:
-        watch: What to look with.
-    """
+    """Takes looks; for one thread."""
 
     def __init__(self, watch: Watch) -> None:
         self._watch, self._clock = watch, watch.clock
@@ -155,11 +141,7 @@ class Looker:
         self._seen: dict[str, tuple[object, ...]] = {}
 
     def look(self, wanted: Iterable[Wants]) -> Look:
-        """Look at what pages want, as far as it is time to.
-
-        Raises:
-            RosplcError: The channels cannot be listed.
-        """
+        """Look at what pages want, if it is time to; raises RosplcError if channels cannot be listed."""
         wanted = list(wanted)
         messages: Set[str] = frozenset().union(*(each.messages for each in wanted))
         plots: dict[str, set[str]] = {}
@@ -244,9 +226,7 @@ _SAMPLES = 600
 class Feed:
     """The looks of one server, for as long as :meth:`run` runs; for one event loop.
 
-    Args:
-        watch: What to look with; from now on the thread that looks alone uses it.
-        wanted: Returns what each connected page wants.
+    ``wanted`` returns what each connected page wants; from now on only the thread that looks uses the watch.
 
     Attributes:
         document: The last picture as ``rosplc status --json`` prints it; None before the first.
@@ -255,7 +235,6 @@ class Feed:
         messages: The newest message of each wanted channel, with a number that grows.
         samples: Per plotted channel its newest samples: number, ms since 1970, value by path.
         failure: Why the last look failed; empty if it did not.
-        clock: What looks go by.
     """
 
     def __init__(self, watch: Watch, wanted: Callable[[], Iterable[Wants]]) -> None:
@@ -280,7 +259,8 @@ class Feed:
             while True:
                 wanted = list(self._wanted())
                 try:
-                    self._apply(await self._in_thread(wanted), wanted)
+                    look = await loop.run_in_executor(self._thread, self._looker.look, wanted)
+                    self._apply(look, wanted)
                 except RosplcError as error:
                     self._fail(str(error))
                 except Exception as error:
@@ -306,7 +286,7 @@ class Feed:
         self.tell()
 
     def tell(self) -> None:
-        """Wake whoever waits for news."""
+        """Wake all that wait for news."""
         self._news.set()
         self._news = asyncio.Event()
 
@@ -340,6 +320,3 @@ class Feed:
             del self.samples[channel]
         if look.picture is not None or look.messages or look.samples:
             self.tell()
-
-    async def _in_thread(self, wanted: list[Wants]) -> Look:
-        return await asyncio.get_running_loop().run_in_executor(self._thread, self._looker.look, wanted)

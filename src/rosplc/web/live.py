@@ -22,11 +22,8 @@ if TYPE_CHECKING:
 class Frames:
     """Makes the frames for one page.
 
-    A frame has only what is new: ``channels`` (whole ones that are new to the page, else the members
-    that differ), ``gone``, ``bridges``, ``notes``, ``events``, ``messages`` and ``samples``.
-
-    Args:
-        feed: What there is.
+    A frame has only what is new: ``channels`` (whole ones that are new to the page, else the members that
+    differ), ``gone``, ``bridges``, ``notes``, ``events``, ``messages`` and ``samples``.
     """
 
     def __init__(self, feed: Feed) -> None:
@@ -114,12 +111,7 @@ _LARGEST_BYTES = 64 * 1024
 
 
 class Viewers:
-    """The connected pages.
-
-    Args:
-        settings: The server's settings.
-        machine: What the page calls this machine.
-    """
+    """The connected pages; ``machine`` is what they call this machine."""
 
     def __init__(self, settings: Settings, machine: str) -> None:
         self.feed: Feed
@@ -129,21 +121,17 @@ class Viewers:
         self._connected = 0
 
     def wanted(self) -> list[Wants]:
-        """Return what each page wants that has said so."""
+        """Return what each page wants that has sent it."""
         return list(self._wants.values())
 
-    async def close(self) -> None:
-        """Say goodbye to all pages, since the server ends."""
+    async def close(self, _application: web.Application) -> None:
+        """Close the connections of all pages, since the server ends."""
         for socket in list(self._wants):
             with contextlib.suppress(asyncio.TimeoutError, ConnectionError):
                 await asyncio.wait_for(socket.close(code=1001, message=b"the server ends"), 1.0)
 
     async def handle(self, request: web.Request) -> web.StreamResponse:
-        """Serve one page until it leaves.
-
-        Raises:
-            WebError: WEB004, no page of this server asks.
-        """
+        """Serve one page until it leaves; raises WebError WEB004 if no page of this server asks."""
         if "Origin" not in request.headers:
             raise WebError("WEB004", "only a page of this server may open a WebSocket")
         socket = web.WebSocketResponse(
@@ -217,11 +205,7 @@ class Viewers:
 
 
 async def _receive(socket: web.WebSocketResponse, seconds: float | None) -> dict[str, Any] | None:
-    """Return the page's next message; None if it has left.
-
-    Raises:
-        WebError: WEB009, the message is no JSON object.
-    """
+    """Return the page's next message; None if it has left. Raises WebError WEB009 if it is no JSON object."""
     while True:
         message = await socket.receive(seconds)
         if message.type is WSMsgType.TEXT:

@@ -45,15 +45,9 @@ class PageFiles:
                 content = file.read_bytes()
                 self._files[file.name] = (content, kind, hashlib.sha256(content).hexdigest()[:20])
 
-    async def index(self, request: web.Request) -> web.Response:
-        """Answer with the page."""
-        return self._answer(request, "index.html")
-
-    async def file(self, request: web.Request) -> web.Response:
-        """Answer with one of its files. Raises HTTPNotFound."""
-        return self._answer(request, request.match_info["name"])
-
-    def _answer(self, request: web.Request, name: str) -> web.Response:
+    async def answer(self, request: web.Request) -> web.Response:
+        """Answer with the page, or one of its files. Raises HTTPNotFound."""
+        name = request.match_info.get("name", "index.html")
         if name not in self._files:
             raise web.HTTPNotFound
         content, kind, tag = self._files[name]
@@ -83,13 +77,7 @@ async def arrival(request: web.Request, handler: Handler) -> web.StreamResponse:
 
 
 def make_application(settings: Settings, watch: Watch, machine: str) -> web.Application:
-    """Return the application; it looks from its start to its clean-up.
-
-    Args:
-        settings: What it was told.
-        watch: What it looks with.
-        machine: What the page calls this machine.
-    """
+    """Return the application; it looks from its start to its clean-up. Pages show the name ``machine``."""
     viewers = Viewers(settings, machine)
     api = _Api(settings)
 
@@ -102,19 +90,16 @@ def make_application(settings: Settings, watch: Watch, machine: str) -> web.Appl
         with contextlib.suppress(asyncio.CancelledError):
             await task
 
-    async def goodbye(_application: web.Application) -> None:
-        await viewers.close()
-
     files = PageFiles()
     application = web.Application(middlewares=[arrival, access(settings)], client_max_size=_LARGEST_BYTES)
     application[ARRIVED] = []
     application.cleanup_ctx.append(looking)
-    application.on_shutdown.append(goodbye)
+    application.on_shutdown.append(viewers.close)
     application.on_response_prepare.append(add_headers)
     application.add_routes(
         [
-            web.get("/", files.index),
-            web.get("/static/{name}", files.file),
+            web.get("/", files.answer),
+            web.get("/static/{name}", files.answer),
             web.get("/api/live", viewers.handle),
             web.get("/api/status", api.status),
             web.get("/api/form", api.form),
@@ -144,7 +129,7 @@ class _Api:
         return web.json_response(await self._in_thread(self._form, request.query.get("channel", "")))
 
     async def token(self, request: web.Request) -> web.Response:
-        """Say whether the request's token is the right one."""
+        """Answer whether the request's token is the right one."""
         await self._require_token(request)
         return web.json_response({"token": "right"})
 
@@ -235,15 +220,10 @@ MAX_CONNECTIONS = 128
 
 
 class _Door(asyncio.Protocol):
-    """Lets connections in, and closes those that ask for nothing.
+    """Lets connections in, and closes those that have asked for nothing after so many seconds.
 
-    Without it, connections without a request would use up this process's files, and then the page is shut for
-    everybody.
-
-    Args:
-        runner: What serves them.
-        idle: Connections that have asked for nothing so far, the oldest first.
-        seconds: After how long such a connection is closed.
+    Without it, connections without a request would use up this process's files, and the page would be shut
+    for everybody. ``idle`` has the connections that have asked for nothing so far, the oldest first.
     """
 
     def __init__(
@@ -278,10 +258,8 @@ async def open_door(
 ) -> asyncio.Server:
     """Serve what connects to a listener, within :data:`MAX_CONNECTIONS`.
 
-    Args:
-        runner: What serves it; its application gets the request's mark as ``ARRIVED``.
-        listener: Where to listen.
-        seconds: How long a connection may take to send a request's head.
+    The runner's application gets the request's mark as ``ARRIVED``; a request's head may take so many
+    seconds.
     """
     idle: dict[asyncio.BaseTransport, asyncio.TimerHandle] = {}
 
@@ -303,17 +281,10 @@ def _abort(transport: asyncio.BaseTransport) -> None:
 def serve(
     settings: Settings, watch: Watch, *, bind: str, port: int, ready: Callable[[str, int], None]
 ) -> None:
-    """Serve the page until SIGINT or SIGTERM.
+    """Serve the page until SIGINT or SIGTERM; the watch is closed at the end.
 
-    Args:
-        settings: What the server was told.
-        watch: What it looks with; closed at the end.
-        bind: The address to listen at.
-        port: The port; 0 takes a free one.
-        ready: Called with address and port once the page can be opened.
-
-    Raises:
-        WebError: WEB001, it cannot listen on this address.
+    A ``port`` of 0 takes a free one; ``ready`` gets address and port once the page can be opened. Raises
+    WebError WEB001 if it cannot listen on this address.
     """
     listener = _listen(bind, port)
     with contextlib.closing(listener), watch:

@@ -27,7 +27,7 @@ from rosplc.layout import (
     SequenceNode,
     StringNode,
     StructNode,
-)
+)  # fmt: skip
 from rosplc.model import TypeStore
 from rosplc.shm import Attached, Direction, Namespace, OwnedChannel, Region, Writer
 from rosplc.shm import attach as attach_object
@@ -108,8 +108,7 @@ def shown(value: Any, elements: int = _ELEMENTS) -> Any:
 def from_form(form: dict[str, Any], value: Any) -> Any:
     """Return what a page sent with text turned back into the numbers it stands for.
 
-    Nothing is checked here: a value that is no number, or does not fit, is refused by the layout,
-    which names the field.
+    Nothing is checked here: the layout refuses what is no number or does not fit, and names the field.
     """
     kind = form["kind"]
     if kind == "struct" and isinstance(value, dict):
@@ -132,14 +131,9 @@ def from_form(form: dict[str, Any], value: Any) -> Any:
 def refuse_unsafe(form: dict[str, Any], value: Any, path: str = "", *, not_finite: bool = False) -> None:
     """Refuse numbers that a machine should not get by a slip of the keyboard.
 
-    Args:
-        form: A node of :func:`form_of`.
-        value: What a page sent for it.
-        path: The node's path, for the error.
-        not_finite: Whether ``nan`` and ``inf`` are meant.
-
-    Raises:
-        LayoutError: LAY006, a number is too large for its type, or not finite without being meant.
+    ``form`` is a node of :func:`form_of`, ``path`` its path for the error; ``not_finite``: ``nan`` and
+    ``inf`` are meant. Raises LayoutError LAY006: a number is too large for its type, or not finite without
+    being meant.
     """
     if form["kind"] == "struct":
         for member in form["members"]:
@@ -173,7 +167,7 @@ def write_message(
     """Write one message and return its sequence number.
 
     Args:
-        namespace: Where the channel lies.
+        namespace: The channel's prefix and directory.
         topic: As ROS writes it.
         layout_id: The layout that the message was made for.
         message: Nested dicts and lists; what it lacks takes its initial value. Numbers may be text.
@@ -188,12 +182,8 @@ def write_message(
     with attach_object(namespace, topic) as attached:
         layout = layout_of(attached)
         if layout.layout_id != layout_id:
-            raise WebError(
-                "WEB010",
-                "the channel has another layout than the form was made for",
-                where=topic,
-                remedy="Open the form again.",
-            )
+            what = "the channel has another layout than the form was made for"
+            raise WebError("WEB010", what, where=topic, remedy="Open the form again.")
         form = form_of(layout)
         value = from_form(form, message)
         record = bytes(layout.pack(value))
@@ -214,12 +204,8 @@ def _refuse_other_writer(attached: Attached, topic: str) -> None:
 
 
 def _claimed(topic: str, who: str) -> WebError:
-    return WebError(
-        "WEB010",
-        f"{who} holds the writer's claim",
-        where=topic,
-        remedy=f"Stop that writer. If it crashed, free its claim: `rosplc release {topic}`.",
-    )
+    remedy = f"Stop that writer. If it crashed, free its claim: `rosplc release {topic}`."
+    return WebError("WEB010", f"{who} holds the writer's claim", where=topic, remedy=remedy)
 
 
 def _name_of(pid: int) -> str:
