@@ -71,33 +71,37 @@ class Shell:
 
     def _diagnose(self) -> None:
         """Print what a person would look at when a terminal does not show what it should; end the page."""
-        for command in (
-            "rosplc status --json",
-            "rosplc list --json",
-            "rosplc status --json",
-            "ls -l /dev/shm",
-        ):
+        looks = ["rosplc status --json", "rosplc list --json", "rosplc status --json", "ls -l /dev/shm"]
+        for job in self.background:
+            looks.append(f"ps -L -o pid,tid,stat,time,wchan:24,comm -p {job.process.pid}")
+            looks.append(
+                f"gdb -p {job.process.pid} -batch -ex 'thread apply all bt'"
+            )  # where it is installed
+        for look in looks:
             with contextlib.suppress(AssertionError, OSError):
-                print(f"$ {command}\n{self.run(f'timeout 20 {command} 2>&1')[1]}")
+                print(f"$ {look}\n{self.run(f'timeout 20 {look} 2>&1')[1]}")
         self._abort()
 
     def _abort(self) -> None:
         """End every program of the page; those in Python print where their threads are."""
         for number, seconds in ((signal.SIGABRT, 2), (signal.SIGKILL, 0)):
             for process in (self.process, *(job.process for job in self.background)):
-                with contextlib.suppress(ProcessLookupError):
+                if process.poll() is None:
                     os.killpg(process.pid, number)
             time.sleep(seconds)
 
     def close(self) -> None:
         """End everything that the page started, and print what its terminals show, for a failure's report."""
+        ended = [job.process.poll() for job in self.background]
         for job in reversed(self.background):
             job.stop()
-        os.killpg(self.process.pid, signal.SIGKILL)
+        if self.process.poll() is None:
+            os.killpg(self.process.pid, signal.SIGKILL)
         self.process.communicate()
-        for job in self.background:
+        for job, status in zip(self.background, ended, strict=True):
             job.thread.join(COMMAND_SECONDS)
-            print(f"--- terminal: {job.command}\n{job.text()}")
+            how = "" if status is None else f" (it had ended with {status})"
+            print(f"--- terminal: {job.command}{how}\n{job.text()}")
 
 
 class Background:
@@ -167,6 +171,10 @@ class Background:
             os.killpg(self.process.pid, signal.SIGINT)
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self.process.wait(20)
-        with contextlib.suppress(ProcessLookupError):
+        self._end()
+
+    def _end(self) -> None:
+        """Kill what still runs; the number of a process that has been waited for may be another's by now."""
+        if self.process.poll() is None:
             os.killpg(self.process.pid, signal.SIGKILL)
         self.process.wait()
