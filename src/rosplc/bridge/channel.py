@@ -248,9 +248,8 @@ class PortToRos(ChannelPort[Reader]):
     def loss(self, count: int) -> str:
         """Describe why messages were lost; those of the time without a bridge are told apart, once."""
         missed, self._missed = min(self._missed, count), 0
-        lost = (
-            f"{count - missed} messages were lost on the way out; raise slots: (now {self.side.plan.slots})"
-        )
+        slots = self.side.plan.slots
+        lost = f"{count - missed} messages were lost on the way out; raise slots: (now {slots})"
         if not missed:
             return lost
         down = f"no bridge was running for {self._down_ns / 1e9:.3g} s: {missed} messages were not carried"

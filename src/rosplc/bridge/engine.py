@@ -11,6 +11,7 @@ import secrets
 import threading
 from collections.abc import Callable, Collection
 from contextlib import ExitStack
+from functools import partial
 
 from rosplc.bridge.carrier import Carriers, Duty, Rounds
 from rosplc.bridge.diagnostics import Diagnostics
@@ -99,14 +100,9 @@ class Bridge:
         self._started_ns = self._clock.monotonic_ns()
         adopted = sum(stream.plan.port == "channel" and stream.port.adopted for stream in self._streams)
         assert self.backend is not None
-        log.info(
-            "bridge %s carries %d topics over %s (prefix %s, %d objects adopted)",
-            self.settings.bridge,
-            len(self._streams),
-            self.backend.name,
-            self.settings.prefix,
-            adopted,
-        )
+        text = "bridge %s carries %d topics over %s (prefix %s, %d objects adopted)"
+        own = self.settings
+        log.info(text, own.bridge, len(self._streams), self.backend.name, own.prefix, adopted)
 
     def _start(self, stack: ExitStack) -> None:
         settings = self.settings
@@ -240,15 +236,10 @@ class Bridge:
         assert self.backend is not None
         assert self._carriers is not None
         before, self._types.store = self._types.store, project.store
+        show, space = partial(setattr, self, "_streams"), project.namespace
         try:
             streams = Exchange(
-                changes,
-                self._streams,
-                self._carriers,
-                self.backend,
-                project.namespace,
-                self._clock,
-                self._show,
+                changes, self._streams, self._carriers, self.backend, space, self._clock, show
             ).run()
         except BaseException:
             self._types.store = before
@@ -257,9 +248,6 @@ class Bridge:
         self._streams = tuple(sorted(streams, key=lambda stream: order.index(stream.plan.topic)))
         self._types.use(project.topics)
         self.project, self.config, self.settings = project, project.config, project.config.settings
-
-    def _show(self, streams: tuple[Stream, ...]) -> None:
-        self._streams = streams
 
     def run(self, stop: threading.Event) -> None:
         """Start, carry until ``stop`` is set, and stop. Raises RosplcError: As :meth:`start`."""

@@ -60,9 +60,8 @@ class Silence:
 
     def reported(self, now_ns: int) -> bool:
         """Return the same as it is reported: debounced."""
-        return bool(self._limit_ns) and (
-            now_ns > self.due_ns + self._debounce_ns or now_ns < self._settled_ns
-        )
+        late = now_ns > self.due_ns + self._debounce_ns
+        return bool(self._limit_ns) and (late or now_ns < self._settled_ns)
 
     def age_ns(self, now_ns: int) -> int | None:
         """Return the time since the last message; None before the first."""

@@ -90,12 +90,6 @@ def _retire(project: Project, topic: str) -> None:
         description, identity = found.description, found.identity
     if description.bridge != project.config.settings.bridge or description.topic != topic:
         return
-    channel = OwnedChannel.open(
-        project.namespace,
-        description,
-        record_size=identity.record_size,
-        slots=identity.slot_count,
-        **vars(rights(project.config)),
-    )
-    channel.retire()
+    size, slots, given = identity.record_size, identity.slot_count, vars(rights(project.config))
+    OwnedChannel.open(project.namespace, description, record_size=size, slots=slots, **given).retire()
     log.info("%s has left the configuration; its object is retired", topic)

@@ -93,11 +93,8 @@ class RosSide:
 
     def _without_effect(self) -> list[str]:
         """Return the arguments for a client library that the bridge does not follow itself."""
-        others = iter(self.arguments.others)
-        pairs = [
-            (one, next(others, "")) for one in others if one in ("-p", "--params-file", "-e", "--enclave")
-        ]
-        return [f"{name} {value}" for name, value in pairs]
+        others, unused = iter(self.arguments.others), ("-p", "--params-file", "-e", "--enclave")
+        return [f"{name} {next(others, '')}" for name in others if name in unused]
 
 
 class LiveTypes:

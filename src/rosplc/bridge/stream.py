@@ -305,9 +305,8 @@ class ToRos(Stream):
         if plan.on_stale.action == "substitute":
             stale = plan.on_stale
             self._payload = self.codec.encode(stale.record)
-            self._substitute = hold.Substitute(
-                self.silence, stale.period_ns, self._send_substitute, self._substitutes
-            )
+            send, changed = self._send_substitute, self._substitutes
+            self._substitute = hold.Substitute(self.silence, stale.period_ns, send, changed)
             layout = compute_layout(plan.layout.store, _BOOL)
             flag = Codec(layout, self.codec.wire)
             self._flags = {state: flag.encode(layout.pack({"data": state})) for state in (False, True)}

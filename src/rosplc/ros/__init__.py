@@ -93,11 +93,9 @@ def open_backend(
     try:
         module = load(name)
     except ImportError as error:
-        raise BackendError(
-            "ROS001",
-            f"the package of backend {name} is not installed: {error}",
-            remedy=f"For {name}: {INSTALL.get(name, 'a complete rosplc')}.",
-        ) from error
+        what = f"the package of backend {name} is not installed: {error}"
+        remedy = f"For {name}: {INSTALL.get(name, 'a complete rosplc')}."
+        raise BackendError("ROS001", what, remedy=remedy) from error
     others = {"remap": remap, "environment": environment, "options": options, "clock": clock}
     backend: Backend = module.open_backend(store, node_name, namespace, domain, **others)
     return backend

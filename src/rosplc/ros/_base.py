@@ -13,15 +13,8 @@ from typing import Any, Literal, TypeVar
 from rosplc.clock import SYSTEM, Clock
 from rosplc.errors import BackendError
 from rosplc.harmless import one_line
-from rosplc.ros.backend import (
-    EndpointInfo,
-    EndpointStatus,
-    GraphInfo,
-    OnMessage,
-    Qos,
-    TypeSource,
-    incompatibility,
-)
+from rosplc.ros import backend
+from rosplc.ros.backend import EndpointInfo, EndpointStatus, GraphInfo, OnMessage, Qos, TypeSource
 from rosplc.ros.names import join, resolve_topic, validate_namespace, validate_node_name
 
 MOST_REASONS = 8  # Peers of one topic that a reason names; the others are counted.
@@ -137,7 +130,7 @@ def explain(
     if matched:
         return None
     offered, requested = (peer.qos, ours.qos) if peer.direction == "out" else (ours.qos, peer.qos)
-    problems = [*filter(None, [incompatibility(offered, requested)]), *peer.obstacles]
+    problems = [*filter(None, [backend.incompatibility(offered, requested)]), *peer.obstacles]
     return ("ROS004", f"{does}, but {'; '.join(problems)}") if problems else None
 
 
@@ -404,11 +397,9 @@ class BaseNode:
 
 def check_ros(name: str, store: TypeSource, *, ros1: bool = False) -> None:
     """Refuse (ROS001) types of the other ROS."""
-    if (store.distro == "noetic") is ros1:
-        return
-    if ros1:
+    if ros1 and store.distro != "noetic":
         what = f"the {name} backend speaks ROS 1; {store.distro or 'this type store'} is ROS 2"
         raise BackendError("ROS001", what, remedy="Set ros.distro to noetic.")
-    raise BackendError(
-        "ROS001", f"the {name} backend speaks ROS 2; noetic is ROS 1", remedy="Set ros.distro."
-    )
+    if not ros1 and store.distro == "noetic":
+        what = f"the {name} backend speaks ROS 2; noetic is ROS 1"
+        raise BackendError("ROS001", what, remedy="Set ros.distro.")

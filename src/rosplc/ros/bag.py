@@ -20,7 +20,7 @@ from rosbags.rosbag2 import Reader as Reader2
 from rosbags.typesys import Stores, get_types_from_idl, get_typestore
 
 from rosplc.errors import BackendError
-from rosplc.ros.backend import Qos
+from rosplc.ros.backend import Durability, Qos, Reliability
 from rosplc.ros.plain_file import unreadable_kind
 
 # A closed list had holes: SQLite's wrapper and the decompressors below rosbags have errors of their own.
@@ -181,13 +181,9 @@ def _publisher(ext: Any) -> tuple[tuple[str, ...], tuple[Qos, ...]]:
         return node, (Qos(durability="transient_local" if ext.latching else "volatile", depth=1),)
     offered = []
     for theirs in ext.offered_qos_profiles:
-        reliable = theirs.reliability.name != "BEST_EFFORT"
-        latched = theirs.durability.name == "TRANSIENT_LOCAL"
-        offered.append(
-            Qos(
-                "reliable" if reliable else "best_effort",
-                "transient_local" if latched else "volatile",
-                min(max(1, theirs.depth), 100_000),
-            )
+        reliability: Reliability = "best_effort" if theirs.reliability.name == "BEST_EFFORT" else "reliable"
+        durability: Durability = (
+            "transient_local" if theirs.durability.name == "TRANSIENT_LOCAL" else "volatile"
         )
+        offered.append(Qos(reliability, durability, min(max(1, theirs.depth), 100_000)))
     return (), tuple(offered)

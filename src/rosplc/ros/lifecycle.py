@@ -13,16 +13,8 @@ from dataclasses import replace
 from typing import Any
 
 from rosplc.errors import BackendError
-from rosplc.ros.backend import (
-    Backend,
-    EndpointStatus,
-    GraphInfo,
-    OnMessage,
-    Publisher,
-    Qos,
-    Subscription,
-    ended_for_good,
-)
+from rosplc.ros import backend
+from rosplc.ros.backend import Backend, EndpointStatus, GraphInfo, OnMessage, Publisher, Qos, Subscription
 
 _INACTIVE = "the node is not active"
 _SUMMED = ("messages", "dropped", "rejected", "failed")
@@ -166,7 +158,7 @@ class LifecycleBackend:
     @property
     def ended(self) -> str:
         """Why the node has left the graph for good; empty if it has not."""
-        return ended_for_good(self._inner)
+        return backend.ended_for_good(self._inner)
 
     def graph(self) -> GraphInfo:
         """Return what is seen of the other nodes."""

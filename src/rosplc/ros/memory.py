@@ -13,18 +13,8 @@ import threading
 from collections import deque
 from typing import Any
 
-from rosplc.ros._base import (
-    BaseEndpoint,
-    BaseNode,
-    BasePublisher,
-    Context,
-    Problem,
-    QueuedSubscription,
-    domain_number,
-    explain,
-    graph_info,
-    opener,
-)
+from rosplc.ros import _base
+from rosplc.ros._base import BaseEndpoint, BaseNode, BasePublisher, Context, Problem, QueuedSubscription
 from rosplc.ros.backend import EndpointInfo, GraphInfo, OnMessage, Qos
 
 _domains: dict[int, list[MemoryBackend]] = {}
@@ -50,7 +40,7 @@ class _Endpoint(BaseEndpoint):
 
     def peers(self) -> list[Any]:
         """Return the endpoints that messages are exchanged with."""
-        return [other for other in self.others() if explain(other.info, self) is None]
+        return [other for other in self.others() if _base.explain(other.info, self) is None]
 
     def _matched(self) -> int:
         with _graph:
@@ -103,7 +93,7 @@ class MemoryBackend(BaseNode):
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
-        self.domain = domain = domain_number(context.domain, context.environment) or 0
+        self.domain = domain = _base.domain_number(context.domain, context.environment) or 0
         self.news = threading.Event()  # messages wait, or the node is being closed
         self._lock = _graph
         with _graph:
@@ -144,14 +134,14 @@ class MemoryBackend(BaseNode):
     def _judge(self, endpoint: _Endpoint) -> tuple[bool, list[Problem]]:
         with _graph:
             others = endpoint.others()
-            return bool(others), [*filter(None, (explain(other.info, endpoint) for other in others))]
+            return bool(others), [*filter(None, (_base.explain(other.info, endpoint) for other in others))]
 
     def graph(self) -> GraphInfo:
         """Return what is seen of the other nodes."""
         with _graph:
             others = [backend for backend in _domains.get(self.domain, []) if backend is not self]
             infos = [endpoint.info for backend in others for endpoint in backend.endpoints()]
-        return graph_info((backend.node for backend in others), infos)
+        return _base.graph_info((backend.node for backend in others), infos)
 
     def _stop(self) -> None:
         with _graph:
@@ -165,4 +155,4 @@ class MemoryBackend(BaseNode):
 
 
 # Connect to the graph of this process; arguments, without options, as `rosplc.ros.open_backend`.
-open_backend = opener(MemoryBackend)
+open_backend = _base.opener(MemoryBackend)

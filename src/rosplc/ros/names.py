@@ -29,9 +29,8 @@ def _check(kind: str, name: str) -> None:
         if not token:
             raise _refuse(kind, name, "a / stands at its end, or two stand together")
         if not _TOKEN.match(token):
-            raise _refuse(
-                kind, name, f"{token!r} may have only letters, digits and _, and starts with no digit"
-            )
+            why = f"{token!r} may have only letters, digits and _, and starts with no digit"
+            raise _refuse(kind, name, why)
 
 
 def validate_topic(name: str) -> str:

@@ -98,9 +98,8 @@ class ReaderClaim:
             if claim == 0 and self._try(index, 0):
                 return True
         for index, (claim, beat, beat_ms) in states.items():
-            if self._silences[index].lasts((claim, beat), now_ns, silence_ns(beat_ms)) and self._try(
-                index, claim
-            ):
+            silent = self._silences[index].lasts((claim, beat), now_ns, silence_ns(beat_ms))
+            if silent and self._try(index, claim):
                 return True
         return False
 

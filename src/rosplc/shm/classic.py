@@ -18,16 +18,9 @@ from contextlib import suppress
 from pathlib import Path
 
 from rosplc.errors import ChannelError
+from rosplc.shm import files
 from rosplc.shm.classic_lock import ClassicLock, Entry, read_at, size_of, write_at
-from rosplc.shm.files import (
-    USUAL,
-    Rights,
-    create_complete,
-    describe_owner,
-    open_plain_file,
-    refuse_second_name,
-    same_file,
-)
+from rosplc.shm.files import USUAL, Rights, create_complete, open_plain_file, same_file
 from rosplc.shm.header import channel_error
 from rosplc.shm.lock import NameLock
 
@@ -76,7 +69,7 @@ class ClassicMemory:
             self.size = found.st_size
             if found.st_nlink > 1:
                 _remove_own_leftover(path.parent, self.identity)
-            refuse_second_name(self._fd, path)
+            files.refuse_second_name(self._fd, path)
             self._large_enough(found.st_size)
         except BaseException:
             self.close()
@@ -137,7 +130,7 @@ def _remove_own_leftover(directory: Path, identity: tuple[int, int]) -> None:
 def _denied(path: Path) -> ChannelError:
     return ChannelError(
         "SHM102",
-        f"the memory is {describe_owner(path)}, and this process is user {os.geteuid()}",
+        f"the memory is {files.describe_owner(path)}, and this process is user {os.geteuid()}",
         where=str(path),
         remedy="Objects of a PLC runtime that runs as root are closed to others: run the bridge as the "
         "runtime's user, or start it first and give the object to a common group with shm.group.",
@@ -204,14 +197,12 @@ class ClassicObject:
     def attach(self) -> None:
         """Open memory and semaphore, and make what is missing; raises as their classes do."""
         self.detach()
-        memory = ClassicMemory(
-            self._directory / self.name, self.record_size, write=self._write, rights=self._rights
-        )
+        place, given = self._directory, self._rights
+        memory = ClassicMemory(place / self.name, self.record_size, write=self._write, rights=given)
         try:
             if self.semaphore:
-                self.lock = ClassicLock(
-                    self.semaphore, self._recover_after_ns, rights=self._rights, directory=self._directory
-                )
+                patience = self._recover_after_ns
+                self.lock = ClassicLock(self.semaphore, patience, rights=given, directory=place)
         except BaseException:
             memory.close()
             raise

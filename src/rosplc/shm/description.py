@@ -58,16 +58,12 @@ class Description:
         if not isinstance(members, dict):
             raise channel_error(113, "self-description is not a JSON object", where)
         values: dict[str, Any] = {}
-        for name, kind in {
-            "format": str,
-            **{field.name: str for field in fields(cls)},
-            "limits": dict,
-        }.items():
+        kinds = {"format": str, **{field.name: str for field in fields(cls)}, "limits": dict}
+        for name, kind in kinds.items():
             value = members.get(name)
             if not isinstance(value, kind):
-                raise channel_error(
-                    113, f"self-description's {name!r} is missing or not a {kind.__name__}", where
-                )
+                what = f"self-description's {name!r} is missing or not a {kind.__name__}"
+                raise channel_error(113, what, where)
             values[name] = value
         if not values.pop("format").startswith("rosplc 1."):
             raise channel_error(113, "self-description's format is not rosplc 1.x", where)

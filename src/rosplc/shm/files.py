@@ -74,23 +74,14 @@ def refuse_second_name(fd: int, path: Path) -> None:
     """
     count = os.fstat(fd).st_nlink
     if count > 1:
-        raise ChannelError(
-            "SHM121",
-            f"the file at this name has {count} names: it is a hard link",
-            where=str(path),
-            remedy=f"`find {path.parent} -samefile {path}` shows the others; remove the name that is wrong.",
-        )
+        what = f"the file at this name has {count} names: it is a hard link"
+        remedy = f"`find {path.parent} -samefile {path}` shows the others; remove the name that is wrong."
+        raise ChannelError("SHM121", what, where=str(path), remedy=remedy)
 
 
 def _opening_error(error: OSError, path: Path, flags: int, denied: int) -> Exception:
-    number = {
-        errno.ENOENT: 101,
-        errno.ELOOP: 121,
-        errno.EISDIR: 121,
-        errno.ENXIO: 121,
-        errno.EACCES: denied,
-        errno.EPERM: denied,
-    }.get(error.errno or 0, 123)
+    numbers = {errno.ENOENT: 101, errno.EACCES: denied, errno.EPERM: denied}
+    number = numbers.get(error.errno or 0, 121 if error.errno in _NO_PLAIN_FILE else 123)
     if error.errno in _NO_ROOM:
         number = 117
     elif error.errno == errno.EACCES and not os.path.lexists(path):

@@ -128,17 +128,9 @@ class Identity:
     def build(self) -> bytes:
         """Return lines 0 and 1, 128 bytes, with their CRC."""
         low, high = self.layout_words
-        words = (
-            _FIXED
-            | vars(self)
-            | {
-                "layout_id_lo": low,
-                "layout_id_hi": high,
-                "creator_pid": self.creator_pid & 0xFFFFFFFF,
-                "created_lo": self.created_ns & 0xFFFFFFFF,
-                "created_hi": self.created_ns >> 32,
-            }
-        )
+        words = _FIXED | vars(self) | {"layout_id_lo": low, "layout_id_hi": high}
+        words |= {"created_lo": self.created_ns & 0xFFFFFFFF, "created_hi": self.created_ns >> 32}
+        words["creator_pid"] &= 0xFFFFFFFF
         image = _FORMAT.pack(*(words[name] for name in _NAMES))
         return image[:108] + struct.pack("<I", _crc(image)) + image[112:]
 

@@ -69,9 +69,8 @@ class Namespace:
         """
         start = f"{self.prefix}.t."
         try:
-            return sorted(
-                entry.name for entry in Path(self.directory).iterdir() if entry.name.startswith(start)
-            )
+            names = [entry.name for entry in Path(self.directory).iterdir()]
+            return sorted(name for name in names if name.startswith(start))
         except OSError as error:
             raise channel_error(123, f"cannot list: {error.strerror}", str(self.directory)) from error
 

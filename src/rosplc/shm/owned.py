@@ -19,20 +19,12 @@ from pathlib import Path
 from rosplc._core import Reader, Writer
 from rosplc.errors import ChannelError
 from rosplc.shm import constants as spec
+from rosplc.shm import files
 from rosplc.shm.attach import Mapped
 from rosplc.shm.claims import start_of, take_over_line, take_over_writer
 from rosplc.shm.constants import Direction
 from rosplc.shm.description import Description
-from rosplc.shm.files import (
-    Rights,
-    create_complete,
-    describe_status,
-    open_plain_file,
-    read_header,
-    refuse_second_name,
-    same_file,
-    user_name,
-)
+from rosplc.shm.files import Rights, create_complete, open_plain_file
 from rosplc.shm.header import Identity, channel_error
 from rosplc.shm.lock import NameLock
 from rosplc.shm.names import Namespace
@@ -180,7 +172,7 @@ class OwnedChannel(Mapped):
         """
         self._lock.show()
         return (
-            same_file(self.path, *self._file)
+            files.same_file(self.path, *self._file)
             and self._lock.still_there()
             # First the size: whoever cut the object to nothing made looking at it deadly.
             and self._whole()
@@ -196,7 +188,7 @@ class OwnedChannel(Mapped):
     def retire(self) -> None:
         """Tell every process that has the object mapped to leave it, remove its name, and close."""
         self.region.store(spec.IDENTITY["state"], spec.STATE_RETIRED)
-        if same_file(self.path, *self._file):
+        if files.same_file(self.path, *self._file):
             self.path.unlink(missing_ok=True)
             self._lock.remember_object(False)
         self.close()
@@ -237,9 +229,8 @@ def _image(identity: Identity, text: bytes) -> bytes:
     if identity.direction is Direction.TO_ROS:
         # Line 0 stands for "nothing taken" from the start, so that no crash between creation and
         # claim makes the next bridge skip what the PLC has sent meanwhile.
-        struct.pack_into(
-            "<I", head, spec.reader_line(0) + spec.READER_LINE["generation"], identity.generation
-        )
+        at = spec.reader_line(0) + spec.READER_LINE["generation"]
+        struct.pack_into("<I", head, at, identity.generation)
     return bytes(head) + text
 
 
@@ -283,25 +274,22 @@ def _refuse_foreign(fd: int, path: Path, uid: int | None, ours: bool) -> None:
     """Raise SHM119, SHM121, SHM103 or SHM104 for what no bridge of this user has made."""
     status = os.fstat(fd)
     if status.st_uid not in (os.geteuid(), uid):
-        raise channel_error(119, f"user {user_name(status.st_uid)} owns it", str(path))
-    refuse_second_name(fd, path)
-    first, size = read_header(fd)
+        raise channel_error(119, f"user {files.user_name(status.st_uid)} owns it", str(path))
+    files.refuse_second_name(fd, path)
+    first, size = files.read_header(fd)
     if ours or first[:4] == spec.MAGIC.to_bytes(4, "little"):
         return
     what = f"a file of {size} bytes that no bridge has made stands at this name"
-    raise ChannelError(
-        "SHM103" if size < spec.HEADER_SIZE else "SHM104",
-        what,
-        where=str(path),
-        remedy="If nothing uses it, remove it; otherwise choose another prefix.",
-    )
+    remedy = "If nothing uses it, remove it; otherwise choose another prefix."
+    code = "SHM103" if size < spec.HEADER_SIZE else "SHM104"
+    raise ChannelError(code, what, where=str(path), remedy=remedy)
 
 
 def _difference(fd: int, description: Description, wanted: Identity, rights: Rights, where: str) -> str:
     """Say why an object cannot be adopted (section 8.3); empty if it can."""
     status = os.fstat(fd)
     uid = os.geteuid() if rights.uid is None else rights.uid
-    first, size = read_header(fd)
+    first, size = files.read_header(fd)
     try:
         found = Identity.parse(first, size, direction=wanted.direction, where=where)
     except ChannelError as error:
@@ -310,7 +298,7 @@ def _difference(fd: int, description: Description, wanted: Identity, rights: Rig
     here = status.st_uid, status.st_gid, stat.S_IMODE(status.st_mode)
     if here != (uid, group, stat.S_IMODE(rights.mode)):
         # Named, as it may have been open to everybody until now.
-        return f"owner, group or mode differ: it was {describe_status(status)}"
+        return f"owner, group or mode differ: it was {files.describe_status(status)}"
     for name in ("layout_id", "record_size", "slot_count", "slot_stride"):
         if getattr(found, name) != getattr(wanted, name):
             return f"{name} was {getattr(found, name)}, now {getattr(wanted, name)}"
@@ -340,14 +328,11 @@ def _word(fd: int, offset: int) -> int:
 
 def retire_file(fd: int) -> None:
     """Set an object to RETIRED in place, before another takes its name (M19)."""
-    first, size = read_header(fd)
+    first, size = files.read_header(fd)
     # Of LIVE and RETIRED only one byte differs, so this is one access whatever the kernel copies with.
     # What is not ours by its magic is left as it is.
-    if (
-        size >= spec.HEADER_SIZE
-        and int.from_bytes(first[:4], "little") == spec.MAGIC
-        and first[12:16] != _state(spec.STATE_RETIRED)
-    ):
+    ours = size >= spec.HEADER_SIZE and int.from_bytes(first[:4], "little") == spec.MAGIC
+    if ours and first[12:16] != _state(spec.STATE_RETIRED):
         os.pwrite(fd, _state(spec.STATE_RETIRED), spec.IDENTITY["state"])
 
 

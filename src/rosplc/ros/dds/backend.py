@@ -16,17 +16,8 @@ from cyclonedds.qos import Qos as DdsQos
 from cyclonedds.sub import DataReader
 from cyclonedds.sub import Subscriber as SubscriberGroup
 
-from rosplc.ros._base import (
-    SETTLE_NS,
-    BaseNode,
-    Context,
-    Problem,
-    describe,
-    differs,
-    explain,
-    graph_info,
-    opener,
-)
+from rosplc.ros import _base
+from rosplc.ros._base import BaseNode, Context, Problem
 from rosplc.ros.backend import EndpointInfo, GraphInfo, OnMessage, Qos
 from rosplc.ros.dds import domain as domains
 from rosplc.ros.dds import native
@@ -203,14 +194,14 @@ class DdsBackend(BaseNode):
         subscription.strangers = frozenset(
             peer.handle
             for peer in self._peers.on(subscription.dds_topic, "out")
-            if differs(peer.info.type_hash, subscription.type_hash)
+            if _base.differs(peer.info.type_hash, subscription.type_hash)
         )
 
     # -- what is wrong
 
     def _tick(self, now: int) -> None:
         with self._lock:
-            due = {topic for topic, since in self._suspects.items() if now - since >= SETTLE_NS}
+            due = {topic for topic, since in self._suspects.items() if now - since >= _base.SETTLE_NS}
             self._suspects = {topic: since for topic, since in self._suspects.items() if topic not in due}
             endpoints = [endpoint for endpoint in self._endpoints if endpoint.dds_topic in due]
         for endpoint in endpoints:
@@ -231,7 +222,7 @@ class DdsBackend(BaseNode):
         """
         node = self._announcer.node_of(peer.guid)
         name = f"node {node}" if node else f"a DDS participant without a ROS node ({peer.guid[:12].hex()})"
-        if problem := explain(peer.info, endpoint, name, matched=matched):
+        if problem := _base.explain(peer.info, endpoint, name, matched=matched):
             return problem
         key = (endpoint.guid, peer.guid)
         if matched:
@@ -239,8 +230,8 @@ class DdsBackend(BaseNode):
             return None
         if self._settling(key):
             self._suspects.setdefault(peer.dds_topic, self.clock.monotonic_ns())
-            return "", f"{describe(peer.info, name)}, not matched yet"
-        return "ROS003", f"{describe(peer.info, name)} with another definition"
+            return "", f"{_base.describe(peer.info, name)}, not matched yet"
+        return "ROS003", f"{_base.describe(peer.info, name)} with another definition"
 
     def graph(self) -> GraphInfo:
         """Return what is seen of the other nodes."""
@@ -250,7 +241,7 @@ class DdsBackend(BaseNode):
                 if ros_topic(peer.dds_topic) is not None:
                     yield replace(peer.info, node=self._announcer.node_of(peer.guid))
 
-        return graph_info(self._announcer.nodes(), infos())
+        return _base.graph_info(self._announcer.nodes(), infos())
 
     def _stop(self) -> None:
         self._waitset.wake()
@@ -266,4 +257,4 @@ class DdsBackend(BaseNode):
 
 
 # Connect to a ROS 2 graph; arguments and errors as for `rosplc.ros.open_backend`; no options.
-open_backend = opener(DdsBackend)
+open_backend = _base.opener(DdsBackend)

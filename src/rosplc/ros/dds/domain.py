@@ -61,9 +61,8 @@ def domain_id(domain: int | None, environment: Mapping[str, str]) -> int:
 def _discovery_range(environment: Mapping[str, str]) -> str:
     local = environment.get("ROS_LOCALHOST_ONLY") or "0"
     if local not in ("0", "1"):
-        raise BackendError(
-            "ROS010", f"ROS_LOCALHOST_ONLY is {local!r}; it is 0 or 1", where="ROS_LOCALHOST_ONLY"
-        )
+        what = f"ROS_LOCALHOST_ONLY is {local!r}; it is 0 or 1"
+        raise BackendError("ROS010", what, where="ROS_LOCALHOST_ONLY")
     if local == "1":  # older, but where it is set it wins (rcl, discovery_options.c)
         return "LOCALHOST"
     name = "ROS_AUTOMATIC_DISCOVERY_RANGE"
@@ -151,9 +150,7 @@ def check_peers(environment: Mapping[str, str], distro: str) -> None:
 def _static_peers(environment: Mapping[str, str]) -> list[str]:
     if environment.get("ROS_LOCALHOST_ONLY") == "1":
         return []
-    return [
-        peer for peer in (part.strip() for part in environment.get("ROS_STATIC_PEERS", "").split(";")) if peer
-    ]
+    return [*filter(None, map(str.strip, environment.get("ROS_STATIC_PEERS", "").split(";")))]
 
 
 _logger = logging.getLogger("rosplc.ros.dds")
@@ -204,17 +201,15 @@ def enter(number: int, config: str) -> None:
         if (entry := _domains.get(number)) is not None:
             entry.users += 1
             if entry.config != config:
-                _logger.warning(
-                    "domain %d is in use with another configuration, which stays in force", number
-                )
+                text = "domain %d is in use with another configuration, which stays in force"
+                _logger.warning(text, number)
             return
         try:
             _domains[number] = _Entry(Domain(number, config), config)
         except DDSException as error:
             if error.code == DDSException.DDS_RETCODE_PRECONDITION_NOT_MET:
-                _logger.warning(
-                    "domain %d was opened by other code in this process; its configuration stays", number
-                )
+                text = "domain %d was opened by other code in this process; its configuration stays"
+                _logger.warning(text, number)
                 return
             remedy = "Check CYCLONEDDS_URI and the network interfaces; the library's own words are on stderr."
             raise native.refusal(f"cannot join domain {number}", error, remedy=remedy) from error

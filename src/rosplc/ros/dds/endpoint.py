@@ -117,14 +117,12 @@ class DdsPublisher(BasePublisher, _Endpoint):
 
     def _warn_large(self, size: int) -> None:
         self._large = sys.maxsize
-        self._node.logger.warning(
+        text = (
             "%s: a message of %d bytes does not fit into a default receive buffer (net.core.rmem_default, %d "
             "bytes): subscribers on Fast DDS lose parts of it; best_effort ones lose the message. "
-            "Raise net.core.rmem_default on their machines, or let them subscribe reliable",
-            self.topic,
-            size,
-            self._buffer,
+            "Raise net.core.rmem_default on their machines, or let them subscribe reliable"
         )
+        self._node.logger.warning(text, self.topic, size, self._buffer)
 
     def write(self, payload: bytes, stamp_ns: int | None = None) -> bool:
         """Send one message; see :meth:`rosplc.ros.backend.Publisher.write`."""

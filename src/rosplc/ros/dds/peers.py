@@ -79,24 +79,16 @@ class PeerTable:
         direction = "out" if which == 0 else "in"
         changed: set[str] = set()
 
-        def see(
-            guid: bytes,
-            participant: bytes,
-            _: int,
-            topic: str | None,
-            kind: str | None,
-            said: Any,
-            info: Any,
-            __: Any,
-        ) -> None:
+        def see(guid: bytes, participant: bytes, *shown: Any) -> None:
+            _, topic, kind, said, info, _ = shown
             if participant == self._own:
                 return
             if _gone(info):
                 changed.update(self._forget(guid))
             elif topic is not None and kind is not None and said is not None:
                 name, kind = ros_topic(topic) or topic, ros_type_name(kind)
-                shown = EndpointInfo(name, kind, direction, "", *said)  # type: ignore[arg-type]
-                peer = Peer(guid, info.instance_handle, topic, shown)
+                endpoint = EndpointInfo(name, kind, direction, "", *said)  # type: ignore[arg-type]
+                peer = Peer(guid, info.instance_handle, topic, endpoint)
                 with self._lock:
                     self._peers[guid] = peer
                     self._by_topic.setdefault((topic, direction), {})[guid] = peer

@@ -13,18 +13,8 @@ from rclpy.subscription import Subscription as NativeSubscription
 
 from rosplc.clock import SYSTEM, Clock
 from rosplc.errors import BackendError, RosplcError
-from rosplc.ros._base import (
-    BaseNode,
-    Context,
-    Problem,
-    check_ros,
-    describe,
-    domain_number,
-    explain,
-    graph_info,
-    listed,
-    opener,
-)
+from rosplc.ros import _base
+from rosplc.ros._base import BaseNode, Context, Problem
 from rosplc.ros.backend import EndpointInfo, GraphInfo, OnMessage, Qos, TypeSource
 from rosplc.ros.names import join, validate_namespace, validate_node_name
 from rosplc.ros.rclpy.endpoint import RclpyPublisher, RclpySubscription, create, profile, read_peers
@@ -92,10 +82,8 @@ class RclpyBackend(BaseNode):
         return self, full, name, qos, self._store.type_hash(name)
 
     def _open(self, endpoint: RclpyEndpoint, make: Callable[..., Any]) -> None:
-        native = profile(endpoint.qos)
-        make = partial(
-            make, self._classes[endpoint.type_name], endpoint.topic, native, callback_group=self._group
-        )
+        native, kind = profile(endpoint.qos), self._classes[endpoint.type_name]
+        make = partial(make, kind, endpoint.topic, native, callback_group=self._group)
         with self._lock:
             self._usable()
             try:
@@ -122,9 +110,8 @@ class RclpyBackend(BaseNode):
         super().forget(endpoint)
         self._since.pop(endpoint, None)
         node, entity = self._node, endpoint.entity
-        destroy = partial(
-            self._destroy, node.destroy_subscription if endpoint.direction == "in" else node.destroy_publisher
-        )
+        by_node = node.destroy_subscription if endpoint.direction == "in" else node.destroy_publisher
+        destroy = partial(self._destroy, by_node)
         # On the executor's thread, which would else meet a half-destroyed entity in its wait set.
         try:
             node.executor.create_task(partial(destroy, entity))
@@ -157,7 +144,7 @@ class RclpyBackend(BaseNode):
 
     def _compared(self, endpoint: RclpyEndpoint) -> tuple[list[EndpointInfo], list[Problem]]:
         peers = self._peers(endpoint.topic, "out" if endpoint.direction == "in" else "in")
-        return peers, [*filter(None, (explain(peer, endpoint, _name(peer)) for peer in peers))]
+        return peers, [*filter(None, (_base.explain(peer, endpoint, _name(peer)) for peer in peers))]
 
     def _judge(self, endpoint: RclpyEndpoint) -> tuple[bool, list[Problem]]:
         if self._lost:
@@ -171,13 +158,13 @@ class RclpyBackend(BaseNode):
         if short <= 0:
             self._since.pop(endpoint, None)
             return []
-        found = [describe(peer, _name(peer)) for peer in peers]
+        found = [_base.describe(peer, _name(peer)) for peer in peers]
         if self._settling(endpoint):
-            return [("", f"{listed(found)}, not matched yet")]
+            return [("", f"{_base.listed(found)}, not matched yet")]
         why = "with another definition, or kept out by access rules"
         if short == len(peers):
             return [("ROS003", f"{each} {why}") for each in found]
-        return [("ROS003", f"{short} of {len(peers)} peers {why}: {listed(found)}")]
+        return [("ROS003", f"{short} of {len(peers)} peers {why}: {_base.listed(found)}")]
 
     def _look(self, endpoint: RclpyEndpoint) -> None:
         """Log once what the middleware's event is about; on the executor's thread."""
@@ -202,7 +189,7 @@ class RclpyBackend(BaseNode):
         except RuntimeError as error:  # InvalidHandle too: closed at this moment
             self.logger.debug("the graph could not be read: %s", error)
             return GraphInfo()
-        return graph_info({join(namespace, name) for name, namespace in names} - {self.node}, found)
+        return _base.graph_info({join(namespace, name) for name, namespace in names} - {self.node}, found)
 
     def lose(self) -> None:
         """Note that the context is gone."""
@@ -242,10 +229,10 @@ def from_node(node: Any, store: TypeSource, *, remap: Mapping[str, str] | None =
 
 
 def _open(context: Context) -> RclpyBackend:
-    check_ros("rclpy", context.store)
+    _base.check_ros("rclpy", context.store)
     ros_args, parameters = read_options(context.options)
     name, namespace = validate_node_name(context.node_name), validate_namespace(context.namespace)
-    number = domain_number(context.domain, context.environment)
+    number = _base.domain_number(context.domain, context.environment)
     try:
         own = OwnNode(name, namespace, number, ros_args, context.clock)
     except Exception as error:
@@ -266,4 +253,4 @@ def _open(context: Context) -> RclpyBackend:
 # Arguments and errors are those of `rosplc.ros.open_backend`. `environment` serves for
 # `ROS_DOMAIN_ID` alone: everything else (RMW_IMPLEMENTATION, ROS_SECURITY_*, discovery) the
 # middleware reads from the process. `options` are described in `rosplc.ros.rclpy.spin.read_options`.
-open_backend = opener(_open)
+open_backend = _base.opener(_open)

@@ -35,15 +35,12 @@ def message_class(type_name: str) -> Any:
         ) from error
     found = getattr(module, name, None)
     if found is None:
-        raise BackendError(
-            "ROS011", f"the installed package {package} has no message {name} ({module.__file__})"
-        )
+        what = f"the installed package {package} has no message {name} ({module.__file__})"
+        raise BackendError("ROS011", what)
     if not hasattr(found, "get_fields_and_field_types"):
-        raise BackendError(
-            "ROS011",
-            f"the package {package} that Python finds is not one of ROS 2 ({module.__file__})",
-            remedy="Keep ROS 1's packages out of PYTHONPATH, and source the setup.bash of ROS 2 last.",
-        )
+        what = f"the package {package} that Python finds is not one of ROS 2 ({module.__file__})"
+        remedy = "Keep ROS 1's packages out of PYTHONPATH, and source the setup.bash of ROS 2 last."
+        raise BackendError("ROS011", what, remedy=remedy)
     return found
 
 
@@ -87,11 +84,9 @@ class MessageClasses:
         theirs = list(message_class(message.name).get_fields_and_field_types().items())
         ours = [(field.name, field_text(field.type)) for field in message.fields]
         if ours != theirs:
-            raise BackendError(
-                "ROS012",
-                f"{message.name} is installed with another definition than the bridge has ("
-                f"{self._store.distro}): {_first_difference(ours, theirs)}",
-            )
+            what = f"{message.name} is installed with another definition than the bridge has"
+            difference = _first_difference(ours, theirs)
+            raise BackendError("ROS012", f"{what} ({self._store.distro}): {difference}")
         for name in message.needs:
             self._compare(self._store[name], seen)
 

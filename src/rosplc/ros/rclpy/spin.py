@@ -40,9 +40,8 @@ def read_options(options: Mapping[str, object]) -> tuple[list[str], Mapping[str,
         raise BackendError("ROS013", f"ros.rclpy.ros_args is {arguments!r}; it is a list of strings")
     parameters = options.get("parameters", {})
     if not isinstance(parameters, Mapping) or not all(map(_is_shown, parameters.values())):
-        raise BackendError(
-            "ROS013", f"ros.rclpy.parameters is {parameters!r}; it maps names to strings or lists of strings"
-        )
+        what = f"ros.rclpy.parameters is {parameters!r}; it maps names to strings or lists of strings"
+        raise BackendError("ROS013", what)
     return [one for one in arguments if one != "--ros-args"], parameters
 
 

@@ -82,11 +82,8 @@ class RospyBackend(BaseNode):
             definition = Definition(name, self._store.md5(name), self._store.definition_text(name))
             known = self._topics[kind.direction, full] = kind(self, full, definition)
         elif known.definition.type_name != name:
-            raise BackendError(
-                "ROS002",
-                f"{self.node} has {full} as {known.definition.type_name} already; {name} is another type",
-                remedy="A node of ROS 1 has one type for each topic.",
-            )
+            what = f"{self.node} has {full} as {known.definition.type_name} already; {name} is another type"
+            raise BackendError("ROS002", what, remedy="A node of ROS 1 has one type for each topic.")
         return known
 
     def _adopt(self, endpoint: RospySubscription | RospyPublisher) -> None:
@@ -226,21 +223,19 @@ class RospyBackend(BaseNode):
             for link in incoming.links()
             if link.latching
         }
-        tables: tuple[tuple[Literal["in", "out"], dict[str, frozenset[str]]], ...] = (
-            ("in", state.subscribers),
-            ("out", state.publishers),
-        )
 
-        def infos() -> Iterator[EndpointInfo]:
-            for direction, table in tables:
-                for topic, nodes in table.items():
-                    kind = ros2_name(state.types.get(topic, ANY))
-                    for node in nodes - {self.node}:
-                        durable = direction == "out" and (topic, node) in latching
-                        qos = Qos(durability="transient_local" if durable else "volatile", depth=1)
-                        yield EndpointInfo(topic, kind, direction, node, qos)
+        def infos(
+            direction: Literal["in", "out"], table: dict[str, frozenset[str]]
+        ) -> Iterator[EndpointInfo]:
+            for topic, nodes in table.items():
+                kind = ros2_name(state.types.get(topic, ANY))
+                for node in nodes - {self.node}:
+                    durable = direction == "out" and (topic, node) in latching
+                    qos = Qos(durability="transient_local" if durable else "volatile", depth=1)
+                    yield EndpointInfo(topic, kind, direction, node, qos)
 
-        found = graph_info(state.nodes - {self.node}, infos())
+        endpoints = (*infos("in", state.subscribers), *infos("out", state.publishers))
+        found = graph_info(state.nodes - {self.node}, endpoints)
         told = {topic: tuple(kind for kind in kinds if kind != ANY) for topic, kinds in found.topics.items()}
         return replace(found, topics=told)
 

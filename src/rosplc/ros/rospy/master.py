@@ -142,9 +142,8 @@ def call(server: xmlrpc.client.ServerProxy, method: str, *arguments: Any) -> Any
     try:
         code, text, value = getattr(server, method)(*arguments)
     except (OSError, http.client.HTTPException) as error:
-        raise UnreachableError(
-            getattr(error, "strerror", None) or str(error) or type(error).__name__
-        ) from error
+        why = getattr(error, "strerror", None) or str(error) or type(error).__name__
+        raise UnreachableError(why) from error
     except (xmlrpc.client.Error, ExpatError, ValueError, TypeError) as error:
         raise UnreachableError(f"its answer is none of ROS: {error}") from error
     if code != 1:

@@ -13,15 +13,8 @@ from typing import Any
 from rosplc.clock import Clock
 from rosplc.ros._base import BasePublisher
 from rosplc.ros.backend import Qos
-from rosplc.ros.rospy.handshake import (
-    ANY,
-    Topic,
-    connection_info,
-    encode_header,
-    mismatch,
-    peer_type,
-    prepare,
-)
+from rosplc.ros.rospy import handshake
+from rosplc.ros.rospy.handshake import ANY, Topic
 
 _FLUSH_NS = 500_000_000  # how long the last messages of a publisher may take to leave
 _GONE = select.POLLHUP | select.POLLERR | select.POLLRDHUP | select.POLLNVAL
@@ -141,15 +134,15 @@ class Outgoing(Topic):
     def accept(self, sock: socket.socket, header: dict[str, str]) -> str:
         """Serve a subscriber that has connected; return why not, or an empty text."""
         node = header.get("callerid", "?")[:256]
-        theirs, ours = peer_type(header), self.definition.identity
-        wrong = mismatch(node, "subscribes to", self.topic, theirs, ours)
+        theirs, ours = handshake.peer_type(header), self.definition.identity
+        wrong = handshake.mismatch(node, "subscribes to", self.topic, theirs, ours)
         if wrong is not None:
             self.strangers[node] = (self.node.clock.monotonic_ns(), wrong)
             self.node.wake()
             return f"topic {self.topic} is {ours[0]} with md5sum {ours[1]} here: {wrong[1]}"
         latching = str(int(self.latching))
         fields = {"topic": self.topic, "callerid": self.node.node, "latching": latching}
-        prepare(sock).sendall(encode_header({**fields, **self.definition.fields()}))
+        handshake.prepare(sock).sendall(handshake.encode_header({**fields, **self.definition.fields()}))
         sock.settimeout(None)
         with self._lock:
             if self._closed:
@@ -209,7 +202,7 @@ class Outgoing(Topic):
         rows = []
         for queue in self._queues:
             with contextlib.suppress(OSError):  # it ends at this moment
-                rows.append(connection_info(queue.sock, queue.node, "o", self.topic))
+                rows.append(handshake.connection_info(queue.sock, queue.node, "o", self.topic))
         return rows
 
     def close(self) -> tuple[_Queue, ...]:

@@ -108,13 +108,8 @@ class Registration:
             _logger.info("the ROS master at %s answers; node %s registers", uri, node)
             self.trouble = ""
         elif lacks:
-            _logger.warning(
-                "the ROS master at %s had forgotten %d topics of node %s (it was restarted, or they were "
-                "removed); they are registered again",
-                uri,
-                len(lacks),
-                node,
-            )
+            what = f"the ROS master at {uri} had forgotten {len(lacks)} topics of node {node}"
+            _logger.warning("%s (it was restarted, or they were removed); they are registered again", what)
         for key, topic in wanted.items():
             if isinstance(topic, Outgoing):
                 named = self._known("in", topic.topic)

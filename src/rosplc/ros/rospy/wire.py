@@ -81,9 +81,8 @@ def definition_on_wire(
                 raise BackendError("ROS017", trouble)
             clock.sleep(_PAUSE_NS)
     except UnreachableError as error:
-        raise BackendError(
-            "ROS014", f"the ROS master at {address.master} does not answer: {error}"
-        ) from error
+        what = f"the ROS master at {address.master} does not answer: {error}"
+        raise BackendError("ROS014", what) from error
     finally:
         master.close()
 

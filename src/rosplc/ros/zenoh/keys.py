@@ -27,16 +27,8 @@ from typing import Any, Literal, NamedTuple
 import xxhash
 
 from rosplc.errors import BackendError
-from rosplc.ros import _base
+from rosplc.ros import _base, names
 from rosplc.ros.backend import Durability, EndpointInfo, GraphInfo, Qos, Reliability
-from rosplc.ros.names import (
-    dds_type_name,
-    join,
-    ros_type_name,
-    validate_namespace,
-    validate_node_name,
-    validate_topic,
-)
 
 NO_TYPE_HASH = "TypeHashNotSupported"  # Stands for the type hash on Humble, which has none.
 LONGEST_TOKEN = 2048  # Characters of a token; ROS' own names leave it far below.
@@ -53,7 +45,7 @@ _NODE_PARTS, _ENDPOINT_PARTS = 9, 13  # later releases may append more
 
 def topic_key(domain: int, topic: str, type_name: str, type_hash: str) -> str:
     """Return the key that a topic's messages are put on."""
-    return f"{domain}/{topic.strip('/')}/{dds_type_name(type_name)}/{type_hash}"
+    return f"{domain}/{topic.strip('/')}/{names.dds_type_name(type_name)}/{type_hash}"
 
 
 def _mangle(name: str) -> str:
@@ -159,7 +151,7 @@ class Entity:
     @property
     def full_name(self) -> str:
         """The node's full name."""
-        return join(self.namespace, self.node)
+        return names.join(self.namespace, self.node)
 
     @property
     def info(self) -> EndpointInfo:
@@ -176,7 +168,7 @@ class Entity:
         if self.qos is not None:
             parts += [
                 _mangle(self.topic),
-                dds_type_name(self.type_name),
+                names.dds_type_name(self.type_name),
                 self.type_hash,
                 encode_qos(self.qos),
             ]
@@ -210,18 +202,18 @@ def parse_token(token: str) -> Entity | None:
     details: tuple[Any, ...] = ()
     try:
         # Written by releases that leave the root namespace without its slash.
-        validate_namespace(namespace := _demangle(namespace) or "/")
-        validate_node_name(node := _demangle(node))
+        names.validate_namespace(namespace := _demangle(namespace) or "/")
+        names.validate_node_name(node := _demangle(node))
         if kind != "NN":
             if kind not in ("MP", "MS"):
                 raise ValueError("it is of no known kind")
             if len(parts) < _ENDPOINT_PARTS:
                 raise ValueError("it names no topic")
             topic, type_name, type_hash, qos = parts[_NODE_PARTS:_ENDPOINT_PARTS]
-            validate_topic(topic := _demangle(topic))
+            names.validate_topic(topic := _demangle(topic))
             if not _TYPE.match(type_name := _demangle(type_name)) or not _HASH.match(type_hash):
                 raise ValueError("its type or type hash is none")
-            details = (topic, ros_type_name(type_name), type_hash, decode_qos(qos))
+            details = (topic, names.ros_type_name(type_name), type_hash, decode_qos(qos))
     except BackendError as error:
         raise ValueError(error.what) from error
     return Entity(int(domain), session, node_id, entity_id, kind, namespace, node, *details)  # type: ignore[arg-type]
