@@ -13,11 +13,7 @@ from rosplc.shm.lock import NameLock
 
 
 def check_names(project: Project) -> None:
-    """Try every configured name's lock: if another process holds one, nothing is disturbed.
-
-    Raises:
-        ChannelError: SHM116, or what keeps all locks from being taken.
-    """
+    """Try every configured name's lock; SHM116, with nothing disturbed, if another process holds one."""
     namespace, allowed = project.namespace, rights(project.config)
     for plan in project.topics:
         if plan.port != "channel":

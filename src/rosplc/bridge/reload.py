@@ -46,9 +46,7 @@ class Changes:
 def compare(old: Project, new: Project, used: Mapping[str, str]) -> Changes:
     """Return what changes; ``used`` are the definitions that the ROS side has been given, by type name.
 
-    Raises:
-        ConfigErrors: CFG012, for each key that cannot change while the bridge runs, and for each type
-            with another definition.
+    Raises ConfigErrors (CFG012) for keys that cannot change in a running bridge and for redefined types.
     """
     problems = Problems()
     _refuse_fixed(old, new, problems)

@@ -54,11 +54,7 @@ class RosArguments:
 
     @classmethod
     def parse(cls, arguments: Sequence[str]) -> RosArguments:
-        """Understand the ROS arguments that :func:`split_arguments` has found.
-
-        Raises:
-            ConfigError: CFG011, an argument is not valid; the text names it.
-        """
+        """Understand the arguments that :func:`split_arguments` has found; CFG011 if one is not valid."""
         rules: list[tuple[str, str, str]] = []
         environment: dict[str, str] = {}
         others: list[str] = []

@@ -62,11 +62,7 @@ class LifecycleEndpoint:
         return replace(self._before, topic=self.topic, matched=0, code=code, reason=reason)
 
     def write(self, payload: bytes, stamp_ns: int | None = None) -> bool:
-        """Send one message.
-
-        Raises:
-            BackendError: ROS009 while the backend is inactive, and as the backend's own publisher.
-        """
+        """Send one message; ROS009 while the backend is inactive, and as the backend's own publisher."""
         if (inner := self._inner) is None:
             raise BackendError("ROS009", "closed" if self._closed else _INACTIVE, where=self.topic)
         return bool(inner.write(payload, stamp_ns))

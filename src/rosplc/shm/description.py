@@ -46,11 +46,7 @@ class Description:
 
     @classmethod
     def from_json(cls, text: bytes, where: str = "") -> Description:
-        """Read a self-description; members beyond the known ones are ignored.
-
-        Raises:
-            ChannelError: SHM113 if it cannot be read, a member is missing or has a wrong type.
-        """
+        """Read a self-description; members beyond the known ones are ignored. SHM113 if it cannot be read."""
         try:
             members = json.loads(text.decode("utf-8"))
         except (ValueError, RecursionError) as error:

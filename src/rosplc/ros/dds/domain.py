@@ -92,10 +92,8 @@ def _interfaces(environment: Mapping[str, str], *, beyond: bool) -> str:
 def domain_config(environment: Mapping[str, str], distro: str, extra: str = "") -> str:
     """Return the configuration for ``dds_create_domain``: XML fragments, separated by commas.
 
-    Humble does not look at the newer variables. ``extra`` is more XML for the domain.
-
-    Raises:
-        BackendError: ROS010 if a variable's value is none that ROS knows.
+    Humble does not look at the newer variables; a value that ROS does not know is ROS010. ``extra`` is more
+    XML for the domain.
     """
     humble = distro == "humble"
     if humble:

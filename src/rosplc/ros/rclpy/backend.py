@@ -51,11 +51,7 @@ class RclpyBackend(BaseNode):
     # -- endpoints
 
     def check(self, type_name: str) -> None:
-        """Find out whether a type can be carried, without opening anything.
-
-        Raises:
-            RosplcError: TYP001, ROS011 or ROS012.
-        """
+        """Refuse a type that cannot be carried (TYP001, ROS011 or ROS012), without opening anything."""
         _ = self._classes[self._store[type_name].name]
 
     def subscribe(self, topic: str, type_name: str, qos: Qos, on_message: OnMessage) -> RclpySubscription:

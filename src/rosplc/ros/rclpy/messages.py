@@ -18,11 +18,7 @@ _NAMES = {"bool": "boolean", "byte": "octet", "char": "uint8", "float32": "float
 
 
 def message_class(type_name: str) -> Any:
-    """Import the Python class of ``package/msg/Name``.
-
-    Raises:
-        BackendError: ROS011, the ROS installation has no such package, or not this type in it.
-    """
+    """Import the class of ``package/msg/Name``; ROS011 if the ROS installation has no such type."""
     package, _, name = type_name.split("/")
     try:
         module = importlib.import_module(f"{package}.msg")
@@ -66,12 +62,7 @@ class MessageClasses:
         self._found: dict[str, Any] = {}
 
     def __getitem__(self, type_name: str) -> Any:
-        """Return a type's class.
-
-        Raises:
-            MessageTypeError: TYP001, the store does not know the type.
-            BackendError: ROS011 if it is not installed, ROS012 if it is installed with other fields.
-        """
+        """Return a type's class; TYP001, ROS011 if it is not installed, ROS012 if with other fields."""
         if type_name not in self._found:
             self._compare(self._store[type_name], set())
             self._found[type_name] = message_class(type_name)

@@ -76,14 +76,11 @@ def guard_takes(executor: Any, refused: Callable[[Any, Exception], None]) -> Non
 
 
 class OwnNode:
-    """One node that a thread of its own serves until :meth:`close`.
+    """One node that a thread of its own serves until :meth:`close`; raises what rclpy raises.
 
     Args:
         domain: The ROS domain; None leaves it to ``ROS_DOMAIN_ID``.
         ros_args: ROS arguments, as after ``--ros-args``; they apply to this node alone.
-
-    Raises:
-        Exception: Whatever rclpy raises; nothing is left behind.
     """
 
     def __init__(

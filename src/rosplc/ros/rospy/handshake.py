@@ -50,12 +50,7 @@ def encode_header(fields: Mapping[str, str]) -> bytes:
 
 
 def read_header(sock: socket.socket, timeout_s: float, clock: Clock = SYSTEM) -> dict[str, str]:
-    """Read one header and nothing behind it.
-
-    Raises:
-        HandshakeError: No valid header came within the time.
-        OSError: The connection failed.
-    """
+    """Read one header and nothing behind it. Raises OSError, HandshakeError: None came within the time."""
     deadline_ns = clock.monotonic_ns() + round(timeout_s * 1e9)
     length = int.from_bytes(_exactly(sock, 4, deadline_ns, clock), "little")
     if length > MOST_HEADER:

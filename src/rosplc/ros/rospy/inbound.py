@@ -41,12 +41,7 @@ ANY_TYPE = Definition(ANY, ANY, "")  # Of a subscriber that takes whatever a top
 
 
 def request(uri: str, caller: str, topic: str) -> tuple[str, int]:
-    """Ask a publisher's node where its bytes are to be had; return host and port.
-
-    Raises:
-        UnreachableError: The node does not answer.
-        RefusedError: It does not publish the topic.
-    """
+    """Ask a node for a topic; return host and port. Raises UnreachableError, RefusedError: Not its topic."""
     server = proxy(uri, _TIMEOUT_S)
     try:
         answer = call(server, "requestTopic", caller, topic, [["TCPROS"]])
@@ -62,12 +57,7 @@ def request(uri: str, caller: str, topic: str) -> tuple[str, int]:
 def handshake(
     place: tuple[str, int], caller: str, topic: str, definition: Definition
 ) -> tuple[socket.socket, dict[str, str]]:
-    """Connect to a publisher as a subscriber; return the connection and the publisher's header.
-
-    Raises:
-        OSError: No connection.
-        HandshakeError: No valid header.
-    """
+    """Connect as a subscriber; return the connection and the header. Raises OSError, HandshakeError."""
     sock = socket.create_connection(place, _TIMEOUT_S)
     try:
         fields = {"callerid": caller, "topic": topic, "tcp_nodelay": "1", **definition.fields()}
@@ -96,9 +86,6 @@ def cut(buffer: bytearray) -> list[bytes]:
 
 class Link:
     """The connection to one publisher, and the thread that reads from it.
-
-    Args:
-        former: The connection before it, if there was one.
 
     Attributes:
         node: The publisher's name, once its header has named it.

@@ -45,11 +45,7 @@ def is_node_uri(uri: object) -> bool:
 
 
 def read_address(environment: Mapping[str, str]) -> Address:
-    """Read ``ROS_MASTER_URI``, ``ROS_HOSTNAME`` and ``ROS_IP``.
-
-    Raises:
-        BackendError: ROS010, one of them is not valid.
-    """
+    """Read ``ROS_MASTER_URI``, ``ROS_HOSTNAME`` and ``ROS_IP``; ROS010 if one of them is not valid."""
     master = environment.get("ROS_MASTER_URI") or DEFAULT_MASTER
     if not is_node_uri(master):
         raise _wrong("ROS_MASTER_URI", master, f"something like {DEFAULT_MASTER}")
@@ -135,9 +131,7 @@ def proxy(uri: str, timeout_s: float = _TIMEOUT_S, clock: Clock = SYSTEM) -> xml
 def call(server: xmlrpc.client.ServerProxy, method: str, *arguments: Any) -> Any:
     """Call a method of ROS's API and return its value.
 
-    Raises:
-        UnreachableError: No answer, or none that ROS's API knows.
-        RefusedError: An answer with a code other than 1.
+    Raises UnreachableError without an answer that it knows, RefusedError for a code other than 1.
     """
     try:
         code, text, value = getattr(server, method)(*arguments)

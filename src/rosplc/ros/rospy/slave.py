@@ -103,11 +103,7 @@ class _Dispatcher(SimpleXMLRPCDispatcher):
 
 
 class _Listener:
-    """Accepts connections; each is served in a thread of its own, so that a silent caller keeps none waiting.
-
-    Args:
-        most: Connections that are served at once; further ones are closed.
-    """
+    """Accepts up to ``most`` connections; each has a thread, so that a silent caller keeps none waiting."""
 
     def __init__(self, bind: str, serve: Callable[[socket.socket], None], most: int, clock: Clock) -> None:
         self._sock = socket.create_server((bind, 0), backlog=128)
@@ -159,16 +155,10 @@ class _Listener:
 
 
 class Servers:
-    """Both servers of one node, running.
-
-    Args:
-        node: The backend, with the topics that are received and sent.
+    """Both servers of one node, running. Raises OSError: There is no such address here.
 
     Attributes:
         uri: The URI of the node's XML-RPC interface, as the master is told.
-
-    Raises:
-        OSError: There is no such address here.
     """
 
     def __init__(self, address: Address, node: Any, clock: Clock = SYSTEM) -> None:

@@ -199,11 +199,7 @@ class Link:
         self.trouble = ""
 
     def start(self) -> None:
-        """Open the session, or begin to try.
-
-        Raises:
-            BackendError: ROS002 if the library refuses for another reason than an absent router.
-        """
+        """Open the session, or begin to try; ROS002 if the library refuses for more than an absent router."""
         if self._config.mode == "client":
             self._thread = threading.Thread(target=self._keep_trying, name="rosplc-zenoh-open", daemon=True)
             self._thread.start()
