@@ -53,19 +53,6 @@ def test_a_restart_adopts_and_goes_on(cell: Cell) -> None:
     assert numbers(messages) == [10, 11, 12, 13]
 
 
-def test_a_changed_layout_retires_the_old_object(cell: Cell) -> None:
-    """A PLC with the old layout is told, and the new object stands in its place."""
-    cell.start(f"  /text: {{type: {STRING}, to: plc, limits: {{data: 4}}}}\n")
-    old = cell.plc("/text")
-    cell.stop()
-    cell.start(f"  /text: {{type: {STRING}, to: plc, limits: {{data: 8}}}}\n")
-    with pytest.raises(ChannelError, match="SHM111"):
-        old.attached.valid()
-    new = cell.plc("/text")
-    cell.publisher("/text", STRING).write(wire(STRING, {"data": "12345678"}))
-    assert wait_for(new.read) == {"data": "12345678"}
-
-
 def test_two_bridges_on_one_name(cell: Cell) -> None:
     """The second is refused before it disturbs anything, even where layouts or topics differ."""
     cell.start(BOTH)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -97,11 +98,17 @@ def test_a_change_of_manner_keeps_the_object(cell: Cell, extra: str) -> None:
     assert wait_for(incoming.read) == {"data": 3}
 
 
-def test_a_changed_layout_retires_the_old_object(cell: Cell) -> None:
-    """A PLC with the old layout is told at its next call, and the new object stands in its place."""
+def restart(cell: Cell, topics: str) -> None:
+    cell.stop()
+    cell.start(topics)
+
+
+@pytest.mark.parametrize("change", [reload, restart])
+def test_a_changed_layout_retires_the_old_object(cell: Cell, change: Callable[[Cell, str], object]) -> None:
+    """A PLC with the old layout is told at its next call, and the new object takes its place."""
     cell.start(f"  /text: {{type: {STRING}, to: plc, limits: {{data: 4}}}}\n")
     old = cell.plc("/text")
-    reload(cell, f"  /text: {{type: {STRING}, to: plc, limits: {{data: 8}}}}\n")
+    change(cell, f"  /text: {{type: {STRING}, to: plc, limits: {{data: 8}}}}\n")
     with pytest.raises(ChannelError, match="SHM111"):
         old.attached.valid()
     new = cell.plc("/text")

@@ -8,7 +8,6 @@ import subprocess
 import sys
 import threading
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -34,20 +33,12 @@ from rosplc.ros.dds.graph import (
     gid_size,
 )
 from rosplc.ros.dds.idl import IdlTypes, dds_topic, ros_topic
-from tests.interop.graphs import STRING, Graph, free_domain, string
+from tests.interop.graphs import STRING, Graph, string
 from tests.lib.waiting import wait_for
 
 ROOT = Path(__file__).resolve().parents[3]
 
 ROS2 = [distro for distro in DISTROS if distro != "noetic"]
-
-
-@pytest.fixture
-def graph() -> Iterator[Graph]:
-    with free_domain() as domain:
-        graph = Graph("dds", domain)
-        yield graph
-        graph.close()
 
 
 def parsed(environment: dict[str, str], distro: str = "jazzy") -> ET.Element:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import pytest
 
 pytest.importorskip("cyclonedds", reason="no wheel of cyclonedds for this machine")
@@ -18,18 +16,10 @@ from cyclonedds.topic import Topic
 from rosplc.ros import Qos
 from rosplc.ros.dds import native
 from rosplc.ros.dds.idl import IdlTypes
-from tests.interop.graphs import STRING, Graph, free_domain
+from tests.interop.graphs import STRING, Graph
 from tests.lib.waiting import wait_for
 
 XCDR1 = Policy.DataRepresentation(use_cdrv0_representation=True)
-
-
-@pytest.fixture
-def graph() -> Iterator[Graph]:
-    with free_domain() as domain:
-        graph = Graph("dds", domain)
-        yield graph
-        graph.close()
 
 
 @pytest.mark.parametrize(

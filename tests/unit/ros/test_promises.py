@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
 
 import pytest
 
@@ -17,19 +16,11 @@ from rosplc.errors import BackendError
 from rosplc.model import TypeStore
 from rosplc.ros import Qos, incompatibility
 from rosplc.ros.memory import open_backend as open_memory
-from tests.interop.graphs import LOCAL, Graph, free_domain
+from tests.interop.graphs import LOCAL, Graph
 from tests.lib.waiting import wait_for
 
 INT = "std_msgs/msg/Int32"
 MS = 1_000_000
-
-
-@pytest.fixture
-def graph() -> Iterator[Graph]:
-    with free_domain() as domain:
-        graph = Graph("dds", domain)
-        yield graph
-        graph.close()
 
 
 @pytest.mark.parametrize(
