@@ -1,7 +1,7 @@
-"""``rosplc doctor``: looks at the machine, a configuration and what runs, and says what to do.
+"""``rosplc doctor``: examines the machine, a configuration and what runs, and suggests what to do.
 
-It only looks: nothing is claimed, locked, published or written. Each examination is a function of
-what it is given (a folder in place of ``/proc``, a mapping in place of the environment);
+It only looks: nothing is claimed, locked, published or written. Each examination is a function of what it is
+given (a folder in place of ``/proc``, a mapping in place of the environment);
 :mod:`rosplc.doctor.examination` gives them the real ones.
 """
 

@@ -1,8 +1,8 @@
-"""The configuration against the ROS graph: who is at the other end of each topic, and does it fit?
+"""The configuration against the ROS graph: are there peers for each topic, and do they fit?
 
-The doctor only looks at what discovery shows. It subscribes to nothing and publishes nothing: a
-subscriber more makes some publishers start their work, and a publisher more on a command topic is
-nothing that a healthy robot should see.
+The doctor only looks at what discovery shows. It subscribes to nothing and publishes nothing: another
+subscriber makes some publishers start their work, and a healthy robot should not see another publisher on a
+command topic.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from rosplc.ros import EndpointInfo, GraphInfo, incompatibility
 from rosplc.shm import Direction
 
 _ANY = "*"
-"""What ROS 1's master says where nobody has told the type."""
+"""The type in ROS 1's master where it is unknown."""
 
 
 @dataclass(frozen=True)

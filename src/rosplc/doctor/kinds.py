@@ -1,7 +1,7 @@
 """Everything that the doctor can find: one line per kind, from which the reference page is made.
 
-A code never changes its meaning, as with errors. Where a kind is about what a bridge would report
-too, its text names that error.
+A code never changes its meaning, as with errors. Where a kind is about what a bridge would report too, its
+text names that error.
 """
 
 from __future__ import annotations

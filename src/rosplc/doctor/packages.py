@@ -1,4 +1,4 @@
-"""What is installed: Python, the packages that rosplc stands on, and the ways into ROS."""
+"""What is installed: Python, the packages that rosplc needs, and the ways into ROS."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """What a look at the machine's channels returns: frozen data, states in a word, figures as text.
 
-The states' words and levels are those of ``/diagnostics``, seen from outside: a bridge knows its topics and
-reports more; a look reads the objects, which remain when the bridge is dead.
+The states' words and levels are those of ``/diagnostics``. A bridge knows its topics and reports more; a look
+reads the objects, which remain when the bridge is dead.
 """
 
 from __future__ import annotations

@@ -104,7 +104,7 @@ _THERE = "that process is there, but hangs"
 _YOUNG_S = 30.0
 """A bridge claims its objects, joins ROS, and only then beats."""
 _START_TIME = 19
-"""Where the start stands among the fields behind the name, in ticks since the machine's start."""
+"""Index of the start among the fields behind the name, in ticks since the machine's start."""
 
 
 def is_starting(pid: int, proc: Path = Path("/proc"), *, now_s: float | None = None) -> bool:

@@ -1,8 +1,8 @@
 """Looking again and again at every channel of the machine, without touching any.
 
-A look lists the directory, reads the control words of each object, and compares with what it saw
-before. Objects that appear, vanish, are replaced or are damaged are ordinary, and never an error. Nothing is
-claimed or written: an observer uses no reader line, and objects are mapped read-only.
+A look lists the directory, reads the control words of each object, and compares with what it saw before.
+Objects that appear, vanish, are replaced or are damaged are ordinary, and never an error. Nothing is claimed
+or written: an observer uses no reader line, and maps objects read-only.
 """
 
 from __future__ import annotations
@@ -384,14 +384,13 @@ def find_objects(
     """Look at every object of this machine.
 
     Args:
-        directory: Where the objects stand.
+        directory: The objects' folder.
         prefix: Only those of this prefix; None for all.
         seconds: How long to watch beats; bridges beat every 0.1 s by default.
         clock: What beats are judged by.
 
     Returns:
-        One state per object, sorted by prefix and topic; objects that cannot be read are
-        there with their error.
+        One state per object, sorted by prefix and topic; objects that cannot be read have their error.
 
     Raises:
         ChannelError: SHM118 if the prefix is not valid, SHM123 if the directory cannot be listed.

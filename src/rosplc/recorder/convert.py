@@ -1,7 +1,7 @@
 """Messages of one definition as messages of another: fields are matched by name, never by position.
 
-Nothing of a definition is executed, and lengths in a message are compared with what is there before
-anything is read: a recording of unknown origin may be converted.
+A recording of unknown origin may be converted: nothing of a definition is executed, and lengths in a message
+are compared with what is there before anything is read.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """Taking every message of the selected channels, in order, and making chunks of them.
 
-One thread looks at all channels at once (:class:`rosplc.shm.Group`) and does nothing but put
-messages into batches; what it missed, it counts. Objects are opened and closed by the caller of
-:meth:`Inlet.look_after`. A second thread compresses.
+One thread looks at all channels at once (:class:`rosplc.shm.Group`), puts messages into batches and counts
+what it missed. The caller of :meth:`Inlet.look_after` opens and closes objects. A second thread compresses.
 """
 
 from __future__ import annotations
@@ -59,7 +58,7 @@ _NO_COUNT = 1 << 24
 
 
 class CarriedChannel:
-    """An object, attached read-only: nobody notices that it is recorded.
+    """An object, attached read-only: recording it disturbs no one.
 
     Args:
         path: The object's file.
@@ -374,7 +373,7 @@ class Inlet:
                 entry.first = False
                 if entry.carried.since_creation and sequence < _LOSS:
                     entry.count.lost += sequence - 1  # overwritten before the new object was found
-            # A stamp of the PLC's own clock would stand beside the others as if it were of this one.
+            # A stamp by the PLC's own clock would look like one by this clock.
             usable = stamp_clock == STAMP_SYSTEM and 0 < stamp_ns < _NO_TIME
             add(entry.number, sequence, now, stamp_ns if usable else now, data)
             if entry.on_message is not None:

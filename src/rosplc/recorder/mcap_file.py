@@ -1,16 +1,15 @@
 """MCAP files: written chunk by chunk, and read although they may be cut off, damaged or hostile.
 
-The library's records are used, its ``Writer`` is not: a ring buffer keeps chunks that are finished and
-compressed, and puts them into a file when something has happened; the ``Writer`` takes messages only, and
-costs seven times as much per message, which at 20 topics × 1 kHz decides whether the reader keeps up.
+The library's records are used, its ``Writer`` is not: a ring buffer keeps compressed chunks, and puts them
+into a file when something has happened; the ``Writer`` takes messages only, and costs seven times as much per
+message, which at 20 topics × 1 kHz decides whether the reader keeps up.
 
 A file is good at every moment: what is written is whole records, and one that the disk has no room for is
 taken back. Only :meth:`McapFile.finish` adds the summary, so a file without one was cut off.
 
-:func:`survey` finds where chunks are and what topics there are: from the summary, or, where that is missing
-or does not add up, by going through the file from the front. Nothing in a file is believed: lengths are
-compared with what is there before memory is asked for, chunks are decompressed with a bound, and checksums
-are compared.
+:func:`survey` finds chunks and topics: from the summary, or, where that is missing or does not add up, by
+going through the file from the front. Nothing in a file is believed: lengths are compared with what is there
+before memory is asked for, chunks are decompressed with a bound, and checksums are compared.
 """
 
 from __future__ import annotations
@@ -325,7 +324,7 @@ def _ended(builder: RecordBuilder) -> bytes:
 
 
 MAX_CHUNK = 256 << 20
-"""Bytes that a chunk may stand for; writers make chunks of about a megabyte."""
+"""Bytes of the largest chunk, uncompressed; writers make chunks of about a megabyte."""
 
 _DAMAGE = (
     McapError, EOFError, struct.error, ValueError, KeyError, IndexError, OverflowError, TypeError,

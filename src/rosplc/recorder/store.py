@@ -1,8 +1,8 @@
 """Where chunks go: into one file or several of limited size or time, alone or as a rosbag2 folder; repair.
 
-rosbag2's storage plugin for MCAP puts a topic's QoS into the channel's metadata, and everything that
-``metadata.yaml`` says into a metadata record named ``rosbag2`` as well. Version 8 of that format is written,
-the last one with numbers for QoS policies: Humble and Iron read no other, and later releases read it too.
+rosbag2's storage plugin for MCAP puts a topic's QoS into the channel's metadata, and the content of
+``metadata.yaml`` into a metadata record named ``rosbag2`` as well. Version 8 of that format is written, the
+last one with numbers for QoS policies: Humble and Iron read no other, and later releases read it too.
 """
 
 from __future__ import annotations

@@ -1,15 +1,15 @@
-"""What makes a recording be saved: silence, errors, or a value that a message brings.
+"""What makes a recording be saved: silence, errors, or a value in a message.
 
 ::
 
-    stale                       a topic became older than it may
-    error                       refused, lost, a bridge or a PLC gone, an object damaged
-    /plc/status.fault           the field becomes true, or other than 0
-    /tank.level > 0.9           the comparison becomes true
-    /axis.names[2] == 'gripper'
+stale                       a topic became older than it may
+error                       refused, lost, a bridge or a PLC gone, an object damaged
+/plc/status.fault           the field becomes true, or other than 0
+/tank.level > 0.9           the comparison becomes true
+/axis.names[2] == 'gripper'
 
-A field triggers with the message in which its condition becomes true after one in which it was not;
-every message is looked at, also those between two looks of a slow observer.
+A field triggers with the message in which its condition becomes true after one in which it was not; every
+message is checked, also those between two looks of a slow observer.
 """
 
 from __future__ import annotations

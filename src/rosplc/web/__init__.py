@@ -1,7 +1,7 @@
 """The page of this machine's channels: live values, plots, events, and test messages where allowed.
 
-One process serves it, with the files of this package alone: no other address is asked for anything,
-nothing has to be built. It looks at channels as ``rosplc top`` does and disturbs none.
+One process serves it, with the files of this package alone: no other address is contacted, nothing has to be
+built. It looks at channels as ``rosplc top`` does and disturbs none.
 """
 
 from __future__ import annotations

@@ -100,7 +100,7 @@ SECURITY_HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Permissions-Policy": "camera=(), microphone=(), geolocation=(), usb=(), serial=()",
 }
-"""What stands in every answer."""
+"""Headers of every answer."""
 
 
 def is_loopback(address: str) -> bool:

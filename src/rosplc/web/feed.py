@@ -1,7 +1,7 @@
 """What pages want and are shown: one thread looks at the channels, and pages take what is new to them.
 
-Nothing queues. The newest picture and the newest message of each channel are kept here, events and
-plotted samples in lists that forget their oldest. A slow page misses something and costs nothing.
+Nothing queues. The newest picture and the newest message of each channel are kept here, events and plotted
+samples in lists that forget their oldest. A slow page misses something and costs nothing.
 """
 
 from __future__ import annotations

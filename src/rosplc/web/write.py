@@ -3,9 +3,9 @@
 Numbers that JavaScript's own numbers cannot hold exactly travel as text, in both directions.
 
 A claim other than 0 is never taken, however long its holder has been silent: Structured Text stores no
-process number, and a PLC in another container or at a breakpoint would find its claim gone. A person frees
-the claim of a dead PLC with ``rosplc release``. Towards the PLC the page must also get the lock of the
-object's name, which a running bridge holds.
+process number, and a PLC in another container or at a breakpoint would lose its claim. A person frees the
+claim of a dead PLC with ``rosplc release``. Towards the PLC the page must also get the lock of the object's
+name, which a running bridge holds.
 """
 
 from __future__ import annotations

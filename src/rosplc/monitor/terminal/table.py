@@ -1,7 +1,7 @@
 """The table of channels, its columns and orders, and the colours of levels.
 
-Every figure changes at every look. The widget draws the lines that are on the screen and nothing else;
-textual's own table keeps cells for all rows, and took three times the processor time.
+Every figure changes at every look. The widget draws only the lines on the screen; textual's own table keeps
+cells for all rows, and took three times the processor time.
 """
 
 from __future__ import annotations
