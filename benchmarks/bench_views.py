@@ -18,10 +18,11 @@ import statistics
 import tempfile
 import time
 from contextlib import ExitStack
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from benchmarks import measure
+from benchmarks import measure, web_page
 from benchmarks.bench_bridge import begin, latency_topics, load_config
 from benchmarks.peers import SENT, TO_ROS
 from benchmarks.processes import RosGraph, bridge, cpu_seconds, peers, ros_domain, share
@@ -168,18 +169,6 @@ def rates(
     return [measure.table(title, "% lost", "the recorder polls every 1 ms; nothing else reads", rows, facts)]
 
 
-def page(rounds: int) -> list[dict[str, Any]]:
-    """Measure the page in a browser; nothing where there is none."""
-    try:
-        from benchmarks import web_page
-    except ImportError:
-        return []
-    tables: list[dict[str, Any]] = []
-    if Path(web_page.CHROMIUM).exists():
-        tables = web_page.run(rounds)["tables"]
-    return tables
-
-
 def run(
     rounds: int,
     topics: int = TOPICS,
@@ -193,8 +182,8 @@ def run(
     """Measure in ``rounds`` rounds; returns a :func:`measure.report`."""
     before = measure.environment()
     tables = views(rounds, topics, rate, seconds, settle) + rates(rounds, topics, steps, depths, seconds)
-    if browser:
-        tables += page(rounds)
+    if browser and Path(web_page.CHROMIUM).exists() and find_spec("playwright") is not None:
+        tables += web_page.run(rounds)["tables"]
     return measure.report(tables, before)
 
 

@@ -121,9 +121,5 @@ def _machine(channels: int) -> Iterator[tuple[str, str, int]]:
         remove_objects(prefix)
 
 
-def main() -> None:
-    measure.main(run, __doc__, 5)
-
-
 if __name__ == "__main__":
-    main()
+    measure.main(run, __doc__, 5)

@@ -127,13 +127,7 @@ def _iceoryx(kind: str) -> Start:
                 path.unlink(missing_ok=True)
 
         a, b = (python_side("iceoryx", side, place.folder, prefix, kind) for side in "AB")
-        try:
-            pair = start_pair("iceoryx", place, a, b)
-        except BaseException:
-            remove()
-            raise
-        pair.on_release(remove)
-        return pair
+        return start_pair("iceoryx", place, a, b, release=remove)
 
     return start
 

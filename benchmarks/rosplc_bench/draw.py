@@ -162,12 +162,16 @@ def _lines(axes: Any, figure: Figure) -> None:
     )
 
 
+def size_text(size: float) -> str:
+    """Return a number of bytes as people read it: in MiB, KiB or B."""
+    for unit, name in ((1 << 20, "MiB"), (1 << 10, "KiB")):
+        if size >= unit:
+            return f"{size / unit:,.0f} {name}"
+    return f"{size:,.0f} B"
+
+
 def _tick(value: float, label: str) -> str:
-    if label == "bytes":
-        for unit, name in ((1 << 20, "MiB"), (1 << 10, "KiB")):
-            if value >= unit:
-                return f"{value / unit:,.0f} {name}"
-    return f"{value:,.0f}"
+    return size_text(value).removesuffix(" B") if label == "bytes" else f"{value:,.0f}"
 
 
 def _plain_numbers(axis: Any, label: str) -> None:

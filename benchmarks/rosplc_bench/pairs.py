@@ -156,13 +156,13 @@ class Pair:
     Args:
         a: Side A, which measures.
         b: Side B, which answers.
-        release: Called once, when both have ended: removes what they shared.
+        release: Called when both have ended: removes what they shared.
     """
 
     def __init__(self, a: Side, b: Side, release: Callable[[], None]) -> None:
         self.a = a
         self.b = b
-        self._releases = [release]
+        self._release = release
 
     def turn(self, arrangement: Arrangement, way: Way, cores: Sequence[int], plan: Plan) -> Turn:
         """Run the experiment once.
@@ -189,18 +189,13 @@ class Pair:
         """End both in order, and remove what they shared; a second call does nothing."""
         self.a.close()
         self.b.close()
-        while self._releases:
-            self._releases.pop()()
+        self._release()
 
     def kill(self) -> None:
         """End both by force: one of them may be waiting for a message that never comes."""
         self.a.kill()
         self.b.kill()
         self.close()
-
-    def on_release(self, release: Callable[[], None]) -> None:
-        """Have something else called when both have ended."""
-        self._releases.append(release)
 
     def __enter__(self) -> Pair:
         return self
@@ -260,7 +255,15 @@ class Contender:
     needs: Mapping[str, str] = field(default_factory=dict)
 
 
-def start_pair(name: str, place: Place, a: Sequence[str], b: Sequence[str], *, server: bool = False) -> Pair:
+def start_pair(
+    name: str,
+    place: Place,
+    a: Sequence[str],
+    b: Sequence[str],
+    *,
+    server: bool = False,
+    release: Callable[[], None] = lambda: None,
+) -> Pair:
     """Start two programs one after the other and wait for both.
 
     Args:
@@ -269,6 +272,7 @@ def start_pair(name: str, place: Place, a: Sequence[str], b: Sequence[str], *, s
         a: A's command.
         b: B's command.
         server: Whether B starts first, and A gets as a further argument what B prints: its place.
+        release: Called when both have ended, and if one does not start; calling it again must do no harm.
 
     Raises:
         SetupError: SYS002, one of them did not start.
@@ -276,6 +280,7 @@ def start_pair(name: str, place: Place, a: Sequence[str], b: Sequence[str], *, s
     with contextlib.ExitStack() as failed:
         # Both have them open by the end: without names nothing can be left behind, whatever happens then.
         failed.callback(place.remove_semaphores)
+        failed.callback(release)
 
         def start(letter: str, command: Sequence[str]) -> tuple[Side, str]:
             side = failed.enter_context(Side(f"{name}, side {letter}", command))
@@ -292,7 +297,7 @@ def start_pair(name: str, place: Place, a: Sequence[str], b: Sequence[str], *, s
             (first, _), (second, _) = start("A", a), start("B", b)
         failed.pop_all()
     place.remove_semaphores()
-    return Pair(first, second, place.remove_semaphores)
+    return Pair(first, second, release)
 
 
 def python_side(module: str, side: str, *arguments: object) -> list[str]:

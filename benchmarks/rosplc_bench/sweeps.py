@@ -26,7 +26,7 @@ from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.shm import Description, Direction, Namespace, OwnedChannel, Reader, Writer
 from rosplc_bench.compiling import compile_with_modbus
-from rosplc_bench.draw import Cell, Figure, Series
+from rosplc_bench.draw import Cell, Figure, Series, size_text
 from rosplc_bench.process import WATCHDOG_S, Side, free_port, python, reply, requests
 from rosplc_bench.protocols import ModbusClient, OpcUaClient, Variable, serve_modbus, serve_opcua
 from rosplc_bench.report import Page, Section, Table, paragraphs, text
@@ -470,7 +470,7 @@ def _table(title: str, first: str, names: Mapping[str, str], found: Medians, y: 
     points = sorted({x for values in shown.values() for x in values})
     rows: list[tuple[Cell, ...]] = [
         (
-            _size(x) if first == "size" else x,
+            size_text(x) if first == "size" else x,
             *(y(x, values[x]) if x in values else None for values in shown.values()),
         )
         for x in points
@@ -479,19 +479,12 @@ def _table(title: str, first: str, names: Mapping[str, str], found: Medians, y: 
     return Table(title, (first, *shown), tuple(rows), text("sweeps waiting"), note)
 
 
-def _size(size: int) -> str:
-    for unit, name in ((1 << 20, "MiB"), (1 << 10, "KiB")):
-        if size >= unit:
-            return f"{size // unit} {name}"
-    return f"{size} B"
-
-
 def _summary(payload: Medians, topics: Medians) -> tuple[str, ...]:
     lines = []
     if "rosplc" in payload and "memcpy" in payload:
         size = max(payload["rosplc"])
         ratio = payload["rosplc"][size] / payload["memcpy"][size]
-        lines.append(f"{_size(size)} through rosplc take {ratio:.2f} times as long as memcpy in and out.")
+        lines.append(f"{size_text(size)} through rosplc take {ratio:.2f} times as long as memcpy in and out.")
     batched, single = topics.get("rosplc-batched"), topics.get("rosplc-single")
     if batched and single:
         most = max(batched)
