@@ -6,7 +6,6 @@ import os
 import secrets
 import shutil
 import signal
-import socket
 import sys
 import time
 from collections.abc import Callable, Iterable
@@ -14,6 +13,7 @@ from pathlib import Path
 
 from rosplc.demo.domain import FreeDomain
 from rosplc.shm import Namespace
+from rosplc_bench.process import free_port
 from tests.soak.messages import (
     ALL,
     CAPACITY,
@@ -72,7 +72,7 @@ class Cell:
         self._generations = 0
         self._sender = {"publisher": 0, "plc": 0}
         self._domain = FreeDomain() if backend == "dds" else None
-        self._port = _free_port()
+        self._port = free_port()
         self.environment = self._environment()
         modules = ("tests.soak.peers", "tests.soak.plc", *(("tests.soak.st",) if plc == "st" else ()))
         self._fork_server = ForkServer(self.environment, backend, modules)
@@ -300,9 +300,3 @@ class Cell:
         for part in self.parts.values():
             if part.log.exists():
                 shutil.copy(part.log, where / part.log.name)
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])

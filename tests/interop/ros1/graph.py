@@ -37,12 +37,6 @@ PACKAGES = (
 """The Debian packages that ROS 1's peers need."""
 
 
-def free_port() -> int:
-    """Return a port that nothing listens at."""
-    with socket.create_server(("127.0.0.1", 0)) as probe:
-        return int(probe.getsockname()[1])
-
-
 class Graph:
     """A master, and the environment to reach it; :func:`lend` gives one.
 

@@ -19,7 +19,7 @@ from rosplc.ros.rospy.handshake import Definition, mismatch
 from rosplc.ros.rospy.inbound import Incoming, RospySubscription, cut
 from rosplc.ros.rospy.master import Master, read_address
 from rosplc.ros.rospy.outbound import Outgoing, _Queue
-from tests.interop.ros1.graph import free_port
+from rosplc_bench.process import free_port
 from tests.lib.clock import SteppedClock
 
 NOETIC = TypeStore.bundled("noetic")
