@@ -118,7 +118,10 @@ class PeerTable:
             peer = self._peers.pop(guid, None)
             if peer is None:
                 return set()
-            self._by_topic[peer.dds_topic, peer.info.direction].pop(guid, None)
+            key = peer.dds_topic, peer.info.direction
+            self._by_topic[key].pop(guid, None)
+            if not self._by_topic[key]:  # a graph whose topics come and go under new names fills no memory
+                del self._by_topic[key]
             return {peer.dds_topic}
 
     def on(self, topic: str, direction: str) -> tuple[Peer, ...]:
