@@ -14,6 +14,7 @@ from pathlib import Path
 
 from rosplc.bridge.engine import Bridge
 from rosplc.bridge.status import BridgeStatus
+from rosplc.config.plans import flag_topic
 from rosplc.config.resolve import Project, load_project
 from rosplc.model import TypeStore
 from rosplc.ros.backend import Backend
@@ -60,7 +61,11 @@ class ManagedBridge:
         self.cleanup()
         project = load_project(path)
         backend = self._connect(project.store)
-        lifecycle = LifecycleBackend(backend, lambda type_name: self._check(backend, type_name))
+        latched = {plan.topic for plan in project.topics if plan.latched}
+        flags = {flag_topic(plan.topic) for plan in project.topics}
+        lifecycle = LifecycleBackend(
+            backend, lambda type_name: self._check(backend, type_name), latched=latched | flags
+        )
         bridge = Bridge(project, lifecycle)
         try:
             bridge.start()

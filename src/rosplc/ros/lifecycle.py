@@ -2,17 +2,18 @@
 
 A managed node that is inactive neither receives nor sends. Endpoints that were asked for are remembered,
 opened by :meth:`LifecycleBackend.activate` and closed by :meth:`LifecycleBackend.deactivate`; a latched
-topic's last messages come again with each activation, as for any late subscriber.
+topic's last messages come again with each activation, as for any late subscriber, and are sent again.
 """
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Collection
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
-from rosplc.errors import BackendError
+from rosplc.errors import BackendError, RosplcError
 from rosplc.ros import backend
 from rosplc.ros.backend import Backend, EndpointStatus, GraphInfo, OnMessage, Publisher, Qos, Subscription
 
@@ -21,15 +22,26 @@ _SUMMED = ("messages", "dropped", "rejected", "failed")
 
 
 class LifecycleEndpoint:
-    """A topic that is received or sent while the backend is active; ``before`` tells which."""
+    """A topic that is received or sent while the backend is active; ``before`` tells which.
+
+    If it is ``latched``, its last message is sent again at each activation.
+    """
 
     def __init__(
-        self, before: EndpointStatus, qos: Qos, make: Callable[[], Any], on_close: Callable[[Any], None]
+        self,
+        before: EndpointStatus,
+        qos: Qos,
+        make: Callable[[], Any],
+        on_close: Callable[[Any], None],
+        latched: bool,
     ) -> None:
         self.topic, self.type_name, self.qos = before.topic, before.type_name, qos
         self._before, self._make, self._on_close = before, make, on_close
         self._inner: Any = None
         self._closed = False
+        self._latched, self._lock = latched, threading.RLock()
+        self._last: tuple[bytes, int | None] | None = None
+        self._repeated: bytes | None = None  # at activation; a sender that was refused before tries it again
 
     @property
     def matched(self) -> int:
@@ -40,8 +52,13 @@ class LifecycleEndpoint:
     def open(self) -> None:
         """Open the endpoint; raises as the backend does."""
         if self._inner is None:
-            self._inner = self._make()
-            self.topic = self._inner.topic
+            inner = self._make()
+            self.topic = inner.topic
+            with self._lock:
+                with suppress(RosplcError):  # a message that is not accepted prevents no activation
+                    if self._last is not None and inner.write(*self._last):
+                        self._repeated = self._last[0]
+                self._inner = inner
 
     def shut(self) -> None:
         """Close the endpoint, and keep its counts."""
@@ -63,6 +80,16 @@ class LifecycleEndpoint:
 
     def write(self, payload: bytes, stamp_ns: int | None = None) -> bool:
         """Send one message; ROS009 while the backend is inactive, and as the backend's own publisher."""
+        if not self._latched:
+            return self._write(payload, stamp_ns)
+        with self._lock:  # what is sent again comes before anything newer
+            repeated, self._repeated = self._repeated, None
+            if payload is repeated:
+                return True
+            self._last = payload, stamp_ns
+            return self._write(payload, stamp_ns)
+
+    def _write(self, payload: bytes, stamp_ns: int | None) -> bool:
         if (inner := self._inner) is None:
             raise BackendError("ROS009", "closed" if self._closed else _INACTIVE, where=self.topic)
         return bool(inner.write(payload, stamp_ns))
@@ -82,6 +109,7 @@ class LifecycleBackend:
         check: Called with the type's name when an endpoint is asked for, to refuse at once what
             could not be opened later.
         always: Topics that are connected in every state.
+        latched: Topics whose last message is sent again at each activation.
 
     Attributes:
         active: Whether endpoints are open; they are not at first.
@@ -92,11 +120,12 @@ class LifecycleBackend:
         inner: Backend,
         check: Callable[[str], None] = lambda _: None,
         always: Collection[str] = ("/diagnostics",),
+        latched: Collection[str] = (),
     ) -> None:
         self.name, self.capabilities = inner.name, inner.capabilities
         self.active = False
         self.check = check
-        self._inner, self._always = inner, frozenset(always)
+        self._inner, self._always, self._latched = inner, frozenset(always), frozenset(latched)
         self._lock = threading.RLock()
         self._endpoints: list[LifecycleEndpoint] = []
 
@@ -116,7 +145,8 @@ class LifecycleBackend:
 
     def _add(self, before: EndpointStatus, qos: Qos, make: Callable[[], Any]) -> LifecycleEndpoint:
         self.check(before.type_name)
-        endpoint = LifecycleEndpoint(before, qos, make, self._remove)
+        latched = before.direction == "out" and before.topic in self._latched
+        endpoint = LifecycleEndpoint(before, qos, make, self._remove, latched)
         with self._lock:
             if self.active:
                 endpoint.open()

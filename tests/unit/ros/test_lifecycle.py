@@ -10,7 +10,7 @@ from rosplc.errors import BackendError, RosplcError
 from rosplc.model import TypeStore
 from rosplc.ros import LATCHED, Backend, Qos, open_backend
 from rosplc.ros.lifecycle import LifecycleBackend
-from tests.interop.graphs import STRING, free_domain, string
+from tests.interop.graphs import STRING, Graph, free_domain, string, text_of
 from tests.lib.waiting import wait_for
 
 
@@ -69,6 +69,42 @@ def test_latched_messages_come_with_each_activation(nodes: tuple[LifecycleBacken
         managed.activate()
         wait_for(lambda n=life: len(got) == n)
         managed.deactivate()
+
+
+@pytest.mark.parametrize("kind", ["memory", "dds"])
+def test_latched_messages_are_sent_again_at_each_activation(kind: str) -> None:
+    """A late subscriber gets the last message, even one that was refused while inactive."""
+    if kind == "dds":
+        pytest.importorskip("cyclonedds", reason="no wheel of cyclonedds for this machine")
+    with free_domain() as domain:
+        graph = Graph(kind, domain)
+        managed = LifecycleBackend(graph.node("managed"), latched=["/map"])
+        late = graph.node("late")
+        publishers = [managed.advertise(topic, STRING, LATCHED) for topic in ("/map", "/plan")]
+        managed.activate()
+        for publisher in publishers:
+            publisher.write(string("first"))
+        managed.deactivate()
+        managed.activate()
+
+        def received(topic: str, count: int) -> list[str]:
+            got: list[bytes] = []
+            subscription = late.subscribe(topic, STRING, LATCHED, lambda payload, _: got.append(payload))
+            wait_for(lambda: len(got) >= count)
+            subscription.close()
+            return [text_of(payload) for payload in got]
+
+        assert received("/map", 1) == ["first"]
+        managed.deactivate()
+        refused = string("second")
+        with pytest.raises(BackendError, match="ROS009"):
+            publishers[0].write(refused)
+        managed.activate()
+        for publisher in publishers:
+            assert publisher.write(refused)  # as a sender does that was refused
+            assert publisher.write(string("third"))
+        assert received("/map", 2) == received("/plan", 2) == ["second", "third"]
+        graph.close()
 
 
 def test_activation_that_fails_opens_nothing(nodes: tuple[LifecycleBackend, Backend]) -> None:

@@ -13,7 +13,7 @@ import pytest
 
 import rosplc
 from rosplc.model import TypeStore
-from rosplc.ros import Backend, Qos, open_backend
+from rosplc.ros import LATCHED, Backend, Qos, open_backend
 from rosplc.shm import Namespace
 from tests.doubles.ros2 import double, installed
 from tests.lib.waiting import wait_for
@@ -61,9 +61,8 @@ class Cell:
         done.wait()
         return str(self.node.state)
 
-    def lost(self, topic: str) -> int:
-        status = self.node._bridge.status()
-        return next(one.lost for one in status.topics if one.topic == topic)
+    def topic(self, name: str) -> Any:
+        return self.node._bridge.status().topic(name)
 
     def log(self) -> str:
         lines = importlib.import_module("rclpy.logging").LINES
@@ -122,11 +121,40 @@ def test_states_open_and_close_what_they_say(cell: Cell) -> None:
             wait_for(lambda: source.matched == sink.matched == 0)
             source.write(int32(99))
             up.write({"data": 99})
-            wait_for(lambda n=life: cell.lost("/up") == n)
+            wait_for(lambda n=life: cell.topic("/up").lost == n)
             assert len(got) == life
     assert cell.trigger("cleanup") == "unconfigured"
     assert cell.trigger("configure") == "inactive"
     assert cell.trigger("shutdown") == "finalized"
+
+
+def test_a_latched_topic_is_there_for_late_subscribers_after_each_activation(cell: Cell) -> None:
+    """The last message, and whether substitutes are being published, come again; received is published."""
+    path = Path(cell.node.get_parameter("config").value)
+    stale = "stale_after: 10min, on_stale: {value: {data: 1}, period: 10s}"
+    path.write_text(path.read_text().replace("to: ros", f"to: ros, latched: true, {stale}"))
+    cell.trigger("configure")
+    with rosplc.attach("/up", prefix=cell.prefix, write=True) as up:
+        for life, value in enumerate((7, 7, 8)):
+            if value == 8:
+                up.write({"data": value})  # while inactive
+                wait_for(lambda: cell.topic("/up").received == 2)
+            cell.trigger("activate")
+            if not life:
+                up.write({"data": value})
+                wait_for(lambda: cell.topic("/up").published == 1)
+            got: dict[str, list[bytes]] = {"/up": [], "/up/substituted": []}
+            sinks = [
+                cell.other.subscribe(topic, kind, LATCHED, lambda data, _, to=got[topic]: to.append(data))
+                for topic, kind in (("/up", INT32), ("/up/substituted", "std_msgs/msg/Bool"))
+            ]
+            wait_for(lambda got=got, value=value: int32(value) in got["/up"] and got["/up/substituted"])
+            assert got == {"/up": [int32(value)], "/up/substituted": [b"\0\1\0\0\0\0\0\0"]}
+            for sink in sinks:
+                sink.close()
+            cell.trigger("deactivate")
+    wait_for(lambda: cell.topic("/up").published == 2)
+    assert (cell.topic("/up").received, cell.topic("/up").lost) == (2, 0)
 
 
 def test_parameters_show_the_bridge(cell: Cell) -> None:
