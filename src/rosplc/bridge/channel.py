@@ -13,7 +13,7 @@ from rosplc.bridge.status import PortStatus
 from rosplc.codec import Fault
 from rosplc.config.resolve import describe
 from rosplc.errors import ChannelError
-from rosplc.shm import Group, Liveness, OwnedChannel, Reader, Region, Writer, distance
+from rosplc.shm import Group, Liveness, OwnedChannel, Reader, Writer, distance
 from rosplc.shm.constants import LINE_SIZE, READER_LINES, READER_LINES_OFFSET, WRITER_LINE
 from rosplc.shm.snapshot import task_name
 
@@ -96,7 +96,7 @@ class ChannelPort(Port, Generic[_U]):
         if not channel.still_there():
             self.side.note(now_ns, "the object was removed or replaced; it is created again", "SHM120")
             return True
-        alive = self._observe(channel.region, now_ns)
+        alive = self._observe(channel, now_ns)
         if alive:
             self._peer_gone_ns = None
         elif self.peer_alive:
@@ -105,7 +105,7 @@ class ChannelPort(Port, Generic[_U]):
         return not self.owned()
 
     @abstractmethod
-    def _observe(self, region: Region, now_ns: int) -> bool:
+    def _observe(self, channel: OwnedChannel, now_ns: int) -> bool:
         """Return whether the PLC's side beats.
 
         Only the words needed are read: with 200 topics, whole snapshots would cost half a percent
@@ -163,8 +163,8 @@ class PortToPlc(ChannelPort[Writer]):
         else:
             side.delivered(data, cut)
 
-    def _observe(self, region: Region, now_ns: int) -> bool:
-        words = region.words(READER_LINES_OFFSET, READER_LINES * _LINE_WORDS)
+    def _observe(self, channel: OwnedChannel, now_ns: int) -> bool:
+        words = channel.region.words(READER_LINES_OFFSET, READER_LINES * _LINE_WORDS)
         tasks = []
         for at in range(0, len(words), _LINE_WORDS):
             claim, beat, beat_ms, taken = words[at : at + 4]
@@ -225,13 +225,15 @@ class PortToRos(ChannelPort[Reader]):
         found = self.user.peek_wire(self.side.codec.plan)
         return None if found is None else (found[0], found[1].stamp_ns, found[1].stamp_clock)
 
-    def _observe(self, region: Region, now_ns: int) -> bool:
-        head, epoch, beat, beat_ms = region.words(WRITER_LINE["head"], 4)
+    def _observe(self, channel: OwnedChannel, now_ns: int) -> bool:
+        head, epoch, beat, beat_ms = channel.region.words(WRITER_LINE["head"], 4)
+        # A program that writes now and then promises no beat: not its silence is its end, but its process'.
+        quiet = bool(epoch) and not beat_ms
+        runs = channel.process.runs(epoch, channel.region.word(WRITER_LINE["writer_pid"])) if quiet else None
         if self._lives(0, beat, beat_ms, head, now_ns):
             self._lived = epoch
             return bool(epoch)
-        # A program that writes now and then promises no beat: its silence is not its end.
-        return not beat_ms and bool(epoch) and epoch == self._lived
+        return quiet and (epoch == self._lived if runs is None else runs)
 
     def tell(self, matched: int) -> None:
         """Show the PLC how many subscribers there are."""

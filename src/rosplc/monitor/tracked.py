@@ -213,6 +213,11 @@ class Tracked:
         writer_alive = self._peers.alive(
             _WRITER, writer.epoch, writer.beat_ms, writer.beat, writer.head, now_ns
         )
+        if writer.epoch and not writer.beat_ms:
+            # It promises no beat: not its silence is its end, but its process'.
+            runs = self.attached.process.runs(writer.epoch, writer.pid)
+            if not writer_alive and (runs is not None or self._peers.seen(_WRITER)):
+                writer_alive = runs is not False
         readers = tuple(self._reader(line, now_ns) for line in snapshot.readers)
         bridge, plc = self._sides(writer_alive, readers)
         bridge_pid = self._bridge_pid(snapshot)

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from rosplc._core import Reader, Region, Writer
-from rosplc.shm.claims import ReaderClaim, WriterClaim, start_of
+from rosplc.shm.claims import ReaderClaim, WriterClaim, WriterProcess, start_of
 from rosplc.shm.constants import READER_LINES, Direction
 from rosplc.shm.description import Description
 from rosplc.shm.files import open_plain_file, read_header, refuse_second_name, same_file
@@ -75,6 +75,7 @@ class Mapped(ABC):
     Attributes:
         identity: The validated private copy of lines 0 and 1.
         region: The mapping.
+        process: The process that writes it.
     """
 
     def __init__(self, fd: int, path: str, direction: Direction | None, write: bool) -> None:
@@ -83,6 +84,7 @@ class Mapped(ABC):
         self.region = Region(fd, self._first, write, path)
         status = os.fstat(fd)
         self._file = (status.st_dev, status.st_ino)
+        self.process = WriterProcess(*self._file)
         self._users: list[Reader | Writer] = []
 
     def snapshot(self) -> Snapshot:
@@ -192,6 +194,7 @@ class Attached(Mapped):
         for user in self._users:
             user.release()
         self._users.clear()
+        self.process.close()
         self.region.close()
 
     def _writable(self) -> None:

@@ -7,7 +7,10 @@ can use them; :mod:`rosplc.shm.attach` loops over them for everybody else.
 
 from __future__ import annotations
 
+import os
+import select
 from collections.abc import Callable
+from pathlib import Path
 from typing import TypeVar
 
 from rosplc._core import Reader, Region, Writer
@@ -48,6 +51,47 @@ class Liveness:
                 self._changed_ns = now_ns
             self._seen = (beat, head)
         return self._changed_ns is not None and now_ns - self._changed_ns < self._limit_ns
+
+
+class WriterProcess:
+    """Whether the process behind a claim runs; for people, and never a reason to take the claim (M6).
+
+    A process number means nothing in another PID namespace, and the kernel uses it again. So a process is
+    taken for the writer's only if it has the object mapped writable, and is then followed by a pidfd.
+
+    Args:
+        device: The object's device.
+        inode: The object's inode.
+    """
+
+    def __init__(self, device: int, inode: int) -> None:
+        self._file = f"{os.major(device):02x}:{os.minor(device):02x} {inode} "
+        self._seen = (0, 0)
+        self._fd = -1
+
+    def runs(self, claim: int, pid: int) -> bool | None:
+        """Return whether it runs; None where that is not known, as of another user's process."""
+        if (claim, pid) != self._seen:
+            self.close()
+            self._seen = claim, pid
+            try:
+                self._fd = os.pidfd_open(pid)
+                maps = Path(f"/proc/{pid}/maps").read_text(encoding="utf-8", errors="replace")
+                if not any(" rw-s " in line and self._file in line for line in maps.splitlines()):
+                    self.close()
+            except (OSError, OverflowError, AttributeError):  # no such process, no number, no such call
+                self.close()
+        if (fd := self._fd) < 0:
+            return None
+        poll = select.poll()
+        poll.register(fd, select.POLLIN)
+        return not poll.poll(0)
+
+    def close(self) -> None:
+        """Follow it no more."""
+        fd, self._fd = self._fd, -1
+        if fd >= 0:
+            os.close(fd)
 
 
 class _Silence:

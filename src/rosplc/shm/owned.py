@@ -202,6 +202,7 @@ class OwnedChannel(Mapped):
 
     def _abandon(self) -> None:
         self._users.clear()
+        self.process.close()
         self.region.close()
         self._lock.release()
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from types import SimpleNamespace
 
 import pytest
@@ -12,8 +15,10 @@ from rosplc.bridge.channel import PortToRos
 from rosplc.bridge.port import Context
 from rosplc.bridge.stream import ToPlc
 from rosplc.config import parse_config, resolve
+from rosplc.monitor import Watch
 from rosplc.ros import Qos
 from rosplc.shm import Namespace
+from rosplc.shm.claims import WriterProcess
 from rosplc.shm.constants import FLAG_FIRST
 from tests.lib.clock import SteppedClock
 from tests.lib.waiting import wait_for
@@ -191,12 +196,62 @@ def test_a_plc_that_stopped_is_an_error_and_one_that_never_ran_is_not(cell: Cell
 def test_a_client_that_writes_rarely_is_not_called_dead(beat_ms: int, lives: bool) -> None:
     """A writer without a promised beat lives until it gives its claim up; one with a promise must keep it."""
     words = {"head": 1, "epoch": 77, "beat": 0, "beat_ms": beat_ms}
-    region = SimpleNamespace(words=lambda *_: tuple(words.values()))
+    region = SimpleNamespace(words=lambda *_: tuple(words.values()), word=lambda _: 0)
+    channel = SimpleNamespace(region=region, process=WriterProcess(0, 0))
     port = object.__new__(PortToRos)
     port._alive, port._lived = {}, 0
-    assert not port._observe(region, 0), "it may be what a dead one has left"  # type: ignore[arg-type]
+    assert not port._observe(channel, 0), "it may be what a dead one has left"  # type: ignore[arg-type]
     words["head"] += 1
-    assert port._observe(region, 10**9)  # type: ignore[arg-type]
-    assert port._observe(region, 3600 * 10**9) is lives  # type: ignore[arg-type]
+    assert port._observe(channel, 10**9)  # type: ignore[arg-type]
+    assert port._observe(channel, 3600 * 10**9) is lives  # type: ignore[arg-type]
     words["epoch"] = 0
-    assert not port._observe(region, 3601 * 10**9)  # type: ignore[arg-type]
+    assert not port._observe(channel, 3601 * 10**9)  # type: ignore[arg-type]
+
+
+CLIENT = """
+import sys, rosplc
+with rosplc.attach("/out", prefix=sys.argv[1], write=True) as channel:
+    for line in sys.stdin:
+        channel.write({"data": int(line)})
+        print("written", flush=True)
+"""
+
+
+def test_a_client_that_writes_rarely_is_missed_once_it_was_killed(cell: Cell) -> None:
+    """Bridge and views go by the process of a writer that promises no beat, however long it is quiet."""
+    bridge = cell.start(f"  /out: {{type: {INT}, to: ros}}\n")
+    command = [sys.executable, "-c", CLIENT, cell.namespace.prefix]
+    clock = SteppedClock()
+
+    def alive() -> bool | None:
+        return watch.look().channels[0].writer_alive
+
+    with (
+        subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as client,
+        Watch(cell.namespace.prefix, clock=clock) as watch,
+    ):
+        assert client.stdin is not None
+        assert client.stdout is not None
+        try:
+            client.stdin.write("1\n")
+            client.stdin.flush()
+            assert client.stdout.readline() == "written\n"
+            wait_for(lambda: bridge.status().topic("/out").peer_alive)
+            for _ in range(3):
+                clock.advance(60)
+                assert alive()
+        finally:
+            client.kill()
+        wait_for(lambda: bridge.status().topic("/out").peer_gone_ns is not None)
+        assert bridge.status().topic("/out").judgement[0] is Level.ERROR
+        assert not alive()
+
+
+@pytest.mark.parametrize("pid", [0, os.getppid(), 2**22 - 1, 2**32 - 1])
+def test_of_a_process_that_has_not_the_object_mapped_nothing_is_claimed(cell: Cell, pid: int) -> None:
+    """A number may be damaged, or mean another process in this PID namespace."""
+    cell.start(f"  /out: {{type: {INT}, to: ros}}\n")
+    process = cell.plc("/out").attached.process
+    assert process.runs(77, pid) is None
+    assert process.runs(77, os.getpid()) is True
+    assert process.runs(78, pid) is None
