@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import secrets
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from functools import cache
 from pathlib import Path
 from typing import TypeAlias
@@ -70,6 +71,20 @@ def objects(place: Place) -> tuple[str, str]:
         with OwnedChannel.open(namespace, describe(topic, direction), record_size=layout().size) as channel:
             paths.append(str(channel.path))
     return paths[0], paths[1]
+
+
+def channels(
+    folder: Path, count: int, size: int, stack: ExitStack, direction: Direction = Direction.TO_ROS
+) -> list[OwnedChannel]:
+    """Make channels for records of ``size`` bytes; they are gone with ``stack``."""
+    namespace = Namespace(f"sweep-{secrets.token_hex(4)}", str(folder))
+    made = []
+    for index in range(count):
+        topic = (f"/topic{index}", "std_msgs/msg/Empty", "jazzy")
+        about = Description(*topic, direction, {}, "0" * 16, "bench", "uint8 x")
+        made.append(OwnedChannel.open(namespace, about, record_size=size))
+        stack.callback(made[-1].retire)  # the memory is wanted for the next size
+    return made
 
 
 def _c(source: str, *tail: str) -> Start:

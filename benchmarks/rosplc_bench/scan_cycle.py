@@ -20,11 +20,11 @@ from typing import Any, NamedTuple
 from rosplc.errors import SetupError
 from rosplc.shm import Direction
 from rosplc_bench.compiling import compile_with_modbus
+from rosplc_bench.contenders import channels
 from rosplc_bench.draw import Cell, Figure, Series
 from rosplc_bench.process import Side, free_port, python
 from rosplc_bench.report import Page, Section, Table, median, paragraphs, percentile, text
 from rosplc_bench.run import Context, need
-from rosplc_bench.sweeps import channels
 
 NAMES = {
     "none": "no exchange (C)",

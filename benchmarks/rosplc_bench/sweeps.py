@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import logging
 import resource
-import secrets
 import statistics
 import sys
 import time
@@ -24,8 +23,9 @@ from rosplc.codec import Codec, Wire
 from rosplc.errors import ChannelError, SetupError
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
-from rosplc.shm import Description, Direction, Namespace, OwnedChannel, Reader, Writer
+from rosplc.shm import OwnedChannel, Reader, Writer
 from rosplc_bench.compiling import compile_with_modbus
+from rosplc_bench.contenders import channels
 from rosplc_bench.draw import Cell, Figure, Series, size_text
 from rosplc_bench.process import WATCHDOG_S, Side, free_port, python, reply, requests
 from rosplc_bench.protocols import ModbusClient, OpcUaClient, Variable, serve_modbus, serve_opcua
@@ -241,20 +241,6 @@ def _native(context: Context, stack: ExitStack) -> tuple[Path | None, int]:
     server = Side("libmodbus server", [str(program), "modbus-server"])
     stack.callback(server.close, 0.1)  # it serves until it is killed
     return program, int(server.receive_json()["port"])
-
-
-def channels(
-    folder: Path, count: int, size: int, stack: ExitStack, direction: Direction = Direction.TO_ROS
-) -> list[OwnedChannel]:
-    """Make channels for records of ``size`` bytes; they are gone with ``stack``."""
-    namespace = Namespace(f"sweep-{secrets.token_hex(4)}", str(folder))
-    made = []
-    for index in range(count):
-        topic = (f"/topic{index}", "std_msgs/msg/Empty", "jazzy")
-        about = Description(*topic, direction, {}, "0" * 16, "bench", "uint8 x")
-        made.append(OwnedChannel.open(namespace, about, record_size=size))
-        stack.callback(made[-1].retire)  # the memory is wanted for the next size
-    return made
 
 
 def program(name: str, command: list[str], stack: ExitStack) -> Contender:
