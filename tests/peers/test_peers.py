@@ -17,6 +17,7 @@ from pathlib import Path
 import pytest
 
 from rosplc.codec import Codec, Wire
+from rosplc.described import description_of
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.project import generate_types
@@ -24,7 +25,6 @@ from rosplc.ros import DEFAULT, open_backend
 from rosplc.shm import Direction, Namespace, OwnedChannel, attach
 from tests.lib.waiting import wait_for
 from tests.peers.release import environment, old_release
-from tests.verification.plc_cell import describe
 
 if shutil.which("gcc") is None:
     pytest.skip("Debian package gcc is missing", allow_module_level=True)
@@ -48,7 +48,9 @@ def test_a_program_over_the_old_c_headers(tmp_path: Path) -> None:
     subprocess.run(["gcc", *flags, str(HERE / "echo.c"), "-o", str(program)], check=True)
     namespace = Namespace(f"peers{secrets.token_hex(4)}", "/dev/shm")
     into, out = (
-        OwnedChannel.open(namespace, describe(topic, LAYOUT, direction), record_size=LAYOUT.size)
+        OwnedChannel.open(
+            namespace, description_of(LAYOUT, topic, direction, bridge="test"), record_size=LAYOUT.size
+        )
         for topic, direction in (("/in", Direction.TO_PLC), ("/out", Direction.TO_ROS))
     )
     with into, out:
