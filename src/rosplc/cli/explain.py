@@ -56,10 +56,8 @@ def _known() -> dict[str, dict[str, str]]:
     """Return code → what is known of it, of errors and findings."""
     from rosplc.doctor import KINDS
 
-    known = {
-        code: {"code": code, "title": info.title, "meaning": "", "remedy": info.remedy}
-        for code, info in CODES.items()
+    keys = ("title", "meaning", "remedy")
+    return {
+        code: {"code": code, **{key: getattr(entry, key, "") for key in keys}}
+        for code, entry in [*CODES.items(), *KINDS.items()]
     }
-    for code, kind in KINDS.items():
-        known[code] = {"code": code, "title": kind.title, "meaning": kind.meaning, "remedy": kind.remedy}
-    return known

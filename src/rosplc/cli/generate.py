@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import typer
 
@@ -54,20 +54,11 @@ def command(
 
     if config is not None and all_types is not None:
         raise typer.BadParameter("name a configuration file or --all-types, not both", param_hint="CONFIG")
+    options: dict[str, Any] = {"target": target, "fences": fences, "pins": pins, "force": force}
     if all_types is None:
-        delivery = generate(
-            config_file(config), out, target=target, fences=fences, programs=programs, pins=pins, force=force
-        )
+        delivery = generate(config_file(config), out, programs=programs, **options)
     else:
-        delivery = generate_types(
-            all_types,
-            out,
-            target=target,
-            fences=fences,
-            programs=programs or "SharedMemory",
-            pins=pins,
-            force=force,
-        )
+        delivery = generate_types(all_types, out, programs=programs or "SharedMemory", **options)
     if as_json:
         print_json({"folder": str(out), **dataclasses.asdict(delivery)})
         return

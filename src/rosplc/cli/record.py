@@ -119,10 +119,9 @@ def command(
         for plan in project.topics:
             if plan.classic is not None and plan.topic in selection:
                 warn(f"{plan.topic} is a classic topic, which has no channel: it is not recorded")
-    if output is not None:
-        base = base_of(output)
-    else:
-        base = Path("rosplc") if keep is not None else free_name(dated(Path("rosplc"), time.time_ns()))
+    base = Path("rosplc") if output is None else base_of(output)
+    if output is None and keep is None:
+        base = free_name(dated(base, time.time_ns()))
     options = RecordingOptions(
         namespace=namespace,
         base=base,
@@ -223,10 +222,8 @@ def _begin(recorder: Recorder, options: RecordingOptions, *, quiet: bool) -> Non
             warn(f"there are channels of prefix {', '.join(others)}: choose with --prefix")
     if not quiet:
         what, kept = plural(len(topics), "topic"), f"keeping the last {options.keep_ns / 1e9:g} s of"
-        triggers = ", ".join(options.triggers)
-        warn(
-            f"{kept} {what}; triggers: {triggers}" if options.keep_ns else f"recording {what}; Ctrl-C ends it"
-        )
+        kept += f" {what}; triggers: {', '.join(options.triggers)}"
+        warn(kept if options.keep_ns else f"recording {what}; Ctrl-C ends it")
 
 
 def _progress(recorder: Recorder) -> str:

@@ -178,11 +178,9 @@ def _target(
             raise typer.BadParameter(f"{backend!r} is none of {', '.join(known)}", param_hint="--backend")
         return RosTarget(topics, backend=backend, distro=distro)
     project = None if config is None else load_project(config)
-    own = (
-        project.namespace
-        if project is not None and prefix is None
-        else Namespace(prefix or "rosplc", directory)
-    )
+    own = Namespace(prefix or "rosplc", directory)
+    if project is not None and prefix is None:
+        own = project.namespace
     return PlcTarget(topics, own, project=project, distro=distro)
 
 

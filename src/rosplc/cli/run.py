@@ -27,16 +27,6 @@ from rosplc.cli.verb import Between, verb
 
 __all__ = ["RosCommand", "command"]
 
-
-_LEVELS = {
-    "debug": logging.DEBUG,
-    "info": logging.INFO,
-    "warn": logging.WARNING,
-    "error": logging.ERROR,
-    "fatal": logging.CRITICAL,
-}
-
-
 _KEY = "rosplc.ros_arguments"
 
 
@@ -80,7 +70,7 @@ def command(
     arguments = RosArguments.parse(given_to(context))
     level = logging.DEBUG if verbose else logging.WARNING if quiet else logging.INFO
     if arguments.log_level is not None and not (verbose or quiet):
-        level = _LEVELS[arguments.log_level]
+        level = getattr(logging, arguments.log_level.upper())  # of the same names, `warn` and `fatal` too
     run_bridge(
         config_file(config),
         status_seconds=status or None,

@@ -101,11 +101,8 @@ def _facts(step: Step) -> dict[str, object]:
 
     if isinstance(step, Run):
         return {"run": list(step.argv)}
-    return (
-        {"write": str(step.path), "text": step.text}
-        if isinstance(step, Write)
-        else {"remove": str(step.path)}
-    )
+    path = str(step.path)
+    return {"write": path, "text": step.text} if isinstance(step, Write) else {"remove": path}
 
 
 def _explain(steps: list[Step]) -> None:

@@ -103,7 +103,7 @@ def command(
         view = _view(topic, own or "rosplc", directory) if header or not live else None
         if header and not as_json:
             _print_header(channel, view)
-        if follow or count is not None:
+        if live:
             _follow(channel, count, timeout, header=header, as_json=as_json)
         else:
             _print_message(channel, channel.current(), view, header=header, as_json=as_json)

@@ -140,10 +140,8 @@ def parse_limits(texts: list[str]) -> Limits:
                 f"{text!r} should be FIELD=N, such as string=40 or name=6", param_hint="--limits"
             )
         given[field] = int(number)
-    default = Limits()
-    string = given.pop("string", default.string)
-    sequence = given.pop("sequence", default.sequence)
-    return Limits(string, sequence, given)
+    own = {key: given.pop(key) for key in ("string", "sequence") if key in given}
+    return Limits(fields=given, **own)
 
 
 def _facts(store: TypeStore, layout: Layout) -> dict[str, Any]:
@@ -197,10 +195,10 @@ def _names(node: Node) -> tuple[str, str]:
         return f"string (up to {node.capacity} bytes)", f"STRING({node.capacity})"
     if isinstance(node, ArrayNode | SequenceNode):
         ros, iec = _names(node.element)
-        ros = ros.partition(" ")[0]
+        ros, iec = ros.partition(" ")[0], f"ARRAY[0..{node.capacity - 1}] OF {iec}"
         if isinstance(node, ArrayNode):
-            return f"{ros}[{node.length}]", f"ARRAY[0..{node.length - 1}] OF {iec}"
-        return f"{ros}[] (up to {node.capacity})", f"UDINT, ARRAY[0..{node.capacity - 1}] OF {iec}"
+            return f"{ros}[{node.length}]", iec
+        return f"{ros}[] (up to {node.capacity})", f"UDINT, {iec}"
     if isinstance(node, StructNode):
         return node.type_name, node.type_name.replace("/msg/", "_")
     return "padding", ""
