@@ -51,11 +51,7 @@ class Config:
         Raises:
             ConfigErrors: As :func:`read_config`; places are key paths.
         """
-        problems = Problems()
-        config = _validate(YamlSource("<settings>", dict(data)), base or Path(), problems)
-        problems.check()
-        assert config is not None
-        return config
+        return _validate(YamlSource("<settings>", dict(data)), base or Path(), Problems())
 
 
 def read_config(path: Path | str) -> Config:
@@ -114,29 +110,26 @@ def _parse(path: Path, text: str | None, base: Path) -> Config:
         problems.add(error)
         problems.check()
         raise  # pragma: no cover - check() raises
-    config = _validate(source, base, problems)
-    problems.check()
-    assert config is not None
-    return config
+    return _validate(source, base, problems)
 
 
-def _validate(source: YamlSource, base: Path, problems: Problems) -> Config | None:
+def _validate(source: YamlSource, base: Path, problems: Problems) -> Config:
     data = {} if source.data is None else source.data
     if not isinstance(data, dict):
-        problems.add(
-            ConfigError(
-                "CFG004", "the file should hold keys such as topics:, not a list or a text", where=source.name
-            )
-        )
-        return None
+        what = "the file should hold keys such as topics:, not a list or a text"
+        problems.add(ConfigError("CFG004", what, where=source.name))
+        problems.check()
     data = _with_new_names(data, source, problems)
     try:
-        return Config(Settings.model_validate(data), source, base)
+        config = Config(Settings.model_validate(data), source, base)
     except ValidationError as error:
         for item in error.errors(include_url=False):
             path = _real_path(item["loc"], source)
             problems.add(_explain(dict(item), path, source), source.line(path))
-        return None
+        problems.check()
+        raise  # pragma: no cover - check() raises
+    problems.check()
+    return config
 
 
 def _old_keys(data: Any) -> list[tuple[str, str]]:

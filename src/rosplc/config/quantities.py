@@ -11,11 +11,8 @@ from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema
 
 _UNITS = {"ns": 1, "us": 10**3, "µs": 10**3, "ms": 10**6, "s": 10**9, "min": 60 * 10**9, "h": 3600 * 10**9}
 _RATES = {"mHz": Fraction(1, 1000), "Hz": Fraction(1), "kHz": Fraction(1000)}
-_SIZES = {"B": 1, "kB": 10**3, "KB": 10**3, "MB": 10**6, "GB": 10**9, "TB": 10**12} | {
-    "KiB": 2**10,
-    "MiB": 2**20,
-    "GiB": 2**30,
-}
+_SIZES = {"B": 1, "kB": 10**3, "KB": 10**3, "MB": 10**6, "GB": 10**9, "TB": 10**12}
+_SIZES |= {"KiB": 2**10, "MiB": 2**20, "GiB": 2**30}
 _QUANTITY = re.compile(r"([0-9]{1,14}(?:\.[0-9]{1,9})?)[ ]?([A-Za-zµ]+)\Z")
 _LONGEST = 24 * 3600 * 10**9
 
@@ -35,8 +32,7 @@ def _split(value: Any, example: str, units: Iterable[str]) -> tuple[Fraction, st
 def parse_duration(value: Any) -> int:
     """Return the nanoseconds of ``"200ms"``, ``"1s"``, ``"10us"``; up to a day.
 
-    Raises:
-        ValueError: With a text that says what would be right.
+    A ValueError of this and the other functions here has a text that says what would be right.
     """
     number, unit = _split(value, "10ms, 1s or 500us", _UNITS)
     ns = number * _UNITS[unit]
@@ -46,11 +42,7 @@ def parse_duration(value: Any) -> int:
 
 
 def parse_rate(value: Any) -> int:
-    """Return the period in nanoseconds of ``"50Hz"`` or ``"0.5Hz"``, or of a duration ``"20ms"``.
-
-    Raises:
-        ValueError: With a text that says what would be right.
-    """
+    """Return the period in nanoseconds of ``"50Hz"`` or ``"0.5Hz"``, or of a duration ``"20ms"``."""
     number, unit = _split(value, "50Hz or 20ms", (*_RATES, *_UNITS))
     if unit in _UNITS:
         return parse_duration(value)
@@ -61,11 +53,7 @@ def parse_rate(value: Any) -> int:
 
 
 def parse_size(value: Any) -> int:
-    """Return the bytes of ``"200MB"`` or ``"64MiB"``; up to 1000 TB.
-
-    Raises:
-        ValueError: With a text that says what would be right.
-    """
+    """Return the bytes of ``"200MB"`` or ``"64MiB"``; up to 1000 TB."""
     number, unit = _split(value, "200MB or 1GB", _SIZES)
     size = number * _SIZES[unit]
     if not 1 <= size <= 10**15:
@@ -74,11 +62,7 @@ def parse_size(value: Any) -> int:
 
 
 def parse_mode(value: Any) -> int:
-    """Return the permission bits of ``"0660"``.
-
-    Raises:
-        ValueError: With a text that says what would be right.
-    """
+    """Return the permission bits of ``"0660"``."""
     if not isinstance(value, str) or not re.fullmatch(r"(0o?)?[0-7]{3}", value):
         raise ValueError(f'{value!r} should be three octal digits as text, such as "0660"')
     mode = int(value[-3:], 8)
@@ -94,11 +78,7 @@ def parse_mode(value: Any) -> int:
 
 
 def parse_stale(value: Any) -> int:
-    """Return the nanoseconds of a duration, or 0 for ``"never"``.
-
-    Raises:
-        ValueError: With a text that says what would be right.
-    """
+    """Return the nanoseconds of a duration, or 0 for ``"never"``."""
     return 0 if value == "never" else parse_duration(value)
 
 
