@@ -142,20 +142,14 @@ def _bottom_up(node: StructNode, seen: dict[int, None]) -> list[StructNode]:
 
 def _struct(node: StructNode, names: _Names) -> str:
     own = names.of(node)
-    identifiers = member_identifiers(node)
     lines = [f"/* {node.type_name} */", f"typedef struct {own} {{"]
-    lines += [
-        f"    {_declaration(member.node, identifier, names)};"
-        for member, identifier in zip(node.members, identifiers, strict=True)
-    ]
+    named = list(zip(node.members, member_identifiers(node), strict=True))
+    lines += [f"    {_declaration(member.node, identifier, names)};" for member, identifier in named]
     lines.append(f"}} {own};")
     lines.append(f"ROSPLC_ASSERT(sizeof({own}) == {node.size});")
     # 32-bit x86 aligns structs less; that changes no offset, since no compiler adds padding.
     lines.append(f"ROSPLC_ASSERT(ROSPLC_ALIGNOF({own}) <= {node.align});")
-    lines += [
-        f"ROSPLC_ASSERT(offsetof({own}, {identifier}) == {member.offset});"
-        for member, identifier in zip(node.members, identifiers, strict=True)
-    ]
+    lines += [f"ROSPLC_ASSERT(offsetof({own}, {name}) == {member.offset});" for member, name in named]
     return "\n".join(lines) + "\n"
 
 

@@ -93,8 +93,7 @@ class _Builder:
                 raise LayoutError(
                     "LAY003", f"{what} so far, more than a record can have", where=path + field.name
                 )
-        if limits:
-            raise self._unknown_limit(path + next(iter(limits)))
+        self._none_left(limits, path)
         if not members:
             members.append(Member("", 0, PaddingNode(1)))
             offset = items = 1
@@ -135,12 +134,9 @@ class _Builder:
         return SequenceNode(element, capacity, kind.bound), lines + 1
 
     def _capacity(self, own: int | None, bound: int | None, default: int, largest: int, path: str) -> int:
-        if own is None:
-            capacity = default if bound is None else min(default, bound)
-        else:
-            capacity = own
-            if bound is not None and own > bound:
-                raise LayoutError("LAY004", f"capacity {own} exceeds the bound {bound}", where=path)
+        if own is not None and bound is not None and own > bound:
+            raise LayoutError("LAY004", f"capacity {own} exceeds the bound {bound}", where=path)
+        capacity = own if own is not None else default if bound is None else min(default, bound)
         if capacity > largest:
             raise LayoutError("LAY001", f"capacity {capacity} is not within 1 … {largest}", where=path)
         return capacity
@@ -185,22 +181,14 @@ def limit_paths(store: TypeStore, type_name: str) -> list[str]:
 
 def _take(limits: dict[str, int], name: str) -> dict[str, int]:
     """Remove what concerns field ``name`` from ``limits``; return it relative to the field."""
-    mine = {
-        path: capacity
-        for path, capacity in limits.items()
-        if path == name or path.startswith((f"{name}.", f"{name}[]"))
-    }
-    for path in mine:
-        del limits[path]
-    return {path[len(name) :]: capacity for path, capacity in mine.items()}
+    mine = [path for path in limits if path == name or path.startswith((f"{name}.", f"{name}[]"))]
+    return {path[len(name) :]: limits.pop(path) for path in mine}
 
 
 def _strip(limits: dict[str, int], prefix: str) -> dict[str, int]:
     """Remove the paths with ``prefix`` from ``limits``; return them without it."""
-    mine = {path: capacity for path, capacity in limits.items() if path.startswith(prefix)}
-    for path in mine:
-        del limits[path]
-    return {path[len(prefix) :]: capacity for path, capacity in mine.items()}
+    mine = [path for path in limits if path.startswith(prefix)]
+    return {path[len(prefix) :]: limits.pop(path) for path in mine}
 
 
 def _texts(default: object) -> tuple[str, ...]:

@@ -140,8 +140,7 @@ class Layout:
         Raises:
             LayoutError: LAY006, the value does not fit its field, or the buffer is too small.
         """
-        target = memoryview(buffer).cast("B")
-        self._check_size(target)
+        target = self._bytes(buffer)
         target[: self.size] = self.pack(value)
 
     def view(self, buffer: Buffer) -> RecordView:
@@ -150,9 +149,7 @@ class Layout:
         Raises:
             LayoutError: LAY006, the buffer is smaller than a record.
         """
-        data = memoryview(buffer).cast("B")
-        self._check_size(data)
-        return self._reader(data, 0)
+        return self._reader(self._bytes(buffer), 0)
 
     def to_dict(self, buffer: Buffer) -> dict[str, Any]:
         """Return a record as nested dicts and lists, with the fields in their order."""
@@ -169,9 +166,7 @@ class Layout:
             buffer: The record.
             elements: How many elements of each array are wanted at most.
         """
-        data = memoryview(buffer).cast("B")
-        self._check_size(data)
-        reader = self._excerpts.get(elements)
+        data, reader = self._bytes(buffer), self._excerpts.get(elements)
         if reader is None:
             reader = self._excerpts[elements] = StructReader(self.root, elements)
         result: dict[str, Any] = plain(reader(data, 0))
@@ -189,7 +184,9 @@ class Layout:
     def _reader(self) -> StructReader:
         return StructReader(self.root)
 
-    def _check_size(self, data: memoryview) -> None:
+    def _bytes(self, buffer: Buffer) -> memoryview:
+        data = memoryview(buffer).cast("B")
         if data.nbytes < self.size:
             what = f"the buffer has {data.nbytes} bytes, a record {self.size}"
             raise LayoutError("LAY006", what, where=self.type_name)
+        return data

@@ -92,11 +92,10 @@ def _parse_scalar(text: str, kind: PrimitiveType | StringType) -> bool | int | f
     if isinstance(kind, StringType):
         return _parse_string(text, kind)
     if kind.name == "bool":
-        if text.lower() in ("true", "1"):
-            return True
-        if text.lower() in ("false", "0"):
-            return False
-        raise LiteralError(f"{_cut(text)} is neither true nor false")
+        truth = {"true": True, "1": True, "false": False, "0": False}.get(text.lower())
+        if truth is None:
+            raise LiteralError(f"{_cut(text)} is neither true nor false")
+        return truth
     if kind.name in ("float32", "float64"):
         return _parse_float(text, kind.name)
     # Longer ones fit no type, and Python refuses to convert thousands of digits.

@@ -139,8 +139,6 @@ class TypeStore:
         return (*self._nameless, *filter(None, found))
 
     def _error(self, name: str) -> MessageTypeError | None:
-        if name in self._heights:
-            return None
         try:
             self._visit(name, self._heights, (), "")
         except MessageTypeError as error:
@@ -204,11 +202,8 @@ class TypeStore:
         if old is None or any(f.default is not None for f in new.fields):
             self._types[new.name] = new
             self._parsed[new.name] = parsed
-        self._add_builtin(new)
-
-    def _add_builtin(self, message: MessageType) -> None:
         # ROS 1 texts say `time` and give no definition of it.
-        for needed in message.needs:
+        for needed in new.needs:
             if needed in _BUILTIN:
                 self._types.setdefault(needed, _BUILTIN[needed])
 
