@@ -202,6 +202,20 @@ def test_run_takes_ros_arguments(tmp_path, shm_namespace):
     assert "/cmd_vel=/base" in err
 
 
+def test_a_verb_without_a_configuration_starts_without_pydantic():
+    """Reading the command line does not load it: only a configuration needs it."""
+    code = (
+        "import sys\nfrom rosplc.cli import main\n"
+        "try:\n    main()\n"
+        "except SystemExit:\n    pass\n"
+        "print('IMPORTED', 'pydantic' in sys.modules)"
+    )
+    command = [sys.executable, "-c", code, "types", "std_msgs/String", "--distro", "humble"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert "std_msgs/msg/String (humble)" in done.stdout
+    assert done.stdout.splitlines()[-1] == "IMPORTED False"
+
+
 def test_help_and_completion_need_the_command_alone():
     """They list every verb without importing what the verbs do."""
     code = (
