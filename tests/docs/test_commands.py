@@ -160,6 +160,19 @@ def test_commands_that_are_shown_only_have_a_reason() -> None:
     assert [where for where, reason in shown if not reason] == []
 
 
+def test_no_page_ends_programs_by_their_name() -> None:
+    """Pages are tested at the same time, with the same names: each must leave the others' alone."""
+    steps = [
+        (f"{place(page)}:{block.line}", step.command)
+        for page in PAGES
+        for block in blocks(page)
+        if runs(block) and block.language == "console"
+        for step in block.steps()
+    ]
+    assert steps
+    assert [at for at, command in steps if re.search(r"\b(pkill|killall|skill)\b", command)] == []
+
+
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
