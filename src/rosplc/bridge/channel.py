@@ -227,7 +227,7 @@ class PortToRos(ChannelPort[Reader]):
 
     def _observe(self, channel: OwnedChannel, now_ns: int) -> bool:
         head, epoch, beat, beat_ms = channel.region.words(WRITER_LINE["head"], 4)
-        # A program that writes now and then promises no beat: not its silence is its end, but its process'.
+        # A program that writes now and then promises no beat: its silence tells nothing, its process does.
         quiet = bool(epoch) and not beat_ms
         runs = channel.process.runs(epoch, channel.region.word(WRITER_LINE["writer_pid"])) if quiet else None
         if self._lives(0, beat, beat_ms, head, now_ns):

@@ -12,6 +12,7 @@ A file that is wrong changes nothing. The bridge's log has the outcome. For a se
 from __future__ import annotations
 
 import os
+import re
 import signal
 from pathlib import Path
 
@@ -39,7 +40,8 @@ def command(
 
         settings = load_project(config_file(config or default_config())).config.settings
         prefix, directory = settings.prefix, settings.shm.directory
-    pids = lock_holders(Path(directory), prefix, held_files(Path("/proc")) or {})
+    held = held_files(Path("/proc")) or {}
+    pids = [pid for pid in lock_holders(Path(directory), prefix, held) if _handles_reload(pid)]
     if not pids:
         raise ChannelError(
             "SHM101",
@@ -58,3 +60,13 @@ def command(
                 remedy="Run it as the bridge's user or with sudo; for a service: systemctl reload.",
             ) from error
         say(f"The bridge of prefix {prefix} (process {pid}) reads its configuration again; see its log.")
+
+
+def _handles_reload(pid: int) -> bool:
+    """Return whether a process handles SIGUSR1; it would end any other, as one with ``rosplc.bind``."""
+    try:
+        status = Path(f"/proc/{pid}/status").read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return False
+    caught = re.search(r"^SigCgt:\s*([0-9a-f]+)$", status, re.M)  # a mask, as proc(5) has it
+    return caught is not None and bool(int(caught[1], 16) >> (signal.SIGUSR1 - 1) & 1)

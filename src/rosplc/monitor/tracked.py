@@ -214,7 +214,7 @@ class Tracked:
             _WRITER, writer.epoch, writer.beat_ms, writer.beat, writer.head, now_ns
         )
         if writer.epoch and not writer.beat_ms:
-            # It promises no beat: not its silence is its end, but its process'.
+            # It promises no beat: its silence tells nothing, its process does.
             runs = self.attached.process.runs(writer.epoch, writer.pid)
             if not writer_alive and (runs is not None or self._peers.seen(_WRITER)):
                 writer_alive = runs is not False

@@ -67,6 +67,20 @@ def test_reload_without_a_bridge_is_an_error(config) -> None:
     assert "no bridge with the prefix" in rosplc("reload", config, code=1).stderr
 
 
+def test_reload_leaves_a_program_alone_that_has_bound_a_topic(shm_namespace) -> None:
+    """It holds a name as a bridge does, but SIGUSR1 would end it."""
+    bound = f"rosplc.bind('/a', {INT!r}, prefix={shm_namespace.prefix!r})"
+    code = f"import rosplc, sys; topic = {bound}; print('bound', flush=True); sys.stdin.read()"
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as child:
+        assert child.stdout is not None and child.stdout.readline() == "bound\n"
+        assert "no bridge" in rosplc("reload", "--prefix", shm_namespace.prefix, code=1).stderr
+        assert child.poll() is None
+        child.communicate()
+    assert child.returncode == 0
+
+
 def test_a_closed_terminal_ends_the_bridge(config, shm_namespace, tmp_path) -> None:
     """On a terminal SIGHUP is its end, and the claims are given back."""
     pid, terminal = pty.fork()
