@@ -1,9 +1,10 @@
-"""Build the C core; everything else stands in pyproject.toml.
+"""Build the C core, and shorten the readme for the package index; everything else is in pyproject.toml.
 
 The limited API has buffers from Python 3.11 on, so one abi3 build serves 3.11 and
 later, and 3.10 gets a build of its own.
 """
 
+import re
 import sys
 from pathlib import Path
 
@@ -12,7 +13,17 @@ from setuptools import Extension, setup
 ABI3 = sys.version_info >= (3, 11)
 SOURCES = ["module.c", "py_channel.c", "py_writer.c", "py_reader.c", "py_plan.c", "py_group.c"]
 
+
+def readme() -> str:
+    """Return README.md without what the package index cannot show: pictures and links of the repository."""
+    text = Path("README.md").read_text(encoding="utf-8")
+    text = re.sub(r"(?s)<!--.*?-->\n|!\[[^]]*\]\((?!https?:)[^)]*\)\n\n?", "", text)
+    return re.sub(r"\[([^]]*)\]\((?!https?:)[^)]*\)", r"\1", text)
+
+
 setup(
+    long_description=readme(),
+    long_description_content_type="text/markdown",
     ext_modules=[
         Extension(
             "rosplc._core._native",
