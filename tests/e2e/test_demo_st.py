@@ -154,7 +154,8 @@ def test_without_blark_it_says_what_to_install():
     hide = "import sys; sys.modules['blark'] = None; " + START
     status, words = refused("st", program=("-c", hide))
     assert status == 1
-    assert "rosplc-st is missing" in words and "SYS001" in words and "pip install" in words
+    assert "rosplc-st is missing" in words and "SYS001" in words
+    assert "pip install -e " in words and "-m /" not in words
 
 
 def test_without_a_checkout_it_says_so(tmp_path):

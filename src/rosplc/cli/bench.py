@@ -25,8 +25,10 @@ def command(
     ] = None,
 ) -> None:
     """The comparison with Modbus and OPC UA is now the command rosplc-bench."""
+    from rosplc.doctor.packages import pip_here
+
     warn(
         "The comparison is now a command of its own, with the same options: rosplc-bench\n"
-        "  to install it: pip install 'rosplc[bench]'"
+        + pip_here("  to install it: pip install 'rosplc[bench]'")
     )
     raise typer.Exit(EXIT_CONFIG)

@@ -157,6 +157,11 @@ def _report(failure: Exception, *, as_json: bool) -> int:
         return EXIT_FAILURE
     # A configuration may have several mistakes; they are shown together.
     errors: tuple[RosplcError, ...] = getattr(error, "errors", (error,))
+    for each in {error, *errors}:
+        if "pip install" in each.remedy:
+            from rosplc.doctor.packages import pip_here
+
+            each.remedy = pip_here(each.remedy)
     if as_json:
         several = {"errors": [each.to_dict() for each in errors]} if len(errors) > 1 else {}
         sys.stderr.write(json.dumps(finite({"error": error.to_dict(), **several})) + "\n")
@@ -168,10 +173,5 @@ def _report(failure: Exception, *, as_json: bool) -> int:
 
 
 def _in_words(error: RosplcError) -> str:
-    remedy = error.remedy
-    if "pip install" in remedy:
-        from rosplc.doctor.packages import pip_here
-
-        remedy = pip_here(remedy)
     where = f"\n  where:  {error.where}" if error.where else ""
-    return f"rosplc: error {error.code}: {error.what}{where}\n  remedy: {remedy}"
+    return f"rosplc: error {error.code}: {error.what}{where}\n  remedy: {error.remedy}"

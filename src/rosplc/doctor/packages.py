@@ -6,6 +6,7 @@ import json
 import re
 import shlex
 import sys
+import sysconfig
 from collections.abc import Callable, Iterator, Mapping
 from importlib.metadata import PackageNotFoundError, distribution, requires, version
 from pathlib import Path
@@ -95,13 +96,21 @@ def backend(
 
 
 def pip_here(text: str) -> str:
-    """Return a text with the pip, and the source of rosplc, that this installation uses.
+    """Return a text whose ``pip install`` and ``'rosplc[EXTRA]'`` are what works where rosplc is installed.
 
-    ``pip install`` and ``'rosplc[EXTRA]'`` in it are replaced.
+    That is the pip of a virtual environment, ``pipx inject`` in one that pipx made, a new virtual environment
+    where the system manages Python (PEP 668), and the checkout's path for an editable installation.
     """
-    here = Path(sys.executable).parent / "pip"
-    pip = shlex.quote(str(here)) if here.exists() else f"{shlex.quote(sys.executable)} -m pip"
-    text = re.sub(r"(?<![\w/-])pip install", lambda _: f"{pip} install", text)
+    python, prefix = shlex.quote(sys.executable), Path(sys.prefix)
+    pip = prefix / "bin" / "pip"
+    command = f"{shlex.quote(str(pip)) if pip.exists() else f'{python} -m pip'} install"
+    if (prefix / "pipx_metadata.json").exists():
+        command = f"pipx inject {shlex.quote(prefix.name)}"
+        text = re.sub(r"'rosplc\[(\w+)\]'", lambda found: _brought_by(found[1]), text)
+    elif sys.prefix == sys.base_prefix and Path(sysconfig.get_path("stdlib"), "EXTERNALLY-MANAGED").exists():
+        command = f"{python} -m venv ~/rosplc-env && ~/rosplc-env/bin/pip install"
+        command += "" if "'rosplc[" in text else " rosplc"
+    text = re.sub(r"(?<![\w/-])pip install", lambda _: command, text)
     try:
         origin = json.loads(distribution("rosplc").read_text("direct_url.json") or "{}")
     except (PackageNotFoundError, ValueError):
@@ -110,3 +119,8 @@ def pip_here(text: str) -> str:
         return text
     folder = unquote(urlparse(origin["url"]).path)
     return re.sub(r"'rosplc(\[\w+\])'", lambda found: f"-e {shlex.quote(folder + found[1])}", text)
+
+
+def _brought_by(extra: str) -> str:
+    lines = [line.partition(";") for line in requires("rosplc") or []]
+    return " ".join(shlex.quote(name.strip()) for name, _, when in lines if f'extra == "{extra}"' in when)

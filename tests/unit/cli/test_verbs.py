@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 import typer
 import yaml
+from packaging.requirements import Requirement
 from typer.testing import CliRunner
 
 from rosplc._version import __version__
@@ -418,3 +421,33 @@ def test_remedies_name_the_pip_of_this_installation():
 
     text = pip_here("pip install 'rosplc[views]'")
     assert text.startswith(str(Path(sys.executable).parent)) and "[views]" in text
+
+
+def test_remedies_fit_the_environment(monkeypatch, tmp_path):
+    """A virtual environment has its pip, pipx its inject; where the system manages Python one is made."""
+    from rosplc.doctor import packages
+
+    monkeypatch.setattr(packages, "distribution", lambda name: Mock(read_text=lambda path: None))
+    views, other = "pip install 'rosplc[views]'", "pip install 'cyclonedds>=11,<12' (x86-64)"
+    environment = tmp_path / "my venvs" / "rosplc"
+    (environment / "bin").mkdir(parents=True)
+    monkeypatch.setattr("sys.prefix", str(environment))
+    monkeypatch.setattr("sys.executable", str(environment / "bin" / "python"))
+    assert packages.pip_here(other) == f"'{environment}/bin/python' -m {other}"
+    (environment / "bin" / "pip").touch()
+    assert packages.pip_here(views) == f"'{environment}/bin/pip' install 'rosplc[views]'"
+
+    (environment / "pipx_metadata.json").touch()
+    assert packages.pip_here(other) == "pipx inject rosplc 'cyclonedds>=11,<12' (x86-64)"
+    command, brought = packages.pip_here(views).split(" rosplc ")
+    names = [Requirement(each).name for each in shlex.split(brought)]
+    assert command == "pipx inject" and names == ["textual", "aiohttp"]
+
+    monkeypatch.setattr("sys.prefix", sys.base_prefix)
+    monkeypatch.setattr("sys.executable", "/usr/bin/python3")
+    monkeypatch.setattr("sysconfig.get_path", {"stdlib": str(tmp_path)}.get)
+    assert " -m venv " not in packages.pip_here(views)
+    (tmp_path / "EXTERNALLY-MANAGED").touch()
+    new = "/usr/bin/python3 -m venv ~/rosplc-env && ~/rosplc-env/bin/pip install"
+    assert packages.pip_here(views) == f"{new} 'rosplc[views]'"
+    assert packages.pip_here(other) == f"{new} rosplc 'cyclonedds>=11,<12' (x86-64)"

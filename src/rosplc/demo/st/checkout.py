@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import importlib.util
+import shlex
 import shutil
-import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -87,6 +87,6 @@ def find_translator() -> Translator:
         raise SetupError(
             "SYS001",
             "the Python package rosplc-st is missing, which translates Structured Text",
-            remedy=f"{sys.executable} -m pip install -e '{root / 'tests' / 'st'}'",
+            remedy=f"pip install -e {shlex.quote(str(root / 'tests' / 'st'))}",
         )
     return Translator(root)
