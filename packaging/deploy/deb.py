@@ -12,6 +12,7 @@ import gzip
 import os
 import re
 import shutil
+import struct
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -19,7 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from deploy.board import ARCHITECTURES, Board
-from deploy.wheel import PIP, ROOT, DeployError, build_wheel, project_version, run
+from deploy.wheel import PIP, ROOT, UNWANTED, DeployError, build_wheel, project_version, run
 
 __all__ = [
     "EXTRAS", "Target", "build_for_board", "build_here", "debian_version", "install_into", "main",
@@ -33,6 +34,18 @@ _HOME = Path("opt/rosplc")
 _SCRIPTS = ROOT / "packaging" / "debian"
 _MAINTAINER_SCRIPTS = ("postinst", "prerm", "postrm")
 _CONFFILE_FOLDER = Path("etc/rosplc")
+_PAGES = ("README.md", "docs/**/*.md", "spec/*.md")
+_UNUSED = (
+    # What programs are built or checked with, and what tests the packages themselves.
+    *(f"**/*.{suffix}" for suffix in ("a", "c", "h", "pc", "pxd", "pyi", "pyx")),
+    "**/tests/**/*", "numpy/f2py/**/*", "numpy/distutils/**/*", "numpy/_core/*_tests.*.so",
+    "numpy/_core/_simd.*.so",
+    # Programs, and second copies: cyclonedds loads what is in cyclonedds.libs, CPython zstandard's backend_c.
+    "apsw/sqlite_extra_binaries/*", "cyclonedds/.libs/*", "cyclonedds/tools/**/*", "zstandard/_cffi.*.so",
+)  # fmt: skip
+"""Files below site-packages, rosplc's own and licences apart, that nothing loads at run time."""
+_UNCOMPILED = "pygments/(lexers|styles)/|textual/demo/|pydantic/v1/"
+"""Modules that no verb imports: they work without bytecode, only slower."""
 
 
 @dataclass(frozen=True)
@@ -44,12 +57,14 @@ class Target:
         python: Minor version of Python 3 there.
         libc: Version of the C library there.
         packages: Debian packages that take the place of Python packages which have no wheel there.
+        strip: The program that takes symbols out of libraries.
     """
 
     architecture: str
     python: int
     libc: str
     packages: tuple[str, ...] = ()
+    strip: str = "strip"
 
     @classmethod
     def here(cls) -> Target:
@@ -103,11 +118,41 @@ def install_into(stage: Path, wheel: Path, extras: Sequence[str] = EXTRAS, *, al
     run([*command, "--no-compile", "--only-binary=:all:", *options, what])
 
 
+def _slim(packages: Path, strip: str) -> None:
+    """Leave out of site-packages what nothing loads at run time, and symbols of libraries."""
+    for path in {path for pattern in _UNUSED for path in packages.glob(pattern)}:
+        if path.is_file() and packages / "rosplc" not in path.parents and "licen" not in path.name.lower():
+            path.unlink()
+    for folder in sorted((path for path in packages.rglob("*") if path.is_dir()), reverse=True):
+        if not any(folder.iterdir()):
+            folder.rmdir()
+    for path in packages.rglob("*.so*"):
+        stripped = path.with_name("stripped")
+        run([strip, "--strip-unneeded", "-o", stripped, path])
+        # strip breaks some libraries that patchelf has rewritten for a wheel; they stay as they are.
+        if _loads(stripped.read_bytes()):
+            stripped.replace(path)
+        else:
+            stripped.unlink()
+
+
+def _loads(elf: bytes) -> bool:
+    """Return whether each segment of a library lies where its address wants it, as the loader demands."""
+    wide = elf[4] == 2
+    (start,) = struct.unpack_from("<Q" if wide else "<I", elf, 32 if wide else 28)
+    size, count = struct.unpack_from("<HH", elf, 54 if wide else 42)
+    for place in range(start, start + size * count, size):
+        kind, *rest = struct.unpack_from("<I4x6Q" if wide else "<8I", elf, place)
+        if kind == 1 and (rest[0] - rest[1]) % rest[-1]:
+            return False
+    return True
+
+
 def _settle(stage: Path) -> None:
     """Make the environment one that was made at its place on the machine."""
     home = stage / _HOME
     for path in (home / "bin").iterdir():
-        if path.name.lower().startswith("activate"):
+        if not path.name.startswith(("python", "rosplc")):
             path.unlink()
         elif path.is_file() and not path.is_symlink():
             path.write_bytes(path.read_bytes().replace(str(stage).encode(), b""))
@@ -117,7 +162,7 @@ def _settle(stage: Path) -> None:
     for path in home.rglob("direct_url.json"):  # where the wheel was installed from
         path.unlink()
     # Compiled now, as the service may not write there; each file with the name that it will have.
-    run([_PYTHON, "-m", "compileall", "-q", "-s", stage, "-p", "/", home / "lib"])
+    run([_PYTHON, "-m", "compileall", "-q", "-x", _UNCOMPILED, "-s", stage, "-p", "/", home / "lib"])
     for path in home.rglob("*"):
         if path.is_file() and not path.is_symlink() and str(stage).encode() in path.read_bytes():
             raise DeployError(f"{path} still names the folder that the package was built in")
@@ -132,6 +177,8 @@ def pack(stage: Path, folder: Path, version: str, target: Target) -> Path:
         version: rosplc's version.
         target: What the package is for.
     """
+    (packages,) = (stage / _HOME).glob("lib/python3*/site-packages")
+    _slim(packages, target.strip)
     _settle(stage)
     (stage / "usr/bin").mkdir(parents=True, exist_ok=True)
     link = stage / "usr/bin/rosplc"
@@ -140,6 +187,7 @@ def pack(stage: Path, folder: Path, version: str, target: Target) -> Path:
     (stage / _CONFFILE_FOLDER).mkdir(parents=True, exist_ok=True)
     _write_documents(stage / "usr/share/doc/rosplc")
     _write_headers(stage, version)
+    run([sys.executable, ROOT / "tools/man_pages.py", stage, version])
     control = stage / "DEBIAN"
     control.mkdir(exist_ok=True)
     for name in _MAINTAINER_SCRIPTS:
@@ -152,7 +200,7 @@ def pack(stage: Path, folder: Path, version: str, target: Target) -> Path:
     (control / "control").write_text(text, encoding="utf-8")
     folder.mkdir(parents=True, exist_ok=True)
     package = folder / f"rosplc_{name}_{machine}.deb"
-    run(["dpkg-deb", "--root-owner-group", "-Zzstd", "-z9", "--build", stage, package])
+    run(["dpkg-deb", "--root-owner-group", "-Zxz", "-z9", "--build", stage, package])
     return package
 
 
@@ -178,6 +226,11 @@ def _write_documents(folder: Path) -> None:
     (folder / "copyright").write_text(intro + licence, encoding="utf-8")
     changes = (ROOT / "CHANGELOG.md").read_bytes()
     (folder / "changelog.gz").write_bytes(gzip.compress(changes, mtime=0))
+    for page in (page for pattern in _PAGES for page in ROOT.glob(pattern)):
+        copy = folder / page.relative_to(ROOT)
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(page, copy)
+    shutil.copytree(ROOT / "examples", folder / "examples", ignore=UNWANTED, dirs_exist_ok=True)
 
 
 def build_for_board(folder: Path, name: str, suite: str) -> Path:
@@ -216,7 +269,8 @@ def pack_board(board: Board, stage: Path, folder: Path, version: str) -> Path:
     os.umask(0o022)
     shutil.copytree(board.root / _HOME, stage / _HOME, symlinks=True)
     minor = board.python_version()[1]
-    target = Target(board.architecture.name, minor, board.libc(), board.architecture.debian)
+    kind = board.architecture
+    target = Target(kind.name, minor, board.libc(), kind.debian, f"{kind.triplet}-strip")
     return pack(stage, folder, version, target)
 
 

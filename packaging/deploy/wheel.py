@@ -9,11 +9,12 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-__all__ = ["PIP", "ROOT", "DeployError", "build_wheel", "copy_source", "project_version", "run"]
+__all__ = ["PIP", "ROOT", "UNWANTED", "DeployError", "build_wheel", "copy_source", "project_version", "run"]
 
 ROOT = Path(__file__).resolve().parents[2]
 PIP = (sys.executable, "-m", "pip", "--disable-pip-version-check")
-_UNWANTED = shutil.ignore_patterns("*.so", "*.o", "__pycache__", "*.egg-info")
+UNWANTED = shutil.ignore_patterns("*.so", "*.o", "__pycache__", "*.egg-info")
+"""What lies about in a tree and belongs in no package."""
 _VERSION = re.compile(r'(?m)^__version__ = "([^"]+)"$')
 
 
@@ -34,7 +35,7 @@ def copy_source(target: Path, version: str | None = None) -> Path:
     Returns:
         The folder.
     """
-    shutil.copytree(ROOT / "src", target / "src", ignore=_UNWANTED)
+    shutil.copytree(ROOT / "src", target / "src", ignore=UNWANTED)
     for name in ("pyproject.toml", "setup.py", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, target / name)
     if version is not None:

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import gzip
 import shutil
 import signal
 import subprocess
 import time
+import zipfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from typer.main import get_command
 
 from deploy.deb import Target, debian_version, install_into, make_environment, pack
 from deploy.wheel import PIP, build_wheel, project_version, run
+from rosplc.cli.app import app
 from rosplc.shm import Namespace
 from tests.deploy.machine import Machine, need_namespaces
 
@@ -47,10 +51,11 @@ def test_versions_are_ordered_as_python_orders_them(earlier: str, later: str) ->
 
 @dataclass(frozen=True)
 class Packages:
-    """The checkout's package, and one of a later version."""
+    """The checkout's package, one of a later version, and the wheels that both were made of."""
 
     now: Path
     newer: Path
+    wheels: Path
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +76,7 @@ def packages(tmp_path_factory: pytest.TempPathFactory) -> Packages:
         install_into(stage, wheel, ())
     now = pack(stage, folder, project_version(), target)
     install_into(stage, build_wheel(folder / "newer", version=NEWER), (), alone=True)
-    return Packages(now, pack(stage, folder, NEWER, target))
+    return Packages(now, pack(stage, folder, NEWER, target), wheels)
 
 
 @pytest.fixture
@@ -117,6 +122,34 @@ class Bridge:
 
 @pytest.mark.verify(minutes=2)
 @pytest.mark.timeout(1800)
+def test_what_a_package_holds(packages: Packages, tmp_path: Path) -> None:
+    """Manual pages, completion, documentation, examples, every licence; and it is smaller than its parts."""
+    run(["dpkg-deb", "--extract", packages.now, tmp_path])
+    share = tmp_path / "usr/share"
+    verbs = [f"rosplc-{verb}" for verb in getattr(get_command(app), "commands", ())]
+    for name in ("rosplc", *verbs):
+        page = share / f"man/man1/{name}.1.gz"
+        assert gzip.decompress(page.read_bytes()).decode().startswith(f".TH {name.upper()} 1 ")
+        if shutil.which("man"):
+            command = ["man", "--warnings", "--local-file", "-Tutf8", page]
+            done = subprocess.run(command, capture_output=True, text=True, check=True)
+            assert done.stdout and not done.stderr, name
+    assert (share / "zsh/vendor-completions/_rosplc").read_text().startswith("#compdef rosplc\n")
+    for name in ("docs/howto/upgrade.md", "spec/shm-format.md", "examples/c/echo.c", "changelog.gz"):
+        assert (share / "doc/rosplc" / name).is_file()
+    (place,) = tmp_path.glob("opt/rosplc/lib/python3*/site-packages")
+    wheels = list(packages.wheels.glob("*.whl"))
+    licences = [
+        name for wheel in wheels for name in zipfile.ZipFile(wheel).namelist() if "licen" in name.lower()
+    ]
+    licences = [name for name in licences if not name.endswith("/")]
+    assert licences and not [name for name in licences if not (place / name).is_file()]
+    # Wheels hold no bytecode; without what is left out, the package with it would be larger than they are.
+    assert packages.now.stat().st_size < 0.75 * sum(wheel.stat().st_size for wheel in wheels)
+
+
+@pytest.mark.verify(minutes=2)
+@pytest.mark.timeout(1800)
 def test_life_of_a_package(
     packages: Packages, machine: Machine, tmp_path: Path, shm_namespace: Namespace
 ) -> None:
@@ -134,7 +167,10 @@ def test_life_of_a_package(
     place = machine.run("/opt/rosplc/bin/python", "-c", "import rosplc; print(rosplc.__file__)")
     assert place.startswith("/opt/rosplc/lib/")
     libraries = machine.run("sh", "-c", "find /opt/rosplc -name '*.so*' -exec ldd {} + 2>&1")
-    assert "not found" not in libraries
+    assert "not found" not in libraries and "error while loading" not in libraries
+    complete = "COMP_WORDS=(rosplc rel); COMP_CWORD=1; _rosplc_completion rosplc; echo ${COMPREPLY[@]}"
+    complete = f". /usr/share/bash-completion/completions/rosplc; {complete}"
+    assert machine.run("bash", "-c", complete).split() == ["reload", "release"]
     headers = ("/usr/include/rosplc/channel.h", "/usr/share/pkgconfig/rosplc.pc")
     machine.run("ls", *headers)
 
