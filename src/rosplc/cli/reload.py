@@ -12,7 +12,6 @@ A file that is wrong changes nothing. The bridge's log has the outcome. For a se
 from __future__ import annotations
 
 import os
-import re
 import signal
 from pathlib import Path
 
@@ -64,9 +63,10 @@ def command(
 
 def _handles_reload(pid: int) -> bool:
     """Return whether a process handles SIGUSR1; it would end any other, as one with ``rosplc.bind``."""
+    from rosplc.doctor.machine import status_mask
+
     try:
-        status = Path(f"/proc/{pid}/status").read_text(encoding="utf-8", errors="replace")
+        caught = status_mask(Path(f"/proc/{pid}/status"), "SigCgt")
     except OSError:
         return False
-    caught = re.search(r"^SigCgt:\s*([0-9a-f]+)$", status, re.M)  # a mask, as proc(5) has it
-    return caught is not None and bool(int(caught[1], 16) >> (signal.SIGUSR1 - 1) & 1)
+    return bool(caught >> (signal.SIGUSR1 - 1) & 1)

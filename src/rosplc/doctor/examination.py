@@ -197,7 +197,7 @@ class _Examination:
         yield from machine.architecture(platform.machine(), platform.release(), byte_order=sys.byteorder)
         yield from machine.clock(time.time())
         yield from machine.open_files(limit(resource.RLIMIT_NOFILE), len(self._topics))
-        held = machine.capabilities(self._proc / "self/status")
+        held = machine.status_mask(self._proc / "self/status", "CapEff")
         yield from machine.real_time(limit(resource.RLIMIT_RTPRIO), limit(resource.RLIMIT_MEMLOCK), held)
 
     def _logout(self) -> Iterator[Finding]:
