@@ -11,7 +11,6 @@ import secrets
 import threading
 from collections.abc import Callable, Collection
 from contextlib import ExitStack
-from functools import partial
 
 from rosplc.bridge.carrier import Carriers, Duty, Rounds
 from rosplc.bridge.diagnostics import Diagnostics
@@ -236,10 +235,10 @@ class Bridge:
         assert self.backend is not None
         assert self._carriers is not None
         before, self._types.store = self._types.store, project.store
-        show, space = partial(setattr, self, "_streams"), project.namespace
+        space = project.namespace
         try:
             streams = Exchange(
-                changes, self._streams, self._carriers, self.backend, space, self._clock, show
+                changes, self._streams, self._carriers, self.backend, space, self._clock, self._show
             ).run()
         except BaseException:
             self._types.store = before
@@ -248,6 +247,9 @@ class Bridge:
         self._streams = tuple(sorted(streams, key=lambda stream: order.index(stream.plan.topic)))
         self._types.use(project.topics)
         self.project, self.config, self.settings = project, project.config, project.config.settings
+
+    def _show(self, streams: tuple[Stream, ...]) -> None:
+        self._streams = streams
 
     def run(self, stop: threading.Event) -> None:
         """Start, carry until ``stop`` is set, and stop. Raises RosplcError: As :meth:`start`."""
