@@ -9,9 +9,10 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 from rosplc._version import __version__
-from rosplc.config.resolve import Project, object_size
+from rosplc.config.resolve import Project, TopicPlan, object_size
 from rosplc.errors import GenerationError
 from rosplc.layout import Layout
 from rosplc.model import TypeStore
@@ -340,6 +341,11 @@ def plc_project(project: Project, options: ProjectOptions) -> PlcProject:
     return build_project(project.store, topics, tasks, replace(options, prefix=settings.prefix))
 
 
+def _on_stale(plan: TopicPlan) -> Literal["hold", "zero", "value"]:
+    action = plan.on_stale.action
+    return "hold" if action == "stop" or action == "substitute" else action
+
+
 def _topics(project: Project) -> list[PlcTopic]:
     return [
         PlcTopic(
@@ -349,7 +355,7 @@ def _topics(project: Project) -> list[PlcTopic]:
             task=plan.task,
             object_size=object_size(project, plan) if plan.port == "channel" else 0,
             stale_after_ns=plan.stale_after_ns,
-            on_stale=action if (action := plan.on_stale.action) == "zero" or action == "value" else "hold",
+            on_stale=_on_stale(plan),
             safe=plan.on_stale.value if plan.on_stale.action == "value" else None,
             in_order=plan.every,
             latched=plan.latched,
