@@ -171,10 +171,6 @@ class Background:
             os.killpg(self.process.pid, signal.SIGINT)
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self.process.wait(20)
-        self._end()
-
-    def _end(self) -> None:
-        """Kill what still runs; the number of a process that has been waited for may be another's by now."""
+        # The number of a process that has been waited for may be another's by now.
         if self.process.poll() is None:
-            os.killpg(self.process.pid, signal.SIGKILL)
-        self.process.wait()
+            self.kill()
