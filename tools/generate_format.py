@@ -73,7 +73,9 @@ def header() -> str:
         f"    ROSPLC_ERROR_{name} = {number}, /* {CODES[f'SHM{number}'].title} */"
         for name, number in TABLE["errors"].items()
     ]
-    lines += ["} rosplc_error;", ""]
+    lines += ["} rosplc_error;", "", "/* Section 11.2: why a call ended. */", "typedef enum {"]
+    lines += [f"    ROSPLC_REASON_{name} = {number}," for name, number in TABLE["reasons"].items()]
+    lines += ["} rosplc_reason;", ""]
     for line in TABLE["words"]:
         lines.append("typedef struct {")
         for word in words(line):
@@ -179,6 +181,12 @@ def module() -> str:
         '    """The numbers of section 9; number 101 is the error code SHM101."""',
         "",
         *(f"    {name} = {number}" for name, number in TABLE["errors"].items()),
+        "",
+        "",
+        "class Reason(enum.IntEnum):",
+        '    """Why a call ended; section 11.2."""',
+        "",
+        *(f"    {name} = {number}" for name, number in TABLE["reasons"].items()),
         "",
         "",
         "def reader_line(index: int) -> int:",

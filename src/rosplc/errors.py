@@ -226,6 +226,12 @@ _register("SHM130", "classic memory has an unexpected size", "Larger than the re
 _register("SHM131", "lock of a dead process was freed", "Find out why its holder died or hung; if it was only slow, raise classic: recover_after.")
 _register("SHM132", "semaphore let in more than one", "A program created it with a value above 1 or posted it twice; the bridge has corrected it.")
 _register("SHM133", "semaphore belongs to programs of another word size", "A 32-bit and a 64-bit program cannot share a semaphore: run both sides with the same word size, or carry the topic over the default channel.")
+_register("SHM140", "call was not executed", "It is safe to call again; the reason given with it tells what to mend.")
+_register("SHM141", "fate of the call is unknown", "It may have been executed and may still be: find out before you call again.")
+_register("SHM142", "call was executed, its answer cannot be shown", "Raise the limits of the service or action, and generate the PLC code again.")
+_register("SHM143", "goal was aborted", "The server gave the goal up; its result tells why.")
+_register("SHM144", "goal was canceled", "The server has canceled the goal, as was asked.")
+_register("SHM145", "step is not allowed in this state", "Set only the inputs that the state of the call allows; the reference of the blocks has the table.")
 
 _register("CFG001", "file cannot be read", "Check the path and the permissions.")
 _register("CFG002", "not valid YAML", "Correct the named line; indentation and colons are the usual causes.")

@@ -19,6 +19,11 @@ FEATURES_KNOWN: Final = 0  # bits of features_required that this version knows
 STATE_LIVE: Final = 1  # state: in use
 STATE_RETIRED: Final = 2  # state: replaced or removed; open the name again
 KIND_TOPIC: Final = 1  # kind: a topic's channel
+KIND_REQUEST: Final = 0x0102  # kind: a service's requests
+KIND_RESPONSE: Final = 0x0202  # kind: a service's responses
+KIND_GOAL: Final = 0x0103  # kind: an action's goals
+KIND_RESULT: Final = 0x0203  # kind: an action's results
+KIND_FEEDBACK: Final = 0x0303  # kind: an action's feedback
 MIN_SLOTS: Final = 4  # smallest slot_count
 MAX_SLOTS: Final = 65536  # largest slot_count
 MAX_RECORD_SIZE: Final = 0x40000000  # largest record_size in bytes
@@ -31,6 +36,23 @@ WINDOW_DELAYED: Final = 3  # M23: the same under the delayed rule
 FLAG_FIRST: Final = 1  # flags: first after the writer started or its source was silent
 FLAG_TRUNCATED: Final = 2  # flags: something was cut off
 FLAG_SUBSTITUTED: Final = 4  # flags: not a message of the source
+ASK_CALL: Final = 1  # status of a request or goal: always set
+ASK_CANCEL: Final = 2  # status of a goal: the caller asks for it to be canceled
+ASK_PREEMPT: Final = 4  # status of a goal: another goal waits for this one to end
+ASK_WITHDRAWN: Final = 8  # status of a request or goal: nobody waits for an answer any more
+ANSWER_MASK: Final = 0x000000FF  # status of an answer: the bits that hold one of the next eight
+ANSWER_DONE: Final = 1  # status of an answer: the record is the response
+ANSWER_NOT_EXECUTED: Final = 2  # status of an answer: it did not begin, and it is safe to call again
+ANSWER_FATE_UNKNOWN: Final = 3  # status of an answer: it may have been executed, and no answer will come
+ANSWER_UNREADABLE: Final = 4  # status of an answer: executed, but the answer does not fit the record
+ANSWER_ACCEPTED: Final = 5  # status of an answer: the goal is being executed
+ANSWER_SUCCEEDED: Final = 6  # status of an answer: the record is the result
+ANSWER_CANCELED: Final = 7  # status of an answer: the record is the result of a canceled goal
+ANSWER_ABORTED: Final = 8  # status of an answer: the record is the result of an aborted goal
+ANSWER_CANCEL_ACCEPTED: Final = 256  # status of an answer, added: the goal will be canceled
+ANSWER_CANCEL_REJECTED: Final = 512  # status of an answer, added: the goal will not be canceled
+ANSWER_NO_RESULT: Final = 1024  # status of an answer, added: the result does not fit the record
+GOAL_ID_END: Final = 0x504C5052  # the last word of the UUID of a goal that a PLC sends
 STAMP_NONE: Final = 0  # stamp_clock: no time stamp
 STAMP_SYSTEM: Final = 1  # stamp_clock: system clock (UTC)
 STAMP_ROS: Final = 2  # stamp_clock: ROS time
@@ -82,7 +104,7 @@ READER_LINE: Final = _offsets(
 SLOT_HEADER: Final = _offsets(
     0,
     "sequence length flags status stamp_lo stamp_hi stamp_clock checksum correlation_lo "
-    "correlation_hi client*4 reserved*2",
+    "correlation_hi client*4 reason reserved",
 )
 
 
@@ -134,6 +156,29 @@ class ErrorNumber(enum.IntEnum):
     LOCK_FREED = 131
     SEMAPHORE_COUNT = 132
     SEMAPHORE_WORD_SIZE = 133
+    NOT_EXECUTED = 140
+    FATE_UNKNOWN = 141
+    UNREADABLE = 142
+    GOAL_ABORTED = 143
+    GOAL_CANCELED = 144
+    ILLEGAL_STEP = 145
+
+
+class Reason(enum.IntEnum):
+    """Why a call ended; section 11.2."""
+
+    NONE = 0
+    NO_SERVER = 1
+    TIME_OUT = 2
+    REJECTED = 3
+    QUEUE_FULL = 4
+    EXPIRED = 5
+    CALLER_GONE = 6
+    PLC_DOWN = 7
+    BRIDGE_RESTARTED = 8
+    TOO_LARGE = 9
+    SERVER_GONE = 10
+    SERVER_FAILED = 11
 
 
 def reader_line(index: int) -> int:

@@ -15,6 +15,11 @@
 #define ROSPLC_STATE_LIVE 1u /* state: in use */
 #define ROSPLC_STATE_RETIRED 2u /* state: replaced or removed; open the name again */
 #define ROSPLC_KIND_TOPIC 1u /* kind: a topic's channel */
+#define ROSPLC_KIND_REQUEST 0x0102u /* kind: a service's requests */
+#define ROSPLC_KIND_RESPONSE 0x0202u /* kind: a service's responses */
+#define ROSPLC_KIND_GOAL 0x0103u /* kind: an action's goals */
+#define ROSPLC_KIND_RESULT 0x0203u /* kind: an action's results */
+#define ROSPLC_KIND_FEEDBACK 0x0303u /* kind: an action's feedback */
 #define ROSPLC_TO_PLC 1u /* direction: towards the PLC */
 #define ROSPLC_TO_ROS 2u /* direction: towards ROS */
 #define ROSPLC_MIN_SLOTS 4u /* smallest slot_count */
@@ -29,6 +34,23 @@
 #define ROSPLC_FLAG_FIRST 1u /* flags: first after the writer started or its source was silent */
 #define ROSPLC_FLAG_TRUNCATED 2u /* flags: something was cut off */
 #define ROSPLC_FLAG_SUBSTITUTED 4u /* flags: not a message of the source */
+#define ROSPLC_ASK_CALL 1u /* status of a request or goal: always set */
+#define ROSPLC_ASK_CANCEL 2u /* status of a goal: the caller asks for it to be canceled */
+#define ROSPLC_ASK_PREEMPT 4u /* status of a goal: another goal waits for this one to end */
+#define ROSPLC_ASK_WITHDRAWN 8u /* status of a request or goal: nobody waits for an answer any more */
+#define ROSPLC_ANSWER_MASK 0x000000FFu /* status of an answer: the bits that hold one of the next eight */
+#define ROSPLC_ANSWER_DONE 1u /* status of an answer: the record is the response */
+#define ROSPLC_ANSWER_NOT_EXECUTED 2u /* status of an answer: it did not begin, and it is safe to call again */
+#define ROSPLC_ANSWER_FATE_UNKNOWN 3u /* status of an answer: it may have been executed, and no answer will come */
+#define ROSPLC_ANSWER_UNREADABLE 4u /* status of an answer: executed, but the answer does not fit the record */
+#define ROSPLC_ANSWER_ACCEPTED 5u /* status of an answer: the goal is being executed */
+#define ROSPLC_ANSWER_SUCCEEDED 6u /* status of an answer: the record is the result */
+#define ROSPLC_ANSWER_CANCELED 7u /* status of an answer: the record is the result of a canceled goal */
+#define ROSPLC_ANSWER_ABORTED 8u /* status of an answer: the record is the result of an aborted goal */
+#define ROSPLC_ANSWER_CANCEL_ACCEPTED 256u /* status of an answer, added: the goal will be canceled */
+#define ROSPLC_ANSWER_CANCEL_REJECTED 512u /* status of an answer, added: the goal will not be canceled */
+#define ROSPLC_ANSWER_NO_RESULT 1024u /* status of an answer, added: the result does not fit the record */
+#define ROSPLC_GOAL_ID_END 0x504C5052u /* the last word of the UUID of a goal that a PLC sends */
 #define ROSPLC_STAMP_NONE 0u /* stamp_clock: no time stamp */
 #define ROSPLC_STAMP_SYSTEM 1u /* stamp_clock: system clock (UTC) */
 #define ROSPLC_STAMP_ROS 2u /* stamp_clock: ROS time */
@@ -82,7 +104,29 @@ typedef enum {
     ROSPLC_ERROR_LOCK_FREED = 131, /* lock of a dead process was freed */
     ROSPLC_ERROR_SEMAPHORE_COUNT = 132, /* semaphore let in more than one */
     ROSPLC_ERROR_SEMAPHORE_WORD_SIZE = 133, /* semaphore belongs to programs of another word size */
+    ROSPLC_ERROR_NOT_EXECUTED = 140, /* call was not executed */
+    ROSPLC_ERROR_FATE_UNKNOWN = 141, /* fate of the call is unknown */
+    ROSPLC_ERROR_UNREADABLE = 142, /* call was executed, its answer cannot be shown */
+    ROSPLC_ERROR_GOAL_ABORTED = 143, /* goal was aborted */
+    ROSPLC_ERROR_GOAL_CANCELED = 144, /* goal was canceled */
+    ROSPLC_ERROR_ILLEGAL_STEP = 145, /* step is not allowed in this state */
 } rosplc_error;
+
+/* Section 11.2: why a call ended. */
+typedef enum {
+    ROSPLC_REASON_NONE = 0,
+    ROSPLC_REASON_NO_SERVER = 1,
+    ROSPLC_REASON_TIME_OUT = 2,
+    ROSPLC_REASON_REJECTED = 3,
+    ROSPLC_REASON_QUEUE_FULL = 4,
+    ROSPLC_REASON_EXPIRED = 5,
+    ROSPLC_REASON_CALLER_GONE = 6,
+    ROSPLC_REASON_PLC_DOWN = 7,
+    ROSPLC_REASON_BRIDGE_RESTARTED = 8,
+    ROSPLC_REASON_TOO_LARGE = 9,
+    ROSPLC_REASON_SERVER_GONE = 10,
+    ROSPLC_REASON_SERVER_FAILED = 11,
+} rosplc_reason;
 
 typedef struct {
     uint32_t magic;
@@ -155,7 +199,8 @@ typedef struct {
     uint32_t correlation_lo;
     uint32_t correlation_hi;
     uint32_t client[4];
-    uint32_t reserved[2];
+    uint32_t reason;
+    uint32_t reserved;
 } rosplc_slot_header;
 
 typedef struct {
@@ -236,7 +281,8 @@ ROSPLC_AT(rosplc_slot_header, checksum, 28);
 ROSPLC_AT(rosplc_slot_header, correlation_lo, 32);
 ROSPLC_AT(rosplc_slot_header, correlation_hi, 36);
 ROSPLC_AT(rosplc_slot_header, client, 40);
-ROSPLC_AT(rosplc_slot_header, reserved, 56);
+ROSPLC_AT(rosplc_slot_header, reason, 56);
+ROSPLC_AT(rosplc_slot_header, reserved, 60);
 ROSPLC_STATIC_ASSERT(sizeof(rosplc_slot_header) == 64, "rosplc_slot_header has 64 bytes");
 ROSPLC_AT(rosplc_header, writer, 128);
 ROSPLC_AT(rosplc_header, reader, 192);
