@@ -1,7 +1,8 @@
 """Write the numbers of spec/format.toml for C and Python; ``--verify`` only compares.
 
 The C header ``rosplc/numbers.h`` gets constants, error numbers and the lines' structs; the Python module
-``rosplc.shm.constants`` constants, error numbers and the words' offsets.
+``rosplc.shm.constants`` constants, error numbers and the words' offsets, and ``rosplc.reasons``, which
+packages without a channel use, why a call ended.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ else:
 
 HEADER = ROOT / "src/rosplc/include/rosplc/numbers.h"
 MODULE = ROOT / "src/rosplc/shm/constants.py"
+REASONS = ROOT / "src/rosplc/reasons.py"
 TABLE: dict[str, Any] = tomllib.loads((ROOT / "spec/format.toml").read_text(encoding="utf-8"))
 SIZES = {"identity": 128, "writer_line": 64, "reader_line": 64, "slot_header": 64}
 
@@ -129,6 +131,8 @@ def module() -> str:
         "import enum",
         "from typing import Final",
         "",
+        "from rosplc.reasons import Reason as Reason",
+        "",
         'FORMAT: Final = "rosplc 1.0"',
     ]
     lines += [f"{name}: Final = {constants[name][0]}  # {constants[name][1]}" for name in names]
@@ -183,12 +187,6 @@ def module() -> str:
         *(f"    {name} = {number}" for name, number in TABLE["errors"].items()),
         "",
         "",
-        "class Reason(enum.IntEnum):",
-        '    """Why a call ended; section 11.2."""',
-        "",
-        *(f"    {name} = {number}" for name, number in TABLE["reasons"].items()),
-        "",
-        "",
         "def reader_line(index: int) -> int:",
         '    """Return the offset of reader line ``index``, 0 to 3."""',
         "    if not 0 <= index < READER_LINES:",
@@ -198,5 +196,25 @@ def module() -> str:
     return "\n".join(lines) + "\n"
 
 
+def reasons() -> str:
+    """Return the text of the Python module of reasons."""
+    lines = [
+        '"""Why a call ended; generated from spec/format.toml by tools/generate_format.py."""',
+        "",
+        "from __future__ import annotations",
+        "",
+        "import enum",
+        "",
+        '__all__ = ["Reason"]',
+        "",
+        "",
+        "class Reason(enum.IntEnum):",
+        '    """Why a call ended; spec/shm-format.md, section 11.2."""',
+        "",
+        *(f"    {name} = {number}" for name, number in TABLE["reasons"].items()),
+    ]
+    return "\n".join(lines) + "\n"
+
+
 if __name__ == "__main__":
-    raise SystemExit(run(__doc__, {HEADER: header(), MODULE: module()}))
+    raise SystemExit(run(__doc__, {HEADER: header(), MODULE: module(), REASONS: reasons()}))

@@ -1,12 +1,12 @@
 """What the bridge asks of a ROS middleware; each backend is one implementation of it.
 
 A backend moves a message's bytes and never looks inside: CDR for ROS 2 (with its 4-byte
-encapsulation header), ROS 1 serialization for ROS 1. Topics only, for now; services and
-actions will be further capabilities with methods of their own.
+encapsulation header), ROS 1 serialization for ROS 1. An action is three services and two
+topics to a backend of ROS 2, five topics to one of ROS 1.
 
-Threads: every method may be called from any thread. ``on_message`` is called from the
-backend's own receive thread, one call at a time; it must not block. It may close its own
-subscription.
+Threads: every method may be called from any thread. ``on_message``, ``on_request`` and ``on_reply`` are
+called from the backend's own threads, ``on_message`` one call at a time; they must not block. They may
+close their own endpoint.
 """
 
 from __future__ import annotations
@@ -18,10 +18,13 @@ from typing import Literal, Protocol
 from rosplc.clock import SYSTEM, Clock
 from rosplc.errors import BackendError
 from rosplc.model.types import MessageType
+from rosplc.reasons import Reason
 
 _STEADY_NS = 1_000_000_000
 OnMessage = Callable[[bytes, int], None]
 """Called with a message's bytes and its source stamp (ns since 1970; the sender's clock)."""
+OnRequest = Callable[[bytes, bytes, int], None]
+"""Called with a request's bytes, its caller (16 bytes, for the reply) and its source stamp (0: unknown)."""
 
 
 class TypeSource(Protocol):
@@ -109,6 +112,9 @@ SENSOR_DATA = Qos(reliability="best_effort", depth=5)
 LATCHED = Qos(durability="transient_local", depth=1000)
 """What a latched ROS 1 publisher with a queue of 1000 does: late readers get what was sent."""
 
+SERVICES = Qos()
+"""ROS 2's profile for services: reliable, volatile, the last 10 requests or responses."""
+
 PRESETS: dict[str, Qos] = {"default": DEFAULT, "sensor_data": SENSOR_DATA, "latched": LATCHED}
 """Preset name, as a configuration writes it → settings."""
 
@@ -138,11 +144,11 @@ class EndpointStatus:
     """One of the bridge's own endpoints, as it stands.
 
     Attributes:
-        topic: The absolute topic name, as ROS writes it.
-        type_name: ``package/msg/Name``.
-        direction: ``in`` for a subscription, ``out`` for a publisher.
+        topic: The absolute name of the topic or service, as ROS writes it.
+        type_name: ``package/msg/Name``; ``package/srv/Name`` for a service.
+        direction: ``in`` for a subscription or a service's server, ``out`` for a publisher or a client.
         matched: Peers that exchange messages with this endpoint.
-        messages: Messages received or sent.
+        messages: Messages, or requests, received or sent.
         dropped: Messages lost on the way: overrun queues, peers that could not keep up.
         rejected: Messages refused because their bytes do not fit the type.
         failed: Messages that ``on_message`` raised an exception for.
@@ -264,6 +270,116 @@ class Publisher(Protocol):
         """Stop sending; closing twice is harmless."""
 
 
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """How a call to a ROS server ended.
+
+    Attributes:
+        payload: The serialized response; None if there is none.
+        outcome: Without a response: ``not executed`` if the server never began, so that it is safe to call
+            again; ``fate unknown`` if it may have executed the request.
+        reason: Why there is no response.
+        text: More about that, for the log; in ROS 1 the server's own words.
+    """
+
+    payload: bytes | None = None
+    outcome: Literal["not executed", "fate unknown"] = "fate unknown"
+    reason: Reason = Reason.NONE
+    text: str = ""
+
+
+OnReply = Callable[[Reply], None]
+"""Called once with the end of a call."""
+
+
+class ServiceServer(Protocol):
+    """A service that ROS clients call."""
+
+    type_name: str
+    qos: Qos
+
+    @property
+    def service(self) -> str:
+        """The absolute name of the service."""
+
+    @property
+    def remembers(self) -> bool:
+        """Whether another server of this service, in another process, can answer a caller by its 16 bytes."""
+
+    @property
+    def matched(self) -> int:
+        """Clients that this server can answer."""
+
+    def reply(self, caller: bytes, payload: bytes) -> bool:
+        """Send a response; never blocks.
+
+        Args:
+            caller: What ``on_request`` was called with; it can be answered once.
+            payload: The serialized response, its encapsulation header included.
+
+        Returns:
+            False if the caller has gone, or was answered or refused before.
+
+        Raises:
+            BackendError: ROS008 if the payload is no response of the type, ROS009 after close.
+        """
+
+    def refuse(self, caller: bytes, text: str) -> bool:
+        """End a call without a response; returns as :meth:`reply`.
+
+        A client of ROS 1 gets the text. In ROS 2 a client gets nothing; the caller is forgotten.
+        """
+
+    def present(self, caller: bytes) -> bool:
+        """Return whether a caller still waits, as far as the middleware knows; True where it does not."""
+
+    def status(self) -> EndpointStatus:
+        """Return the present state; cheap enough to be asked every second."""
+
+    def close(self) -> None:
+        """Stop serving; after the return no callback runs or starts (unless called from it)."""
+
+
+class ServiceClient(Protocol):
+    """A service of a ROS server that is called."""
+
+    type_name: str
+    qos: Qos
+
+    @property
+    def service(self) -> str:
+        """The absolute name of the service."""
+
+    @property
+    def ready(self) -> bool:
+        """Whether a matching server is known now whose responses can be read."""
+
+    def call(self, payload: bytes, on_reply: OnReply) -> int:
+        """Send a request; never blocks.
+
+        Args:
+            payload: The serialized request, its encapsulation header included.
+            on_reply: Called exactly once unless the call is forgotten, and perhaps before this returns:
+                with the response, ``not executed`` (such as reason ``NO_SERVER``: nothing was sent), or
+                ``fate unknown`` (the server has gone; :meth:`close`). There is no time limit here.
+
+        Returns:
+            The number of the call, for :meth:`forget`.
+
+        Raises:
+            BackendError: ROS008 if the payload is no request of the type, ROS009 after close.
+        """
+
+    def forget(self, number: int) -> None:
+        """Wait no longer for a call: ``on_reply`` does not start any more. An unknown number is ignored."""
+
+    def status(self) -> EndpointStatus:
+        """Return the present state; cheap enough to be asked every second."""
+
+    def close(self) -> None:
+        """End every open call with ``fate unknown``; afterwards no callback runs or starts."""
+
+
 class Backend(Protocol):
     """One ROS node on one middleware.
 
@@ -275,7 +391,7 @@ class Backend(Protocol):
     """The backend's name, as ``ros.backend`` in the configuration has it."""
 
     capabilities: frozenset[str]
-    """What it can carry: ``topics``, and ``deadline`` if it keeps what a QoS promises in time."""
+    """What it can carry: ``topics``, ``services``; ``deadline`` if it keeps what a QoS promises in time."""
 
     def subscribe(self, topic: str, type_name: str, qos: Qos, on_message: OnMessage) -> Subscription:
         """Receive a topic.
@@ -287,6 +403,20 @@ class Backend(Protocol):
 
     def advertise(self, topic: str, type_name: str, qos: Qos) -> Publisher:
         """Send a topic; raises as :meth:`subscribe` does."""
+
+    def serve(self, service: str, type_name: str, qos: Qos, on_request: OnRequest) -> ServiceServer:
+        """Serve a service (capability ``services``); raises as :meth:`subscribe` does.
+
+        Args:
+            service: Its name.
+            type_name: ``package/srv/Name``, or a service of an action: ``package/action/Name_SendGoal``,
+                ``package/action/Name_GetResult``. The messages are this with ``_Request`` and ``_Response``.
+            qos: :data:`SERVICES`, unless there are reasons for another depth.
+            on_request: Receives the requests.
+        """
+
+    def client(self, service: str, type_name: str, qos: Qos) -> ServiceClient:
+        """Call a service (capability ``services``); arguments and errors as for :meth:`serve`."""
 
     def status(self) -> tuple[EndpointStatus, ...]:
         """Return the state of all endpoints of this backend."""

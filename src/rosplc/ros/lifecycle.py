@@ -3,6 +3,7 @@
 A managed node that is inactive neither receives nor sends. Endpoints that were asked for are remembered,
 opened by :meth:`LifecycleBackend.activate` and closed by :meth:`LifecycleBackend.deactivate`; a latched
 topic's last messages come again with each activation, as for any late subscriber, and are sent again.
+Open calls of services end when the node becomes inactive; no call is executed while it is.
 """
 
 from __future__ import annotations
@@ -14,15 +15,29 @@ from dataclasses import replace
 from typing import Any
 
 from rosplc.errors import BackendError, RosplcError
+from rosplc.reasons import Reason
 from rosplc.ros import backend
-from rosplc.ros.backend import Backend, EndpointStatus, GraphInfo, OnMessage, Publisher, Qos, Subscription
+from rosplc.ros.backend import (
+    Backend,
+    EndpointStatus,
+    GraphInfo,
+    OnMessage,
+    OnReply,
+    OnRequest,
+    Publisher,
+    Qos,
+    Reply,
+    ServiceClient,
+    ServiceServer,
+    Subscription,
+)
 
 _INACTIVE = "the node is not active"
 _SUMMED = ("messages", "dropped", "rejected", "failed")
 
 
 class LifecycleEndpoint:
-    """A topic that is received or sent while the backend is active; ``before`` tells which.
+    """A topic or service of the backend while it is active; ``before`` tells the direction.
 
     If it is ``latched``, its last message is sent again at each activation.
     """
@@ -94,6 +109,48 @@ class LifecycleEndpoint:
             raise BackendError("ROS009", "closed" if self._closed else _INACTIVE, where=self.topic)
         return bool(inner.write(payload, stamp_ns))
 
+    @property
+    def service(self) -> str:
+        """The service's name."""
+        return self.topic
+
+    @property
+    def remembers(self) -> bool:
+        """As the backend's server; False while inactive."""
+        return bool(getattr(self._inner, "remembers", False))
+
+    @property
+    def ready(self) -> bool:
+        """As the backend's client; False while inactive."""
+        return bool(getattr(self._inner, "ready", False))
+
+    def reply(self, caller: bytes, payload: bytes) -> bool:
+        """Send a response; False while inactive."""
+        inner = self._inner
+        return inner is not None and bool(inner.reply(caller, payload))
+
+    def refuse(self, caller: bytes, text: str) -> bool:
+        """End a call without a response; False while inactive."""
+        inner = self._inner
+        return inner is not None and bool(inner.refuse(caller, text))
+
+    def present(self, caller: bytes) -> bool:
+        """Return whether a caller still waits; False while inactive."""
+        inner = self._inner
+        return inner is not None and bool(inner.present(caller))
+
+    def call(self, payload: bytes, on_reply: OnReply) -> int:
+        """Send a request; not executed while inactive."""
+        if (inner := self._inner) is None:
+            on_reply(Reply(None, "not executed", Reason.NO_SERVER, _INACTIVE))
+            return 0
+        return int(inner.call(payload, on_reply))
+
+    def forget(self, number: int) -> None:
+        """Wait no longer for a call."""
+        if (inner := self._inner) is not None:
+            inner.forget(number)
+
     def close(self) -> None:
         """Close it for good; closing twice is harmless."""
         if not self._closed:
@@ -142,6 +199,16 @@ class LifecycleBackend:
             return self._inner.advertise(topic, type_name, qos)
         before = EndpointStatus(topic, type_name, "out")
         return self._add(before, qos, lambda: self._inner.advertise(topic, type_name, qos))
+
+    def serve(self, service: str, type_name: str, qos: Qos, on_request: OnRequest) -> ServiceServer:
+        """Serve a service while active; see :meth:`rosplc.ros.backend.Backend.serve`."""
+        before = EndpointStatus(service, type_name, "in")
+        return self._add(before, qos, lambda: self._inner.serve(service, type_name, qos, on_request))
+
+    def client(self, service: str, type_name: str, qos: Qos) -> ServiceClient:
+        """Call a service while active; see :meth:`rosplc.ros.backend.Backend.client`."""
+        before = EndpointStatus(service, type_name, "out")
+        return self._add(before, qos, lambda: self._inner.client(service, type_name, qos))
 
     def _add(self, before: EndpointStatus, qos: Qos, make: Callable[[], Any]) -> LifecycleEndpoint:
         self.check(before.type_name)

@@ -8,6 +8,8 @@ from __future__ import annotations
 import enum
 from typing import Final
 
+from rosplc.reasons import Reason as Reason
+
 FORMAT: Final = "rosplc 1.0"
 MAGIC: Final = 0x434C5052  # the bytes RPLC
 VERSION: Final = 0x00010000  # major * 65536 + minor
@@ -162,23 +164,6 @@ class ErrorNumber(enum.IntEnum):
     GOAL_ABORTED = 143
     GOAL_CANCELED = 144
     ILLEGAL_STEP = 145
-
-
-class Reason(enum.IntEnum):
-    """Why a call ended; section 11.2."""
-
-    NONE = 0
-    NO_SERVER = 1
-    TIME_OUT = 2
-    REJECTED = 3
-    QUEUE_FULL = 4
-    EXPIRED = 5
-    CALLER_GONE = 6
-    PLC_DOWN = 7
-    BRIDGE_RESTARTED = 8
-    TOO_LARGE = 9
-    SERVER_GONE = 10
-    SERVER_FAILED = 11
 
 
 def reader_line(index: int) -> int:
