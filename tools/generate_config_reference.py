@@ -15,8 +15,14 @@ SECTIONS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     *((name, "", ()) for name in PLAIN),
     ("tasks", " (each)", ()),
     ("topics", " (each)", ("qos", "on_stale", "classic")),
+    ("services", " (each)", ("clients",)),
 )
-MODELS = {"qos": "QosSettings", "on_stale": "OnStaleSettings", "classic": "ClassicSettings"}
+MODELS = {
+    "clients": "ClientSettings",
+    "qos": "QosSettings",
+    "on_stale": "OnStaleSettings",
+    "classic": "ClassicSettings",
+}
 
 
 def _type(schema: dict[str, Any], definitions: dict[str, Any]) -> str:

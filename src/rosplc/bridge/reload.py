@@ -21,7 +21,7 @@ from rosplc.errors import BackendError, RosplcError
 from rosplc.ros import Backend
 from rosplc.shm import Namespace
 
-_MAY_CHANGE = frozenset({"topics", "limits", "types", "tasks", "programs"})
+_MAY_CHANGE = frozenset({"topics", "services", "limits", "types", "tasks", "programs"})
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from typing import Any, Union, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 
 from rosplc.config.problems import Problems, did_you_mean
-from rosplc.config.settings import Settings
+from rosplc.config.settings import MOST_CLIENTS, Settings
 from rosplc.config.yaml_source import KeyPath, YamlSource, read_yaml
 from rosplc.errors import ConfigError
 
@@ -91,10 +91,15 @@ def _allow_short_forms(schema: dict[str, Any]) -> None:
     qos["anyOf"] = [reference, {"enum": ["default", "sensor_data", "latched"], "type": "string"}]
     classic = schema["$defs"]["TopicSettings"]["properties"]["classic"]
     classic["anyOf"] = [{"type": "boolean"}, *classic["anyOf"]]
-    for name in ("tasks", "topics"):
+    clients = schema["$defs"]["ServiceSettings"]["properties"]["clients"]
+    group = {key: clients.pop(key) for key in list(clients) if key not in ("default", "description", "title")}
+    names = {"type": "string", "pattern": next(iter(group["patternProperties"]))}
+    listed = {"type": "array", "items": names, "uniqueItems": True, "maxItems": MOST_CLIENTS}
+    clients["anyOf"] = [{**group, "additionalProperties": False}, listed]
+    for name in ("tasks", "topics", "services"):
         schema["properties"][name]["additionalProperties"] = False  # names that miss the pattern
     for name, value in schema["properties"].items():
-        if "$ref" in value or name in ("tasks", "topics"):
+        if "$ref" in value or name in ("tasks", "topics", "services"):
             schema["properties"][name] = {"anyOf": [value, {"type": "null"}], **_lift(value)}
 
 
@@ -212,7 +217,9 @@ def _explain(item: dict[str, Any], path: KeyPath, source: YamlSource) -> ConfigE
         hint = did_you_mean(str(path[-1]), _keys_at(path[:-1]))
         return source.wrong(path, f"{path[-1]!r} is no key here{hint}", code="CFG003")
     if kind == "missing":
-        return source.wrong(path, f"{path[-1]!r} is missing", _MISSING.get(str(path[-1]), ""), "CFG005")
+        remedy = _MISSING.get(str(path[-1]), "")
+        remedy = remedy.replace("/msg/", "/srv/") if path[0] == "services" else remedy
+        return source.wrong(path, f"{path[-1]!r} is missing", remedy, "CFG005")
     if kind == "literal_error":
         known = [word.strip(" '") for word in context["expected"].replace(" or ", ", ").split(", ")]
         hint = did_you_mean(str(value), known)
@@ -229,6 +236,7 @@ def _explain(item: dict[str, Any], path: KeyPath, source: YamlSource) -> ConfigE
 _MISSING = {
     "to": "Add `to: plc` for messages from ROS to the PLC, or `to: ros` for the other direction.",
     "type": "Add `type: package/msg/Name`; `rosplc types` lists the types.",
+    "server": "Add `server: ros` for a service that the PLC calls, or `server: plc` for one that it serves.",
 }
 _SHAPES = {
     "model_type": "a group of keys",

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from rosplc.config.file import Config
 from rosplc.config.quantities import format_duration, parse_duration
-from rosplc.config.settings import OnStaleSettings, TopicSettings
+from rosplc.config.settings import TopicSettings
 from rosplc.errors import ConfigError, LayoutError
 from rosplc.layout import Layout
 from rosplc.shm.constants import MAX_NAME
@@ -136,7 +136,7 @@ def stale_plan(config: Config, topic: str, entry: TopicSettings, layout: Layout,
             _check_silence(entry, stale_ns, wrong)
         return StalePlan(asked)
     _check_silence(entry, stale_ns, wrong)
-    record = _record(config, asked, layout, (*key, "value"))
+    record = checked_record(config, asked.value, layout, (*key, "value"))
     if entry.to == "plc":
         if asked.period_ns is not None:
             what = "a PLC's block has its value at every scan; there is no period"
@@ -171,20 +171,23 @@ def _check_silence(entry: TopicSettings, stale_ns: int, wrong: Any) -> None:
         raise wrong(what, "Raise stale_after, or remove rate_limit.")
 
 
-def _record(config: Config, asked: OnStaleSettings, layout: Layout, key: tuple[str | int, ...]) -> bytes:
+def checked_record(
+    config: Config, value: Mapping[str, Any], layout: Layout, key: tuple[str | int, ...]
+) -> bytes:
+    """Return the record of a message that the configuration writes at ``key``. Raises ConfigError there."""
     try:
-        record = bytes(layout.pack(asked.value))
+        record = bytes(layout.pack(value))
     except LayoutError as error:
         at = (*key, *_parts(error.where))
         inner = f"{error.where}: " if error.where and error.where != layout.type_name else ""
         remedy = f"`rosplc types {layout.type_name}` shows the fields and their limits."
         raise config.source.wrong(at, inner + error.what, remedy) from None
-    for path, value in _leaves(asked.value, ()):
+    for path, item in _leaves(value, ()):
         # In Structured Text there is no way to write these.
-        if isinstance(value, float) and not math.isfinite(value):
-            raise config.source.wrong((*key, *path), f"{value} is no number")
-        if isinstance(value, str) and not value.isprintable():
-            raise config.source.wrong((*key, *path), f"{value!r} has characters that cannot be printed")
+        if isinstance(item, float) and not math.isfinite(item):
+            raise config.source.wrong((*key, *path), f"{item} is no number")
+        if isinstance(item, str) and not item.isprintable():
+            raise config.source.wrong((*key, *path), f"{item!r} has characters that cannot be printed")
     return record
 
 

@@ -28,6 +28,7 @@ from rosplc.config.plans import (
 )
 from rosplc.config.problems import Absent, Problems, relocated
 from rosplc.config.quantities import format_duration
+from rosplc.config.services import ServicePlan, service_plans
 from rosplc.config.settings import TaskSettings, TopicSettings
 from rosplc.described import description_of
 from rosplc.errors import ConfigError, LayoutError, RosplcError
@@ -103,12 +104,14 @@ class Project:
         store: The message types.
         namespace: The names of the objects.
         topics: In the order of the file.
+        services: One plan for each use, in the order of the file.
     """
 
     config: Config
     store: TypeStore
     namespace: Namespace
     topics: tuple[TopicPlan, ...]
+    services: tuple[ServicePlan, ...] = ()
 
     def topic(self, name: str) -> TopicPlan:
         """Return one topic's plan; KeyError if the configuration has none."""
@@ -188,8 +191,9 @@ def resolve(config: Config) -> Project:
         except (ConfigError, LayoutError) as error:
             wrong = "slots" if entry.classic is None else "classic"
             problems.add(error, config.source.line((*where, wrong)))
+    services = service_plans(config, store, problems)
     problems.check()
-    return Project(config, store, namespace, tuple(plans))
+    return Project(config, store, namespace, tuple(plans), services)
 
 
 def _store(config: Config, problems: Problems) -> TypeStore:

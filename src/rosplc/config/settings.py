@@ -35,6 +35,10 @@ LONGEST_TEXT = 4096
 """Characters of a path or an address, as of a path in Linux."""
 MOST_TOPICS = 10_000
 """Topics of one bridge."""
+MOST_SERVICES = 1_000
+"""Services of one bridge."""
+MOST_CLIENTS = 256
+"""Uses of one service in the PLC's program."""
 MOST_TASKS = 64
 """Tasks of the PLC; PLC code serves fewer."""
 MOST_PATHS = 256
@@ -45,13 +49,16 @@ MOST_REMAPPINGS = 10_000
 _TOPIC = r"(/[A-Za-z_][A-Za-z0-9_]*)+"
 
 
-def _topic_name(name: str) -> str:
-    _not_longer(name, LONGEST_NAME)
-    if not re.fullmatch(_TOPIC, name):
-        nearest = "/" + "/".join(part for part in re.sub(r"[^A-Za-z0-9_/]", "_", name).split("/") if part)
-        hint = f", such as {nearest!r}" if re.fullmatch(_TOPIC, nearest) else ""
-        raise ValueError(f"a topic begins with / and has letters, digits, _ and single slashes{hint}")
-    return name
+def _absolute(what: str) -> AfterValidator:
+    def check(name: str) -> str:
+        _not_longer(name, LONGEST_NAME)
+        if not re.fullmatch(_TOPIC, name):
+            nearest = "/" + "/".join(part for part in re.sub(r"[^A-Za-z0-9_/]", "_", name).split("/") if part)
+            hint = f", such as {nearest!r}" if re.fullmatch(_TOPIC, nearest) else ""
+            raise ValueError(f"a {what} begins with / and has letters, digits, _ and single slashes{hint}")
+        return name
+
+    return AfterValidator(check)
 
 
 def _not_longer(text: str, most: int) -> None:
@@ -94,11 +101,17 @@ _NAMESPACE = r"/|(/[A-Za-z_][A-Za-z0-9_]*)+"
 _SHM_NAME = r"(?!sem\.)[A-Za-z0-9_][A-Za-z0-9_.-]{0,79}"
 _TASK = r"[A-Za-z_][A-Za-z0-9_]{0,63}"
 _TYPE = r"[A-Za-z][A-Za-z0-9_]*(/msg)?/[A-Za-z][A-Za-z0-9_]*"
+_SERVICE_TYPE = r"[A-Za-z][A-Za-z0-9_]*(/srv)?/[A-Za-z][A-Za-z0-9_]*"
+_CLIENT = r"[A-Za-z][A-Za-z0-9_]{0,31}"
 
 _NAME = r"(/|~/)?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*"
 _LOCATOR = r"[a-z0-9_-]+/.+"
 
-TopicName = Annotated[str, AfterValidator(_topic_name), _schema(_TOPIC)]
+TopicName = Annotated[str, _absolute("topic"), _schema(_TOPIC)]
+ServiceName = Annotated[str, _absolute("service"), _schema(_TOPIC)]
+ClientName = Annotated[
+    str, _pattern(_CLIENT, "a letter, then at most 31 letters, digits or _"), _schema(_CLIENT)
+]
 Word = Annotated[str, _pattern(_WORD, "a letter, then at most 31 letters, digits, _ or -"), _schema(_WORD)]
 GraphName = Annotated[str, _pattern(_NAME, "a name such as /cmd_vel, cmd_vel or ~/cmd_vel"), _schema(_NAME)]
 Locator = Annotated[
@@ -116,6 +129,11 @@ SharedName = Annotated[
 TaskName = Annotated[str, _pattern(_TASK, "letters, digits and _, not a digit first"), _schema(_TASK)]
 TypeName = Annotated[
     str, _pattern(_TYPE, "package/msg/Name, such as geometry_msgs/msg/Twist", LONGEST_TYPE), _schema(_TYPE)
+]
+ServiceTypeName = Annotated[
+    str,
+    _pattern(_SERVICE_TYPE, "package/srv/Name, such as std_srvs/srv/Trigger", LONGEST_TYPE),
+    _schema(_SERVICE_TYPE),
 ]
 BackendName = Annotated[
     str, AfterValidator(_known_backend), WithJsonSchema({"type": "string", "enum": ["auto", *BACKENDS]})
@@ -449,6 +467,63 @@ class TopicSettings(_Section):
         return self
 
 
+class ClientSettings(_Section):
+    """One use of a service in the PLC's program."""
+
+    task: TaskName | None = _f(None, "The PLC task that calls it. Without it the service's.")
+
+
+def _clients(value: Any) -> Any:
+    if not isinstance(value, list):
+        return value
+    names = [name for name in value if isinstance(name, str)]
+    if len(names) < len(value) or len(set(names)) < len(names):
+        raise ValueError("clients should be a list of different names, or name: {task: …}")
+    return {name: {} for name in names}
+
+
+class ServiceSettings(_Section):
+    """One service: `server: ros` is called by the PLC, `server: plc` is carried out by the PLC."""
+
+    type: ServiceTypeName = Field(description="The service type, `package/srv/Name`.")
+    server: Literal["plc", "ros"] = Field(description="Who carries the calls out.")
+    clients: Annotated[
+        dict[ClientName, ClientSettings], Field(max_length=MOST_CLIENTS), BeforeValidator(_clients)
+    ] = _f(
+        {},
+        "`server: ros`: the places in the PLC's program that call it, each with a block and objects of its "
+        "own: `[pick, place]`, or `{pick: {task: Fast}}`. Without it there is one, without a name.",
+    )
+    task: TaskName | None = _f(None, "The PLC task that handles it. Without it the first of `tasks`.")
+    limits: dict[str, StrictInt] = _f(
+        {},
+        "Capacities by field path (`request.name: 6`, `response.message: 200`); `string` and `sequence` "
+        "replace the defaults for this service.",
+    )
+    on_overflow: Literal["refuse", "truncate"] = _f(
+        "refuse",
+        "What happens to what comes from ROS and exceeds a limit. A request is refused or cut; a response "
+        "leaves the PLC's call `UNREADABLE`, or is cut.",
+    )
+    depth: StrictInt = _f(
+        16, "`server: plc`: calls that wait or are carried out at most; one more is refused.", ge=1, le=1000
+    )
+    per_client: StrictInt | None = _f(
+        None, "`server: plc`: the same for each caller. Without it a quarter of `depth`.", ge=1, le=1000
+    )
+    rate_limit_ns: Interval | None = _f(
+        None, "`server: plc`: shortest time between two calls that the PLC is given (`10ms`), or a rate."
+    )
+    expire_after_ns: Annotated[Duration, between("1ms", "1h")] = _f(
+        "5s", "`server: plc`: a call that has waited for longer is never given to the PLC, 1ms to 1h."
+    )
+    fallback: dict[str, Any] | None = _f(
+        None,
+        "`server: plc`: the response that a caller gets whenever the PLC gives none, as in "
+        "`{success: false, message: PLC is not running}`. Without it there is none; in ROS 1 an error.",
+    )
+
+
 class Settings(_Section):
     """A whole configuration file."""
 
@@ -480,6 +555,9 @@ class Settings(_Section):
     )
     topics: dict[TopicName, TopicSettings] = _f(
         {}, "Topics by name, as ROS writes them.", max_length=MOST_TOPICS
+    )
+    services: dict[ServiceName, ServiceSettings] = _f(
+        {}, "Services by name, as ROS writes them.", max_length=MOST_SERVICES
     )
 
     @model_validator(mode="before")
