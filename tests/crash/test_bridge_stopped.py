@@ -18,7 +18,7 @@ pytest.importorskip("cyclonedds", exc_type=ImportError)
 
 from rosplc.codec import Codec, Wire
 from rosplc.demo.domain import FreeDomain
-from rosplc.ros import DEFAULT, open_backend
+from rosplc.ros import DEFAULT, LATCHED, open_backend
 from rosplc.shm import Namespace, attach
 from tests.channels import STORE, layout_of
 from tests.lib.waiting import wait_for
@@ -165,3 +165,52 @@ def test_a_resumed_bridge_carries_nothing_more(
             assert len(late(load.to_plc)) <= before[1] + 1
             first.kill()
             first = second
+
+
+def test_a_bridge_stopped_beyond_the_lease_repeats_nothing_it_retains(
+    tmp_path: Path, shm_namespace: Namespace, dds_domain: int
+) -> None:
+    """DDS discovers the resumed bridge again, and its publisher would send what it keeps once more."""
+    config = tmp_path / "rosplc.yaml"
+    config.write_text(
+        f"prefix: {shm_namespace.prefix}\nros: {{backend: dds, domain: {dds_domain}}}\n"
+        f"topics:\n  /out: {{type: {INT}, to: ros, latched: true}}\n"
+    )
+    codec, heard = Codec(LAYOUT, Wire.CDR), list[int]()
+
+    def hear(data: bytes, _stamp_ns: int) -> None:
+        heard.append(LAYOUT.to_dict(codec.decode(data))["data"])
+
+    with ExitStack() as stack:
+        backend = open_backend("dds", STORE, "peer", domain=dds_domain, environment=LOCAL)
+        stack.callback(backend.close)
+        subscription = backend.subscribe("/out", INT, LATCHED, hear)
+        first = Bridge(config, tmp_path / "0.log")
+        stack.callback(first.kill)
+        wait_for(lambda: subscription.matched == 1, "the first bridge")
+        attached = stack.enter_context(attach(shm_namespace, "/out", write=True))
+        writer = attached.writer()
+
+        def write(number: int) -> None:
+            writer.publish(bytes(LAYOUT.pack({"data": number})))
+            wait_for(lambda: number in heard, f"message {number}")
+
+        write(1)
+        first.process.send_signal(signal.SIGSTOP)
+        wait_for(lambda: subscription.matched == 0, "the end of the lease")
+        shm_namespace.lock_path("/out").unlink()
+        second = Bridge(config, tmp_path / "1.log")
+        stack.callback(second.kill)
+        wait_for(lambda: subscription.matched == 1, "the second bridge")
+        write(2)
+        before = len(heard)
+        first.process.send_signal(signal.SIGCONT)
+        wait_for(lambda: "SHM116" in (tmp_path / "0.log").read_text(), "the resumed bridge to notice")
+
+        def both_are_seen() -> bool:
+            return [found.topic for found in backend.graph().endpoints].count("/diagnostics") == 2
+
+        wait_for(both_are_seen, "the resumed node in the graph")
+        for number in range(3, 30):
+            write(number)
+        assert heard[before:] == list(range(3, 30))

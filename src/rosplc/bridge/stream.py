@@ -294,6 +294,7 @@ class ToRos(Stream):
     def __init__(self, plan: TopicPlan, context: Context, ports: Ports[Any]) -> None:
         super().__init__(plan, context, ports)
         self._time = context.clock.time_ns
+        self._backend: Backend | None = None
         self._publisher: Publisher | None = None
         self._substitute: hold.Substitute | None = None
         self._flag: Publisher | None = None
@@ -317,6 +318,7 @@ class ToRos(Stream):
 
     def _connect(self, backend: Backend) -> None:
         plan = self.plan
+        self._backend = backend
         self._endpoint = self._publisher = backend.advertise(plan.topic, plan.type_name, plan.qos)
         if self._substitute is not None:
             # A ROS message has no room for a flag: another topic tells whether substitutes are published.
@@ -329,6 +331,29 @@ class ToRos(Stream):
         flag, self._flag = self._flag, None
         if flag is not None:
             flag.close()
+
+    def fail(self, now_ns: int, error: Exception) -> None:
+        """Remember an error; while another bridge carries the topic, withdraw what the publisher retains.
+
+        DDS sends that to subscribers that it discovers, again where this bridge was stopped for longer than
+        the lease: behind what the other bridge has sent.
+        """
+        super().fail(now_ns, error)
+        if isinstance(error, RosplcError) and error.code == "SHM116":
+            self.disconnect()
+            self._publisher = self._endpoint = None
+
+    def reopen(self, now_ns: int) -> bool:
+        """Open the port again, and advertise the topic if it was withdrawn meanwhile."""
+        if not super().reopen(now_ns):
+            return False
+        if self._publisher is None and self._backend is not None:
+            try:
+                self._connect(self._backend)
+            except RosplcError as error:
+                self.fail(now_ns, error)
+                return False
+        return True
 
     def begin(self, now_ns: int) -> None:
         """Let the first messages wait for a subscriber; publish what is retained for later ones."""

@@ -72,6 +72,27 @@ def test_a_resumed_bridge_repeats_nothing(cell: Cell, monkeypatch: pytest.Monkey
     assert numbers(messages) == [1, 2, 3, 4]
 
 
+def test_only_the_bridge_that_carries_a_topic_advertises_it(cell: Cell) -> None:
+    """What the other one retains is not for late subscribers; it is back once the topic is its own again."""
+    first = cell.start(OUT)
+    listener = open_backend(STORE, "listener", domain=DOMAIN)
+
+    def publishers() -> int:
+        return [found.topic for found in listener.graph().endpoints].count("/out")
+
+    assert publishers() == 1
+    cell.namespace.lock_path("/out").unlink()
+    with Bridge(parse_config(cell.config(OUT))):
+        assert publishers() == 2
+        wait_for(lambda: "SHM116" in first.status().topic("/out").problem)
+        wait_for(lambda: publishers() == 1)
+    wait_for(lambda: publishers() == 1 and not first.status().topic("/out").problem)
+    messages = cell.listen("/out", INT)
+    cell.plc("/out").write({"data": 1})
+    wait_for(lambda: messages)
+    listener.close()
+
+
 @pytest.mark.parametrize("substituting", [False, True])
 def test_no_substitutes_while_another_bridge_carries_the_topic(cell: Cell, substituting: bool) -> None:
     """It hears no PLC any more, but the other does, and a substitute would contradict the PLC."""
