@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 import os
 import threading
@@ -13,8 +14,19 @@ from typing import Any, Literal, TypeVar
 from rosplc.clock import SYSTEM, Clock
 from rosplc.errors import BackendError
 from rosplc.harmless import one_line
+from rosplc.reasons import Reason
 from rosplc.ros import backend
-from rosplc.ros.backend import EndpointInfo, EndpointStatus, GraphInfo, OnMessage, Qos, TypeSource
+from rosplc.ros.backend import (
+    EndpointInfo,
+    EndpointStatus,
+    GraphInfo,
+    OnMessage,
+    OnReply,
+    OnRequest,
+    Qos,
+    Reply,
+    TypeSource,
+)
 from rosplc.ros.names import join, resolve_topic, validate_namespace, validate_node_name
 
 MOST_REASONS = 8  # Peers of one topic that a reason names; the others are counted.
@@ -142,6 +154,8 @@ class BaseEndpoint:
     """An endpoint's counts and its end; ``type_hash`` is empty if there is none to compare."""
 
     direction: Literal["in", "out"]
+    peer_does: str
+    """What a node does that this endpoint exchanges messages with."""
 
     def __init__(self, node: Any, topic: str, type_name: str, qos: Qos, type_hash: str = "") -> None:
         self.topic, self.type_name, self.qos, self.type_hash = topic, type_name, qos, type_hash
@@ -197,6 +211,7 @@ class BaseSubscription(BaseEndpoint):
     """A topic being received; see :class:`rosplc.ros.backend.Subscription`."""
 
     direction: Literal["in"] = "in"
+    peer_does = "publishes"
 
     def __init__(self, on_message: OnMessage, *arguments: Any) -> None:
         super().__init__(*arguments)
@@ -266,6 +281,7 @@ class BasePublisher(BaseEndpoint):
     """A topic being sent; see :class:`rosplc.ros.backend.Publisher`."""
 
     direction: Literal["out"] = "out"
+    peer_does = "subscribes to"
 
     def _checked(self, payload: bytes) -> bytes:
         """Return a message padded to whole words; ROS008 if it has no header of plain CDR."""
@@ -280,6 +296,118 @@ class BasePublisher(BaseEndpoint):
 
     def _closed(self) -> BackendError:
         return BackendError("ROS009", f"the publisher of {self.topic} is closed")
+
+
+class BaseServer(BaseEndpoint):
+    """A service being provided; see :class:`rosplc.ros.backend.ServiceServer`."""
+
+    direction: Literal["in"] = "in"
+    peer_does = "calls"
+    remembers = False
+
+    def __init__(self, on_request: OnRequest, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self._on_request = on_request
+        self._delivering = threading.RLock()  # re-entrant: on_request may close its own server
+
+    @property
+    def service(self) -> str:
+        """The absolute name of the service."""
+        return self.topic
+
+    def deliver(self, payload: bytes, caller: bytes, stamp_ns: int = 0) -> None:
+        """Hand over one request, and count it; nothing that the receiver raises escapes."""
+        with self._delivering:
+            if self.closed:
+                return
+            self._messages += 1
+            self._last_ns = self._clock.time_ns()
+            try:
+                self._on_request(payload, caller, stamp_ns)
+            except Exception:
+                self._failed += 1
+                if self._failed == 1:
+                    self._node.logger.exception("%s: the receiver of its requests failed", self.topic)
+
+    def reject(self, error: object) -> None:
+        """Count a request that no client sends."""
+        with self._lock:
+            self._rejected += 1
+            first = self._rejected == 1
+        level = logging.WARNING if first else logging.DEBUG
+        self._node.logger.log(level, "%s: a request was refused: %s", self.topic, error)
+
+    def close(self) -> None:
+        """Stop serving; after the return no callback runs or starts (unless called from it)."""
+        super().close()
+        with self._delivering:
+            pass
+
+
+class BaseClient(BaseEndpoint):
+    """A service being called; see :class:`rosplc.ros.backend.ServiceClient`.
+
+    What a backend needs to know of a call is in ``calls`` under its number, beside its ``on_reply``.
+    """
+
+    direction: Literal["out"] = "out"
+    peer_does = "serves"
+
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self._numbers = itertools.count(1)
+        self._delivering = threading.RLock()  # re-entrant: on_reply may close its own client
+        self.calls: dict[int, tuple[OnReply, Any]] = {}
+
+    @property
+    def service(self) -> str:
+        """The absolute name of the service."""
+        return self.topic
+
+    @property
+    def ready(self) -> bool:
+        """Whether a matching server is known now whose responses can be read."""
+        return self.matched > 0
+
+    def _register(self, on_reply: OnReply, what: Any = None) -> int:
+        """Give a call its number; ROS009 after close. Count it with :meth:`_sent`."""
+        with self._lock:
+            if self.closed:
+                raise BackendError("ROS009", f"the client of {self.topic} is closed")
+            number = next(self._numbers)
+            self.calls[number] = (on_reply, what)
+            return number
+
+    def _sent(self) -> None:
+        with self._lock:
+            self._messages += 1
+            self._last_ns = self._clock.time_ns()
+
+    def end(self, number: int, reply: Reply) -> None:
+        """End a call, unless it has ended or is forgotten; nothing that the receiver raises escapes."""
+        with self._delivering:
+            with self._lock:
+                on_reply, _ = self.calls.pop(number, (None, None))
+            if on_reply is None:
+                return
+            try:
+                on_reply(reply)
+            except Exception:
+                self._failed += 1
+                if self._failed == 1:
+                    self._node.logger.exception("%s: the receiver of its responses failed", self.topic)
+
+    def forget(self, number: int) -> None:
+        """Wait no longer for a call."""
+        with self._lock:
+            self.calls.pop(number, None)
+
+    def close(self) -> None:
+        """End every open call with ``fate unknown``; afterwards no callback runs or starts."""
+        super().close()
+        with self._delivering:
+            for number in tuple(self.calls):
+                self.end(number, Reply(None, "fate unknown", Reason.NONE, "the client was closed"))
 
 
 class BaseNode:
@@ -351,8 +479,7 @@ class BaseNode:
         peers, problems = self._judge(endpoint)
         if problems:
             return max(problems)[0], listed(sorted(words for _, words in problems))
-        verb = "publishes" if endpoint.direction == "in" else "subscribes to"
-        return "", "" if peers else f"no node {verb} {endpoint.topic}"
+        return "", "" if peers else f"no node {endpoint.peer_does} {endpoint.topic}"
 
     def _warn(self, endpoint: Any) -> None:
         """Log once what keeps peers from matching an endpoint."""
