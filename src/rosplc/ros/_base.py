@@ -1,4 +1,4 @@
-"""What the backends share: a node and its endpoints, counts and delivery, and why a peer does not match."""
+"""What the backends share: a node and its endpoints, counts, delivery, calls; why a peer does not match."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import itertools
 import logging
 import os
 import threading
-from collections import deque
-from collections.abc import Callable, Hashable, Iterable, Mapping
+from collections import OrderedDict, deque
+from collections.abc import Callable, Collection, Hashable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeVar
 
@@ -32,6 +32,7 @@ from rosplc.ros.names import join, resolve_topic, validate_namespace, validate_n
 MOST_REASONS = 8  # Peers of one topic that a reason names; the others are counted.
 LONGEST_REASON = 500  # Characters about one peer.
 MOST_REMEMBERED = 1000  # Reasons that a backend remembers to have logged; further ones are not logged.
+MOST_CALLERS = 10_000  # Callers of a service that wait for a response; the bridge's own limits are far below.
 
 Problem = tuple[str, str]  # An error code, or an empty text, and words.
 
@@ -120,10 +121,17 @@ def differs(ours: str, theirs: str) -> bool:
     return bool(ours and theirs and ours != theirs)
 
 
+def is_service(type_name: str) -> bool:
+    """Return whether a type is one of a service, an action's derived ones included."""
+    derived = type_name.endswith(("_SendGoal", "_GetResult"))
+    return "/srv/" in type_name or ("/action/" in type_name and derived)
+
+
 def describe(peer: EndpointInfo, name: str = "") -> str:
     """Return what a peer (``name``, or its node) does: ``node /talker publishes /chatter as …``."""
-    verb = "publishes" if peer.direction == "out" else "subscribes to"
-    return f"{name or f'node {peer.node}'} {verb} {peer.topic} as {peer.type_name}"
+    service = is_service(peer.type_name)
+    verbs = ("serves", "calls") if service else ("subscribes to", "publishes")
+    return f"{name or f'node {peer.node}'} {verbs[peer.direction == 'out']} {peer.topic} as {peer.type_name}"
 
 
 def explain(
@@ -156,6 +164,9 @@ class BaseEndpoint:
     direction: Literal["in", "out"]
     peer_does: str
     """What a node does that this endpoint exchanges messages with."""
+    kind: str
+    serves = False
+    """Whether it belongs to a service."""
 
     def __init__(self, node: Any, topic: str, type_name: str, qos: Qos, type_hash: str = "") -> None:
         self.topic, self.type_name, self.qos, self.type_hash = topic, type_name, qos, type_hash
@@ -163,6 +174,7 @@ class BaseEndpoint:
         self._node = node
         self._clock: Clock = node.clock
         self._lock = threading.RLock()  # re-entrant: on_message may close its own subscription
+        self._delivering = threading.RLock()  # held while something is delivered without the lock
         self._messages = self._dropped = self._rejected = self._failed = self._last_ns = 0
 
     @property
@@ -198,6 +210,37 @@ class BaseEndpoint:
             self._rejected, self._failed, self._last_ns, reason, code, late,
         )  # fmt: skip
 
+    def reject(self, error: object) -> None:
+        """Count a message that no ROS node sends."""
+        with self._lock:
+            self._rejected += 1
+            first = self._rejected == 1
+        level = logging.WARNING if first else logging.DEBUG
+        self._node.logger.log(level, "%s: a message was refused: %s", self.topic, error)
+
+    def _hand_over(self, receiver: Callable[..., object], *arguments: object) -> None:
+        """Call what receives; nothing that it raises escapes."""
+        try:
+            receiver(*arguments)
+        except Exception:
+            self._failed += 1
+            if self._failed == 1:
+                self._node.logger.exception("%s: the receiver of its messages failed", self.topic)
+
+    def _checked(self, payload: bytes) -> bytes:
+        """Return a message padded to whole words; ROS008 if it has no header of plain CDR."""
+        if not is_cdr(payload):
+            raise self._refusal("it has no header of plain CDR")
+        return bytes(payload) + _PADDING[-len(payload) & 3]
+
+    def _refusal(self, why: str) -> BackendError:
+        with self._lock:
+            self._rejected += 1
+        return BackendError("ROS008", f"a message was not sent on {self.topic}: {why}")
+
+    def _closed(self) -> BackendError:
+        return BackendError("ROS009", f"the {self.kind} of {self.topic} is closed")
+
     def close(self) -> None:
         """Stop sending or receiving; closing twice is harmless."""
         with self._lock:
@@ -212,6 +255,7 @@ class BaseSubscription(BaseEndpoint):
 
     direction: Literal["in"] = "in"
     peer_does = "publishes"
+    kind = "subscription"
 
     def __init__(self, on_message: OnMessage, *arguments: Any) -> None:
         super().__init__(*arguments)
@@ -221,20 +265,7 @@ class BaseSubscription(BaseEndpoint):
         """Hand over one message, and count it; nothing that the receiver raises escapes."""
         self._messages += 1
         self._last_ns = self._clock.time_ns()
-        try:
-            self._on_message(payload, stamp_ns or self._last_ns)
-        except Exception:
-            self._failed += 1
-            if self._failed == 1:
-                self._node.logger.exception("%s: the receiver of its messages failed", self.topic)
-
-    def refuse(self, error: object) -> None:
-        """Count a message that no ROS node sends."""
-        with self._lock:
-            self._rejected += 1
-            first = self._rejected == 1
-        level = logging.WARNING if first else logging.DEBUG
-        self._node.logger.log(level, "%s: a message was refused: %s", self.topic, error)
+        self._hand_over(self._on_message, payload, stamp_ns or self._last_ns)
 
     def _problem(self) -> Problem:
         code, reason = super()._problem()
@@ -243,31 +274,34 @@ class BaseSubscription(BaseEndpoint):
         return code, reason
 
 
-class QueuedSubscription(BaseSubscription):
-    """A subscription whose messages wait in a queue of ``depth`` for the receive thread."""
+class Queued(BaseEndpoint):
+    """An endpoint for which up to ``_room`` messages wait until the receive thread delivers them."""
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
-        self._waiting: deque[tuple[bytes, int]] = deque()
-        self._delivering = threading.RLock()  # re-entrant: on_message may close its own subscription
+        self._waiting: deque[tuple[Any, ...]] = deque()
+        self._room = MOST_CALLERS if self.serves else self.qos.depth
 
-    def _put(self, payload: bytes, stamp_ns: int) -> bool:
-        """Queue a message; return False if the oldest gave way. The endpoint's lock is held."""
-        self._waiting.append((payload, stamp_ns))
-        if len(self._waiting) <= self.qos.depth:
+    def _put(self, *message: Any) -> bool:
+        """Queue what :meth:`_take` gets; return False if the oldest gave way. The lock is held."""
+        self._waiting.append(message)
+        if len(self._waiting) <= self._room:
             return True
         self._waiting.popleft()
         self._dropped += 1
         return False
 
-    def deliver(self) -> bool:
+    def _take(self, *message: Any) -> None:
+        raise NotImplementedError
+
+    def deliver_next(self) -> bool:
         """Hand over one message, if any waits; called by the receive thread alone."""
         with self._delivering:
             with self._lock:
                 if self.closed or not self._waiting:
                     return False
                 message = self._waiting.popleft()
-            self._deliver(*message)
+            self._take(*message)
             return True
 
     def close(self) -> None:
@@ -277,25 +311,18 @@ class QueuedSubscription(BaseSubscription):
             self._waiting.clear()
 
 
+class QueuedSubscription(Queued, BaseSubscription):
+    """A subscription whose messages wait in a queue of ``depth`` for the receive thread."""
+
+    _take = BaseSubscription._deliver
+
+
 class BasePublisher(BaseEndpoint):
     """A topic being sent; see :class:`rosplc.ros.backend.Publisher`."""
 
     direction: Literal["out"] = "out"
     peer_does = "subscribes to"
-
-    def _checked(self, payload: bytes) -> bytes:
-        """Return a message padded to whole words; ROS008 if it has no header of plain CDR."""
-        if not is_cdr(payload):
-            raise self._refusal("it has no header of plain CDR")
-        return bytes(payload) + _PADDING[-len(payload) & 3]
-
-    def _refusal(self, why: str) -> BackendError:
-        with self._lock:
-            self._rejected += 1
-        return BackendError("ROS008", f"a message was not sent on {self.topic}: {why}")
-
-    def _closed(self) -> BackendError:
-        return BackendError("ROS009", f"the publisher of {self.topic} is closed")
+    kind = "publisher"
 
 
 class BaseServer(BaseEndpoint):
@@ -303,12 +330,13 @@ class BaseServer(BaseEndpoint):
 
     direction: Literal["in"] = "in"
     peer_does = "calls"
+    kind = "server"
+    serves = True
     remembers = False
 
     def __init__(self, on_request: OnRequest, *arguments: Any) -> None:
         super().__init__(*arguments)
         self._on_request = on_request
-        self._delivering = threading.RLock()  # re-entrant: on_request may close its own server
 
     @property
     def service(self) -> str:
@@ -322,26 +350,76 @@ class BaseServer(BaseEndpoint):
                 return
             self._messages += 1
             self._last_ns = self._clock.time_ns()
-            try:
-                self._on_request(payload, caller, stamp_ns)
-            except Exception:
-                self._failed += 1
-                if self._failed == 1:
-                    self._node.logger.exception("%s: the receiver of its requests failed", self.topic)
-
-    def reject(self, error: object) -> None:
-        """Count a request that no client sends."""
-        with self._lock:
-            self._rejected += 1
-            first = self._rejected == 1
-        level = logging.WARNING if first else logging.DEBUG
-        self._node.logger.log(level, "%s: a request was refused: %s", self.topic, error)
+            self._hand_over(self._on_request, payload, caller, stamp_ns)
 
     def close(self) -> None:
         """Stop serving; after the return no callback runs or starts (unless called from it)."""
         super().close()
         with self._delivering:
             pass
+
+
+class KeepingServer(BaseServer):
+    """A server that keeps what the backend needs to know of a caller until it is answered or refused."""
+
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self._callers: OrderedDict[bytes, Any] = OrderedDict()
+
+    def _take(self, payload: bytes, caller: bytes, stamp_ns: int, origin: Any) -> None:
+        """Hand over one request; ``origin`` is what :meth:`_answer` needs."""
+        with self._lock:
+            self._callers[caller] = origin
+            if len(self._callers) > MOST_CALLERS:
+                self._drop(self._callers.popitem(last=False)[1])
+                self._dropped += 1
+        self.deliver(payload, caller, stamp_ns)
+
+    def _answer(self, caller: bytes, origin: Any, payload: bytes) -> bool:
+        """Send a response; False if the caller has gone. ``origin`` is None for an unknown caller."""
+        raise NotImplementedError
+
+    def _waits(self, caller: bytes, origin: Any) -> bool:
+        """Return whether a caller still waits; ``origin`` is None for an unknown caller."""
+        raise NotImplementedError
+
+    def _drop(self, origin: Any) -> None:
+        """Give back what was kept of a caller that gets no response."""
+
+    def reply(self, caller: bytes, payload: bytes) -> bool:
+        """Send a response; see :meth:`rosplc.ros.backend.ServiceServer.reply`."""
+        data = self._checked(payload)
+        with self._lock:
+            if self.closed:
+                raise self._closed()
+            sent = self._answer(caller, self._callers.get(caller), data)
+            self._callers.pop(caller, None)
+            return sent
+
+    def refuse(self, caller: bytes, text: str) -> bool:
+        """End a call without a response; ROS 2 has no way to tell the client why."""
+        with self._lock:
+            origin = self._callers.pop(caller, None)
+            there = not self.closed and self._waits(caller, origin)
+            self._drop(origin)
+            return there
+
+    def present(self, caller: bytes) -> bool:
+        """Return whether a caller still waits, as far as the middleware knows."""
+        with self._lock:
+            return not self.closed and self._waits(caller, self._callers.get(caller))
+
+    def close(self) -> None:
+        """Stop serving; after the return no callback runs or starts (unless called from it)."""
+        super().close()
+        with self._lock:
+            while self._callers:
+                self._drop(self._callers.popitem()[1])
+
+
+_call_numbers = itertools.count(1)  # of this process: a client that is opened again repeats none
+NO_SERVER = Reply(None, "not executed", Reason.NO_SERVER, "no server is known that can be called")
+SERVER_GONE = Reply(None, "fate unknown", Reason.SERVER_GONE, "the server has gone")
 
 
 class BaseClient(BaseEndpoint):
@@ -352,12 +430,13 @@ class BaseClient(BaseEndpoint):
 
     direction: Literal["out"] = "out"
     peer_does = "serves"
+    kind = "client"
+    serves = True
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
-        self._numbers = itertools.count(1)
-        self._delivering = threading.RLock()  # re-entrant: on_reply may close its own client
         self.calls: dict[int, tuple[OnReply, Any]] = {}
+        self._after = 0  # responses to calls that are not open any more
 
     @property
     def service(self) -> str:
@@ -373,8 +452,8 @@ class BaseClient(BaseEndpoint):
         """Give a call its number; ROS009 after close. Count it with :meth:`_sent`."""
         with self._lock:
             if self.closed:
-                raise BackendError("ROS009", f"the client of {self.topic} is closed")
-            number = next(self._numbers)
+                raise self._closed()
+            number = next(_call_numbers)
             self.calls[number] = (on_reply, what)
             return number
 
@@ -388,14 +467,50 @@ class BaseClient(BaseEndpoint):
         with self._delivering:
             with self._lock:
                 on_reply, _ = self.calls.pop(number, (None, None))
-            if on_reply is None:
-                return
-            try:
-                on_reply(reply)
-            except Exception:
-                self._failed += 1
-                if self._failed == 1:
-                    self._node.logger.exception("%s: the receiver of its responses failed", self.topic)
+                self._after += on_reply is None and reply.payload is not None
+            if on_reply is not None:
+                self._hand_over(on_reply, reply)
+
+    def _late(self) -> int:
+        return self._after
+
+    def _receivers(self) -> Collection[Any]:
+        """Return the servers that a request would reach now (:meth:`gone`); none if it must not be sent."""
+        raise NotImplementedError
+
+    def _send(self, number: int, payload: bytes) -> Reply | None:
+        """Send a request, without the lock; return how the call has ended if it was not sent."""
+        raise NotImplementedError
+
+    def call(self, payload: bytes, on_reply: OnReply) -> int:
+        """Send a request; see :meth:`rosplc.ros.backend.ServiceClient.call`."""
+        data = self._checked(payload)
+        with self._lock:
+            receivers = set(self._receivers())
+            number = self._register(on_reply, receivers)
+        try:
+            refusal = self._send(number, data) if receivers else NO_SERVER
+        except BaseException:
+            self.forget(number)
+            raise
+        if refusal is None:
+            self._sent()
+            return number
+        with self._lock:
+            open_ = self.calls.pop(number, None)
+        if open_ is not None:  # in this thread, which must wait for no callback of another
+            self._hand_over(on_reply, refusal)
+        return number
+
+    def gone(self, *servers: Any) -> None:
+        """End the calls that no other servers have received than these, which are no more."""
+        with self._lock:
+            affected = [number for number, (_, receivers) in self.calls.items() if receivers & set(servers)]
+            for number in affected:
+                self.calls[number][1].difference_update(servers)
+            ended = [number for number in affected if not self.calls[number][1]]
+        for number in ended:
+            self.end(number, SERVER_GONE)
 
     def forget(self, number: int) -> None:
         """Wait no longer for a call."""
@@ -447,7 +562,16 @@ class BaseNode:
         """
         self._usable()
         full = resolve_topic(topic, namespace=self._namespace, node_name=self._node_name, remap=self._remap)
-        return full, self._store[type_name].name
+        if not is_service(type_name):
+            return full, self._store[type_name].name
+        parts = [self._store[type_name + part].name.removesuffix(part) for part in ("_Request", "_Response")]
+        return full, parts[0]
+
+    def _hash(self, name: str) -> str:
+        """Return the type hash of a message or service."""
+        if is_service(name):
+            return str(self._store.service_hash(name))  # type: ignore[attr-defined]
+        return self._store.type_hash(name)
 
     def _usable(self) -> None:
         if self._closed:
@@ -485,7 +609,7 @@ class BaseNode:
         """Log once what keeps peers from matching an endpoint."""
         code, reason = self.diagnose(endpoint)
         with self._lock:
-            first = code and self._logged.first((endpoint.direction, endpoint.topic, reason))
+            first = code and self._logged.first((endpoint.kind, endpoint.topic, reason))
         if first:
             self.logger.warning("%s [%s]", reason, code)
 

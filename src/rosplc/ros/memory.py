@@ -3,19 +3,30 @@
 Backends in one domain see each other. What DDS does, this does: newest ``depth`` messages
 wait and older ones give way; latched publishers serve late subscribers; other types and
 excluding settings keep endpoints from matching, and the status shows it. Unlike DDS it looks
-at no more of a payload than its header.
+at no more of a payload than its header. A request goes to every server, and the first response counts.
 """
 
 from __future__ import annotations
 
 import logging
+import struct
 import threading
 from collections import deque
 from typing import Any
 
 from rosplc.ros import _base
-from rosplc.ros._base import BaseEndpoint, BaseNode, BasePublisher, Context, Problem, QueuedSubscription
-from rosplc.ros.backend import EndpointInfo, GraphInfo, OnMessage, Qos
+from rosplc.ros._base import (
+    BaseClient,
+    BaseEndpoint,
+    BaseNode,
+    BasePublisher,
+    Context,
+    KeepingServer,
+    Problem,
+    Queued,
+    QueuedSubscription,
+)
+from rosplc.ros.backend import EndpointInfo, GraphInfo, OnMessage, OnRequest, Qos, Reply
 
 _domains: dict[int, list[MemoryBackend]] = {}
 _graph = threading.RLock()  # guards _domains and every list of endpoints: one small graph, one lock
@@ -30,12 +41,14 @@ class _Endpoint(BaseEndpoint):
         )
 
     def others(self) -> list[Any]:
-        """Return the endpoints of the other direction on the topic; ours on the same node too, as in ROS."""
+        """Return the endpoints that may match this one; ours on the same node too, as in ROS."""
         return [
             endpoint
             for backend in _domains.get(self._node.domain, [])
             for endpoint in backend.endpoints()
-            if endpoint.topic == self.topic and endpoint.direction != self.direction
+            if endpoint.topic == self.topic
+            and endpoint.serves == self.serves
+            and endpoint.direction != self.direction
         ]
 
     def peers(self) -> list[Any]:
@@ -84,10 +97,59 @@ class MemoryPublisher(BasePublisher, _Endpoint):
         return True
 
 
+class MemoryServer(Queued, KeepingServer, _Endpoint):
+    """A service that is served; see :class:`rosplc.ros.backend.ServiceServer`."""
+
+    _take = KeepingServer._take
+
+    def put(self, *request: Any) -> None:
+        """Queue a request: payload, caller, stamp and client. The graph's lock is held."""
+        self._put(*request)
+        self._node.news.set()
+
+    def _waits(self, caller: bytes, origin: Any) -> bool:
+        return origin is not None and not origin.closed
+
+    def _answer(self, caller: bytes, origin: Any, payload: bytes) -> bool:
+        if not self._waits(caller, origin):
+            return False
+        origin.put(struct.unpack_from("<Q", caller, 8)[0], Reply(payload))
+        return True
+
+    def close(self) -> None:
+        """Leave the graph; the calls that no other server has received end."""
+        clients = self.others()
+        super().close()
+        for client in clients:
+            client.gone(self)
+
+
+class MemoryClient(Queued, BaseClient, _Endpoint):
+    """A service that is called; see :class:`rosplc.ros.backend.ServiceClient`."""
+
+    _take = BaseClient.end
+
+    def put(self, number: int, reply: Reply) -> None:
+        """Queue a reply."""
+        with _graph:
+            self._put(number, reply)
+        self._node.news.set()
+
+    def _receivers(self) -> list[Any]:
+        return self.peers()
+
+    def _send(self, number: int, payload: bytes) -> None:
+        caller = struct.pack("<QQ", id(self), number)
+        with _graph:
+            for server in self.calls.get(number, (None, ()))[1]:
+                server.put(payload, caller, self._clock.time_ns(), self)
+
+
 class MemoryBackend(BaseNode):
     """One node of the graph in this process; see :class:`rosplc.ros.backend.Backend`."""
 
     name = "memory"
+    capabilities = frozenset({"topics", "services"})
     ros1 = None
     logger = logging.getLogger("rosplc.ros.memory")
 
@@ -105,12 +167,12 @@ class MemoryBackend(BaseNode):
             self.news.wait()
             self.news.clear()
             for endpoint in self.endpoints():
-                while isinstance(endpoint, MemorySubscription) and endpoint.deliver():
+                while isinstance(endpoint, Queued) and endpoint.deliver_next():
                     pass
 
     def _details(self, topic: str, type_name: str, qos: Qos) -> tuple[Any, ...]:
         full, name = self._resolve(topic, type_name)
-        return self, full, name, qos, self._store.type_hash(name)
+        return self, full, name, qos, self._hash(name)
 
     def subscribe(self, topic: str, type_name: str, qos: Qos, on_message: OnMessage) -> MemorySubscription:
         """Receive a topic; see :meth:`rosplc.ros.backend.Backend.subscribe`."""
@@ -130,6 +192,20 @@ class MemoryBackend(BaseNode):
         with _graph:
             self._endpoints.append(publisher)
         return publisher
+
+    def serve(self, service: str, type_name: str, qos: Qos, on_request: OnRequest) -> MemoryServer:
+        """Serve a service; see :meth:`rosplc.ros.backend.Backend.serve`."""
+        server = MemoryServer(on_request, *self._details(service, type_name, qos))
+        with _graph:
+            self._endpoints.append(server)
+        return server
+
+    def client(self, service: str, type_name: str, qos: Qos) -> MemoryClient:
+        """Call a service; see :meth:`rosplc.ros.backend.Backend.client`."""
+        client = MemoryClient(*self._details(service, type_name, qos))
+        with _graph:
+            self._endpoints.append(client)
+        return client
 
     def _judge(self, endpoint: _Endpoint) -> tuple[bool, list[Problem]]:
         with _graph:

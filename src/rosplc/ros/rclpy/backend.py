@@ -97,7 +97,7 @@ class RclpyBackend(BaseNode):
     def _refuse(self, entity: object, error: Exception) -> None:
         for endpoint in self.endpoints():
             if endpoint.entity is entity and isinstance(endpoint, RclpySubscription):
-                endpoint.refuse(error)
+                endpoint.reject(error)
                 return
         self.logger.warning("a message could not be taken: %s", error)
 

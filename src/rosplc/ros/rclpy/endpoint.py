@@ -154,7 +154,7 @@ class RclpySubscription(BaseSubscription, _Endpoint):
                 except InvalidHandle:
                     return
                 except Exception as error:
-                    self.refuse(error)
+                    self.reject(error)
                     continue
                 if taken is None:
                     return
@@ -167,7 +167,7 @@ class RclpySubscription(BaseSubscription, _Endpoint):
         if is_cdr(payload):
             super()._deliver(payload, stamp_ns)
         else:
-            self.refuse("it has no header of plain CDR")
+            self.reject("it has no header of plain CDR")
 
 
 class RclpyPublisher(BasePublisher, _Endpoint):

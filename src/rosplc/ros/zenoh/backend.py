@@ -118,7 +118,7 @@ class ZenohBackend(BaseNode):
                 subscription = self._arrived.get(timeout=_TICK_S)
                 if subscription is None:
                     return
-                subscription.deliver()
+                subscription.deliver_next()
             except queue.Empty:
                 pass
             if (now := self.clock.monotonic_ns()) >= next_tick:

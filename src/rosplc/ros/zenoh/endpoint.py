@@ -1,6 +1,6 @@
 """The bridge's own endpoints on Zenoh: bytes in, bytes out, and how they fare.
 
-The hot paths are :meth:`ZenohSubscription.arrived`, :meth:`ZenohSubscription.deliver` and
+The hot paths are :meth:`ZenohSubscription.arrived`, :meth:`ZenohSubscription.deliver_next` and
 :meth:`ZenohPublisher.write`.
 """
 
@@ -118,7 +118,7 @@ class ZenohSubscription(QueuedSubscription, _Endpoint):
         try:
             payload, (sequence, stamp_ns, gid) = _read(sample)
         except Exception as error:
-            self.refuse(error)
+            self.reject(error)
             return
         with self._lock:
             if self.closed:
