@@ -223,7 +223,9 @@ class PortToRos(ChannelPort[Reader]):
         if not self._retained or self.user is None:
             return None
         found = self.user.peek_wire(self.side.codec.plan)
-        return None if found is None else (found[0], found[1].stamp_ns, found[1].stamp_clock)
+        if found is None or found[1].sequence != self.user.last:
+            return None  # a newer one has come since, and will be taken
+        return found[0], found[1].stamp_ns, found[1].stamp_clock
 
     def _observe(self, channel: OwnedChannel, now_ns: int) -> bool:
         head, epoch, beat, beat_ms = channel.region.words(WRITER_LINE["head"], 4)

@@ -11,6 +11,7 @@ import pytest
 
 from rosplc.bridge import Bridge, Level
 from rosplc.bridge.hold import OnChange
+from rosplc.bridge.stream import ToRos
 from rosplc.config import parse_config
 from rosplc.errors import BackendError, ChannelError
 from rosplc.ros import Qos
@@ -175,6 +176,31 @@ def test_a_latched_message_outlives_a_restart(cell: Cell, entry: str, expected: 
     plc.write({"data": 8})
     wait_for(lambda: numbers(late) == [*expected, 8])
     assert bridge.status().topic("/out").received == 1
+
+
+def test_a_message_written_while_a_bridge_starts_is_sent_once(
+    cell: Cell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is new, and no more what the bridge before has left."""
+    topics = f"  /out: {{type: {INT}, to: ros, latched: true}}\n"
+    bridge = cell.start(topics)
+    plc = cell.plc("/out")
+    plc.write({"data": 1})
+    wait_for(lambda: bridge.status().topic("/out").published == 1)
+    cell.stop()
+    messages = cell.listen("/out", INT)
+    begin = ToRos.begin
+
+    def write_first(stream: ToRos, now_ns: int) -> None:
+        plc.write({"data": 2})
+        begin(stream, now_ns)
+
+    monkeypatch.setattr(ToRos, "begin", write_first)
+    cell.start(topics)
+    wait_for(lambda: messages)
+    plc.write({"data": 3})
+    wait_for(lambda: numbers(messages)[-1] == 3)
+    assert numbers(messages) == [2, 3]
 
 
 @pytest.mark.parametrize(("newer", "expected"), [([], 7), ([8, 9], 9)])
