@@ -44,7 +44,7 @@ class Plan:
 # Sequences, flags and counters are 32-bit words. ChannelError codes are those of section 9.
 
 @final
-class SlotInfo(tuple[int, int, int, int, int, int, int]):
+class SlotInfo(tuple[int, int, int, int, int, int, int, bytes, int]):
     """What a slot says about its message; ``lost`` counts what was missed since the one before."""
 
     @property
@@ -61,6 +61,10 @@ class SlotInfo(tuple[int, int, int, int, int, int, int]):
     def correlation(self) -> int: ...
     @property
     def lost(self) -> int: ...
+    @property
+    def client(self) -> bytes: ...
+    @property
+    def reason(self) -> int: ...
 
 @final
 class Region:
@@ -115,6 +119,9 @@ class Writer:
         stamp_clock: int = 1,
         flags: int = 0,
         correlation: int = 0,
+        status: int = 0,
+        client: bytes = b"",
+        reason: int = 0,
     ) -> int:
         """Publish a record of exactly ``record_size`` bytes and return its sequence.
 
@@ -130,6 +137,9 @@ class Writer:
         stamp_clock: int = 1,
         flags: int = 0,
         correlation: int = 0,
+        status: int = 0,
+        client: bytes = b"",
+        reason: int = 0,
     ) -> tuple[int, int]:
         """Decode a message straight into its slot; return its sequence and the slot's flags from decoding.
 
@@ -143,6 +153,11 @@ class Writer:
         """Give the claim back. Later calls raise ValueError."""
     def refuse(self, error: int = 0, /) -> None:
         """Count a message that was not published, and show an error number."""
+    def begun(self, first: int, /) -> bool:
+        """Return whether the call whose first message has sequence ``first`` may have been begun (M26).
+
+        To be asked after it was published again as withdrawn. False: it was not executed and never will be.
+        """
     def set_sources(self, sources: int, /) -> None:
         """Say how many ROS publishers stand behind this writer; 0xFFFFFFFF unknown."""
 
@@ -164,8 +179,11 @@ class Reader:
     def discontinuities(self) -> int: ...
     @property
     def line(self) -> int | None: ...
-    def claim(self, index: int, expected: int, beat_ms: int, task: str) -> None:
-        """Claim line ``index`` from ``expected`` (0: free). Raises SHM114 or SHM122."""
+    def claim(self, index: int, expected: int, beat_ms: int, task: str, answer: bool = False) -> None:
+        """Claim line ``index`` from ``expected`` (0: free). Raises SHM114 or SHM122.
+
+        ``answer``: line 0, to act on calls; ``last`` becomes head, and the line's ``taken`` stays (M27).
+        """
     def latest(self, out: WriteableBuffer, /) -> SlotInfo | None:
         """Copy the newest message to ``out`` if it is new; otherwise leave ``out`` as it is."""
     def update(self, out: WriteableBuffer, /) -> bool:
@@ -180,6 +198,8 @@ class Reader:
         """As next(), encoded straight out of the slot. Raises Fault; the message counts as taken."""
     def peek_wire(self, plan: Plan, /) -> tuple[bytes, SlotInfo] | None:
         """As peek(), encoded straight out of the slot. Raises Fault."""
+    def begin(self) -> bool:
+        """Return whether the call just taken may be acted on (M26); if not, take again."""
     def beat(self) -> None:
         """Show that this reader lives."""
     def release(self) -> None:
@@ -189,8 +209,11 @@ class Reader:
     def set_error(self, error: int, /) -> None:
         """Show an error number in the line; 0 none."""
 
-def check_identity(first: ReadableBuffer, size: int, direction: int, /) -> int:
-    """Return the first failing number of section 9 (103 to 111), or 0; ``direction`` 0 accepts both."""
+def check_identity(first: ReadableBuffer, size: int, direction: int, kind: int = 1, /) -> int:
+    """Return the first failing number of section 9 (103 to 111), or 0.
+
+    ``direction`` 0 accepts both, ``kind`` 0 all of topics, services and actions.
+    """
 
 def distance(a: int, b: int, slot_count: int, /) -> int:
     """Return the messages from a to b (section 7.1)."""
@@ -206,7 +229,10 @@ class Group:
 
     def __new__(cls) -> Group: ...
     def add_reader(self, reader: Reader, plan: Plan, mode: int = 0, limit: int = 64, /) -> int:
-        """Add a reader and return its index; ``mode`` 0 newest only, 1 in order, ``limit`` a take()."""
+        """Add a reader and return its index; ``mode`` 0 newest only, 1 in order, ``limit`` a take().
+
+        2: take() only reports (index, b"", head, 0, 0, 0); what is new is taken with the reader itself.
+        """
     def add_writer(self, writer: Writer, /) -> int:
         """Add a writer, for beat(), and return its index."""
     def remove(self, index: int, /) -> None:

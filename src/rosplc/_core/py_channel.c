@@ -164,11 +164,13 @@ static PyStructSequence_Field slot_info_fields[] = {
     {"stamp_clock", "0 none, 1 system clock (UTC), 2 ROS time, 3 the PLC's clock."},
     {"correlation", "0 for topics."},
     {"lost", "Messages missed since the one taken before."},
+    {"client", "Whose call it is, or a goal's UUID: 16 bytes; 0 for topics."},
+    {"reason", "Why a call ended as `status` shows; 0 for topics."},
     {NULL, NULL},
 };
 
 static PyStructSequence_Desc slot_info_description = {
-    "rosplc._core._native.SlotInfo", "What a slot says about its message.", slot_info_fields, 7};
+    "rosplc._core._native.SlotInfo", "What a slot says about its message.", slot_info_fields, 9};
 
 PyObject *ch_slot_info(const rosplc_take *take)
 {
@@ -184,6 +186,9 @@ PyObject *ch_slot_info(const rosplc_take *take)
     PyStructSequence_SetItem(
         info, 5, PyLong_FromUnsignedLongLong((uint64_t)take->correlation_hi << 32 | take->correlation_lo));
     PyStructSequence_SetItem(info, 6, PyLong_FromUnsignedLong(take->lost));
+    PyStructSequence_SetItem(info, 7,
+                             PyBytes_FromStringAndSize((const char *)take->client, sizeof take->client));
+    PyStructSequence_SetItem(info, 8, PyLong_FromUnsignedLong(take->reason));
     if (PyErr_Occurred()) {
         Py_DECREF(info);
         return NULL;
@@ -239,7 +244,7 @@ static PyObject *region_new(PyTypeObject *type, PyObject *args, PyObject *kwargs
         return PyErr_SetFromErrno(PyExc_OSError);
     if (identity_size < (Py_ssize_t)ROSPLC_HEADER_SIZE)
         return ch_raise_channel(ROSPLC_ERROR_TOO_SMALL, path);
-    error = rosplc_identity_check((const uint8_t *)identity, (uint64_t)status.st_size, 0, &geometry);
+    error = rosplc_identity_check_kind((const uint8_t *)identity, (uint64_t)status.st_size, 0, 0, &geometry);
     if (error)
         return ch_raise_channel(error, path);
     base = mmap(NULL, geometry.object_size, writable ? PROT_READ | PROT_WRITE : PROT_READ, MAP_SHARED, fd, 0);
@@ -424,15 +429,15 @@ static PyObject *check_identity(PyObject *module, PyObject *args)
 {
     Py_buffer view;
     unsigned long long size;
-    unsigned int direction;
+    unsigned int direction, kind = ROSPLC_KIND_TOPIC;
     uint8_t first[ROSPLC_HEADER_SIZE] = {0};
     rosplc_geometry geometry;
     (void)module;
-    if (!PyArg_ParseTuple(args, "y*KI:check_identity", &view, &size, &direction))
+    if (!PyArg_ParseTuple(args, "y*KI|I:check_identity", &view, &size, &direction, &kind))
         return NULL;
     memcpy(first, view.buf, (size_t)view.len < sizeof first ? (size_t)view.len : sizeof first);
     PyBuffer_Release(&view);
-    return PyLong_FromLong(rosplc_identity_check(first, size, direction, &geometry));
+    return PyLong_FromLong(rosplc_identity_check_kind(first, size, kind, direction, &geometry));
 }
 
 static PyObject *distance(PyObject *module, PyObject *args)
@@ -455,8 +460,8 @@ static PyObject *next_sequence(PyObject *module, PyObject *args)
 
 static PyMethodDef functions[] = {
     {"check_identity", check_identity, METH_VARARGS,
-     "check_identity(first, size, direction) -> the first failing number of section 9, or 0.\n\n"
-     "first: the object's first 512 bytes; size: the object's size; direction: 0 accepts both."},
+     "check_identity(first, size, direction, kind=1) -> the first failing number of section 9, or 0.\n\n"
+     "first: the object's first 512 bytes; size: the object's size; direction: 0 accepts both; kind: 0 accepts all."},
     {"distance", distance, METH_VARARGS, "distance(a, b, slot_count) -> messages from a to b (section 7.1)."},
     {"next_sequence", next_sequence, METH_VARARGS, "next_sequence(s, slot_count) -> the one after s (section 7.1)."},
     {NULL, NULL, 0, NULL},

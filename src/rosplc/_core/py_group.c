@@ -140,14 +140,16 @@ static PyObject *group_add_reader(GroupObject *self, PyObject *args)
     ReaderObject *reader;
     PyObject *plan_object;
     const rp_plan *plan;
+    static const int modes[] = {ROSPLC_TAKE_NEWEST, ROSPLC_TAKE_NEXT, ROSPLC_TAKE_PEEK};
     int mode = 0;
     unsigned int limit = 64;
     size_t bound;
     if (!PyArg_ParseTuple(args, "O!O|iI:add_reader", ch_reader_type, &reader, &plan_object, &mode, &limit)
         || !(plan = rp_plan_from_object(plan_object)) || group_settled(self) || ch_region_usable(reader->owner))
         return NULL;
-    if ((mode != 0 && mode != 1) || limit == 0)
-        return PyErr_Format(PyExc_ValueError, "mode is 0 (newest) or 1 (in order), and limit at least 1");
+    if (mode < 0 || mode > 2 || limit == 0)
+        return PyErr_Format(PyExc_ValueError,
+                            "mode is 0 (newest), 1 (in order) or 2 (only report), and limit at least 1");
     if (plan->record_size != reader->owner->region.geometry.record_size)
         return PyErr_Format(PyExc_ValueError, "the plan's records have %lu bytes, those of %U have %lu",
                             (unsigned long)plan->record_size, reader->owner->path,
@@ -163,8 +165,8 @@ static PyObject *group_add_reader(GroupObject *self, PyObject *args)
     return group_add(self, (Entry){.reader = reader,
                                    .plan_object = plan_object,
                                    .plan = plan,
-                                   .mode = mode ? ROSPLC_TAKE_NEXT : ROSPLC_TAKE_NEWEST,
-                                   .limit = mode ? limit : 1});
+                                   .mode = modes[mode],
+                                   .limit = mode == 1 ? limit : 1});
 }
 
 static PyObject *group_add_writer(GroupObject *self, PyObject *object)
@@ -295,14 +297,16 @@ static int take_one(GroupObject *self, Py_ssize_t index, PyObject *messages, PyO
     rosplc_take take = rosplc_take_start(entry->mode);
     rp_fault fault = {0, 0, 0, 0};
     size_t used = 0;
-    int accepted = 0, failed = 0;
+    int accepted = entry->mode == ROSPLC_TAKE_PEEK, failed = 0;
     PyThreadState *unlocked = NULL;
     PyObject *message;
-    if (entry->plan->record_size >= CH_LONG_COPY) {
+    if (!accepted && entry->plan->record_size >= CH_LONG_COPY) {
         self->gate.busy = 1;
         unlocked = ch_gate_enter(&entry->reader->gate, entry->reader->owner);
     }
-    while (rosplc_take_begin(reader, &take)) {
+    if (accepted) /* only reported: the owner of the reader takes it */
+        take.sequence = rosplc_load(&reader->region->header->writer.head);
+    while (!accepted && rosplc_take_begin(reader, &take)) {
         int result = rp_encode(entry->plan, rosplc_record(take.slot), self->wire, self->wire_size, &used, &fault);
         if (rosplc_take_check(reader, &take)) {
             rosplc_take_accept(reader, &take); /* stores `taken`: before anybody sends (M15) */
@@ -402,7 +406,8 @@ static PyObject *group_beat(GroupObject *self, PyObject *unused)
 
 static PyMethodDef methods[] = {
     {"add_reader", (PyCFunction)group_add_reader, METH_VARARGS,
-     "add_reader(reader, plan, mode=0, limit=64) -> index; mode 0 newest, 1 in order, at most limit per take()."},
+     "add_reader(reader, plan, mode=0, limit=64) -> index; mode 0 newest, 1 in order, 2 only report;"
+     " at most limit per take()."},
     {"add_writer", (PyCFunction)group_add_writer, METH_O, "add_writer(writer) -> index, for beat()."},
     {"remove", (PyCFunction)group_remove, METH_VARARGS, "remove(index): let go of a channel."},
     {"wait", (PyCFunction)group_wait, METH_VARARGS,

@@ -34,25 +34,29 @@ static void reader_dealloc(ReaderObject *self)
 
 static PyObject *reader_claim(ReaderObject *self, PyObject *args, PyObject *kwargs)
 {
-    static char *names[] = {"index", "expected", "beat_ms", "task", NULL};
+    static char *names[] = {"index", "expected", "beat_ms", "task", "answer", NULL};
     unsigned int index, expected, beat_ms;
+    int answer = 0;
+    rosplc_error error;
     const char *task;
     Py_ssize_t task_size;
     uint32_t claim;
     uint8_t name[16] = {0};
-    if (!PyArg_ParseTupleAndKeywords(args, kwargs, "IIIs#:claim", names, &index, &expected, &beat_ms, &task,
-                                     &task_size)
+    if (!PyArg_ParseTupleAndKeywords(args, kwargs, "IIIs#|p:claim", names, &index, &expected, &beat_ms, &task,
+                                     &task_size, &answer)
         || ch_region_usable(self->owner))
         return NULL;
-    if (index >= ROSPLC_READER_LINES)
-        return PyErr_Format(PyExc_ValueError, "there is no reader line %u", index);
+    if (index >= ROSPLC_READER_LINES || (answer && index))
+        return PyErr_Format(PyExc_ValueError, "there is no reader line %u%s", index, answer ? " for an answerer" : "");
     if (!self->owner->writable)
         return ch_raise_channel(ROSPLC_ERROR_READ_ONLY, self->owner->path);
     do {
         if (ch_random_claim(&claim))
             return NULL;
     } while (claim == expected);
-    if (rosplc_reader_claim(&self->reader, index, expected, claim, beat_ms, (uint32_t)getpid()))
+    error = answer ? rosplc_answerer_claim(&self->reader, expected, claim, beat_ms, (uint32_t)getpid())
+                   : rosplc_reader_claim(&self->reader, index, expected, claim, beat_ms, (uint32_t)getpid());
+    if (error)
         return ch_raise_channel(ROSPLC_ERROR_CLAIMED, self->owner->path);
     memcpy(name, task, task_size < 15 ? (size_t)task_size : 15);
     memcpy(self->owner->region.header->reader[index].task, name, sizeof name);
@@ -222,6 +226,12 @@ static PyObject *reader_peek_wire(ReaderObject *self, PyObject *plan)
     return reader_take_wire(self, plan, ROSPLC_TAKE_PEEK);
 }
 
+static PyObject *reader_begin(ReaderObject *self, PyObject *unused)
+{
+    (void)unused;
+    return reader_usable(self) ? NULL : PyBool_FromLong(rosplc_call_begin(&self->reader));
+}
+
 static PyObject *reader_beat(ReaderObject *self, PyObject *unused)
 {
     (void)unused;
@@ -286,7 +296,8 @@ static PyObject *reader_get_line(ReaderObject *self, void *unused)
 
 static PyMethodDef methods[] = {
     {"claim", (PyCFunction)(void (*)(void))reader_claim, METH_VARARGS | METH_KEYWORDS,
-     "claim(index, expected, beat_ms, task): claim a reader line from `expected` (0: free), or raise SHM114."},
+     "claim(index, expected, beat_ms, task, answer=False): claim a reader line from `expected` (0: free), or raise"
+     " SHM114."},
     {"latest", (PyCFunction)reader_latest, METH_O, "latest(out) -> SlotInfo of the newest message, None if not new."},
     {"update", (PyCFunction)reader_update, METH_O, "update(out) -> whether a new message is in out now."},
     {"next", (PyCFunction)reader_next, METH_O, "next(out) -> SlotInfo of the message after the last, or None."},
@@ -294,6 +305,8 @@ static PyMethodDef methods[] = {
     {"latest_wire", (PyCFunction)reader_latest_wire, METH_O, "latest_wire(plan) -> (wire bytes, SlotInfo) or None."},
     {"next_wire", (PyCFunction)reader_next_wire, METH_O, "next_wire(plan) -> (wire bytes, SlotInfo) or None."},
     {"peek_wire", (PyCFunction)reader_peek_wire, METH_O, "peek_wire(plan) -> (wire bytes, SlotInfo) or None."},
+    {"begin", (PyCFunction)reader_begin, METH_NOARGS,
+     "begin() -> whether the message just taken may be acted on: it is still the newest, and line 0 ours."},
     {"beat", (PyCFunction)reader_beat, METH_NOARGS, "Show that this reader lives; taking does so too."},
     {"release", (PyCFunction)reader_release, METH_NOARGS, "Give the line back; go on as an observer."},
     {"set_sinks", (PyCFunction)reader_set_sinks, METH_O, "Say how many ROS subscribers stand behind this reader."},

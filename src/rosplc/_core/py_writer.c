@@ -57,34 +57,50 @@ static int writer_usable(WriterObject *self)
     return 0;
 }
 
-/* Optional stamp_ns, stamp_clock, flags and correlation, in this order. */
+/* Optional arguments, in this order: */
+#define META_NAMES "stamp_ns", "stamp_clock", "flags", "correlation", "status", "client", "reason"
+enum { META_COUNT = 7 };
+
 static int writer_meta(PyObject **values, rosplc_meta *meta)
 {
     uint64_t stamp = 0, correlation = 0;
-    uint32_t clock = 1, flags = 0;
+    uint32_t clock = 1, flags = 0, status = 0, reason = 0;
+    char *client = NULL;
+    Py_ssize_t client_size = 0;
     if ((values[0] && ch_as_u64(values[0], "stamp_ns", &stamp))
         || (values[1] && ch_as_u32(values[1], "stamp_clock", &clock))
         || (values[2] && ch_as_u32(values[2], "flags", &flags))
-        || (values[3] && ch_as_u64(values[3], "correlation", &correlation)))
+        || (values[3] && ch_as_u64(values[3], "correlation", &correlation))
+        || (values[4] && ch_as_u32(values[4], "status", &status))
+        || (values[5] && PyBytes_AsStringAndSize(values[5], &client, &client_size))
+        || (values[6] && ch_as_u32(values[6], "reason", &reason)))
         return -1;
     if (clock > 3 || flags > 7) {
         PyErr_SetString(PyExc_ValueError, "stamp_clock is not between 0 and 3, or flags not between 0 and 7");
         return -1;
     }
+    if (client_size != 0 && client_size != sizeof meta->client) {
+        PyErr_Format(PyExc_ValueError, "client has 16 bytes, or none, not %zd", client_size);
+        return -1;
+    }
     *meta = (rosplc_meta){flags,
-                      0,
+                      status,
                       (uint32_t)stamp,
                       (uint32_t)(stamp >> 32),
                       stamp ? clock : 0,
                       (uint32_t)correlation,
-                      (uint32_t)(correlation >> 32)};
+                      (uint32_t)(correlation >> 32),
+                      {0},
+                      reason};
+    if (client_size)
+        memcpy(meta->client, client, sizeof meta->client);
     return 0;
 }
 
 static PyObject *writer_publish(WriterObject *self, PyObject *const *args, Py_ssize_t count, PyObject *keywords)
 {
-    static const char *const names[] = {"record", "stamp_ns", "stamp_clock", "flags", "correlation", NULL};
-    PyObject *values[5];
+    static const char *const names[] = {"record", META_NAMES, NULL};
+    PyObject *values[1 + META_COUNT];
     Py_buffer view;
     rosplc_slot_header *slot;
     rosplc_meta meta;
@@ -122,9 +138,8 @@ static PyObject *writer_publish(WriterObject *self, PyObject *const *args, Py_ss
 static PyObject *writer_publish_wire(WriterObject *self, PyObject *const *args, Py_ssize_t count,
                                      PyObject *keywords)
 {
-    static const char *const names[] = {"plan",        "data",  "truncate",    "stamp_ns",
-                                        "stamp_clock", "flags", "correlation", NULL};
-    PyObject *values[7];
+    static const char *const names[] = {"plan", "data", "truncate", META_NAMES, NULL};
+    PyObject *values[3 + META_COUNT];
     const rp_plan *plan;
     Py_buffer view;
     rosplc_slot_header *slot;
@@ -223,6 +238,14 @@ static PyObject *writer_set_sources(WriterObject *self, PyObject *value)
     Py_RETURN_NONE;
 }
 
+static PyObject *writer_begun(WriterObject *self, PyObject *value)
+{
+    uint32_t first;
+    if (ch_as_u32(value, "first", &first) || ch_region_usable(self->owner))
+        return NULL;
+    return PyBool_FromLong(rosplc_call_begun(&self->writer, first));
+}
+
 static PyObject *writer_head(WriterObject *self, void *unused)
 {
     (void)unused;
@@ -237,14 +260,17 @@ static PyObject *writer_epoch(WriterObject *self, void *unused)
 
 static PyMethodDef methods[] = {
     {"publish", (PyCFunction)(void (*)(void))writer_publish, METH_FASTCALL | METH_KEYWORDS,
-     "publish(record, *, stamp_ns=0, stamp_clock=1, flags=0, correlation=0) -> sequence."},
+     "publish(record, *, stamp_ns=0, stamp_clock=1, flags=0, correlation=0, status=0, client=b'', reason=0)"
+     " -> sequence."},
     {"publish_wire", (PyCFunction)(void (*)(void))writer_publish_wire, METH_FASTCALL | METH_KEYWORDS,
-     "publish_wire(plan, data, *, truncate=False, stamp_ns=0, stamp_clock=1, flags=0, correlation=0)"
-     " -> (sequence, flags)."},
+     "publish_wire(plan, data, *, truncate=False, stamp_ns=0, stamp_clock=1, flags=0, correlation=0, status=0,"
+     " client=b'', reason=0) -> (sequence, flags)."},
     {"beat", (PyCFunction)writer_beat, METH_NOARGS, "Show that this writer lives."},
     {"check", (PyCFunction)writer_check, METH_NOARGS, "Raise SHM111, SHM112 or SHM115 if publish would."},
     {"release", (PyCFunction)writer_release, METH_NOARGS, "Give the claim back; the object stays as it is."},
     {"refuse", (PyCFunction)writer_refuse, METH_VARARGS, "refuse(error=0): count a message that was not published."},
+    {"begun", (PyCFunction)writer_begun, METH_O,
+     "begun(first) -> whether the withdrawn call whose first message has that sequence may have been begun."},
     {"set_sources", (PyCFunction)writer_set_sources, METH_O, "Say how many ROS publishers stand behind this writer."},
     {NULL, NULL, 0, NULL},
 };

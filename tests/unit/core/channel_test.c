@@ -164,7 +164,7 @@ static void test_first_flag_and_counters(void)
     rosplc_writer w;
     rosplc_reader reader;
     rosplc_take t;
-    rosplc_meta meta = {ROSPLC_FLAG_TRUNCATED, 0, 1, 2, 3, 4, 5};
+    rosplc_meta meta = {ROSPLC_FLAG_TRUNCATED, 0, 1, 2, 3, 4, 5, {0}, 0};
     rosplc_error error;
     CHECK(rosplc_writer_claim(&w, &r, 0, 7, 100, 1) == 0);
     rosplc_reader_observe(&reader, &r, 0);

@@ -98,7 +98,7 @@ def test_attaching_executes_no_retained_command(shm_namespace: Namespace) -> Non
             assert out == bytes(64)
             info = reader.peek(out)
             assert info is not None
-            assert tuple(info) == (1, 1, 0, 123, 2, 2**63, 0)
+            assert tuple(info) == (1, 1, 0, 123, 2, 2**63, 0, bytes(16), 0)
             assert out == pattern(1, 64)
             writer.publish(pattern(2, 64))
             info = reader.latest(out)

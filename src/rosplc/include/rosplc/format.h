@@ -76,7 +76,13 @@ static inline void rosplc_fence_release(uint32_t size)
     __atomic_thread_fence(__ATOMIC_RELEASE);
 }
 
-/* The fences of section 7 by their names. A model checker takes one out by defining its macro as nothing. */
+/* Orders stores before it and loads behind it, too (M26). */
+static inline void rosplc_fence_full(void)
+{
+    __atomic_thread_fence(__ATOMIC_SEQ_CST);
+}
+
+/* The fences of sections 7 and 11 by their names. A model checker takes one out by defining its macro as nothing. */
 #ifndef ROSPLC_F1
 #define ROSPLC_F1() rosplc_fence_release(0)
 #endif
@@ -94,6 +100,12 @@ static inline void rosplc_fence_release(uint32_t size)
 #endif
 #ifndef ROSPLC_F6
 #define ROSPLC_F6(size) rosplc_fence_release(size)
+#endif
+#ifndef ROSPLC_F7
+#define ROSPLC_F7() rosplc_fence_full()
+#endif
+#ifndef ROSPLC_F8
+#define ROSPLC_F8() rosplc_fence_full()
 #endif
 
 /* The copy of a record into or out of a slot. It races on purpose: a reader may copy bytes that the writer is

@@ -9,7 +9,7 @@
 
 typedef struct {
     uint32_t slot_count, slot_stride, slots_offset, record_size, object_size;
-    uint32_t layout_lo, layout_hi, generation, direction;
+    uint32_t layout_lo, layout_hi, generation, direction, kind;
 } rosplc_geometry;
 
 /* CRC-32 (ISO-HDLC, as zlib's), bit by bit: it runs over 104 bytes, once per attach. */
@@ -48,9 +48,17 @@ static inline rosplc_error rosplc_geometry_check(const rosplc_geometry *g, uint6
     return available < g->object_size ? ROSPLC_ERROR_TRUNCATED : ROSPLC_OK;
 }
 
-/* Checks 103 to 111 on the first 512 bytes; 0 means that `out` is filled. `direction` 0 accepts both. */
-static inline rosplc_error rosplc_identity_check(const uint8_t *first, uint64_t size, uint32_t direction,
-                                                 rosplc_geometry *out)
+/* Whether it is the kind of a topic's object, or of one of a service's or action's (section 11.1). */
+static inline int rosplc_kind_known(uint32_t kind)
+{
+    return kind == ROSPLC_KIND_TOPIC || kind == ROSPLC_KIND_REQUEST || kind == ROSPLC_KIND_RESPONSE
+           || kind == ROSPLC_KIND_GOAL || kind == ROSPLC_KIND_RESULT || kind == ROSPLC_KIND_FEEDBACK;
+}
+
+/* Checks 103 to 111 on the first 512 bytes; 0 means that `out` is filled. `kind` is ROSPLC_KIND_TOPIC or another one,
+ * 0 accepts all; `direction` 0 accepts both. */
+static inline rosplc_error rosplc_identity_check_kind(const uint8_t *first, uint64_t size, uint32_t kind,
+                                                      uint32_t direction, rosplc_geometry *out)
 {
     rosplc_identity id;
     rosplc_error error;
@@ -82,13 +90,21 @@ static inline rosplc_error rosplc_identity_check(const uint8_t *first, uint64_t 
     out->layout_hi = id.layout_id_hi;
     out->generation = id.generation;
     out->direction = id.direction;
+    out->kind = id.kind;
     error = rosplc_geometry_check(out, size);
     if (error != ROSPLC_OK)
         return error;
-    if (id.kind != ROSPLC_KIND_TOPIC || (id.direction != ROSPLC_TO_PLC && id.direction != ROSPLC_TO_ROS)
+    if (!rosplc_kind_known(id.kind) || (kind && id.kind != kind) || (id.direction != ROSPLC_TO_PLC && id.direction != ROSPLC_TO_ROS)
         || (direction && id.direction != direction))
         return ROSPLC_ERROR_DIRECTION;
     return id.state == ROSPLC_STATE_LIVE ? ROSPLC_OK : ROSPLC_ERROR_RETIRED;
+}
+
+/* The same for a topic's object. */
+static inline rosplc_error rosplc_identity_check(const uint8_t *first, uint64_t size, uint32_t direction,
+                                                 rosplc_geometry *out)
+{
+    return rosplc_identity_check_kind(first, size, ROSPLC_KIND_TOPIC, direction, out);
 }
 
 #endif

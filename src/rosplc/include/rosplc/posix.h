@@ -11,10 +11,12 @@
 
 #include "region.h"
 
-/* Opens the object at `path` (/dev/shm/PREFIX.t.TOPIC), checks it in the order of section 9, and maps it. `direction`
- * is ROSPLC_TO_PLC or ROSPLC_TO_ROS. ROSPLC_OK: `region` is filled; give it back with rosplc_close. */
-static inline rosplc_error rosplc_open(rosplc_region *region, const char *path, int writable, uint32_t direction,
-                                       uint32_t layout_lo, uint32_t layout_hi, uint32_t record_size)
+/* Opens the object at `path` (/dev/shm/PREFIX.t.TOPIC), checks it in the order of section 9, and maps it. `kind` is
+ * ROSPLC_KIND_TOPIC, ROSPLC_KIND_REQUEST ..., `direction` ROSPLC_TO_PLC or ROSPLC_TO_ROS. ROSPLC_OK: `region` is
+ * filled; give it back with rosplc_close. */
+static inline rosplc_error rosplc_open_kind(rosplc_region *region, const char *path, int writable, uint32_t kind,
+                                            uint32_t direction, uint32_t layout_lo, uint32_t layout_hi,
+                                            uint32_t record_size)
 {
     uint8_t first[ROSPLC_HEADER_SIZE];
     struct stat status;
@@ -30,7 +32,7 @@ static inline rosplc_error rosplc_open(rosplc_region *region, const char *path, 
     else if (pread(fd, first, sizeof first, 0) != (ssize_t)sizeof first)
         error = ROSPLC_ERROR_TOO_SMALL;
     else
-        error = rosplc_identity_check(first, (uint64_t)status.st_size, direction, &region->geometry);
+        error = rosplc_identity_check_kind(first, (uint64_t)status.st_size, kind, direction, &region->geometry);
     if (error == ROSPLC_OK
         && (region->geometry.layout_lo != layout_lo || region->geometry.layout_hi != layout_hi
             || region->geometry.record_size != record_size))
@@ -45,6 +47,13 @@ static inline rosplc_error rosplc_open(rosplc_region *region, const char *path, 
     }
     (void)close(fd);
     return error;
+}
+
+/* The same for a topic's object. */
+static inline rosplc_error rosplc_open(rosplc_region *region, const char *path, int writable, uint32_t direction,
+                                       uint32_t layout_lo, uint32_t layout_hi, uint32_t record_size)
+{
+    return rosplc_open_kind(region, path, writable, ROSPLC_KIND_TOPIC, direction, layout_lo, layout_hi, record_size);
 }
 
 static inline void rosplc_close(rosplc_region *region)

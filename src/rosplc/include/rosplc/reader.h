@@ -30,6 +30,7 @@ typedef struct {
     rosplc_slot_header *slot;
     uint32_t sequence, head, lost;
     uint32_t flags, status, stamp_lo, stamp_hi, stamp_clock, correlation_lo, correlation_hi;
+    uint32_t client[4], reason; /* 0 for topics */
     uint32_t window; /* the largest distance from head that is accepted: M12, M23 */
     int mode, discontinuity, at_head;
     uint32_t attempts;
@@ -44,18 +45,13 @@ static inline void rosplc_reader_observe(rosplc_reader *r, const rosplc_region *
     r->fresh = last == 0;
 }
 
-/* Claims a line whose claim is `expected` (0: free); OK or CLAIMED. The line's `taken` becomes reader->last. */
-static inline rosplc_error rosplc_reader_claim(rosplc_reader *r, uint32_t index, uint32_t expected, uint32_t claim, uint32_t beat_ms,
-                                  uint32_t pid)
+/* What a reader writes into line `line` that it has just claimed, but for `taken`. */
+static inline void rosplc_reader_enter(rosplc_reader *r, rosplc_reader_line *line, uint32_t claim, uint32_t beat_ms,
+                                       uint32_t pid)
 {
     const rosplc_region *region = r->region;
-    rosplc_reader_line *line = &region->header->reader[index];
-    if (!rosplc_compare_and_swap(&line->claim, expected, claim))
-        return ROSPLC_ERROR_CLAIMED;
     r->line = line;
     r->claim = claim;
-    /* A generation that does not match voids `taken`: so it is written last. */
-    rosplc_store(&line->taken, r->last);
     rosplc_store(&line->lost, 0);
     rosplc_store(&line->retries, 0);
     rosplc_store(&line->error, 0);
@@ -65,8 +61,20 @@ static inline rosplc_error rosplc_reader_claim(rosplc_reader *r, uint32_t index,
     rosplc_store(&line->layout_hi, region->geometry.layout_hi);
     rosplc_store(&line->pid, pid);
     rosplc_store(&line->beat, rosplc_load(&line->beat) + 1);
+    /* A generation that does not match voids `taken`: so it is written last. */
     rosplc_fence_release(0);
     rosplc_store(&line->generation, region->geometry.generation);
+}
+
+/* Claims a line whose claim is `expected` (0: free); OK or CLAIMED. The line's `taken` becomes reader->last. */
+static inline rosplc_error rosplc_reader_claim(rosplc_reader *r, uint32_t index, uint32_t expected, uint32_t claim,
+                                               uint32_t beat_ms, uint32_t pid)
+{
+    rosplc_reader_line *line = &r->region->header->reader[index];
+    if (!rosplc_compare_and_swap(&line->claim, expected, claim))
+        return ROSPLC_ERROR_CLAIMED;
+    rosplc_store(&line->taken, r->last);
+    rosplc_reader_enter(r, line, claim, beat_ms, pid);
     return ROSPLC_OK;
 }
 
@@ -190,6 +198,9 @@ static inline int rosplc_take_begin(rosplc_reader *r, rosplc_take *t)
             t->stamp_clock = rosplc_load(&t->slot->stamp_clock);
             t->correlation_lo = rosplc_load(&t->slot->correlation_lo);
             t->correlation_hi = rosplc_load(&t->slot->correlation_hi);
+            for (int i = 0; i < 4; i++)
+                t->client[i] = rosplc_load(&t->slot->client[i]);
+            t->reason = rosplc_load(&t->slot->reason);
             return 1;
         }
         /* M13: a message inside the window that its slot does not hold, under a head that does not change,

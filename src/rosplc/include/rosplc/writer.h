@@ -22,6 +22,7 @@ typedef struct {
 
 typedef struct {
     uint32_t flags, status, stamp_lo, stamp_hi, stamp_clock, correlation_lo, correlation_hi;
+    uint32_t client[4], reason; /* 0 for topics */
 } rosplc_meta;
 
 /* Replaces the claim `expected` (0: free) by `epoch`, a random number that is not 0. OK or CLAIMED. The caller, who
@@ -103,6 +104,9 @@ static inline uint32_t rosplc_writer_commit(rosplc_writer *w, rosplc_slot_header
     rosplc_store(&slot->stamp_clock, meta->stamp_clock);
     rosplc_store(&slot->correlation_lo, meta->correlation_lo);
     rosplc_store(&slot->correlation_hi, meta->correlation_hi);
+    for (int i = 0; i < 4; i++)
+        rosplc_store(&slot->client[i], meta->client[i]);
+    rosplc_store(&slot->reason, meta->reason);
     ROSPLC_F6(r->geometry.record_size);
     rosplc_store(&slot->sequence, s);
     /* Readers fetch head's line as soon as head changes: a store behind it would take the line away from
