@@ -13,22 +13,31 @@ from functools import lru_cache
 from rosplc.errors import ChannelError, RosplcError
 from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
-from rosplc.shm import Attached, Description, Direction
+from rosplc.shm import Attached, Description, Direction, Part
 
 __all__ = ["described_layout", "description_of", "layout_of"]
 
 
 def description_of(
-    layout: Layout, topic: str, direction: Direction, *, bridge: str, distro: str = ""
+    layout: Layout,
+    topic: str,
+    direction: Direction,
+    *,
+    bridge: str,
+    distro: str = "",
+    part: Part = Part.TOPIC,
+    client: str = "",
 ) -> Description:
     """Return what an object for messages of a layout says of itself (``spec/shm-format.md``, section 6).
 
     Args:
         layout: The layout of its records.
-        topic: The topic's full name.
+        topic: The full name of the topic, service or action.
         direction: Which way its messages go.
         bridge: The name of whoever makes the object.
         distro: The ROS distribution of the type's definition; that of the layout's types if empty.
+        part: What the object carries.
+        client: The name of one of several uses of a service or action.
     """
     return Description(
         topic=topic,
@@ -39,6 +48,8 @@ def description_of(
         layout_id=layout.layout_id,
         bridge=bridge,
         definition=layout.store.definition_text(layout.type_name),
+        part=part,
+        client=client,
     )
 
 

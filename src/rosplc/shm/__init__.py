@@ -1,4 +1,4 @@
-"""The channel: one shared-memory object per topic and direction, as spec/shm-format.md describes it.
+"""The channel: a shared-memory object as spec/shm-format.md describes it; a topic has one in each direction.
 
 A bridge opens an :class:`OwnedChannel`; everybody else uses :func:`attach`. This package moves
 bytes; what a record means is the business of :mod:`rosplc.layout` and :mod:`rosplc.codec`.
@@ -12,11 +12,13 @@ from rosplc.shm.claims import Liveness, ReaderClaim, WriterClaim
 from rosplc.shm.constants import Direction
 from rosplc.shm.description import Description
 from rosplc.shm.header import Identity
-from rosplc.shm.names import Namespace
+from rosplc.shm.names import ACTION, SERVICE, Namespace, Part
 from rosplc.shm.owned import OwnedChannel
 from rosplc.shm.snapshot import ReaderState, Snapshot, WriterState
 
 __all__ = [
+    "ACTION",
+    "SERVICE",
     "Attached",
     "Description",
     "Direction",
@@ -25,6 +27,7 @@ __all__ = [
     "Liveness",
     "Namespace",
     "OwnedChannel",
+    "Part",
     "Reader",
     "ReaderClaim",
     "ReaderState",

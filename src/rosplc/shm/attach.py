@@ -19,7 +19,7 @@ from rosplc.shm.constants import READER_LINES, Direction
 from rosplc.shm.description import Description
 from rosplc.shm.files import open_plain_file, read_header, refuse_second_name, same_file
 from rosplc.shm.header import Identity, channel_error
-from rosplc.shm.names import Namespace
+from rosplc.shm.names import Namespace, Part
 from rosplc.shm.snapshot import Snapshot
 
 _LOOK_NS = 5_000_000
@@ -34,27 +34,31 @@ def attach(
     record_size: int | None = None,
     direction: Direction | None = None,
     write: bool = False,
+    part: Part = Part.TOPIC,
+    client: str = "",
 ) -> Attached:
-    """Open a topic's object.
+    """Open an object.
 
     Args:
         namespace: Where the object lies.
-        topic: The topic as ROS writes it.
+        topic: The topic as ROS writes it; a service's or action's name.
         layout_id: The layout id expected, 16 hexadecimal digits; None accepts any.
         record_size: The record size expected, in bytes; None accepts any.
         direction: The direction expected; None accepts both.
         write: Map it writable, to publish or to claim a reader line.
+        part: What the object carries.
+        client: The name of one of several uses of a service or action.
 
     Raises:
         ChannelError: The first check of section 9 that fails, SHM101 to SHM112 or SHM121; SHM118
             if the topic is not valid; SHM123 if the directory cannot be used.
     """
-    path = namespace.path(topic)
+    path = namespace.path(topic, part, client)
     fd = open_plain_file(path, os.O_RDWR if write else os.O_RDONLY)
     try:
         if write:
             refuse_second_name(fd, path)
-        attached = Attached(fd, str(path), direction, write)
+        attached = Attached(fd, str(path), direction, write, part)
     finally:
         os.close(fd)
     found = attached.identity
@@ -78,9 +82,11 @@ class Mapped(ABC):
         process: The process that writes it.
     """
 
-    def __init__(self, fd: int, path: str, direction: Direction | None, write: bool) -> None:
+    def __init__(
+        self, fd: int, path: str, direction: Direction | None, write: bool, part: Part = Part.TOPIC
+    ) -> None:
         self._first, size = read_header(fd)
-        self.identity = Identity.parse(self._first, size, direction=direction, where=path)
+        self.identity = Identity.parse(self._first, size, direction=direction, kind=part.value, where=path)
         self.region = Region(fd, self._first, write, path)
         status = os.fstat(fd)
         self._file = (status.st_dev, status.st_ino)
@@ -109,15 +115,17 @@ class Attached(Mapped):
         path: The object's path.
     """
 
-    def __init__(self, fd: int, path: str, direction: Direction | None, write: bool) -> None:
-        super().__init__(fd, path, direction, write)
+    def __init__(
+        self, fd: int, path: str, direction: Direction | None, write: bool, part: Part = Part.TOPIC
+    ) -> None:
+        super().__init__(fd, path, direction, write, part)
         self.path = path
 
     @cached_property
     def description(self) -> Description:
         """The self-description. Raises SHM113 if it cannot be read."""
         text = self.region.read(self.identity.description_offset, self.identity.description_size)
-        return Description.from_json(text, self.path)
+        return Description.from_json(text, self.path, Part(self.identity.kind))
 
     def reader(
         self, task: str = "", *, latched: bool = False, observe: bool = True, beat_ms: int = 1000

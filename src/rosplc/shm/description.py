@@ -1,14 +1,15 @@
-"""The self-description inside an object: spec/shm-format.md, section 6."""
+"""The self-description inside an object: spec/shm-format.md, sections 6 and 11.1."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 from rosplc.shm.constants import FORMAT, MAX_DESCRIPTION_SIZE, Direction
 from rosplc.shm.header import channel_error, layout_id_words
+from rosplc.shm.names import Part
 
 
 @dataclass(frozen=True)
@@ -16,13 +17,16 @@ class Description:
     """What a tool needs to read a channel that it has never heard of.
 
     Attributes:
-        topic: As ROS writes it.
+        topic: As ROS writes it; a service's or action's name.
         type: ``"package/msg/Name"``.
         distro: The ROS distribution whose definitions were used.
         direction: Which way the messages go.
         limits: ``{"string": 80, "sequence": 16, "fields": {...}}``.
         layout_id: 16 hexadecimal digits.
         definition: The ``.msg`` text with every type that it uses.
+        part: What the object carries; this and the rest are written for services and actions only.
+        client: The name of one of several uses in the PLC.
+        partners: The other objects' parts and layout ids: ``{"response": "0123456789abcdef"}``.
     """
 
     topic: str
@@ -33,20 +37,34 @@ class Description:
     layout_id: str
     bridge: str
     definition: str
+    part: Part = Part.TOPIC
+    client: str = ""
+    partners: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def kind(self) -> str:
+        """``"topic"``, ``"service"`` or ``"action"``."""
+        return self.part.kind
 
     def to_json(self) -> bytes:
         """Return the object's UTF-8 text. Raises ValueError: If it exceeds 2²⁰ bytes."""
-        members = {"format": FORMAT, **{field.name: getattr(self, field.name) for field in fields(self)}}
+        members: dict[str, Any] = {"format": FORMAT, **{name: getattr(self, name) for name in _MEMBERS}}
         members["direction"] = self.direction.word
         members["limits"] = dict(self.limits)
+        if self.part is not Part.TOPIC:
+            call = {"part": self.part.word, "client": self.client, "partners": dict(self.partners)}
+            members |= {"kind": self.kind, **call}
         text = json.dumps(members, ensure_ascii=False, separators=(",", ":")).encode()
         if len(text) > MAX_DESCRIPTION_SIZE:
             raise ValueError(f"a self-description has at most {MAX_DESCRIPTION_SIZE} bytes, not {len(text)}")
         return text
 
     @classmethod
-    def from_json(cls, text: bytes, where: str = "") -> Description:
-        """Read a self-description; members beyond the known ones are ignored. SHM113 if it cannot be read."""
+    def from_json(cls, text: bytes, where: str = "", part: Part = Part.TOPIC) -> Description:
+        """Read the self-description of an object with this part; SHM113 if it cannot be read.
+
+        Members beyond the known ones are ignored.
+        """
         try:
             members = json.loads(text.decode("utf-8"))
         except (ValueError, RecursionError) as error:
@@ -54,7 +72,9 @@ class Description:
         if not isinstance(members, dict):
             raise channel_error(113, "self-description is not a JSON object", where)
         values: dict[str, Any] = {}
-        kinds = {"format": str, **{field.name: str for field in fields(cls)}, "limits": dict}
+        kinds: dict[str, type] = {"format": str, **dict.fromkeys(_MEMBERS, str), "limits": dict}
+        if part is not Part.TOPIC:
+            kinds |= {"kind": str, "part": str, "client": str, "partners": dict}
         for name, kind in kinds.items():
             value = members.get(name)
             if not isinstance(value, kind):
@@ -65,7 +85,15 @@ class Description:
             raise channel_error(113, "self-description's format is not rosplc 1.x", where)
         try:
             values["direction"] = {way.word: way for way in Direction}[values["direction"]]
-            layout_id_words(values["layout_id"])
-        except (KeyError, ValueError) as error:
+            for layout_id in (values["layout_id"], *values.get("partners", {}).values()):
+                layout_id_words(layout_id)
+        except (KeyError, TypeError, ValueError) as error:
             raise channel_error(113, f"self-description holds {error}", where) from error
-        return cls(**values)
+        found = values.pop("kind", "topic"), values.pop("part", "topic")
+        if found != (part.kind, part.word):
+            what = f"self-description is a {found[0]}'s {found[1]}, the object a {part.kind}'s {part.word}"
+            raise channel_error(113, what, where)
+        return cls(**values, part=part)
+
+
+_MEMBERS = [one.name for one in fields(Description) if one.name not in ("part", "client", "partners")]

@@ -27,7 +27,7 @@ from rosplc.shm.constants import Direction, ErrorNumber
 _FORMAT = struct.Struct("<19I16s5I16x")
 _NAMES = [name for name in spec.IDENTITY if name != "reserved"]
 _FIXED = {
-    "magic": spec.MAGIC, "header_size": spec.HEADER_SIZE, "features_required": 0, "kind": spec.KIND_TOPIC,
+    "magic": spec.MAGIC, "header_size": spec.HEADER_SIZE, "features_required": 0,
     "slot_header_size": spec.SLOT_HEADER_SIZE, "reader_lines": spec.READER_LINES, "identity_crc": 0,
 }  # fmt: skip
 _GEOMETRY = (
@@ -68,6 +68,7 @@ class Identity:
         layout_id: The record's layout id, 16 hexadecimal digits.
         bridge_id: 16 random bytes of the bridge that created the object.
         created_ns: Creation time, ns since 1970 UTC; for people.
+        kind: ``Part.value``.
     """
 
     direction: Direction
@@ -86,6 +87,7 @@ class Identity:
     state: int = spec.STATE_LIVE
     version: int = spec.VERSION
     features_optional: int = 0
+    kind: int = spec.KIND_TOPIC
 
     @classmethod
     def plan(cls, *, slots: int, record_size: int, description_size: int, **others: Any) -> Identity:
@@ -110,7 +112,7 @@ class Identity:
         fits = min(slots, record_size, description_size) > 0 and identity.object_size <= spec.MAX_OBJECT_SIZE
         if fits:
             image = identity.build().ljust(spec.HEADER_SIZE, b"\0")
-            fits = not check_identity(image, identity.object_size, 0)
+            fits = not check_identity(image, identity.object_size, 0, identity.kind)
         if not fits:
             raise ValueError(
                 f"slot_count {slots}, record_size {record_size}, description_size {description_size}, "
@@ -141,21 +143,22 @@ class Identity:
         size: int,
         *,
         direction: Direction | None = None,
+        kind: int = spec.KIND_TOPIC,
         where: str = "",
         accept_retired: bool = False,
     ) -> Identity:
         """Check and return the identity in ``first``, a private copy of the first 512 of ``size`` bytes.
 
-        Without ``direction`` both are accepted; ``where`` is the path, for messages. ``accept_retired``
-        returns a retired object's identity too, instead of raising SHM111.
+        Without ``direction`` both are accepted, with ``kind`` 0 all; ``where`` is the path, for messages.
+        ``accept_retired`` returns a retired object's identity too, instead of raising SHM111.
 
         Raises:
             ChannelError: SHM103 to SHM111, the first of section 9 that fails.
         """
         available = size if len(first) >= spec.HEADER_SIZE else len(first)
-        number = check_identity(first, available, direction or 0)
+        number = check_identity(first, available, direction or 0, kind)
         if number and not (number == ErrorNumber.RETIRED and accept_retired):
-            raise channel_error(number, _explain(number, first, available, direction), where)
+            raise channel_error(number, _explain(number, first, available, direction, kind), where)
         words = _words(first)
         own = {field.name: words[field.name] for field in fields(cls) if field.name in words}
         own["direction"] = Direction(words["direction"])
@@ -167,7 +170,7 @@ def _words(first: bytes) -> dict[str, Any]:
     return dict(zip(_NAMES, _FORMAT.unpack_from(first), strict=True))
 
 
-def _explain(number: int, first: bytes, size: int, direction: Direction | None) -> str:
+def _explain(number: int, first: bytes, size: int, direction: Direction | None, kind: int) -> str:
     """Say what check ``number`` found; empty where the code's title says it all."""
     if number == ErrorNumber.TOO_SMALL:
         return f"object has {size} bytes, a header has {spec.HEADER_SIZE}"
@@ -182,7 +185,7 @@ def _explain(number: int, first: bytes, size: int, direction: Direction | None) 
         ErrorNumber.GEOMETRY: "inconsistent: " + ", ".join(f"{name} {found[name]}" for name in _GEOMETRY),
         ErrorNumber.TRUNCATED: f"object has {size} bytes, and its header {found['object_size']}",
         ErrorNumber.DIRECTION: f"kind is {found['kind']} and direction {found['direction']}, "
-        f"not {spec.KIND_TOPIC} and {wanted_way}",
+        f"not {kind or 'known'} and {wanted_way}",
     }
     return texts.get(ErrorNumber(number), "")
 

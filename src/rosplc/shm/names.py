@@ -1,16 +1,59 @@
-"""Where objects lie: names of spec/shm-format.md, section 8.1."""
+"""What objects carry, and where they lie: names of spec/shm-format.md, sections 8.1 and 11.1."""
 
 from __future__ import annotations
 
+import enum
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
-from rosplc.shm.constants import FNV_OFFSET, FNV_PRIME, MAX_NAME, NAME_KEPT
+from rosplc.shm import constants as spec
+from rosplc.shm.constants import FNV_OFFSET, FNV_PRIME, MAX_NAME, NAME_KEPT, Direction
 from rosplc.shm.header import channel_error
 
 _PREFIX = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,31}")
 _TOPIC = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
+_CLIENT = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}")
+
+
+class Part(enum.Enum):
+    """What an object carries; the value is the word ``kind`` in its identity.
+
+    Attributes:
+        letters: In the object's name.
+        kind: ``"topic"``, ``"service"`` or ``"action"``.
+        word: ``"topic"``, ``"request"`` ...: as self-descriptions have it.
+        asks: Whether the caller writes it: the request of a service, the goal of an action.
+    """
+
+    TOPIC = spec.KIND_TOPIC
+    REQUEST = spec.KIND_REQUEST
+    RESPONSE = spec.KIND_RESPONSE
+    GOAL = spec.KIND_GOAL
+    RESULT = spec.KIND_RESULT
+    FEEDBACK = spec.KIND_FEEDBACK
+
+    def __init__(self, number: int) -> None:
+        self.word = self.name.lower()
+        self.kind = {1: "topic", 2: "service", 3: "action"}[number & 0xFF]
+        self.letters = {
+            "topic": "t",
+            "request": "sq",
+            "response": "sr",
+            "goal": "ag",
+            "result": "ar",
+            "feedback": "af",
+        }[self.word]
+        self.asks = number in (spec.KIND_REQUEST, spec.KIND_GOAL)
+
+    def direction(self, server: Literal["plc", "ros"]) -> Direction:
+        """Return which way a service's or action's object carries messages, given where its server is."""
+        return Direction.TO_PLC if self.asks == (server == "plc") else Direction.TO_ROS
+
+
+SERVICE = (Part.REQUEST, Part.RESPONSE)
+ACTION = (Part.GOAL, Part.RESULT, Part.FEEDBACK)
 
 
 def fnv1a(text: str) -> int:
@@ -40,47 +83,79 @@ class Namespace:
         if not _PREFIX.fullmatch(self.prefix):
             raise channel_error(118, f"prefix {self.prefix!r} does not match {_PREFIX.pattern}")
 
-    def object_name(self, topic: str) -> str:
-        """Return the name of a topic's object. Raises SHM118 if the topic is not valid."""
+    def object_name(self, topic: str, part: Part = Part.TOPIC, client: str = "") -> str:
+        """Return the name of an object.
+
+        Args:
+            topic: The topic, service or action.
+            part: Which of its objects.
+            client: The name of one of several uses of a service or action in the PLC; empty for none.
+
+        Raises:
+            ChannelError: SHM118 if a name is not valid.
+        """
         if not _TOPIC.fullmatch(topic):
-            raise channel_error(118, f"topic {topic!r} does not match {_TOPIC.pattern}")
-        name = f"{self.prefix}.t.{topic[1:].replace('/', '.')}"
+            raise channel_error(118, f"{part.kind} {topic!r} does not match {_TOPIC.pattern}")
+        if client and (part is Part.TOPIC or not _CLIENT.fullmatch(client)):
+            raise channel_error(118, f"client {client!r} of {topic} does not match {_CLIENT.pattern}")
+        name = f"{self.prefix}.{part.letters}.{topic[1:].replace('/', '.')}{'-' * bool(client)}{client}"
         if len(name) > MAX_NAME:
             name = f"{name[:NAME_KEPT]}~{fnv1a(name):08x}"
         return name
 
-    def path(self, topic: str) -> Path:
-        """Return the path of a topic's object."""
-        return Path(self.directory) / self.object_name(topic)
+    def path(self, topic: str, part: Part = Part.TOPIC, client: str = "") -> Path:
+        """Return the path of an object."""
+        return Path(self.directory) / self.object_name(topic, part, client)
 
-    def lock_path(self, topic: str) -> Path:
-        """Return the path of the lock file beside a topic's object."""
-        return Path(self.directory) / self._other_kind(topic, "l")
+    def lock_path(self, topic: str, part: Part = Part.TOPIC, client: str = "") -> Path:
+        """Return the path of the lock file beside an object."""
+        return Path(self.directory) / self._beside("l", topic, part, client)
 
-    def temporary_prefix(self, topic: str) -> str:
-        """Return the name of a topic's temporaries up to their 8 random digits."""
-        return self._other_kind(topic, "n") + "."
+    def temporary_prefix(self, topic: str, part: Part = Part.TOPIC, client: str = "") -> str:
+        """Return the name of an object's temporaries up to their 8 random digits."""
+        return self._beside("n", topic, part, client) + "."
 
     def topics(self) -> list[str]:
-        """Return the names of the objects that are present, sorted.
+        """Return the names of the topics' objects that are present, sorted.
 
         Raises:
             ChannelError: SHM123 if the directory cannot be listed.
         """
-        start = f"{self.prefix}.t."
+        return [name for name, part in self.objects() if part is Part.TOPIC]
+
+    def objects(self) -> list[tuple[str, Part]]:
+        """Return the names of all objects that are present, sorted, each with its part. Raises SHM123."""
         try:
-            names = [entry.name for entry in Path(self.directory).iterdir()]
-            return sorted(name for name in names if name.startswith(start))
+            names = sorted(entry.name for entry in Path(self.directory).iterdir())
         except OSError as error:
             raise channel_error(123, f"cannot list: {error.strerror}", str(self.directory)) from error
+        return [(name, part) for name in names if (part := self.part_of(name)) is not None]
+
+    def part_of(self, object_name: str) -> Part | None:
+        """Return what an object of this name carries; None if it is no object of this prefix."""
+        prefix, _, rest = object_name.partition(".")
+        letters, dot, _ = rest.partition(".")
+        return _LETTERS.get(letters) if dot and prefix == self.prefix else None
 
     def topic_of(self, object_name: str) -> str | None:
         """Return the topic of an object's name; None if it was shortened or is no such name."""
-        start = f"{self.prefix}.t."
-        topic = "/" + object_name[len(start) :].replace(".", "/")
-        return topic if object_name.startswith(start) and _TOPIC.fullmatch(topic) else None
+        name, client = self.name_of(object_name) or ("", "")
+        return name if name and not client and self.part_of(object_name) is Part.TOPIC else None
 
-    def _other_kind(self, topic: str, kind: str) -> str:
+    def name_of(self, object_name: str) -> tuple[str, str] | None:
+        """Return the topic, service or action of an object's name, and the client; None as topic_of()."""
+        part = self.part_of(object_name)
+        if part is None:
+            return None
+        rest, hyphen, client = object_name[len(self.prefix) + len(part.letters) + 2 :].partition("-")
+        name = "/" + rest.replace(".", "/")
+        sound = not hyphen or (part is not Part.TOPIC and _CLIENT.fullmatch(client))
+        return (name, client) if sound and _TOPIC.fullmatch(name) else None
+
+    def _beside(self, letter: str, topic: str, part: Part, client: str) -> str:
         at = len(self.prefix) + 1
-        name = self.object_name(topic)
-        return name[:at] + kind + name[at + 1 :]
+        name = self.object_name(topic, part, client)
+        return name[:at] + letter + name[at + (part is Part.TOPIC) :]
+
+
+_LETTERS = {part.letters: part for part in Part}

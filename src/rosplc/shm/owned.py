@@ -14,6 +14,8 @@ import stat
 import struct
 import time
 import weakref
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from rosplc._core import Reader, Writer
@@ -48,22 +50,16 @@ class OwnedChannel(Mapped):
         unowned_ns: For how long no process held the name before this one, ns, as far as the lock file tells.
     """
 
-    def __init__(
-        self,
-        lock: NameLock,
-        fd: int,
-        namespace: Namespace,
-        description: Description,
-        replaced_reason: str | None,
-    ) -> None:
-        self.path = namespace.path(description.topic)
-        super().__init__(fd, str(self.path), description.direction, True)
+    def __init__(self, found: _Found) -> None:
+        self.path = found.path
+        description = found.description
+        super().__init__(found.fd, str(self.path), description.direction, True, description.part)
         self.description = description
-        self.adopted = replaced_reason is None
-        self.replaced_reason = replaced_reason or ""
+        self.adopted = found.difference is None
+        self.replaced_reason = found.difference or ""
         self.generation = self.identity.generation
-        self.unowned_ns = lock.unheld_ns
-        self._lock = lock
+        self.unowned_ns = found.lock.unheld_ns
+        self._lock = found.lock
         _owned.add(self)
 
     @classmethod
@@ -98,39 +94,86 @@ class OwnedChannel(Mapped):
                 cannot be set.
             ValueError: If slots or record_size are outside the format's limits.
         """
-        path = namespace.path(description.topic)
-        text = description.to_json()
-        identity = Identity.plan(
-            direction=description.direction,
-            slots=slots,
-            record_size=record_size,
-            description_size=len(text),
-            layout_id=description.layout_id,
-            generation=secrets.randbelow(2**32 - 1) + 1,
-            bridge_id=secrets.token_bytes(16) if bridge_id is None else bridge_id,
-            creator_pid=os.getpid(),
-            created_ns=time.time_ns(),
-        )
         rights = Rights(mode, uid, gid)
-        lock = NameLock(namespace.lock_path(description.topic), rights)
-        fd = -1
-        ours = lock.held_an_object
+        return cls._open(namespace, [(description, record_size)], slots, rights, bridge_id)[0]
+
+    @classmethod
+    def open_together(
+        cls,
+        namespace: Namespace,
+        parts: Sequence[tuple[Description, int]],
+        *,
+        mode: int = 0o660,
+        uid: int | None = None,
+        gid: int | None = None,
+        bridge_id: bytes | None = None,
+    ) -> tuple[OwnedChannel, ...]:
+        """Open all objects of one use of a service or action; adopt all of them or none (section 11.1).
+
+        If one of them is no longer :meth:`still_there`, close or retire all and open them together again.
+
+        Args:
+            namespace: Where they lie.
+            parts: The description and record size, in bytes, of each; ``partners`` is filled in here.
+            mode: As :meth:`open`, like the rest.
+            uid: Owner.
+            gid: Group.
+            bridge_id: 16 random bytes of the bridge.
+
+        Raises:
+            ChannelError: As :meth:`open`; then none of them is owned.
+        """
+        ids = {about.part.word: about.layout_id for about, _ in parts}
+        complete = [
+            (replace(one, partners={word: ids[word] for word in ids if word != one.part.word}), size)
+            for one, size in parts
+        ]
+        return cls._open(namespace, complete, spec.MIN_SLOTS, Rights(mode, uid, gid), bridge_id)
+
+    @classmethod
+    def _open(
+        cls,
+        namespace: Namespace,
+        parts: Sequence[tuple[Description, int]],
+        slots: int,
+        rights: Rights,
+        bridge_id: bytes | None,
+    ) -> tuple[OwnedChannel, ...]:
+        made_by = {"bridge_id": bridge_id or secrets.token_bytes(16), "creator_pid": os.getpid()}
+        plans = []
+        for description, record_size in parts:
+            plan = Identity.plan(
+                kind=description.part.value,
+                direction=description.direction,
+                slots=slots,
+                record_size=record_size,
+                description_size=len(description.to_json()),
+                layout_id=description.layout_id,
+                generation=secrets.randbelow(2**32 - 1) + 1,
+                created_ns=time.time_ns(),
+                **made_by,
+            )
+            plans.append((description, plan))
+        found: list[_Found] = []
         try:
-            _sweep(path.parent, namespace.temporary_prefix(description.topic))
-            fd, reason = _adopt(path, description, identity, rights, ours)
-            lock.remember_object(True)
-            if fd < 0:
-                prefix, image = namespace.temporary_prefix(description.topic), _image(identity, text)
-                fd = create_complete(path, prefix, image, identity.object_size, rights)
-            return cls(lock, fd, namespace, description, reason)
+            for description, plan in plans:
+                found.append(_Found(namespace, description, plan, rights))
+                found[-1].look()
+            if any(one.difference is not None for one in found):
+                # All retired before the first is made: who dies in between leaves no mixed set behind.
+                for one in found:
+                    one.retire()
+                for one in found:
+                    one.make()
+            channels = tuple(cls(one) for one in found)
         except BaseException:
-            with contextlib.suppress(OSError):
-                lock.remember_object(ours)
-            lock.release()
+            for one in found:
+                one.give_up()
             raise
         finally:
-            if fd >= 0:
-                os.close(fd)
+            for one in found:
+                one.close()
+        return channels
 
     def writer(self, beat_ms: int = 1000) -> Writer:
         """Claim the channel towards the PLC; the lock makes any other claim an old one.
@@ -244,31 +287,75 @@ def _sweep(directory: Path, temporary_prefix: str) -> None:
                 (directory / name).unlink()
 
 
-def _adopt(
-    path: Path, description: Description, wanted: Identity, rights: Rights, ours: bool
-) -> tuple[int, str | None]:
-    """Return the descriptor of the object to adopt and None, or -1 and why not, the object being retired.
+class _Found:
+    """What is at a name whose lock this process holds.
 
-    ``ours``: whether a bridge has put an object at this name; then one that is damaged beyond
-    recognition may be replaced. Everything else that does not look like an object is somebody's file.
+    Attributes:
+        fd: The object found or made; -1 none.
+        difference: Why the object found cannot be adopted; empty where there is none, None if it can.
     """
-    try:
-        fd = open_plain_file(path, os.O_RDWR, denied=119)
-    except ChannelError as error:
-        if error.code != "SHM101":
-            raise
-        return -1, ""
-    try:
-        _refuse_foreign(fd, path, rights.uid, ours)
-        reason = _difference(fd, description, wanted, rights, str(path))
-        if not reason:
-            return fd, None
-        retire_file(fd)
-    except BaseException:
-        os.close(fd)
-        raise
-    os.close(fd)
-    return -1, reason
+
+    def __init__(
+        self, namespace: Namespace, description: Description, identity: Identity, rights: Rights
+    ) -> None:
+        name = description.topic, description.part, description.client
+        self.path = namespace.path(*name)
+        self.description = description
+        self.lock = NameLock(namespace.lock_path(*name), rights)
+        self.fd = -1
+        self.difference: str | None = ""
+        self._temporary = namespace.temporary_prefix(*name)
+        self._identity = identity
+        self._rights = rights
+        self._ours = self.lock.held_an_object
+        self._made = False
+
+    def look(self) -> None:
+        """Open and judge what is there."""
+        _sweep(self.path.parent, self._temporary)
+        try:
+            self.fd = open_plain_file(self.path, os.O_RDWR, denied=119)
+        except ChannelError as error:
+            if error.code != "SHM101":
+                raise
+        else:
+            # A bridge's object that is damaged beyond recognition may be replaced; everything else that
+            # does not look like an object is somebody's file.
+            _refuse_foreign(self.fd, self.path, self._rights.uid, self._ours)
+            where = str(self.path)
+            self.difference = (
+                _difference(self.fd, self.description, self._identity, self._rights, where) or None
+            )
+        self.lock.remember_object(True)
+
+    def retire(self) -> None:
+        """Retire an object that is not adopted."""
+        if self.fd >= 0:
+            retire_file(self.fd)
+            self.difference = self.difference or "an object that belongs to it is replaced"
+            self.close()
+
+    def make(self) -> None:
+        """Put a new object at the name."""
+        image = _image(self._identity, self.description.to_json())
+        self.fd = create_complete(self.path, self._temporary, image, self._identity.object_size, self._rights)
+        self.difference = self.difference or ""
+        self._made = True
+
+    def give_up(self) -> None:
+        """Leave the name as it was found, but for an object that was retired, and let it go."""
+        with contextlib.suppress(OSError):
+            if self._made and self.fd >= 0:
+                retire_file(self.fd)
+                self.path.unlink()
+            self.lock.remember_object(self._ours)
+        self.lock.release()
+
+    def close(self) -> None:
+        """Close the file; the object's mapping, if there is one, stays."""
+        fd, self.fd = self.fd, -1
+        if fd >= 0:
+            os.close(fd)
 
 
 def _refuse_foreign(fd: int, path: Path, uid: int | None, ours: bool) -> None:
@@ -292,7 +379,7 @@ def _difference(fd: int, description: Description, wanted: Identity, rights: Rig
     uid = os.geteuid() if rights.uid is None else rights.uid
     first, size = files.read_header(fd)
     try:
-        found = Identity.parse(first, size, direction=wanted.direction, where=where)
+        found = Identity.parse(first, size, direction=wanted.direction, kind=wanted.kind, where=where)
     except ChannelError as error:
         return f"{error.what} [{error.code}]"
     group = status.st_gid if rights.gid is None else rights.gid
