@@ -1,9 +1,10 @@
-"""ROS message types as data: bundled with a distribution, custom, or from a self-description."""
+"""ROS messages, services and actions: bundled with a distribution, custom, or from a self-description."""
 
 from rosplc.model.folders import save_definitions, split_definition
 from rosplc.model.store import DISTROS, MAX_DEPTH, TypeStore
 from rosplc.model.types import (
     PRIMITIVES,
+    ActionType,
     ArrayType,
     Constant,
     Field,
@@ -12,6 +13,7 @@ from rosplc.model.types import (
     NamedType,
     PrimitiveType,
     SequenceType,
+    ServiceType,
     StringType,
     Value,
 )
@@ -20,6 +22,7 @@ __all__ = [
     "DISTROS",
     "MAX_DEPTH",
     "PRIMITIVES",
+    "ActionType",
     "ArrayType",
     "Constant",
     "Field",
@@ -28,6 +31,7 @@ __all__ = [
     "NamedType",
     "PrimitiveType",
     "SequenceType",
+    "ServiceType",
     "StringType",
     "TypeStore",
     "Value",

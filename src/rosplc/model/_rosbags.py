@@ -55,15 +55,14 @@ def bundled_types(distro: str) -> dict[str, MessageType]:
     return {name: _message(name, *definition, ros1=ros1) for name, definition in definitions.items()}
 
 
-def parse_field_type(text: str, owner: str, *, ros1: bool = False) -> tuple[FieldType, bool] | None:
+def parse_field_type(text: str, package: str, *, ros1: bool = False) -> tuple[FieldType, bool] | None:
     """Read the type part of a ``.msg`` line, such as ``geometry_msgs/Point[<=4]``.
 
     An unqualified ``Header`` is std_msgs' one.
 
     Args:
         text: The type as written.
-        owner: Full name of the message that has the field; a name without a package is
-            looked for in the same package.
+        package: Where a name without a package is looked for.
         ros1: Whether it is ROS 1, where ``byte`` is an ``int8``.
 
     Returns:
@@ -74,7 +73,7 @@ def parse_field_type(text: str, owner: str, *, ros1: bool = False) -> tuple[Fiel
     found = parser.typ(0)
     if isinstance(found, Failure) or found.pos != len(text):
         return None
-    parsed = normalize_type_ref(owner, found.value)
+    parsed = normalize_type_ref(f"{package}/msg/_", found.value)
     element: PrimitiveType | StringType | NamedType
     valid = True
     if isinstance(parsed.ref, BaseType):
@@ -83,7 +82,8 @@ def parse_field_type(text: str, owner: str, *, ros1: bool = False) -> tuple[Fiel
         valid = not bounded or 0 < parsed.str_size < 1 << 32
         element = _element(Nodetype.BASE, (name, parsed.str_size), ros1)
     else:
-        element = NamedType(parsed.ref.name)
+        # rosbags knows no `package/srv/Name_Request`, which a service's event has.
+        element = NamedType(parsed.ref.name.replace("/srv/msg/", "/srv/"))
     if parsed.cardinality is Cardinality.SCALAR:
         return element, valid
     unbounded = text.endswith("[]")

@@ -14,6 +14,7 @@ out.
 from __future__ import annotations
 
 from dataclasses import replace
+from importlib.resources import files
 
 from rosplc.model._rosbags import bundled_types, parse_field_type
 from rosplc.model.parse import parse_definition
@@ -90,6 +91,17 @@ def bundled(distro: str) -> dict[str, MessageType]:
         return _parsed(1, _EVERYWHERE, _ROS1) | types
     types = with_defaults(types, _EVERY_ROS2 if distro == "humble" else _SINCE_JAZZY)
     return _examples(types) | _parsed(2, _EVERYWHERE, _ROS2) | types
+
+
+def bundled_interfaces(distro: str) -> dict[str, tuple[str]]:
+    """Return the text of every service and action of a distribution by its full name."""
+    found: dict[str, tuple[str]] = {}
+    for section in files("rosplc.model").joinpath("interfaces.txt").read_text().split("\n==== ")[1:]:
+        head, _, text = section.partition("\n")
+        name, *distros = head.split()
+        if distro in distros:
+            found[name] = (text,)
+    return found
 
 
 def with_defaults(

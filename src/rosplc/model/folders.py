@@ -1,4 +1,4 @@
-"""Custom ``.msg`` files: which are found, of which package; and definitions from elsewhere, written."""
+"""Custom definitions in files: which are found, of which package; and definitions from elsewhere, written."""
 
 from __future__ import annotations
 
@@ -16,24 +16,26 @@ if TYPE_CHECKING:
     from rosplc.model.parse import ParsedType
 
 
-MAX_FILES = 10_000  # Most `.msg` files below one folder.
+MAX_FILES = 10_000  # Most files with definitions below one folder.
 MAX_ENTRIES = 200_000  # Most files and folders below one folder: more is no folder of messages, but a disk.
 
 _SEPARATOR = re.compile(r"^={80}\s*\nMSG:\s*(\S+)\s*\n", re.MULTILINE)
 _PACKAGE = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
+_SUFFIXES = {".msg": "message", ".srv": "service", ".action": "action"}
 
 
 def parse_paths(
     paths: Iterable[Path], ros_version: int
-) -> tuple[list[ParsedType], dict[str, MessageTypeError], list[MessageTypeError]]:
+) -> tuple[list[ParsedType], dict[str, list[Path]], dict[str, MessageTypeError], list[MessageTypeError]]:
     """Parse every ``.msg`` file below some folders, in the order of folders and paths.
 
-    A file's package is the folder above ``msg/`` (or the file's own folder), or the name in
-    the ``package.xml`` there. One ``.msg`` file instead of a folder is accepted too. What is wrong with one
+    A file's package is the folder above ``msg/``, ``srv/`` or ``action/`` (or the file's own folder), or the
+    name in the ``package.xml`` there. One file instead of a folder is accepted too. What is wrong with one
     file concerns its type alone: a workspace has types that are not carried.
 
     Returns:
-        The types; type → error of those that cannot be parsed; errors of files that give no type's name.
+        The types; service or action → its files, which are not read yet; type → error of those that cannot
+        be parsed; errors of files that give no type's name.
 
     Raises:
         MessageTypeError: TYP008 if there is nothing to read, or too much.
@@ -46,17 +48,21 @@ def parse_paths(
         except MessageTypeError as error:
             nameless.append(error)
     parsed: list[ParsedType] = []
+    interfaces: dict[str, list[Path]] = {}
     broken: dict[str, MessageTypeError] = {}
     siblings = set(names.values())
     for file, name in names.items():
+        if file.suffix != ".msg":
+            interfaces.setdefault(name, []).append(file)
+            continue
         try:
-            text = _read(file)
+            text = read(file)
             parsed += parse_definition(
                 name, text, where=str(file), ros_version=ros_version, siblings=siblings
             )
         except MessageTypeError as error:
             broken.setdefault(name, error)
-    return parsed, broken, nameless
+    return parsed, interfaces, broken, nameless
 
 
 def _files(path: Path) -> list[Path]:
@@ -68,15 +74,16 @@ def _files(path: Path) -> list[Path]:
         raise MessageTypeError("TYP008", f"cannot be read: {what}", where=str(path)) from None
     if not exists:
         raise MessageTypeError("TYP008", "does not exist", where=str(path))
-    if not files or files[0].suffix != ".msg":
-        raise MessageTypeError("TYP008", "holds no .msg file", where=str(path))
+    if not files or files[0].suffix not in _SUFFIXES:
+        raise MessageTypeError("TYP008", "holds no .msg, .srv or .action file", where=str(path))
     return files
 
 
 def _below(path: Path) -> list[Path]:
-    """Return the ``.msg`` files below a folder; links to folders are not followed, and no pipe is opened.
+    """Return the files with definitions below a folder.
 
-    Folders that are hidden, or that colcon and catkin are told to ignore, are left out.
+    Links to folders are not followed, and no pipe is opened. Folders that are
+    hidden, or that colcon and catkin are told to ignore, are left out.
     """
     files: list[Path] = []
     number = 0
@@ -86,12 +93,12 @@ def _below(path: Path) -> list[Path]:
             number += 1
             if number > MAX_ENTRIES:
                 raise ValueError(f"there are more than {MAX_ENTRIES} files below it")
-            if entry.suffix == ".msg" and entry.is_file():
+            if entry.suffix in _SUFFIXES and entry.is_file():
                 files.append(entry)
             elif entry.is_dir() and not entry.is_symlink() and not _ignored(entry):
                 folders.append(entry)
         if len(files) > MAX_FILES:
-            raise ValueError(f"there are more than {MAX_FILES} .msg files below it")
+            raise ValueError(f"there are more than {MAX_FILES} definitions below it")
     return sorted(files)
 
 
@@ -100,7 +107,12 @@ def _ignored(folder: Path) -> bool:
     return folder.name.startswith(".") or any((folder / f"{tool}_IGNORE").exists() for tool in tools)
 
 
-def _read(file: Path) -> str:
+def read(file: Path) -> str:
+    """Return a file's text.
+
+    Raises:
+        MessageTypeError: TYP002, TYP007 or TYP008, with the file's name.
+    """
     try:
         with file.open("rb") as stream:
             data = stream.read(MAX_TEXT + 1)
@@ -116,13 +128,14 @@ def _read(file: Path) -> str:
 
 def _name_of(file: Path) -> str:
     if not _PACKAGE.match(file.stem):
-        raise MessageTypeError("TYP002", f"{file.stem!r} is no message name", where=str(file))
-    return f"{_package_of(file)}/msg/{file.stem}"
+        what = f"{file.stem!r} is no {_SUFFIXES[file.suffix]} name"
+        raise MessageTypeError("TYP002", what, where=str(file))
+    return f"{_package_of(file)}/{file.suffix[1:]}/{file.stem}"
 
 
 def _package_of(file: Path) -> str:
     folder = file.resolve().parent
-    if folder.name == "msg" or (folder / "../package.xml").resolve().is_file():
+    if folder.name == file.suffix[1:] or (folder / "../package.xml").resolve().is_file():
         folder = folder.parent
     name = _name_in(folder / "package.xml") or folder.name
     if not _PACKAGE.match(name):

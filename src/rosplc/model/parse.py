@@ -26,7 +26,7 @@ MAX_NAME = 255  # Longest type, field or constant name.
 
 _SEPARATOR = re.compile(r"={80}\s*\Z")
 _HEADER = re.compile(r"MSG:\s*(\S+)\s*\Z")
-_TYPE_NAME = re.compile(r"([A-Za-z][A-Za-z0-9_]*)/(?:msg/)?([A-Za-z][A-Za-z0-9_]*)\Z")
+_TYPE_NAME = re.compile(r"([A-Za-z][A-Za-z0-9_]*)/(?:(msg|srv|action)/)?([A-Za-z][A-Za-z0-9_]*)\Z")
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
 _LINE = re.compile(r"(\S+)\s+([A-Za-z][A-Za-z0-9_]*)\s*(.*)\Z", re.DOTALL)
 _ANNOTATIONS = re.compile(r"(@[a-z_]+(\s+|\Z))*")
@@ -43,8 +43,12 @@ class ParsedType:
     field_lines: tuple[str, ...]
 
 
-def full_name(name: str) -> str:
-    """Return ``package/msg/Name`` for ``package/Name`` or ``package/msg/Name``.
+def full_name(name: str, kind: str = "msg") -> str:
+    """Return ``package/msg/Name`` for ``package/Name``; a name of three parts as it is.
+
+    Args:
+        name: The name; one of three parts is of a message, or of a service (``srv``) or an ``action``.
+        kind: The middle of a name of two parts.
 
     Raises:
         MessageTypeError: TYP001, the text is no type name.
@@ -52,7 +56,7 @@ def full_name(name: str) -> str:
     found = _TYPE_NAME.match(name) if len(name) <= MAX_NAME else None
     if not found:
         raise MessageTypeError("TYP001", f"{name[:80]!r} is no type name such as geometry_msgs/msg/Twist")
-    return f"{found[1]}/msg/{found[2]}"
+    return f"{found[1]}/{found[2] or kind}/{found[3]}"
 
 
 def check_names(message: MessageType) -> None:
@@ -103,7 +107,7 @@ def parse_definition(
     sections = list(_sections(full_name(type_name), text, where))
     own_headers = {*siblings, *(name for name, _, _ in sections)} if ros_version == 2 else set()
     for name, place, lines in sections:
-        own = name.rsplit("/", 1)[0] + "/Header"
+        own = name.partition("/")[0] + "/msg/Header"
         numbered = [(n, _own_header(line, own) if own in own_headers else line) for n, line in lines]
         parsed = _parse_section(name, place, numbered, where, ros_version, budget)
         budget -= len(parsed.message.fields) + len(parsed.message.constants)
@@ -155,7 +159,7 @@ def _parse_section(
         if _UNSUPPORTED.match(line):
             raise MessageTypeError("TYP004", f"unsupported type in {line[:80]!r}", where=f"{where}:{number}")
         try:
-            item = _parse_line(line, name, ros_version)
+            item = _parse_line(line, name.partition("/")[0], ros_version)
         except LiteralError as error:
             raise _syntax(str(error), where, number) from None
         if item.name in names:
@@ -171,22 +175,22 @@ def _parse_section(
     return ParsedType(MessageType(name, tuple(fields), tuple(constants)), place, tuple(places))
 
 
-def _parse_line(line: str, owner: str, ros_version: int) -> Field | Constant:
+def _parse_line(line: str, package: str, ros_version: int) -> Field | Constant:
     parts = _LINE.match(line)
     if not parts:
         raise LiteralError(f"{line[:80]!r} is neither `type name` nor `type NAME=value`")
     type_text, name, rest = parts.groups()
     if len(name) > MAX_NAME or len(type_text) > 2 * MAX_NAME:
         raise LiteralError(f"a name has more than {MAX_NAME} characters")
-    kind = _parse_type(type_text, owner, ros_version)
+    kind = _parse_type(type_text, package, ros_version)
     if rest.startswith("="):
         return _parse_constant(name, kind, rest[1:], ros_version)
     literal = strip_comment(rest)
     return Field(name, kind, parse_value(literal, kind) if literal else None)
 
 
-def _parse_type(text: str, owner: str, ros_version: int) -> FieldType:
-    result = parse_field_type(text, owner, ros1=ros_version == 1)
+def _parse_type(text: str, package: str, ros_version: int) -> FieldType:
+    result = parse_field_type(text, package, ros1=ros_version == 1)
     if result is None:
         raise LiteralError(f"{text[:80]!r} is no type")
     kind, valid = result

@@ -10,12 +10,29 @@ from typing import TYPE_CHECKING
 
 from rosplc.errors import MessageTypeError
 from rosplc.model._rosbags import DISTROS
-from rosplc.model.bundled import bundled
-from rosplc.model.folders import parse_paths
+from rosplc.model.bundled import bundled, bundled_interfaces
+from rosplc.model.folders import parse_paths, read
 from rosplc.model.hashes import ROS1_TIMES, md5_text, rihs01
+from rosplc.model.interfaces import (
+    EVENT_INFO,
+    PARTS,
+    derive,
+    describe,
+    kind_of,
+    owners_of,
+    parse_interface,
+)
 from rosplc.model.literals import format_value
 from rosplc.model.parse import ParsedType, full_name, parse_definition
-from rosplc.model.types import Constant, Field, MessageType, NamedType, PrimitiveType
+from rosplc.model.types import (
+    ActionType,
+    Constant,
+    Field,
+    MessageType,
+    NamedType,
+    PrimitiveType,
+    ServiceType,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -26,10 +43,14 @@ MAX_DEPTH = 32  # Deepest nesting of message types.
 
 _TIME_FIELDS = (Field("sec", PrimitiveType("int32")), Field("nanosec", PrimitiveType("uint32")))
 _BUILTIN = {name: MessageType(name, _TIME_FIELDS) for name in ROS1_TIMES}
+_WORDS = {"msg": "a message", "srv": "a service", "action": "an action"}
 
 
 class TypeStore:
-    """Message types by name; never changes, adding types makes a new store.
+    """Message types, services and actions by name; never changes, adding types makes a new store.
+
+    The messages of services and actions (``package/srv/Name_Request``, ``package/action/Name_Goal``, …) are
+    found as any message is; their text is parsed when one is first asked for.
 
     Attributes:
         distro: The ROS distribution whose definitions it starts from, or what a
@@ -45,6 +66,11 @@ class TypeStore:
         self._heights: dict[str, int] = {}  # of the types whose needs have been found sound
         self._broken: dict[str, MessageTypeError] = {}
         self._parsed: dict[str, ParsedType] = {}  # where types that were added are defined
+        # Services and actions: their definitions, as text or in a file; and the messages of those asked for.
+        self._interfaces: dict[str, tuple[str | Path, ...]] = {}
+        self._parts: dict[str, ParsedType] = {}
+        if self.ros_version == 2:
+            self._parts[EVENT_INFO.name] = ParsedType(EVENT_INFO, "", ("",) * len(EVENT_INFO.fields))
         self._nameless: list[MessageTypeError] = []
 
     @classmethod
@@ -91,13 +117,15 @@ class TypeStore:
 
         Args:
             paths: Folders with ``package/msg/Name.msg`` or ``package/Name.msg``, folders of a
-                package, or single ``.msg`` files.
+                package, or single files; ``.srv`` and ``.action`` likewise.
 
         Raises:
             MessageTypeError: TYP008, a path cannot be read.
         """
-        parsed, broken, nameless = parse_paths(map(Path, paths), self.ros_version)
+        parsed, interfaces, broken, nameless = parse_paths(map(Path, paths), self.ros_version)
         merged = self._copy()
+        for name, files in interfaces.items():
+            merged._interfaces[name] = (*merged._interfaces.get(name, ()), *files)
         merged._nameless += nameless
         for one in parsed:
             try:
@@ -118,11 +146,11 @@ class TypeStore:
             if not (isinstance(name, str) and name.isidentifier()):
                 name = full_name(name)
             self._visit(name, self._heights, (), "")
-        return self._types[name]
+        return self._get(name)
 
     def __contains__(self, name: object) -> bool:
         try:
-            return isinstance(name, str) and full_name(name) in self._types
+            return isinstance(name, str) and self._find(full_name(name)) is not None
         except MessageTypeError:
             return False
 
@@ -130,17 +158,52 @@ class TypeStore:
         return len(self._types)
 
     def names(self) -> tuple[str, ...]:
-        """Return the full names of all types that can be used, sorted."""
+        """Return the full names of all messages that can be used, sorted; without services' and actions'."""
         return tuple(sorted(name for name in self._types if self._error(name) is None))
+
+    def services(self) -> tuple[str, ...]:
+        """Return the full names of all services that can be used, sorted; without those of actions."""
+        return self._usable("srv")
+
+    def actions(self) -> tuple[str, ...]:
+        """Return the full names of all actions that can be used, sorted."""
+        return self._usable("action")
+
+    def service(self, name: str) -> ServiceType:
+        """Return a service by ``package/srv/Name`` or ``package/Name``.
+
+        In ROS 2 also those of an action: ``package/action/Name_SendGoal`` and ``…_GetResult``.
+
+        Raises:
+            MessageTypeError: See :meth:`__getitem__`.
+        """
+        own = self._interface(name, "srv")
+        return ServiceType(own, *(self[f"{own}_{part}"] for part in PARTS["srv"]))
+
+    def action(self, name: str) -> ActionType:
+        """Return an action by ``package/action/Name`` or ``package/Name``.
+
+        Raises:
+            MessageTypeError: See :meth:`__getitem__`.
+        """
+        own = self._interface(name, "action")
+        return ActionType(own, *(self[f"{own}_{part}"] for part in PARTS["action"]))
 
     def problems(self) -> tuple[MessageTypeError, ...]:
         """Return what is wrong with custom types and their files; none of it matters until a type is used."""
-        found = (self._error(name) for name in sorted({*self._parsed, *self._broken}))
+        custom = (name for name, sources in self._interfaces.items() if isinstance(sources[-1], Path))
+        found = (self._error(name) for name in sorted({*self._parsed, *self._broken, *custom}))
         return (*self._nameless, *filter(None, found))
 
+    def _usable(self, kind: str) -> tuple[str, ...]:
+        names = (name for name in self._interfaces if kind_of(name) == kind)
+        return tuple(sorted(name for name in names if self._error(name) is None))
+
     def _error(self, name: str) -> MessageTypeError | None:
+        parts = [f"_{part}" for part in PARTS[kind_of(name)]] if name in self._interfaces else [""]
         try:
-            self._visit(name, self._heights, (), "")
+            for part in parts:
+                self._visit(f"{name}{part}", self._heights, (), "")
         except MessageTypeError as error:
             return error
         return None
@@ -158,26 +221,49 @@ class TypeStore:
         self._collect(first.name, order)
         parts = [self._text(first)]
         for other in list(order)[1:]:
-            parts.append(f"{'=' * 80}\nMSG: {_short(other)}\n{self._text(self._types[other])}")
+            parts.append(f"{'=' * 80}\nMSG: {_short(other)}\n{self._text(self._get(other))}")
         return "".join(parts)
 
     def type_hash(self, name: str) -> str:
         """Return ROS 2's type hash, ``RIHS01_…``."""
         *others, own = self.dependencies(name)
-        return rihs01(self._types[own], [self._types[other] for other in others])
+        return rihs01(self._get(own), [self._get(other) for other in others])
+
+    def service_hash(self, name: str) -> str:
+        """Return ROS 2's type hash of a service; its messages have hashes of their own."""
+        return self._hash_of(self._interface(name, "srv"))
+
+    def action_hash(self, name: str) -> str:
+        """Return ROS 2's type hash of an action."""
+        return self._hash_of(self._interface(name, "action"))
+
+    def _hash_of(self, name: str) -> str:
+        own, *services = described = describe(name)
+        names = {each.name for each in described}
+        order: dict[str, int] = {}
+        for needed in (needed for each in described for needed in each.needs if needed not in names):
+            self._visit(needed, order, (), "")
+        return rihs01(own, [*services, *map(self._get, order)])
 
     def md5(self, name: str) -> str:
         """Return ROS 1's MD5 sum of the type, as 32 hexadecimal digits."""
         for other in self.dependencies(name):
             if other not in self._md5:
-                text = md5_text(self._types[other], self._md5.__getitem__)
-                self._md5[other] = hashlib.md5(text.encode(), usedforsecurity=False).hexdigest()
+                self._md5[other] = _md5(md5_text(self._get(other), self._md5.__getitem__))
         return self._md5[self[name].name]
+
+    def service_md5(self, name: str) -> str:
+        """Return ROS 1's MD5 sum of a service, as 32 hexadecimal digits."""
+        service = self.service(name)
+        for part in (service.request, service.response):
+            self.md5(part.name)
+        texts = (md5_text(part, self._md5.__getitem__) for part in (service.request, service.response))
+        return _md5("".join(texts))
 
     def _copy(self) -> TypeStore:
         copy = TypeStore(self.distro, self._types)
         copy._broken, copy._parsed = dict(self._broken), dict(self._parsed)
-        copy._nameless = list(self._nameless)
+        copy._nameless, copy._interfaces = list(self._nameless), dict(self._interfaces)
         return copy
 
     def _with(self, found: list[ParsedType]) -> TypeStore:
@@ -207,10 +293,60 @@ class TypeStore:
             if needed in _BUILTIN:
                 self._types.setdefault(needed, _BUILTIN[needed])
 
-    def _unknown(self, name: str) -> str:
+    def _find(self, name: str) -> MessageType | None:
+        """Return a message; those of a service or action are parsed here, when first asked for."""
+        if (own := self._types.get(name)) is not None:
+            return own
+        if name not in self._parts:
+            for owner in owners_of(name, self.ros_version):
+                if owner in self._interfaces:
+                    self._load(owner)
+        return self._parts[name].message if name in self._parts else None
+
+    def _get(self, name: str) -> MessageType:
+        found = self._find(name)
+        assert found is not None, name
+        return found
+
+    def _load(self, name: str) -> None:
+        """Parse a service or an action, and add the messages that ROS makes of it."""
+        parsed: list[ParsedType] = []
+        other = ""
+        for source in self._interfaces[name]:
+            text, where = (read(source), str(source)) if isinstance(source, Path) else (source, name)
+            before, parsed = (
+                parsed,
+                parse_interface(name, text, where=where, ros_version=self.ros_version, siblings=self._types),
+            )
+            if not all(_same_shape(a.message, b.message) for a, b in zip(before, parsed, strict=False)):
+                what = f"this definition of {name} differs from {other}"
+                raise MessageTypeError("TYP005", what, where=where)
+            other = where if isinstance(source, Path) else f"{self.distro}'s own"
+        messages = derive(name, [each.message for each in parsed], self.ros_version)
+        parsed += (ParsedType(each, where, (where,) * len(each.fields)) for each in messages)
+        self._parts.update({each.message.name: each for each in parsed})
+
+    def _interface(self, name: str, kind: str) -> str:
+        """Return the full name of a service or action that is known, else raise TYP001."""
+        full = full_name(name, kind)
+        owner = full
+        if kind == "srv" and kind_of(full) == "action" and self.ros_version == 2:
+            owner = full.removesuffix("_SendGoal").removesuffix("_GetResult")
+        if owner not in self._interfaces or (kind_of(full) != kind and owner == full):
+            raise MessageTypeError("TYP001", self._unknown(full, kind), remedy=self._remedy(full))
+        return full
+
+    def _unknown(self, name: str, kind: str = "msg") -> str:
+        if name in self._types:
+            return f"{name} is a message, not {_WORDS[kind]}"
+        if name in self._interfaces:
+            what, known = _WORDS[kind_of(name)], PARTS[kind_of(name)]
+            return f"{name} is {what}, not {_WORDS[kind]}; its messages end with _{', _'.join(known)}"
         base = name.rsplit("/", 1)[-1].lower()
-        same = [other for other in self._types if other.rsplit("/", 1)[1].lower() == base]
-        near = difflib.get_close_matches(name, same, 1, 0) or difflib.get_close_matches(name, self._types, 1)
+        every = [*self._types, *self._interfaces]
+        same = [other for other in every if other.rsplit("/", 1)[1].lower() == base]
+        alike = [other for other in every if kind_of(other) == kind_of(name)]
+        near = difflib.get_close_matches(name, same, 1, 0) or difflib.get_close_matches(name, alike, 1)
         hint = f"; did you mean {near[0]}?" if near else ""
         if self._nameless and not near:
             hint = f"; {self._nameless[0].where} was not read: {self._nameless[0].what}"
@@ -218,7 +354,7 @@ class TypeStore:
 
     def _remedy(self, name: str) -> str:
         package = name.partition("/")[0]
-        if any(other.startswith(f"{package}/") for other in self._types):
+        if any(other.startswith(f"{package}/") for other in (*self._types, *self._interfaces)):
             return f"`rosplc types {package}` lists the package's types; add others' folder to types.paths."
         return (
             f"Check the spelling with `rosplc types`. Package {package} is not bundled: add its folder to "
@@ -231,13 +367,13 @@ class TypeStore:
             return heights[name]
         if name in self._broken:
             raise self._broken[name]
-        if name not in self._types:
+        if (message := self._find(name)) is None:
             short = name[:80]
             raise MessageTypeError("TYP001", self._unknown(short), where=where, remedy=self._remedy(short))
         if name in above:
             cycle = " → ".join((*above[above.index(name) :], name))
             raise MessageTypeError("TYP003", cycle, where=where)
-        message, parsed = self._types[name], self._parsed.get(name)
+        parsed = self._parsed.get(name) or self._parts.get(name)
         places = parsed.field_lines if parsed else (where,) * len(message.fields)
         below = [0]
         # The check on the way down bounds the recursion, the one on the way up is exact.
@@ -256,7 +392,7 @@ class TypeStore:
     def _collect(self, name: str, order: dict[str, None]) -> None:
         """Add ``name`` and what it needs in order of first use, depth first."""
         order[name] = None
-        for other in self._types[name].needs:
+        for other in self._get(name).needs:
             if other not in order and not (self.ros_version == 1 and other in ROS1_TIMES):
                 self._collect(other, order)
 
@@ -277,6 +413,10 @@ class TypeStore:
         return format_value(constant.value) if isinstance(constant.value, str) else constant.text
 
 
+def _md5(text: str) -> str:
+    return hashlib.md5(text.encode(), usedforsecurity=False).hexdigest()
+
+
 def _short(name: str) -> str:
     return name.replace("/msg/", "/")
 
@@ -288,4 +428,6 @@ def _same_shape(one: MessageType, other: MessageType) -> bool:
 
 @cache
 def _bundled(distro: str) -> TypeStore:
-    return TypeStore(distro, bundled(distro))
+    store = TypeStore(distro, bundled(distro))
+    store._interfaces = dict(bundled_interfaces(distro))
+    return store

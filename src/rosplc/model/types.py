@@ -127,3 +127,25 @@ class MessageType:
         """The names of the types of its fields, each once, in their order."""
         inner = (field.type.inner for field in self.fields)
         return tuple(dict.fromkeys(kind.name for kind in inner if isinstance(kind, NamedType)))
+
+
+@dataclass(frozen=True, slots=True)
+class ServiceType:
+    """A service: ``name`` is ``package/srv/Name``, or ``package/action/Name_SendGoal`` of an action.
+
+    Its messages are called ``<name>_Request`` and ``<name>_Response``, in ROS 1 too.
+    """
+
+    name: str
+    request: MessageType
+    response: MessageType
+
+
+@dataclass(frozen=True, slots=True)
+class ActionType:
+    """An action: ``name`` is ``package/action/Name``; its messages are ``<name>_Goal`` and so on."""
+
+    name: str
+    goal: MessageType
+    result: MessageType
+    feedback: MessageType
