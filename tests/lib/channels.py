@@ -5,11 +5,13 @@ from __future__ import annotations
 import struct
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
-from rosplc.shm import Description, Direction, Namespace, OwnedChannel
+from rosplc.shm import SERVICE, Description, Direction, Namespace, OwnedChannel
 
-__all__ = ["LAYOUT", "describe", "is_torn", "open_channel", "pattern", "start_child", "until"]
+__all__ = ["LAYOUT", "describe", "is_torn", "open_channel", "open_service", "pattern", "start_child", "until"]
 
 LAYOUT = "0123456789abcdef"
 _ROOT = Path(__file__).resolve().parents[2]
@@ -44,6 +46,19 @@ def open_channel(
     return OwnedChannel.open(
         namespace, describe(topic, direction, layout_id), record_size=record_size, slots=slots
     )
+
+
+def open_service(
+    namespace: Namespace, server: Literal["plc", "ros"] = "plc", *, client: str = "", layout_id: str = LAYOUT
+) -> tuple[OwnedChannel, OwnedChannel]:
+    """Own request and response of a made-up service /add, with records of 64 and 32 bytes."""
+    request, response = (
+        replace(describe("/add", part.direction(server)), part=part, client=client) for part in SERVICE
+    )
+    asks, answers = OwnedChannel.open_together(
+        namespace, [(request, 64), (replace(response, layout_id=layout_id), 32)]
+    )
+    return asks, answers
 
 
 def pattern(number: int, size: int) -> bytes:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from rosplc._core import Group, Reader, Region, SlotInfo, Writer, distance
 from rosplc.shm.attach import Attached, attach
+from rosplc.shm.calls import Answerer, Caller
 from rosplc.shm.claims import Liveness, ReaderClaim, WriterClaim
 from rosplc.shm.constants import Direction
 from rosplc.shm.description import Description
@@ -19,7 +20,9 @@ from rosplc.shm.snapshot import ReaderState, Snapshot, WriterState
 __all__ = [
     "ACTION",
     "SERVICE",
+    "Answerer",
     "Attached",
+    "Caller",
     "Description",
     "Direction",
     "Group",

@@ -14,13 +14,14 @@ from pathlib import Path
 from typing import TypeVar
 
 from rosplc._core import Reader, Region, Writer
+from rosplc.shm import constants as spec
 from rosplc.shm.claims import ReaderClaim, WriterClaim, WriterProcess, start_of
 from rosplc.shm.constants import READER_LINES, Direction
 from rosplc.shm.description import Description
 from rosplc.shm.files import open_plain_file, read_header, refuse_second_name, same_file
 from rosplc.shm.header import Identity, channel_error
 from rosplc.shm.names import Namespace, Part
-from rosplc.shm.snapshot import Snapshot
+from rosplc.shm.snapshot import SlotState, Snapshot
 
 _LOOK_NS = 5_000_000
 _M = TypeVar("_M", bound="Mapped")
@@ -93,6 +94,15 @@ class Mapped(ABC):
         self.process = WriterProcess(*self._file)
         self._users: list[Reader | Writer] = []
 
+    def slot(self, sequence: int) -> SlotState | None:
+        """Return the header of the slot that holds a message; None if no slot holds it (any more)."""
+        identity = self.identity
+        at = identity.slots_offset + sequence % identity.slot_count * identity.slot_stride
+        words = self.region.words(at, spec.SLOT_HEADER_SIZE // 4)
+        if sequence == 0 or not sequence == words[0] == self.region.word(at):
+            return None
+        return SlotState(words[0], words[3], words[9] << 32 | words[8])
+
     def snapshot(self) -> Snapshot:
         """Return all counters and beats as they are now."""
         return Snapshot.of(self.region)
@@ -145,14 +155,41 @@ class Attached(Mapped):
         self.valid()
         reader = Reader(self.region, start_of(self.region, latched=latched))
         if not observe:
-            self._writable()
-            first = 1 if self.identity.direction is Direction.TO_ROS else 0
-            claim = ReaderClaim(self.region, reader, beat_ms, task, range(first, READER_LINES))
-            deadline = time.monotonic_ns() + claim.patience_ns() + 2 * _LOOK_NS
-            while not claim.attempt(time.monotonic_ns()) and time.monotonic_ns() < deadline:
-                time.sleep(_LOOK_NS / 1e9)
+            topic = self.identity.kind == Part.TOPIC.value
+            first = 0 if topic and self.identity.direction is Direction.TO_PLC else 1
+            self._claim_line(reader, beat_ms, task, range(first, READER_LINES))
         self._users.append(reader)
         return reader
+
+    def acting_reader(self, task: str = "", *, beat_ms: int = 1000) -> Reader:
+        """Return the reader of a service's or action's object that acts on its messages (section 11.1).
+
+        Args:
+            task: The reader's name, shown to people.
+            beat_ms: The longest time between two beats, or takings, that the reader promises.
+
+        Raises:
+            ChannelError: SHM114 if another one lives; SHM110 if the bridge acts on them; SHM122; SHM111.
+        """
+        if self.identity.direction is not Direction.TO_PLC:
+            raise channel_error(110, "only the bridge acts on what the PLC writes", self.path)
+        self.valid()
+        reader = Reader(self.region, start_of(self.region, latched=False))
+        answer = Part(self.identity.kind).asks
+        if not self._claim_line(reader, beat_ms, task, range(1), answer=answer):
+            raise channel_error(114, where=self.path)
+        self._users.append(reader)
+        return reader
+
+    def _claim_line(
+        self, reader: Reader, beat_ms: int, task: str, lines: range, *, answer: bool = False
+    ) -> bool:
+        self._writable()
+        claim = ReaderClaim(self.region, reader, beat_ms, task, lines, answer=answer)
+        deadline = time.monotonic_ns() + claim.patience_ns() + 2 * _LOOK_NS
+        while not (claimed := claim.attempt(time.monotonic_ns())) and time.monotonic_ns() < deadline:
+            time.sleep(_LOOK_NS / 1e9)
+        return claimed
 
     def writer_claim(self, beat_ms: int = 1000) -> WriterClaim:
         """Return an attempt to become the writer, for callers that must not wait.

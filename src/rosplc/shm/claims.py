@@ -125,9 +125,15 @@ class WriterClaim:
 
 
 class ReaderClaim:
-    """The attempt to get a reader line (M9); ``lines`` are the indices that may be used."""
+    """The attempt to get a reader line (M9); ``lines`` are the indices that may be used.
 
-    def __init__(self, region: Region, reader: Reader, beat_ms: int, task: str, lines: range) -> None:
+    With ``answer`` it is line 0 of a request or goal object, by one that acts on calls (M27).
+    """
+
+    def __init__(
+        self, region: Region, reader: Reader, beat_ms: int, task: str, lines: range, *, answer: bool = False
+    ) -> None:
+        self._answer = answer
         self._region = region
         self._reader = reader
         self._beat_ms = beat_ms
@@ -157,7 +163,7 @@ class ReaderClaim:
 
     def _try(self, index: int, expected: int) -> bool:
         def claim() -> bool:
-            self._reader.claim(index, expected, self._beat_ms, self._task)
+            self._reader.claim(index, expected, self._beat_ms, self._task, self._answer)
             return True
 
         return bool(_unless_claimed(claim))

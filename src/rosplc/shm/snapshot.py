@@ -48,6 +48,15 @@ class ReaderState:
 
 
 @dataclass(frozen=True)
+class SlotState:
+    """What tells a call's message apart (section 11.2)."""
+
+    sequence: int
+    status: int
+    correlation: int
+
+
+@dataclass(frozen=True)
 class Snapshot:
     """Every counter of an object; each word was loaded with one access, all of them not at once."""
 

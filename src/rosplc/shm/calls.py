@@ -1,0 +1,175 @@
+"""The two sides of a call: spec/shm-format.md, section 11 (M25 to M29).
+
+No class here waits, or knows what a record means. Messages are sent by a function that is called with
+``correlation``, ``status`` and ``client``: ``partial(writer.publish, record)``, or
+``partial(writer.publish_wire, plan, data)``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final, Literal
+
+from rosplc._core import Reader, SlotInfo, Writer
+from rosplc.errors import ChannelError
+from rosplc.shm import constants as spec
+from rosplc.shm.attach import Mapped
+from rosplc.shm.constants import READER_LINE
+
+Send = Callable[..., object]
+ENDS: Final = frozenset(
+    {
+        *(spec.ANSWER_DONE, spec.ANSWER_NOT_EXECUTED, spec.ANSWER_FATE_UNKNOWN, spec.ANSWER_UNREADABLE),
+        *(spec.ANSWER_SUCCEEDED, spec.ANSWER_CANCELED, spec.ANSWER_ABORTED),
+    }
+)
+"""Answers that end a call."""
+_LINE_0 = spec.reader_line(0)
+
+
+class Caller:
+    """The caller's side of one request or goal object: one call at a time (M25).
+
+    Args:
+        asks: The request or goal object, mapped writable.
+        writer: Its writer.
+        follows_claim: Whether a call ends when the answerer's claim changes: in a bridge, which calls
+            the PLC, but not in a PLC, whose call is answered by the bridge that comes back (M27).
+
+    Attributes:
+        correlation: The open call's number; 0 while none is open.
+        late: Answers dropped because they were not the open call's (M28).
+    """
+
+    def __init__(self, asks: Mapped, writer: Writer, *, follows_claim: bool) -> None:
+        self.correlation = 0
+        self.late = 0
+        self._asks = asks
+        self._writer = writer
+        self._follows_claim = follows_claim
+        self._counter = 0
+        self._client = b""
+        self._claim = 0
+        self._first = 0
+
+    def claim(self) -> int:
+        """Return the answerer's claim of line 0; 0: nobody acts on calls, and none may be handed out."""
+        return self._asks.region.word(_LINE_0)
+
+    def call(self, send: Send, *, client: bytes = b"") -> int:
+        """Hand out a call and return its number. RuntimeError while another is open; else as ``send``."""
+        if self.correlation:
+            raise RuntimeError("a call is open")
+        counter = self._counter + 1 & 0xFFFFFFFF or 1
+        correlation = self._writer.epoch << 32 | counter
+        self._claim = self.claim()
+        send(correlation=correlation, status=spec.ASK_CALL, client=client)
+        self.correlation, self._counter = correlation, counter
+        self._client = client
+        self._first = self._writer.head
+        return correlation
+
+    def again(self, send: Send, status: int) -> None:
+        """Publish the open call again with ``status`` added: ``ASK_CANCEL``, ``ASK_PREEMPT``."""
+        send(correlation=self.correlation, status=spec.ASK_CALL | status, client=self._client)
+
+    def withdraw(self, send: Send) -> bool:
+        """Withdraw the open call (M26), and return whether it may have been begun.
+
+        If not, it has ended and was not executed. If so, it remains open: an answer may still come.
+        """
+        self.again(send, spec.ASK_WITHDRAWN)
+        if begun := self._writer.begun(self._first):
+            return begun
+        self.correlation = 0
+        return False
+
+    def lost(self, send: Send) -> int:
+        """Return how the open call has ended since the answerer's claim has changed (M27); 0 if not."""
+        if not (self.correlation and self._follows_claim) or self.claim() == self._claim:
+            return 0
+        try:
+            begun = self.withdraw(send)
+        except ChannelError:  # not withdrawn: who knows
+            begun = True
+        return self._end(begun)
+
+    def retired(self) -> int:
+        """Return how the open call has ended because the objects were retired or replaced; for a PLC."""
+        return self._end(self._writer.begun(self._first)) if self.correlation else 0
+
+    def answer(self, info: SlotInfo) -> int:
+        """Return the answer, ``info.status & ANSWER_MASK``, that a message is to the open call; 0 if none."""
+        if info.correlation != self.correlation or not self.correlation:
+            self.late += 1
+            return 0
+        outcome = info.status & spec.ANSWER_MASK
+        if outcome == spec.ANSWER_NOT_EXECUTED and self._follows_claim and self.claim() != self._claim:
+            return 0  # said by one who cannot know; lost() does
+        if outcome in ENDS:
+            self.correlation = 0
+        return outcome
+
+    def resume(self, info: SlotInfo) -> None:
+        """Take over the call in the newest message, not withdrawn and not answered, of the writer before."""
+        taken = self._asks.region.word(_LINE_0 + READER_LINE["taken"])
+        last = self._asks.slot(taken)
+        of_this_call = last is None or last.correlation == info.correlation
+        self.correlation, self._client = info.correlation, info.client
+        self._first = taken if taken and of_this_call else info.sequence
+        self._claim = self.claim()
+
+    def _end(self, begun: bool) -> int:
+        self.correlation = 0
+        return spec.ANSWER_FATE_UNKNOWN if begun else spec.ANSWER_NOT_EXECUTED
+
+
+class Answerer:
+    """The answerer's side of one request or goal object; its reader has just claimed line 0.
+
+    Args:
+        asks: The request or goal object.
+        reader: Its reader.
+        answers: The response or result object.
+
+    Attributes:
+        correlation: The number of the call that is being carried out; 0 while there is none.
+        unanswered: A call that an earlier answerer may have begun and has not answered; 0 if there is none.
+            A bridge answers it at once (``BRIDGE_RESTARTED``); in a PLC the caller ends it.
+    """
+
+    def __init__(self, asks: Mapped, reader: Reader, answers: Mapped) -> None:
+        self.correlation = 0
+        before = asks.slot(reader.last)
+        newest = answers.slot(answers.region.word(spec.WRITER_LINE["head"]))
+        self.unanswered = before.correlation if before else 0
+        self._answered = 0
+        if newest and newest.status & spec.ANSWER_MASK in ENDS:
+            self.answered(newest.correlation)
+        self._reader = reader
+
+    def take(self, info: SlotInfo) -> Literal["begin", "more", "withdrawn", "unknown", ""]:
+        """Return what a message just taken with :meth:`Reader.latest` is.
+
+        ``begin``: a call to be carried out, now ``correlation``. ``more``: a newer message of that call.
+        ``withdrawn``: a call that was not begun and must not be; answer ``NOT_EXECUTED``. ``unknown``: a
+        call that an earlier answerer may have begun; answer ``FATE_UNKNOWN``. Empty: nothing to be done.
+        """
+        if not self._reader.begin() or info.correlation in (0, self._answered):
+            return ""
+        if info.correlation == self.correlation:
+            return "more"
+        if info.correlation == self.unanswered:
+            return "unknown"
+        if info.status & spec.ASK_WITHDRAWN:
+            return "withdrawn"
+        self.correlation = info.correlation
+        return "begin"
+
+    def answered(self, correlation: int) -> None:
+        """Note that a call has been ended with an answer: there is no second one (M29)."""
+        self._answered = correlation
+        if correlation == self.correlation:
+            self.correlation = 0
+        if correlation == self.unanswered:
+            self.unanswered = 0
