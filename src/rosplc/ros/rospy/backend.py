@@ -11,12 +11,13 @@ from typing import Any, Literal
 
 from rosplc.errors import BackendError
 from rosplc.ros._base import BaseNode, Context, Problem, graph_info, opener
-from rosplc.ros.backend import EndpointInfo, GraphInfo, OnMessage, Qos
+from rosplc.ros.backend import EndpointInfo, GraphInfo, OnMessage, OnRequest, Qos
 from rosplc.ros.rospy.handshake import ANY, Definition, ros2_name
 from rosplc.ros.rospy.inbound import Incoming, RospySubscription
 from rosplc.ros.rospy.master import read_address
 from rosplc.ros.rospy.outbound import Outgoing, RospyPublisher
 from rosplc.ros.rospy.registration import Key, Registration
+from rosplc.ros.rospy.services import Callers, RospyClient, RospyServer
 from rosplc.ros.rospy.slave import Servers
 
 _CONNECTING = 16  # connections that are being made at once
@@ -28,12 +29,16 @@ class RospyBackend(BaseNode):
 
     Attributes:
         uri: The URI of its XML-RPC interface.
+        service_uri: Where its services are called.
+        master_uri: The master's URI.
+        callers: The connections of those who call its services.
         turn: Held while messages are handed over.
         connecting: Bounds how many connections are being made at once.
         ended: Why the node was told to leave the graph; empty if it was not.
     """
 
     name = "rospy"
+    capabilities = frozenset({"topics", "services"})
     ros1 = True
     logger = logging.getLogger("rosplc.ros.rospy")
 
@@ -52,6 +57,9 @@ class RospyBackend(BaseNode):
             what = f"cannot listen at {address.bind or 'any address'}: {error}"
             raise BackendError("ROS010", what, where="ROS_IP") from error
         self.uri = self._servers.uri
+        self.service_uri = f"rosrpc://{address.host}:{self._servers.data.port}"
+        self.master_uri = address.master
+        self.callers = Callers(self.clock)
         self._registration = Registration(self, address.master)
 
     # -- endpoints
@@ -86,13 +94,48 @@ class RospyBackend(BaseNode):
             raise BackendError("ROS002", what, remedy="A node of ROS 1 has one type for each topic.")
         return known
 
+    def serve(self, service: str, type_name: str, qos: Qos, on_request: OnRequest) -> RospyServer:
+        """Serve a service; see :meth:`rosplc.ros.backend.Backend.serve`.
+
+        Raises:
+            BackendError: ROS002 if this node serves it already.
+        """
+        with self._lock:
+            server = RospyServer(on_request, self, *self._resolve(service, type_name), qos)
+            if ("serve", server.topic) in self._topics:
+                what = f"{self.node} serves {server.topic} already"
+                raise BackendError("ROS002", what, remedy="A service of ROS 1 has one server.")
+            self._topics["serve", server.topic] = server
+            self._endpoints.append(server)
+        self.wake()
+        return server
+
+    def client(self, service: str, type_name: str, qos: Qos) -> RospyClient:
+        """Call a service; see :meth:`rosplc.ros.backend.Backend.client`."""
+        with self._lock:
+            client = RospyClient(self, *self._resolve(service, type_name), qos)
+            self._endpoints.append(client)
+        self.wake()
+        return client
+
+    def service_md5(self, type_name: str) -> str:
+        """Return the MD5 sum of a service."""
+        return str(self._store.service_md5(type_name))  # type: ignore[attr-defined]
+
     def _adopt(self, endpoint: RospySubscription | RospyPublisher) -> None:
         endpoint.shared.add(endpoint)
         self._endpoints.append(endpoint)
         self.wake()
 
-    def forget(self, endpoint: RospySubscription | RospyPublisher) -> None:
+    def forget(self, endpoint: Any) -> None:
         """Take in that an endpoint is being closed."""
+        if not isinstance(endpoint, RospySubscription | RospyPublisher):
+            with self._lock:
+                super().forget(endpoint)
+                if isinstance(endpoint, RospyServer):
+                    self._topics.pop(("serve", endpoint.topic), None)
+            self.wake()
+            return
         shared = endpoint.shared
         shared.remove(endpoint)  # waits for a callback that runs
         with self._lock:
@@ -135,6 +178,19 @@ class RospyBackend(BaseNode):
         """Return the topics that are sent."""
         return {topic: one for (direction, topic), one in self.topics().items() if direction == "out"}
 
+    def serving(self) -> dict[str, RospyServer]:
+        """Return the services that are provided."""
+        return {topic: one for (direction, topic), one in self.topics().items() if direction == "serve"}
+
+    def clients(self) -> list[RospyClient]:
+        """Return the services that are called."""
+        return [one for one in self.endpoints() if isinstance(one, RospyClient)]
+
+    def servers(self, service: str) -> frozenset[str]:
+        """Return who serves a service, as the master knew it a second ago at most."""
+        registration = self._registration
+        return registration.state.services.get(service, frozenset()) if registration else frozenset()
+
     def publishers_changed(self, topic: str, uris: tuple[str, ...]) -> None:
         """Take the master's word for who publishes a topic."""
         if (incoming := self.incoming().get(topic)) is not None:
@@ -163,7 +219,9 @@ class RospyBackend(BaseNode):
         if self._registration is not None:
             self._registration.close()
         for topic in self.topics().values():
-            topic.close()
+            if not isinstance(topic, RospyServer):
+                topic.close()
+        self.callers.close()
         self._servers.close()
 
     # -- what is wrong
@@ -176,19 +234,26 @@ class RospyBackend(BaseNode):
             self.logger.warning("%s [%s]", reason, code)
         return code, reason
 
-    def _judge(self, endpoint: RospySubscription | RospyPublisher) -> tuple[bool, list[Problem]]:
-        registration, shared = self._registration, endpoint.shared
+    def _judge(self, endpoint: Any) -> tuple[bool, list[Problem]]:
+        registration = self._registration
         if self.ended:
             return True, [("ROS015", self.ended)]
         if self._closed or registration is None:
             return True, []
-        if isinstance(shared, Incoming):
-            found = shared.problems()
+        met = bool(endpoint.matched)
+        if isinstance(endpoint, RospySubscription):
+            found = endpoint.shared.problems()
+        elif isinstance(endpoint, RospyPublisher):
+            found = self._strange_subscribers(endpoint.shared, registration.state.subscribers)
+        elif isinstance(endpoint, RospyClient):
+            found = [endpoint.problem] if endpoint.problem[1] else []
         else:
-            found = self._strange_subscribers(shared, registration.state.subscribers)
+            met = True  # callers come and go
+            others = self.servers(endpoint.topic) - {self.node}
+            found = [("ROS022", f"node {other} has taken the service {endpoint.topic}") for other in others]
         if registration.trouble:
             found.append(("ROS014", registration.trouble))
-        return bool(shared.matched()), found
+        return met, found
 
     def _strange_subscribers(
         self, outgoing: Outgoing, subscribers: dict[str, frozenset[str]]
@@ -246,6 +311,7 @@ class RospyBackend(BaseNode):
 
     def _leave(self) -> None:
         self._servers.close()
+        self.callers.close()
         for one in self._ending:
             with contextlib.suppress(RuntimeError):
                 one.join()

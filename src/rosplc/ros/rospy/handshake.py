@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from rosplc.clock import SYSTEM, Clock
+from rosplc.ros.rospy.master import Master
 
 ANY = "*"  # Stands for any type and any checksum.
 
@@ -88,14 +89,19 @@ def _exactly(sock: socket.socket, length: int, deadline_ns: int, clock: Clock) -
 
 
 def ros1_name(name: str) -> str:
-    """Return ``package/Name`` for ``package/msg/Name``."""
-    return name.replace("/msg/", "/", 1)
+    """Return ``package/Name`` for ``package/msg/Name`` and ``package/srv/Name``."""
+    return name.replace("/msg/", "/", 1).replace("/srv/", "/", 1)
 
 
 def ros2_name(name: str) -> str:
     """Return ``package/msg/Name`` for ``package/Name``; other texts as they are."""
     package, slash, base = name.partition("/")
     return f"{package}/msg/{base}" if slash and "/" not in base else name
+
+
+def service_name(name: str) -> str:
+    """Return ``package/srv/Name`` for ``package/Name``; other texts as they are."""
+    return ros2_name(name).replace("/msg/", "/srv/", 1)
 
 
 def peer_type(fields: Mapping[str, str]) -> tuple[str, str]:
@@ -152,6 +158,15 @@ class Topic:
         """Serve one more subscription or publisher."""
         with self._lock:
             self.handles += (handle,)
+
+    def unregister(self, master: Master) -> None:
+        """Withdraw the topic from the master."""
+        master.unregister(self.direction, self.topic, self.node.uri)
+
+    def _register(self, master: Master) -> list[str]:
+        return master.register(
+            self.direction, self.topic, ros1_name(self.definition.type_name), self.node.uri
+        )
 
     def remove(self, handle: Any) -> bool:
         """Serve it no longer; return whether it was the last one."""

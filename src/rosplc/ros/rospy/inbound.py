@@ -26,7 +26,7 @@ from rosplc.ros.rospy.handshake import (
     prepare,
     read_header,
 )
-from rosplc.ros.rospy.master import RefusedError, UnreachableError, call, proxy
+from rosplc.ros.rospy.master import Master, RefusedError, UnreachableError, call, proxy
 
 _logger = logging.getLogger("rosplc.ros.rospy")
 
@@ -217,6 +217,10 @@ class Incoming(Topic):
         named = set(self.publishers)
         links = [link for link in self.links() if not link.connected and link.uri in named]
         return [link.problem for link in links if link.problem is not None]
+
+    def register(self, master: Master) -> None:
+        """Tell the master of the topic, and take in who publishes it."""
+        self.publishers = tuple(self._register(master))
 
     def update(self) -> None:
         """Connect to every publisher that the master names, and leave those that it no longer names."""

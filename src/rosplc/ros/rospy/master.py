@@ -152,12 +152,14 @@ class SystemState:
     Attributes:
         publishers: Topic → names of the nodes that publish it.
         subscribers: Topic → names of the nodes that subscribe to it.
+        services: Service → names of the nodes that serve it: one, or none.
         nodes: The names of all nodes.
         types: Topic → type as ROS 1 writes it; ``*`` where nobody has said.
     """
 
     publishers: dict[str, frozenset[str]] = field(default_factory=dict)
     subscribers: dict[str, frozenset[str]] = field(default_factory=dict)
+    services: dict[str, frozenset[str]] = field(default_factory=dict)
     nodes: frozenset[str] = frozenset()
     types: dict[str, str] = field(default_factory=dict)
 
@@ -179,6 +181,25 @@ class Master:
     def unregister(self, direction: str, topic: str, node_uri: str) -> None:
         """Withdraw an endpoint."""
         self._call("unregisterSubscriber" if direction == "in" else "unregisterPublisher", topic, node_uri)
+
+    def register_service(self, service: str, place: str, node_uri: str) -> None:
+        """Register a service's server at ``rosrpc://host:port``."""
+        self._call("registerService", service, place, node_uri)
+
+    def unregister_service(self, service: str, place: str) -> None:
+        """Withdraw a service's server."""
+        self._call("unregisterService", service, place)
+
+    def service_place(self, service: str) -> tuple[str, int]:
+        """Return host and port of a service's server. Raises RefusedError: There is none."""
+        uri = self._call("lookupService", service)
+        try:
+            parts = urlsplit(str(uri))
+            if parts.scheme == "rosrpc" and parts.hostname and parts.port:
+                return parts.hostname, parts.port
+        except ValueError:
+            pass
+        raise UnreachableError(f"its answer is none of ROS: {str(uri)[:200]}")
 
     def node_uri(self, node: str) -> str:
         """Return a node's URI; empty if the master does not know it."""
@@ -205,7 +226,7 @@ class Master:
                 types = {str(topic): str(kind) for topic, kind in self._call("getTopicTypes")}
         except (TypeError, ValueError) as error:
             raise UnreachableError(f"its answer is none of ROS: {error}") from error
-        return SystemState(publishers, subscribers, nodes, types)
+        return SystemState(publishers, subscribers, services, nodes, types)
 
     def close(self) -> None:
         """Close the connection."""

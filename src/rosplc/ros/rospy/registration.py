@@ -14,10 +14,10 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from rosplc.ros.rospy.handshake import ros1_name
 from rosplc.ros.rospy.inbound import Incoming
 from rosplc.ros.rospy.master import Master, RefusedError, SystemState, UnreachableError
 from rosplc.ros.rospy.outbound import Outgoing
+from rosplc.ros.rospy.services import RospyServer
 
 _logger = logging.getLogger("rosplc.ros.rospy")
 
@@ -25,7 +25,8 @@ _TICK_NS = 250_000_000
 _PERIOD_NS = 1_000_000_000
 _SHARE = 50  # the watch takes at most this part of the time, however large the graph
 
-Key = tuple[str, str]  # Direction (`in` or `out`) and topic.
+Key = tuple[str, str]  # Direction (`in` or `out`) and topic, or `serve` and service.
+Registered = Incoming | Outgoing | RospyServer
 
 
 class Registration:
@@ -41,7 +42,7 @@ class Registration:
         self.state = SystemState()
         self._node, self._clock = node, node.clock
         self._master = Master(master, node.node, clock=node.clock)
-        self._registered: dict[Key, Incoming | Outgoing] = {}
+        self._registered: dict[Key, Registered] = {}
         self._due_ns = 0
         self._wake = threading.Event()
         self._closing = False
@@ -61,8 +62,8 @@ class Registration:
         if not self.trouble and not self._thread.is_alive():
             # By URI: the master leaves a newer node of our name alone.
             with contextlib.suppress(UnreachableError, RefusedError):
-                for direction, topic in self._registered:
-                    self._master.unregister(direction, topic, self._node.uri)
+                for topic in self._registered.values():
+                    topic.unregister(self._master)
         self._registered = {}
         self._master.close()
 
@@ -79,7 +80,7 @@ class Registration:
                 self._clock.sleep(500_000_000)
 
     def _turn(self) -> None:
-        wanted: dict[Key, Incoming | Outgoing] = self._node.topics()
+        wanted: dict[Key, Registered] = self._node.topics()
         now = self._clock.monotonic_ns()
         if not self.trouble or now >= self._due_ns:
             try:
@@ -88,15 +89,20 @@ class Registration:
                 self._settle(wanted)
             except UnreachableError as error:
                 self._lost(str(error))
-        for topic in wanted.values():
-            topic.update()
+        for one in (*wanted.values(), *self._node.clients()):
+            one.update()
 
-    def _watch(self, wanted: dict[Key, Incoming | Outgoing]) -> None:
+    def _watch(self, wanted: dict[Key, Registered]) -> None:
         node, uri = self._node.node, self._master.uri
         start, busy = self._clock.monotonic_ns(), time.thread_time_ns()
         self._due_ns = start + _PERIOD_NS
         self.state = self._master.state(self.state)
-        lacks = [key for key in self._registered if node not in self._known(*key)]
+        # A service has one server: one that another node has taken is left to it until it leaves.
+        lacks = [
+            key
+            for key in self._registered
+            if node not in (known := self._known(*key)) and not (key[0] == "serve" and known)
+        ]
         if lacks and node in self.state.nodes:
             other = self._master.node_uri(node)
             if other and other != self._node.uri:
@@ -108,7 +114,7 @@ class Registration:
             _logger.info("the ROS master at %s answers; node %s registers", uri, node)
             self.trouble = ""
         elif lacks:
-            what = f"the ROS master at {uri} had forgotten {len(lacks)} topics of node {node}"
+            what = f"the ROS master at {uri} had forgotten {len(lacks)} topics or services of node {node}"
             _logger.warning("%s (it was restarted, or they were removed); they are registered again", what)
         for key, topic in wanted.items():
             if isinstance(topic, Outgoing):
@@ -117,33 +123,29 @@ class Registration:
                     # One that came after the master was asked is missing in the answer by right.
                     if stranger not in named and since < start:
                         topic.strangers.pop(stranger, None)
-            elif len(self._known("out", topic.topic)) != len(topic.publishers):
+            elif isinstance(topic, Incoming) and len(self._known("out", key[1])) != len(topic.publishers):
                 self._registered.pop(key, None)  # a notice was missed: registering again tells who there is
         self._due_ns = max(self._due_ns, start + _SHARE * (time.thread_time_ns() - busy))
 
     def _known(self, direction: str, topic: str) -> frozenset[str]:
-        table = self.state.subscribers if direction == "in" else self.state.publishers
-        return table.get(topic, frozenset())
+        state = self.state
+        tables = {"in": state.subscribers, "out": state.publishers, "serve": state.services}
+        return tables[direction].get(topic, frozenset())
 
-    def _settle(self, wanted: dict[Key, Incoming | Outgoing]) -> None:
-        uri = self._node.uri
+    def _settle(self, wanted: dict[Key, Registered]) -> None:
         for key in [key for key, topic in self._registered.items() if wanted.get(key) is not topic]:
-            self._ask(self._master.unregister, *key, uri)
+            self._ask(key, self._registered[key].unregister)
             del self._registered[key]
         for key, topic in wanted.items():
             if key not in self._registered and not self._closing:
-                kind = ros1_name(topic.definition.type_name)
-                publishers = self._ask(self._master.register, *key, kind, uri)
+                self._ask(key, topic.register)
                 self._registered[key] = topic
-                if isinstance(topic, Incoming) and publishers is not None:
-                    topic.publishers = tuple(publishers)
 
-    def _ask(self, method: Callable[..., Any], *arguments: Any) -> Any:
+    def _ask(self, key: Key, method: Callable[[Master], None]) -> None:
         try:
-            return method(*arguments)
+            method(self._master)
         except RefusedError as error:
-            _logger.warning("the ROS master refuses %s: %s", arguments[:2], error)
-            return None
+            _logger.warning("the ROS master refuses %s: %s", key, error)
 
     def _lost(self, why: str) -> None:
         text = f"the ROS master at {self._master.uri} does not answer ({why})"

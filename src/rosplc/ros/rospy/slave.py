@@ -183,14 +183,16 @@ class Servers:
     def _greet(self, sock: socket.socket) -> None:
         sock.settimeout(_TIMEOUT_S)
         header = read_header(sock, _TIMEOUT_S, self._clock)
-        topic = self._node.outgoing().get(header.get("topic", ""))
-        missing = [name for name in ("topic", "md5sum", "callerid") if name not in header]
+        kind = "service" if "service" in header else "topic"
+        known = self._node.serving() if kind == "service" else self._node.outgoing()
+        wanted = known.get(header.get(kind, ""))
+        missing = [name for name in (kind, "md5sum", "callerid") if name not in header]
         if missing:
             refusal = f"Missing required '{missing[0]}' field"
-        elif topic is None:
-            refusal = f"[{header['topic'][:256]}] is not published here"
+        elif wanted is None:
+            refusal = f"[{header[kind][:256]}] is not {'provided' if kind == 'service' else 'published'} here"
         else:
-            refusal = topic.accept(sock, header)
+            refusal = wanted.accept(sock, header)
         if refusal:
             sock.sendall(encode_header({"error": refusal}))
             sock.close()

@@ -1,0 +1,464 @@
+"""Services over TCPROS: one thread serves all callers of a node; each call of a client has a connection.
+
+http://wiki.ros.org/ROS/TCPROS
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import select
+import socket
+import threading
+from typing import Any
+
+from rosplc.clock import Clock
+from rosplc.reasons import Reason
+from rosplc.ros._base import BaseClient, BaseEndpoint, KeepingServer, Problem
+from rosplc.ros.backend import Reply
+from rosplc.ros.rospy import handshake
+from rosplc.ros.rospy.handshake import ANY, HandshakeError
+from rosplc.ros.rospy.master import Master, RefusedError, UnreachableError
+
+MOST_CALLERS = 1000  # connections to all services of a node
+MOST_CALLS = 64  # calls of one client at once; each has a thread
+LARGEST = 64 << 20  # bytes of a request or response
+_LONGEST_TEXT = 1000  # characters of a server's error
+
+_TIMEOUT_S = 5.0
+_STUCK_NS = 10_000_000_000  # a peer that neither sends on nor takes what it asked for is dropped then
+_RETRY_NS = 1_000_000_000  # after a server that could not be asked; doubled each time
+_SLOWEST_NS = 8_000_000_000
+_GONE = select.EPOLLRDHUP | select.EPOLLHUP | select.EPOLLERR
+
+
+class _Caller:
+    """The connection of one caller; ``key`` is that of its open request."""
+
+    def __init__(self, sock: socket.socket, server: RospyServer, persistent: bool, now_ns: int) -> None:
+        self.sock, self.server, self.persistent, self.moved_ns = sock, server, persistent, now_ns
+        self.key = b""
+        self.inbox = bytearray()
+        self.outbox: bytes | memoryview = b""
+
+    def stuck(self, now_ns: int) -> bool:
+        """Return whether it keeps a connection busy for too long."""
+        waits = bool(self.inbox or self.outbox or not (self.persistent or self.key))
+        return waits and now_ns - self.moved_ns > _STUCK_NS
+
+
+class Callers:
+    """The connections of all callers of a node's services, and the thread that reads their requests."""
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._lock = threading.RLock()  # nothing else is locked while it is held
+        self._callers: dict[int, _Caller] = {}
+        self._life, self._numbers = os.urandom(8), itertools.count(1)
+        self._closing = False
+        self._epoll = select.epoll()
+        self._bell = os.eventfd(0, os.EFD_NONBLOCK)
+        self._epoll.register(self._bell, select.EPOLLIN)
+        self._thread = threading.Thread(target=self._run, name="rosplc-services", daemon=True)
+        self._thread.start()
+
+    def add(self, sock: socket.socket, server: RospyServer, persistent: bool) -> str:
+        """Serve a caller; return why not, or an empty text."""
+        with self._lock:
+            if self._closing or server.closed:
+                return f"service {server.topic} is no longer provided"
+            if len(self._callers) >= MOST_CALLERS:
+                return f"{MOST_CALLERS} callers are connected already"
+            sock.setblocking(False)
+            number = sock.fileno()
+            self._callers[number] = _Caller(sock, server, persistent, self._clock.monotonic_ns())
+            self._epoll.register(number, select.EPOLLIN | select.EPOLLRDHUP)
+        return ""
+
+    def count(self, server: RospyServer) -> int:
+        """Return how many callers of a service are connected."""
+        with self._lock:
+            return sum(one.server is server for one in self._callers.values())
+
+    def answer(self, caller: _Caller, key: bytes, frame: bytes) -> bool:
+        """Send the answer to a request; False if its caller has gone. Never blocks."""
+        with self._lock:
+            if not key or caller.key != key:
+                return False
+            caller.key, caller.outbox = b"", frame
+            return self._flush(caller)
+
+    def _flush(self, caller: _Caller) -> bool:
+        try:
+            sent = caller.sock.send(caller.outbox, socket.MSG_DONTWAIT)
+        except BlockingIOError:
+            sent = 0
+        except OSError:
+            self._drop(caller)
+            return False
+        caller.outbox = memoryview(caller.outbox)[sent:]
+        caller.moved_ns = self._clock.monotonic_ns()
+        if caller.outbox or caller.persistent:
+            wanted = select.EPOLLOUT if caller.outbox else select.EPOLLIN
+            self._epoll.modify(caller.sock.fileno(), wanted | select.EPOLLRDHUP)
+        else:
+            self._drop(caller)
+        return True
+
+    def _drop(self, caller: _Caller) -> None:
+        caller.key = b""
+        if self._callers.pop(caller.sock.fileno(), None) is not None:
+            self._epoll.unregister(caller.sock.fileno())
+            caller.sock.close()
+
+    def drop(self, server: RospyServer) -> None:
+        """Disconnect the callers of a service, but those that still take an answer."""
+        with self._lock:
+            for caller in [one for one in self._callers.values() if one.server is server]:
+                caller.persistent = False
+                if not caller.outbox:
+                    self._drop(caller)
+
+    def _run(self) -> None:
+        while not self._closing:
+            for number, event in self._epoll.poll(1.0):
+                with self._lock:
+                    caller = self._callers.get(number)
+                    request = self._serve(caller, event) if caller is not None else None
+                if caller is not None and request is not None:
+                    caller.server.receive(request, caller)
+            now = self._clock.monotonic_ns()
+            with self._lock:
+                for caller in [one for one in self._callers.values() if one.stuck(now)]:
+                    self._drop(caller)
+
+    def _serve(self, caller: _Caller, event: int) -> bytes | HandshakeError | None:
+        """Do what a connection is ready for; return a request that is complete, or why it is none."""
+        if event & _GONE:
+            self._drop(caller)
+        elif event & select.EPOLLOUT:
+            self._flush(caller)
+        elif event & select.EPOLLIN:
+            return self._read(caller)
+        return None
+
+    def _read(self, caller: _Caller) -> bytes | HandshakeError | None:
+        inbox = caller.inbox
+        size = int.from_bytes(inbox[:4], "little")  # 0 until it is known
+        # Never beyond a request: what follows waits in the connection until this one is answered.
+        lacks = (4 + size if len(inbox) >= 4 else 4) - len(inbox)
+        try:
+            part = caller.sock.recv(min(lacks, 1 << 20))
+        except BlockingIOError:
+            return None
+        except OSError:
+            part = b""
+        inbox += part
+        size = int.from_bytes(inbox[:4], "little")
+        if not part or (len(inbox) == 4 and size > LARGEST):
+            self._drop(caller)
+            what = f"a caller announces a request of {size} bytes, {LARGEST} are the most"
+            return HandshakeError(what) if part else None
+        caller.moved_ns = self._clock.monotonic_ns()
+        if len(inbox) < 4 or len(inbox) < 4 + size:
+            return None
+        payload = bytes(inbox[4:])
+        inbox.clear()
+        caller.key = self._life + next(self._numbers).to_bytes(8, "little")
+        self._epoll.modify(caller.sock.fileno(), select.EPOLLRDHUP)
+        return payload
+
+    def close(self) -> None:
+        """Disconnect everybody and end the thread; harmless twice."""
+        with self._lock:
+            if self._closing:
+                return
+            self._closing = True
+        os.eventfd_write(self._bell, 1)
+        if threading.current_thread() is not self._thread:
+            self._thread.join()
+        with self._lock:
+            for caller in tuple(self._callers.values()):
+                self._drop(caller)
+        self._epoll.close()
+        os.close(self._bell)
+
+
+class _Service(BaseEndpoint):
+    """What server and client have in common."""
+
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self._md5: str = self._node.service_md5(self.type_name)
+
+    def _checked(self, payload: bytes) -> bytes:
+        return bytes(payload)  # nothing of ROS 1's bytes shows whether they fit a type
+
+
+class RospyServer(_Service, KeepingServer):
+    """A service that the node serves; see :class:`rosplc.ros.backend.ServiceServer`."""
+
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self._hub: Callers = self._node.callers
+
+    def _matched(self) -> int:
+        return self._hub.count(self)
+
+    def accept(self, sock: socket.socket, header: dict[str, str]) -> str:
+        """Serve a caller that has connected; return why not, or an empty text."""
+        node, md5 = header["callerid"][:256], header["md5sum"][:64]
+        if md5 not in (ANY, self._md5):
+            self.reject(f"node {node} calls it with md5sum {md5}, it is {self._md5} here")
+            return f"service {self.topic} is {self.type_name} with md5sum {self._md5} here, not {md5}"
+        fields = {"callerid": self._node.node, "service": self.topic, "md5sum": self._md5}
+        for name, end in (("type", ""), ("request_type", "Request"), ("response_type", "Response")):
+            fields[name] = handshake.ros1_name(self.type_name) + end
+        handshake.prepare(sock).sendall(handshake.encode_header(fields))
+        if header.get("probe") == "1":
+            sock.close()
+            return ""
+        return self._hub.add(sock, self, header.get("persistent", "").lower() in ("1", "true"))
+
+    def receive(self, request: bytes | HandshakeError, caller: _Caller) -> None:
+        """Take what has come from a caller; called by the thread of the connections."""
+        if isinstance(request, HandshakeError):
+            self.reject(request)
+        elif key := caller.key:  # it may have been disconnected
+            self._take(request, key, 0, caller)
+
+    def _answer(self, caller: bytes, origin: _Caller | None, payload: bytes, ok: int = 1) -> bool:
+        frame = bytes([ok]) + len(payload).to_bytes(4, "little") + payload
+        return origin is not None and self._hub.answer(origin, caller, frame)
+
+    def refuse(self, caller: bytes, text: str) -> bool:
+        """Answer that the call has failed, and why."""
+        with self._lock:
+            return self._answer(caller, self._callers.pop(caller, None), text.encode(), ok=0)
+
+    def _drop(self, origin: _Caller) -> None:
+        self._answer(origin.key, origin, b"the service is no longer served", ok=0)
+
+    def _waits(self, caller: bytes, origin: _Caller | None) -> bool:
+        return origin is not None and origin.key == caller
+
+    def register(self, master: Master) -> None:
+        """Tell the master of it; a server of another node is replaced, as ROS 1 has it."""
+        master.register_service(self.topic, self._node.service_uri, self._node.uri)
+
+    def unregister(self, master: Master) -> None:
+        """Withdraw it."""
+        master.unregister_service(self.topic, self._node.service_uri)
+
+    def update(self) -> None:
+        """Do nothing: callers come by themselves."""
+
+    def close(self) -> None:
+        """Stop serving; callers that wait are told so."""
+        super().close()
+        self._hub.drop(self)
+
+
+class RospyClient(_Service, BaseClient):
+    """A service that is called; see :class:`rosplc.ros.backend.ServiceClient`.
+
+    Attributes:
+        problem: Code and words for what keeps it from being called.
+    """
+
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self.problem: Problem = ("", "")
+        self._place: tuple[str, int] | None = None  # where the server was last reached
+        self._servers: frozenset[str] = frozenset()  # as the master knew them when it was looked for
+        self._looking = False
+        self._retry_ns = self._pause_ns = 0
+        self._links: dict[int, _Link] = {}
+
+    def _matched(self) -> int:
+        return int(self._place is not None)
+
+    # -- who serves it
+
+    def update(self) -> None:
+        """Look for the server if the master knows another one than before, or it could not be reached."""
+        servers = self._node.servers(self.topic)
+        now = self._clock.monotonic_ns()
+        with self._lock:
+            if servers == self._servers and (not servers or self._place or now < self._retry_ns):
+                return
+            if self._looking or self.closed:
+                return
+            if servers != self._servers:
+                self._pause_ns = 0
+            self._servers, self._place, self.problem = servers, None, ("", "")
+            self._looking = bool(servers)
+        if servers:
+            threading.Thread(target=self._look, name=f"rosplc-{self.topic}", daemon=True).start()
+
+    def _look(self) -> None:
+        place, problem = None, ("", "")
+        try:
+            with self._node.connecting:
+                place = self._lookup()
+                sock, header = self._connect(place, {"md5sum": ANY, "probe": "1"})
+                sock.close()
+            kind, md5 = handshake.service_name(header.get("type", ANY))[:256], header.get("md5sum", ANY)[:64]
+            does = f"node {header.get('callerid', '?')[:256]} serves {self.topic} as {kind}"
+            if kind not in (ANY, self.type_name):
+                problem = ("ROS003", f"{does}, here it is {self.type_name}")
+            elif md5 not in (ANY, self._md5):
+                problem = ("ROS003", f"{does} with another definition (md5 {md5} there, {self._md5} here)")
+        except (OSError, HandshakeError, UnreachableError, RefusedError) as error:
+            problem = ("", f"service {self.topic} is registered, but its server cannot be called: {error}")
+        finally:
+            with self._lock:
+                self._looking = False
+                self.problem = problem
+                self._place = None if problem[1] else place
+                self._pause_ns = min(max(_RETRY_NS, 2 * self._pause_ns), _SLOWEST_NS) if problem[1] else 0
+                self._retry_ns = self._clock.monotonic_ns() + self._pause_ns
+            self._node.wake()
+
+    def _lookup(self) -> tuple[str, int]:
+        master = Master(self._node.master_uri, self._node.node, clock=self._clock)
+        try:
+            return master.service_place(self.topic)
+        finally:
+            master.close()
+
+    def _connect(
+        self, place: tuple[str, int], fields: dict[str, str]
+    ) -> tuple[socket.socket, dict[str, str]]:
+        sock = socket.create_connection(place, _TIMEOUT_S)
+        try:
+            usual = {"callerid": self._node.node, "service": self.topic, "md5sum": self._md5}
+            usual["type"] = handshake.ros1_name(self.type_name)
+            handshake.prepare(sock).sendall(handshake.encode_header({**usual, **fields}))
+            header = handshake.read_header(sock, _TIMEOUT_S, self._clock)
+        except BaseException:
+            sock.close()
+            raise
+        if "error" in header:
+            sock.close()
+            raise HandshakeError(header["error"][:_LONGEST_TEXT])
+        return sock, header
+
+    # -- calls
+
+    def _receivers(self) -> frozenset[str]:
+        return self._servers if self._place is not None else frozenset()
+
+    def _send(self, number: int, payload: bytes) -> Reply | None:
+        link = _Link()
+        with self._lock:
+            if len(self._links) >= MOST_CALLS:
+                why = f"{MOST_CALLS} calls of {self.topic} are open"
+                return Reply(None, "not executed", Reason.QUEUE_FULL, why)
+            self._links[number] = link
+        arguments = (number, link, payload)
+        threading.Thread(target=self._run, args=arguments, name="rosplc-call", daemon=True).start()
+        return None
+
+    def _run(self, number: int, link: _Link, payload: bytes) -> None:
+        try:
+            reply = self._exchange(link, payload)
+        except Exception as error:
+            self._node.logger.exception("%s: a call had an error", self.topic)
+            reply = Reply(text=str(error))
+        with self._lock:
+            self._links.pop(number, None)
+        self.end(number, reply)
+
+    def _exchange(self, link: _Link, payload: bytes) -> Reply:
+        sock: socket.socket | None = None
+        try:
+            sock = self._reach()
+            if not link.begin(sock):
+                return Reply(text="nobody waits for it any more")
+        except (OSError, HandshakeError, UnreachableError, RefusedError) as error:
+            with self._lock:
+                self._place = None  # it is looked for again
+            self._node.wake()
+            return Reply(None, "not executed", Reason.NO_SERVER, f"{self.topic} cannot be called: {error}")
+        try:
+            sock.settimeout(_TIMEOUT_S)
+            sock.sendall(len(payload).to_bytes(4, "little") + payload)
+            sock.settimeout(None)  # the server may take its time
+            ok = _read(sock, 1)[0]
+            sock.settimeout(_TIMEOUT_S)
+            size = int.from_bytes(_read(sock, 4), "little")
+            body = _read(sock, size)
+        except (OSError, HandshakeError) as error:
+            return Reply(None, "fate unknown", Reason.SERVER_GONE, f"{self.topic} did not answer: {error}")
+        finally:
+            sock.close()
+        if ok:
+            return Reply(body)
+        text = body[:_LONGEST_TEXT].decode(errors="replace")
+        return Reply(None, "fate unknown", Reason.SERVER_FAILED, text)
+
+    def _reach(self) -> socket.socket:
+        place = self._place
+        if place is not None:
+            with contextlib.suppress(OSError, HandshakeError):
+                return self._connect(place, {})[0]
+        # It may have been restarted since it was last reached.
+        place = self._lookup()
+        sock, _ = self._connect(place, {})
+        with self._lock:
+            self._place = place
+        return sock
+
+    def forget(self, number: int) -> None:
+        """Wait no longer for a call: its connection is closed."""
+        super().forget(number)
+        with self._lock:
+            link = self._links.get(number)
+        if link is not None:
+            link.stop()
+
+    def close(self) -> None:
+        """End every open call with ``fate unknown``."""
+        super().close()
+        for link in tuple(self._links.values()):
+            link.stop()
+
+
+class _Link:
+    """The connection of one call, once there is one."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._stopped = False
+        self._sock: socket.socket | None = None
+
+    def begin(self, sock: socket.socket) -> bool:
+        """Take the connection; close it and return False if it is not needed any more."""
+        with self._lock:
+            self._sock = sock
+            if self._stopped:
+                sock.close()
+            return not self._stopped
+
+    def stop(self) -> None:
+        """Disconnect; the call's thread ends."""
+        with self._lock:
+            self._stopped = True
+            if self._sock is not None:
+                with contextlib.suppress(OSError):
+                    self._sock.shutdown(socket.SHUT_RDWR)
+
+
+def _read(sock: socket.socket, size: int) -> bytes:
+    """Read so many bytes, as they come. Raises HandshakeError: They are too many, or it ended before."""
+    if size > LARGEST:
+        raise HandshakeError(f"it announces {size} bytes, {LARGEST} are the most")
+    data = bytearray()
+    while len(data) < size:
+        part = sock.recv(min(1 << 20, size - len(data)))
+        if not part:
+            raise HandshakeError("it closed the connection")
+        data += part
+    return bytes(data)
