@@ -157,7 +157,7 @@ def test_a_topic_a_service_and_a_client_have_objects_and_locks_of_their_own(
 
 
 def test_description_of_a_part(shm_namespace: Namespace, stack: ExitStack) -> None:
-    """The self-description has the part, the client and the partners' layout ids; a topic's has none of them."""
+    """The self-description has part, client and the partners' layout ids; a topic's has none of them."""
     asks, answers = open_service(shm_namespace, client="left", layout_id="ff" * 8)
     stack.enter_context(asks), stack.enter_context(answers)
     with attach(shm_namespace, "/add", part=Part.RESPONSE, client="left") as attached:
@@ -255,7 +255,7 @@ def test_objects_are_replaced_together(shm_namespace: Namespace, what: str) -> N
 def test_nobody_who_dies_in_between_leaves_a_mixed_set(
     shm_namespace: Namespace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """All that were found are retired before the first is made, so that a later bridge adopts no part of them."""
+    """All that were found are retired before the first is made: a later bridge adopts none of them."""
     _reasons(open_service(shm_namespace))
     monkeypatch.setattr("rosplc.shm.owned.create_complete", _die)
     with pytest.raises(ChannelError, match="SHM117"):
@@ -353,7 +353,7 @@ def test_a_call_is_executed_and_answered(bridge: Bridge, server: Server) -> None
 
 
 def test_a_call_withdrawn_in_time_is_not_executed(bridge: Bridge, server: Server) -> None:
-    """Where the answerer has not taken it, it sees the withdrawal alone, and answers that it did not begin."""
+    """Where the answerer has not taken it, it sees the withdrawal alone, and does not begin."""
     bridge.caller.call(bridge.send)
     assert bridge.caller.withdraw(bridge.send) is False
     assert server.look() == "withdrawn"
@@ -385,7 +385,7 @@ def test_an_answered_call_is_not_answered_again(bridge: Bridge, server: Server) 
 
 
 def test_the_answerer_looks_again(bridge: Bridge, server: Server) -> None:
-    """Between taking and acting a withdrawal arrives: the caller may still wait, the answerer must not act (M26)."""
+    """A withdrawal between taking and acting: the caller waits for the answer, nothing is executed (M26)."""
     bridge.caller.call(bridge.send)
     info = server.reader.latest(bytearray(64))
     assert info is not None
@@ -413,7 +413,7 @@ def test_who_lost_the_line_does_not_act(bridge: Bridge, server: Server) -> None:
 def test_nothing_that_waited_is_executed(
     bridge: Bridge, server: Server, shm_namespace: Namespace, stack: ExitStack, taken: bool
 ) -> None:
-    """STOP and RUN: the next answerer executes nothing, and the caller learns what became of the call (M27)."""
+    """STOP and RUN: the next answerer executes nothing, the caller learns what became of the call (M27)."""
     bridge.caller.call(bridge.send)
     if taken:
         server.execute()
@@ -456,7 +456,7 @@ def test_a_call_published_as_the_claim_changed_is_executed_by_nobody(
 def test_the_next_answerer_does_not_vouch_for_the_one_before(
     bridge: Bridge, server: Server, shm_namespace: Namespace, stack: ExitStack
 ) -> None:
-    """It finds a call withdrawn that the first has executed; whatever it answers, the caller is not misled."""
+    """It finds a call withdrawn that the first has executed; whatever it answers misleads no caller."""
     bridge.caller.call(bridge.send)
     server.execute()
     server.crash()
@@ -567,7 +567,7 @@ def test_a_retired_object_ends_a_plcs_call(shm_namespace: Namespace, stack: Exit
 
 
 def test_one_acts(bridge: Bridge, server: Server, shm_namespace: Namespace, stack: ExitStack) -> None:
-    """Line 0 has one holder; observers with a name use the others, and what the PLC writes the bridge acts on."""
+    """Line 0 has one holder, observers use the others, and what the PLC writes the bridge acts on."""
     other = stack.enter_context(attach(shm_namespace, "/add", part=Part.REQUEST, write=True))
     beat = spec.reader_line(0) + spec.READER_LINE["beat_ms"]
     other.region.store(beat, 50)
