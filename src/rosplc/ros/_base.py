@@ -158,6 +158,14 @@ def _short(type_hash: str) -> str:
     return f"{type_hash[7:15]}…" if type_hash.startswith("RIHS01_") else "none, as on Humble"
 
 
+def several(ours: BaseEndpoint, servers: list[str]) -> Problem | None:
+    """Return that a service has more than one server; ``servers`` are the others' names."""
+    if len(servers) + (ours.direction == "in") < 2:
+        return None
+    also = " as well" if ours.direction == "in" else ""
+    return "ROS022", f"{listed(sorted(servers))} serve{'s' * (len(servers) == 1)} {ours.topic}{also}"
+
+
 class BaseEndpoint:
     """An endpoint's counts and its end; ``type_hash`` is empty if there is none to compare."""
 

@@ -100,7 +100,7 @@ def test_unexplained_mismatch_is_another_definition(graph: Graph, monkeypatch: p
 def test_a_topic_that_has_gone_takes_no_memory(graph: Graph) -> None:
     """Topics that come and go under ever new names leave nothing behind."""
     cell, other = graph.node("cell"), graph.node("other")
-    table = cell._peers  # type: ignore[attr-defined]
+    table = cell.peers  # type: ignore[attr-defined]
     publisher = other.advertise("/data", STRING, Qos())
     wait_for(lambda: table.on("rt/data", "out"))
     publisher.close()

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
@@ -18,23 +20,24 @@ from cyclonedds.sub import Subscriber as SubscriberGroup
 
 from rosplc.ros import _base
 from rosplc.ros._base import BaseNode, Context, Problem
-from rosplc.ros.backend import EndpointInfo, GraphInfo, OnMessage, Qos
+from rosplc.ros.backend import EndpointInfo, GraphInfo, OnMessage, OnRequest, Qos
 from rosplc.ros.dds import domain as domains
 from rosplc.ros.dds import native
 from rosplc.ros.dds.domain import check_peers, domain_config, domain_id
-from rosplc.ros.dds.endpoint import DdsPublisher, DdsSubscription
+from rosplc.ros.dds.endpoint import DdsPublisher, DdsSubscription, Endpoint
 from rosplc.ros.dds.graph import Announcer
-from rosplc.ros.dds.idl import IdlTypes, dds_topic, ros_topic
+from rosplc.ros.dds.idl import IdlTypes, dds_topic, ros_topic, service_topics
 from rosplc.ros.dds.log import TRACING, library_log
 from rosplc.ros.dds.peers import Peer, PeerTable
+from rosplc.ros.dds.service import ROOM, DdsClient, DdsServer
 
 _TICK_NS = 500_000_000  # how often the receive thread looks at what has no event of its own
+_SHORT_NS = 10_000_000  # the same while a response waits for its reader
+_DECOYS = "rosplc_nothing"  # the partition of the writers that nothing matches (service.py)
 _PARTICIPANTS, _ANNOUNCEMENTS, _FIRST = 2, 3, 4  # keys in the waitset; 0 and 1 are endpoints of peers
 
-DdsEndpoint = DdsSubscription | DdsPublisher
 
-
-def dds_qos(qos: Qos, type_hash: str) -> DdsQos:
+def dds_qos(qos: Qos, type_hash: str, service_id: str = "") -> DdsQos:
     """Return the wheel's QoS for an endpoint, as ``rmw_cyclonedds_cpp`` would set it.
 
     One difference: a reliable writer waits for no peer. The wheel holds the GIL while it
@@ -54,8 +57,9 @@ def dds_qos(qos: Qos, type_hash: str) -> DdsQos:
         policies.append(Policy.Deadline(qos.deadline_ns))
     if qos.lease_ns:
         policies.append(Policy.Liveliness.Automatic(qos.lease_ns))
-    if type_hash:
-        policies.append(Policy.Userdata(f"typehash={type_hash};".encode()))
+    user_data = service_id + (f"typehash={type_hash};" if type_hash else "")
+    if user_data:
+        policies.append(Policy.Userdata(user_data.encode()))
     return DdsQos(*policies)
 
 
@@ -63,7 +67,7 @@ class DdsBackend(BaseNode):
     """One ROS 2 node on DDS; see :class:`rosplc.ros.backend.Backend`."""
 
     name = "dds"
-    capabilities = frozenset({"topics", "deadline"})
+    capabilities = frozenset({"topics", "services", "deadline"})
     logger = logging.getLogger("rosplc.ros.dds")
 
     def __init__(self, context: Context) -> None:
@@ -72,7 +76,9 @@ class DdsBackend(BaseNode):
         self._hashes = store.distro != "humble"
         self._types = IdlTypes(store)
         self._changed = False
-        self._readers: dict[int, DdsSubscription] = {}  # by their keys in the waitset
+        self._readers: dict[int, Any] = {}  # by their keys in the waitset
+        self._service_ids = itertools.count(1)
+        self._hurried: deque[DdsServer] = deque()  # those whose responses wait
         self._next_key = _FIRST
         self._suspects: dict[str, int] = {}
         self.domain = domain_id(context.domain, environment)
@@ -89,14 +95,16 @@ class DdsBackend(BaseNode):
     def _connect(self) -> None:
         self._participant = DomainParticipant(self.domain, qos=DdsQos(Policy.Userdata(b"enclave=/;")))
         guid: bytes = self._participant.guid.bytes
+        self._guid = guid
         self._publishers = PublisherGroup(self._participant)
+        self._decoys = PublisherGroup(self._participant, qos=DdsQos(Policy.Partition([_DECOYS])))
         self._subscribers = SubscriberGroup(self._participant)
         self._topics = domains.Topics(self._participant)
         names = (self._namespace, self._node_name, self._store.distro)
         self._announcer = Announcer(self._participant, self._topics, guid, *names, dds_qos)
-        self._peers = PeerTable(self._participant, guid)
+        self.peers = PeerTable(self._participant, guid)
         self._waitset = native.WaitSet(self._participant._ref)
-        for key, reader in enumerate(self._peers.readers):
+        for key, reader in enumerate(self.peers.readers):
             self._waitset.attach(reader._ref, key)
         self._waitset.attach(self._announcer.reader, _ANNOUNCEMENTS)
 
@@ -105,52 +113,124 @@ class DdsBackend(BaseNode):
     def subscribe(self, topic: str, type_name: str, qos: Qos, on_message: OnMessage) -> DdsSubscription:
         """Receive a topic; see :meth:`rosplc.ros.backend.Backend.subscribe`."""
         with self._lock:
-            details = self._make(topic, type_name, qos, DataReader, "_subscribers")
-            subscription = DdsSubscription(on_message, *details)
+            subscription = DdsSubscription(on_message, *self._make(topic, type_name, qos, DataReader))
             self._adopt(subscription)
-            self._find_strangers(subscription)
-            self._readers[self._next_key] = subscription
-            subscription.condition = self._waitset.attach(subscription.ref, self._next_key)
-            self._next_key += 1
         self._waitset.wake()
         return subscription
 
     def advertise(self, topic: str, type_name: str, qos: Qos) -> DdsPublisher:
         """Send a topic; see :meth:`rosplc.ros.backend.Backend.advertise`."""
         with self._lock:
-            publisher = DdsPublisher(*self._make(topic, type_name, qos, DataWriter, "_publishers"))
+            publisher = DdsPublisher(*self._make(topic, type_name, qos, DataWriter))
             self._adopt(publisher)
         self._waitset.wake()
         return publisher
 
-    def _make(self, topic: str, type_name: str, qos: Qos, kind: Any, group: str) -> tuple[Any, ...]:
+    def serve(self, service: str, type_name: str, qos: Qos, on_request: OnRequest) -> DdsServer:
+        """Serve a service; see :meth:`rosplc.ros.backend.Backend.serve`."""
+        with self._lock:
+            # First: a client on Fast DDS must not see the others alone (service.py).
+            decoy = self.decoy(*self._resolve(service, type_name))
+            try:
+                server = DdsServer(on_request, *self._make_both(service, type_name, qos, "serviceid"))
+            except BaseException:
+                native.delete(decoy)
+                raise
+            server.decoy = decoy
+            self._adopt(server)
+        self._waitset.wake()
+        return server
+
+    def client(self, service: str, type_name: str, qos: Qos) -> DdsClient:
+        """Call a service; see :meth:`rosplc.ros.backend.Backend.client`."""
+        with self._lock:
+            client = DdsClient(*self._make_both(service, type_name, qos, "clientid"))
+            self._adopt(client)
+        self._waitset.wake()
+        return client
+
+    def _open(self, kind: Any, topic: str, data_type: Any, qos: DdsQos, group: Any = None) -> Any:
+        group = group or (self._subscribers if kind is DataReader else self._publishers)
+        return kind(group, self._topics(topic, data_type), qos)
+
+    def _make(self, topic: str, type_name: str, qos: Qos, kind: Any) -> tuple[Any, ...]:
         """Open an entity; return the arguments of an endpoint."""
         full, name = self._resolve(topic, type_name)
-        type_hash = self._store.type_hash(name) if self._hashes else ""
+        type_hash = self._hash(name)
         try:
-            native_topic = self._topics(dds_topic(full), self._types[name])
-            entity = kind(getattr(self, group), native_topic, dds_qos(qos, type_hash))
+            entity = self._open(kind, dds_topic(full), self._types[name], dds_qos(qos, type_hash))
         except DDSException as error:
             raise native.refusal(f"cannot open {full} as {name}", error) from error
         return entity, self, full, name, qos, type_hash
 
-    def _adopt(self, endpoint: DdsEndpoint) -> None:
+    def _make_both(self, service: str, type_name: str, qos: Qos, role: str) -> tuple[Any, ...]:
+        """Open both entities of a server or client, or none; return the arguments of an endpoint."""
+        full, name = self._resolve(service, type_name)
+        # As rmw_cyclonedds_cpp writes it: not padded, but for the first byte.
+        first, *others = self._guid[:12] + next(self._service_ids).to_bytes(4, "big")
+        service_id = f"{role}={first:2x}{''.join(f'.{octet:x}' for octet in others)};"
+        queue = replace(qos, depth=max(qos.depth, ROOM))
+        kinds = (DataReader, DataWriter) if role == "serviceid" else (DataWriter, DataReader)
+        opened: list[Any] = []
+        try:
+            for kind, topic, part in zip(kinds, service_topics(full), ("_Request", "_Response"), strict=True):
+                settings = dds_qos(queue, self._hash(name + part), service_id)
+                opened.append(self._open(kind, topic, self._types.with_header(name + part), settings))
+        except DDSException as error:
+            for entity in opened:
+                native.delete(entity)
+            raise native.refusal(f"cannot open {full} as {name}", error) from error
+        reader, writer = opened if role == "serviceid" else reversed(opened)
+        hashes = (self._hash(name + "_Response"), self._hash(name + "_Request"))
+        return reader, writer, hashes[0], self, full, name, qos, hashes[1]
+
+    def _hash(self, name: str) -> str:
+        return super()._hash(name) if self._hashes else ""
+
+    def decoy(self, service: str, type_name: str) -> Any:
+        """Open another writer of a service's responses, which nothing matches."""
+        topic, data_type = service_topics(service)[1], self._types.with_header(f"{type_name}_Response")
+        try:
+            return self._open(DataWriter, topic, data_type, dds_qos(Qos(depth=1), ""), self._decoys)
+        except DDSException as error:
+            raise native.refusal(f"cannot open {service} as {type_name}", error) from error
+
+    def _adopt(self, endpoint: Endpoint) -> None:
         self._endpoints.append(endpoint)
-        self._announcer.add(endpoint.guid, reader=endpoint.direction == "in")
+        for guid, reads in endpoint.guids.items():
+            self._announcer.add(guid, reader=reads)
         self._changed = True
         self._suspects.setdefault(endpoint.dds_topic, self.clock.monotonic_ns())
+        endpoint.review()
+        if not isinstance(endpoint, DdsPublisher):
+            self._readers[self._next_key] = endpoint
+            endpoint.condition = self._waitset.attach(endpoint.reader_ref, self._next_key)
+            self._next_key += 1
 
-    def forget(self, endpoint: DdsEndpoint) -> None:
+    def forget(self, endpoint: Endpoint) -> None:
         """Take in that an endpoint is being closed."""
         with self._lock:
             super().forget(endpoint)
-            if isinstance(endpoint, DdsSubscription):
+            if endpoint.condition:
                 self._readers = {key: one for key, one in self._readers.items() if one is not endpoint}
                 self._waitset.detach(endpoint.condition)
-            self._announcer.remove(endpoint.guid)
+            for guid in endpoint.guids:
+                self._announcer.remove(guid)
             for pair in [pair for pair in self._since if pair[0] == endpoint.guid]:  # type: ignore[index]
                 del self._since[pair]
             self._changed = True
+        self._waitset.wake()
+
+    def writer(self, topic: str, handle: int) -> Peer | None:
+        """Return the writer that a message came from; called by the receive thread."""
+        if (found := self.peers.find(topic, "out", handle)) is None:
+            self._look(0)
+            found = self.peers.find(topic, "out", handle)
+        return found
+
+    def hurry(self, server: DdsServer) -> None:
+        """Look at a server's responses soon."""
+        self._hurried.append(server)
         self._waitset.wake()
 
     # -- receiving
@@ -160,17 +240,20 @@ class DdsBackend(BaseNode):
         next_tick = 0
         while not self._closed:
             try:
-                for key in sorted(wait(_TICK_NS)):  # who the peers are, before what they say
+                for key in sorted(wait(_SHORT_NS if self._hurried else _TICK_NS)):  # peers before messages
                     if key >= _FIRST:
-                        if (subscription := self._readers.get(key)) is not None:
-                            subscription.take()
+                        if (endpoint := self._readers.get(key)) is not None:
+                            endpoint.take()
                     elif key == _ANNOUNCEMENTS:
                         self._announcer.take()
                     elif key == _PARTICIPANTS:
-                        for participant in self._peers.gone():
+                        for participant in self.peers.gone():
                             self._announcer.forget(participant)
                     else:
                         self._look(key)
+                for _ in range(len(self._hurried)):
+                    if (server := self._hurried.popleft()).flush():
+                        self._hurried.append(server)
                 if self._changed:
                     self._changed = False
                     self._announcer.announce()
@@ -184,18 +267,14 @@ class DdsBackend(BaseNode):
 
     def _look(self, which: int) -> None:
         with self._lock:
-            changed = self._peers.update(which)
+            changed = self.peers.update(which)
             self._suspects |= dict.fromkeys(changed, self.clock.monotonic_ns())
-            for subscription in self._readers.values():
-                if subscription.dds_topic in changed:
-                    self._find_strangers(subscription)
-
-    def _find_strangers(self, subscription: DdsSubscription) -> None:
-        subscription.strangers = frozenset(
-            peer.handle
-            for peer in self._peers.on(subscription.dds_topic, "out")
-            if _base.differs(peer.info.type_hash, subscription.type_hash)
-        )
+            concerned = [endpoint for endpoint in self._readers.values() if endpoint.dds_topic in changed]
+            for endpoint in concerned:
+                endpoint.review()
+        for endpoint in concerned:
+            if isinstance(endpoint, DdsClient):
+                endpoint.end_orphans()
 
     # -- what is wrong
 
@@ -207,21 +286,31 @@ class DdsBackend(BaseNode):
         for endpoint in endpoints:
             self._warn(endpoint)
 
-    def _judge(self, endpoint: DdsEndpoint) -> tuple[bool, list[Problem]]:
-        peers = self._peers.on(endpoint.dds_topic, "out" if endpoint.direction == "in" else "in")
+    def _judge(self, endpoint: Endpoint) -> tuple[bool, list[Problem]]:
+        peers = self.peers.on(endpoint.dds_topic, "out" if endpoint.direction == "in" else "in")
         matched = endpoint.matched_handles()
-        problems = (self._explain(endpoint, peer, peer.handle in matched) for peer in peers)
+        problems = [self._explain(endpoint, peer, peer.handle in matched) for peer in peers]
+        if endpoint.serves:
+            servers = [peer for peer in self.peers.on(endpoint.dds_topic, "in") if peer.guid != endpoint.guid]
+            problems.append(_base.several(endpoint, [self._name(peer) for peer in servers]))
         return bool(peers or matched), [*filter(None, problems)]
 
-    def _explain(self, endpoint: DdsEndpoint, peer: Peer, matched: bool) -> Problem | None:
+    def _name(self, peer: Peer) -> str:
+        own = self.node if peer.guid[:12] == self._guid[:12] else ""
+        node = own or self._announcer.node_of(peer.guid)
+        return f"node {node}" if node else f"a DDS participant without a ROS node ({peer.guid[:12].hex()})"
+
+    def _explain(self, endpoint: Endpoint, peer: Peer, matched: bool) -> Problem | None:
         """Judge a peer.
 
         If one does not match that should by all that is announced, the definitions differ; but discovery and
         matching lag a moment behind each other when a peer comes or goes, so this is reported only once it
         has lasted.
         """
-        node = self._announcer.node_of(peer.guid)
-        name = f"node {node}" if node else f"a DDS participant without a ROS node ({peer.guid[:12].hex()})"
+        name = self._name(peer)
+        if endpoint.serves and not peer.has_header:
+            does = _base.describe(peer.info, name)
+            return "ROS021", f"{does} over another DDS than Cyclone's, which exchanges no calls with this one"
         if problem := _base.explain(peer.info, endpoint, name, matched=matched):
             return problem
         key = (endpoint.guid, peer.guid)
@@ -237,7 +326,7 @@ class DdsBackend(BaseNode):
         """Return what is seen of the other nodes."""
 
         def infos() -> Iterator[EndpointInfo]:
-            for peer in self._peers.all():
+            for peer in self.peers.all():
                 if ros_topic(peer.dds_topic) is not None:
                     yield replace(peer.info, node=self._announcer.node_of(peer.guid))
 
@@ -251,7 +340,8 @@ class DdsBackend(BaseNode):
         self._announcer.close()
         self._waitset.close()
         self._topics.close()
-        for entity in (*self._peers.readers, self._publishers, self._subscribers, self._participant):
+        groups = (self._publishers, self._decoys, self._subscribers, self._participant)
+        for entity in (*self.peers.readers, *groups):
             native.delete(entity)
         domains.leave(self.domain)
 

@@ -10,24 +10,27 @@ from typing import Any
 
 from cyclonedds._clayer import ddspy_take, ddspy_write, ddspy_write_ts
 
-from rosplc.ros._base import BaseEndpoint, BasePublisher, BaseSubscription, Problem
+from rosplc.ros._base import BaseEndpoint, BasePublisher, BaseSubscription, Problem, differs
 from rosplc.ros.backend import OnMessage
 from rosplc.ros.buffers import default_buffer, largest_message
 from rosplc.ros.dds import native
 from rosplc.ros.dds.idl import dds_topic
 from rosplc.ros.dds.log import library_log
 
-_BATCH = 256  # messages taken from one reader before the others get their turn
+BATCH = 256  # messages taken from one reader before the others get their turn
 
 
-class _Endpoint(BaseEndpoint):
+class Endpoint(BaseEndpoint):
     """What both directions have in common; the type hash is empty on Humble."""
 
     def __init__(self, entity: Any, *arguments: Any) -> None:
         super().__init__(*arguments)
         self.guid: bytes = entity.guid.bytes
+        self.guids = {self.guid: self.direction == "in"}  # of its entities → whether it is a reader
+        self.condition = 0  # set by the backend when the receive thread watches the reader
         self.dds_topic = dds_topic(self.topic)
         self.ref: int = entity._ref
+        self.reader_ref = self.ref
         self._entity = entity
 
     def _matched(self) -> int:
@@ -37,22 +40,37 @@ class _Endpoint(BaseEndpoint):
         """Instance handles of the matched peers."""
         return frozenset() if self.closed else native.matched_handles(self.ref, self.direction)
 
+    def review(self) -> None:
+        """Take in that peers may have come or gone. The node's lock is held."""
+
+    def entities(self) -> tuple[Any, ...]:
+        """Return what is deleted at the end."""
+        return (self._entity,)
+
     def close(self) -> None:
-        """Delete the entity; closing twice is harmless."""
+        """Delete the entities; closing twice is harmless."""
         if not self.closed:
             super().close()
-            native.delete(self._entity)
+            for entity in self.entities():
+                native.delete(entity)
 
 
-class DdsSubscription(BaseSubscription, _Endpoint):
+class DdsSubscription(BaseSubscription, Endpoint):
     """A DDS reader of one topic; see :class:`rosplc.ros.backend.Subscription`."""
 
     def __init__(self, on_message: OnMessage, *arguments: Any) -> None:
         super().__init__(on_message, *arguments)
-        self.strangers: frozenset[int] = frozenset()  # set by the backend as peers come and go
-        self.condition = 0  # set by the backend when the receive thread watches the reader
+        self.strangers: frozenset[int] = frozenset()
         self._refused_strangers = 0
         self._unfit_before = library_log().dropped(self.dds_topic)
+
+    def review(self) -> None:
+        """Find the publishers that announce another definition."""
+        self.strangers = frozenset(
+            peer.handle
+            for peer in self._node.peers.on(self.dds_topic, "out")
+            if differs(peer.info.type_hash, self.type_hash)
+        )
 
     def _matched(self) -> int:
         """Publishers whose messages are delivered; with a lease, those that show that they live."""
@@ -71,7 +89,7 @@ class DdsSubscription(BaseSubscription, _Endpoint):
         with self._lock:
             if self.closed:
                 return
-            samples = ddspy_take(self.ref, native.ANY_STATE, _BATCH)
+            samples = ddspy_take(self.ref, native.ANY_STATE, BATCH)
             if samples.__class__ is int:
                 error = native.refusal("take", samples)
                 self._node.logger.error("%s: taking messages failed: %s", self.topic, error)
@@ -104,7 +122,7 @@ class DdsSubscription(BaseSubscription, _Endpoint):
         return code, reason
 
 
-class DdsPublisher(BasePublisher, _Endpoint):
+class DdsPublisher(BasePublisher, Endpoint):
     """A DDS writer of one topic; see :class:`rosplc.ros.backend.Publisher`."""
 
     def __init__(self, *arguments: Any) -> None:

@@ -8,6 +8,7 @@ XCDR version 1; ``byte`` and ``char`` travel as octets
 from __future__ import annotations
 
 import threading
+from collections.abc import Mapping
 from typing import Any
 
 from cyclonedds.idl import make_idl_struct
@@ -25,6 +26,9 @@ _PRIMITIVES: dict[str, Any] = {
     "float32": idl_types.float32, "float64": idl_types.float64,
 }  # fmt: skip
 
+_NO_HEADER: dict[str, Any] = {}
+_HEADER = {"rmw_client_id": idl_types.uint64, "rmw_call_number": idl_types.int64}  # of rmw_cyclonedds_cpp
+
 _PLACEHOLDER = "structure_needs_at_least_one_member"  # rosidl's member of a message without fields
 
 
@@ -38,12 +42,25 @@ def ros_topic(name: str) -> str | None:
     return name[2:] if name.startswith("rt/") else None
 
 
+def service_topics(service: str) -> tuple[str, str]:
+    """Return ``rq/addRequest`` and ``rr/addReply`` for ``/add``."""
+    return f"rq{service}Request", f"rr{service}Reply"
+
+
+def ros_service(topic: str) -> str | None:
+    """Return the service of a DDS topic, or None if it belongs to none."""
+    for start, end in (("rq/", "Request"), ("rr/", "Reply")):
+        if topic.startswith(start) and topic.endswith(end):
+            return topic[2 : -len(end)]
+    return None
+
+
 class IdlTypes:
     """The wheel's type classes for the message types of one store, made when first asked for."""
 
     def __init__(self, store: TypeSource) -> None:
         self._store = store
-        self._made: dict[str, Any] = {}
+        self._made: dict[tuple[str, bool], Any] = {}
         self._lock = threading.Lock()
 
     def __getitem__(self, type_name: str) -> Any:
@@ -51,16 +68,24 @@ class IdlTypes:
         with self._lock:
             return self._struct(self._store[type_name])
 
-    def _struct(self, message: MessageType) -> Any:
-        if (made := self._made.get(message.name)) is not None:
+    def with_header(self, type_name: str) -> Any:
+        """Return the class of a request or response, with the header of a call before its fields."""
+        with self._lock:
+            return self._struct(self._store[type_name], _HEADER)
+
+    def _struct(self, message: MessageType, header: Mapping[str, Any] = _NO_HEADER) -> Any:
+        key = message.name, bool(header)
+        if (made := self._made.get(key)) is not None:
             return made
         fields = {field.name: self._field(field.type) for field in message.fields}
         name = dds_type_name(message.name)
         struct = make_idl_struct(
-            name.rpartition("::")[2], name.replace("::", "."), fields or {_PLACEHOLDER: idl_types.uint8}
+            name.rpartition("::")[2],
+            name.replace("::", "."),
+            {**header, **(fields or {_PLACEHOLDER: idl_types.uint8})},
         )
         struct.__idl_annotations__["extensibility"] = "final"
-        self._made[message.name] = struct
+        self._made[key] = struct
         return struct
 
     def _field(self, kind: FieldType) -> Any:

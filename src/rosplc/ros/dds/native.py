@@ -50,6 +50,7 @@ offered_deadline_missed = _status("offered_deadline_missed")
 # How many of a reader's matched writers have kept to their lease.
 alive_count = _status("liveliness_changed", "alive_count")
 
+_instance_handle = function("dds_get_instance_handle", ct.c_int32, ct.POINTER(ct.c_uint64))
 _delete = function("dds_delete", ct.c_int32)
 _create_waitset = function("dds_create_waitset", ct.c_int32)
 _create_guard = function("dds_create_guardcondition", ct.c_int32)
@@ -81,6 +82,13 @@ def delete(entity: Any) -> None:
     """Delete one of the wheel's entities now, rather than when Python collects it."""
     Entity._entities.pop(entity._ref, None)  # so that its finalizer leaves the handle alone
     _delete(entity._ref)
+
+
+def instance_handle(ref: int) -> int:
+    """Return the handle by which this process lists one of its own endpoints."""
+    handle = ct.c_uint64()
+    _checked(_instance_handle(ref, ct.byref(handle)), "cannot look at an endpoint")
+    return int(handle.value)
 
 
 def matched_handles(ref: int, direction: str) -> frozenset[int]:

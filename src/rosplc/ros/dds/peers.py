@@ -28,10 +28,13 @@ from cyclonedds.core import InstanceState
 
 from rosplc.ros.backend import EndpointInfo, Qos
 from rosplc.ros.dds import native
-from rosplc.ros.dds.idl import ros_topic
+from rosplc.ros.dds.idl import ros_service, ros_topic
 from rosplc.ros.names import ros_type_name
 
 _TYPE_HASH = re.compile(rb"(?:^|;)typehash=(RIHS01_[0-9a-f]{64});")
+_SERVICE_ID = re.compile(rb"(?:^|;)(?:client|service)id=([^;]*);")
+_PART = re.compile("_(?:Request|Response)$")
+_CYCLONE = b"\x01\x10"  # The vendor, with which ids begin.
 _BATCH = 256
 _INFINITE = 2**63 - 1
 # Numbers of the library's enumerations.
@@ -48,19 +51,26 @@ class Peer:
     Attributes:
         handle: Its instance handle, by which DDS lists matched peers.
         info: The endpoint in ROS's words, without its node; the topic is DDS's if it is none of ROS.
+        service_id: By which the two endpoints of a service's client or server are known to belong together.
     """
 
     guid: bytes
     handle: int
     dds_topic: str
     info: EndpointInfo
+    service_id: str = ""
+
+    @property
+    def has_header(self) -> bool:
+        """Whether its calls have their header in the payload, as those of ``rmw_cyclonedds_cpp``."""
+        return bool(self.service_id) or self.guid[:2] == _CYCLONE
 
 
 class PeerTable:
     """What the builtin topics have shown so far; updated by the receive thread.
 
     Args:
-        own: Its 16-byte id; its own endpoints are left out.
+        own: Its 16-byte id; its own endpoints are left out, but those of services: a node may call itself.
     """
 
     def __init__(self, participant: Any, own: bytes) -> None:
@@ -81,14 +91,17 @@ class PeerTable:
 
         def see(guid: bytes, participant: bytes, *shown: Any) -> None:
             _, topic, kind, said, info, _ = shown
-            if participant == self._own:
-                return
             if _gone(info):
                 changed.update(self._forget(guid))
             elif topic is not None and kind is not None and said is not None:
                 name, kind = ros_topic(topic) or topic, ros_type_name(kind)
-                endpoint = EndpointInfo(name, kind, direction, "", *said)  # type: ignore[arg-type]
-                peer = Peer(guid, info.instance_handle, topic, endpoint)
+                if service := ros_service(topic):
+                    name, kind = service, _PART.sub("", kind)
+                elif participant == self._own:
+                    return
+                *settings, service_id = said
+                endpoint = EndpointInfo(name, kind, direction, "", *settings)  # type: ignore[arg-type]
+                peer = Peer(guid, info.instance_handle, topic, endpoint, service_id)
                 with self._lock:
                     self._peers[guid] = peer
                     self._by_topic.setdefault((topic, direction), {})[guid] = peer
@@ -128,6 +141,10 @@ class PeerTable:
         """Return the endpoints of one direction on a DDS topic."""
         with self._lock:
             return tuple(self._by_topic.get((topic, direction), {}).values())
+
+    def find(self, topic: str, direction: str, handle: int) -> Peer | None:
+        """Return the endpoint with this handle on a DDS topic."""
+        return next((peer for peer in self.on(topic, direction) if peer.handle == handle), None)
 
     def all(self) -> tuple[Peer, ...]:
         """Return all endpoints."""
@@ -171,8 +188,8 @@ _representation = _getter("data_representation", ct.c_uint32, ct.POINTER(ct.c_in
 _userdata = _getter("userdata", ct.c_void_p, ct.c_size_t)
 
 
-def _announced(pointer: int, writer: bool) -> tuple[Qos, str, tuple[str, ...]]:
-    """Return an endpoint's settings, type hash, and what else keeps a plain ROS endpoint from matching."""
+def _announced(pointer: int, writer: bool) -> tuple[Qos, str, tuple[str, ...], str]:
+    """Return settings, type hash, what else keeps a plain ROS endpoint from matching, and a service's id."""
     # Best effort is DDS's default of readers, reliable that of writers.
     reliable = _number(_reliability(pointer), _RELIABLE if writer else 0) == _RELIABLE
     qos = Qos(
@@ -182,7 +199,9 @@ def _announced(pointer: int, writer: bool) -> tuple[Qos, str, tuple[str, ...]]:
         deadline_ns=_time(_number(_deadline(pointer), _INFINITE)),
         lease_ns=_time(_number(_liveliness(pointer), _INFINITE, 1)),
     )
-    return qos, type_hash_in(_user_data(pointer)), tuple(_obstacles(pointer, writer))
+    user_data = _user_data(pointer)
+    service_id = found.group(1).decode(errors="replace") if (found := _SERVICE_ID.search(user_data)) else ""
+    return qos, type_hash_in(user_data), tuple(_obstacles(pointer, writer)), service_id
 
 
 def _number(values: tuple[Any, ...] | None, default: int = 0, which: int = 0) -> int:
