@@ -132,6 +132,14 @@ class LiveTypes:
         """Return the ROS 1 MD5 sum."""
         return self.store.md5(name)
 
+    def service_hash(self, name: str) -> str:
+        """Return the ROS 2 type hash of a service."""
+        return self.store.service_hash(name)
+
+    def service_md5(self, name: str) -> str:
+        """Return the ROS 1 MD5 sum of a service."""
+        return self.store.service_md5(name)
+
     def definition_text(self, name: str) -> str:
         """Return the definition with every type it needs."""
         return self.store.definition_text(name)

@@ -124,7 +124,8 @@ def differs(ours: str, theirs: str) -> bool:
 def is_service(type_name: str) -> bool:
     """Return whether a type is one of a service, an action's derived ones included."""
     derived = type_name.endswith(("_SendGoal", "_GetResult"))
-    return "/srv/" in type_name or ("/action/" in type_name and derived)
+    part = type_name.endswith(("_Request", "_Response"))
+    return not part and ("/srv/" in type_name or ("/action/" in type_name and derived))
 
 
 def describe(peer: EndpointInfo, name: str = "") -> str:
@@ -577,9 +578,7 @@ class BaseNode:
 
     def _hash(self, name: str) -> str:
         """Return the type hash of a message or service."""
-        if is_service(name):
-            return str(self._store.service_hash(name))  # type: ignore[attr-defined]
-        return self._store.type_hash(name)
+        return self._store.service_hash(name) if is_service(name) else self._store.type_hash(name)
 
     def _usable(self) -> None:
         if self._closed:

@@ -43,6 +43,12 @@ class TypeSource(Protocol):
     def md5(self, name: str) -> str:
         """Return the ROS 1 MD5 sum, 32 hex digits."""
 
+    def service_hash(self, name: str) -> str:
+        """Return the ROS 2 type hash of a service, as :meth:`type_hash` that of a message."""
+
+    def service_md5(self, name: str) -> str:
+        """Return the ROS 1 MD5 sum of a service."""
+
     def definition_text(self, name: str) -> str:
         """Return the definition with every type it needs, as ROS 1 puts it into connection headers."""
 

@@ -170,19 +170,21 @@ class DdsBackend(BaseNode):
         first, *others = self._guid[:12] + next(self._service_ids).to_bytes(4, "big")
         service_id = f"{role}={first:2x}{''.join(f'.{octet:x}' for octet in others)};"
         queue = replace(qos, depth=max(qos.depth, ROOM))
+        request, response = f"{name}_Request", f"{name}_Response"
+        hashes = self._hash(request), self._hash(response)
+        settings = [dds_qos(queue, type_hash, service_id) for type_hash in hashes]
+        types = [self._types.with_header(part) for part in (request, response)]
         kinds = (DataReader, DataWriter) if role == "serviceid" else (DataWriter, DataReader)
         opened: list[Any] = []
         try:
-            for kind, topic, part in zip(kinds, service_topics(full), ("_Request", "_Response"), strict=True):
-                settings = dds_qos(queue, self._hash(name + part), service_id)
-                opened.append(self._open(kind, topic, self._types.with_header(name + part), settings))
+            for details in zip(kinds, service_topics(full), types, settings, strict=True):
+                opened.append(self._open(*details))
         except DDSException as error:
             for entity in opened:
                 native.delete(entity)
             raise native.refusal(f"cannot open {full} as {name}", error) from error
         reader, writer = opened if role == "serviceid" else reversed(opened)
-        hashes = (self._hash(name + "_Response"), self._hash(name + "_Request"))
-        return reader, writer, hashes[0], self, full, name, qos, hashes[1]
+        return reader, writer, hashes[1], self, full, name, qos, hashes[0]
 
     def _hash(self, name: str) -> str:
         return super()._hash(name) if self._hashes else ""

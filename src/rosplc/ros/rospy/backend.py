@@ -120,7 +120,7 @@ class RospyBackend(BaseNode):
 
     def service_md5(self, type_name: str) -> str:
         """Return the MD5 sum of a service."""
-        return str(self._store.service_md5(type_name))  # type: ignore[attr-defined]
+        return self._store.service_md5(type_name)
 
     def _adopt(self, endpoint: RospySubscription | RospyPublisher) -> None:
         endpoint.shared.add(endpoint)
