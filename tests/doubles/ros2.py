@@ -25,7 +25,8 @@ def double(distro: str = "jazzy", paths: Iterable[str] = ()) -> Iterator[Any]:
         paths: Further folders to import from.
     """
     before = os.environ.get("ROS_DISTRO")
-    packages = {name.split("/")[0] for name in TypeStore.bundled("jazzy").names()}
+    store = TypeStore.bundled("jazzy")
+    packages = {name.split("/")[0] for name in (*store.names(), *store.services(), *store.actions())}
     others = {name: sys.modules.pop(name) for name in list(sys.modules) if name.split(".")[0] in packages}
     os.environ["ROS_DISTRO"] = distro
     sys.path[:0] = [FOLDER, *paths]

@@ -5,8 +5,9 @@ signatures are held to a table that was written down from rclpy's sources
 (``tests/doubles/rclpy_signatures.py``), by a test that holds an installed rclpy to the same table.
 Behaviour follows rclpy 7.1.3 (Jazzy), and with ``ROS_DISTRO=humble`` when it is imported 3.3.15.
 
-What it does not do: services, timers, parameter services, remapping of node names by launch files
+What it does not do: timers, parameter services, remapping of node names by launch files
 other than ``__node`` and ``__ns``, and any message that is not raw bytes.
+A service is two topics, as over DDS.
 """
 
 from __future__ import annotations

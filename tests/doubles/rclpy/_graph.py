@@ -89,9 +89,9 @@ class Endpoint:
             self.waiting.popleft()
         self.waiting.append((payload, info))
 
-    def send(self, payload: bytes) -> None:
+    def send(self, payload: bytes, **info: Any) -> None:
         now = time.time_ns()
-        message = (payload, {"source_timestamp": now, "received_timestamp": now})
+        message = (payload, {"source_timestamp": now, "received_timestamp": now, **info})
         with changed:
             if self._latched():
                 self.kept = [*self.kept, message][-self.profile.depth :]

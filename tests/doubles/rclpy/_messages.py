@@ -24,13 +24,14 @@ class _Installation(importlib.abc.MetaPathFinder, importlib.abc.Loader):
 
     def use(self, store: TypeStore, without: frozenset[str]) -> None:
         self.store, self.without = store, without
-        self.packages = {name.split("/")[0] for name in store.names()} - without
+        names = (*store.names(), *store.services(), *store.actions())
+        self.packages = {name.split("/")[0] for name in names} - without
 
     def find_spec(self, fullname: str, path: Any, target: Any = None) -> Any:
         package, _, rest = fullname.partition(".")
         if package in self.without:
             raise ModuleNotFoundError(f"No module named {package!r}", name=package)
-        if package not in self.packages or rest not in ("", "msg"):
+        if package not in self.packages or rest not in ("", *_KINDS):
             return None
         return importlib.machinery.ModuleSpec(fullname, self, is_package=not rest)
 
@@ -41,9 +42,10 @@ class _Installation(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         package, _, rest = module.__name__.partition(".")
         module.__file__ = f"/opt/ros/double/{package}/{rest}"
         if rest:
-            for name in self.store.names():
-                if name.startswith(f"{package}/msg/"):
-                    setattr(module, name.rsplit("/", 1)[1], _make(self.store, self.store[name]))
+            names, make = _KINDS[rest]
+            for name in names(self.store):
+                if name.startswith(f"{package}/{rest}/"):
+                    setattr(module, name.rsplit("/", 1)[1], make(self.store, name))
 
 
 _installation = _Installation()
@@ -66,10 +68,25 @@ def uninstall() -> None:
 def change(store: TypeStore, without: Iterable[str] = ()) -> None:
     """Install other definitions, or no longer these packages."""
     for package in _installation.packages:
-        for name in (package, f"{package}.msg"):
+        for name in (package, *(f"{package}.{kind}" for kind in _KINDS)):
             if getattr(sys.modules.get(name), "__loader__", None) is _installation:
                 del sys.modules[name]
     _installation.use(store, frozenset(without))
+
+
+def _service(store: TypeStore, name: str) -> type:
+    parts = {part: _make(store, store[f"{name}_{part}"]) for part in ("Request", "Response")}
+    return type(name.rsplit("/", 1)[1], (), parts)
+
+
+def _action(store: TypeStore, name: str) -> type:
+    impl = {
+        "SendGoalService": _service(store, f"{name}_SendGoal"),
+        "GetResultService": _service(store, f"{name}_GetResult"),
+        "FeedbackMessage": _make(store, store[f"{name}_FeedbackMessage"]),
+    }
+    parts = {part: _make(store, store[f"{name}_{part}"]) for part in ("Goal", "Result", "Feedback")}
+    return type(name.rsplit("/", 1)[1], (), {**parts, "Impl": type("Impl", (), impl)})
 
 
 def _make(store: TypeStore, message: MessageType) -> type:
@@ -121,6 +138,13 @@ def _text(kind: Any) -> str:
     if isinstance(kind, SequenceType):
         return f"sequence<{text}" + (f", {kind.bound}" if kind.bound else "") + ">"
     return f"{text}[{kind.length}]" if isinstance(kind, ArrayType) else text
+
+
+_KINDS: dict[str, tuple[Any, Any]] = {
+    "msg": (TypeStore.names, lambda store, name: _make(store, store[name])),
+    "srv": (TypeStore.services, _service),
+    "action": (TypeStore.actions, _action),
+}
 
 
 def _default(kind: Any) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable
 from typing import Any
@@ -19,6 +20,29 @@ class ExternalShutdownException(Exception):
 class Executor:
     def _take_subscription(self, sub: Any) -> Any:
         return _take(sub)
+
+    def _take_service(self, srv: Any) -> Any:
+        with srv.handle:
+            request, header = srv.handle.service_take_request(srv.srv_type.Request)
+
+        def execute() -> None:
+            if header is not None:
+                srv.send_response(srv.callback(request, srv.srv_type.Response()), header)
+
+        return execute
+
+    def _take_client(self, client: Any) -> Any:
+        with client.handle:
+            header, response = client.handle.take_response(client.srv_type.Response)
+
+        def execute() -> None:
+            if header is not None:
+                with contextlib.suppress(KeyError):  # the request was cancelled
+                    future = client.get_pending_request(header.request_id.sequence_number)
+                    future._set_executor(self)
+                    future.set_result(response)
+
+        return execute
 
     def __init__(self, *, context: Any = None) -> None:
         if context is None:
@@ -118,6 +142,10 @@ class SingleThreadedExecutor(Executor):
                 waits = subscription.handle.endpoint.waiting
                 if waits and subscription.callback_group.can_execute(subscription):
                     return _handled(subscription, self._take_subscription)
+            for entities, take in ((node.services, self._take_service), (node.clients, self._take_client)):
+                for entity in list(entities):
+                    if entity.handle.reader.waiting and entity.callback_group.can_execute(entity):
+                        return _handled(entity, take)
         return None
 
 

@@ -11,6 +11,8 @@ from rclpy import _graph
 from rclpy._distro import HUMBLE
 from rclpy._handles import Destroyable, RCLError
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.client import Client
+from rclpy.client import Handle as _ClientHandle
 from rclpy.exceptions import (
     InvalidNamespaceException,
     InvalidNodeNameException,
@@ -22,7 +24,9 @@ from rclpy.exceptions import (
 )
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
-from rclpy.qos import discovered
+from rclpy.qos import QoSProfile, discovered
+from rclpy.service import Service
+from rclpy.service import _Handle as _ServiceHandle
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo, TopicEndpointTypeEnum
 
@@ -106,6 +110,8 @@ class Node:
         self._name, self._namespace = name, namespace
         self._publishers: list[Publisher] = []
         self._subscriptions: list[Subscription] = []
+        self._services: list[Service] = []
+        self._clients: list[Client] = []
         self.__waitables: list[Any] = []
         self._default_callback_group = MutuallyExclusiveCallbackGroup()
         self._parameters: dict[str, Parameter] = {}
@@ -146,6 +152,9 @@ class Node:
                 return self.resolve_topic_name(target, only_expand=True)
         return topic
 
+    def resolve_service_name(self, service: str, *, only_expand: bool = False) -> str:
+        return self.resolve_topic_name(service, only_expand=only_expand)
+
     # -- entities
 
     @property
@@ -179,6 +188,14 @@ class Node:
         yield from self._subscriptions
 
     @property
+    def services(self) -> Iterator[Service]:
+        yield from self._services
+
+    @property
+    def clients(self) -> Iterator[Client]:
+        yield from self._clients
+
+    @property
     def waitables(self) -> Iterator[Any]:
         yield from self.__waitables
 
@@ -187,17 +204,77 @@ class Node:
             raise RuntimeError("cannot use Destroyable because destruction was requested")
         if msg_type.__class__._TYPE_SUPPORT is None:
             msg_type.__class__.__import_type_support__()
-        endpoint = _graph.Endpoint(
+        return _Handle(self._endpoint(msg_type, self.resolve_topic_name(topic), profile, publishes))
+
+    def _endpoint(self, msg_type: Any, topic: str, profile: Any, publishes: bool) -> _graph.Endpoint:
+        package, kind, name = (type_name := msg_type._double_name).split("/")
+        return _graph.Endpoint(
             self._context.get_domain_id(),
-            self.resolve_topic_name(topic),
+            topic,
             publishes,
-            msg_type._double_name,
+            type_name if topic.startswith("/") else f"{package}::{kind}::dds_::{name}_",
             msg_type._double_hash,
             profile,
             self._name,
             self._namespace,
         )
-        return _Handle(endpoint)
+
+    def _service_endpoints(self, srv_type: Any, name: str, profile: Any, serves: bool) -> list[Any]:
+        """Return the reader and the writer of a service's two topics."""
+        if not self._alive:
+            raise RuntimeError("cannot use Destroyable because destruction was requested")
+        full = self.resolve_service_name(name)
+        request = self._endpoint(srv_type.Request, f"rq{full}Request", profile, not serves)
+        response = self._endpoint(srv_type.Response, f"rr{full}Reply", profile, serves)
+        return [request, response] if serves else [response, request]
+
+    def create_service(
+        self,
+        srv_type: Any,
+        srv_name: str,
+        callback: Callable[[Any, Any], Any],
+        *,
+        qos_profile: Any = QoSProfile(depth=10),  # noqa: B008
+        callback_group: Any = None,
+    ) -> Any:
+        group = callback_group or self.default_callback_group
+        handle = _ServiceHandle(*self._service_endpoints(srv_type, srv_name, qos_profile, True))
+        service = Service(handle, srv_type, srv_name, callback, group, qos_profile)
+        return self._adopt_service(self._services, service)
+
+    def create_client(
+        self,
+        srv_type: Any,
+        srv_name: str,
+        *,
+        qos_profile: Any = QoSProfile(depth=10),  # noqa: B008
+        callback_group: Any = None,
+    ) -> Any:
+        group = callback_group or self.default_callback_group
+        handle = _ClientHandle(*self._service_endpoints(srv_type, srv_name, qos_profile, False))
+        client = Client(self.context, handle, srv_type, srv_name, qos_profile, group)
+        return self._adopt_service(self._clients, client)
+
+    def _adopt_service(self, where: list[Any], entity: Any) -> Any:
+        entity.callback_group.add_entity(entity)
+        with _graph.changed:
+            where.append(entity)
+            entity.handle.join()
+        return entity
+
+    def _destroy_service(self, where: list[Any], entity: Any) -> bool:
+        with _graph.changed:
+            if entity not in where:
+                return False
+            where.remove(entity)
+            entity.destroy()
+            return True
+
+    def destroy_service(self, service: Any) -> bool:
+        return self._destroy_service(self._services, service)
+
+    def destroy_client(self, client: Any) -> bool:
+        return self._destroy_service(self._clients, client)
 
     def create_publisher(
         self,
@@ -278,6 +355,10 @@ class Node:
             self.destroy_publisher(self._publishers[0])
         while self._subscriptions:
             self.destroy_subscription(self._subscriptions[0])
+        while self._services:
+            self.destroy_service(self._services[0])
+        while self._clients:
+            self.destroy_client(self._clients[0])
         with _graph.changed:
             if self._alive:
                 _graph.nodes[self._context.get_domain_id()].remove((self._name, self._namespace))
@@ -293,18 +374,18 @@ class Node:
         found: dict[str, set[str]] = {}
         with _graph.changed:
             for (domain, topic), here in _graph.endpoints.items():
-                if domain == self._context.get_domain_id():
+                if domain == self._context.get_domain_id() and (no_demangle or topic.startswith("/")):
                     found.setdefault(topic, set()).update(endpoint.type_name for endpoint in here)
         return [(topic, sorted(kinds)) for topic, kinds in sorted(found.items())]
 
     def get_publishers_info_by_topic(self, topic_name: str, no_mangle: bool = False) -> list[Any]:
-        return self._infos(topic_name, True)
+        return self._infos(topic_name, True, no_mangle)
 
     def get_subscriptions_info_by_topic(self, topic_name: str, no_mangle: bool = False) -> list[Any]:
-        return self._infos(topic_name, False)
+        return self._infos(topic_name, False, no_mangle)
 
-    def _infos(self, topic: str, publishers: bool) -> list[Any]:
-        key = (self._context.get_domain_id(), self.resolve_topic_name(topic))
+    def _infos(self, topic: str, publishers: bool, no_mangle: bool) -> list[Any]:
+        key = (self._context.get_domain_id(), topic if no_mangle else self.resolve_topic_name(topic))
         with _graph.changed:
             here = [e for e in _graph.endpoints.get(key, ()) if e.publishes == publishers]
         return [_info(endpoint) for endpoint in here]

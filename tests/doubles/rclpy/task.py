@@ -1,4 +1,4 @@
-"""rclpy/task.py, as far as Executor.create_task returns it."""
+"""rclpy/task.py, as far as Executor.create_task and Client.call_async return it."""
 
 from __future__ import annotations
 
@@ -25,3 +25,31 @@ class Task:
 
     def exception(self) -> Exception | None:
         return self._exception
+
+
+class Future:
+    def __init__(self, *, executor: Any = None) -> None:
+        self._done = False
+        self._result: Any = None
+        self._callbacks: list[Callable[[Future], None]] = []
+        self._executor = executor
+
+    def done(self) -> bool:
+        return self._done
+
+    def result(self) -> Any:
+        return self._result
+
+    def set_result(self, result: Any) -> None:
+        self._result, self._done = result, True
+        for callback in self._callbacks:
+            self._executor.create_task(callback, self)
+
+    def _set_executor(self, executor: Any) -> None:
+        self._executor = executor
+
+    def add_done_callback(self, callback: Callable[[Future], None]) -> None:
+        if self._done:
+            self._executor.create_task(callback, self)
+        else:
+            self._callbacks.append(callback)

@@ -20,7 +20,7 @@ import threading
 import xmlrpc.client
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from rosplc.ros import Qos
 from tests.lib.waiting import wait_for
@@ -31,8 +31,8 @@ _CACHE = HERE.parents[2] / ".cache" / "interop"
 
 PACKAGES = (
     "python3-rosmaster", "python3-rostopic", "python3-rosnode", "python3-rosmsg", "g++", "python3-rospy",
-    "python3-std-msgs", "python3-geometry-msgs", "python3-sensor-msgs", "libroscpp-dev", "libstd-msgs-dev",
-    "libgeometry-msgs-dev", "libsensor-msgs-dev",
+    "python3-rosservice", "python3-std-srvs", "python3-std-msgs", "python3-geometry-msgs",
+    "python3-sensor-msgs", "libroscpp-dev", "libstd-msgs-dev", "libgeometry-msgs-dev", "libsensor-msgs-dev",
 )  # fmt: skip
 """The Debian packages that ROS 1's peers need."""
 
@@ -225,6 +225,21 @@ class Peer:
         """Withdraw a topic."""
         self._ask("unadvertise", topic)
 
+    def serve(self, service: str, type_name: str) -> list[bytes]:
+        """Serve a service; return the list that its requests fill."""
+        self._ask("serve", service, type_name.replace("/srv/", "/"))
+        return self._got.setdefault(f"request:{service}", [])
+
+    def unserve(self, service: str) -> None:
+        """Withdraw a service."""
+        self._ask("unserve", service)
+
+    def proxy(self, service: str, type_name: str, persistent: bool = False) -> PeerProxy:
+        """Get ready to call a service."""
+        self._ask("proxy", service, type_name.replace("/srv/", "/"), int(persistent))
+        replies, errors = (self._got.setdefault(f"{what}:{service}", []) for what in ("reply", "error"))
+        return PeerProxy(lambda payload: self._ask("call", service, payload.hex() or "-"), replies, errors)
+
     def matched(self, topic: str) -> int:
         """Return how many peers the program counts on a topic."""
         return int(self._ask("matched", topic).split()[2])
@@ -257,6 +272,14 @@ class Peer:
         self._reader.join()
         assert self._process.stdout is not None
         self._process.stdout.close()
+
+
+class PeerProxy(NamedTuple):
+    """What a peer calls through, and what came of its calls."""
+
+    call: Callable[[bytes], object]
+    replies: list[bytes]
+    errors: list[bytes]
 
 
 class PeerInbox:

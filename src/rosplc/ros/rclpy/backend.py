@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+import threading
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from typing import Any, Literal
 
@@ -15,16 +17,19 @@ from rosplc.clock import SYSTEM, Clock
 from rosplc.errors import BackendError, RosplcError
 from rosplc.ros import _base
 from rosplc.ros._base import BaseNode, Context, Problem
-from rosplc.ros.backend import EndpointInfo, GraphInfo, OnMessage, Qos, TypeSource
+from rosplc.ros.backend import EndpointInfo, GraphInfo, OnMessage, OnRequest, Qos, TypeSource
 from rosplc.ros.names import join, validate_namespace, validate_node_name
 from rosplc.ros.rclpy.endpoint import RclpyPublisher, RclpySubscription, create, profile, read_peers
 from rosplc.ros.rclpy.messages import MessageClasses
 from rosplc.ros.rclpy.parameters import show
+from rosplc.ros.rclpy.services import RclpyClient, RclpyServer, service_type
 from rosplc.ros.rclpy.spin import OwnNode, guard_takes, read_options
 
 _GIVES_STAMPS = hasattr(NativeSubscription, "CallbackType")  # since ROS 2 Iron
 
-RclpyEndpoint = RclpySubscription | RclpyPublisher
+_LOOK_NS = 250_000_000
+
+RclpyEndpoint = RclpySubscription | RclpyPublisher | RclpyServer | RclpyClient
 
 
 class RclpyBackend(BaseNode):
@@ -35,6 +40,7 @@ class RclpyBackend(BaseNode):
     """
 
     name = "rclpy"
+    capabilities = frozenset({"topics", "services"})
     logger = logging.getLogger("rosplc.ros.rclpy")
 
     def __init__(self, node: Any, store: TypeSource, remap: Mapping[str, str], clock: Clock = SYSTEM) -> None:
@@ -46,13 +52,15 @@ class RclpyBackend(BaseNode):
         # All callbacks in one group: one at a time, whatever executor spins the node.
         self._group = MutuallyExclusiveCallbackGroup()
         self._lost = False
+        self._ending = threading.Event()
+        self._watch: threading.Thread | None = None  # looks whether the servers of open calls have gone
         self._guarded: Any = None  # the executor whose takes are
 
     # -- endpoints
 
     def check(self, type_name: str) -> None:
         """Refuse a type that cannot be carried (TYP001, ROS011 or ROS012), without opening anything."""
-        _ = self._classes[self._store[type_name].name]
+        _ = self._classes[type_name if _base.is_service(type_name) else self._store[type_name].name]
 
     def subscribe(self, topic: str, type_name: str, qos: Qos, on_message: OnMessage) -> RclpySubscription:
         """Receive a topic; see :meth:`rosplc.ros.backend.Backend.subscribe`."""
@@ -72,10 +80,45 @@ class RclpyBackend(BaseNode):
         self._open(publisher, self._node.create_publisher)
         return publisher
 
-    def _details(self, topic: str, type_name: str, qos: Qos) -> tuple[Any, ...]:
+    def serve(self, service: str, type_name: str, qos: Qos, on_request: OnRequest) -> RclpyServer:
+        """Serve a service; see :meth:`rosplc.ros.backend.Backend.serve`."""
+        server = RclpyServer(on_request, *self._details(service, type_name, qos, "_Request"))
+        self._open(
+            server,
+            lambda kind, name, native, **others: self._node.create_service(
+                kind, name, server.hold, qos_profile=native, **others
+            ),
+        )
+        return server
+
+    def client(self, service: str, type_name: str, qos: Qos) -> RclpyClient:
+        """Call a service; see :meth:`rosplc.ros.backend.Backend.client`."""
+        client = RclpyClient(*self._details(service, type_name, qos, "_Response"))
+        self._open(
+            client,
+            lambda kind, name, native, **others: self._node.create_client(
+                kind, name, qos_profile=native, **others
+            ),
+        )
+        with self._lock:
+            if self._watch is None:
+                self._watch = threading.Thread(
+                    target=self._look_after_calls, name="rosplc-calls-rclpy", daemon=True
+                )
+                self._watch.start()
+        return client
+
+    def _look_after_calls(self) -> None:
+        while not self._ending.is_set():
+            self.clock.wait(self._ending, _LOOK_NS)
+            for endpoint in self.endpoints():
+                if isinstance(endpoint, RclpyClient):
+                    endpoint.look()
+
+    def _details(self, topic: str, type_name: str, qos: Qos, part: str = "") -> tuple[Any, ...]:
         full, name = self._resolve(topic, type_name)
         _ = self._classes[name]
-        return self, full, name, qos, self._store.type_hash(name)
+        return self, full, name, qos, self._store.type_hash(name + part)
 
     def _open(self, endpoint: RclpyEndpoint, make: Callable[..., Any]) -> None:
         native, kind = profile(endpoint.qos), self._classes[endpoint.type_name]
@@ -86,8 +129,14 @@ class RclpyBackend(BaseNode):
                 if (executor := self._node.executor) is not None and executor is not self._guarded:
                     self._guarded = executor
                     guard_takes(executor, self._refuse)
-                endpoint.entity = create(make, endpoint, self._look)
-                endpoint.topic = endpoint.entity.topic_name  # after the node's own remapping rules
+                if isinstance(endpoint, RclpyServer | RclpyClient):
+                    topic = self._node.resolve_service_name(endpoint.topic)
+                    endpoint.entity = make()
+                    endpoint.attach(endpoint.entity)
+                else:
+                    endpoint.entity = create(make, endpoint, self._look)
+                    topic = endpoint.entity.topic_name
+                endpoint.topic = topic  # after the node's own remapping rules
             except RosplcError:
                 raise
             except Exception as error:
@@ -96,7 +145,7 @@ class RclpyBackend(BaseNode):
 
     def _refuse(self, entity: object, error: Exception) -> None:
         for endpoint in self.endpoints():
-            if endpoint.entity is entity and isinstance(endpoint, RclpySubscription):
+            if endpoint.entity is entity:
                 endpoint.reject(error)
                 return
         self.logger.warning("a message could not be taken: %s", error)
@@ -106,8 +155,8 @@ class RclpyBackend(BaseNode):
         super().forget(endpoint)
         self._since.pop(endpoint, None)
         node, entity = self._node, endpoint.entity
-        by_node = node.destroy_subscription if endpoint.direction == "in" else node.destroy_publisher
-        destroy = partial(self._destroy, by_node)
+        kind = "service" if endpoint.kind == "server" else endpoint.kind
+        destroy = partial(self._destroy, getattr(node, f"destroy_{kind}"))
         # On the executor's thread, which would else meet a half-destroyed entity in its wait set.
         try:
             node.executor.create_task(partial(destroy, entity))
@@ -128,10 +177,22 @@ class RclpyBackend(BaseNode):
         ask = (
             node.get_publishers_info_by_topic if direction == "out" else node.get_subscriptions_info_by_topic
         )
+        return read_peers(self._asked(ask, topic), topic, direction)
+
+    def _asked(self, ask: Callable[..., list[Any]], *arguments: object) -> list[Any]:
         try:
-            return read_peers(ask(topic), topic, direction)
+            return ask(*arguments)
         except (InvalidHandle, RuntimeError):  # the node is being destroyed
             return []
+
+    def _users(self, service: str, direction: Literal["in", "out"]) -> list[Any]:
+        """Return who serves (``in``) or calls (``out``) a service: who writes its one topic or the other."""
+        topic = f"rr{service}Reply" if direction == "in" else f"rq{service}Request"
+        return self._asked(self._node.get_publishers_info_by_topic, topic, True)
+
+    def servers(self, service: str) -> frozenset[bytes]:
+        """Return the ids of a service's servers, as far as the middleware has topics for services."""
+        return frozenset(bytes(info.endpoint_gid) for info in self._users(service, "in"))
 
     def fitting(self, endpoint: RclpyEndpoint) -> int:
         """Return how many peers fit an endpoint."""
@@ -139,14 +200,26 @@ class RclpyBackend(BaseNode):
         return len(peers) - len(problems)
 
     def _compared(self, endpoint: RclpyEndpoint) -> tuple[list[EndpointInfo], list[Problem]]:
-        peers = self._peers(endpoint.topic, "out" if endpoint.direction == "in" else "in")
+        theirs: Literal["in", "out"] = "out" if endpoint.direction == "in" else "in"
+        if endpoint.serves:
+            found = read_peers(self._users(endpoint.topic, theirs), endpoint.topic, theirs)
+            peers = [replace(peer, type_name=service_type(peer.type_name)) for peer in found]
+        else:
+            peers = self._peers(endpoint.topic, theirs)
         return peers, [*filter(None, (_base.explain(peer, endpoint, _name(peer)) for peer in peers))]
 
     def _judge(self, endpoint: RclpyEndpoint) -> tuple[bool, list[Problem]]:
         if self._lost:
             return False, [("ROS009", "the ROS context was shut down")]
         peers, problems = self._compared(endpoint)
-        return bool(peers), problems or self._unexplained(endpoint, peers)
+        if isinstance(endpoint, RclpySubscription | RclpyPublisher):
+            return bool(peers), problems or self._unexplained(endpoint, peers)
+        if isinstance(endpoint, RclpyServer):
+            return True, problems  # clients come and go
+        if len(peers) - len(problems) > 1:
+            nodes = _base.listed(_name(peer) or f"node {peer.node}" for peer in peers)
+            problems.append(("ROS022", f"{endpoint.topic} is served by {nodes}"))
+        return endpoint.ready, problems
 
     def _unexplained(self, endpoint: RclpyEndpoint, peers: list[EndpointInfo]) -> list[Problem]:
         """Judge by count: rclpy does not tell which peers are matched."""
@@ -194,6 +267,11 @@ class RclpyBackend(BaseNode):
     def adopt(self, own: OwnNode) -> None:
         """Take over the node's thread, to end it in :meth:`close`."""
         self._own = own
+
+    def _stop(self) -> None:
+        self._ending.set()
+        if self._watch is not None and threading.current_thread() is not self._watch:
+            self._watch.join()
 
     def _leave(self) -> None:
         """End our own node; one that was given stays."""

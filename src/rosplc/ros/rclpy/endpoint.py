@@ -99,8 +99,8 @@ _EVENTS = (
 )
 
 
-class _Endpoint(BaseEndpoint):
-    """What both directions have in common; the topic is the one before remapping by ROS arguments."""
+class RclpyEndpointBase(BaseEndpoint):
+    """What all endpoints have in common; the topic is the one before remapping by ROS arguments."""
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
@@ -120,7 +120,7 @@ class _Endpoint(BaseEndpoint):
         return self.lost
 
 
-class RclpySubscription(BaseSubscription, _Endpoint):
+class RclpySubscription(BaseSubscription, RclpyEndpointBase):
     """A raw subscription; see :class:`rosplc.ros.backend.Subscription`."""
 
     def _count(self, entity: Any) -> int:
@@ -170,7 +170,7 @@ class RclpySubscription(BaseSubscription, _Endpoint):
             self.reject("it has no header of plain CDR")
 
 
-class RclpyPublisher(BasePublisher, _Endpoint):
+class RclpyPublisher(BasePublisher, RclpyEndpointBase):
     """A publisher of serialized messages; see :class:`rosplc.ros.backend.Publisher`."""
 
     def _count(self, entity: Any) -> int:

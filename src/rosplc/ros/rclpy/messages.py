@@ -1,4 +1,4 @@
-"""Message classes of the ROS installation: found by name, and compared with the bridge's definition.
+"""Classes of the ROS installation: found by a type's name, and compared with the bridge's definition.
 
 The bridge carries bytes by its own definition of a type; the middleware finds its type support by
 the class. Were the two of different definitions, values would stand in the wrong fields.
@@ -7,21 +7,35 @@ the class. Were the two of different definitions, values would stand in the wron
 from __future__ import annotations
 
 import importlib
+import operator
 from typing import Any
 
 from rosplc.errors import BackendError
 from rosplc.model.types import ArrayType, FieldType, MessageType, PrimitiveType, SequenceType, StringType
+from rosplc.ros._base import is_service
 from rosplc.ros.backend import TypeSource
 
 # How rosidl_generator_py writes a field's type (resource/_msg.py.em); `char` is uint8 there.
 _NAMES = {"bool": "boolean", "byte": "octet", "char": "uint8", "float32": "float", "float64": "double"}
 
 
+# Where a class of an action keeps those that rosidl derives.
+_DERIVED = {
+    "SendGoal": "Impl.SendGoalService",
+    "GetResult": "Impl.GetResultService",
+    "FeedbackMessage": "Impl.FeedbackMessage",
+}
+_WORDS = {"msg": "message", "srv": "service", "action": "action"}
+
+
 def message_class(type_name: str) -> Any:
-    """Import the class of ``package/msg/Name``; ROS011 if the ROS installation has no such type."""
-    package, _, name = type_name.split("/")
+    """Import the class of a message or service; ROS011 if the ROS installation has no such type.
+
+    ``package/srv/Name_Request`` is ``Name.Request``; likewise an action's parts.
+    """
+    package, kind, name = type_name.split("/")
     try:
-        module = importlib.import_module(f"{package}.msg")
+        module = importlib.import_module(f"{package}.{kind}")
     except Exception as error:  # whatever a half-installed package raises
         raise BackendError(
             "ROS011",
@@ -29,11 +43,16 @@ def message_class(type_name: str) -> Any:
             remedy=f"Install ros-DISTRO-{package.replace('_', '-')}, or build it with colcon, and source its "
             "setup.bash before the bridge starts.",
         ) from error
-    found = getattr(module, name, None)
-    if found is None:
-        what = f"the installed package {package} has no message {name} ({module.__file__})"
+    base, *parts = [name] if kind == "msg" else name.split("_")
+    if not hasattr(module, base):
+        what = f"the installed package {package} has no {_WORDS[kind]} {base} ({module.__file__})"
         raise BackendError("ROS011", what)
-    if not hasattr(found, "get_fields_and_field_types"):
+    path = ".".join([base, *(_DERIVED.get(part, part) for part in parts)])
+    try:
+        found = operator.attrgetter(path)(module)
+    except AttributeError:
+        found = None
+    if not hasattr(found, "get_fields_and_field_types") and not hasattr(found, "Request"):
         what = f"the package {package} that Python finds is not one of ROS 2 ({module.__file__})"
         remedy = "Keep ROS 1's packages out of PYTHONPATH, and source the setup.bash of ROS 2 last."
         raise BackendError("ROS011", what, remedy=remedy)
@@ -51,7 +70,8 @@ def field_text(kind: FieldType) -> str:
         return "string" if kind.bound is None else f"string<{kind.bound}>"
     if isinstance(kind, PrimitiveType):
         return _NAMES.get(kind.name, kind.name)
-    return kind.name.replace("/msg/", "/")
+    package, _, name = kind.name.split("/")
+    return f"{package}/{name}"
 
 
 class MessageClasses:
@@ -64,7 +84,9 @@ class MessageClasses:
     def __getitem__(self, type_name: str) -> Any:
         """Return a type's class; TYP001, ROS011 if it is not installed, ROS012 if with other fields."""
         if type_name not in self._found:
-            self._compare(self._store[type_name], set())
+            parts = ("_Request", "_Response") if is_service(type_name) else ("",)
+            for part in parts:
+                self._compare(self._store[type_name + part], set())
             self._found[type_name] = message_class(type_name)
         return self._found[type_name]
 

@@ -56,23 +56,31 @@ def guard_takes(executor: Any, refused: Callable[[Any, Exception], None]) -> Non
     """Keep a message that cannot be taken from ending all deliveries.
 
     An empty serialized message makes the middleware's take raise (rmw_cyclonedds). rclpy's executors then
-    never release the subscription and its callback group, which is that of all our subscriptions.
+    never release the entity and its callback group, which is that of all our endpoints.
     """
-    take = executor._take_subscription
-    if hasattr(take, "refused"):
-        take.refused.append(refused)
+    known = getattr(executor._take_subscription, "refused", None)
+    if known is not None:
+        known.append(refused)
         return
+    all_refused = [refused]
+    for what in ("subscription", "service", "client"):
+        take = getattr(executor, f"_take_{what}")
+        # Humble's executor takes a response apart without a look.
+        nothing = (None, None) if what == "client" and hasattr(executor, "_execute_client") else None
+        setattr(executor, f"_take_{what}", _guarded(take, nothing, all_refused))
 
-    def guarded(subscription: Any) -> Any:
+
+def _guarded(take: Callable[[Any], Any], nothing: Any, refused: list[Any]) -> Callable[[Any], Any]:
+    def guarded(entity: Any) -> Any:
         try:
-            return take(subscription)
+            return take(entity)
         except Exception as error:
-            for each in guarded.refused:  # type: ignore[attr-defined]
-                each(subscription, error)
-            return None
+            for each in refused:
+                each(entity, error)
+            return nothing
 
-    guarded.refused = [refused]  # type: ignore[attr-defined]
-    executor._take_subscription = guarded
+    guarded.refused = refused  # type: ignore[attr-defined]
+    return guarded
 
 
 class OwnNode:

@@ -1,11 +1,17 @@
 """A plain rospy program: typed publishers and subscribers, driven by lines on standard input.
 
 Runs in the system's own Python, without anything of rosplc. Commands: ``subscribe TOPIC TYPE QUEUE``,
-``advertise TOPIC TYPE QUEUE LATCH``, ``write TOPIC HEX``, ``matched TOPIC``, ``unadvertise TOPIC``.
-Each answers with a line; a message that arrives prints ``message TOPIC HEX``. Messages go through
-rospy's generated classes, both ways. The end of the input ends the program.
+``advertise TOPIC TYPE QUEUE LATCH``, ``write TOPIC HEX``, ``matched TOPIC``, ``unadvertise TOPIC``,
+``serve SERVICE TYPE``, ``proxy SERVICE TYPE PERSISTENT`` and then ``call SERVICE HEX``, ``unserve SERVICE``.
+Each answers with a line; a message that arrives prints ``message TOPIC HEX``, a request ``message
+request:SERVICE HEX``, and a call's end ``message reply:SERVICE HEX`` or ``message error:SERVICE HEX``.
+Messages go through rospy's generated classes, both ways. The end of the input ends the program.
+
+A server of std_srvs/SetBool answers TRUE with success and "done", and fails with "not now" for FALSE; one
+whose name ends in ``silent`` keeps every caller waiting.
 """
 
+import functools
 import io
 import sys
 import threading
@@ -27,6 +33,24 @@ def receive(message, topic):
     say("message", topic, buffer.getvalue().hex() or "-")
 
 
+def answer(request, service):
+    receive(request, "request:" + service)
+    if service.endswith("silent"):
+        threading.Event().wait()
+    if not request.data:
+        raise rospy.ServiceException("not now")
+    return True, "done"
+
+
+def call(proxy, payload, service):
+    request = proxy.request_class()
+    request.deserialize(payload)
+    try:
+        receive(proxy.call(request), "reply:" + service)
+    except Exception as error:
+        say("message", "error:" + service, str(error).encode().hex())
+
+
 def main():
     rospy.init_node(sys.argv[1], argv=[sys.argv[0]], disable_signals=True)
     endpoints = {}
@@ -45,6 +69,18 @@ def main():
             message = endpoints[topic].data_class()
             message.deserialize(b"" if rest[0] == "-" else bytes.fromhex(rest[0]))
             endpoints[topic].publish(message)
+        elif command == "serve":
+            kind = roslib.message.get_service_class(rest[0])
+            handler = functools.partial(answer, service=topic)
+            endpoints[topic] = rospy.Service(topic, kind, handler, error_handler=lambda *_: None)
+        elif command == "unserve":
+            endpoints.pop(topic).shutdown()
+        elif command == "proxy":
+            kind = roslib.message.get_service_class(rest[0])
+            endpoints[topic] = rospy.ServiceProxy(topic, kind, persistent=rest[1] == "1")
+        elif command == "call":
+            payload = b"" if rest[0] == "-" else bytes.fromhex(rest[0])
+            threading.Thread(target=call, args=(endpoints[topic], payload, topic), daemon=True).start()
         elif command == "unadvertise":
             endpoints.pop(topic).unregister()
         if command == "matched":
