@@ -85,7 +85,7 @@ def test_silence_is_one_error_until_the_bridge_beats(cell: Cell) -> None:
 
 def test_a_second_caller_shows_for_ten_seconds(cell: Cell) -> None:
     """124 is not hidden by what happens next, and goes by itself once the second caller stays away."""
-    path = f"{cell.block('/plain')}.xBusy"
+    path = f"{cell.block('/plain')}.xInside"
     cell.machine.set(path, True)
     cell.scan(step=0)
     assert cell.get("/plain", "udiError", "xError", "udiReentries") == (124, True, 1)

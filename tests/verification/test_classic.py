@@ -359,10 +359,10 @@ def test_the_end_of_the_program_closes_and_keeps_the_names(cell: ClassicCell) ->
 def test_a_second_caller_is_noticed(cell: ClassicCell) -> None:
     """A task that enters an instance which is at work is turned away, and says so."""
     cell.scan()
-    cell.set("/in", "xBusy", True)
+    cell.set("/in", "xInside", True)
     cell.scan()
     assert cell.get("/in", "udiError", "xError") == (124, True)
-    cell.set("/in", "xBusy", False)
+    cell.set("/in", "xInside", False)
 
 
 def test_records_are_what_the_layout_says(cell: ClassicCell) -> None:

@@ -495,12 +495,12 @@ def test_reentry(cell: Cell) -> None:
     """A second task inside an instance is refused with 124, and nothing is touched."""
     writer = cell.channel("/plain").writer()
     cell.until("/plain", "xAttached", True)
-    cell.machine.set(f"{cell.block('/plain')}.xBusy", True)  # as if another task were inside
+    cell.machine.set(f"{cell.block('/plain')}.xInside", True)  # as if another task were inside
     writer.publish(pattern(1))
     cell.machine.scan(READ)
     assert cell.get("/plain", "udiError", "xNew") == (124, False)
     assert cell.record("/plain") == bytes(48)
-    cell.machine.set(f"{cell.block('/plain')}.xBusy", False)
+    cell.machine.set(f"{cell.block('/plain')}.xInside", False)
     cell.machine.scan(READ)
     assert cell.get("/plain", "xNew") is True
 
