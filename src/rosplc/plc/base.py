@@ -37,6 +37,10 @@ _BASE = (
     "RosPlc_Format", "RosPlc_State", "RosPlc_ErrorText", "RosPlc_Fence", "RosPlc_Fenced", "RosPlc_Advance",
     "RosPlc_Distance", "RosPlc_Block", "RosPlc_Channel", "RosPlc_Reader", "RosPlc_Writer",
 )  # fmt: skip
+CALL_NAMES = (
+    "RosPlc_Reason", "RosPlc_Call", "RosPlc_Part", "RosPlc_CallReader", "RosPlc_CallWriter",
+    "RosPlc_CallBlock", "RosPlc_Caller", "RosPlc_Client", "RosPlc_Answerer", "RosPlc_Server",
+)  # fmt: skip
 CLASSIC_NAMES = ("RosPlc_ClassicState", "RosPlc_Classic", "RosPlc_ClassicReader", "RosPlc_ClassicWriter")
 """Names that no generated object may take, whether or not a project has classic topics."""
 _OF_BRIDGES = (
@@ -51,6 +55,7 @@ _COMMON = {
     },
     "bit_patterns": ("FNV_OFFSET", "FNV_PRIME", "CRC_POLYNOMIAL"),
     "errors": tuple(number for number in constants.ErrorNumber if number.name not in _OF_BRIDGES),
+    "reasons": tuple(constants.Reason),
     "titles": {number.value: CODES[f"SHM{number.value}"].title for number in constants.ErrorNumber},
 }
 
@@ -83,6 +88,11 @@ def base_objects(folder: str) -> tuple[Item, ...]:
 def classic_objects(folder: str) -> tuple[Item, ...]:
     """Return the objects that classic blocks extend."""
     return read_objects("classic", CLASSIC_NAMES, folder)
+
+
+def call_objects(folder: str) -> tuple[Item, ...]:
+    """Return the objects that the blocks of services and actions extend."""
+    return read_objects("calls", CALL_NAMES, folder)
 
 
 def read_objects(templates: str, names: Iterable[str], folder: str) -> tuple[Item, ...]:
@@ -135,6 +145,8 @@ def _variable(line: str, where: str) -> Variable:
     code, _, comment = line.strip().partition("; // ")
     declared, _, initial = code.removesuffix(";").partition(" := ")
     name, _, type_ = declared.partition(" : ")
+    if type_.endswith("('')"):  # a channel's block, which learns its topic later
+        return Variable(name, type_.removesuffix("('')"), None, comment, (("sTopic", "''"),))
     if not type_ or not name.isidentifier() or ";" in code[:-1] or not (comment or code.endswith(";")):
         raise ValueError(f"{where}: not a declaration: {line!r}")
     return Variable(name, type_, initial or None, comment)

@@ -7,7 +7,7 @@ a record safe to use (counts within their arrays, strings with an end).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from rosplc.layout import Layout
@@ -43,7 +43,14 @@ class _Step:
 
 
 def block(
-    kind: str, layout: Layout, builder: DutBuilder, name: str, folder: str, *, pins: bool = False
+    kind: str,
+    layout: Layout,
+    builder: DutBuilder,
+    name: str,
+    folder: str,
+    *,
+    pins: bool = False,
+    part: bool = False,
 ) -> Pou:
     """Return a function block of a message type.
 
@@ -54,6 +61,7 @@ def block(
         name: The block's name.
         folder: The object's folder in the project.
         pins: Add a pin for each top-level field, for Ladder and Function Block Diagram.
+        part: The message is a part of a service or action.
     """
     low, high = layout.layout_id_words
     steps = tuple(_mend(layout.root, "stShadow", builder, 0))
@@ -63,6 +71,7 @@ def block(
         layout=layout,
         dut=builder.add(layout),
         name=name,
+        part=part,
         low=f"16#{low:08X}",
         high=f"16#{high:08X}",
         pins=_pins(layout, builder) if pins else [],
@@ -70,6 +79,24 @@ def block(
         mend_variables=[*ends, *((f"udi{depth}", "UDINT") for depth in range(_depth(steps)))],
     )
     found = parse_object(text, name, folder)
+    assert isinstance(found, Pou)
+    return found
+
+
+def call_block(
+    role: str, type_name: str, parts: Mapping[str, tuple[str, str]], name: str, folder: str
+) -> Pou:
+    """Return the function block of a service or action.
+
+    Args:
+        role: What the PLC is, as ``"Client"``.
+        type_name: The service's or action's type.
+        parts: DUT and block of each part.
+        name: The block's name.
+        folder: The object's folder in the project.
+    """
+    named = {part: {"dut": dut, "block": inner} for part, (dut, inner) in parts.items()}
+    found = parse_object(render(f"blocks/{role}.st", type_name=type_name, name=name, **named), name, folder)
     assert isinstance(found, Pou)
     return found
 

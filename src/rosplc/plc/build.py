@@ -6,6 +6,7 @@ that a second generation from the same input gives the same bytes.
 
 from __future__ import annotations
 
+import hashlib
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -17,19 +18,22 @@ from rosplc.errors import GenerationError
 from rosplc.layout import Layout
 from rosplc.model import TypeStore
 from rosplc.plc.base import (
+    CALL_NAMES,
     CLASSIC_NAMES,
     HELPER_NAMES,
     base_objects,
+    call_objects,
     classic_objects,
     helper_objects,
     parse_object,
     render,
 )
-from rosplc.plc.blocks import block
-from rosplc.plc.names import Scope, instance_names, plain_name, string_literal, time_literal
+from rosplc.plc.blocks import block, call_block
+from rosplc.plc.names import Scope, instance_names, plain_name, string_literal, time_literal, type_prefix
 from rosplc.plc.plan import (
     LIBRARY,
     UNKNOWN_BEAT_MS,
+    PlcCall,
     PlcTask,
     PlcTopic,
     ProjectOptions,
@@ -43,6 +47,8 @@ from rosplc.shm import Direction
 
 READ_GVL, WRITE_GVL = "ROS_Read", "ROS_Write"
 """The lists that hold the instances."""
+SERVICE_GVL = "ROS_Services"
+"""The list that holds the instances of services."""
 SAFE_GVL = "ROS_Safe"
 """The list that holds what a message becomes when its source is silent."""
 _PROGRAMS = {
@@ -112,6 +118,8 @@ LONGEST_TOPIC = 255  # ASCII characters: FB_Init of RosPlc_Channel takes a STRIN
 _TOPIC = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+\Z")
 _TASK = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,63}\Z")
 _PREFIX = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,31}\Z")
+_CLIENT = re.compile(r"([A-Za-z][A-Za-z0-9_]{0,31})?\Z")
+_ASKS = ("request", "goal")
 _LIBRARIES: tuple[str, ...] = ("SysShm", "SysMem", "SysTypes2 Interfaces")
 _SETTINGS_GVL = "RosPlc_Settings"
 _SAFE_COMMENT = """What a message becomes while its source is silent, whether or not the bridge lives.
@@ -126,20 +134,46 @@ class _Blocks:
     options: ProjectOptions
     pous: list[Pou] = field(default_factory=list)
     _known: dict[tuple[str, bool, Layout], str] = field(default_factory=dict)
+    _parts: dict[tuple[str, Layout], str] = field(default_factory=dict)
+    _calls: dict[tuple[str | Layout, ...], str] = field(default_factory=dict)
 
     def name(self, layout: Layout, direction: str, classic: bool = False) -> str:
         key = (direction, classic, layout)
         if key not in self._known:
             dut = self.builder.add(layout)
             kind = f"{'Classic' if classic else ''}{direction.capitalize()}"
-            wanted = f"{dut}_{kind}"
-            name = self.builder.scope.give(wanted)
-            if name != wanted:
-                self.builder.renamings.append(Renaming(f"block of {layout.type_name}", wanted, name))
+            name = self._named(f"{dut}_{kind}", layout.type_name)
             folder = f"{self.options.folder}/Blocks"
             self.pous.append(block(kind, layout, self.builder, name, folder, pins=self.options.pins))
             self._known[key] = name
         return self._known[key]
+
+    def of_call(self, call: PlcCall) -> str:
+        """Return the block of a service or action, and build it and those of its parts if need be."""
+        key = (call.role, *call.parts.values())
+        if key not in self._calls:
+            parts = {}
+            folder = f"{self.options.folder}/Blocks"
+            for part, layout in call.parts.items():
+                kind = "Write" if (part in _ASKS) == call.role.endswith("Client") else "Read"
+                dut = self.builder.add(layout)
+                if (kind, layout) not in self._parts:
+                    inner = self._named(f"{dut}_{kind}", layout.type_name)
+                    self._parts[kind, layout] = inner
+                    self.pous.append(block(kind, layout, self.builder, inner, folder, part=True))
+                parts[part] = dut, self._parts[kind, layout]
+            prefix = type_prefix(call.type_name)
+            plain = all(dut == type_prefix(call.parts[part].type_name) for part, (dut, _) in parts.items())
+            own = "" if plain else "_" + hashlib.sha256(repr(key).encode()).hexdigest()[:6]
+            name = self._calls[key] = self._named(f"{prefix}_{call.role}{own}", call.type_name)
+            self.pous.append(call_block(call.role, call.type_name, parts, name, folder))
+        return self._calls[key]
+
+    def _named(self, wanted: str, what: str) -> str:
+        name = self.builder.scope.give(wanted)
+        if name != wanted:
+            self.builder.renamings.append(Renaming(f"block of {what}", wanted, name))
+        return name
 
 
 def build_project(
@@ -149,8 +183,9 @@ def build_project(
     options: ProjectOptions | None = None,
     *,
     layouts: Sequence[Layout] = (),
+    calls: Sequence[PlcCall] = (),
 ) -> PlcProject:
-    """Return the project for a set of topics.
+    """Return the project for a set of topics, services and actions.
 
     Args:
         store: The types.
@@ -158,6 +193,7 @@ def build_project(
         tasks: Every task that a topic names; at most 16.
         options: See :class:`ProjectOptions`.
         layouts: Layouts that get both blocks, whether or not a topic has them.
+        calls: Every use of a service or action once.
 
     Raises:
         GenerationError: PLC003, there are more tasks than the blocks serve; PLC005, two tasks have
@@ -170,13 +206,21 @@ def build_project(
     _check_name(_TASK, options.programs, "programs")
     _check_tasks(tasks)
     _check_topics(topics)
+    for use in calls:
+        _check_ros_name(use.name, "services")
+        _check_name(_CLIENT, use.client, use.name)
     topics = sorted(topics, key=lambda item: item.topic)
     base, libraries = base_objects(f"{options.folder}/Base"), _LIBRARIES
     if any(topic.classic for topic in topics):
         base = (*base, *classic_objects(f"{options.folder}/Base"))
         libraries = (*_LIBRARIES, LIBRARY)
+    if calls:
+        base = (*base, *call_objects(f"{options.folder}/Base"))
     # All objects share one namespace with those that are written by hand.
-    own = (*CLASSIC_NAMES, *HELPER_NAMES, READ_GVL, WRITE_GVL, SAFE_GVL, _SETTINGS_GVL)
+    own = (
+        *CLASSIC_NAMES, *CALL_NAMES, *HELPER_NAMES,
+        READ_GVL, WRITE_GVL, SERVICE_GVL, SAFE_GVL, _SETTINGS_GVL,
+    )  # fmt: skip
     builder = DutBuilder(store, f"{options.folder}/Types", Scope([*(item.name for item in base), *own]))
     blocks = _Blocks(builder, options)
     for layout in sorted(layouts, key=lambda item: item.type_name):
@@ -187,7 +231,7 @@ def build_project(
         for direction in ("read", "write")
     }
     instances: dict[str, list[Variable]] = {"read": [], "write": []}
-    calls: dict[tuple[str, str], list[str]] = {}
+    lines: dict[tuple[str, str], list[str]] = {}
     renamings: list[Renaming] = []
     order = sorted(tasks, key=lambda task: task.name)
     indices = {task.name: index for index, task in enumerate(order)}
@@ -203,8 +247,9 @@ def build_project(
         arguments = tuple((key, string_literal(text)) for key, text in names_of.items())
         instances[topic.direction].append(Variable(name, block_name, None, _what(topic), arguments))
         line = call(name, topic, indices[topic.task], cycles[topic.task])
-        calls.setdefault((topic.direction, topic.task), []).append(line)
-    programs, plc_tasks = programs_of(order, calls, options, builder.scope)
+        lines.setdefault((topic.direction, topic.task), []).append(line)
+    services = _services(calls, blocks, indices, lines, renamings)
+    programs, plc_tasks = programs_of(order, lines, options, builder.scope)
     helpers = helper_objects(store, builder, f"{options.folder}/Helpers")
     hand_written = (*base, *helpers)
     gvls = [*(item for item in base if isinstance(item, Gvl)), _settings(options, order), *builder.constants]
@@ -217,6 +262,11 @@ def build_project(
     one_each = "One function block per topic; programs of the project"
     add_list(READ_GVL, instances["read"], f"{one_each} use their outputs.")
     add_list(WRITE_GVL, instances["write"], f"{one_each} set msg.")
+    add_list(
+        SERVICE_GVL,
+        services,
+        "One function block per use of a service; programs of the project use its pins.",
+    )
     add_list(SAFE_GVL, _safe(topics, names["read"], builder), _SAFE_COMMENT, constant=True)
     return PlcProject(
         options.folder,
@@ -228,6 +278,30 @@ def build_project(
         notes=tuple(_notes(builder, renamings, topics, cycles, options)),
         programs=options.programs,
     )
+
+
+def _services(
+    calls: Sequence[PlcCall],
+    blocks: _Blocks,
+    indices: dict[str, int],
+    lines: dict[tuple[str, str], list[str]],
+    renamings: list[Renaming],
+) -> list[Variable]:
+    """Return the instances of services, and add their calls to the lines of the reading programs."""
+    found = []
+    uses = {f"{use.name}-{use.client}".rstrip("-"): use for use in calls}  # as the objects are named
+    names = instance_names(list(uses))
+    for key, use in sorted(uses.items()):
+        wanted, name = plain_name(key).replace("-", "_"), names[key]
+        if name != wanted:
+            renamings.append(Renaming(f"instance of {key}", wanted, name))
+        arguments = {"sName": use.name, **({"sClient": use.client} if use.role == "Client" else {})}
+        given = tuple((name, string_literal(text)) for name, text in arguments.items())
+        comment = f"{use.type_name} in task {use.task}, the PLC is the {use.role.lower()}"
+        found.append(Variable(name, blocks.of_call(use), None, comment, given))
+        line = f"{SERVICE_GVL}.{name}(uiTask := {indices[use.task]});"
+        lines.setdefault(("read", use.task), []).append(line)
+    return found
 
 
 def build_type_library(
@@ -250,13 +324,18 @@ def _check_tasks(tasks: Sequence[PlcTask]) -> None:
 
 def _check_topics(topics: Sequence[PlcTopic]) -> None:
     for topic in topics:
-        # CODESYS would cut the literal off without a word, and the block look for another object.
-        if len(topic.topic) > LONGEST_TOPIC:
-            what = f"the name has {len(topic.topic)} characters"
-            raise GenerationError("PLC006", what, where=topic.topic[: 2 * LONGEST_TOPIC])
-        _check_name(_TOPIC, topic.topic, "topics")
+        _check_ros_name(topic.topic, "topics")
         if topic.classic is not None:
             check_classic(topic.topic, topic.classic)
+
+
+def _check_ros_name(name: str, where: str) -> None:
+    # CODESYS would cut the literal off without a word, and the block look for another object.
+    if len(name) > LONGEST_TOPIC:
+        raise GenerationError(
+            "PLC006", f"the name has {len(name)} characters", where=name[: 2 * LONGEST_TOPIC]
+        )
+    _check_name(_TOPIC, name, where)
 
 
 def _check_name(pattern: re.Pattern[str], name: str, where: str) -> None:
@@ -338,7 +417,8 @@ def plc_project(project: Project, options: ProjectOptions) -> PlcProject:
     """
     topics, tasks = _topics(project), _tasks(project)
     settings = project.config.settings
-    return build_project(project.store, topics, tasks, replace(options, prefix=settings.prefix))
+    options = replace(options, prefix=settings.prefix)
+    return build_project(project.store, topics, tasks, options, calls=_calls(project))
 
 
 def _on_stale(plan: TopicPlan) -> Literal["hold", "zero", "value"]:
@@ -365,8 +445,22 @@ def _topics(project: Project) -> list[PlcTopic]:
     ]
 
 
+def _calls(project: Project) -> list[PlcCall]:
+    return [
+        PlcCall(
+            name=plan.service,
+            type_name=plan.type_name,
+            role="Server" if plan.server == "plc" else "Client",
+            parts={"request": plan.request, "response": plan.response},
+            task=plan.task,
+            client=plan.client,
+        )
+        for plan in project.services
+    ]
+
+
 def _tasks(project: Project) -> list[PlcTask]:
-    used = {plan.task for plan in project.topics}
+    used = {plan.task for plan in project.topics} | {plan.task for plan in project.services}
     return [
         PlcTask(
             name=name,

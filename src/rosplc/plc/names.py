@@ -50,8 +50,8 @@ def legal(name: str) -> str:
 
 def type_prefix(type_name: str) -> str:
     """Return the name that everything about a type starts with: ``geometry_msgs_Twist``."""
-    package, _, name = type_name.replace("/msg/", "/").partition("/")
-    return legal(f"{package}_{name}")
+    package, _, name = type_name.partition("/")
+    return legal(f"{package}_{name.rpartition('/')[2]}")
 
 
 class Scope:

@@ -6,14 +6,14 @@ from importlib.resources import files
 
 import pytest
 
-from rosplc.plc.base import HELPER_NAMES, base_objects, parse_object, read_objects, render
+from rosplc.plc.base import CALL_NAMES, HELPER_NAMES, base_objects, parse_object, read_objects, render
 from rosplc.plc.names import is_reserved
 from rosplc.plc.project import Gvl, Pou, declaration, object_text
 from tests.unit.plc.projects import JOINTS, project, read, write
 
 TEMPLATES = sorted(
     (folder, path.name.removesuffix(".st"))
-    for folder in ("base", "helpers")
+    for folder in ("base", "calls", "helpers")
     for path in files("rosplc.plc").joinpath(f"templates/{folder}").iterdir()
     if path.name.endswith(".st")
 )
@@ -29,7 +29,8 @@ def test_a_template_comes_out_as_it_was_written(folder, name):
 def test_every_template_is_part_of_a_project():
     """A file that nobody lists would be a block that no project has."""
     base = {item.name for item in base_objects("ROS/Base")}
-    assert {("base", name) for name in base} | {("helpers", name) for name in HELPER_NAMES} == set(TEMPLATES)
+    known = {"base": base, "calls": CALL_NAMES, "helpers": HELPER_NAMES}
+    assert {(folder, name) for folder, names in known.items() for name in names} == set(TEMPLATES)
 
 
 @pytest.mark.parametrize(("folder", "name"), TEMPLATES)

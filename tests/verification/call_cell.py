@@ -1,0 +1,211 @@
+"""What the tests of services and actions share: a generated project, and the bridge's side of its objects."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from rosplc.described import description_of
+from rosplc.plc.build import build_project
+from rosplc.plc.plan import PlcCall, PlcTask, ProjectOptions
+from rosplc.plc.project import project_texts
+from rosplc.shm import Namespace, OwnedChannel, Part
+from rosplc.shm import constants as spec
+from rosplc_st.build import Build, build
+from rosplc_st.machine import LibraryMachine
+from rosplc_st.translator import Options
+from tests.verification.plc_cell import READ, layout_of, store
+
+__all__ = ["CallCell", "Caller", "Server", "Use", "call_build", "call_texts"]
+
+SERVICE = {"request": "std_msgs/msg/Int64", "response": "std_msgs/msg/Int32"}
+LONG = "/" + "/".join(["a_rather_long_part_of_a_name"] * 4)
+USES = {
+    "close": ("/close", "", "Client"),
+    "close_left": ("/close", "left", "Client"),
+    "start": ("/start", "", "Server"),
+    "long": (LONG, "with_a_client", "Client"),
+}
+"""Instance, or what stands for it → service, client, and what the PLC is."""
+
+
+def _instance(use: str) -> str:
+    return "_".join(["a_rather_long_part_of_a_name"] * 4) + "_with_a_client" if use == "long" else use
+
+
+def calls() -> list[PlcCall]:
+    """Return the uses of the cell."""
+    parts = {word: layout_of(name) for word, name in SERVICE.items()}
+    return [
+        PlcCall(name, "test_msgs/srv/Add", role, parts, "Fast" if client else "RosTask", client)  # type: ignore[arg-type]
+        for name, client, role in USES.values()
+    ]
+
+
+@lru_cache
+def call_texts(**target: Any) -> dict[str, str]:
+    """Return the cell's objects; ``target``: further options of the generation."""
+    tasks = [PlcTask("Fast"), PlcTask("RosTask")]
+    return project_texts(build_project(store(), (), tasks, ProjectOptions(**target), calls=calls()))
+
+
+def call_build(
+    name: str = "fences", sabotage: Callable[[dict[str, str]], dict[str, str]] | None = None
+) -> Build:
+    """Return the cell, built: with fences, by the ``delayed`` rule, or for 32 bits with a ``barrier``."""
+    texts = dict(call_texts(fenced=name != "delayed", target="arm" if name == "barrier" else "x86"))
+    defined = ("pou: MemoryBarrier.MemoryBarrier",) if name == "barrier" else ()
+    options = Options(cpu_bits=32 if name == "barrier" else 64, defined=defined)
+    return build(sabotage(texts) if sabotage else texts, options)
+
+
+class Use:
+    """The bridge's side of one use of a service: its objects, and both ends."""
+
+    def __init__(self, cell: CallCell, use: str) -> None:
+        service, client, role = USES[use]
+        server = "plc" if role == "Server" else "ros"
+        self.path = f"ROS_Services.{_instance(use)}"
+        self.cell = cell
+        parts = []
+        for word, type_name in SERVICE.items():
+            part, layout = Part[word.upper()], layout_of(type_name)
+            about = description_of(
+                layout, service, part.direction(server), bridge="test", part=part, client=client
+            )
+            parts.append((about, layout.size))
+        self.channels: Sequence[OwnedChannel] = OwnedChannel.open_together(cell.namespace, parts)
+        cell.uses.append(self)
+
+    def beat(self) -> None:
+        """Show that the bridge lives."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """End as a bridge that is killed: claims stay, the objects too."""
+        self.cell.uses.remove(self)
+        for channel in self.channels:
+            channel.close()
+
+    def retire(self) -> None:
+        """End as a bridge whose service has left the configuration."""
+        self.cell.uses.remove(self)
+        for channel in self.channels:
+            channel.retire()
+
+    def get(self, *names: str) -> Any:
+        """Return pins of the PLC's block: one value, or a tuple."""
+        values = tuple(self.cell.machine.get(f"{self.path}.{name}") for name in names)
+        return values[0] if len(values) == 1 else values
+
+    def set(self, **pins: Any) -> None:
+        """Set inputs of the PLC's block."""
+        for name, value in pins.items():
+            self.cell.machine.set(f"{self.path}.{name}", value)
+
+
+class Server(Use):
+    """The bridge as answerer: the PLC calls."""
+
+    def __init__(self, cell: CallCell, use: str = "close", servers: int = 1) -> None:
+        super().__init__(cell, use)
+        self.requests = self.channels[0].reader(beat_ms=100)
+        self.responses = self.channels[1].writer(beat_ms=100)
+        self.requests.set_sinks(servers)
+        self.responses.set_sources(servers)
+
+    def beat(self) -> None:
+        self.requests.beat()
+        self.responses.beat()
+
+    def take(self) -> tuple[int, int, int] | None:
+        """Return the newest message if it is new: status, correlation and value."""
+        record = bytearray(8)
+        info = self.requests.latest(record)
+        return info and (info.status, info.correlation, struct.unpack("<q", record)[0])
+
+    def answer(
+        self, correlation: int, status: int = spec.ANSWER_DONE, value: int = 0, reason: int = 0
+    ) -> None:
+        """Publish an answer."""
+        self.responses.publish(
+            struct.pack("<i", value), correlation=correlation, status=status, reason=reason
+        )
+
+
+class Caller(Use):
+    """The bridge as caller: the PLC is the server."""
+
+    def __init__(self, cell: CallCell, use: str = "start") -> None:
+        super().__init__(cell, use)
+        self.requests = self.channels[0].writer(beat_ms=100)
+        self.responses = self.channels[1].reader(beat_ms=100)
+        self.number = 0
+        self.first = 0
+
+    def beat(self) -> None:
+        self.requests.beat()
+        self.responses.beat()
+
+    @property
+    def correlation(self) -> int:
+        """Of the newest call."""
+        return self.requests.epoch << 32 | self.number
+
+    def call(self, value: int, client: bytes = bytes(range(16))) -> int:
+        """Publish a call; return its correlation."""
+        self.number += 1
+        self.value = value
+        self.first = self._publish(spec.ASK_CALL, client)
+        return self.correlation
+
+    def withdraw(self, client: bytes = bytes(range(16))) -> bool:
+        """Withdraw the newest call; return whether it may have begun (M26)."""
+        self._publish(spec.ASK_CALL + spec.ASK_WITHDRAWN, client)
+        return self.requests.begun(self.first)
+
+    def _publish(self, status: int, client: bytes) -> int:
+        record = struct.pack("<q", self.value)
+        return self.requests.publish(record, correlation=self.correlation, status=status, client=client)
+
+    def answer(self) -> tuple[int, int, int, int] | None:
+        """Return the newest answer if it is new: status, correlation, value and reason."""
+        record = bytearray(4)
+        info = self.responses.latest(record)
+        if info is None:
+            return None
+        assert info.client == bytes(range(16)), "the answer repeats the client's bytes"
+        return info.status, info.correlation, struct.unpack("<i", record)[0], info.reason
+
+
+class CallCell:
+    """A folder of shared memory, the bridge's objects in it, and a PLC."""
+
+    def __init__(self, folder: Path, built: Build | None = None) -> None:
+        self.namespace = Namespace("rosplc", str(folder))
+        self.uses: list[Use] = []
+        self.machine = LibraryMachine(built or call_build(), str(folder))
+        self.machine.start()
+
+    def close(self) -> None:
+        """Let go of the objects."""
+        for use in list(self.uses):
+            use.close()
+
+    def scan(self, count: int = 1, step: int = 10, *, beats: bool = True) -> None:
+        """Run both tasks' programs; ``beats``: the bridge beats before each scan."""
+        for _ in range(count):
+            for use in self.uses if beats else ():
+                use.beat()
+            self.machine.scan(f"{READ}_Fast", f"{READ}_RosTask", step=step)
+
+    def until(self, condition: Callable[[], Any], scans: int = 1000, *, beats: bool = True) -> Any:
+        """Scan until a condition holds; return its value."""
+        for _ in range(scans):
+            if value := condition():
+                return value
+            self.scan(beats=beats)
+        raise AssertionError(f"not within {scans} scans")
