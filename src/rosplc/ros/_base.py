@@ -380,20 +380,17 @@ class KeepingServer(BaseServer):
         with self._lock:
             self._callers[caller] = origin
             if len(self._callers) > MOST_CALLERS:
-                self._drop(self._callers.popitem(last=False)[1])
+                self._callers.popitem(last=False)
                 self._dropped += 1
         self.deliver(payload, caller, stamp_ns)
 
     def _answer(self, caller: bytes, origin: Any, payload: bytes) -> bool:
-        """Send a response; False if the caller has gone. ``origin`` is None for an unknown caller."""
+        """Send a response, without the lock; False if the caller has gone. No ``origin``: unknown caller."""
         raise NotImplementedError
 
     def _waits(self, caller: bytes, origin: Any) -> bool:
         """Return whether a caller still waits; ``origin`` is None for an unknown caller."""
         raise NotImplementedError
-
-    def _drop(self, origin: Any) -> None:
-        """Give back what was kept of a caller that gets no response."""
 
     def reply(self, caller: bytes, payload: bytes) -> bool:
         """Send a response; see :meth:`rosplc.ros.backend.ServiceServer.reply`."""
@@ -401,17 +398,20 @@ class KeepingServer(BaseServer):
         with self._lock:
             if self.closed:
                 raise self._closed()
-            sent = self._answer(caller, self._callers.get(caller), data)
-            self._callers.pop(caller, None)
-            return sent
+            origin = self._callers.pop(caller, None)
+        try:
+            return self._answer(caller, origin, data)
+        except BackendError:
+            with self._lock:
+                if origin is not None and not self.closed:
+                    self._callers[caller] = origin  # another response may fit
+            raise
 
     def refuse(self, caller: bytes, text: str) -> bool:
         """End a call without a response; ROS 2 has no way to tell the client why."""
         with self._lock:
             origin = self._callers.pop(caller, None)
-            there = not self.closed and self._waits(caller, origin)
-            self._drop(origin)
-            return there
+            return not self.closed and self._waits(caller, origin)
 
     def present(self, caller: bytes) -> bool:
         """Return whether a caller still waits, as far as the middleware knows."""
@@ -421,9 +421,7 @@ class KeepingServer(BaseServer):
     def close(self) -> None:
         """Stop serving; after the return no callback runs or starts (unless called from it)."""
         super().close()
-        with self._lock:
-            while self._callers:
-                self._drop(self._callers.popitem()[1])
+        self._callers.clear()
 
 
 _call_numbers = itertools.count(1)  # of this process: a client that is opened again repeats none

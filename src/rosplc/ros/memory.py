@@ -210,7 +210,13 @@ class MemoryBackend(BaseNode):
     def _judge(self, endpoint: _Endpoint) -> tuple[bool, list[Problem]]:
         with _graph:
             others = endpoint.others()
-            return bool(others), [*filter(None, (_base.explain(other.info, endpoint) for other in others))]
+            problems = [_base.explain(other.info, endpoint) for other in others]
+            if endpoint.serves:
+                nodes = [end for node in _domains.get(self.domain, []) for end in node.endpoints()]
+                same = [end for end in nodes if end.serves and end.topic == endpoint.topic]
+                servers = [end for end in same if end.direction == "in" and end is not endpoint]
+                problems.append(_base.several(endpoint, [f"node {end.info.node}" for end in servers]))
+            return bool(others), [*filter(None, problems)]
 
     def graph(self) -> GraphInfo:
         """Return what is seen of the other nodes."""

@@ -49,7 +49,7 @@ class Subscription:
     def counts(self) -> tuple[int, int]:
         """Hand everything over; return delivered and dropped."""
         for _ in range(5000):
-            self.subscription.deliver()
+            self.subscription.deliver_next()
         status = self.subscription.status()
         return status.received, status.dropped
 

@@ -92,9 +92,13 @@ def test_node_token() -> None:
     assert parse_token(node.token) == node
 
 
-def test_services_are_passed_over() -> None:
-    """Tokens of services and clients are no defect, and no part of topics."""
-    assert parse_token(TOKEN.replace("/MP/", "/SS/")) is None
+def test_services_are_kept_apart() -> None:
+    """Tokens of servers and clients are read as others are, and are no part of topics."""
+    table, token = TokenTable(), TOKEN.replace("/MP/", "/SS/")
+    assert table.appeared(token) == parse_token(TOKEN).topic
+    assert [one.token for one in table.on(parse_token(token).topic, "SS")] == [token]
+    assert table.on(parse_token(token).topic, "MP") == ()
+    assert table.graph("").endpoints == ()
 
 
 HOSTILE = [

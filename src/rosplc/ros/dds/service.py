@@ -201,7 +201,8 @@ class DdsServer(KeepingServer, _Service):
         if self._reached(origin):
             readers = origin is not None or self.peers(replying=True)
             return bool(readers) and self._write(payload, *_CALLER.unpack(caller))
-        self._pending.append(_Pending(self._clock.monotonic_ns(), caller, origin, payload))
+        with self._lock:
+            self._pending.append(_Pending(self._clock.monotonic_ns(), caller, origin, payload))
         self._node.hurry(self)
         return True
 

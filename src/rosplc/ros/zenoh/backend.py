@@ -11,21 +11,21 @@ from typing import Any
 import zenoh
 
 from rosplc.errors import BackendError
-from rosplc.ros._base import BaseNode, Context, Problem, domain_number, opener
-from rosplc.ros.backend import GraphInfo, OnMessage, Qos
-from rosplc.ros.zenoh.endpoint import ZenohPublisher, ZenohSubscription
-from rosplc.ros.zenoh.keys import NO_TYPE_HASH, Entity, Kind, TokenTable, explain, tokens_of_domain
+from rosplc.ros._base import BaseNode, Context, Problem, domain_number, opener, several
+from rosplc.ros.backend import GraphInfo, OnMessage, OnRequest, Qos
+from rosplc.ros.zenoh.endpoint import Endpoint, ZenohPublisher, ZenohSubscription
+from rosplc.ros.zenoh.keys import NO_TYPE_HASH, OTHER, Entity, Kind, TokenTable, explain, tokens_of_domain
+from rosplc.ros.zenoh.service import ZenohClient, ZenohServer
 from rosplc.ros.zenoh.session import Link, session_config
 
 _TICK_S = 0.5  # how often the receive thread looks at what has no event of its own
-
-ZenohEndpoint = ZenohSubscription | ZenohPublisher
 
 
 class ZenohBackend(BaseNode):
     """One ROS 2 node on Zenoh; see :class:`rosplc.ros.backend.Backend`."""
 
     name = "zenoh"
+    capabilities = frozenset({"topics", "services"})
     logger = logging.getLogger("rosplc.ros.zenoh")
 
     def __init__(self, context: Context) -> None:
@@ -37,7 +37,7 @@ class ZenohBackend(BaseNode):
         self._session_id = ""
         self._declared: list[Any] = []
         self._numbers = itertools.count(1)
-        self._arrived: queue.SimpleQueue[ZenohSubscription | None] = queue.SimpleQueue()
+        self._arrived: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self.wake = self._arrived.put
         self._suspects: set[str] = set()
         config = session_config(context.options, context.environment)
@@ -94,12 +94,26 @@ class ZenohBackend(BaseNode):
             self._adopt(publisher)
         return publisher
 
+    def serve(self, service: str, type_name: str, qos: Qos, on_request: OnRequest) -> ZenohServer:
+        """Serve a service; see :meth:`rosplc.ros.backend.Backend.serve`."""
+        with self._lock:
+            server = ZenohServer(on_request, self, self._details("SS", service, type_name, qos))
+            self._adopt(server)
+        return server
+
+    def client(self, service: str, type_name: str, qos: Qos) -> ZenohClient:
+        """Call a service; see :meth:`rosplc.ros.backend.Backend.client`."""
+        with self._lock:
+            client = ZenohClient(self, self._details("SC", service, type_name, qos))
+            self._adopt(client)
+        return client
+
     def _details(self, kind: Kind, topic: str, type_name: str, qos: Qos) -> Entity:
         full, name = self._resolve(topic, type_name)
-        type_hash = self._store.type_hash(name) if self._hashes else NO_TYPE_HASH
+        type_hash = self._hash(name) if self._hashes else NO_TYPE_HASH
         return self._entity(kind, str(next(self._numbers)), full, name, type_hash, qos)
 
-    def _adopt(self, endpoint: ZenohEndpoint) -> None:
+    def _adopt(self, endpoint: Endpoint) -> None:
         if self._session is not None:
             try:
                 endpoint.declare(self._session, endpoint.entity)
@@ -115,10 +129,10 @@ class ZenohBackend(BaseNode):
         next_tick = 0
         while True:
             try:
-                subscription = self._arrived.get(timeout=_TICK_S)
-                if subscription is None:
+                endpoint = self._arrived.get(timeout=_TICK_S)
+                if endpoint is None:
                     return
-                subscription.deliver_next()
+                endpoint.deliver_next()
             except queue.Empty:
                 pass
             if (now := self.clock.monotonic_ns()) >= next_tick:
@@ -135,7 +149,7 @@ class ZenohBackend(BaseNode):
         except Exception:  # a defect; but the topics have to go on
             self.logger.exception("the receive thread of %s had an error", self.node)
 
-    def _log(self, endpoint: ZenohEndpoint) -> None:
+    def _log(self, endpoint: Endpoint) -> None:
         for code, reason in self._problems(endpoint.entity):
             if self._logged.first((endpoint.topic, reason)):
                 self.logger.warning("%s%s", reason, f" [{code}]" if code else "")
@@ -143,15 +157,19 @@ class ZenohBackend(BaseNode):
     # -- what is wrong
 
     def others(self, ours: Entity) -> tuple[Entity, ...]:
-        """Return the endpoints of the other direction on the topic of ours."""
-        return self.tokens.on(ours.topic, "MP" if ours.kind == "MS" else "MS")
+        """Return the endpoints that ours may exchange messages with."""
+        return self.tokens.on(ours.topic, OTHER[ours.kind])
 
     def _problems(self, ours: Entity) -> list[Problem]:
         return sorted(filter(None, (explain(ours, theirs) for theirs in self.others(ours))), reverse=True)
 
-    def _judge(self, endpoint: ZenohEndpoint) -> tuple[bool, list[Problem]]:
+    def _judge(self, endpoint: Endpoint) -> tuple[bool, list[Problem]]:
         trouble = self._link.trouble
         problems = [*self._problems(endpoint.entity), *([("ROS016", trouble)] if trouble else ())]
+        if endpoint.serves:
+            servers = self.tokens.on(endpoint.topic, "SS")
+            others = [f"node {one.full_name}" for one in servers if one.token != endpoint.entity.token]
+            problems += filter(None, [several(endpoint, others)])
         return bool(self.others(endpoint.entity)), problems
 
     def graph(self) -> GraphInfo:

@@ -22,7 +22,7 @@ _SENDERS = 1024  # publishers whose sequence numbers a subscription remembers
 _MOST_LOST = 1 << 20  # a larger step in the sequence is no loss but nonsense, and counting begins again
 
 
-class _Endpoint(BaseEndpoint):
+class Endpoint(BaseEndpoint):
     """What both directions have in common; the session's id is filled in by :meth:`declare`."""
 
     def __init__(self, node: Any, entity: Entity) -> None:
@@ -78,17 +78,40 @@ class _Endpoint(BaseEndpoint):
                 self._node.logger.debug("%s: %s", self.topic, error)
 
 
-def _read(sample: Any) -> tuple[bytes, Attachment]:
-    """Return payload and attachment; ValueError if no ROS 2 node would send such a sample."""
-    if sample.kind != zenoh.SampleKind.PUT or sample.attachment is None:
+def read(payload: Any, attachment: Any) -> tuple[bytes, Attachment]:
+    """Return payload and attachment; ValueError if no ROS 2 node would send them."""
+    if payload is None or attachment is None:
         raise ValueError("it has no attachment, as every ROS message has")
-    payload = sample.payload.to_bytes()
-    if not is_cdr(payload):
+    data: bytes = payload.to_bytes()
+    if not is_cdr(data):
         raise ValueError("it has no header of plain CDR")
-    return payload, unpack(sample.attachment.to_bytes())
+    return data, unpack(attachment.to_bytes())
 
 
-class ZenohSubscription(QueuedSubscription, _Endpoint):
+class Sender(Endpoint):
+    """An endpoint that the library sends from; ``_route`` knows whether somebody receives."""
+
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self._route: Any = None
+        self._asking = threading.Lock()  # the library's objects refuse to be withdrawn while they are asked
+        self._gid = b""
+
+    def _connected(self) -> bool:
+        try:
+            with self._asking:
+                # Tokens overtake the declarations that open the way; before, the library sends nothing.
+                return self._route is not None and bool(self._route.matching_status.matching)
+        except zenoh.ZError:
+            return False  # it is being closed
+
+    def _withdraw(self, declared: list[Any]) -> None:
+        with self._asking:
+            self._route = None
+        super()._withdraw(declared)
+
+
+class ZenohSubscription(QueuedSubscription, Endpoint):
     """A topic being received; see :class:`rosplc.ros.backend.Subscription`.
 
     Threads of the library put messages into a queue of ``depth``, where the oldest give way; the
@@ -116,7 +139,8 @@ class ZenohSubscription(QueuedSubscription, _Endpoint):
     def arrived(self, sample: Any) -> None:
         """Queue a message; called by threads of the library, so nothing may escape."""
         try:
-            payload, (sequence, stamp_ns, gid) = _read(sample)
+            put = sample.kind == zenoh.SampleKind.PUT
+            payload, (sequence, stamp_ns, gid) = read(sample.payload if put else None, sample.attachment)
         except Exception as error:
             self.reject(error)
             return
@@ -141,7 +165,7 @@ class ZenohSubscription(QueuedSubscription, _Endpoint):
             self._sequences.popitem(last=False)
 
 
-class ZenohPublisher(BasePublisher, _Endpoint):
+class ZenohPublisher(BasePublisher, Sender):
     """A topic being sent; see :class:`rosplc.ros.backend.Publisher`.
 
     Zenoh drops a message for a peer whose link is full without a report: what ``dropped`` counts
@@ -151,9 +175,6 @@ class ZenohPublisher(BasePublisher, _Endpoint):
     def __init__(self, node: Any, entity: Entity) -> None:
         super().__init__(node, entity)
         self._zenoh: Any = None
-        self._route: Any = None  # knows whether there is a subscriber; an "advanced" publisher does not
-        self._asking = threading.Lock()  # the library's objects refuse to be withdrawn while they are asked
-        self._gid = b""
         self._sequence = 0
         latched = self.qos.depth if self.qos.durability == "transient_local" else 0
         self._early: deque[tuple[bytes, int]] = deque(maxlen=latched)  # written before there is a session
@@ -179,24 +200,11 @@ class ZenohPublisher(BasePublisher, _Endpoint):
                 sample_miss_detection=detection if reliable else None,
                 **how,
             )
-        with self._lock:
+        with self._lock:  # the route: an "advanced" publisher does not know whether there is a subscriber
             self._zenoh, self._route, self._gid = publisher, route, gid_of(self.entity.token)
             while self._early:
                 self._put(*self._early.popleft())
         return [publisher] if publisher is route else [publisher, route]
-
-    def _connected(self) -> bool:
-        try:
-            with self._asking:
-                # Tokens overtake the declarations that open the way; before, the library sends nothing.
-                return self._route is not None and bool(self._route.matching_status.matching)
-        except zenoh.ZError:
-            return False  # it is being closed
-
-    def _withdraw(self, declared: list[Any]) -> None:
-        with self._asking:
-            self._route = None
-        super()._withdraw(declared)
 
     def write(self, payload: bytes, stamp_ns: int | None = None) -> bool:
         """Send one message; see :meth:`rosplc.ros.backend.Publisher.write`."""

@@ -34,7 +34,13 @@ NO_TYPE_HASH = "TypeHashNotSupported"  # Stands for the type hash on Humble, whi
 LONGEST_TOKEN = 2048  # Characters of a token; ROS' own names leave it far below.
 MOST_TOKENS = 65_536  # Nodes and endpoints that are kept in mind; far above any real graph.
 
-Kind = Literal["NN", "MP", "MS"]  # A node, a publisher, a subscription.
+Kind = Literal["NN", "MP", "MS", "SC", "SS"]  # A node, a publisher, a subscription, a client, a server.
+OTHER: dict[Kind, Kind] = {
+    "MP": "MS",
+    "MS": "MP",
+    "SC": "SS",
+    "SS": "SC",
+}  # What each exchanges messages with.
 
 _TYPE = re.compile(r"[A-Za-z0-9_:/]{1,255}\Z")
 _HASH = re.compile(r"[A-Za-z0-9_]{1,128}\Z")
@@ -44,7 +50,7 @@ _NODE_PARTS, _ENDPOINT_PARTS = 9, 13  # later releases may append more
 
 
 def topic_key(domain: int, topic: str, type_name: str, type_hash: str) -> str:
-    """Return the key that a topic's messages are put on."""
+    """Return the key that a topic's messages are put on, or that a service's requests are sent to."""
     return f"{domain}/{topic.strip('/')}/{names.dds_type_name(type_name)}/{type_hash}"
 
 
@@ -156,7 +162,7 @@ class Entity:
     @property
     def info(self) -> EndpointInfo:
         """The endpoint, with the type hash as it is."""
-        direction: Literal["in", "out"] = "out" if self.kind == "MP" else "in"
+        direction: Literal["in", "out"] = "out" if self.kind in ("MP", "SC") else "in"
         qos = self.qos or Qos()
         return EndpointInfo(self.topic, self.type_name, direction, self.full_name, qos, self.type_hash)
 
@@ -185,16 +191,14 @@ def gid_of(token: str) -> bytes:
     return int(xxhash.xxh3_128_intdigest(token.encode())).to_bytes(16, "little")
 
 
-def parse_token(token: str) -> Entity | None:
-    """Read a token; None for services and clients, ValueError if it is not what a ROS node announces."""
+def parse_token(token: str) -> Entity:
+    """Read a token; ValueError if it is not what a ROS node announces."""
     if len(token) > LONGEST_TOKEN:
         raise ValueError(f"it has {len(token)} characters")
     parts = token.split("/")
     if len(parts) < _NODE_PARTS or parts[0] != _SPACE:
         raise ValueError(f"it has {len(parts)} parts")
     domain, session, node_id, entity_id, kind, _enclave, namespace, node = parts[1:_NODE_PARTS]
-    if kind in ("SS", "SC"):
-        return None
     if not domain.isascii() or not domain.isdigit() or len(domain) > 10:
         raise ValueError("its domain is no number")
     if not all(map(_ID.match, (session, node_id, entity_id))):
@@ -205,7 +209,7 @@ def parse_token(token: str) -> Entity | None:
         names.validate_namespace(namespace := _demangle(namespace) or "/")
         names.validate_node_name(node := _demangle(node))
         if kind != "NN":
-            if kind not in ("MP", "MS"):
+            if kind not in OTHER:
                 raise ValueError("it is of no known kind")
             if len(parts) < _ENDPOINT_PARTS:
                 raise ValueError("it names no topic")
@@ -246,8 +250,6 @@ class TokenTable:
             text = "a node announces itself with %.300r, which no ROS node would: %s"
             logging.getLogger("rosplc.ros.zenoh").log(level, text, token, error)
             return None
-        if entity is None:
-            return None
         with self._lock:
             if len(self._entities) >= MOST_TOKENS and token not in self._entities:
                 self.malformed += 1
@@ -270,9 +272,14 @@ class TokenTable:
             return entity.topic
 
     def on(self, topic: str, kind: Kind) -> tuple[Entity, ...]:
-        """Return the publishers (``MP``) or subscriptions (``MS``) of a topic, our own among them."""
+        """Return the endpoints of one kind on a topic or service, our own among them."""
         with self._lock:
             return tuple(self._by_topic.get((topic, kind), {}).values())
+
+    def gids(self, topic: str, kind: Kind) -> set[bytes]:
+        """Return the ids of these endpoints, as their tokens give them."""
+        with self._lock:
+            return set(map(gid_of, self._by_topic.get((topic, kind), {})))
 
     def clear(self) -> None:
         """Forget everything."""
@@ -284,7 +291,7 @@ class TokenTable:
         """Return the graph without the entities of one session, our own."""
         with self._lock:
             others = [entity for entity in self._entities.values() if entity.session != own]
-        infos = [entity.info for entity in others if entity.qos is not None]
+        infos = [entity.info for entity in others if entity.kind in ("MP", "MS")]
         infos = [replace(one, type_hash="") if one.type_hash == NO_TYPE_HASH else one for one in infos]
         return _base.graph_info((entity.full_name for entity in others if entity.kind == "NN"), infos)
 
