@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import ClassVar, Literal
 
 from rosplc.config.file import Config
 from rosplc.config.plans import checked_record
@@ -59,10 +59,17 @@ class ServicePlan:
     truncate: bool = False
     qos: Qos = SERVICES
 
+    port: ClassVar[Literal["channel"]] = "channel"
+
     @property
     def name(self) -> str:
-        """What people call it: the service, and the client behind a blank if it has a name."""
-        return f"{self.service} {self.client}".rstrip()
+        """What people call it; no other topic or service of the configuration has it."""
+        return f"service {self.service} {self.client}".rstrip()
+
+    @property
+    def layouts(self) -> tuple[Layout, ...]:
+        """The layouts of its messages."""
+        return (self.request, self.response)
 
 
 def service_plans(config: Config, store: TypeStore, problems: Problems) -> tuple[ServicePlan, ...]:
@@ -112,8 +119,7 @@ def _layouts(
     defaults, found = config.settings.limits, len(problems)
     key: tuple[str, ...] = ("services", service, "type")
     try:
-        known: Any = store
-        kind = known.service(entry.type)
+        kind = store.service(entry.type)
     except RosplcError as error:
         problems.add(relocated(error, config.source.place(key)), config.source.line(key))
         return None

@@ -1,0 +1,168 @@
+"""The section ``services``: plans for each use, and everything that can be wrong with one."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jsonschema
+import pytest
+
+from rosplc.config import ConfigErrors, json_schema, parse_config, resolve
+from rosplc.config.resolve import Project
+from rosplc.ros import SERVICES
+
+TRIGGER = "std_srvs/srv/Trigger"
+SET_BOOL = "std_srvs/srv/SetBool"
+
+
+def project(services: str, more: str = "") -> Project:
+    return resolve(parse_config(f"{more}\nservices:\n{services}", name="c.yaml"))
+
+
+def errors_of(services: str, more: str = "") -> list[tuple[str, str, str]]:
+    """Return code, place and text of everything wrong."""
+    with pytest.raises(ConfigErrors) as caught:
+        project(services, more)
+    return [(error.code, error.where, error.what) for error in caught.value.errors]
+
+
+def test_a_service_of_the_plc() -> None:
+    made = project(f"  /cell/start: {{type: {SET_BOOL}, server: plc}}\n")
+    (plan,) = made.services
+    assert (plan.service, plan.type_name, plan.server, plan.client) == ("/cell/start", SET_BOOL, "plc", "")
+    assert (plan.request.type_name, plan.response.type_name) == (
+        f"{SET_BOOL}_Request",
+        f"{SET_BOOL}_Response",
+    )
+    assert (plan.task, plan.depth, plan.per_client) == ("RosTask", 16, 4)
+    assert (plan.min_interval_ns, plan.expire_ns, plan.fallback) == (0, 5 * 10**9, None)
+    assert (plan.truncate, plan.qos, plan.name) == (False, SERVICES, "service /cell/start")
+    assert made.topics == ()
+
+
+def test_all_keys_of_a_service_of_the_plc() -> None:
+    (plan,) = project(
+        "  /a: {type: std_srvs/SetBool, server: plc, task: Fast, depth: 3, rate_limit: 10ms,\n"
+        "       expire_after: 200ms, on_overflow: truncate, fallback: {message: down}}\n",
+        "tasks: {Slow: {}, Fast: {interval: 1ms}}",
+    ).services
+    assert (plan.type_name, plan.task, plan.depth, plan.per_client) == (SET_BOOL, "Fast", 3, 1)
+    assert (plan.min_interval_ns, plan.expire_ns, plan.truncate) == (10_000_000, 200_000_000, True)
+    assert plan.fallback is not None
+    found = plan.response.to_dict(plan.fallback)
+    assert found == {"success": False, "message": "down"}
+
+
+def test_each_client_is_a_use_of_its_own() -> None:
+    """A list of names, or names with a task; a topic may have the service's name."""
+    made = project(
+        f"  /grip: {{type: {TRIGGER}, server: ros, task: Fast, clients: [pick, place]}}\n"
+        f"  /open: {{type: {TRIGGER}, server: ros, clients: {{left: {{task: Fast}}, right: {{}}}}}}\n"
+        f"  /shut: {{type: {TRIGGER}, server: ros}}\n"
+        "topics:\n  /grip: {type: std_msgs/msg/Bool, to: plc}\n",
+        "tasks: {Slow: {}, Fast: {interval: 1ms}}",
+    )
+    assert [(plan.service, plan.client, plan.task) for plan in made.services] == [
+        ("/grip", "pick", "Fast"),
+        ("/grip", "place", "Fast"),
+        ("/open", "left", "Fast"),
+        ("/open", "right", "Slow"),
+        ("/shut", "", "Slow"),
+    ]
+    assert made.services[0].name == "service /grip pick"
+
+
+def test_limits_by_part() -> None:
+    (plan,) = project(
+        f"  /a: {{type: {SET_BOOL}, server: plc, limits: {{response.message: 12}}}}\n",
+    ).services
+    (other,) = project(f"  /a: {{type: {SET_BOOL}, server: plc, limits: {{string: 7}}}}\n").services
+    capacities = [
+        {path: node.capacity for path, _, node in layout.fields() if path == "message"}  # type: ignore[union-attr]
+        for layout in (plan.response, other.response)
+    ]
+    assert capacities == [{"message": 12}, {"message": 7}]
+
+
+@pytest.mark.parametrize(
+    ("entry", "code", "place", "words"),
+    [
+        ("type: no_srvs/srv/None, server: ros", "TYP001", "services./a.type", "no_srvs"),
+        ("type: 'std_srvs/srv/', server: ros", "CFG004", "services./a.type", "package/srv/Name"),
+        ("type: {T}", "CFG005", "services./a.server", "'server' is missing"),
+        ("server: plc", "CFG005", "services./a.type", "'type' is missing"),
+        ("type: {T}, server: robot", "CFG004", "services./a.server", "'robot' is not valid"),
+        ("type: {T}, server: plc, dept: 3", "CFG003", "services./a.dept", "did you mean 'depth'"),
+        ("type: {T}, server: plc, depth: 0", "CFG004", "services./a.depth", "greater than or equal to 1"),
+        (
+            "type: {T}, server: plc, depth: 2, per_client: 3",
+            "CFG004",
+            "services./a.per_client",
+            "more than depth",
+        ),
+        ("type: {T}, server: plc, expire_after: 2h", "CFG004", "services./a.expire_after", "not between"),
+        ("type: {T}, server: plc, task: No", "CFG004", "services./a.task", "there is no task 'No'"),
+        ("type: {T}, server: plc, clients: [a]", "CFG004", "services./a.clients", "in ROS"),
+        ("type: {T}, server: ros, depth: 3", "CFG004", "services./a.depth", "`server: plc`"),
+        ("type: {T}, server: ros, rate_limit: 5Hz", "CFG004", "services./a.rate_limit", "`server: plc`"),
+        ("type: {T}, server: ros, fallback: {}", "CFG004", "services./a.fallback", "`server: plc`"),
+        ("type: {T}, server: ros, clients: [a, a]", "CFG004", "services./a.clients", "different names"),
+        ("type: {T}, server: ros, clients: [a-b]", "CFG004", "services./a.clients", "a letter"),
+        ("type: {T}, server: ros, clients: [a, A]", "CFG007", "services./a.clients.A", "one name in the PLC"),
+        (
+            "type: {T}, server: ros, clients: {a: {task: No}}",
+            "CFG004",
+            "services./a.clients.a.task",
+            "no task",
+        ),
+        (
+            "type: {T}, server: plc, limits: {success: 3}",
+            "CFG004",
+            "services./a.limits.success",
+            "no field",
+        ),
+        (
+            "type: {T}, server: plc, limits: {response.no: 3}",
+            "LAY002",
+            "services./a.limits.response.no",
+            "no",
+        ),
+        ("type: {T}, server: plc, limits: {string: 0}", "LAY001", "services./a.limits.string", "0"),
+        ("type: {T}, server: plc, fallback: {ok: true}", "CFG004", "services./a.fallback", "ok"),
+        (
+            "type: {T}, server: plc, limits: {string: 3}, fallback: {message: long}",
+            "CFG004",
+            "services./a.fallback.message",
+            "4 bytes",
+        ),
+    ],
+)
+def test_what_is_wrong_is_named_with_its_key(entry: str, code: str, place: str, words: str) -> None:
+    ((found, where, what),) = errors_of(f"  /a: {{{entry.replace('{T}', TRIGGER)}}}\n")
+    assert (found, where.rpartition(" ")[2]) == (code, place)
+    assert where.startswith("c.yaml:3")
+    assert words in what
+
+
+@pytest.mark.parametrize("name", ["/arm/_action/send_goal", "/a/_service_event"])
+def test_names_that_ros_makes_itself(name: str) -> None:
+    ((code, _, what),) = errors_of(f"  {name}: {{type: {TRIGGER}, server: plc}}\n")
+    assert code == "CFG004"
+    assert "ROS' own" in what
+
+
+@pytest.mark.parametrize(
+    ("services", "valid"),
+    [
+        ({"/a": {"type": TRIGGER, "server": "ros", "clients": ["x", "y"]}}, True),
+        ({"/a": {"type": TRIGGER, "server": "ros", "clients": {"x": {"task": "T"}}}}, True),
+        ({"/a": {"type": TRIGGER, "server": "plc", "fallback": {"success": False}}}, True),
+        (None, True),
+        ({"/a": {"type": TRIGGER, "server": "ros", "clients": ["x-y"]}}, False),
+        ({"/a": {"type": TRIGGER}}, False),
+        ({"a": {"type": TRIGGER, "server": "ros"}}, False),
+    ],
+)
+def test_schema(services: Any, valid: bool) -> None:
+    check = jsonschema.Draft202012Validator(json_schema())
+    assert check.is_valid({"services": services}) is valid
