@@ -9,7 +9,7 @@ from __future__ import annotations
 from rosplc._core import Group, Reader, Region, SlotInfo, Writer, distance
 from rosplc.shm.attach import Attached, attach
 from rosplc.shm.calls import Answerer, Caller
-from rosplc.shm.claims import Liveness, ReaderClaim, WriterClaim
+from rosplc.shm.claims import Liveness, Peer, ReaderClaim, WriterClaim
 from rosplc.shm.constants import Direction
 from rosplc.shm.description import Description
 from rosplc.shm.header import Identity
@@ -31,6 +31,7 @@ __all__ = [
     "Namespace",
     "OwnedChannel",
     "Part",
+    "Peer",
     "Reader",
     "ReaderClaim",
     "ReaderState",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from rosplc.virtual_plc.call_blocks import ServiceClient, ServiceServer
 from rosplc.virtual_plc.read_block import OnStale, ReadBlock
 from rosplc.virtual_plc.task import CycleStats, Program, Task, TaskState, VirtualPlc
 from rosplc.virtual_plc.write_block import Message, WriteBlock
@@ -12,6 +13,8 @@ __all__ = [
     "OnStale",
     "Program",
     "ReadBlock",
+    "ServiceClient",
+    "ServiceServer",
     "Task",
     "TaskState",
     "VirtualPlc",

@@ -14,8 +14,7 @@ from contextlib import contextmanager
 from rosplc.described import described_layout, layout_of
 from rosplc.errors import ChannelError
 from rosplc.layout import Layout
-from rosplc.shm import Attached, Direction, Liveness, Namespace, attach
-from rosplc.shm.claims import silence_ns
+from rosplc.shm import Attached, Direction, Namespace, Part, Peer, attach
 from rosplc.shm.constants import ErrorNumber
 from rosplc.virtual_plc.task import Scan, current_scan
 
@@ -28,32 +27,6 @@ _LONGEST_DELAY_NS = 1_000_000_000
 def error_number(error: ChannelError) -> int:
     """Return the number of spec/shm-format.md, section 9, that a function block shows."""
     return int(error.code.removeprefix("SHM"))
-
-
-class Peer:
-    """The other side of a channel, by the block's own clock.
-
-    Attributes:
-        alive: The beat or the sequence changed within the time that the peer promises.
-        silent: Neither did for longer than that. Just after the attach a peer is neither.
-    """
-
-    def __init__(self) -> None:
-        self.alive = False
-        self.silent = False
-        self._beat_ms = -1
-        self._liveness = Liveness(0)
-        self._since_ns = 0
-
-    def observe(self, beat: int, sequence: int, beat_ms: int, now_ns: int) -> None:
-        """Take in the words as they are at ``now_ns``, a monotonic time."""
-        if beat_ms != self._beat_ms:
-            # Another writer, or the first one after its claim: its own promise counts.
-            self._beat_ms, self._liveness = beat_ms, Liveness(beat_ms)
-        self.alive = self._liveness.observe(beat, sequence, now_ns)
-        if self.alive or self._since_ns == 0:
-            self._since_ns = now_ns
-        self.silent = now_ns - self._since_ns > silence_ns(beat_ms)
 
 
 class Block:
@@ -73,6 +46,7 @@ class Block:
         self.reason = ""
         self.layout = self._compiled = layout
         self._namespace, self._direction = namespace, direction
+        self._part, self._client = Part.TOPIC, ""
         self._attached: Attached | None = None
         self._failure: tuple[int, str] = (ErrorNumber.NO_OBJECT.value, "")  # 0 while the object is open
         self._opened_times = 0
@@ -183,7 +157,12 @@ class Block:
         compiled = self._compiled
         try:
             attached = attach(
-                self._namespace, self.topic, direction=self._direction, write=self._map_writable
+                self._namespace,
+                self.topic,
+                direction=self._direction,
+                write=self._map_writable,
+                part=self._part,
+                client=self._client,
             )
         except ChannelError as error:
             if error.code == "SHM102" and self._direction is Direction.TO_PLC:
