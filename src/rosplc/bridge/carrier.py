@@ -7,19 +7,25 @@ from collections import deque
 from collections.abc import Callable, Collection, Iterable
 from concurrent.futures import Future, wait
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
+from rosplc.bridge.calls import CallPorts
 from rosplc.bridge.channel import ChannelsToPlc, ChannelsToRos
 from rosplc.bridge.classic import ClassicPorts
 from rosplc.bridge.port import Context, Ports, log
 from rosplc.bridge.stream import Stream, ToPlc, ToRos
+from rosplc.bridge.use import Use
 from rosplc.clock import Clock
-from rosplc.config.resolve import TopicPlan
+from rosplc.config.resolve import Plan
+from rosplc.config.services import ServicePlan
 from rosplc.errors import RosplcError
 from rosplc.shm import Direction
 
 _HANGS = "the ROS side does not return from publishing; the bridge leaves it behind"
 _PATIENCE_S = 5.0
+
+Carried: TypeAlias = "Stream | Use"
+"""What a carrier's thread serves."""
 
 
 class Carrier:
@@ -36,11 +42,11 @@ class Carrier:
         self.turned_ns = clock.monotonic_ns()
         self._name = name
         self._clock = clock
-        self._streams: tuple[Stream, ...] = ()
-        self._holding: tuple[Stream, ...] = ()  # those with stages that may hold something back
+        self._streams: tuple[Carried, ...] = ()
+        self._holding: tuple[Carried, ...] = ()  # those with stages that may hold something back
         self._due_ns: int | None = None  # of the ports
         self._jobs: deque[Callable[[], None]] = deque()
-        self._reopening: set[Stream] = set()
+        self._reopening: set[Carried] = set()
         self._stopping = False
         self._thread: threading.Thread | None = None
 
@@ -65,14 +71,14 @@ class Carrier:
             stream.finish(self._clock.monotonic_ns())
         return True
 
-    def reopen(self, stream: Stream) -> None:
+    def reopen(self, stream: Carried) -> None:
         """Have a stream's port opened again; from any thread."""
         if stream not in self._reopening:
             self._reopening.add(stream)
             self._jobs.append(lambda: self._reopen(stream))
             self.ports.wake()
 
-    def replace(self, leaving: Collection[Stream], coming: Collection[Stream]) -> bool:
+    def replace(self, leaving: Collection[Carried], coming: Collection[Carried]) -> bool:
         """Carry other streams from now on; from any thread but its own.
 
         The leaving ones get a last look at what is new, and may be closed then; the coming ones are
@@ -102,7 +108,7 @@ class Carrier:
         done.result()  # begun, and it waits for nothing
         return True
 
-    def _replace(self, leaving: Collection[Stream], coming: Collection[Stream]) -> None:
+    def _replace(self, leaving: Collection[Carried], coming: Collection[Carried]) -> None:
         for stream in leaving:
             self.ports.remove(stream.port)
         self._streams = (*(stream for stream in self._streams if stream not in leaving), *coming)
@@ -112,7 +118,7 @@ class Carrier:
         self._holding = tuple(stream for stream in self._streams if stream.hold.stages)
         self._due_ns = self._clock.monotonic_ns()
 
-    def _reopen(self, stream: Stream) -> None:
+    def _reopen(self, stream: Carried) -> None:
         self._reopening.discard(stream)
         if stream not in self._streams:
             return  # it has left meanwhile, and its name with it
@@ -170,8 +176,10 @@ class Carriers:
 
     def __init__(self, context: Context, tick_ns: int) -> None:
         self._context = context
-        kinds: dict[tuple[str, Direction], tuple[str, Ports[Any]]] = {
+        self._calls = CallPorts(context, tick_ns)
+        kinds: dict[tuple[str, Direction | None], tuple[str, Ports[Any]]] = {
             # Those that a ROS side may hang come first: nothing has changed then.
+            ("channel", None): ("rosplc-calls", self._calls),
             ("classic", Direction.TO_ROS): ("rosplc-classic-to-ros", ClassicPorts(context, Direction.TO_ROS)),
             ("channel", Direction.TO_ROS): ("rosplc-to-ros", ChannelsToRos(context, tick_ns)),
             ("classic", Direction.TO_PLC): ("rosplc-classic-to-plc", ClassicPorts(context, Direction.TO_PLC)),
@@ -179,19 +187,23 @@ class Carriers:
         }
         self._carriers = {kind: Carrier(name, ports, context.clock) for kind, (name, ports) in kinds.items()}
 
-    def of(self, plan: TopicPlan) -> Carrier:
+    def of(self, plan: Plan) -> Carrier:
         """Return the carrier of a plan's streams."""
-        return self._carriers[plan.port, plan.direction]
+        return self._carriers[plan.port, None if isinstance(plan, ServicePlan) else plan.direction]
 
-    def make(self, plan: TopicPlan) -> Stream:
-        """Return the stream of a plan; nothing is opened yet."""
+    def make(self, plan: Plan) -> Carried:
+        """Return the stream or the use of a plan; nothing is opened yet."""
+        if isinstance(plan, ServicePlan):
+            return self._calls.make(plan)
         carrier = self.of(plan)
         if plan.direction is Direction.TO_PLC:
             return ToPlc(plan, self._context, carrier.ports, carrier.ports.wake)
         return ToRos(plan, self._context, carrier.ports)
 
     def _to_ros(self) -> Iterable[Carrier]:
-        return (one for (_, way), one in self._carriers.items() if way is Direction.TO_ROS and one.running)
+        return (
+            one for (_, way), one in self._carriers.items() if way is not Direction.TO_PLC and one.running
+        )
 
     @property
     def busy_since_ns(self) -> int:
@@ -200,15 +212,16 @@ class Carriers:
 
     @property
     def turned_ns(self) -> int:
-        """When the thread of the channels towards ROS last began a round."""
-        carrier = self._carriers["channel", Direction.TO_ROS]
-        return carrier.turned_ns if carrier.running else self._context.clock.monotonic_ns()
+        """When the thread of the channels towards ROS, or that of the calls, last began a round."""
+        carriers = (self._carriers["channel", way] for way in (Direction.TO_ROS, None))
+        turned = (carrier.turned_ns for carrier in carriers if carrier.running)
+        return min(turned, default=self._context.clock.monotonic_ns())
 
-    def reopen(self, stream: Stream) -> None:
+    def reopen(self, stream: Carried) -> None:
         """Have a stream's port opened again, by the thread that may."""
         self.of(stream.plan).reopen(stream)
 
-    def replace(self, leaving: Collection[Stream], coming: Collection[Stream]) -> bool:
+    def replace(self, leaving: Collection[Carried], coming: Collection[Carried]) -> bool:
         """Carry other streams from now on; what the leaving ones still held has been passed on.
 
         The endpoints and ports of all are open. Return False if the ROS side hangs; nothing has changed then.
@@ -216,7 +229,7 @@ class Carriers:
         now = self._context.clock.monotonic_ns()
         for stream in coming:
             stream.begin(now)
-        done: list[tuple[Carrier, list[Stream], list[Stream]]] = []
+        done: list[tuple[Carrier, list[Carried], list[Carried]]] = []
         for carrier in self._carriers.values():
             theirs = [stream for stream in leaving if self.of(stream.plan) is carrier]
             new = [stream for stream in coming if self.of(stream.plan) is carrier]

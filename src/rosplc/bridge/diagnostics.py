@@ -1,4 +1,4 @@
-"""What the bridge publishes on ``/diagnostics``: one status for itself and one per topic.
+"""What the bridge publishes on ``/diagnostics``: one status for itself and one per topic or service.
 
 The message is built like any other: packed into a record of a generous layout, then encoded.
 Statuses are packed one by one, so that those that have not changed are packed once.
@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from rosplc.bridge.status import BridgeStatus, TopicStatus, format_age
+from rosplc.bridge.status import BridgeStatus, ServiceStatus, TopicStatus, format_age
 from rosplc.clock import SYSTEM, Clock
 from rosplc.codec import Codec, Wire
 from rosplc.layout import Limits, compute_layout
@@ -21,6 +21,7 @@ TYPE = "diagnostic_msgs/msg/DiagnosticArray"
 _STATUS = "diagnostic_msgs/msg/DiagnosticStatus"
 
 _VALUES = 20
+_CALLS = ("matched", "received", "done", "unreadable", "late", "outstanding", "strays")
 _COUNTERS = ("received", "published", "skipped", "lost", "refused", "truncated", "substituted", "recovered")
 _TEXT = 240
 _PER_MESSAGE = 32
@@ -86,10 +87,16 @@ def diagnostic_statuses(status: BridgeStatus) -> list[dict[str, Any]]:
         "uptime": format_age(status.uptime_ns),
         "topics": str(len(status.topics)),
     }
+    if status.services:
+        values["services"] = str(len(status.services))
     entries = [_entry(int(level), name, message, values, status.bridge)]
     for topic in status.topics:
         level, message = topic.judgement
         entries.append(_entry(int(level), f"{name}: {topic.topic}", message, _values(topic), status.bridge))
+    for use in status.services:
+        level, message = use.judgement
+        title = f"{name}: service {use.service} {use.client}".rstrip()
+        entries.append(_entry(int(level), title, message, _service_values(use), status.bridge))
     return entries
 
 
@@ -121,6 +128,14 @@ def _values(topic: TopicStatus) -> dict[str, str]:
         values["classic memory"] = f"{classic.memory}, {classic.bytes} bytes"
         values["lock"] = classic.lock
     return values
+
+
+def _service_values(use: ServiceStatus) -> dict[str, str]:
+    values = {"type": use.type_name, "server": use.server, "PLC alive": str(use.peer_alive)}
+    values |= {name: str(getattr(use, name)) for name in _CALLS}
+    for what, reasons in (("not executed", use.not_executed), ("fate unknown", use.fate_unknown)):
+        values[what] = ", ".join(f"{count} {reason}" for reason, count in reasons.items()) or "0"
+    return values | {"reason": use.reason}
 
 
 def _fit(text: str) -> str:

@@ -12,15 +12,16 @@ import threading
 from collections.abc import Callable, Collection
 from contextlib import ExitStack
 
-from rosplc.bridge.carrier import Carriers, Duty, Rounds
+from rosplc.bridge.carrier import Carried, Carriers, Duty, Rounds
 from rosplc.bridge.diagnostics import Diagnostics
 from rosplc.bridge.leftovers import check_names, retire_leftovers
 from rosplc.bridge.port import Context, log
 from rosplc.bridge.realtime import Realtime, contention
 from rosplc.bridge.reload import Changes, Exchange, compare
 from rosplc.bridge.ros_side import LiveTypes, RosSide
-from rosplc.bridge.status import BridgeStatus
+from rosplc.bridge.status import BridgeStatus, carried
 from rosplc.bridge.stream import Stream
+from rosplc.bridge.use import Use
 from rosplc.clock import SYSTEM, Clock
 from rosplc.config.file import Config, read_config
 from rosplc.config.resolve import Project, open_doors, resolve, rights
@@ -67,7 +68,7 @@ class Bridge:
         self._ros = RosSide(self.config, arguments or RosArguments())
         self._choice: Choice | None = None
         self._types = LiveTypes(self.project.store)
-        self._streams: tuple[Stream, ...] = ()
+        self._streams: tuple[Carried, ...] = ()
         self._carriers: Carriers | None = None
         self.on_ended: Callable[[str], None] | None = None
         self._ended = ""
@@ -99,9 +100,9 @@ class Bridge:
         self._started_ns = self._clock.monotonic_ns()
         adopted = sum(stream.plan.port == "channel" and stream.port.adopted for stream in self._streams)
         assert self.backend is not None
-        text = "bridge %s carries %d topics over %s (prefix %s, %d objects adopted)"
-        own = self.settings
-        log.info(text, own.bridge, len(self._streams), self.backend.name, own.prefix, adopted)
+        text = "bridge %s carries %s over %s (prefix %s, %d objects adopted)"
+        own, what = self.settings, carried(len(self.project.topics), len(self.project.services))
+        log.info(text, own.bridge, what, self.backend.name, own.prefix, adopted)
 
     def _start(self, stack: ExitStack) -> None:
         settings = self.settings
@@ -128,15 +129,15 @@ class Bridge:
         if self.backend is None:
             self.backend, self._choice = self._ros.open(self._types)
             stack.callback(self._close_backend)
-        check_types(self.backend, {plan.type_name for plan in self.project.topics})
+        check_types(self.backend, {plan.type_name for plan in self.project.plans})
         # Until here nothing in shared memory has been touched.
         retire_leftovers(self.project)
         carriers = self._carriers = Carriers(context, settings.tick_ns)
-        self._streams = tuple(carriers.make(plan) for plan in self.project.topics)
+        self._streams = tuple(carriers.make(plan) for plan in self.project.plans)
         stack.callback(self._close_ports)
         for stream in self._streams:
             self._open_port(stream)
-        self._types.use(self.project.topics)
+        self._types.use(self.project.plans)
         stack.callback(self._disconnect)
         for stream in self._streams:
             stream.connect(self.backend)
@@ -162,7 +163,7 @@ class Bridge:
             self.backend.close()
             self.backend = None
 
-    def _open_port(self, stream: Stream) -> None:
+    def _open_port(self, stream: Carried) -> None:
         try:
             stream.port.open()
         except ChannelError as error:
@@ -243,12 +244,12 @@ class Bridge:
         except BaseException:
             self._types.store = before
             raise
-        order = [plan.topic for plan in project.topics]
-        self._streams = tuple(sorted(streams, key=lambda stream: order.index(stream.plan.topic)))
-        self._types.use(project.topics)
+        order = [plan.name for plan in project.plans]
+        self._streams = tuple(sorted(streams, key=lambda stream: order.index(stream.plan.name)))
+        self._types.use(project.plans)
         self.project, self.config, self.settings = project, project.config, project.config.settings
 
-    def _show(self, streams: tuple[Stream, ...]) -> None:
+    def _show(self, streams: tuple[Carried, ...]) -> None:
         self._streams = streams
 
     def run(self, stop: threading.Event) -> None:
@@ -286,7 +287,8 @@ class Bridge:
             backend_why=str(self._choice) if self._choice is not None else "",
             running=bool(self._started_ns),
             uptime_ns=now - self._started_ns if self._started_ns else 0,
-            topics=tuple(stream.status(now) for stream in self._streams),
+            topics=tuple(stream.status(now) for stream in self._streams if isinstance(stream, Stream)),
+            services=tuple(use.status(now) for use in self._streams if isinstance(use, Use)),
             config_changed=self._config_changed,
             notes=tuple(notes),
         )
@@ -332,7 +334,7 @@ class Bridge:
                 if stream.check(now_ns):
                     carriers.reopen(stream)
             except Exception as error:  # one topic's trouble is no other's
-                log.exception("%s: the check failed", stream.plan.topic)
+                log.exception("%s: the check failed", stream.plan.name)
                 stream.fail(now_ns, error)
         if not self._config_changed and self._file_state() != self._file_seen:
             log.warning("%s: configuration changed on disk; %s", self.config.path, _APPLY)
@@ -344,7 +346,7 @@ class Bridge:
             try:
                 stream.ask(now_ns)
             except (RosplcError, ValueError) as error:  # an object or endpoint just closed
-                log.debug("%s: %s", stream.plan.topic, error)
+                log.debug("%s: %s", stream.plan.name, error)
         ended = ended_for_good(self.backend)
         if ended and not self._ended:
             self._ended = ended

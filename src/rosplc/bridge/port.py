@@ -11,13 +11,14 @@ import logging
 import threading
 from collections.abc import Hashable
 from dataclasses import dataclass, field
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from rosplc.bridge.status import PortStatus
 from rosplc.clock import SYSTEM, Clock
 from rosplc.codec import Codec, Fault
-from rosplc.config.resolve import TopicPlan
-from rosplc.errors import ChannelError
+from rosplc.config.resolve import Plan, TopicPlan
+from rosplc.errors import ChannelError, RosplcError
+from rosplc.ros import EndpointStatus
 from rosplc.shm import Namespace
 from rosplc.shm.files import USUAL, Rights
 
@@ -74,6 +75,42 @@ class Context:
     def beat_ms(self) -> int:
         """The promised beat in milliseconds."""
         return max(1, self.beat_ns // 1_000_000)
+
+
+class Notes:
+    """What went wrong with a topic or service, for its status and the log.
+
+    Attributes:
+        problem: Why it cannot be carried at present; empty if it is.
+    """
+
+    def __init__(self, plan: Plan, context: Context) -> None:
+        self.context = context
+        self.problem = ""
+        self._name = plan.name
+        self._reason: tuple[str, str, int] | None = None  # words, code, when
+
+    def note(self, now_ns: int, words: str, code: str = "") -> None:
+        """Remember and log what went wrong."""
+        self._reason = (words, code, now_ns)
+        suffix = f" [{code}]" if code else ""
+        self.context.warnings.warn((self._name, code), now_ns, f"{self._name}: {words}{suffix}")
+
+    def fail(self, now_ns: int, error: Exception) -> None:
+        """Remember an error that keeps it from being carried until its object is opened again."""
+        words, code = str(error) or type(error).__name__, ""
+        if isinstance(error, RosplcError):
+            words, code = error.what, error.code
+        self.problem = f"{words} [{code}]" if code else words
+        self.note(now_ns, words, code)
+
+    def noted(self, now_ns: int, endpoint: EndpointStatus | None) -> dict[str, Any]:
+        """Return what a status says about it: the endpoint's trouble where there is none from here."""
+        reason, code, when = self._reason or ("", "", 0)
+        recent = bool(reason) and now_ns - when < QUIET_NS
+        if endpoint is not None and endpoint.code and not recent:
+            reason, code, recent = endpoint.reason, endpoint.code, True
+        return {"problem": self.problem, "reason": reason, "code": code, "recent": recent}
 
 
 @dataclass

@@ -11,12 +11,12 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from rosplc.bridge.carrier import Carriers
+from rosplc.bridge.carrier import Carried, Carriers
 from rosplc.bridge.port import log
-from rosplc.bridge.stream import Stream
 from rosplc.clock import Clock
 from rosplc.config.problems import Problems
-from rosplc.config.resolve import Project, TopicPlan, object_name
+from rosplc.config.resolve import Plan, Project, object_name
+from rosplc.config.services import ServicePlan
 from rosplc.errors import BackendError, RosplcError
 from rosplc.ros import Backend
 from rosplc.shm import Namespace
@@ -26,12 +26,12 @@ _MAY_CHANGE = frozenset({"topics", "services", "limits", "types", "tasks", "prog
 
 @dataclass(frozen=True)
 class Changes:
-    """A new configuration's topics, beside those that are carried; of ``changed`` ones old and new."""
+    """A new configuration's plans, beside those that are carried; of ``changed`` ones old and new."""
 
-    added: tuple[TopicPlan, ...] = ()
-    removed: tuple[TopicPlan, ...] = ()
-    changed: tuple[tuple[TopicPlan, TopicPlan], ...] = ()
-    kept: tuple[TopicPlan, ...] = ()
+    added: tuple[Plan, ...] = ()
+    removed: tuple[Plan, ...] = ()
+    changed: tuple[tuple[Plan, Plan], ...] = ()
+    kept: tuple[Plan, ...] = ()
 
     def __bool__(self) -> bool:
         return bool(self.added or self.removed or self.changed)
@@ -39,8 +39,10 @@ class Changes:
     def __str__(self) -> str:
         changed = tuple(new for _, new in self.changed)
         named = (("added", self.added), ("removed", self.removed), ("changed", changed))
-        parts = [f"{word} {', '.join(plan.topic for plan in plans)}" for word, plans in named if plans]
-        return "; ".join([*parts, f"{len(self.kept)} topics stay as they are"])
+        parts = [f"{word} {', '.join(plan.name for plan in plans)}" for word, plans in named if plans]
+        services = any(isinstance(plan, ServicePlan) for plan in self.kept)
+        what = "topics and services" if services else "topics"
+        return "; ".join([*parts, f"{len(self.kept)} {what} stay as they are"])
 
 
 def compare(old: Project, new: Project, used: Mapping[str, str]) -> Changes:
@@ -52,12 +54,12 @@ def compare(old: Project, new: Project, used: Mapping[str, str]) -> Changes:
     _refuse_fixed(old, new, problems)
     _refuse_redefined(new, used, problems)
     problems.check()
-    before = {plan.topic: plan for plan in old.topics}
-    after = {plan.topic: plan for plan in new.topics}
-    both = [(before[topic], plan) for topic, plan in after.items() if topic in before]
+    before = {plan.name: plan for plan in old.plans}
+    after = {plan.name: plan for plan in new.plans}
+    both = [(before[name], plan) for name, plan in after.items() if name in before]
     return Changes(
-        added=tuple(plan for topic, plan in after.items() if topic not in before),
-        removed=tuple(plan for topic, plan in before.items() if topic not in after),
+        added=tuple(plan for name, plan in after.items() if name not in before),
+        removed=tuple(plan for name, plan in before.items() if name not in after),
         changed=tuple((was, now) for was, now in both if was != now),
         kept=tuple(was for was, now in both if was == now),
     )
@@ -91,12 +93,15 @@ def _written(project: Project, path: tuple[str, ...]) -> str:
 
 def _refuse_redefined(new: Project, used: Mapping[str, str], problems: Problems) -> None:
     # A middleware keeps a type's first definition for as long as the node lives.
-    for plan in new.topics:
-        known = used.get(plan.type_name)
-        if known is not None and known != new.store.definition_text(plan.type_name):
-            key = ("topics", plan.topic, "type")
+    for plan in new.plans:
+        for name in (layout.type_name for layout in plan.layouts):
+            if used.get(name) in (None, new.store.definition_text(name)):
+                continue
+            key = ("topics", plan.name, "type")
+            if isinstance(plan, ServicePlan):
+                key = ("services", plan.service, "type")
             source = new.config.source
-            what = f"the definition of {plan.type_name} is another than the one in use"
+            what = f"the definition of {name} is another than the one in use"
             problems.add(source.wrong(key, what, code="CFG012"), source.line(key))
 
 
@@ -108,24 +113,24 @@ class Exchange:
     """
 
     changes: Changes
-    running: tuple[Stream, ...]
+    running: tuple[Carried, ...]
     carriers: Carriers
     backend: Backend
     namespace: Namespace
     clock: Clock
-    show: Callable[[tuple[Stream, ...]], None]
-    _new: list[Stream] = field(default_factory=list)
+    show: Callable[[tuple[Carried, ...]], None]
+    _new: list[Carried] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         changes = self.changes
         # A channel that becomes something else leaves its object, like a topic that is no more.
-        became = {was.topic for was, now in changes.changed if was.port == "channel" != now.port}
-        self._retiring = {plan.topic for plan in changes.removed} | became
-        left = self._retiring | {was.topic for was, _ in changes.changed}
-        self._leaving = tuple(stream for stream in self.running if stream.plan.topic in left)
-        self._kept = tuple(stream for stream in self.running if stream.plan.topic not in left)
+        became = {was.name for was, now in changes.changed if was.port == "channel" != now.port}
+        self._retiring = {plan.name for plan in changes.removed} | became
+        left = self._retiring | {was.name for was, _ in changes.changed}
+        self._leaving = tuple(stream for stream in self.running if stream.plan.name in left)
+        self._kept = tuple(stream for stream in self.running if stream.plan.name not in left)
 
-    def run(self) -> tuple[Stream, ...]:
+    def run(self) -> tuple[Carried, ...]:
         """Return the streams that are carried now.
 
         Raises:
@@ -149,7 +154,7 @@ class Exchange:
             for stream in self._leaving:
                 stream.disconnect()
                 # A name that is given up stays held until all has succeeded, unless another needs it.
-                if self._name(stream.plan) in needed or stream.plan.topic not in self._retiring:
+                if self._name(stream.plan) in needed or stream.plan.name not in self._retiring:
                     stream.port.close()
             self._open(rest)
             self._replace((), self._new[len(begun) :])
@@ -157,11 +162,11 @@ class Exchange:
             self._restore(begun)
             raise
         for stream in self._leaving:
-            if stream.plan.topic in self._retiring:
+            if stream.plan.name in self._retiring:
                 _retire(stream)
         return (*self._kept, *self._new)
 
-    def _open(self, plans: Iterable[TopicPlan]) -> None:
+    def _open(self, plans: Iterable[Plan]) -> None:
         for plan in plans:
             stream = self.carriers.make(plan)
             stream.port.open()
@@ -169,7 +174,7 @@ class Exchange:
             stream.connect(self.backend)
             self.show((*self.running, *self._new))
 
-    def _replace(self, leaving: Collection[Stream], coming: Collection[Stream]) -> None:
+    def _replace(self, leaving: Collection[Carried], coming: Collection[Carried]) -> None:
         if not self.carriers.replace(leaving, coming):
             raise BackendError("ROS018", "the ROS side does not return from publishing")
 
@@ -183,7 +188,7 @@ class Exchange:
             else:
                 _retire(stream)
 
-    def _restore(self, begun: tuple[Stream, ...]) -> None:
+    def _restore(self, begun: tuple[Carried, ...]) -> None:
         """Carry what was carried before, after something went wrong half-way."""
         self.carriers.replace(begun, ())
         self._drop_new()
@@ -198,19 +203,19 @@ class Exchange:
             try:
                 renewed.connect(self.backend)
             except RosplcError as error:
-                log.error("%s: %s; restart the bridge", stream.plan.topic, error)
+                log.error("%s: %s; restart the bridge", stream.plan.name, error)
             again.append(renewed)
         self.carriers.replace((), again)
-        order = [stream.plan.topic for stream in self.running]
-        self.running = tuple(sorted((*self._kept, *again), key=lambda stream: order.index(stream.plan.topic)))
+        order = [stream.plan.name for stream in self.running]
+        self.running = tuple(sorted((*self._kept, *again), key=lambda stream: order.index(stream.plan.name)))
         self.show(self.running)
 
-    def _name(self, plan: TopicPlan) -> str:
+    def _name(self, plan: Plan) -> str:
         return object_name(self.namespace, plan)
 
 
-def _retire(stream: Stream) -> None:
+def _retire(stream: Carried) -> None:
     try:
         stream.port.retire()
     except (RosplcError, OSError, ValueError) as error:
-        log.warning("%s: its object could not be retired: %s", stream.plan.topic, error)
+        log.warning("%s: its object could not be retired: %s", stream.plan.name, error)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from rosplc.config.file import Config
-from rosplc.config.resolve import OWN_SETTINGS, TopicPlan
+from rosplc.config.resolve import OWN_SETTINGS, Plan
 from rosplc.model import TypeStore
 from rosplc.model.types import MessageType
 from rosplc.ros import ROS1, Backend, Choice, RosArguments, TypeSource, choose, open_backend
@@ -102,18 +102,18 @@ class LiveTypes:
 
     Attributes:
         store: Where types are looked up.
-        used: Definition by type name, of the topics' types that a backend has been given.
+        used: Definition by type name, of the types that a backend has been given.
     """
 
     def __init__(self, store: TypeStore) -> None:
         self.store = store
         self.used: dict[str, str] = {}
 
-    def use(self, plans: Iterable[TopicPlan]) -> None:
-        """Remember the definitions of the types of these topics."""
-        for plan in plans:
-            if plan.type_name not in self.used:
-                self.used[plan.type_name] = plan.layout.store.definition_text(plan.type_name)
+    def use(self, plans: Iterable[Plan]) -> None:
+        """Remember the definitions of the types of these topics and services."""
+        for layout in (layout for plan in plans for layout in plan.layouts):
+            if layout.type_name not in self.used:
+                self.used[layout.type_name] = layout.store.definition_text(layout.type_name)
 
     @property
     def distro(self) -> str:

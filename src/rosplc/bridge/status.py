@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal
 
 from rosplc.levels import Level, format_age
 from rosplc.shm import Direction
 
-__all__ = ["BridgeStatus", "ClassicStatus", "Level", "PortStatus", "TopicStatus", "format_age"]
+__all__ = [
+    "BridgeStatus",
+    "ClassicStatus",
+    "Level",
+    "PortStatus",
+    "ServiceStatus",
+    "TopicStatus",
+    "format_age",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,8 +173,76 @@ class TopicStatus(PortStatus):
 
 
 @dataclass(frozen=True)
+class ServiceStatus:
+    """The state of one use of a service. Each call is in exactly one of the numbers that follow ``received``.
+
+    Attributes:
+        service: As ROS writes it.
+        type_name: ``package/srv/Name``.
+        server: Who carries the calls out.
+        client: The use's name in the PLC's program; empty if it has none.
+        matched: ROS clients of a service that the PLC carries out; else 1 if a server is ready.
+        peer_alive: Whether the PLC's block beats.
+        received: Calls that came in, from ROS or from the PLC.
+        done: Calls whose answer was passed on.
+        not_executed: Calls that never began, by reason.
+        fate_unknown: Calls that may have been executed, by reason.
+        unreadable: Calls that were executed, with an answer that does not fit the PLC's record.
+        late: Calls whose answer came when the caller had gone.
+        outstanding: Calls that wait or are being carried out.
+        strays: Answers that belong to no open call; they are in no other number.
+        problem: Why the service cannot be carried at present; empty if it is.
+        reason: In words, what is wrong or was wrong last; empty if all is well.
+        code: The error code that goes with ``reason``; empty if there is none.
+        recent: Whether ``reason`` is from the last ten seconds, or still holds.
+    """
+
+    service: str
+    type_name: str
+    server: Literal["plc", "ros"]
+    client: str = ""
+    matched: int = 0
+    peer_alive: bool = False
+    received: int = 0
+    done: int = 0
+    not_executed: Mapping[str, int] = field(default_factory=dict)
+    fate_unknown: Mapping[str, int] = field(default_factory=dict)
+    unreadable: int = 0
+    late: int = 0
+    outstanding: int = 0
+    strays: int = 0
+    problem: str = ""
+    reason: str = ""
+    code: str = ""
+    recent: bool = False
+
+    @property
+    def judgement(self) -> tuple[Level, str]:
+        """The level and a sentence for it; the worst counts."""
+        if self.problem:
+            return Level.ERROR, self.problem
+        if self.recent and self.reason:
+            return Level.WARN, self.reason
+        if not self.peer_alive:
+            return Level.WARN, "no PLC task serves it" if self.server == "plc" else "no PLC task calls it"
+        if not self.matched and self.server == "ros":
+            return Level.WARN, "no server is ready"
+        return Level.OK, f"{self.done} of {self.received} calls answered, {self.outstanding} outstanding"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON."""
+        level, message = self.judgement
+        return {**asdict(self), "level": level.name, "message": message}
+
+
+def carried(topics: int, services: int) -> str:
+    """Return in words how much a bridge carries."""
+    return f"{topics} topics" + (f" and {services} uses of services" if services else "")
+
+
+@dataclass(frozen=True)
 class BridgeStatus:
-    """A bridge and its topics as they stand.
+    """A bridge, its topics and its services as they stand.
 
     Attributes:
         backend: The ROS backend in use; empty before start.
@@ -173,6 +250,7 @@ class BridgeStatus:
         running: Whether it is started.
         uptime_ns: Time since the start; 0 before.
         topics: In the order of the configuration.
+        services: In the order of the configuration; each use is one.
         config_changed: Whether the configuration's file differs from what was read.
         notes: What else a person should know.
     """
@@ -185,6 +263,7 @@ class BridgeStatus:
     config_changed: bool = False
     notes: tuple[str, ...] = ()
     backend_why: str = ""
+    services: tuple[ServiceStatus, ...] = ()
 
     @property
     def judgement(self) -> tuple[Level, str]:
@@ -193,7 +272,7 @@ class BridgeStatus:
             return Level.ERROR, "not running"
         if self.notes:
             return Level.WARN, "; ".join(self.notes)
-        return Level.OK, f"{len(self.topics)} topics over {self.backend}"
+        return Level.OK, f"{carried(len(self.topics), len(self.services))} over {self.backend}"
 
     def topic(self, name: str) -> TopicStatus:
         """Return one topic's status; KeyError if there is none."""
@@ -211,4 +290,5 @@ class BridgeStatus:
             "level": level.name,
             "message": message,
             "topics": [status.to_dict() for status in self.topics],
+            "services": [status.to_dict() for status in self.services],
         }

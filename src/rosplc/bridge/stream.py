@@ -9,7 +9,7 @@ from typing import Any
 
 from rosplc.bridge import hold
 from rosplc.bridge.hold import Hold, Silence, Stage
-from rosplc.bridge.port import QUIET_NS, Context, Counters, Port, Ports, log
+from rosplc.bridge.port import Context, Counters, Notes, Port, Ports, log
 from rosplc.bridge.status import TopicStatus
 from rosplc.codec import TRUNCATED, Codec, Fault, Wire
 from rosplc.config.plans import flag_topic
@@ -28,11 +28,10 @@ _BOOL = "std_msgs/msg/Bool"
 _FLAG_QOS = Qos(reliability="reliable", durability="transient_local", depth=1)
 
 
-class Stream(ABC):
+class Stream(Notes, ABC):
     """One topic; :class:`rosplc.bridge.port.Side` is what its port sees of it.
 
     Attributes:
-        problem: Why it cannot be carried at present; empty if it is.
         silence: Since when its source has been silent.
         substituting: Whether something else is passed on in the source's place.
     """
@@ -40,16 +39,14 @@ class Stream(ABC):
     substituting = False
 
     def __init__(self, plan: TopicPlan, context: Context, ports: Ports[Any]) -> None:
+        super().__init__(plan, context)
         self.plan = plan
-        self.context = context
         self.codec = Codec(plan.layout, Wire.ROS1 if plan.layout.store.ros_version == 1 else Wire.CDR)
         self.counters = Counters()
-        self.problem = ""
         self._endpoint: Subscription | Publisher | None = None
         self._now = context.clock.monotonic_ns
         now = self._now()
         self.silence = Silence(plan.stale_after_ns, context.debounce_ns, now)
-        self._reason: tuple[str, str, int] | None = None  # words, code, when
         self._lost_before = 0
         self._rate = 0.0
         self._rate_from: tuple[int, int] = (now, 0)
@@ -171,20 +168,6 @@ class Stream(ABC):
         explained = self.codec.explain(fault)
         self.note(now_ns, f"message refused: {explained.where}: {explained.what}", explained.code)
 
-    def note(self, now_ns: int, words: str, code: str = "") -> None:
-        """Remember and log what went wrong."""
-        self._reason = (words, code, now_ns)
-        suffix = f" [{code}]" if code else ""
-        self.context.warnings.warn((self.plan.topic, code), now_ns, f"{self.plan.topic}: {words}{suffix}")
-
-    def fail(self, now_ns: int, error: Exception) -> None:
-        """Remember an error that keeps the stream from being carried until the port is opened again."""
-        words, code = str(error) or type(error).__name__, ""
-        if isinstance(error, RosplcError):
-            words, code = error.what, error.code
-        self.problem = f"{words} [{code}]" if code else words
-        self.note(now_ns, words, code)
-
     def renewed(self) -> None:
         """Another object is open, or none: the PLC does not have the last message."""
         self.hold.forget()
@@ -203,10 +186,6 @@ class Stream(ABC):
     def status(self, now_ns: int) -> TopicStatus:
         """Return the stream's present state."""
         plan, silence, endpoint, port = self.plan, self.silence, self.endpoint(), self.port.status(now_ns)
-        reason, code, when = self._reason or ("", "", 0)
-        recent = bool(reason) and now_ns - when < QUIET_NS
-        if endpoint is not None and endpoint.code and not recent:
-            reason, code, recent = endpoint.reason, endpoint.code, True
         found = vars(port) | vars(self.counters) | {"lost": self._lost(endpoint, port.lost)}
         found["skipped"] += self.hold.skipped
         if endpoint is not None:
@@ -221,10 +200,7 @@ class Stream(ABC):
             stale=silence.stale(now_ns),
             silent=silence.reported(now_ns),
             substituting=self.substituting,
-            problem=self.problem,
-            reason=reason,
-            code=code,
-            recent=recent,
+            **self.noted(now_ns, endpoint),
             **found,
         )
 

@@ -12,7 +12,7 @@ import stat
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeAlias
 
 from rosplc.config.file import Config, read_config
 from rosplc.config.plans import (
@@ -35,7 +35,7 @@ from rosplc.errors import ConfigError, LayoutError, RosplcError
 from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.ros import PRESETS, ROS1, Qos
-from rosplc.shm import Description, Direction, Identity, Namespace
+from rosplc.shm import Description, Direction, Identity, Namespace, Part
 from rosplc.shm.constants import HEADER_SIZE, LINE_SIZE, MAX_DESCRIPTION_SIZE, MAX_OBJECT_SIZE
 from rosplc.shm.files import Rights
 
@@ -90,9 +90,23 @@ class TopicPlan:
     classic: ClassicPlan | None = None
 
     @property
+    def name(self) -> str:
+        """What people call it; no other topic or service of the configuration has it."""
+        return self.topic
+
+    @property
+    def layouts(self) -> tuple[Layout, ...]:
+        """The layouts of its messages."""
+        return (self.layout,)
+
+    @property
     def port(self) -> Literal["channel", "classic"]:
         """The kind of port that carries it: an object of the project's format, or classic memory."""
         return "channel" if self.classic is None else "classic"
+
+
+Plan: TypeAlias = "TopicPlan | ServicePlan"
+"""What a bridge carries: a topic, or one use of a service."""
 
 
 @dataclass(frozen=True)
@@ -113,6 +127,11 @@ class Project:
     topics: tuple[TopicPlan, ...]
     services: tuple[ServicePlan, ...] = ()
 
+    @property
+    def plans(self) -> tuple[Plan, ...]:
+        """Topics, then services."""
+        return (*self.topics, *self.services)
+
     def topic(self, name: str) -> TopicPlan:
         """Return one topic's plan; KeyError if the configuration has none."""
         for plan in self.topics:
@@ -130,8 +149,10 @@ class Project:
         return self.config.settings.tasks
 
 
-def object_name(namespace: Namespace, plan: TopicPlan) -> str:
-    """Return the name of a topic's object or memory, without its directory."""
+def object_name(namespace: Namespace, plan: Plan) -> str:
+    """Return the name of a topic's object or memory, or of a service's requests, without its directory."""
+    if isinstance(plan, ServicePlan):
+        return namespace.object_name(plan.service, Part.REQUEST, plan.client)
     return namespace.object_name(plan.topic) if plan.classic is None else plan.classic.name
 
 
@@ -353,6 +374,14 @@ def check_ros(config: Config, problems: Problems) -> None:
 def describe(plan: TopicPlan, *, distro: str, bridge: str) -> Description:
     """Return the self-description of a topic's object (spec/shm-format.md, section 6)."""
     return description_of(plan.layout, plan.topic, plan.direction, bridge=bridge, distro=distro)
+
+
+def describe_service(plan: ServicePlan, part: Part, distro: str, bridge: str) -> Description:
+    """Return the self-description of one of a service's objects, but for its partners."""
+    layout = plan.request if part is Part.REQUEST else plan.response
+    way = part.direction(plan.server)
+    names = {"bridge": bridge, "distro": distro, "client": plan.client}
+    return description_of(layout, plan.service, way, part=part, **names)
 
 
 def object_plan(project: Project, plan: TopicPlan) -> Identity:

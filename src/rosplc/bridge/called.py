@@ -1,0 +1,145 @@
+"""Services that the PLC calls: the bridge is the answerer towards the PLC."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+
+from rosplc.bridge.port import Context
+from rosplc.bridge.use import ENDINGS, IDLE_NS, LOOK_NS, TOO_LARGE, Outcome, Use
+from rosplc.codec import Fault
+from rosplc.config.services import ServicePlan
+from rosplc.errors import RosplcError
+from rosplc.reasons import Reason
+from rosplc.ros import Backend, Reply, ServiceClient
+from rosplc.shm import Part, Reader, SlotInfo, Writer
+from rosplc.shm.constants import ASK_WITHDRAWN, WRITER_LINE
+
+_ANSWERS = {outcome: answer for answer, outcome in ENDINGS.items()}
+
+
+class Called(Use):
+    """A service that the PLC calls: the bridge is the answerer towards the PLC."""
+
+    outgoing, incoming = Part.RESPONSE, Part.REQUEST
+    _endpoint: ServiceClient | None
+
+    def __init__(self, plan: ServicePlan, context: Context, on_event: Callable[[Use], None]) -> None:
+        super().__init__(plan, context, on_event)
+        self._open_call: int | None = None  # its correlation
+        self._sent: int | None = None  # its number in ROS; None once it is forgotten
+        self._last = 0  # the correlation of the last answer
+        self._ready: bool | None = None
+        self._initial = bytes(plan.response.initial())
+
+    def _connect(self, backend: Backend) -> ServiceClient:
+        plan = self.plan
+        return backend.client(plan.service, plan.type_name, plan.qos)
+
+    @property
+    def _outstanding(self) -> int:
+        return int(self._open_call is not None)
+
+    def turn(self, now_ns: int) -> None:
+        """Go on with the call."""
+        if self._writer is None or self._reader is None:
+            return
+        head, epoch, beat, beat_ms = self._channels[1].region.words(WRITER_LINE["head"], 4)
+        self._observe(epoch, beat, head, beat_ms, now_ns)
+        while self.events:
+            correlation, reply = self.events.popleft()
+            if correlation == self._open_call:
+                self._pass_on(reply, now_ns)
+        client = self._endpoint
+        ready = client is not None and client.ready
+        if ready is not self._ready:
+            self._writer.set_sources(int(ready))
+            self._reader.set_sinks(int(ready))
+            self._ready = ready
+        if self._open_call is not None and self._open_call >> 32 != epoch:
+            # Another life of the PLC's program: what it calls has other numbers.
+            self._give_up(Reason.PLC_DOWN, now_ns)
+        waits = head != self._reader.last
+        if waits and epoch and self._peer.alive and (ready or self._open_call is not None):
+            self._take(self._reader, epoch, now_ns)
+        self.due_ns = now_ns + (LOOK_NS if waits or self._open_call is not None else IDLE_NS)
+
+    def _take(self, reader: Reader, epoch: int, now_ns: int) -> None:
+        while (found := reader.latest_wire(self._codecs[Part.REQUEST].plan)) is not None:
+            if reader.begin():
+                payload, info = found
+                if info.correlation >> 32 == epoch and info.correlation != self._last:
+                    self._begin(payload, info, now_ns)
+
+    def _begin(self, payload: bytes, info: SlotInfo, now_ns: int) -> None:
+        """Act on a message of the PLC's that was taken and is still the newest."""
+        number, withdrawn = info.correlation, bool(info.status & ASK_WITHDRAWN)
+        if self._open_call is not None:
+            if number == self._open_call and not withdrawn:
+                return
+            self._give_up(Reason.CALLER_GONE, now_ns)
+            if withdrawn:
+                return
+        self.received += 1
+        self._open_call = number
+        client = self._endpoint
+        if withdrawn:
+            self._answer("not executed", Reason.CALLER_GONE, now_ns)
+        elif client is None:
+            self._answer("not executed", Reason.NO_SERVER, now_ns)
+        else:
+            try:
+                self._sent = client.call(payload, lambda reply: self.tell(number, reply))
+            except RosplcError as error:
+                self._answer("not executed", Reason.REJECTED, now_ns, error.what)
+
+    def _pass_on(self, reply: Reply, now_ns: int) -> None:
+        if reply.payload is None:
+            self._answer(reply.outcome, reply.reason, now_ns, reply.text)
+            return
+        codec = self._codecs[Part.RESPONSE]
+        try:
+            record = codec.plan.decode(reply.payload, self.plan.truncate)[0]
+        except Fault as fault:
+            explained = codec.explain(fault)
+            reason = Reason.TOO_LARGE if fault.args[0] in TOO_LARGE else Reason.NONE
+            self._answer("unreadable", reason, now_ns, f"{explained.where}: {explained.what}")
+        else:
+            self._answer("done", Reason.NONE, now_ns, record=record)
+
+    def _answer(
+        self, outcome: Outcome, reason: Reason, now_ns: int, text: str = "", record: bytes = b""
+    ) -> None:
+        """End the open call with its one answer."""
+        number, self._open_call, self._sent = self._open_call, None, None
+        assert number is not None
+        self._last = number
+        self._count(outcome, reason, now_ns, text)
+        self._send(record or self._initial, _ANSWERS[outcome], number, b"", reason)
+
+    def _give_up(self, reason: Reason, now_ns: int) -> None:
+        """Wait no longer for ROS: the call may have been executed."""
+        if self._sent is not None and self._endpoint is not None:
+            self._endpoint.forget(self._sent)
+        self._answer("fate unknown", reason, now_ns)
+
+    def _take_over(self, writer: Writer, reader: Reader) -> None:
+        found, answer = self._newest(Part.REQUEST), self._newest(Part.RESPONSE)
+        if found is None:
+            return
+        number = found[1].correlation
+        if answer is not None and answer[1].correlation == number:
+            self._last = number
+        elif reader.last in self._sequences(Part.REQUEST, number):
+            self.received += 1
+            self._open_call = number
+            self._answer("fate unknown", Reason.BRIDGE_RESTARTED, self._now())
+
+    def _let_go(self, now_ns: int) -> None:
+        if self._open_call is not None:
+            with suppress(RosplcError, OSError, ValueError, AssertionError):
+                self._give_up(Reason.BRIDGE_RESTARTED, now_ns)
+
+    def finish(self, now_ns: int) -> None:
+        """Answer the open call: nobody waits for ROS any more."""
+        self._let_go(now_ns)

@@ -1,0 +1,84 @@
+"""Calls of services between ROS and the PLC: spec/shm-format.md, section 11.
+
+One thread, that of a :class:`~rosplc.bridge.carrier.Carrier` over :class:`CallPorts`, owns all that is known
+of calls: the ROS side's threads give it events, and the PLC's blocks write into shared memory. At most one
+call is open per use; what else waits is queued by the use, and can expire without the PLC having seen it.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any
+
+from rosplc.bridge.called import Called
+from rosplc.bridge.port import Context, Ports, log
+from rosplc.bridge.served import Served
+from rosplc.bridge.use import IDLE_NS, Use
+from rosplc.config.services import ServicePlan
+from rosplc.errors import ChannelError
+from rosplc.shm import Group
+
+
+class CallPorts(Ports[Any]):
+    """The uses of all services of a bridge, with one native call per tick for their objects."""
+
+    def __init__(self, context: Context, tick_ns: int) -> None:
+        self._context = context
+        self._now = context.clock.monotonic_ns
+        self._tick_ns = tick_ns
+        self._group = Group()
+        self._uses: dict[int, Use] = {}
+        self._told: deque[Use] = deque()
+
+    def make(self, side: Any) -> Use:
+        """Return the use of a plan; nothing is opened yet."""
+        plan: ServicePlan = side
+        return (Served if plan.server == "plc" else Called)(plan, self._context, self._tell)
+
+    def add(self, port: Use) -> None:
+        """Serve a use whose objects are open."""
+        if (index := port.watch(self._group)) is not None:
+            self._uses[index] = port
+
+    def remove(self, port: Use) -> None:
+        """Serve it no more."""
+        for index in [index for index, known in self._uses.items() if known is port]:
+            self._group.remove(index)
+            del self._uses[index]
+
+    def _tell(self, use: Use) -> None:
+        self._told.append(use)
+        self._group.wake()
+
+    def poll(self, due_ns: int | None) -> None:
+        """Sleep until there is news."""
+        wait = IDLE_NS if due_ns is None else max(0, min(IDLE_NS, due_ns - self._now()))
+        self._group.wait(self._tick_ns if self._uses else IDLE_NS, wait)
+
+    def wake(self) -> None:
+        """End the sleep."""
+        self._group.wake()
+
+    def take(self, now_ns: int) -> tuple[int | None, list[Use]]:
+        """Go on with the calls of all uses that have news or whose time has come."""
+        messages, faults = self._group.take()
+        news = {self._uses[index] for index, *_ in messages}
+        while self._told:
+            news.add(self._told.popleft())
+        again = []
+        for index, fault in faults:
+            again.append(self._uses[index])
+            again[-1].fail(now_ns, fault)
+        for use in (*self._uses.values(), *(use for use in news if use.problem)):
+            if use in again or (use not in news and now_ns < use.due_ns):
+                continue
+            try:
+                use.turn(now_ns)
+            except (ChannelError, ValueError) as error:  # an object failed, or was just closed
+                use.fail(now_ns, error)
+                again.append(use)
+            except Exception as error:  # one service's trouble is no other's
+                log.debug("%s: its calls could not be looked after", use.plan.name, exc_info=True)
+                use.note(now_ns, f"calls cannot be looked after: {type(error).__name__}: {error}")
+                use.due_ns = now_ns + IDLE_NS
+        return min((use.due_ns for use in self._uses.values()), default=None), again

@@ -1,0 +1,334 @@
+"""Services that the PLC carries out: the bridge is the caller towards the PLC."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+
+from rosplc.bridge.port import Context
+from rosplc.bridge.use import ENDINGS, IDLE_NS, LOOK_NS, TOO_LARGE, WORDS, Outcome, Use
+from rosplc.codec import Fault
+from rosplc.config.services import ServicePlan
+from rosplc.errors import ChannelError, RosplcError
+from rosplc.reasons import Reason
+from rosplc.ros import Backend, ServiceServer
+from rosplc.shm import Part, Reader, SlotInfo, Writer, distance
+from rosplc.shm.constants import ANSWER_MASK, ASK_CALL, ASK_WITHDRAWN, reader_line
+
+_PATIENCE_NS = 10_000_000_000
+"""How long an answer to a call of an earlier bridge waits until the middleware has found its caller again."""
+_REMEMBERED = 256
+"""Callers that came last, whose requests may come twice."""
+_CLIENT = 8
+"""Bytes of a caller that are the same in all its calls."""
+
+
+@dataclass(eq=False)
+class _Call:
+    """A call from ROS to the PLC.
+
+    Attributes:
+        caller: As the ROS side knows it.
+        record: The request.
+        arrived_ns: When it came.
+        correlation: Its number, once it was handed out.
+        first: The sequence of its first message.
+        claim: The claim of the PLC's block when it was handed out.
+        withdrawn: Whether the PLC was told that nobody waits.
+        ended: Whether the caller has been told how it ended, though the PLC has not ended it.
+        inherited: It was handed out by an earlier bridge, and begun.
+    """
+
+    caller: bytes
+    record: bytes
+    arrived_ns: int
+    correlation: int = 0
+    first: int = 0
+    claim: int = 0
+    withdrawn: bool = False
+    ended: bool = False
+    inherited: bool = False
+
+
+class Served(Use):
+    """A service that the PLC carries out: the bridge is the caller towards the PLC."""
+
+    outgoing, incoming = Part.REQUEST, Part.RESPONSE
+    _endpoint: ServiceServer | None
+
+    def __init__(self, plan: ServicePlan, context: Context, on_event: Callable[[Use], None]) -> None:
+        super().__init__(plan, context, on_event)
+        self._waiting: deque[_Call] = deque()
+        self._open_call: _Call | None = None
+        self._unsent: deque[tuple[bytes, bytes | None, Outcome, Reason, int]] = deque()
+        self._recent: deque[bytes] = deque(maxlen=_REMEMBERED)
+        self._number = 0
+        self._next_ns = 0  # before that the rate limit lets nothing pass
+        codec = self._codecs[Part.RESPONSE]
+        self._fallback = None if plan.fallback is None else codec.encode(plan.fallback)
+
+    def _connect(self, backend: Backend) -> ServiceServer:
+        plan = self.plan
+        return backend.serve(plan.service, plan.type_name, plan.qos, self.tell)
+
+    @property
+    def _outstanding(self) -> int:
+        call = self._open_call
+        return (
+            len(self._waiting) + len(self.events) + len(self._unsent) + (call is not None and not call.ended)
+        )
+
+    # -- a call's beginning and end
+
+    def turn(self, now_ns: int) -> None:
+        """Go on with all calls."""
+        try:
+            if self._writer is not None:
+                self._look(now_ns)
+        finally:
+            self._receive(now_ns)
+        self._hand_out(now_ns)
+        self._repeat(now_ns)
+        busy = self._open_call is not None or self._waiting or self._unsent
+        self.due_ns = now_ns + (LOOK_NS if busy else IDLE_NS)
+        if self._waiting and self._open_call is None and now_ns < self._next_ns:
+            self.due_ns = min(self.due_ns, self._next_ns)
+
+    def _receive(self, now_ns: int) -> None:
+        """Put requests that came into the queue, or refuse them."""
+        plan = self.plan
+        while self.events:
+            payload, caller, _ = self.events.popleft()
+            if caller in self._recent:
+                continue
+            self.received += 1
+            call = _Call(caller, b"", now_ns)
+            known = [one for one in (*self._waiting, self._open_call) if one is not None and not one.ended]
+            same = sum(one.caller[:_CLIENT] == caller[:_CLIENT] for one in known)
+            self._recent.append(caller)
+            try:
+                call.record = self._codecs[Part.REQUEST].plan.decode(payload, plan.truncate)[0]
+            except Fault as fault:
+                explained = self._codecs[Part.REQUEST].explain(fault)
+                reason = Reason.TOO_LARGE if fault.args[0] in TOO_LARGE else Reason.REJECTED
+                self._end(call, "not executed", reason, now_ns, f"{explained.where}: {explained.what}")
+                continue
+            if self._writer is None or self._down:
+                self._end(call, "not executed", Reason.PLC_DOWN, now_ns)
+            elif len(known) >= plan.depth or same >= plan.per_client:
+                self._end(call, "not executed", Reason.QUEUE_FULL, now_ns)
+            else:
+                self._waiting.append(call)
+
+    @property
+    def _down(self) -> bool:
+        """Whether the PLC's block is known to be gone."""
+        return not self._holder or self._peer.silent
+
+    def _hand_out(self, now_ns: int) -> None:
+        while self._waiting:
+            call = self._waiting[0]
+            if self._writer is None or self._down:
+                self._end(self._waiting.popleft(), "not executed", Reason.PLC_DOWN, now_ns)
+            elif now_ns - call.arrived_ns > self.plan.expire_ns:
+                self._end(self._waiting.popleft(), "not executed", Reason.EXPIRED, now_ns)
+            elif self._open_call is not None or now_ns < self._next_ns or not self._peer.alive:
+                return
+            elif not self._present(call):
+                self._end(self._waiting.popleft(), "not executed", Reason.CALLER_GONE, now_ns)
+            else:
+                self._publish(self._waiting.popleft(), now_ns)
+
+    def _publish(self, call: _Call, now_ns: int) -> None:
+        writer = self._writer
+        assert writer is not None
+        self._number = self._number % 0xFFFFFFFF + 1
+        call.correlation, call.claim = writer.epoch << 32 | self._number, self._holder
+        self._open_call = call
+        self._next_ns = now_ns + self.plan.min_interval_ns
+        call.first = self._send(call.record, ASK_CALL, call.correlation, call.caller)
+
+    def _withdraw(self, call: _Call) -> bool:
+        """Tell the PLC that nobody waits any more; return whether it may have begun (M26)."""
+        assert self._writer is not None
+        if not call.withdrawn:
+            call.withdrawn = True
+            self._send(call.record, ASK_CALL | ASK_WITHDRAWN, call.correlation, call.caller)
+        return self._writer.begun(call.first)
+
+    def _end(self, call: _Call, outcome: Outcome, reason: Reason, now_ns: int, text: str = "") -> None:
+        """Count a call that has no answer, and tell its caller what the configuration says."""
+        if call is self._open_call:
+            self._open_call = None
+        if call.ended:
+            return
+        call.ended = True
+        if call.inherited:
+            self._unsent.append((call.caller, self._fallback, outcome, reason, now_ns + _PATIENCE_NS))
+            return
+        self._count(outcome, reason, now_ns, text)
+        self._reply(call.caller, self._fallback, text or WORDS[reason])
+
+    def _reply(self, caller: bytes, payload: bytes | None, text: str) -> bool:
+        server = self._endpoint
+        if server is None:
+            return False
+        try:
+            return server.refuse(caller, text) if payload is None else server.reply(caller, payload)
+        except RosplcError as error:
+            self.note(self._now(), f"answer not sent: {error.what}", error.code)
+            return False
+
+    def _present(self, call: _Call) -> bool:
+        return self._endpoint is None or self._endpoint.present(call.caller)
+
+    # -- the open call
+
+    def _look(self, now_ns: int) -> None:
+        """Look at the PLC's side, and at what has become of the open call."""
+        claim, beat, beat_ms, taken = self._channels[0].region.words(reader_line(0), 4)
+        self._observe(claim, beat, taken, beat_ms, now_ns)
+        self._take_answers(now_ns)
+        call = self._open_call
+        if call is None or self._writer is None:
+            return
+        if not claim or claim != call.claim:
+            # Withdrawn first: it may have been published just before the claim changed.
+            outcome: Outcome = "fate unknown" if self._withdraw(call) or call.inherited else "not executed"
+            self._end(call, outcome, Reason.PLC_DOWN, now_ns)
+        elif not call.ended:
+            self._judge(call, now_ns)
+
+    def _judge(self, call: _Call, now_ns: int) -> None:
+        """Withdraw a call that nobody waits for, or that will not be carried out."""
+        assert self._writer is not None
+        begun = call.inherited or self._writer.begun(call.first)
+        waited = now_ns - call.arrived_ns
+        if self._peer.silent:
+            if self._withdraw(call) or call.inherited:
+                # The object stays taken until the PLC speaks again; the caller is told now.
+                self._end(call, "fate unknown", Reason.PLC_DOWN, now_ns)
+                self._open_call = call
+            else:
+                self._end(call, "not executed", Reason.PLC_DOWN, now_ns)
+        elif call.withdrawn:
+            return
+        elif call.inherited:
+            if waited > _PATIENCE_NS:
+                self._withdraw(call)
+        elif not begun and waited > self.plan.expire_ns:
+            if not self._withdraw(call):
+                self._end(call, "not executed", Reason.EXPIRED, now_ns)
+        elif not self._present(call) and not self._withdraw(call):
+            self._end(call, "not executed", Reason.CALLER_GONE, now_ns)
+
+    def _take_answers(self, now_ns: int) -> None:
+        """Pass on the newest answer, and only then store that it was taken."""
+        reader, plan = self._reader, self._codecs[Part.RESPONSE].plan
+        assert reader is not None
+        found = reader.peek_wire(plan)
+        if found is None or found[1].sequence == reader.last:
+            return
+        self._answered(*found, now_ns)
+        taken = reader.latest_wire(plan)
+        if taken is not None and taken[1].sequence != found[1].sequence:
+            self._answered(*taken, now_ns)
+
+    def _answered(self, payload: bytes, info: SlotInfo, now_ns: int) -> None:
+        call, outcome = self._open_call, ENDINGS.get(info.status & ANSWER_MASK)
+        if call is None or info.correlation != call.correlation:
+            self.strays += outcome != "not executed"  # that is how a call ends that was withdrawn
+            return
+        if outcome is None:
+            return
+        reader = self._reader
+        if reader is None or reader.line is None:
+            raise ChannelError("SHM116", "another bridge has taken the service over", where=self.plan.service)
+        if outcome != "done":
+            reason = Reason(info.reason) if info.reason in list(Reason) else Reason.NONE
+            if outcome == "not executed" and self._is_doubtful(call):
+                outcome, reason = "fate unknown", Reason.PLC_DOWN
+            self._end(call, outcome, reason, now_ns)
+            return
+        self._open_call = None
+        if call.ended:
+            self.strays += 1
+        elif call.inherited:
+            self._unsent.append((call.caller, payload, "done", Reason.NONE, now_ns + _PATIENCE_NS))
+        else:
+            sent = self._reply(call.caller, payload, "")
+            self._count("done" if sent else "late", Reason.NONE, now_ns)
+
+    def _is_doubtful(self, call: _Call) -> bool:
+        """Whether another life of the PLC's block may have begun what this one found withdrawn (M27)."""
+        (claim,) = self._channels[0].region.words(reader_line(0), 1)
+        return claim != call.claim or (call.inherited and call.withdrawn)
+
+    # -- calls of an earlier bridge
+
+    def _take_over(self, writer: Writer, reader: Reader) -> None:
+        found, answer = self._newest(Part.REQUEST), self._newest(Part.RESPONSE)
+        if found is None or not found[1].status & ASK_CALL:
+            return
+        (record, info), now = found, self._now()
+        answered = answer is not None and answer[1].correlation == info.correlation
+        if answered and answer is not None and answer[1].sequence == reader.last:
+            return  # it was passed on
+        first = max(
+            self._sequences(Part.REQUEST, info.correlation), key=lambda one: distance(one, writer.head, 4)
+        )
+        (claim,) = self._channels[0].region.words(reader_line(0), 1)
+        call = _Call(info.client, record, now, info.correlation, first, claim, inherited=True)
+        call.withdrawn = bool(info.status & ASK_WITHDRAWN)
+        self.received += 1
+        self._recent.append(call.caller)
+        self._open_call = call
+        if not answered and not writer.begun(first) and not self._withdraw(call):
+            self._end(call, "not executed", Reason.BRIDGE_RESTARTED, now)
+
+    def _repeat(self, now_ns: int) -> None:
+        """Answer callers of an earlier bridge, as soon as the middleware has found them."""
+        server = self._endpoint
+        if server is None:
+            return
+        for _ in range(len(self._unsent)):
+            caller, payload, outcome, reason, until_ns = self._unsent.popleft()
+            if payload is None or not server.remembers:
+                if outcome == "done":
+                    outcome, reason = "fate unknown", Reason.BRIDGE_RESTARTED
+                self._reply(caller, None, WORDS[reason])
+            elif not self._reply(caller, payload, ""):
+                if now_ns < until_ns:
+                    self._unsent.append((caller, payload, outcome, reason, until_ns))
+                    continue
+                outcome = "late" if outcome == "done" else outcome
+            self._count(outcome, reason, now_ns)
+
+    # -- leaving
+
+    def _let_go(self, now_ns: int) -> None:
+        call, begun = self._open_call, True
+        if call is None:
+            return
+        with suppress(RosplcError, OSError, ValueError, AssertionError):
+            begun = self._withdraw(call) or call.inherited
+        if begun:
+            self._end(call, "fate unknown", Reason.BRIDGE_RESTARTED, now_ns)
+            return
+        # It goes to the next objects.
+        self._open_call, call.withdrawn = None, False
+        self._waiting.appendleft(call)
+
+    def finish(self, now_ns: int) -> None:
+        """Refuse what waits; what the PLC has begun is left to the next bridge."""
+        with suppress(RosplcError, ValueError, OSError):
+            self._receive(now_ns)
+        while self._waiting:
+            self._end(self._waiting.popleft(), "not executed", Reason.BRIDGE_RESTARTED, now_ns)
+        call = self._open_call
+        if call is not None and self._writer is not None and not call.inherited:
+            with suppress(RosplcError, ValueError, OSError):
+                if not self._writer.begun(call.first) and not self._withdraw(call):
+                    self._end(call, "not executed", Reason.BRIDGE_RESTARTED, now_ns)
