@@ -67,6 +67,22 @@ class Peer:
         self.tell(advertise=topic, type=type_name, **qos)
         self._wait_until_ready(topic)
 
+    def serve(self, service: str, type_name: str) -> None:
+        """Serve a service; its requests are heard on ``request:SERVICE``."""
+        self.heard[f"request:{service}"] = []
+        self.tell(serve=service, type=type_name)
+        self._wait_until_ready(service)
+
+    def proxy(self, service: str, type_name: str) -> None:
+        """Get ready to call a service; responses are heard on ``response:SERVICE``."""
+        self.heard[f"response:{service}"] = []
+        self.tell(proxy=service, type=type_name)
+        self._wait_until_ready(service)
+
+    def call(self, service: str, payload: bytes) -> None:
+        """Call a service as soon as it has a server."""
+        self.tell(call=service, payload=base64.b64encode(payload).decode())
+
     def echo(self, topic: str, to: str, type_name: str) -> None:
         """Send whatever comes on one topic on another one: an object of rclpy's between the two."""
         self.tell(echo=topic, to=to, type=type_name)

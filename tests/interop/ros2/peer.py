@@ -2,9 +2,13 @@
 
 Started as ``python peer.py DOMAIN NAME``. It reads from standard input
 ``{"subscribe": TOPIC, "type": …, "reliable": …}``, ``{"advertise": TOPIC, "type": …}``,
-``{"echo": TOPIC, "to": TOPIC, "type": …}``, ``{"publish": TOPIC, "payload": BASE64}`` and
+``{"serve": SERVICE, "type": …}``, ``{"proxy": SERVICE, "type": …}``,
+``{"call": SERVICE, "payload": BASE64}``, ``{"echo": TOPIC, "to": TOPIC, "type": …}``,
+``{"publish": TOPIC, "payload": BASE64}`` and
 ``{"fill": TOPIC, "size": BYTES, "count": N, "period": SECONDS}``. It prints ``{"ready": TOPIC}`` and
 ``{"heard": TOPIC, "size": …, "crc": …, "payload": …}``, where the payload is left out if it is large.
+Requests and responses are printed as heard on ``request:SERVICE`` and ``response:SERVICE``; a server
+sends its request's bytes back as the response.
 """
 
 from __future__ import annotations
@@ -17,6 +21,7 @@ import sys
 import threading
 import time
 import zlib
+from functools import partial
 from typing import Any
 
 import rclpy
@@ -25,7 +30,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
 
 LARGE = 100_000
-VERBS = ("subscribe", "advertise", "echo", "publish", "fill")
+VERBS = ("subscribe", "advertise", "echo", "publish", "fill", "serve", "proxy", "call")
 
 
 def say(**words: object) -> None:
@@ -54,12 +59,16 @@ def main() -> None:
         words = {} if len(data) > LARGE else {"payload": base64.b64encode(data).decode()}
         say(heard=topic, size=len(data), crc=zlib.crc32(data), **words)
 
+    def answer(service: str, request: Any, response: Any) -> Any:
+        hear(f"request:{service}", request)
+        return deserialize_message(serialize_message(request) + bytes(16), type(response))
+
     for line in sys.stdin:
         order = json.loads(line)
         topic = next(order[verb] for verb in VERBS if verb in order)
         if "type" in order:
-            package, _, name = order["type"].split("/")
-            kind = getattr(importlib.import_module(f"{package}.msg"), name)
+            package, part, name = order["type"].split("/")
+            kind = getattr(importlib.import_module(f"{package}.{part}"), name)
             profile = QoSProfile(depth=order.get("depth", 10))
             if not order.get("reliable", True):
                 profile.reliability = ReliabilityPolicy.BEST_EFFORT
@@ -68,6 +77,18 @@ def main() -> None:
         if "subscribe" in order:
             kept.append(node.create_subscription(kind, topic, lambda m, topic=topic: hear(topic, m), profile))
             say(ready=topic)
+        elif "serve" in order:
+            kept.append(node.create_service(kind, topic, partial(answer, topic)))
+            say(ready=topic)
+        elif "proxy" in order:
+            publishers[topic] = node.create_client(kind, topic), kind
+            say(ready=topic)
+        elif "call" in order:
+            client, kind = publishers[topic]
+            client.wait_for_service()
+            request = deserialize_message(base64.b64decode(order["payload"]), kind.Request)
+            future = client.call_async(request)
+            future.add_done_callback(lambda f, topic=topic: hear(f"response:{topic}", f.result()))
         elif "echo" in order:
             publisher = node.create_publisher(kind, order["to"], profile)
             kept.append(node.create_subscription(kind, topic, publisher.publish, profile))
