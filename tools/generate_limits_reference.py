@@ -53,7 +53,7 @@ Message definitions:
     fields and constants in it | model.parse.MAX_FIELDS | fields | TYP007
     name of a type | model.parse.MAX_NAME | characters | TYP001
     types within types | model.store.MAX_DEPTH | levels | TYP007
-    `.msg` files below one folder | model.folders.MAX_FILES | files | TYP008
+    definitions below one folder | model.folders.MAX_FILES | files | TYP008
     files of any kind below it | model.folders.MAX_ENTRIES | files | TYP008
     fields of one record, those of inner types counted | layout.compute.MAX_ITEMS | fields | LAY003
     size of one record | layout.compute.MAX_RECORD | bytes | LAY003

@@ -173,7 +173,7 @@ _register("TYP004", "unsupported field type", "wstring and long double are not c
 _register("TYP005", "two definitions of one message type differ", "Keep one of the definitions, or give the custom one its own package name.")
 _register("TYP006", "unknown ROS distribution", "Use one of the bundled distributions; `rosplc types --distros` lists them.")
 _register("TYP007", "definition exceeds a limit", "Definitions have limits on size, depth and number of fields, since they may come from the wire.")
-_register("TYP008", "folder of message definitions cannot be used", "Name a folder with PACKAGE/msg/NAME.msg files, a package's own folder, or one .msg file.")
+_register("TYP008", "folder of definitions cannot be used", "Name a folder with PACKAGE/msg/NAME.msg files (or .srv, .action), a package's own folder, or one file.")
 _register("TYP009", "message definition cannot be saved", "Choose another folder, or remove the file that is in the way.")
 
 _register("LAY001", "capacity is not valid", "Capacities are whole numbers from 1 up; strings at most 65534, sequences at most 16777216.")

@@ -163,7 +163,7 @@ def folders_of_messages(patch: pytest.MonkeyPatch, folder: Path) -> None:
         (folder / f"M{number}.msg").write_text("bool a\n")
     with patch.context() as lower:
         lower.setattr(folders, "MAX_FILES", 3)
-        refused("TYP008", lambda: TypeStore.bundled("jazzy").with_paths([folder]), "3 .msg files")
+        refused("TYP008", lambda: TypeStore.bundled("jazzy").with_paths([folder]), "3 definitions")
     with patch.context() as lower:
         lower.setattr(folders, "MAX_ENTRIES", 3)
         refused("TYP008", lambda: TypeStore.bundled("jazzy").with_paths([folder]), "more than 3 files")

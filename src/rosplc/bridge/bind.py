@@ -65,7 +65,7 @@ def bind(
         every: Return every message in order instead of the newest (``to_ros``).
         slots: A power of two from 4; one less messages can wait.
         distro: Whose definitions hold; by default ``ROS_DISTRO``, else jazzy; for rospy's classes noetic.
-        paths: Folders with custom ``.msg`` files.
+        paths: Folders with custom ``.msg``, ``.srv`` and ``.action`` files.
         prefix: First part of the object's name.
         directory: Where the object lies.
         mode: Its permission bits.

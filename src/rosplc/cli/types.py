@@ -1,4 +1,4 @@
-"""``rosplc types``: which message types there are, and how one looks in the PLC.
+"""``rosplc types``: which messages, services and actions there are, and how one looks in the PLC.
 
 rosplc types  —  all types of the default distribution
 
@@ -7,6 +7,8 @@ rosplc types sensor_msgs  —  the types of a package
 rosplc types geometry_msgs/Twist  —  its fields, offsets and IEC types
 
 rosplc types sensor_msgs/JointState --limits name=6 --limits position=6
+
+rosplc types std_srvs/SetBool  —  a service: the same of its request and its response
 
 rosplc types my_msgs/Part --path ./msg  —  a custom type
 
@@ -31,7 +33,7 @@ from rosplc.harmless import plural
 
 if TYPE_CHECKING:
     from rosplc.layout import Layout, Limits, Node
-    from rosplc.model import TypeStore
+    from rosplc.model import MessageType, TypeStore
 
 __all__ = ["command"]
 
@@ -50,13 +52,15 @@ def command(
     distros: bool = False,
     as_json: bool = False,
 ) -> None:
-    """List the known message types, or show one: fields, offsets, sizes, IEC types.
+    """List the known messages, services and actions, or show one: fields, offsets, sizes, IEC types.
 
     Options:
-        name [TYPE]: A type, `package/Name` or `package/msg/Name`, or a package; all types without it.
+        name [TYPE]: A type, `package/Name` or `package/msg/Name` (`srv`, `action`), or a package; all
+            types without it.
         distro NAME: The ROS distribution whose definitions hold; `noetic` is ROS 1.
-        path FOLDER: A folder with custom .msg files; may be given several times.
-        limits FIELD=N: A capacity: `string=40`, `sequence=8`, or a field's path; may be repeated.
+        path FOLDER: A folder with custom .msg, .srv and .action files; may be given several times.
+        limits FIELD=N: A capacity: `string=40`, `sequence=8`, or a field's path (`request.FIELD` of a
+            service); may be repeated.
         from_topic TOPIC: Ask a publisher of this topic for the type and its definition (ROS 1,
             `ROS_MASTER_URI`).
         save FOLDER: With --from-topic: write the definitions there, as files for `types.paths`.
@@ -67,11 +71,12 @@ def command(
     from rosplc.model import DISTROS, TypeStore
 
     if distros:
-        counts = {each: len(TypeStore.bundled(each)) for each in DISTROS}
+        stores = [TypeStore.bundled(each) for each in DISTROS]
         if as_json:
-            print_json(counts)
+            print_json({store.distro: len(store) for store in stores})
         else:
-            table((each, count, "types") for each, count in counts.items())
+            rows = ((each.distro, len(each), len(each.services()), len(each.actions())) for each in stores)
+            table(rows, header=("distribution", "messages", "services", "actions"))
         return
     wire: dict[str, Any] = {}
     if from_topic is not None:
@@ -86,9 +91,10 @@ def command(
         store = TypeStore.bundled(distro)
     if path:
         store = store.with_paths(path)
-    package = [each for each in store.names() if each.startswith(f"{name}/")]
+    every = sorted((*store.names(), *store.services(), *store.actions()))
+    package = [each for each in every if each.startswith(f"{name}/")]
     if name is None or package:
-        names = package or list(store.names())
+        names = package or every
         if as_json:
             print_json(names)
         else:
@@ -99,7 +105,11 @@ def command(
             ):
                 warn(f"not usable: {text}")
         return
-    layout = compute_layout(store, store[name].name, parse_limits(limits or []))
+    full, given = store.resolve(name), parse_limits(limits or [])
+    if parts := _parts(store, full):
+        _show_parts(store, full, parts, given, as_json=as_json)
+        return
+    layout = compute_layout(store, store[full].name, given)
     if as_json:
         print_json({**_facts(store, layout), **wire})
         return
@@ -108,6 +118,50 @@ def command(
     _describe(store, layout)
     for file in wire.get("saved", ()):
         say(f"written: {file}")
+
+
+def _parts(store: TypeStore, name: str) -> dict[str, MessageType]:
+    """Return the parts of a service or an action; nothing for a message."""
+    kind = "msg" if name in store else name.split("/")[1]
+    if kind == "srv":
+        service = store.service(name)
+        return {"request": service.request, "response": service.response}
+    if kind == "action":
+        action = store.action(name)
+        return {"goal": action.goal, "result": action.result, "feedback": action.feedback}
+    return {}
+
+
+def _show_parts(
+    store: TypeStore, name: str, parts: dict[str, MessageType], limits: Limits, *, as_json: bool
+) -> None:
+    from rosplc.layout import Limits, compute_layout
+
+    own: dict[str, dict[str, int]] = {part: {} for part in parts}
+    for path, capacity in limits.fields.items():
+        part, _, field = path.partition(".")
+        if part not in own:
+            words = " or ".join(f"{each}.FIELD" for each in own)
+            raise typer.BadParameter(f"{path!r} should be {words}", param_hint="--limits")
+        own[part][field] = capacity
+    layouts = {
+        part: compute_layout(store, message.name, Limits(limits.string, limits.sequence, own[part]))
+        for part, message in parts.items()
+    }
+    kind = "service" if "request" in parts else "action"
+    marks: dict[str, str] = {}
+    if store.ros_version == 1 and kind == "service":
+        marks = {"md5": store.service_md5(name)}
+    elif store.ros_version == 2 and store.distro != "humble":  # which has no type hashes
+        marks = {"hash": store.service_hash(name) if kind == "service" else store.action_hash(name)}
+    if as_json:
+        facts = {part: _facts(store, layout) for part, layout in layouts.items()}
+        print_json({"type": name, "kind": kind, "distro": store.distro, **marks, **facts})
+        return
+    say("".join([f"{name} ({store.distro}): {kind}", *(f", {key} {mark}" for key, mark in marks.items())]))
+    for layout in layouts.values():
+        say()
+        _describe(store, layout)
 
 
 def _ask(topic: str, folder: Path | None, timeout: float) -> tuple[TypeStore, str, dict[str, Any]]:
@@ -187,7 +241,7 @@ def _describe(store: TypeStore, layout: Layout) -> None:
 def _names(node: Node) -> tuple[str, str]:
     """Return a node's type in ROS's words, with its capacity, and in IEC 61131-3."""
     from rosplc.layout import ArrayNode, ScalarNode, SequenceNode, StringNode, StructNode
-    from rosplc.plc.names import IEC_TYPES
+    from rosplc.plc.names import IEC_TYPES, type_prefix
 
     if isinstance(node, ScalarNode):
         return node.kind, IEC_TYPES[node.kind]
@@ -200,5 +254,5 @@ def _names(node: Node) -> tuple[str, str]:
             return f"{ros}[{node.length}]", iec
         return f"{ros}[] (up to {node.capacity})", f"UDINT, {iec}"
     if isinstance(node, StructNode):
-        return node.type_name, node.type_name.replace("/msg/", "_")
+        return node.type_name, type_prefix(node.type_name)
     return "padding", ""

@@ -214,7 +214,8 @@ class TypesSettings(_Section):
 
     paths: tuple[Annotated[str, Field(min_length=1, max_length=LONGEST_TEXT)], ...] = _f(
         (),
-        "Folders with custom `.msg` files, relative to this file: `pkg/msg/Name.msg`, a package, a file.",
+        "Folders with custom `.msg`, `.srv` and `.action` files, relative to this file: `pkg/msg/Name.msg`, "
+        "a package, a file.",
         max_length=MOST_PATHS,
     )
 

@@ -169,6 +169,14 @@ class TypeStore:
         """Return the full names of all actions that can be used, sorted."""
         return self._usable("action")
 
+    def resolve(self, name: str) -> str:
+        """Return the full name of the message, service or action that ``package/Name`` means, in this order.
+
+        A name that is not known becomes a message's.
+        """
+        full = [full_name(name, kind) for kind in ("msg", *PARTS)]
+        return next((each for each in full if each in self._interfaces or each in self), full[0])
+
     def service(self, name: str) -> ServiceType:
         """Return a service by ``package/srv/Name`` or ``package/Name``.
 
@@ -345,8 +353,7 @@ class TypeStore:
         base = name.rsplit("/", 1)[-1].lower()
         every = [*self._types, *self._interfaces]
         same = [other for other in every if other.rsplit("/", 1)[1].lower() == base]
-        alike = [other for other in every if kind_of(other) == kind_of(name)]
-        near = difflib.get_close_matches(name, same, 1, 0) or difflib.get_close_matches(name, alike, 1)
+        near = difflib.get_close_matches(name, same, 1, 0) or difflib.get_close_matches(name, every, 1)
         hint = f"; did you mean {near[0]}?" if near else ""
         if self._nameless and not near:
             hint = f"; {self._nameless[0].where} was not read: {self._nameless[0].what}"

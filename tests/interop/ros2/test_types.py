@@ -50,6 +50,25 @@ def test_hashes() -> None:
         ]
 
 
+def test_hashes_of_services_and_actions() -> None:
+    """So are those of every service and action, of their messages, and of what ROS 2 derives from them."""
+    store = STORE.with_paths([SHARE / "test_msgs"])
+    names = [
+        name for name in (*store.services(), *store.actions()) if name.split("/")[0] not in WITHOUT_WHEEL
+    ]
+    assert {f"{name}.json" for name in names} == {
+        str(file.relative_to(SHARE)) for kind in ("srv", "action") for file in SHARE.glob(f"*/{kind}/*.json")
+    }
+    for name in names:
+        for described in json.loads((SHARE / f"{name}.json").read_text())["type_hashes"]:
+            part = described["type_name"]
+            if part in store:
+                ours = store.type_hash(part)
+            else:
+                ours = store.action_hash(part) if part in store.actions() else store.service_hash(part)
+            assert (part, ours) == (part, described["hash_string"])
+
+
 @pytest.mark.parametrize("package", PACKAGES)
 def test_values(node: Backend, peer: Peer, package: str) -> None:
     """Random values of each type of a package become objects of a real rclpy, and come back from it."""

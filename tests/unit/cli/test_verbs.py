@@ -82,8 +82,9 @@ def test_version():
 
 def test_types_lists_all():
     """Without a type all names are listed, one a line."""
-    assert rosplc("types").output.split() == list(STORE.names())
-    assert json.loads(rosplc("types", "--json").output) == list(STORE.names())
+    names = sorted((*STORE.names(), *STORE.services(), *STORE.actions()))
+    assert rosplc("types").output.split() == names
+    assert json.loads(rosplc("types", "--json").output) == names
 
 
 def test_types_lists_the_distributions():
@@ -102,6 +103,29 @@ def test_types_shows_one():
     facts = json.loads(rosplc("types", "sensor_msgs/JointState", "--limits", "name=6", "--json").output)
     assert facts["size"] == layout.size
     assert [field["path"] for field in facts["fields"]] == [path for path, _, _ in layout.fields()]
+
+
+def test_types_shows_a_service():
+    """Both parts are shown as messages are, with the service's hash; `request.FIELD` limits a field."""
+    arguments = ("std_srvs/SetBool", "--limits", "response.message=20")
+    output = rosplc("types", *arguments).output
+    digest = STORE.service_hash("std_srvs/SetBool")
+    assert output.startswith(f"std_srvs/srv/SetBool (jazzy): service, hash {digest}\n")
+    assert "std_srvs/srv/SetBool_Request (jazzy): 1 byte per record" in output
+    assert "STRING(20)" in output
+    facts = json.loads(rosplc("types", *arguments, "--json").output)
+    assert (facts["kind"], facts["hash"], facts["response"]["size"]) == ("service", digest, 22)
+
+
+def test_types_shows_an_action():
+    """An action has three parts, and a hash in ROS 2 alone; a service of ROS 1 has its MD5 sum."""
+    facts = json.loads(rosplc("types", "example_interfaces/Fibonacci", "--json").output)
+    assert facts["hash"] == STORE.action_hash("example_interfaces/Fibonacci")
+    assert [facts[part]["size"] for part in ("goal", "result", "feedback")] == [4, 68, 68]
+    facts = json.loads(rosplc("types", "actionlib/TwoInts", "--distro", "noetic", "--json").output)
+    assert "hash" not in facts and "md5" not in facts
+    service = rosplc("types", "std_srvs/SetBool", "--distro", "noetic").output
+    assert "md5 09fb03525b03e7ea1fd3992bafd87e16\n" in service
 
 
 def test_types_shows_constants_and_defaults(tmp_path):
@@ -263,6 +287,8 @@ BAD = {
     "unknown distribution": (["types", "--distro", "jazy"], 1, "did you mean jazzy"),
     "misspelt limit": (["types", "std_msgs/String", "--limits", "dta=3"], 1, "LAY002"),
     "limit without a number": (["types", "std_msgs/String", "--limits", "data"], 2, "FIELD=N"),
+    "limit of no part": (["types", "std_srvs/SetBool", "--limits", "message=3"], 2, "response.FIELD"),
+    "unknown service": (["types", "std_srvs/srv/SetBol"], 1, "did you mean"),
     "limit of zero": (["types", "std_msgs/String", "--limits", "data=0"], 1, "LAY001"),
     "missing file": (["check", "/nowhere/rosplc.yaml"], 2, "CFG001"),
     "run without its file": (["run", "/nowhere/rosplc.yaml"], 2, "CFG001"),
@@ -364,7 +390,8 @@ def test_a_package_lists_its_types():
     """`types sensor_msgs` prints the package's types, one a line."""
     lines = rosplc("types", "sensor_msgs").output.split()
     assert "sensor_msgs/msg/JointState" in lines
-    assert all(line.startswith("sensor_msgs/msg/") for line in lines)
+    assert "sensor_msgs/srv/SetCameraInfo" in lines
+    assert all(line.startswith(("sensor_msgs/msg/", "sensor_msgs/srv/")) for line in lines)
 
 
 @pytest.mark.parametrize(
