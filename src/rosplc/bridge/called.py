@@ -12,7 +12,7 @@ from rosplc.config.services import ServicePlan
 from rosplc.errors import RosplcError
 from rosplc.reasons import Reason
 from rosplc.ros import Backend, Reply, ServiceClient
-from rosplc.shm import Part, Reader, SlotInfo, Writer
+from rosplc.shm import Answerer, Part, Reader, Writer
 from rosplc.shm.constants import ASK_WITHDRAWN, WRITER_LINE
 
 _ANSWERS = {outcome: answer for answer, outcome in ENDINGS.items()}
@@ -28,7 +28,7 @@ class Called(Use):
         super().__init__(plan, context, on_event)
         self._open_call: int | None = None  # its correlation
         self._sent: int | None = None  # its number in ROS; None once it is forgotten
-        self._last = 0  # the correlation of the last answer
+        self._answerer: Answerer | None = None
         self._ready: bool | None = None
         self._initial = bytes(plan.response.initial())
 
@@ -42,7 +42,7 @@ class Called(Use):
 
     def turn(self, now_ns: int) -> None:
         """Go on with the call."""
-        if self._writer is None or self._reader is None:
+        if self._writer is None or self._reader is None or self._answerer is None:
             return
         head, epoch, beat, beat_ms = self._channels[1].region.words(WRITER_LINE["head"], 4)
         self._observe(epoch, beat, head, beat_ms, now_ns)
@@ -61,30 +61,30 @@ class Called(Use):
             self._give_up(Reason.PLC_DOWN, now_ns)
         waits = head != self._reader.last
         if waits and epoch and self._peer.alive and (ready or self._open_call is not None):
-            self._take(self._reader, epoch, now_ns)
+            self._take(self._reader, self._answerer, epoch, now_ns)
         self.due_ns = now_ns + (LOOK_NS if waits or self._open_call is not None else IDLE_NS)
 
-    def _take(self, reader: Reader, epoch: int, now_ns: int) -> None:
+    def _take(self, reader: Reader, answerer: Answerer, epoch: int, now_ns: int) -> None:
         while (found := reader.latest_wire(self._codecs[Part.REQUEST].plan)) is not None:
-            if reader.begin():
-                payload, info = found
-                if info.correlation >> 32 == epoch and info.correlation != self._last:
-                    self._begin(payload, info, now_ns)
+            payload, info = found
+            if info.correlation >> 32 != epoch:
+                continue  # of another life of the PLC's program
+            what = answerer.take(info)
+            if what == "more" and info.status & ASK_WITHDRAWN:
+                self._give_up(Reason.CALLER_GONE, now_ns)
+            elif what not in ("", "more"):
+                if self._open_call is not None:
+                    self._give_up(Reason.CALLER_GONE, now_ns)
+                self._begin(what, payload, info.correlation, now_ns)
 
-    def _begin(self, payload: bytes, info: SlotInfo, now_ns: int) -> None:
-        """Act on a message of the PLC's that was taken and is still the newest."""
-        number, withdrawn = info.correlation, bool(info.status & ASK_WITHDRAWN)
-        if self._open_call is not None:
-            if number == self._open_call and not withdrawn:
-                return
-            self._give_up(Reason.CALLER_GONE, now_ns)
-            if withdrawn:
-                return
+    def _begin(self, what: str, payload: bytes, number: int, now_ns: int) -> None:
+        """Act on a new call of the PLC's."""
         self.received += 1
-        self._open_call = number
-        client = self._endpoint
-        if withdrawn:
+        self._open_call, client = number, self._endpoint
+        if what == "withdrawn":
             self._answer("not executed", Reason.CALLER_GONE, now_ns)
+        elif what == "unknown":
+            self._answer("fate unknown", Reason.BRIDGE_RESTARTED, now_ns)
         elif client is None:
             self._answer("not executed", Reason.NO_SERVER, now_ns)
         else:
@@ -112,10 +112,10 @@ class Called(Use):
     ) -> None:
         """End the open call with its one answer."""
         number, self._open_call, self._sent = self._open_call, None, None
-        assert number is not None
-        self._last = number
+        assert number is not None and self._answerer is not None
+        self._answerer.answered(number)
         self._count(outcome, reason, now_ns, text)
-        self._send(record or self._initial, _ANSWERS[outcome], number, b"", reason)
+        self._send(record or self._initial, correlation=number, status=_ANSWERS[outcome], reason=reason)
 
     def _give_up(self, reason: Reason, now_ns: int) -> None:
         """Wait no longer for ROS: the call may have been executed."""
@@ -123,14 +123,12 @@ class Called(Use):
             self._endpoint.forget(self._sent)
         self._answer("fate unknown", reason, now_ns)
 
-    def _take_over(self, writer: Writer, reader: Reader) -> None:
-        found, answer = self._newest(Part.REQUEST), self._newest(Part.RESPONSE)
-        if found is None:
-            return
-        number = found[1].correlation
-        if answer is not None and answer[1].correlation == number:
-            self._last = number
-        elif reader.last in self._sequences(Part.REQUEST, number):
+    def _claimed(self, writer: Writer, reader: Reader) -> None:
+        answers, asks = self._channels
+        self._answerer = Answerer(asks, reader, answers)
+        self._ready = None
+        number = self._answerer.unanswered
+        if number and number >> 32 == asks.region.word(WRITER_LINE["writer_epoch"]):
             self.received += 1
             self._open_call = number
             self._answer("fate unknown", Reason.BRIDGE_RESTARTED, self._now())

@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 
 from rosplc.bridge.port import Context
 from rosplc.bridge.use import ENDINGS, IDLE_NS, LOOK_NS, TOO_LARGE, WORDS, Outcome, Use
@@ -14,8 +15,8 @@ from rosplc.config.services import ServicePlan
 from rosplc.errors import ChannelError, RosplcError
 from rosplc.reasons import Reason
 from rosplc.ros import Backend, ServiceServer
-from rosplc.shm import Part, Reader, SlotInfo, Writer, distance
-from rosplc.shm.constants import ANSWER_MASK, ASK_CALL, ASK_WITHDRAWN, reader_line
+from rosplc.shm import Caller, Part, Reader, SlotInfo, Writer
+from rosplc.shm.constants import ASK_CALL, ASK_WITHDRAWN, reader_line
 
 _PATIENCE_NS = 10_000_000_000
 """How long an answer to a call of an earlier bridge waits until the middleware has found its caller again."""
@@ -33,9 +34,6 @@ class _Call:
         caller: As the ROS side knows it.
         record: The request.
         arrived_ns: When it came.
-        correlation: Its number, once it was handed out.
-        first: The sequence of its first message.
-        claim: The claim of the PLC's block when it was handed out.
         withdrawn: Whether the PLC was told that nobody waits.
         ended: Whether the caller has been told how it ended, though the PLC has not ended it.
         inherited: It was handed out by an earlier bridge, and begun.
@@ -44,9 +42,6 @@ class _Call:
     caller: bytes
     record: bytes
     arrived_ns: int
-    correlation: int = 0
-    first: int = 0
-    claim: int = 0
     withdrawn: bool = False
     ended: bool = False
     inherited: bool = False
@@ -62,9 +57,9 @@ class Served(Use):
         super().__init__(plan, context, on_event)
         self._waiting: deque[_Call] = deque()
         self._open_call: _Call | None = None
+        self._caller: Caller | None = None
         self._unsent: deque[tuple[bytes, bytes | None, Outcome, Reason, int]] = deque()
         self._recent: deque[bytes] = deque(maxlen=_REMEMBERED)
-        self._number = 0
         self._next_ns = 0  # before that the rate limit lets nothing pass
         codec = self._codecs[Part.RESPONSE]
         self._fallback = None if plan.fallback is None else codec.encode(plan.fallback)
@@ -142,21 +137,18 @@ class Served(Use):
                 self._publish(self._waiting.popleft(), now_ns)
 
     def _publish(self, call: _Call, now_ns: int) -> None:
-        writer = self._writer
-        assert writer is not None
-        self._number = self._number % 0xFFFFFFFF + 1
-        call.correlation, call.claim = writer.epoch << 32 | self._number, self._holder
+        assert self._caller is not None
         self._open_call = call
         self._next_ns = now_ns + self.plan.min_interval_ns
-        call.first = self._send(call.record, ASK_CALL, call.correlation, call.caller)
+        self._caller.call(partial(self._send, call.record), client=call.caller)
 
     def _withdraw(self, call: _Call) -> bool:
         """Tell the PLC that nobody waits any more; return whether it may have begun (M26)."""
-        assert self._writer is not None
-        if not call.withdrawn:
-            call.withdrawn = True
-            self._send(call.record, ASK_CALL | ASK_WITHDRAWN, call.correlation, call.caller)
-        return self._writer.begun(call.first)
+        assert self._caller is not None
+        if call.withdrawn:
+            return self._caller.begun()
+        call.withdrawn = True
+        return self._caller.withdraw(partial(self._send, call.record)) or call.inherited
 
     def _end(self, call: _Call, outcome: Outcome, reason: Reason, now_ns: int, text: str = "") -> None:
         """Count a call that has no answer, and tell its caller what the configuration says."""
@@ -191,23 +183,20 @@ class Served(Use):
         claim, beat, beat_ms, taken = self._channels[0].region.words(reader_line(0), 4)
         self._observe(claim, beat, taken, beat_ms, now_ns)
         self._take_answers(now_ns)
-        call = self._open_call
-        if call is None or self._writer is None:
+        call, caller = self._open_call, self._caller
+        if call is None or caller is None:
             return
-        if not claim or claim != call.claim:
-            # Withdrawn first: it may have been published just before the claim changed.
-            outcome: Outcome = "fate unknown" if self._withdraw(call) or call.inherited else "not executed"
-            self._end(call, outcome, Reason.PLC_DOWN, now_ns)
+        if outcome := caller.lost(partial(self._send, call.record)):
+            lost = "fate unknown" if call.inherited else ENDINGS[outcome]
+            self._end(call, lost, Reason.PLC_DOWN, now_ns)
         elif not call.ended:
-            self._judge(call, now_ns)
+            self._judge(call, caller.begun(), now_ns)
 
-    def _judge(self, call: _Call, now_ns: int) -> None:
+    def _judge(self, call: _Call, begun: bool, now_ns: int) -> None:
         """Withdraw a call that nobody waits for, or that will not be carried out."""
-        assert self._writer is not None
-        begun = call.inherited or self._writer.begun(call.first)
         waited = now_ns - call.arrived_ns
         if self._peer.silent:
-            if self._withdraw(call) or call.inherited:
+            if self._withdraw(call):
                 # The object stays taken until the PLC speaks again; the caller is told now.
                 self._end(call, "fate unknown", Reason.PLC_DOWN, now_ns)
                 self._open_call = call
@@ -237,19 +226,19 @@ class Served(Use):
             self._answered(*taken, now_ns)
 
     def _answered(self, payload: bytes, info: SlotInfo, now_ns: int) -> None:
-        call, outcome = self._open_call, ENDINGS.get(info.status & ANSWER_MASK)
-        if call is None or info.correlation != call.correlation:
-            self.strays += outcome != "not executed"  # that is how a call ends that was withdrawn
+        call, reader = self._open_call, self._reader
+        answer = 0 if self._caller is None else self._caller.answer(info)
+        if call is None or not answer:
+            self.strays += 1
             return
-        if outcome is None:
-            return
-        reader = self._reader
         if reader is None or reader.line is None:
             raise ChannelError("SHM116", "another bridge has taken the service over", where=self.plan.service)
+        outcome = ENDINGS.get(answer, "fate unknown")
         if outcome != "done":
             reason = Reason(info.reason) if info.reason in list(Reason) else Reason.NONE
-            if outcome == "not executed" and self._is_doubtful(call):
-                outcome, reason = "fate unknown", Reason.PLC_DOWN
+            if outcome == "not executed" and call.inherited and call.withdrawn:
+                # Another life of the PLC's block may have begun what this one found withdrawn.
+                outcome, reason = "fate unknown", Reason.BRIDGE_RESTARTED
             self._end(call, outcome, reason, now_ns)
             return
         self._open_call = None
@@ -261,32 +250,28 @@ class Served(Use):
             sent = self._reply(call.caller, payload, "")
             self._count("done" if sent else "late", Reason.NONE, now_ns)
 
-    def _is_doubtful(self, call: _Call) -> bool:
-        """Whether another life of the PLC's block may have begun what this one found withdrawn (M27)."""
-        (claim,) = self._channels[0].region.words(reader_line(0), 1)
-        return claim != call.claim or (call.inherited and call.withdrawn)
-
     # -- calls of an earlier bridge
 
-    def _take_over(self, writer: Writer, reader: Reader) -> None:
-        found, answer = self._newest(Part.REQUEST), self._newest(Part.RESPONSE)
-        if found is None or not found[1].status & ASK_CALL:
+    def _claimed(self, writer: Writer, reader: Reader) -> None:
+        asks, answers = self._channels
+        self._caller, known, self._known = Caller(asks, writer, follows_claim=True), self._known, True
+        found, answer = self._newest(asks), self._newest(answers)
+        if known or found is None or not found[1].status & ASK_CALL:
             return
         (record, info), now = found, self._now()
         answered = answer is not None and answer[1].correlation == info.correlation
         if answered and answer is not None and answer[1].sequence == reader.last:
             return  # it was passed on
-        first = max(
-            self._sequences(Part.REQUEST, info.correlation), key=lambda one: distance(one, writer.head, 4)
-        )
-        (claim,) = self._channels[0].region.words(reader_line(0), 1)
-        call = _Call(info.client, record, now, info.correlation, first, claim, inherited=True)
-        call.withdrawn = bool(info.status & ASK_WITHDRAWN)
+        self._caller.resume(info)
+        withdrawn = bool(info.status & ASK_WITHDRAWN)
+        call = self._open_call = _Call(info.client, record, now, withdrawn)
         self.received += 1
         self._recent.append(call.caller)
-        self._open_call = call
-        if not answered and not writer.begun(first) and not self._withdraw(call):
-            self._end(call, "not executed", Reason.BRIDGE_RESTARTED, now)
+        call.inherited = answered or self._caller.begun() or self._withdraw(call)
+        if not call.inherited:
+            self._open_call, call.ended = None, True
+            reason = Reason.BRIDGE_RESTARTED
+            self._unsent.append((call.caller, self._fallback, "not executed", reason, now + _PATIENCE_NS))
 
     def _repeat(self, now_ns: int) -> None:
         """Answer callers of an earlier bridge, as soon as the middleware has found them."""
@@ -313,7 +298,7 @@ class Served(Use):
         if call is None:
             return
         with suppress(RosplcError, OSError, ValueError, AssertionError):
-            begun = self._withdraw(call) or call.inherited
+            begun = self._withdraw(call)
         if begun:
             self._end(call, "fate unknown", Reason.BRIDGE_RESTARTED, now_ns)
             return
@@ -327,8 +312,8 @@ class Served(Use):
             self._receive(now_ns)
         while self._waiting:
             self._end(self._waiting.popleft(), "not executed", Reason.BRIDGE_RESTARTED, now_ns)
-        call = self._open_call
-        if call is not None and self._writer is not None and not call.inherited:
+        call, caller = self._open_call, self._caller
+        if call is not None and caller is not None and not call.inherited:
             with suppress(RosplcError, ValueError, OSError):
-                if not self._writer.begun(call.first) and not self._withdraw(call):
+                if not caller.begun() and not self._withdraw(call):
                     self._end(call, "not executed", Reason.BRIDGE_RESTARTED, now_ns)

@@ -25,8 +25,6 @@ from rosplc.shm.constants import (
     ANSWER_NOT_EXECUTED,
     ANSWER_UNREADABLE,
     FLAG_FIRST,
-    LINE_SIZE,
-    SLOT_HEADER,
 )
 
 _REPORT_NEWS = 2
@@ -131,12 +129,10 @@ class Use(Notes, ABC):
         try:
             self._writer, self._reader = out.writer(context.beat_ms), into.reader(context.beat_ms)
             self._first, self._peer, self._holder = True, Peer(), 0
-            if out.adopted and not self._known:
-                self._take_over(self._writer, self._reader)
+            self._claimed(self._writer, self._reader)
         except BaseException:
             self.close()
             raise
-        self._known = True
         for channel in opened:
             if reason := channel.replaced_reason:
                 level = logging.WARNING if reason.endswith("]") else logging.INFO
@@ -149,26 +145,14 @@ class Use(Notes, ABC):
                 )
 
     @abstractmethod
-    def _take_over(self, writer: Writer, reader: Reader) -> None:
-        """Find the call that an earlier bridge left open."""
+    def _claimed(self, writer: Writer, reader: Reader) -> None:
+        """Both objects are this bridge's; find what an earlier one left open."""
 
-    def _newest(self, part: Part) -> tuple[bytes, SlotInfo] | None:
+    def _newest(self, channel: OwnedChannel) -> tuple[bytes, SlotInfo] | None:
         """Return the newest message of one of the objects, and take nothing."""
-        record = bytearray(self._codecs[part].layout.size)
-        channel = self._channels[0 if part is self.outgoing else 1]
+        record = bytearray(channel.identity.record_size)
         info = Reader(channel.region, 0).peek(record)
         return None if info is None else (bytes(record), info)
-
-    def _sequences(self, part: Part, correlation: int) -> list[int]:
-        """Return the sequences of the messages that a call still has in an object."""
-        channel = self._channels[0 if part is self.outgoing else 1]
-        found, identity = [], channel.identity
-        for slot in range(identity.slot_count):
-            words = channel.region.words(identity.slots_offset + slot * identity.slot_stride, LINE_SIZE // 4)
-            low, high = (words[SLOT_HEADER[name] // 4] for name in ("correlation_lo", "correlation_hi"))
-            if words[0] and high << 32 | low == correlation:
-                found.append(words[0])
-        return found
 
     def close(self) -> None:
         """Leave both objects with their last state."""
@@ -267,20 +251,13 @@ class Use(Notes, ABC):
         """End what has not begun: the use is not served any more."""
 
     def _send(
-        self, record: bytes, status: int, correlation: int, client: bytes, reason: Reason = Reason.NONE
-    ) -> int:
+        self, record: bytes, *, correlation: int, status: int, client: bytes = b"", reason: int = 0
+    ) -> None:
         writer = self._writer
         assert writer is not None
         flags, self._first = (FLAG_FIRST if self._first else 0), False
-        return writer.publish(
-            record,
-            status=status,
-            correlation=correlation,
-            client=client,
-            reason=reason,
-            flags=flags,
-            stamp_ns=self.context.clock.time_ns(),
-        )
+        words = {"correlation": correlation, "status": status, "reason": reason, "flags": flags}
+        writer.publish(record, client=client, stamp_ns=self.context.clock.time_ns(), **words)
 
     def _observe(self, claim: int, beat: int, count: int, beat_ms: int, now_ns: int) -> None:
         if claim != self._holder:

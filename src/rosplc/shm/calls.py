@@ -84,6 +84,10 @@ class Caller:
         self.correlation = 0
         return False
 
+    def begun(self) -> bool:
+        """Return whether the answerer may have begun the open call; sure once it is withdrawn."""
+        return self._writer.begun(self._first)
+
     def lost(self, send: Send) -> int:
         """Return how the open call has ended since the answerer's claim has changed (M27); 0 if not."""
         if not (self.correlation and self._follows_claim) or self.claim() == self._claim:
