@@ -16,7 +16,15 @@ from rosplc.bridge.realtime import contention
 from rosplc.bridge.ros_side import choose_backend
 from rosplc.config.plans import ClassicPlan, flag_topic
 from rosplc.config.quantities import format_duration
-from rosplc.config.resolve import Project, TopicPlan, load_project, object_plan, open_doors
+from rosplc.config.resolve import (
+    Project,
+    TopicPlan,
+    load_project,
+    object_plan,
+    open_doors,
+    service_object_plans,
+)
+from rosplc.config.services import ServicePlan
 from rosplc.errors import GenerationError, RosplcError
 from rosplc.harmless import in_bytes
 from rosplc.layout import Layout, SequenceNode, StringNode, compute_layout
@@ -28,6 +36,7 @@ from rosplc.plc.plan import ProjectOptions, target_of
 from rosplc.plc.project import PlcProject
 from rosplc.ros import INSTALL, Choice
 from rosplc.ros.choice import why_not_installed
+from rosplc.shm import SERVICE
 
 __all__ = [
     "Delivery",
@@ -40,6 +49,8 @@ __all__ = [
     "generate_types",
     "memory",
     "plc_names",
+    "service_memory",
+    "total_memory",
     "warnings",
     "when_silent",
 ]
@@ -79,7 +90,8 @@ def check(config: Path | str | Project) -> dict[str, Any]:
             plan.topic: _topic_facts(project, plan, {} if isinstance(names, RosplcError) else names)
             for plan in project.topics
         },
-        "memory_bytes": sum(memory(project, plan)["memory_bytes"] for plan in project.topics),
+        "services": [_service_facts(project, plan) for plan in project.services],
+        "memory_bytes": total_memory(project),
         "unusable_types": [error.to_dict() for error in project.store.problems()],
         "warnings": warnings(project),
     }
@@ -220,6 +232,17 @@ def memory(project: Project, plan: TopicPlan) -> dict[str, int]:
     }
 
 
+def service_memory(project: Project, plan: ServicePlan) -> int:
+    """Return the shared memory that one use of a service takes, in bytes and whole pages."""
+    return sum(_pages(made.object_size) for made in service_object_plans(project, plan).values())
+
+
+def total_memory(project: Project) -> int:
+    """Return the shared memory that a configuration takes, in bytes."""
+    topics = sum(memory(project, plan)["memory_bytes"] for plan in project.topics)
+    return topics + sum(service_memory(project, plan) for plan in project.services)
+
+
 def _pages(count: int) -> int:
     page = os.sysconf("SC_PAGESIZE")
     return -(-count // page) * page
@@ -256,6 +279,34 @@ def _topic_facts(project: Project, plan: TopicPlan, names: dict[str, tuple[str, 
         "min_interval_ms": plan.min_interval_ns / 1e6,
         "on_change": plan.on_change,
         "print": plan.print,
+        "on_overflow": "truncate" if plan.truncate else "refuse",
+    }
+
+
+def _service_facts(project: Project, plan: ServicePlan) -> dict[str, Any]:
+    at_plc = plan.server == "plc"
+    parts = dict(zip(SERVICE, plan.layouts, strict=True))
+    return {
+        "service": plan.service,
+        "type": plan.type_name,
+        "server": plan.server,
+        "client": plan.client,
+        "task": plan.task,
+        "objects": {
+            part.word: {
+                "name": project.namespace.object_name(plan.service, part, plan.client),
+                "layout_id": layout.layout_id,
+                "record_bytes": layout.size,
+                "limits": capacities(layout),
+            }
+            for part, layout in parts.items()
+        },
+        "memory_bytes": service_memory(project, plan),
+        "depth": plan.depth if at_plc else None,
+        "per_client": plan.per_client if at_plc else None,
+        "min_interval_ms": plan.min_interval_ns / 1e6,
+        "expire_after_ms": plan.expire_ns / 1e6 if at_plc else None,
+        "fallback": None if plan.fallback is None else plan.response.to_dict(plan.fallback),
         "on_overflow": "truncate" if plan.truncate else "refuse",
     }
 

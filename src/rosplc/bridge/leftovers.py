@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
 from rosplc.bridge.port import log
 from rosplc.config.resolve import Project, rights
+from rosplc.config.services import ServicePlan
 from rosplc.errors import ChannelError
-from rosplc.shm import Direction, OwnedChannel, attach
+from rosplc.shm import SERVICE, Direction, OwnedChannel, Part, attach
 from rosplc.shm.lock import NameLock
+
+_Name = tuple[str, Part, str]
+"""An object: topic or service, what it carries, and the client."""
 
 
 def check_names(project: Project) -> None:
     """Try every configured name's lock; SHM116, with nothing disturbed, if another process holds one."""
     namespace, allowed = project.namespace, rights(project.config)
-    for plan in project.topics:
-        if plan.port != "channel":
-            continue
-        path = namespace.lock_path(plan.topic)
+    for name in _objects(project):
+        path = namespace.lock_path(*name)
         try:
             NameLock(path, allowed).release()
         except ChannelError as error:
@@ -26,32 +29,41 @@ def check_names(project: Project) -> None:
                 continue  # a stranger's: a problem of this topic alone
             if error.code != "SHM116":
                 raise
-            what = f"{_holder(project, plan.topic, path)} holds {plan.topic}"
+            what = f"{_holder(project, name, path)} holds {' '.join(filter(None, (name[0], name[2])))}"
             raise ChannelError("SHM116", what, where=error.where) from None
 
 
 def retire_leftovers(project: Project) -> None:
-    """Retire objects of topics that have left this bridge's configuration (spec, section 8.7).
+    """Retire objects of what has left this bridge's configuration (spec, section 8.7).
 
     Objects of other bridges, by the name in their self-description, are left alone.
     """
     namespace = project.namespace
-    kept = {namespace.object_name(plan.topic) for plan in project.topics if plan.port == "channel"}
-    for name in namespace.topics():
-        topic = namespace.topic_of(name)
-        if topic is None or name in kept:
+    kept = {namespace.object_name(*name) for name in _objects(project)}
+    for name, part in namespace.objects():
+        found = namespace.name_of(name)
+        if found is None or name in kept:
             continue
         try:
-            _retire(project, topic)
+            _retire(project, (found[0], part, found[1]))
         except (ChannelError, OSError, ValueError) as error:
             log.debug("%s is left alone: %s", name, error)
 
 
-def _holder(project: Project, topic: str, lock: Path) -> str:
+def _objects(project: Project) -> Iterator[_Name]:
+    """Yield the objects that a configuration has."""
+    for plan in project.plans:
+        if isinstance(plan, ServicePlan):
+            yield from ((plan.service, part, plan.client) for part in SERVICE)
+        elif plan.port == "channel":
+            yield plan.topic, Part.TOPIC, ""
+
+
+def _holder(project: Project, name: _Name, lock: Path) -> str:
     """Describe who holds a name's lock, as far as the kernel and the object tell."""
     held = _locked_by(lock)
     try:
-        with attach(project.namespace, topic) as found:
+        with attach(project.namespace, name[0], part=name[1], client=name[2]) as found:
             state = found.snapshot()
             to_plc = found.identity.direction is Direction.TO_PLC
             pid = state.writer.pid if to_plc else state.readers[0].pid
@@ -62,10 +74,10 @@ def _holder(project: Project, topic: str, lock: Path) -> str:
         pass
     if held is None:
         return "another process"
-    name = ""
+    command = ""
     with suppress(OSError):
-        name = Path(f"/proc/{held}/comm").read_text(encoding="utf-8", errors="replace").strip()
-    return f"process {held}{f' ({name})' if name else ''}, which has not opened its object,"
+        command = Path(f"/proc/{held}/comm").read_text(encoding="utf-8", errors="replace").strip()
+    return f"process {held}{f' ({command})' if command else ''}, which has not opened its object,"
 
 
 def _locked_by(path: Path) -> int | None:
@@ -81,11 +93,12 @@ def _locked_by(path: Path) -> int | None:
     return None
 
 
-def _retire(project: Project, topic: str) -> None:
-    with attach(project.namespace, topic) as found:
+def _retire(project: Project, name: _Name) -> None:
+    topic, part, client = name
+    with attach(project.namespace, topic, part=part, client=client) as found:
         description, identity = found.description, found.identity
     if description.bridge != project.config.settings.bridge or description.topic != topic:
         return
     size, slots, given = identity.record_size, identity.slot_count, vars(rights(project.config))
     OwnedChannel.open(project.namespace, description, record_size=size, slots=slots, **given).retire()
-    log.info("%s has left the configuration; its object is retired", topic)
+    log.info("%s has left the configuration; its %s object is retired", topic, part.word)

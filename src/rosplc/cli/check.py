@@ -27,6 +27,8 @@ from rosplc.harmless import plural
 if TYPE_CHECKING:
     from rosplc.config.plans import ClassicPlan
     from rosplc.config.resolve import Project, TopicPlan
+    from rosplc.config.services import ServicePlan
+    from rosplc.layout import Layout
 
 __all__ = ["command"]
 
@@ -108,7 +110,7 @@ def _explain(project: Project, *, verbose: bool) -> None:
         return
     if len(found) > _WARNINGS:
         found[_WARNINGS - 1 :] = [f"{plural(len(found) - _WARNINGS + 1, 'more warning')}: rosplc check -v"]
-    body = [*_table(project), *_limits(project)]
+    body = [*_table(project), *_services(project), *_limits(project)]
     width = terminal_width()
     around = sum(wrap(line, width).count("\n") + 1 for line in (*head, *total, *found))
     room = max(3, _SCREEN - around - 1)
@@ -143,18 +145,41 @@ def _table(project: Project) -> Iterator[str]:
     yield from columns(rows, header=("topic", "direction", "type", "bytes", "stale after", "in the PLC"))
 
 
+def _services(project: Project) -> Iterator[str]:
+    """Yield a line for each use of a service."""
+    rows = []
+    for plan in project.services:
+        served = plan.server == "plc"
+        queue = f"{plan.depth} calls, {_time(plan.expire_ns)}" if served else "-"
+        way = "ROS calls PLC" if served else "PLC calls ROS"
+        sizes = f"{plan.request.size} + {plan.response.size}"
+        rows.append((plan.service, way, plan.type_name, sizes, plan.client or "-", plan.task, queue))
+    if rows:
+        yield ""
+    yield from columns(
+        rows, header=("service", "direction", "type", "bytes", "client", "task", "waits at most")
+    )
+
+
 def _limits(project: Project) -> Iterator[str]:
     """Yield the effective capacity of each string and sequence."""
-    rows = [(plan.topic, limits) for plan in project.topics if (limits := _capacities(plan))]
+    rows = [(plan.topic, limits) for plan in project.topics if (limits := _capacities(plan.layout))]
+    # All uses of a service have the same.
+    for plan in {plan.service: plan for plan in project.services}.values():
+        rows += [
+            (f"{plan.service} {part}", limits)
+            for part, layout in zip(("request", "response"), plan.layouts, strict=True)
+            if (limits := _capacities(layout))
+        ]
     if rows:
         yield "\nLimits (strings in bytes, sequences in elements):"
     yield from columns(rows, indent=2)
 
 
-def _capacities(plan: TopicPlan) -> str:
+def _capacities(layout: Layout) -> str:
     from rosplc.project import capacities
 
-    return ", ".join(f"{path} {capacity}" for path, capacity in capacities(plan.layout).items())
+    return ", ".join(f"{path} {capacity}" for path, capacity in capacities(layout).items())
 
 
 def _details(project: Project) -> Iterator[str]:
@@ -163,6 +188,26 @@ def _details(project: Project) -> Iterator[str]:
     for plan in project.topics:
         yield f"\n{plan.topic}  {_WAYS[plan.direction]}  {plan.type_name}"
         yield from columns(_rows(project, plan, names.get(plan.topic)), indent=2)
+    for use in project.services:
+        way = "carried out by the PLC" if use.server == "plc" else "called by the PLC"
+        yield f"\n{use.name}  {way}  {use.type_name}"
+        yield from columns(_service_rows(use), indent=2)
+
+
+def _service_rows(plan: ServicePlan) -> Iterator[tuple[str, str]]:
+    for part, layout in zip(("request", "response"), plan.layouts, strict=True):
+        yield part, f"{plural(layout.size, 'byte')}, layout id {layout.layout_id}"
+        if limits := _capacities(layout):
+            yield "limits", limits
+    yield "task", plan.task
+    yield "too large", "cut" if plan.truncate else "refused and counted"
+    if plan.server == "plc":
+        yield "waiting", f"{plan.depth} calls at most, {plan.per_client} of one caller"
+        yield "expires", f"a call that has waited for {_time(plan.expire_ns)}"
+        if plan.min_interval_ns:
+            yield "passes on", f"one call per {plan.min_interval_ns / 1e6:g} ms at most"
+        fallback = "nothing" if plan.fallback is None else str(plan.response.to_dict(plan.fallback))
+        yield "unanswered", f"the caller gets {fallback}"
 
 
 def _head(project: Project) -> Iterator[str]:
@@ -171,7 +216,7 @@ def _head(project: Project) -> Iterator[str]:
     settings = project.config.settings
     ros = settings.ros
     yield (
-        f"Bridge {settings.bridge}: {plural(len(project.topics), 'topic')}, ROS backend {ros.backend}, "
+        f"Bridge {settings.bridge}: {_amount(project)}, ROS backend {ros.backend}, "
         f"definitions of {ros.distro}, objects named {settings.prefix}.t.… in {settings.shm.directory}."
     )
     if ros.backend == "auto" and not isinstance(chosen := chosen_backend(project), RosplcError):
@@ -181,6 +226,12 @@ def _head(project: Project) -> Iterator[str]:
     else:
         yield "ROS domain: ROS_DOMAIN_ID's, else 0." if ros.domain is None else f"ROS domain {ros.domain}."
     yield f"Who may open the objects: {_access_words(access(project))}."
+
+
+def _amount(project: Project) -> str:
+    topics = plural(len(project.topics), "topic")
+    services = len({plan.service for plan in project.services})
+    return f"{topics} and {plural(services, 'service')}" if services else topics
 
 
 def _access_words(given: dict[str, Any]) -> str:
@@ -213,7 +264,7 @@ def _rows(project: Project, plan: TopicPlan, names: tuple[str, str] | None) -> I
         yield "", f"{ends} + {slots} = {parts['object_bytes']} bytes, in whole pages"
     elif plan.classic is not None:
         yield from _classic_rows(plan, plan.classic)
-    if limits := _capacities(plan):
+    if limits := _capacities(plan.layout):
         yield "limits", limits
     how, task = "every message, in order" if plan.every else "the newest message", project.tasks[plan.task]
     cycle = f"every {_time(task.interval_ns)}" if task.kind == "cyclic" else "freewheeling"
@@ -259,13 +310,17 @@ def _qos_rows(plan: TopicPlan, chosen: str) -> Iterator[tuple[str, str]]:
 
 
 def _total(project: Project) -> Iterator[str]:
-    from rosplc.project import memory
+    from rosplc.project import memory, total_memory
 
     sizes = {1: 0, 2: 0}
     for plan in project.topics:
         sizes[plan.direction] += memory(project, plan)["memory_bytes"]
-    ways = f" ({sizes[1]} towards the PLC, {sizes[2]} towards ROS)" if all(sizes.values()) else ""
-    yield f"\nShared memory in total: {plural(sum(sizes.values()), 'byte')}{ways}."
+    total = total_memory(project)
+    parts = [f"{sizes[1]} towards the PLC", f"{sizes[2]} towards ROS"]
+    if services := total - sum(sizes.values()):
+        parts.append(f"{services} for services")
+    ways = f" ({', '.join(parts)})" if all(sizes.values()) else ""
+    yield f"\nShared memory in total: {plural(total, 'byte')}{ways}."
 
 
 def _classic_rows(plan: TopicPlan, classic: ClassicPlan) -> Iterator[tuple[str, str]]:

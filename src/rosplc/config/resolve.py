@@ -10,7 +10,7 @@ import grp
 import pwd
 import stat
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal, TypeAlias
 
@@ -35,8 +35,8 @@ from rosplc.errors import ConfigError, LayoutError, RosplcError
 from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.ros import PRESETS, ROS1, Qos
-from rosplc.shm import Description, Direction, Identity, Namespace, Part
-from rosplc.shm.constants import HEADER_SIZE, LINE_SIZE, MAX_DESCRIPTION_SIZE, MAX_OBJECT_SIZE
+from rosplc.shm import SERVICE, Description, Direction, Identity, Namespace, Part
+from rosplc.shm.constants import HEADER_SIZE, LINE_SIZE, MAX_DESCRIPTION_SIZE, MAX_OBJECT_SIZE, MIN_SLOTS
 from rosplc.shm.files import Rights
 
 OWN_SETTINGS = ("zenoh", "rclpy")
@@ -397,6 +397,26 @@ def object_plan(project: Project, plan: TopicPlan) -> Identity:
         generation=1,
         bridge_id=bytes(16),
     )
+
+
+def service_object_plans(project: Project, plan: ServicePlan) -> dict[Part, Identity]:
+    """Return the geometry of a service's objects, as :func:`object_plan` does."""
+    settings, found = project.config.settings, {}
+    ids = {part.word: layout.layout_id for part, layout in zip(SERVICE, plan.layouts, strict=True)}
+    for part, layout in zip(SERVICE, plan.layouts, strict=True):
+        description = describe_service(plan, part, settings.ros.distro, settings.bridge)
+        partners = {word: layout_id for word, layout_id in ids.items() if word != part.word}
+        found[part] = Identity.plan(
+            kind=part.value,
+            direction=description.direction,
+            slots=MIN_SLOTS,
+            record_size=layout.size,
+            description_size=len(replace(description, partners=partners).to_json()),
+            layout_id=layout.layout_id,
+            generation=1,
+            bridge_id=bytes(16),
+        )
+    return found
 
 
 def object_size(project: Project, plan: TopicPlan) -> int:

@@ -7,7 +7,7 @@ from typing import Any
 from rosplc.errors import ChannelError
 from rosplc.layout import Layout, RecordView
 from rosplc.reasons import Reason
-from rosplc.shm import Attached, Direction, Namespace, Part, Peer, Reader, ReaderClaim, SlotInfo
+from rosplc.shm import Attached, Direction, Namespace, Part, Peer, Reader, ReaderClaim, SlotInfo, Writer
 from rosplc.shm.constants import (
     ANSWER_DONE,
     ANSWER_FATE_UNKNOWN,
@@ -64,7 +64,8 @@ class _In(Block):
         if not self.xAttached:
             self._reader = self._claim = self.sources = None
             self.xPeerAlive = False
-        self.xReady = self.xAttached and self._claim is None
+        # In place of a silent bridge's object another may just have been opened, for the next scan.
+        self.xReady = self.xAttached and self._claim is None and self._opened == self._opened_times
         self.udiError, self.reason = self._failure
         self._report_silence()
 
@@ -104,7 +105,7 @@ class _In(Block):
 
     def begin(self) -> bool:
         """Return whether the call that was taken may be acted on (M26)."""
-        return self._reader is not None and self._reader.begin()
+        return self.xReady and self._reader is not None and self._reader.begin()
 
     @property
     def object(self) -> int:
@@ -140,7 +141,12 @@ class _Out(WriteBlock):
     @property
     def claim(self) -> tuple[int, int]:
         """The object that is open and the claim in it, as numbers; zeros without one."""
-        return (self._opened_times, self._writer.epoch) if self._writer is not None else (0, 0)
+        writer = self._usable
+        return (0, 0) if writer is None else (self._opened, writer.epoch)
+
+    @property
+    def _usable(self) -> Writer | None:
+        return self._writer if self._opened == self._opened_times else None
 
     @property
     def held(self) -> bool:
@@ -150,7 +156,8 @@ class _Out(WriteBlock):
 
     def begun(self, first: int) -> bool:
         """Return whether the bridge may have begun the call whose first message this is."""
-        return self._writer is None or self._writer.begun(first)
+        writer = self._usable
+        return writer is None or writer.begun(first)
 
 
 class _ServiceBlock:

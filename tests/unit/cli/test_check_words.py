@@ -171,3 +171,33 @@ def test_the_configuration_in_this_folder_is_the_default(tmp_path: Path, monkeyp
     assert "rosplc.yaml is valid" in rosplc("check").output
     assert "files written" in rosplc("generate").output
     assert Path("plc/rosplc.xml").is_file()
+
+
+SERVICES = """\
+services:
+  /grip: {type: std_srvs/srv/Trigger, server: ros, clients: [pick, place], task: Fast}
+  /start: {type: std_srvs/srv/SetBool, server: plc, depth: 8, rate_limit: 10ms,
+           limits: {response.message: 20}, fallback: {message: down}}
+tasks: {Slow: {}, Fast: {}}
+"""
+
+
+def test_services_with_their_clients_limits_and_sizes(tmp_path: Path) -> None:
+    path = tmp_path / "rosplc.yaml"
+    path.write_text(SERVICES)
+    short, long = rosplc("check", path).output, rosplc("check", path, "-v").output
+    assert "0 topics and 2 services" in short
+    for service, client in (("/grip", "pick"), ("/grip", "place")):
+        assert any(
+            line.split()[0] == service and client in line.split() for line in short.splitlines() if line
+        )
+    assert "/start response  message 20" in short
+    assert "the caller gets {'success': False, 'message': 'down'}" in long
+    assert "service /grip pick  called by the PLC  std_srvs/srv/Trigger" in long
+    facts = made(SERVICES)
+    pick, _, start = facts["services"]
+    assert (pick["server"], pick["client"], pick["task"], pick["depth"]) == ("ros", "pick", "Fast", None)
+    assert pick["objects"]["request"]["name"] == "rosplc.sq.grip-pick"
+    assert (start["depth"], start["per_client"], start["min_interval_ms"]) == (8, 2, 10.0)
+    assert start["objects"]["response"]["limits"] == {"message": 20}
+    assert facts["memory_bytes"] == sum(use["memory_bytes"] for use in facts["services"]) > 0
