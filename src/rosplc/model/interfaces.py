@@ -36,7 +36,7 @@ EVENT_INFO = MessageType(
     ),
 )
 
-_ROS1_MESSAGE = re.compile(r"(\w+)/msg/(\w+?)(?:Action)?(?:Goal|Result|Feedback)?\Z")
+_ROS1_PART = re.compile(r"(Goal|Result|Feedback)\Z")
 
 
 def kind_of(name: str) -> str:
@@ -49,8 +49,10 @@ def owners_of(name: str, ros_version: int) -> list[str]:
     if kind_of(name) != "msg":
         # Name_Goal, or Name_SendGoal_Request
         return [owner for n in (1, 2) if (owner := name.rsplit("_", n)[0]).count("/") == 2]
-    found = _ROS1_MESSAGE.match(name) if ros_version == 1 else None
-    return [f"{found[1]}/action/{found[2]}"] if found else []
+    if ros_version == 2:
+        return []
+    owner = _ROS1_PART.sub("", name).replace("/msg/", "/action/")
+    return [owner, owner.removesuffix("Action")]
 
 
 def parse_interface(

@@ -1,4 +1,4 @@
-"""Files that rosplc's commands find beside their own: PLC code and its manifest, ``.msg`` folders, tokens."""
+"""Files that rosplc's commands find beside their own: PLC code and its manifest, definitions, tokens."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def _generated(choices: Choices) -> None:
 
 
 def _definitions(choices: Choices) -> None:
-    """A folder of ``.msg`` files with names and a manifest of somebody's choice."""
+    """A folder of definitions with names and a manifest of somebody's choice."""
     folder = emptied("files")
     manifest = choices.part()
     if manifest:
@@ -66,11 +66,17 @@ def _definitions(choices: Choices) -> None:
     for _ in range(1 + choices.below(3)):
         name = choices.text()[:60].replace("/", "_").replace("\0", "_")
         _put(folder / f"own_msgs/msg/{name or 'Own'}.msg", choices.part())
+    _put(folder / "own_msgs/srv/Own.srv", choices.part())
+    _put(folder / "own_msgs/action/Own.action", choices.part())
     for version in ("jazzy", "noetic"):
         with refusals(MessageTypeError):
             store = TypeStore.bundled(version).with_paths([folder])
             for name in set(store.names()) - set(TypeStore.bundled(version).names()):
                 store.definition_text(name)
+            if "own_msgs/action/Own" in store.actions():
+                goal = store.action("own_msgs/Own").goal
+                assert TypeStore.from_definition(goal.name, store.definition_text(goal.name))[goal.name]
+            store.service_md5("own_msgs/Own") if version == "noetic" else store.service_hash("own_msgs/Own")
 
 
 def _token(choices: Choices) -> None:
@@ -100,6 +106,7 @@ def seeds() -> Iterator[bytes]:
     yield b"\1" + b"\xff".join((settings, b"    x : B('/cmd_vel');\n", b"", block))
     package = b"<package><name>own_msgs</name></package>"
     yield b"\2" + package + b"\xff\1Own\xffuint8 a\nOther o\n\xffOther\xffstring s\n"
+    yield b"\2\xff\0A\xffbool a\n\xffbool x\n---\nOther[] o\n\xff---\nstring B=x\n---\ntime t\n"
     bomb = b'<!DOCTYPE x [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;">]>'
     bomb += b"<package><name>&b;</name></package>"
     yield b"\2" + bomb + b"\xff\0Own\xffuint8 a\n"

@@ -259,7 +259,12 @@ def test_what_a_wrong_name_is_told() -> None:
 
 def test_ros_1_generates_messages_of_an_action(tmp_path: Path) -> None:
     """A custom action has the messages that actionlib sends, by ROS 1's names."""
-    store = custom(tmp_path, "noetic", own_msgs__action__Go="int32 x\n---\n---\nfloat32 part\n")
+    store = custom(
+        tmp_path,
+        "noetic",
+        own_msgs__action__Go="int32 x\n---\n---\nfloat32 part\n",
+        own_msgs__action__GoAction="int32 y\n---\n---\n",
+    )
     goal = store["own_msgs/GoActionGoal"]
     assert [(field.name, str(field.type)) for field in goal.fields] == [
         ("header", "std_msgs/msg/Header"),
@@ -267,4 +272,9 @@ def test_ros_1_generates_messages_of_an_action(tmp_path: Path) -> None:
         ("goal", "own_msgs/msg/GoGoal"),
     ]
     assert store["own_msgs/GoFeedback"].fields == store.action("own_msgs/Go").feedback.fields
-    assert "own_msgs/msg/GoActionGoal" in store and "own_msgs/msg/NoActionGoal" not in store
+    assert [field.name for field in store["own_msgs/GoActionActionGoal"].fields] == [
+        "header",
+        "goal_id",
+        "goal",
+    ]
+    assert "own_msgs/msg/GoAction" in store and "own_msgs/msg/NoActionGoal" not in store
