@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from rosplc.described import description_of
+from rosplc.layout import Layout
 from rosplc.plc.build import build_project
 from rosplc.plc.plan import PlcCall, PlcTask, ProjectOptions
 from rosplc.plc.project import project_texts
@@ -19,15 +20,18 @@ from rosplc_st.machine import LibraryMachine
 from rosplc_st.translator import Options
 from tests.verification.plc_cell import READ, layout_of, store
 
-__all__ = ["CallCell", "Caller", "Server", "Use", "call_build", "call_texts"]
+__all__ = ["ActionCaller", "ActionServer", "CallCell", "Caller", "Server", "Use", "call_build", "call_texts"]
 
 SERVICE = {"request": "std_msgs/msg/Int64", "response": "std_msgs/msg/Int32"}
+ACTION = {"goal": "std_msgs/msg/Int64", "result": "std_msgs/msg/Int32", "feedback": "std_msgs/msg/Int16"}
 LONG = "/" + "/".join(["a_rather_long_part_of_a_name"] * 4)
 USES = {
     "close": ("/close", "", "Client"),
     "close_left": ("/close", "left", "Client"),
     "start": ("/start", "", "Server"),
     "long": (LONG, "with_a_client", "Client"),
+    "drive": ("/drive", "", "ActionClient"),
+    "cycle": ("/cycle", "", "ActionServer"),
 }
 """Instance, or what stands for it → service, client, and what the PLC is."""
 
@@ -38,9 +42,12 @@ def _instance(use: str) -> str:
 
 def calls() -> list[PlcCall]:
     """Return the uses of the cell."""
-    parts = {word: layout_of(name) for word, name in SERVICE.items()}
+
+    def parts(role: str) -> dict[str, Layout]:
+        return {word: layout_of(name) for word, name in (ACTION if "Action" in role else SERVICE).items()}
+
     return [
-        PlcCall(name, "test_msgs/srv/Add", role, parts, "Fast" if client else "RosTask", client)  # type: ignore[arg-type]
+        PlcCall(name, "test_msgs/srv/Add", role, parts(role), "Fast" if client else "RosTask", client)  # type: ignore[arg-type]
         for name, client, role in USES.values()
     ]
 
@@ -67,11 +74,12 @@ class Use:
 
     def __init__(self, cell: CallCell, use: str) -> None:
         service, client, role = USES[use]
-        server = "plc" if role == "Server" else "ros"
-        self.path = f"ROS_Services.{_instance(use)}"
+        server = "plc" if role.endswith("Server") else "ros"
+        action = role.startswith("Action")
+        self.path = f"ROS_{'Actions' if action else 'Services'}.{_instance(use)}"
         self.cell = cell
         parts = []
-        for word, type_name in SERVICE.items():
+        for word, type_name in (ACTION if action else SERVICE).items():
             part, layout = Part[word.upper()], layout_of(type_name)
             about = description_of(
                 layout, service, part.direction(server), bridge="test", part=part, client=client
@@ -125,6 +133,7 @@ class Server(Use):
         """Return the newest message if it is new: status, correlation and value."""
         record = bytearray(8)
         info = self.requests.latest(record)
+        self.client = info.client if info else b""
         return info and (info.status, info.correlation, struct.unpack("<q", record)[0])
 
     def answer(
@@ -179,6 +188,45 @@ class Caller(Use):
             return None
         assert info.client == bytes(range(16)), "the answer repeats the client's bytes"
         return info.status, info.correlation, struct.unpack("<i", record)[0], info.reason
+
+
+class ActionServer(Server):
+    """The bridge as answerer of goals."""
+
+    def __init__(self, cell: CallCell, use: str = "drive") -> None:
+        super().__init__(cell, use)
+        self.feedback = self.channels[2].writer(beat_ms=100)
+
+    def beat(self) -> None:
+        super().beat()
+        self.feedback.beat()
+
+    def report(self, correlation: int, value: int) -> None:
+        """Publish feedback."""
+        record = struct.pack("<h", value)
+        self.feedback.publish(record, correlation=correlation, status=spec.ANSWER_ACCEPTED)
+
+
+class ActionCaller(Caller):
+    """The bridge as caller of an action in the PLC."""
+
+    def __init__(self, cell: CallCell, use: str = "cycle") -> None:
+        super().__init__(cell, use)
+        self.feedback = self.channels[2].reader(beat_ms=100)
+
+    def beat(self) -> None:
+        super().beat()
+        self.feedback.beat()
+
+    def ask(self, status: int) -> None:
+        """Publish the goal again, with what is asked of it now."""
+        self._publish(status, bytes(range(16)))
+
+    def reported(self) -> tuple[int, int, int] | None:
+        """Return the newest feedback if it is new: status, correlation and value."""
+        record = bytearray(2)
+        info = self.feedback.latest(record)
+        return info and (info.status, info.correlation, struct.unpack("<h", record)[0])
 
 
 class CallCell:

@@ -1,6 +1,6 @@
 """Both sides of services step at random, also inside a scan, and are stopped, killed and replaced.
 
-Nothing is executed twice, after it was given up, or for an answer of an earlier life; a rule left out is found.
+Nothing is executed twice, or after it was given up; a rule that is left out is found.
 """
 
 from __future__ import annotations

@@ -41,6 +41,7 @@ CALL_NAMES = (
     "RosPlc_Reason", "RosPlc_Call", "RosPlc_Part", "RosPlc_CallReader", "RosPlc_CallWriter",
     "RosPlc_CallBlock", "RosPlc_Caller", "RosPlc_Client", "RosPlc_Answerer", "RosPlc_Server",
 )  # fmt: skip
+ACTION_NAMES = ("RosPlc_GoalStatus", "RosPlc_ActionClient", "RosPlc_ActionServer")
 CLASSIC_NAMES = ("RosPlc_ClassicState", "RosPlc_Classic", "RosPlc_ClassicReader", "RosPlc_ClassicWriter")
 """Names that no generated object may take, whether or not a project has classic topics."""
 _OF_BRIDGES = (
@@ -90,9 +91,9 @@ def classic_objects(folder: str) -> tuple[Item, ...]:
     return read_objects("classic", CLASSIC_NAMES, folder)
 
 
-def call_objects(folder: str) -> tuple[Item, ...]:
-    """Return the objects that the blocks of services and actions extend."""
-    return read_objects("calls", CALL_NAMES, folder)
+def call_objects(folder: str, *, actions: bool) -> tuple[Item, ...]:
+    """Return the objects that the blocks of services, and of actions, extend."""
+    return read_objects("calls", CALL_NAMES + ACTION_NAMES * actions, folder)
 
 
 def read_objects(templates: str, names: Iterable[str], folder: str) -> tuple[Item, ...]:

@@ -18,6 +18,7 @@ from rosplc.errors import GenerationError
 from rosplc.layout import Layout
 from rosplc.model import TypeStore
 from rosplc.plc.base import (
+    ACTION_NAMES,
     CALL_NAMES,
     CLASSIC_NAMES,
     HELPER_NAMES,
@@ -47,8 +48,8 @@ from rosplc.shm import Direction
 
 READ_GVL, WRITE_GVL = "ROS_Read", "ROS_Write"
 """The lists that hold the instances."""
-SERVICE_GVL = "ROS_Services"
-"""The list that holds the instances of services."""
+SERVICE_GVL, ACTION_GVL = "ROS_Services", "ROS_Actions"
+"""The lists that hold the instances of services and actions."""
 SAFE_GVL = "ROS_Safe"
 """The list that holds what a message becomes when its source is silent."""
 _PROGRAMS = {
@@ -215,11 +216,12 @@ def build_project(
         base = (*base, *classic_objects(f"{options.folder}/Base"))
         libraries = (*_LIBRARIES, LIBRARY)
     if calls:
-        base = (*base, *call_objects(f"{options.folder}/Base"))
+        actions = any("goal" in use.parts for use in calls)
+        base = (*base, *call_objects(f"{options.folder}/Base", actions=actions))
     # All objects share one namespace with those that are written by hand.
     own = (
-        *CLASSIC_NAMES, *CALL_NAMES, *HELPER_NAMES,
-        READ_GVL, WRITE_GVL, SERVICE_GVL, SAFE_GVL, _SETTINGS_GVL,
+        *CLASSIC_NAMES, *CALL_NAMES, *ACTION_NAMES, *HELPER_NAMES,
+        READ_GVL, WRITE_GVL, SERVICE_GVL, ACTION_GVL, SAFE_GVL, _SETTINGS_GVL,
     )  # fmt: skip
     builder = DutBuilder(store, f"{options.folder}/Types", Scope([*(item.name for item in base), *own]))
     blocks = _Blocks(builder, options)
@@ -248,7 +250,11 @@ def build_project(
         instances[topic.direction].append(Variable(name, block_name, None, _what(topic), arguments))
         line = call(name, topic, indices[topic.task], cycles[topic.task])
         lines.setdefault((topic.direction, topic.task), []).append(line)
-    services = _services(calls, blocks, indices, lines, renamings)
+    uses = {
+        SERVICE_GVL: [use for use in calls if "request" in use.parts],
+        ACTION_GVL: [use for use in calls if "goal" in use.parts],
+    }
+    of_calls = {gvl: _uses(gvl, some, blocks, indices, lines, renamings) for gvl, some in uses.items()}
     programs, plc_tasks = programs_of(order, lines, options, builder.scope)
     helpers = helper_objects(store, builder, f"{options.folder}/Helpers")
     hand_written = (*base, *helpers)
@@ -262,11 +268,8 @@ def build_project(
     one_each = "One function block per topic; programs of the project"
     add_list(READ_GVL, instances["read"], f"{one_each} use their outputs.")
     add_list(WRITE_GVL, instances["write"], f"{one_each} set msg.")
-    add_list(
-        SERVICE_GVL,
-        services,
-        "One function block per use of a service; programs of the project use its pins.",
-    )
+    for gvl, found in of_calls.items():
+        add_list(gvl, found, "One function block per use; programs of the project use its pins.")
     add_list(SAFE_GVL, _safe(topics, names["read"], builder), _SAFE_COMMENT, constant=True)
     return PlcProject(
         options.folder,
@@ -280,14 +283,15 @@ def build_project(
     )
 
 
-def _services(
+def _uses(
+    gvl: str,
     calls: Sequence[PlcCall],
     blocks: _Blocks,
     indices: dict[str, int],
     lines: dict[tuple[str, str], list[str]],
     renamings: list[Renaming],
 ) -> list[Variable]:
-    """Return the instances of services, and add their calls to the lines of the reading programs."""
+    """Return the instances of a list, and add their calls to the lines of the reading programs."""
     found = []
     uses = {f"{use.name}-{use.client}".rstrip("-"): use for use in calls}  # as the objects are named
     names = instance_names(list(uses))
@@ -295,12 +299,13 @@ def _services(
         wanted, name = plain_name(key).replace("-", "_"), names[key]
         if name != wanted:
             renamings.append(Renaming(f"instance of {key}", wanted, name))
-        arguments = {"sName": use.name, **({"sClient": use.client} if use.role == "Client" else {})}
-        given = tuple((name, string_literal(text)) for name, text in arguments.items())
-        comment = f"{use.type_name} in task {use.task}, the PLC is the {use.role.lower()}"
-        found.append(Variable(name, blocks.of_call(use), None, comment, given))
-        line = f"{SERVICE_GVL}.{name}(uiTask := {indices[use.task]});"
-        lines.setdefault(("read", use.task), []).append(line)
+        client = use.role.endswith("Client")
+        arguments = [("sName", string_literal(use.name))]
+        if client:
+            arguments.append(("sClient", string_literal(use.client)))
+        comment = f"{use.type_name} in task {use.task}, the PLC is the {'client' if client else 'server'}"
+        found.append(Variable(name, blocks.of_call(use), None, comment, tuple(arguments)))
+        lines.setdefault(("read", use.task), []).append(f"{gvl}.{name}(uiTask := {indices[use.task]});")
     return found
 
 

@@ -74,14 +74,14 @@ class PlcCall:
         name: The service or action as ROS writes it.
         type_name: ``package/srv/Name`` or ``package/action/Name``.
         role: What the PLC is.
-        parts: The layout of each part, as ``request`` and ``response``.
+        parts: The layout of each: ``request`` and ``response``, or ``goal``, ``result`` and ``feedback``.
         task: Name of the task that calls the block.
         client: The use's name; empty if it has none.
     """
 
     name: str
     type_name: str
-    role: Literal["Client", "Server"]
+    role: Literal["Client", "Server", "ActionClient", "ActionServer"]
     parts: Mapping[str, Layout]
     task: str
     client: str = ""

@@ -6,7 +6,15 @@ from importlib.resources import files
 
 import pytest
 
-from rosplc.plc.base import CALL_NAMES, HELPER_NAMES, base_objects, parse_object, read_objects, render
+from rosplc.plc.base import (
+    ACTION_NAMES,
+    CALL_NAMES,
+    HELPER_NAMES,
+    base_objects,
+    parse_object,
+    read_objects,
+    render,
+)
 from rosplc.plc.names import is_reserved
 from rosplc.plc.project import Gvl, Pou, declaration, object_text
 from tests.unit.plc.projects import JOINTS, project, read, write
@@ -29,7 +37,7 @@ def test_a_template_comes_out_as_it_was_written(folder, name):
 def test_every_template_is_part_of_a_project():
     """A file that nobody lists would be a block that no project has."""
     base = {item.name for item in base_objects("ROS/Base")}
-    known = {"base": base, "calls": CALL_NAMES, "helpers": HELPER_NAMES}
+    known = {"base": base, "calls": (*CALL_NAMES, *ACTION_NAMES), "helpers": HELPER_NAMES}
     assert {(folder, name) for folder, names in known.items() for name in names} == set(TEMPLATES)
 
 
