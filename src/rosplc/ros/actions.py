@@ -1,0 +1,591 @@
+"""Actions of ROS 2 over any backend: three services and two topics, and the goals' states between them.
+
+rclpy has an action server of its own, but it can neither answer for goals that another process has accepted
+nor leave the decision on a goal open; no other backend has one. Here a goal is known by its UUID alone, and a
+process that knows it can adopt the goal.
+
+Threads: every method may be called from any thread. The receivers are called from the backend's threads; they
+must not block, and may call any method. Nothing here runs by itself: see :meth:`ActionServer.tick`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import enum
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, Literal
+
+from rosplc.clock import SYSTEM, Clock
+from rosplc.errors import BackendError
+from rosplc.ros import action_wire as wire
+from rosplc.ros.backend import (
+    SERVICES,
+    Backend,
+    EndpointStatus,
+    Publisher,
+    Qos,
+    Reply,
+    ServiceClient,
+    ServiceServer,
+    TypeSource,
+)
+
+MOST_GOALS = 256  # goals of one server, those whose results are kept included
+MOST_WAITING = 64  # requests for the result of one goal
+KEEP_RESULT_NS = 10_000_000_000
+
+_STATUS_QOS = Qos(durability="transient_local", depth=1)
+_ALL = bytes(16)
+
+
+class GoalStatus(enum.IntEnum):
+    """The states of a goal, as ``action_msgs/msg/GoalStatus`` numbers them."""
+
+    UNKNOWN = 0
+    ACCEPTED = 1
+    EXECUTING = 2
+    CANCELING = 3
+    SUCCEEDED = 4
+    CANCELED = 5
+    ABORTED = 6
+
+    @property
+    def ended(self) -> bool:
+        """Whether the goal has a result."""
+        return self >= GoalStatus.SUCCEEDED
+
+
+class GoalStep(enum.IntEnum):
+    """What leads from one state to another, as rcl_action numbers its events."""
+
+    EXECUTE = 0
+    CANCEL = 1
+    SUCCEED = 2
+    ABORT = 3
+    CANCELED = 4
+
+
+_S, _T = GoalStatus, GoalStep
+STEPS: dict[tuple[GoalStatus, GoalStep], GoalStatus] = {
+    (_S.ACCEPTED, _T.EXECUTE): _S.EXECUTING,
+    (_S.ACCEPTED, _T.CANCEL): _S.CANCELING,
+    (_S.EXECUTING, _T.CANCEL): _S.CANCELING,
+    (_S.EXECUTING, _T.SUCCEED): _S.SUCCEEDED,
+    (_S.EXECUTING, _T.ABORT): _S.ABORTED,
+    (_S.CANCELING, _T.SUCCEED): _S.SUCCEEDED,
+    (_S.CANCELING, _T.ABORT): _S.ABORTED,
+    (_S.CANCELING, _T.CANCELED): _S.CANCELED,
+}
+"""The state machine of rcl_action; every other step is refused."""
+
+
+class CancelCode(enum.IntEnum):
+    """What became of a request to cancel, as ``action_msgs/srv/CancelGoal`` numbers it."""
+
+    NONE = 0
+    REJECTED = 1
+    UNKNOWN_GOAL_ID = 2
+    GOAL_TERMINATED = 3
+
+
+@dataclass(slots=True)
+class _Cancel:
+    """A request to cancel: the goals that have not decided, and those that have agreed."""
+
+    caller: bytes
+    undecided: set[bytes]
+    canceling: list[wire.GoalInfo] = field(default_factory=list)
+
+
+@dataclass(slots=True)
+class _Goal:
+    """A goal of the server; UNKNOWN until it is accepted."""
+
+    caller: bytes
+    stamp_ns: int = 0
+    status: GoalStatus = GoalStatus.UNKNOWN
+    result: bytes | None = None
+    ended_ns: int = 0
+    waiting: list[bytes] = field(default_factory=list)
+    cancels: list[_Cancel] = field(default_factory=list)
+
+
+class ActionServer:
+    """An action that ROS clients use. Methods return False, and do nothing, for a step that is not possible.
+
+    Args:
+        backend: A backend of ROS 2.
+        store: Where the types come from.
+        action: The action's name.
+        type_name: ``package/action/Name``.
+        on_goal: Called with UUID and goal: decide with :meth:`accept` or :meth:`reject`.
+        on_cancel: Called with the UUID of a goal that is to be canceled: decide with :meth:`accept_cancel` or
+            :meth:`reject_cancel`.
+        keep_result_ns: How long a goal and its result are kept after its end.
+        clock: For tests.
+
+    Raises:
+        BackendError, MessageTypeError: As :meth:`rosplc.ros.backend.Backend.serve`.
+    """
+
+    def __init__(
+        self,
+        backend: Backend,
+        store: TypeSource,
+        action: str,
+        type_name: str,
+        *,
+        on_goal: Callable[[bytes, bytes], object],
+        on_cancel: Callable[[bytes], object],
+        keep_result_ns: int = KEEP_RESULT_NS,
+        clock: Clock = SYSTEM,
+    ) -> None:
+        self._on_goal, self._on_cancel = on_goal, on_cancel
+        self._keep_ns, self._clock = keep_result_ns, clock
+        self._lock = threading.RLock()
+        self._goals: dict[bytes, _Goal] = {}
+        self._results = wire.Results(store, store[f"{type_name}_Result"])
+        self.action, self.type_name = action, type_name
+        places = _Places(action, type_name)
+        with self._lock, contextlib.ExitStack() as stack:  # the lock: a request may come at once
+            self._endpoints: list[Any] = []
+            keep = partial(_keep, stack, self._endpoints)
+            self._feedback: Publisher = keep(backend.advertise(*places.feedback, Qos()))
+            self._statuses: Publisher = keep(backend.advertise(*places.status, _STATUS_QOS))
+            self._get: ServiceServer = keep(backend.serve(*places.get_result, SERVICES, self._on_get))
+            self._cancel: ServiceServer = keep(backend.serve(*places.cancel, SERVICES, self._on_cancels))
+            self._send: ServiceServer = keep(backend.serve(*places.send_goal, SERVICES, self._on_send))
+            self._closing = stack.pop_all()
+            self._publish()
+
+    # -- requests of clients
+
+    def _on_send(self, payload: bytes, caller: bytes, _stamp_ns: int) -> None:
+        with self._lock:
+            try:
+                uuid, goal = wire.unwrap(payload)
+            except BackendError as error:
+                self._send.refuse(caller, str(error))
+                return
+            new = uuid not in self._goals and len(self._goals) < MOST_GOALS
+            if new:
+                self._goals[uuid] = _Goal(caller)
+            else:  # as rclpy and rclcpp answer a goal that they have
+                self._answer(self._send, caller, wire.pack_accepted(False, 0))
+        if new:
+            self._on_goal(uuid, goal)
+
+    def _on_get(self, payload: bytes, caller: bytes, _stamp_ns: int) -> None:
+        with self._lock:
+            try:
+                goal = self._known(wire.unwrap(payload)[0])
+            except BackendError as error:
+                self._get.refuse(caller, str(error))
+                return
+            if goal is not None and not goal.status.ended:
+                goal.waiting.append(caller)
+                if len(goal.waiting) > MOST_WAITING:
+                    self._get.refuse(goal.waiting.pop(0), "too many wait for this result")
+                return
+            status, result = (GoalStatus.UNKNOWN, None) if goal is None else (goal.status, goal.result)
+            self._answer(self._get, caller, self._results.pack(status, result))
+
+    def _on_cancels(self, payload: bytes, caller: bytes, _stamp_ns: int) -> None:
+        asked = []
+        with self._lock:
+            try:
+                uuid, stamp_ns = wire.read_cancel(payload)
+            except BackendError as error:
+                self._cancel.refuse(caller, str(error))
+                return
+            code, wanted = self._chosen(uuid, stamp_ns)
+            if not wanted:
+                self._answer(self._cancel, caller, wire.pack_canceling(code, []))
+            request = _Cancel(caller, set(wanted))
+            for one in wanted:
+                goal = self._goals[one]
+                goal.cancels.append(request)
+                if len(goal.cancels) == 1:
+                    asked.append(one)
+                elif len(goal.cancels) > MOST_WAITING:
+                    self._decide(one, goal.cancels.pop(0), False)
+        for one in asked:
+            self._on_cancel(one)
+
+    def _chosen(self, uuid: bytes, stamp_ns: int) -> tuple[CancelCode, list[bytes]]:
+        """Return the goals that a request is about, as rcl_action_process_cancel_request."""
+        if uuid != _ALL and not stamp_ns:
+            if (goal := self._known(uuid)) is None:
+                return CancelCode.UNKNOWN_GOAL_ID, []
+            possible = (goal.status, GoalStep.CANCEL) in STEPS
+            return (CancelCode.NONE, [uuid]) if possible else (CancelCode.GOAL_TERMINATED, [])
+        return CancelCode.NONE, [
+            one
+            for one, goal in self._goals.items()
+            if (goal.status, GoalStep.CANCEL) in STEPS
+            and (one == uuid or not stamp_ns or goal.stamp_ns <= stamp_ns)
+        ]
+
+    def _known(self, uuid: bytes) -> _Goal | None:
+        goal = self._goals.get(uuid)
+        return goal if goal is not None and goal.status is not GoalStatus.UNKNOWN else None
+
+    def _answer(self, server: ServiceServer, caller: bytes, payload: bytes) -> None:
+        with contextlib.suppress(BackendError):  # closed, or the middleware refuses: nobody can be told
+            server.reply(caller, payload)
+
+    def _publish(self) -> None:
+        goals = ((one, goal.stamp_ns, goal.status) for one, goal in self._goals.items() if goal.status)
+        with contextlib.suppress(BackendError):
+            self._statuses.write(wire.pack_statuses(goals))
+
+    # -- decisions
+
+    def accept(self, uuid: bytes) -> bool:
+        """Accept a goal; it is executed once :meth:`execute` is called."""
+        with self._lock:
+            goal = self._goals.get(uuid)
+            if goal is None or goal.status is not GoalStatus.UNKNOWN:
+                return False
+            goal.stamp_ns, goal.status = self._clock.time_ns(), GoalStatus.ACCEPTED
+            self._answer(self._send, goal.caller, wire.pack_accepted(True, goal.stamp_ns))
+            self._publish()
+            return True
+
+    def reject(self, uuid: bytes) -> bool:
+        """Reject a goal."""
+        with self._lock:
+            goal = self._goals.get(uuid)
+            if goal is None or goal.status is not GoalStatus.UNKNOWN:
+                return False
+            del self._goals[uuid]
+            self._answer(self._send, goal.caller, wire.pack_accepted(False, 0))
+            return True
+
+    def present(self, uuid: bytes) -> bool:
+        """Return whether the client of a goal that has not been decided still waits."""
+        with self._lock:
+            goal = self._goals.get(uuid)
+            return goal is not None and not goal.status and self._send.present(goal.caller)
+
+    def adopt(self, uuid: bytes, stamp_ns: int, status: GoalStatus) -> bool:
+        """Take over a goal that another process has accepted at a time, and not ended."""
+        with self._lock:
+            if uuid in self._goals or status is GoalStatus.UNKNOWN or status.ended:
+                return False
+            self._goals[uuid] = _Goal(b"", stamp_ns, status)
+            self._publish()
+            return True
+
+    def status(self, uuid: bytes) -> GoalStatus:
+        """Return the state of a goal; UNKNOWN before it is accepted and after it was forgotten."""
+        goal = self._goals.get(uuid)
+        return GoalStatus.UNKNOWN if goal is None else goal.status
+
+    def execute(self, uuid: bytes) -> bool:
+        """Begin to execute a goal that was accepted."""
+        return self._step(uuid, GoalStep.EXECUTE)
+
+    def feedback(self, uuid: bytes, payload: bytes) -> bool:
+        """Publish feedback of a goal that is executed."""
+        with self._lock:
+            if (goal := self._known(uuid)) is None or goal.status.ended:
+                return False
+            return self._feedback.write(wire.wrap(uuid, payload))
+
+    def accept_cancel(self, uuid: bytes) -> bool:
+        """Agree to cancel a goal: it is canceling until it ends in one of three ways."""
+        with self._lock:
+            goal = self._known(uuid)
+            return goal is not None and bool(goal.cancels) and self._step(uuid, GoalStep.CANCEL)
+
+    def reject_cancel(self, uuid: bytes) -> bool:
+        """Go on with a goal that was to be canceled."""
+        with self._lock:
+            goal = self._known(uuid)
+            if goal is None or not goal.cancels:
+                return False
+            self._settle(uuid, goal, agreed=False)
+            return True
+
+    def succeed(self, uuid: bytes, result: bytes) -> bool:
+        """End a goal with success; raises ROS008 if the bytes are no result."""
+        return self._step(uuid, GoalStep.SUCCEED, result)
+
+    def abort(self, uuid: bytes, result: bytes | None = None) -> bool:
+        """End a goal without success, with the default result for None; raises as :meth:`succeed`."""
+        return self._step(uuid, GoalStep.ABORT, result)
+
+    def canceled(self, uuid: bytes, result: bytes | None = None) -> bool:
+        """End a goal that is canceling; as :meth:`abort`."""
+        return self._step(uuid, GoalStep.CANCELED, result)
+
+    def _step(self, uuid: bytes, step: GoalStep, result: bytes | None = None) -> bool:
+        with self._lock:
+            goal = self._known(uuid)
+            status = STEPS.get((goal.status, step)) if goal is not None else None
+            if goal is None or status is None:
+                return False
+            if status.ended:
+                response = self._results.pack(status, result)
+                for caller in goal.waiting:
+                    self._answer(self._get, caller, response)
+                goal.waiting.clear()
+                goal.result, goal.ended_ns = result, self._clock.monotonic_ns()
+            goal.status = status
+            if status.ended or step is GoalStep.CANCEL:
+                self._settle(uuid, goal, agreed=step is GoalStep.CANCEL)
+            self._publish()
+            return True
+
+    def _settle(self, uuid: bytes, goal: _Goal, *, agreed: bool) -> None:
+        """Tell those who asked for a goal to be canceled."""
+        requests, goal.cancels = goal.cancels, []
+        for request in requests:
+            self._decide(uuid, request, agreed)
+
+    def _decide(self, uuid: bytes, request: _Cancel, agreed: bool) -> None:
+        request.undecided.discard(uuid)
+        if agreed:
+            request.canceling.append((uuid, self._goals[uuid].stamp_ns))
+        if not request.undecided:
+            code = CancelCode.NONE if request.canceling else CancelCode.REJECTED
+            self._answer(self._cancel, request.caller, wire.pack_canceling(code, request.canceling))
+
+    # -- the rest
+
+    def tick(self) -> None:
+        """Forget the goals that ended long ago; to be called now and then."""
+        with self._lock:
+            before = self._clock.monotonic_ns() - self._keep_ns
+            old = [one for one, goal in self._goals.items() if goal.status.ended and goal.ended_ns <= before]
+            for one in old:
+                del self._goals[one]
+            if old:
+                self._publish()
+
+    def endpoints(self) -> tuple[EndpointStatus, ...]:
+        """Return the state of the two topics and three services."""
+        return tuple(endpoint.status() for endpoint in self._endpoints)
+
+    def close(self) -> None:
+        """Leave the graph; who waits for a decision or a result gets none."""
+        self._closing.close()
+
+
+@dataclass(frozen=True, slots=True)
+class GoalEvent:
+    """What has become of a goal that was sent.
+
+    Attributes:
+        uuid: The goal.
+        kind: ``accepted``, or ``rejected`` and forgotten; ``failed``: nothing is known of the acceptance;
+            ``feedback``; ``status``: it has changed; ``canceling`` or ``not canceled``: the answer to
+            :meth:`ActionClient.cancel`; ``result``: it has ended, and is forgotten; ``lost``: the server
+            gives no result, and :meth:`ActionClient.adopt` asks again.
+        payload: Feedback or result.
+        status: With ``status`` and ``result``; UNKNOWN if the server does not know the goal (any more).
+        reply: With ``failed``, ``not canceled`` and ``lost``: how the call ended that has no response.
+    """
+
+    uuid: bytes
+    kind: Literal[
+        "accepted", "rejected", "failed", "feedback", "status", "canceling", "not canceled", "result", "lost"
+    ]
+    payload: bytes | None = None
+    status: GoalStatus = GoalStatus.UNKNOWN
+    reply: Reply | None = None
+
+
+@dataclass(slots=True)
+class _Sent:
+    """A goal of the client, and its open calls."""
+
+    status: GoalStatus = GoalStatus.UNKNOWN
+    calls: set[tuple[int, int]] = field(default_factory=set)  # which service, and the call's number
+
+
+class ActionClient:
+    """An action of a ROS server that is used.
+
+    Args:
+        backend: A backend of ROS 2.
+        store: Where the types come from.
+        action: The action's name.
+        type_name: ``package/action/Name``.
+        on_event: Called with what becomes of the goals. A status may come before the acceptance.
+
+    Raises:
+        BackendError, MessageTypeError: As :meth:`rosplc.ros.backend.Backend.client`.
+    """
+
+    def __init__(
+        self,
+        backend: Backend,
+        store: TypeSource,
+        action: str,
+        type_name: str,
+        on_event: Callable[[GoalEvent], object],
+    ) -> None:
+        self._on_event = on_event
+        self._lock = threading.RLock()
+        self._goals: dict[bytes, _Sent] = {}
+        self._statuses: dict[bytes, GoalStatus] = {}  # as the server last published them
+        self._results = wire.Results(store, store[f"{type_name}_Result"])
+        self.action, self.type_name = action, type_name
+        places = _Places(action, type_name)
+        with self._lock, contextlib.ExitStack() as stack:
+            self._endpoints: list[Any] = []
+            keep = partial(_keep, stack, self._endpoints)
+            keep(backend.subscribe(*places.feedback, Qos(), self._on_feedback))
+            keep(backend.subscribe(*places.status, _STATUS_QOS, self._on_statuses))
+            self._services: list[ServiceClient] = [
+                keep(backend.client(*place, SERVICES))
+                for place in (places.send_goal, places.cancel, places.get_result)
+            ]
+            self._closing = stack.pop_all()
+
+    @property
+    def ready(self) -> bool:
+        """Whether the services of a server are known."""
+        return all(service.ready for service in self._services)
+
+    def send(self, uuid: bytes, goal: bytes) -> bool:
+        """Send a goal; False if one of this UUID is known already. Raises as ServiceClient.call."""
+        with self._lock:
+            if uuid in self._goals:
+                return False
+            self._goals[uuid] = _Sent()
+        try:
+            self._call(_SEND, uuid, wire.wrap(uuid, goal), self._on_decision)
+        except BaseException:
+            self.forget(uuid)
+            raise
+        return True
+
+    def adopt(self, uuid: bytes) -> None:
+        """Ask for status and result of a goal that was sent before, by this process or another one."""
+        with self._lock:
+            self._goals.setdefault(uuid, _Sent())
+            status = self._statuses.get(uuid)
+        if status is not None:
+            self._on_status(uuid, status)
+        self._call(_GET, uuid, wire.LITTLE + uuid, self._on_result)
+
+    def cancel(self, uuid: bytes) -> None:
+        """Ask for a goal to be canceled; raises as ServiceClient.call."""
+        self._call(_CANCEL, uuid, wire.pack_cancel(uuid), self._on_canceling)
+
+    def forget(self, uuid: bytes) -> None:
+        """Hear nothing more of a goal; the server is not told."""
+        with self._lock:
+            sent = self._goals.pop(uuid, None)
+        if sent is not None:
+            for service, number in sent.calls:
+                self._services[service].forget(number)
+
+    def _call(
+        self, service: int, uuid: bytes, payload: bytes, on_reply: Callable[[bytes, Reply], None]
+    ) -> None:
+        with self._lock:
+            if uuid not in self._goals:
+                return
+        number = self._services[service].call(payload, lambda reply: on_reply(uuid, reply))
+        with self._lock:
+            sent = self._goals.get(uuid)
+            if sent is not None:
+                sent.calls.add((service, number))
+        if sent is None:  # it has ended, or was forgotten meanwhile
+            self._services[service].forget(number)
+
+    # -- what comes
+
+    def _on_decision(self, uuid: bytes, reply: Reply) -> None:
+        try:
+            accepted = None if reply.payload is None else wire.read_accepted(reply.payload)[0]
+        except BackendError as error:
+            accepted, reply = None, Reply(text=str(error))
+        if accepted:
+            self._tell(uuid, "accepted")
+            with contextlib.suppress(BackendError):  # closed meanwhile
+                self._call(_GET, uuid, wire.LITTLE + uuid, self._on_result)
+        elif accepted is None:
+            self._tell(uuid, "failed", reply=reply, last=True)
+        else:
+            self._tell(uuid, "rejected", last=True)
+
+    def _on_result(self, uuid: bytes, reply: Reply) -> None:
+        try:
+            if reply.payload is not None:
+                status, result = self._results.read(reply.payload)
+                self._tell(uuid, "result", payload=result, status=_status(status), last=True)
+                return
+        except BackendError as error:
+            reply = Reply(text=str(error))
+        self._tell(uuid, "lost", reply=reply)
+
+    def _on_canceling(self, uuid: bytes, reply: Reply) -> None:
+        try:
+            goals = [] if reply.payload is None else wire.read_canceling(reply.payload)[1]
+        except BackendError as error:
+            goals, reply = [], Reply(text=str(error))
+        agreed = any(one == uuid for one, _ in goals)
+        self._tell(uuid, "canceling" if agreed else "not canceled", reply=reply)
+
+    def _on_feedback(self, payload: bytes, _stamp_ns: int) -> None:
+        uuid, feedback = wire.unwrap(payload)
+        self._tell(uuid, "feedback", payload=feedback)
+
+    def _on_statuses(self, payload: bytes, _stamp_ns: int) -> None:
+        self._statuses = {uuid: _status(number) for uuid, _, number in wire.read_statuses(payload)}
+        for uuid, status in self._statuses.items():
+            self._on_status(uuid, status)
+
+    def _on_status(self, uuid: bytes, status: GoalStatus) -> None:
+        with self._lock:
+            sent = self._goals.get(uuid)
+            if sent is None or sent.status is status:
+                return
+            sent.status = status
+        self._tell(uuid, "status", status=status)
+
+    def _tell(self, uuid: bytes, kind: Any, *, last: bool = False, **more: Any) -> None:
+        with self._lock:
+            known = self._goals.pop(uuid, None) if last else self._goals.get(uuid)
+        if known is not None:
+            self._on_event(GoalEvent(uuid, kind, **more))
+
+    def endpoints(self) -> tuple[EndpointStatus, ...]:
+        """Return the state of the two topics and three services."""
+        return tuple(endpoint.status() for endpoint in self._endpoints)
+
+    def close(self) -> None:
+        """Leave the graph; the server goes on with its goals. Open calls end as the backend ends them."""
+        self._closing.close()
+
+
+_SEND, _CANCEL, _GET = range(3)
+
+
+def _keep(stack: contextlib.ExitStack, opened: list[Any], endpoint: Any) -> Any:
+    stack.callback(endpoint.close)
+    opened.append(endpoint)
+    return endpoint
+
+
+def _status(number: int) -> GoalStatus:
+    return GoalStatus(number) if number in GoalStatus.__members__.values() else GoalStatus.UNKNOWN
+
+
+class _Places:
+    """The names and types of an action's topics and services."""
+
+    def __init__(self, action: str, type_name: str) -> None:
+        self.send_goal: tuple[str, str] = f"{action}/_action/send_goal", f"{type_name}_SendGoal"
+        self.get_result: tuple[str, str] = f"{action}/_action/get_result", f"{type_name}_GetResult"
+        self.cancel: tuple[str, str] = f"{action}/_action/cancel_goal", "action_msgs/srv/CancelGoal"
+        self.feedback: tuple[str, str] = f"{action}/_action/feedback", f"{type_name}_FeedbackMessage"
+        self.status: tuple[str, str] = f"{action}/_action/status", "action_msgs/msg/GoalStatusArray"
