@@ -15,7 +15,7 @@ import sys
 import time
 from collections.abc import Sequence
 
-from explore import Result, explore
+from explore import Result
 from scenarios import HOLDS, HOLDS_WITHOUT, LARGE, LIMITS, MUTATIONS, Scenario
 
 __all__ = ["as_expected", "main"]
@@ -50,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"\n{title}\n{'states':>10} {'seconds':>8}")
         for scenario in chosen:
             begin = time.monotonic()
-            result = explore(scenario.config)
+            result = scenario.search()
             seconds = time.monotonic() - begin
             right = as_expected(scenario, result)
             wrong += not right

@@ -10,6 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from calls import CallConfig, explore_calls
+from explore import Result, explore
 from protocol import Config
 
 __all__ = ["HOLDS", "HOLDS_WITHOUT", "LARGE", "LIMITS", "MUTATIONS", "Scenario"]
@@ -27,9 +29,15 @@ class Scenario:
     """
 
     name: str
-    config: Config
+    config: Config | CallConfig
     breaks: str = ""
     why: str = field(default="", compare=False)
+
+    def search(self) -> Result:
+        """Visit every reachable state, or stop at the first broken property."""
+        if isinstance(self.config, Config):
+            return explore(self.config)
+        return explore_calls(self.config)
 
 
 def _both(name: str, breaks: str = "", why: str = "", **settings: Any) -> list[Scenario]:
@@ -78,6 +86,13 @@ HOLDS: list[Scenario] = [
     *_both(
         "hand-over back to fences, killed and restarted", messages=5, handover=2, handback=True, restarts=1
     ),
+    Scenario("calls: the PLC answers", CallConfig()),
+    Scenario("calls: the PLC answers, three lives", CallConfig(calls=1, lives=3)),
+    Scenario("calls: the PLC answers, the caller restarts", CallConfig(lives=1, restarts=1)),
+    Scenario("calls: the PLC answers, both restart", CallConfig(calls=1, restarts=1)),
+    Scenario("calls: an answerer was only paused", CallConfig(calls=1, overlap=True)),
+    Scenario("calls: a bridge answers", CallConfig(bridge_answers=True)),
+    Scenario("calls: a bridge answers, three lives", CallConfig(calls=1, lives=3, bridge_answers=True)),
 ]
 
 MUTATIONS: list[Scenario] = [
@@ -206,6 +221,60 @@ MUTATIONS: list[Scenario] = [
         "torn",
         "within one scan nothing orders the load of head before the copy",
     ),
+    Scenario(
+        "calls: without F7, or in one scan",
+        CallConfig(calls=1, lives=1, f7=False),
+        "executed after it was reported",
+        "the answerer looks again before its taken is seen",
+    ),
+    Scenario(
+        "calls: without F8, or in one scan",
+        CallConfig(calls=1, lives=1, f8=False),
+        "executed after it was reported",
+        "the caller looks at taken before its withdrawal is seen",
+    ),
+    Scenario(
+        "calls: no second look",
+        CallConfig(calls=1, lives=1, second_look=False),
+        "executed after it was reported",
+        "the withdrawal came between taking and acting",
+    ),
+    Scenario(
+        "calls: last := 0 on attach",
+        CallConfig(calls=1, last_is_head=False),
+        "executed, though it waited",
+        "a new life executes what waited",
+    ),
+    Scenario(
+        "calls: no F7 behind the claim",
+        CallConfig(calls=1, claim_fence=False),
+        "executed, though it waited",
+        "head is loaded before the claim is seen",
+    ),
+    Scenario(
+        "calls: judged without a withdrawal",
+        CallConfig(calls=1, withdraw_when_lost=False),
+        "executed after it was reported",
+        "the call was published just before the claim changed, and is new to the next answerer",
+    ),
+    Scenario(
+        "calls: not executed, believed from the next answerer",
+        CallConfig(calls=1, claim_behind_answer=False, before_known=False),
+        "reported as not executed",
+        "it finds a call withdrawn that the one before has executed",
+    ),
+    Scenario(
+        "calls: numbers without the claim",
+        CallConfig(lives=1, restarts=1, epoch=False),
+        "an answer completes a call",
+        "the first call of a restarted caller has the number of one before",
+    ),
+    Scenario(
+        "calls: a bridge that does not know what was taken",
+        CallConfig(calls=1, bridge_answers=True, before_known=False),
+        "reported as not executed",
+        "it finds a call withdrawn that the bridge before has executed",
+    ),
 ]
 """What must fail, and why."""
 
@@ -251,6 +320,12 @@ LIMITS: list[Scenario] = [
         **{**NEAR, "messages": 4},
         restarts=1,
     ),
+    Scenario(
+        "calls: paused between its look at claim and its store of taken",
+        CallConfig(overlap=True, at_once=False),
+        "executed after it was reported",
+        "it stores into a line that is another's by now",
+    ),
 ]
 """What the format does not promise."""
 
@@ -265,5 +340,8 @@ LARGE: list[Scenario] = [
     ),
     *_both("large: no seal, killed and restarted three times", **PLAIN, messages=7, restarts=3),
     *_both("large: delayed writer, killed and restarted twice", **DELAYED, messages=7, restarts=2),
+    Scenario("large: calls, both restart", CallConfig(restarts=1)),
+    Scenario("large: calls, answerers were only paused", CallConfig(calls=1, lives=3, overlap=True)),
+    Scenario("large: calls, a bridge answers", CallConfig(calls=3, bridge_answers=True)),
 ]
 """Bigger bounds, minutes instead of seconds."""

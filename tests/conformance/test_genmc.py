@@ -1,7 +1,8 @@
 """The C headers themselves under GenMC, an exhaustive checker of C memory models, under RC11 and IMM.
 
 ``ROSPLC_GENMC`` names its program; no registry has it. A row is a scene of genmc/channel_model.c, or, with
-SCENE, of genmc/call_model.c. Those in which something is taken out are controls: there a violation must be found.
+SCENE, of genmc/call_model.c. Those in which something is taken out are controls: there a violation must be
+found.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ def name(scenario: Scenario) -> str:
 @pytest.mark.parametrize("scenario", HOLDS, ids=name)
 def test_every_property_holds_in_every_interleaving(scenario: Scenario) -> None:
     """No interleaving of the specified steps breaks a property."""
-    result = explore(scenario.config)
+    result = scenario.search()
     assert not result.violation, "\n".join((result.violation, *result.trace))
     assert as_expected(scenario, result)
 
@@ -32,7 +32,7 @@ def test_every_property_holds_in_every_interleaving(scenario: Scenario) -> None:
 @pytest.mark.parametrize("scenario", MUTATIONS, ids=name)
 def test_a_missing_rule_is_found(scenario: Scenario) -> None:
     """With one rule taken away the search finds the property that it protects broken."""
-    result = explore(scenario.config)
+    result = scenario.search()
     print(scenario.why, *result.trace, sep="\n")
     assert result.violation.startswith(scenario.breaks), result
     assert result.trace
@@ -41,13 +41,13 @@ def test_a_missing_rule_is_found(scenario: Scenario) -> None:
 @pytest.mark.parametrize("scenario", HOLDS_WITHOUT, ids=name)
 def test_a_second_net_is_one(scenario: Scenario) -> None:
     """Rules documented as the second net under another one are exactly that."""
-    assert as_expected(scenario, explore(scenario.config))
+    assert as_expected(scenario, scenario.search())
 
 
 @pytest.mark.parametrize("scenario", LIMITS, ids=name)
 def test_a_documented_limit_is_real(scenario: Scenario) -> None:
     """What the documentation says is not promised does happen in the model."""
-    result = explore(scenario.config)
+    result = scenario.search()
     assert result.violation.startswith(scenario.breaks), result
 
 
@@ -56,7 +56,7 @@ def test_a_documented_limit_is_real(scenario: Scenario) -> None:
 @pytest.mark.parametrize("scenario", LARGE, ids=name)
 def test_every_property_holds_in_larger_bounds(scenario: Scenario) -> None:
     """Larger bounds find nothing either."""
-    result = explore(scenario.config)
+    result = scenario.search()
     assert not result.violation, "\n".join((result.violation, *result.trace))
     assert as_expected(scenario, result)
 
