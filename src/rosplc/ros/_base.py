@@ -379,9 +379,11 @@ class KeepingServer(BaseServer):
         """Hand over one request; ``origin`` is what :meth:`_answer` needs."""
         with self._lock:
             self._callers[caller] = origin
-            if len(self._callers) > MOST_CALLERS:
-                self._callers.popitem(last=False)
-                self._dropped += 1
+            too_many = len(self._callers) > MOST_CALLERS
+            evicted = self._callers.popitem(last=False)[1] if too_many else None
+            self._dropped += too_many
+        if too_many:
+            self._drop(evicted)
         self.deliver(payload, caller, stamp_ns)
 
     def _answer(self, caller: bytes, origin: Any, payload: bytes) -> bool:
@@ -391,6 +393,9 @@ class KeepingServer(BaseServer):
     def _waits(self, caller: bytes, origin: Any) -> bool:
         """Return whether a caller still waits; ``origin`` is None for an unknown caller."""
         raise NotImplementedError
+
+    def _drop(self, origin: Any) -> None:
+        """Tell a caller, without the lock, that no response comes; ROS 2 has no way to do so."""
 
     def reply(self, caller: bytes, payload: bytes) -> bool:
         """Send a response; see :meth:`rosplc.ros.backend.ServiceServer.reply`."""
@@ -408,7 +413,7 @@ class KeepingServer(BaseServer):
             raise
 
     def refuse(self, caller: bytes, text: str) -> bool:
-        """End a call without a response; ROS 2 has no way to tell the client why."""
+        """End a call without a response."""
         with self._lock:
             origin = self._callers.pop(caller, None)
             return not self.closed and self._waits(caller, origin)
@@ -421,7 +426,10 @@ class KeepingServer(BaseServer):
     def close(self) -> None:
         """Stop serving; after the return no callback runs or starts (unless called from it)."""
         super().close()
-        self._callers.clear()
+        with self._lock:
+            dropped, self._callers = self._callers, OrderedDict()
+        for origin in dropped.values():
+            self._drop(origin)
 
 
 _call_numbers = itertools.count(1)  # of this process: a client that is opened again repeats none

@@ -79,6 +79,9 @@ class Abilities:
     shows_qos: bool = _flag("the settings of other nodes' endpoints can be seen")
     shows_hashes: bool = _flag("the type hashes of other nodes' endpoints can be seen")
     many_nodes: bool = _flag("several nodes fit into one process")
+    sees_callers: bool = _flag("a server sees that the caller of a service has gone")
+    refuses_with_words: bool = _flag("the caller of a service learns that it is refused, and why")
+    remembers_callers: bool = _flag("a call can be answered after a restart of the server's process")
     has_hub: bool = _flag("nodes find each other through a program that may be restarted (master, router)")
 
     @classmethod

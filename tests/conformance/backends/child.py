@@ -13,11 +13,12 @@ import signal
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing.connection import Connection
 from typing import Any
 
 from rosplc.ros import BACKENDS, EndpointStatus, GraphInfo, Qos
-from tests.conformance.backends.node import Inbox, Node, Opening, Outbox
+from tests.conformance.backends.node import Calling, Inbox, Node, Opening, Outbox, Served
 
 _context = multiprocessing.get_context("forkserver")
 
@@ -111,6 +112,16 @@ class RemoteOutbox:
         self._call("close")
 
 
+class RemoteEnd:
+    """A :class:`Served` or :class:`Calling` in another process."""
+
+    def __init__(self, call: Callable[..., Any]) -> None:
+        self._call = call
+
+    def __getattr__(self, name: str) -> Callable[..., Any]:
+        return partial(self._call, name)
+
+
 class RemoteNode:
     """A :class:`Node` in another process; its methods do what those of a node here do.
 
@@ -172,6 +183,14 @@ class RemoteNode:
         """See :meth:`Node.advertise`."""
         handle = self.call(0, "advertise", topic, type_name, qos)
         return RemoteOutbox(lambda *arguments: self.call(handle, *arguments), handle)
+
+    def serve(self, service: str, type_name: str, receiver: str = "echo") -> RemoteEnd:
+        """See :meth:`Node.serve`."""
+        return RemoteEnd(partial(self.call, self.call(0, "serve", service, type_name, receiver)))
+
+    def client(self, service: str, type_name: str) -> RemoteEnd:
+        """See :meth:`Node.client`."""
+        return RemoteEnd(partial(self.call, self.call(0, "client", service, type_name)))
 
     def status(self) -> tuple[EndpointStatus, ...]:
         """See :meth:`Node.status`."""
@@ -252,7 +271,7 @@ def _serve(pipe: Connection, opening: Opening, make: Callable[[Opening], Any]) -
         except BaseException as error:
             pipe.send((False, error))
             continue
-        if isinstance(value, Inbox | Outbox):
+        if isinstance(value, Inbox | Outbox | Served | Calling):
             objects.append(value)
             value = len(objects) - 1
         pipe.send((True, value))

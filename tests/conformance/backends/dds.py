@@ -48,6 +48,9 @@ class DdsHarness(Harness):
         shows_qos=True,
         shows_hashes=True,
         many_nodes=True,
+        sees_callers=True,
+        refuses_with_words=False,
+        remembers_callers=True,
         has_hub=False,
     )
 

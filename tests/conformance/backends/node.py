@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from rosplc.model import TypeStore
-from rosplc.ros import EndpointStatus, GraphInfo, Qos, open_backend
+from rosplc.ros import SERVICES, EndpointStatus, GraphInfo, Qos, Reply, open_backend
 
 RECEIVERS = {
     "collect": "keeps the message",
@@ -160,6 +160,126 @@ class Outbox:
         self.publisher.close()
 
 
+def echo(request: bytes, ros1: bool) -> bytes:
+    """Return the response of ``diagnostic_msgs/srv/AddDiagnostics`` with TRUE and the request's text."""
+    return b"\1" + request if ros1 else request[:4] + b"\1\0\0\0" + request[4:]
+
+
+class Served:
+    """A server, and what it was asked.
+
+    With the receiver ``echo`` it answers at once, with ``fail`` it raises, with ``close`` it closes itself;
+    otherwise requests are kept until the test answers them.
+    """
+
+    def __init__(self, node: Node, service: str, type_name: str, receiver: str) -> None:
+        self._node, self._receiver = node, receiver
+        self._got: list[tuple[bytes, bytes, int]] = []
+        self._ready = threading.Event()
+        self._server = node.backend.serve(service, type_name, SERVICES, self._receive)
+        self._ready.set()
+
+    def _receive(self, payload: bytes, caller: bytes, stamp_ns: int) -> None:
+        self._got.append((payload, caller, stamp_ns))
+        self._ready.wait()
+        if self._receiver == "echo":
+            self._server.reply(caller, echo(payload, self._node.ros1))
+        elif self._receiver == "fail":
+            raise RuntimeError("broken receiver")
+        elif self._receiver == "close":
+            self._server.close()
+
+    def requests(self) -> list[tuple[bytes, bytes, int]]:
+        """Return what has been asked: payload, caller and stamp."""
+        return list(self._got)
+
+    def reply(self, caller: bytes, payload: bytes) -> bool:
+        """Answer."""
+        return self._server.reply(caller, payload)
+
+    def refuse(self, caller: bytes, text: str = "no") -> bool:
+        """Do not answer."""
+        return self._server.refuse(caller, text)
+
+    def present(self, caller: bytes) -> bool:
+        """Return whether a caller still waits."""
+        return self._server.present(caller)
+
+    def remembers(self) -> bool:
+        """Return whether another process can answer."""
+        return self._server.remembers
+
+    def name(self) -> str:
+        """Return the service's full name."""
+        return self._server.service
+
+    def matched(self) -> int:
+        """Return how many clients there are."""
+        return self._server.matched
+
+    def status(self) -> EndpointStatus:
+        """Return the endpoint's status."""
+        return self._server.status()
+
+    def close(self) -> None:
+        """Close the server."""
+        self._server.close()
+
+
+class Calling:
+    """A client, and the ends of its calls."""
+
+    def __init__(self, node: Node, service: str, type_name: str) -> None:
+        self._replies: list[tuple[int, Reply]] = []
+        self._numbers: list[int] = []
+        self._client = node.backend.client(service, type_name, SERVICES)
+
+    def call(self, payload: bytes) -> int:
+        """Call; return the call's place."""
+        place = len(self._numbers)
+        self._numbers.append(0)
+        self._numbers[place] = self._client.call(payload, lambda reply: self._replies.append((place, reply)))
+        return place
+
+    def call_and_close(self, payload: bytes) -> None:
+        """Call, and close the client when the reply comes."""
+
+        def receive(reply: Reply) -> None:
+            self._client.close()
+            self._replies.append((0, reply))
+
+        self._client.call(payload, receive)
+
+    def call_all(self, payloads: Sequence[bytes]) -> None:
+        """Call many times."""
+        for payload in payloads:
+            self.call(payload)
+
+    def replies(self) -> list[tuple[int, Reply]]:
+        """Return the ends of calls so far, each with its call's place."""
+        return list(self._replies)
+
+    def forget(self, place: int) -> None:
+        """Wait no longer for a call."""
+        self._client.forget(self._numbers[place])
+
+    def ready(self) -> bool:
+        """Return whether there is a server."""
+        return self._client.ready
+
+    def name(self) -> str:
+        """Return the service's full name."""
+        return self._client.service
+
+    def status(self) -> EndpointStatus:
+        """Return the endpoint's status."""
+        return self._client.status()
+
+    def close(self) -> None:
+        """Close the client."""
+        self._client.close()
+
+
 class Node:
     """A backend that has joined a graph."""
 
@@ -177,6 +297,7 @@ class Node:
             environment=opening.environment,
             options=opening.options,
         )
+        self.ros1 = opening.distro == "noetic"
         self._traffic: Traffic | None = None
         self._inboxes: list[Inbox] = []
 
@@ -199,6 +320,14 @@ class Node:
     def advertise(self, topic: str, type_name: str, qos: Qos | None = None) -> Outbox:
         """Send a topic."""
         return Outbox(self, topic, type_name, qos or Qos())
+
+    def serve(self, service: str, type_name: str, receiver: str = "echo") -> Served:
+        """Serve a service."""
+        return Served(self, service, type_name, receiver)
+
+    def client(self, service: str, type_name: str) -> Calling:
+        """Call a service."""
+        return Calling(self, service, type_name)
 
     def status(self) -> tuple[EndpointStatus, ...]:
         """Return the status of all endpoints."""

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 from rosplc.model import TypeStore
 from rosplc.ros import Qos
 from tests.conformance.backends.base import Abilities, AnyNode, Harness
-from tests.conformance.backends.node import Inbox, Node, Opening, Outbox
+from tests.conformance.backends.node import Calling, Inbox, Node, Opening, Outbox, Served
 from tests.doubles.ros2 import double, installed
 from tests.interop.graphs import free_domain
 
@@ -32,6 +32,16 @@ class RclpyNode(Node):
         """Receive a topic."""
         with installed(self._store):
             return super().subscribe(topic, type_name, qos, receiver)
+
+    def serve(self, service: str, type_name: str, receiver: str = "echo") -> Served:
+        """Serve a service."""
+        with installed(self._store):
+            return super().serve(service, type_name, receiver)
+
+    def client(self, service: str, type_name: str) -> Calling:
+        """Call a service."""
+        with installed(self._store):
+            return super().client(service, type_name)
 
     def advertise(self, topic: str, type_name: str, qos: Qos | None = None) -> Outbox:
         """Send a topic."""
@@ -61,6 +71,9 @@ class RclpyHarness(Harness):
         shows_qos=True,
         shows_hashes=True,
         many_nodes=True,
+        sees_callers=False,
+        refuses_with_words=False,
+        remembers_callers=False,
         has_hub=False,
     )
 

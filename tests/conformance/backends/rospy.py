@@ -31,6 +31,9 @@ class RospyHarness(Harness):
         shows_qos=False,
         shows_hashes=False,
         many_nodes=True,
+        sees_callers=True,
+        refuses_with_words=True,
+        remembers_callers=False,
         has_hub=True,
     )
 

@@ -31,6 +31,9 @@ class ZenohHarness(Harness):
         shows_qos=True,
         shows_hashes=True,
         many_nodes=True,
+        sees_callers=True,
+        refuses_with_words=False,
+        remembers_callers=False,
         has_hub=True,
     )
 

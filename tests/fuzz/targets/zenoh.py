@@ -90,7 +90,7 @@ def _samples(choices: Choices) -> None:
         kind = zenoh.SampleKind.DELETE if choices.below(8) == 7 else zenoh.SampleKind.PUT
         sample = SimpleNamespace(kind=kind, attachment=extra, payload=_Bytes(choices.take(size)))
         subscription.arrived(cast(Any, sample))
-    subscription.deliver()
+    subscription.deliver_next()
     status = subscription.status()
     assert status.dropped >= 0
     assert status.rejected <= tried
