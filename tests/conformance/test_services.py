@@ -117,8 +117,9 @@ def test_without_a_server_nothing_is_executed(graph: Harness) -> None:
 def test_a_forgotten_call_stays_silent(graph: Harness) -> None:
     """A response that comes after its call was forgotten reaches nobody; the client goes on."""
     server, client = connect(graph, "keep")
-    client.forget(client.call(graph.string("forgotten")))
+    forgotten = client.call(graph.string("forgotten"))
     ((payload, caller, _),) = asked(server)
+    client.forget(forgotten)
     server.reply(caller, echo(payload, graph.ros1))
     place = client.call(graph.string("next"))
     payload, caller, _ = asked(server, 2)[1]

@@ -8,7 +8,7 @@ import os
 import threading
 from collections import OrderedDict, deque
 from collections.abc import Callable, Collection, Hashable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, TypeVar
 
 from rosplc.clock import SYSTEM, Clock
@@ -157,6 +157,14 @@ def explain(
 
 def _short(type_hash: str) -> str:
     return f"{type_hash[7:15]}…" if type_hash.startswith("RIHS01_") else "none, as on Humble"
+
+
+def queue_of(qos: Qos) -> Qos:
+    """Return a service's settings with room for what arrives between two looks of the receive thread.
+
+    The profile's depth of 10 would lose the rest of a burst without a trace; peers do not see the depth.
+    """
+    return replace(qos, depth=max(qos.depth, 1000))
 
 
 def several(ours: BaseEndpoint, servers: list[str]) -> Problem | None:

@@ -29,7 +29,7 @@ from rosplc.ros.dds.graph import Announcer
 from rosplc.ros.dds.idl import IdlTypes, dds_topic, ros_topic, service_topics
 from rosplc.ros.dds.log import TRACING, library_log
 from rosplc.ros.dds.peers import Peer, PeerTable
-from rosplc.ros.dds.service import ROOM, DdsClient, DdsServer
+from rosplc.ros.dds.service import DdsClient, DdsServer
 
 _TICK_NS = 500_000_000  # how often the receive thread looks at what has no event of its own
 _SHORT_NS = 10_000_000  # the same while a response waits for its reader
@@ -169,10 +169,9 @@ class DdsBackend(BaseNode):
         # As rmw_cyclonedds_cpp writes it: not padded, but for the first byte.
         first, *others = self._guid[:12] + next(self._service_ids).to_bytes(4, "big")
         service_id = f"{role}={first:2x}{''.join(f'.{octet:x}' for octet in others)};"
-        queue = replace(qos, depth=max(qos.depth, ROOM))
         request, response = f"{name}_Request", f"{name}_Response"
         hashes = self._hash(request), self._hash(response)
-        settings = [dds_qos(queue, type_hash, service_id) for type_hash in hashes]
+        settings = [dds_qos(_base.queue_of(qos), type_hash, service_id) for type_hash in hashes]
         types = [self._types.with_header(part) for part in (request, response)]
         kinds = (DataReader, DataWriter) if role == "serviceid" else (DataWriter, DataReader)
         opened: list[Any] = []

@@ -31,7 +31,6 @@ from rosplc.ros.dds.idl import service_topics
 from rosplc.ros.dds.log import library_log
 from rosplc.ros.dds.peers import Peer
 
-ROOM = 1000  # Requests or replies that wait for the receive thread; QoS's own depth would lose a burst.
 _ENCAPSULATION, _HEADER = 4, 16  # Bytes.
 _ORDER = (">Qq", "<Qq")
 _CALLER = struct.Struct("<Qq")

@@ -93,7 +93,7 @@ class RclpyBackend(BaseNode):
 
     def client(self, service: str, type_name: str, qos: Qos) -> RclpyClient:
         """Call a service; see :meth:`rosplc.ros.backend.Backend.client`."""
-        client = RclpyClient(*self._details(service, type_name, qos, "_Response"))
+        client = RclpyClient(*self._details(service, type_name, qos, "_Request"))
         self._open(
             client,
             lambda kind, name, native, **others: self._node.create_client(
@@ -121,7 +121,8 @@ class RclpyBackend(BaseNode):
         return self, full, name, qos, self._store.type_hash(name + part)
 
     def _open(self, endpoint: RclpyEndpoint, make: Callable[..., Any]) -> None:
-        native, kind = profile(endpoint.qos), self._classes[endpoint.type_name]
+        qos = _base.queue_of(endpoint.qos) if endpoint.serves else endpoint.qos
+        native, kind = profile(qos), self._classes[endpoint.type_name]
         make = partial(make, kind, endpoint.topic, native, callback_group=self._group)
         with self._lock:
             self._usable()
@@ -186,9 +187,12 @@ class RclpyBackend(BaseNode):
             return []
 
     def _users(self, service: str, direction: Literal["in", "out"]) -> list[Any]:
-        """Return who serves (``in``) or calls (``out``) a service: who writes its one topic or the other."""
-        topic = f"rr{service}Reply" if direction == "in" else f"rq{service}Request"
-        return self._asked(self._node.get_publishers_info_by_topic, topic, True)
+        """Return who serves (``in``) or calls (``out``) a service: who reads or writes its requests."""
+        node = self._node
+        ask = (
+            node.get_publishers_info_by_topic if direction == "out" else node.get_subscriptions_info_by_topic
+        )
+        return self._asked(ask, f"rq{service}Request", True)
 
     def servers(self, service: str) -> frozenset[bytes]:
         """Return the ids of a service's servers, as far as the middleware has topics for services."""
@@ -214,12 +218,13 @@ class RclpyBackend(BaseNode):
         peers, problems = self._compared(endpoint)
         if isinstance(endpoint, RclpySubscription | RclpyPublisher):
             return bool(peers), problems or self._unexplained(endpoint, peers)
-        if isinstance(endpoint, RclpyServer):
-            return True, problems  # clients come and go
-        if len(peers) - len(problems) > 1:
-            nodes = _base.listed(_name(peer) or f"node {peer.node}" for peer in peers)
-            problems.append(("ROS022", f"{endpoint.topic} is served by {nodes}"))
-        return endpoint.ready, problems
+        found = read_peers(self._users(endpoint.topic, "in"), endpoint.topic, "in")
+        servers = [_name(peer) or f"node {peer.node}" for peer in found]
+        if isinstance(endpoint, RclpyServer) and f"node {self.node}" in servers:
+            servers.remove(f"node {self.node}")
+        problems += filter(None, [_base.several(endpoint, servers)])
+        # Clients come and go: none is no doubt about a server.
+        return isinstance(endpoint, RclpyServer) or endpoint.ready, problems
 
     def _unexplained(self, endpoint: RclpyEndpoint, peers: list[EndpointInfo]) -> list[Problem]:
         """Judge by count: rclpy does not tell which peers are matched."""

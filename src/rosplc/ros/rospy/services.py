@@ -378,9 +378,7 @@ class RospyClient(_Service, BaseClient):
             if not link.begin(sock):
                 return Reply(text="nobody waits for it any more")
         except (OSError, HandshakeError, UnreachableError, RefusedError) as error:
-            with self._lock:
-                self._place = None  # it is looked for again
-            self._node.wake()
+            self._look_again()
             return Reply(None, "not executed", Reason.NO_SERVER, f"{self.topic} cannot be called: {error}")
         try:
             sock.settimeout(_TIMEOUT_S)
@@ -391,6 +389,8 @@ class RospyClient(_Service, BaseClient):
             size = int.from_bytes(_read(sock, 4), "little")
             body = _read(sock, size)
         except (OSError, HandshakeError) as error:
+            if not link.stopped:
+                self._look_again()
             return Reply(None, "fate unknown", Reason.SERVER_GONE, f"{self.topic} did not answer: {error}")
         finally:
             sock.close()
@@ -398,6 +398,11 @@ class RospyClient(_Service, BaseClient):
             return Reply(body)
         text = body[:_LONGEST_TEXT].decode(errors="replace")
         return Reply(None, "fate unknown", Reason.SERVER_FAILED, text)
+
+    def _look_again(self) -> None:
+        with self._lock:
+            self._place = None
+        self._node.wake()
 
     def _reach(self) -> socket.socket:
         place = self._place
@@ -431,21 +436,21 @@ class _Link:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._stopped = False
+        self.stopped = False
         self._sock: socket.socket | None = None
 
     def begin(self, sock: socket.socket) -> bool:
         """Take the connection; close it and return False if it is not needed any more."""
         with self._lock:
             self._sock = sock
-            if self._stopped:
+            if self.stopped:
                 sock.close()
-            return not self._stopped
+            return not self.stopped
 
     def stop(self) -> None:
         """Disconnect; the call's thread ends."""
         with self._lock:
-            self._stopped = True
+            self.stopped = True
             if self._sock is not None:
                 with contextlib.suppress(OSError):
                     self._sock.shutdown(socket.SHUT_RDWR)
