@@ -1,20 +1,21 @@
-"""Write docs/reference/plc-blocks.md from the generator itself; ``--verify`` only compares."""
+"""Write docs/reference/plc-blocks.md and plc-calls.md from the generator; ``--verify`` only compares."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Literal, cast
 
 from generated_page import REFERENCE, filled, run
 from rosplc.config.plans import ClassicPlan
 from rosplc.errors import CODES
 from rosplc.layout import compute_layout
 from rosplc.model import TypeStore
-from rosplc.plc.base import HELPER_NAMES, base_objects, classic_objects
+from rosplc.plc.base import HELPER_NAMES, base_objects, call_objects, classic_objects
 from rosplc.plc.build import build_project
-from rosplc.plc.plan import PlcTask, PlcTopic
+from rosplc.plc.plan import PlcCall, PlcTask, PlcTopic
 from rosplc.plc.project import Dut, Enumeration, Item, Pou, Variable
 
-PAGE = REFERENCE / "plc-blocks.md"
+PAGE, CALLS_PAGE = REFERENCE / "plc-blocks.md", REFERENCE / "plc-calls.md"
 EXAMPLE, EXAMPLE_DUT = "geometry_msgs/msg/PoseStamped", "geometry_msgs_PoseStamped"
 
 
@@ -26,7 +27,9 @@ def _table(variables: Iterable[Variable]) -> list[str]:
     lines = ["| name | type | initial | meaning |", "| --- | --- | --- | --- |"]
     for variable in variables:
         initial = f"`{variable.initial}`" if variable.initial is not None else ""
-        kind = "the message's type" if variable.type == EXAMPLE_DUT else f"`{variable.type}`"
+        given = f"`{variable.type}`" if "_Fibonacci" not in variable.type else "the action's type"
+        given = given if "_Trigger" not in variable.type else "the service's type"
+        kind = "the message's type" if variable.type == EXAMPLE_DUT else given
         lines.append(f"| `{variable.name}` | {kind} | {initial} | {_cell(variable.comment)} |")
     return [*lines, ""]
 
@@ -120,5 +123,42 @@ def parts() -> dict[str, str]:
     return {name: "\n".join(lines) for name, lines in found.items()}
 
 
+def call_parts() -> dict[str, str]:
+    """Return the generated parts of the page about services and actions."""
+    store = TypeStore.bundled("jazzy")
+    service, action = "std_srvs/srv/Trigger", "example_interfaces/action/Fibonacci"
+    calls = [
+        PlcCall(
+            f"/{role}",
+            kind,
+            role,
+            {part: compute_layout(store, f"{kind}_{part.capitalize()}") for part in words},
+            "RosTask",
+        )
+        for kind, words, roles in (
+            (service, ("request", "response"), ("Client", "Server")),
+            (action, ("goal", "result", "feedback"), ("ActionClient", "ActionServer")),
+        )
+        for role in cast(tuple[Literal["Client", "Server", "ActionClient", "ActionServer"], ...], roles)
+    ]
+    project = build_project(store, (), [PlcTask("RosTask")], calls=calls)
+    pous = {pou.name: pou for pou in project.pous}
+    objects = call_objects("ROS/Base", actions=True)
+    found: dict[str, list[str]] = {}
+    for word in ("Client", "Server"):
+        found[f"{word.lower()} blocks"] = [
+            *_block(f"Service {word.lower()}s", pous[f"std_srvs_Trigger_{word}"], pous),
+            *_block(f"Action {word.lower()}s", pous[f"example_interfaces_Fibonacci_Action{word}"], pous),
+        ]
+    reasons = next(item for item in objects if item.name == "RosPlc_Reason")
+    assert isinstance(reasons, Enumeration)
+    found["reasons"] = ["| number | name |", "| ---: | --- |"]
+    found["reasons"] += [f"| {number} | `{name}` |" for name, number in reasons.values]
+    found["base"] = ["| object | what it is |", "| --- | --- |"]
+    found["base"] += [f"| `{item.name}` | {_cell(_sentence(item.comment))} |" for item in objects]
+    return {name: "\n".join(lines) for name, lines in found.items()}
+
+
 if __name__ == "__main__":
-    raise SystemExit(run(__doc__, {PAGE: filled(PAGE, parts())}))
+    texts = {PAGE: filled(PAGE, parts()), CALLS_PAGE: filled(CALLS_PAGE, call_parts())}
+    raise SystemExit(run(__doc__, texts))

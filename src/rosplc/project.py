@@ -154,7 +154,9 @@ def generate(
     options = _options(target, fences, programs or project.config.settings.programs, pins)
     made = plc_project(project, options)
     topics = sorted(project.topics, key=lambda plan: plan.topic)  # as the PLC's objects are ordered
-    return _deliver(made, [plan.layout for plan in topics], folder, force=force)
+    layouts = [plan.layout for plan in topics]
+    layouts += [layout for plan in project.services for layout in plan.layouts]
+    return _deliver(made, layouts, folder, force=force)
 
 
 def generate_types(

@@ -16,6 +16,7 @@ from pathlib import Path
 from rosplc.errors import GenerationError
 from rosplc.layout import Layout
 from rosplc.layout.c_header import c_header
+from rosplc.plc.build import ACTION_GVL, SERVICE_GVL
 from rosplc.plc.plan import LIBRARY
 from rosplc.plc.plcopen import plcopen_xml
 from rosplc.plc.project import PlcProject, object_text
@@ -59,9 +60,11 @@ def project_files(project: PlcProject, layouts: list[Layout], name: str) -> dict
     result[f"{name}.xml"] = plcopen_xml(project)
     result[f"{name}_import.py"] = import_script(project).encode("ascii")
     result[f"{name}.h"] = c_header(layouts, f"{name.upper()}_H").encode()
-    readme = _template("README.txt") + (
-        _template("README_classic.txt") if LIBRARY in project.libraries else ""
-    )
+    readme = _template("README.txt")
+    if any(gvl.name in (SERVICE_GVL, ACTION_GVL) for gvl in project.gvls):
+        readme += _template("README_calls.txt")
+    if LIBRARY in project.libraries:
+        readme += _template("README_classic.txt")
     result["README.txt"] = (
         readme.replace("{name}", name).replace("{programs}", project.programs).encode("ascii")
     )

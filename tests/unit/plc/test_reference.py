@@ -1,22 +1,31 @@
-"""docs/reference/plc-blocks.md cannot drift from the blocks."""
+"""The pages docs/reference/plc-blocks.md and plc-calls.md cannot drift from the blocks."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from rosplc.plc.base import base_objects, classic_objects
+import pytest
+
+from rosplc.plc.base import base_objects, call_objects, classic_objects
 from rosplc.plc.project import Pou
 
 ROOT = Path(__file__).resolve().parents[3]
 TOOL = ROOT / "tools" / "generate_plc_reference.py"
-PAGE = ROOT / "docs" / "reference" / "plc-blocks.md"
+REFERENCE = ROOT / "docs" / "reference"
+PAGES = {
+    "plc-blocks.md": (*base_objects("ROS/Base"), *classic_objects("ROS/Base")),
+    "plc-calls.md": call_objects("ROS/Base", actions=True),
+}
+INNER = ("RosPlc_CallReader", "RosPlc_CallWriter")
+"""Blocks inside the blocks of services and actions."""
 
 
-def test_every_input_and_output_of_the_base_is_listed_with_a_meaning():
+@pytest.mark.parametrize("page", PAGES)
+def test_every_input_and_output_of_the_base_is_listed_with_a_meaning(page):
     """A variable without a word on what it means would be of no use; second halves of pairs excepted."""
-    text = PAGE.read_text(encoding="utf-8")
-    for item in (*base_objects("ROS/Base"), *classic_objects("ROS/Base")):
-        if not isinstance(item, Pou) or item.kind != "FUNCTION_BLOCK":
+    text = (REFERENCE / page).read_text(encoding="utf-8")
+    for item in PAGES[page]:
+        if not isinstance(item, Pou) or item.kind != "FUNCTION_BLOCK" or item.name in INNER:
             continue
         for block in item.blocks:
             if block.kind in ("VAR_INPUT", "VAR_OUTPUT"):
