@@ -587,3 +587,46 @@ def test_online_change_of_a_server(cell: CallCell) -> None:
     cell.machine.online_change()
     cell.scan(20)
     assert caller.get("xRequest", "udiCalls") == (False, 1)
+
+
+def test_retained_instances_forget_their_calls(folder: Path) -> None:
+    """After a power cycle no call is in hand, and an xExecute or xReply that stayed TRUE is no edge."""
+
+    def retain(texts: dict[str, str]) -> dict[str, str]:
+        return {**texts, "ROS_Services": texts["ROS_Services"].replace("VAR_GLOBAL\n", "VAR_GLOBAL RETAIN\n")}
+
+    cell = CallCell(folder, call_build(sabotage=retain))
+    server, caller = connected(cell), serving(cell)
+    server.set(**{"xExecute": True, "request.data": 1})
+    old = cell.until(server.take)
+    caller.call(2)
+    cell.until(lambda: caller.get("xRequest"))
+    caller.set(xReply=True)
+    cell.machine.power_cycle()
+    assert server.get("xExecute", "request.data") == (True, 1)  # what is retained
+    assert server.get(*ENDS) == IDLE
+    for _ in range(120):
+        cell.scan()
+        assert server.get(*ENDS) == IDLE
+        assert not caller.get("xRequest")
+    assert server.get("xServer", "udiError") == (True, 0)
+    assert caller.get("xAttached", "udiError") == (True, 0)
+    assert server.take() is None
+    assert caller.answer() is None
+    server.answer(old[1], value=9)
+    cell.scan(3)
+    assert server.get(*ENDS) == IDLE
+    server.set(xExecute=False)
+    caller.set(xReply=False)
+    cell.scan()
+    server.set(xExecute=True)
+    asked = cell.until(server.take)
+    assert asked[1] >> 32 != old[1] >> 32
+    server.answer(asked[1], value=4)
+    cell.until(lambda: server.get(*ENDS) == DONE)
+    number = caller.call(3)
+    cell.until(lambda: caller.get("xRequest"))
+    assert caller.get("request.data") == 3
+    caller.set(xReply=True)
+    assert cell.until(caller.answer)[1] == number
+    cell.close()

@@ -233,13 +233,23 @@ class _Emitter:
             if v.kind not in ("temp", "inout"):
                 lines += set_initial(e, f"self->f_{v.name}", v, "st_retains", "st_copy")
         lines.append("}")
+        # What is retained keeps its values, but FB_Init of each instance inside it is called.
+        lines += [f"static void inits_{name}(struct B_{name} *self, int st_retains, int st_copy)", "{"]
+        lines.append("(void)self; (void)st_retains; (void)st_copy;")
+        if block.base:
+            lines.append(f"inits_{block.base}((void *)self, st_retains, st_copy);")
+        for v in block.variables:
+            if isinstance(v.type, Block):
+                lines += set_initial(e, f"self->f_{v.name}", v, "st_retains", "st_copy")
+        lines.append("}")
         signature = ", ".join(
             [f"struct B_{name} *self", "int st_retains", "int st_copy", *map(self._parameter, parameters)]
         )
         lines += [
             f"static void make_{name}({signature})",
             "{",
-            f"if (!st_kept) values_{name}(self, st_retains, st_copy);",
+            f"if (st_kept) inits_{name}(self, st_retains, st_copy);",
+            f"else values_{name}(self, st_retains, st_copy);",
             f"self->vt = vt_{name};",
         ]
         for item in chain:
@@ -300,6 +310,7 @@ class _Emitter:
             )
             lines.append(f"static void make_{n}({parameters});")
             lines.append(f"static void values_{n}(struct B_{n} *self, int, int);")
+            lines.append(f"static void inits_{n}(struct B_{n} *self, int, int);")
             lines.append(f"static void exit_{n}(struct B_{n} *self, int);")
             lines.append(f"static void reinit_{n}(struct B_{n} *self);")
         return lines
