@@ -4,7 +4,8 @@
     python tools/extract_interfaces.py --compare humble CHECKOUT...
 
 FOLDER holds the packages that ``tools/interfaces.yaml`` lists, as ``pip download --no-deps
-ros-std-srvs==5.5.1`` and ``apt-get download ros-std-srvs`` fetch them. Comments are left out; the head of the
+ros-std-srvs==5.5.1`` and ``apt-get download ros-std-srvs`` fetch them, or a repository's archive of a tag
+(``.tar.gz``). Comments are left out; the head of the
 file lists each package with its SHA-256. The second form changes nothing: it compares what is bundled for a
 distribution with the packages below other folders, such as clones of the distribution's repositories, whose
 commits it prints.
@@ -45,7 +46,11 @@ def unpack(archive: Path, folder: Path) -> None:
         with zipfile.ZipFile(archive) as wheel:
             contents = {name: wheel.read(name) for name in wheel.namelist() if is_interface(name)}
     else:
-        data = subprocess.run(["dpkg-deb", "--fsys-tarfile", archive], capture_output=True, check=True).stdout
+        data = archive.read_bytes()
+        if archive.suffix == ".deb":
+            data = subprocess.run(
+                ["dpkg-deb", "--fsys-tarfile", archive], capture_output=True, check=True
+            ).stdout
         with tarfile.open(fileobj=io.BytesIO(data)) as tar:
             members = [each for each in tar.getmembers() if each.isfile() and is_interface(each.name)]
             contents = {each.name: tar.extractfile(each).read() for each in members}  # type: ignore[union-attr]
@@ -59,7 +64,7 @@ def unpack(archive: Path, folder: Path) -> None:
 
 def is_interface(name: str) -> bool:
     """Return whether a file of an archive is a service or an action."""
-    return bool(re.search(r"/share/\w+/(srv/\w+\.srv|action/\w+\.action)\Z", f"/{name}"))
+    return bool(re.search(r"/\w+/(srv/\w+\.srv|action/\w+\.action)\Z", f"/{name}"))
 
 
 def texts(distro: str, folders: list[Path]) -> dict[str, str]:
@@ -82,7 +87,7 @@ def extract(folder: Path) -> str:
     distros: dict[tuple[str, str], set[str]] = defaultdict(set)
     head = HEAD
     for beginning, source in plan["archives"].items():
-        archives = list(folder.glob(f"{beginning}[-_+]*"))
+        archives = list(folder.glob(f"{beginning}[-_+.]*"))
         if len(archives) != 1:
             sys.exit(f"{folder} has {len(archives)} files {beginning}…")
         digest = hashlib.sha256(archives[0].read_bytes()).hexdigest()

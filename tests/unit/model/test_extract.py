@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import subprocess
+import tarfile
 import zipfile
 from pathlib import Path
 
@@ -12,30 +14,43 @@ import yaml
 
 import extract_interfaces
 
-WHEEL = "ros_own_srvs-1.0.0-py3-none-any.whl"
+FILES = {
+    "own_srvs/srv/Ask.srv": "# Asks.\nint32 x 7 # so\nint32 A=1\n---\nstd_msgs/Header[] h\n",
+    "own_srvs/action/Go.action": "---\n---\n",
+    "own_srvs/srv/Ask_Request.msg": "int32 x\n",
+}
 PLAN = {
-    "archives": {"ros_own_srvs-1.0.0": {"distros": ["kilted", "humble"], "licence": "Apache-2.0"}},
+    "archives": {"own_srvs-1.0.0": {"distros": ["kilted", "humble"], "licence": "Apache-2.0"}},
     "without": {"humble": ["own_srvs/action/Go"]},
     "own": [{"distros": ["noetic"], "definitions": {"own_srvs/srv/Old": "bool a\n---\n"}}],
 }
 
 
-def test_packages_become_one_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def pack(archive: Path) -> None:
+    if archive.suffix == ".whl":
+        with zipfile.ZipFile(archive, "w") as wheel:
+            for name, text in FILES.items():
+                wheel.writestr(f"own_srvs-1.0.0.data/data/share/{name}", text)
+        return
+    with tarfile.open(archive, "w:gz") as tar:
+        for name, text in FILES.items():
+            member = tarfile.TarInfo(f"own_srvs-1.0.0/{name}")
+            member.size = len(text)
+            tar.addfile(member, io.BytesIO(text.encode()))
+
+
+@pytest.mark.parametrize("archive", ["own_srvs-1.0.0-py3-none-any.whl", "own_srvs-1.0.0.tar.gz"])
+def test_packages_become_one_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, archive: str) -> None:
     """Comments go, each definition names its distributions, and the head names the packages."""
     (tmp_path / "plan.yaml").write_text(yaml.safe_dump(PLAN))
     monkeypatch.setattr(extract_interfaces, "PLAN", tmp_path / "plan.yaml")
-    with pytest.raises(SystemExit, match="has 0 files ros_own_srvs"):
+    with pytest.raises(SystemExit, match="has 0 files own_srvs"):
         extract_interfaces.extract(tmp_path)
-    with zipfile.ZipFile(tmp_path / WHEEL, "w") as wheel:
-        for name, text in {
-            "share/own_srvs/srv/Ask.srv": "# Asks.\nint32 x 7 # so\nint32 A=1\n---\nstd_msgs/Header[] h\n",
-            "share/own_srvs/action/Go.action": "---\n---\n",
-            "share/own_srvs/srv/Ask_Request.msg": "int32 x\n",
-        }.items():
-            wheel.writestr(f"ros_own_srvs-1.0.0.data/data/{name}", text)
+    pack(tmp_path / archive)
     head, *sections = extract_interfaces.extract(tmp_path).split("\n==== ")
     assert (
-        f"{WHEEL}: Apache-2.0, SHA-256 {hashlib.sha256((tmp_path / WHEEL).read_bytes()).hexdigest()}" in head
+        f"{archive}: Apache-2.0, SHA-256 {hashlib.sha256((tmp_path / archive).read_bytes()).hexdigest()}"
+        in head
     )
     assert sections == [
         "own_srvs/action/Go kilted\n---\n---\n",
