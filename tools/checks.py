@@ -148,7 +148,11 @@ def foreign(outcome: Outcome) -> None:
     marks = "foreign and not verify"
     run_pytest(outcome, "foreign", f"{marks} and not serial", workers=WORKERS, deadline=ends)
     run_pytest(outcome, "foreign, one at a time", f"{marks} and serial", deadline=ends, may_be_empty=True)
-    places = ["tests/interop/ros2", "tests/conformance/test_backends.py"]
+    places = [
+        "tests/interop/ros2",
+        "tests/conformance/test_backends.py",
+        "tests/conformance/test_services.py",
+    ]
     places += ["tests/unit/ros/test_rclpy_signatures.py"]
     if found := sorted((ROOT / ".cache").glob("ros2-*/.ready")):
         python = found[0].parent / "bin" / "python"

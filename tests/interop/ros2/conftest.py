@@ -79,9 +79,17 @@ class Peer:
         self.tell(proxy=service, type=type_name)
         self._wait_until_ready(service)
 
-    def call(self, service: str, payload: bytes) -> None:
-        """Call a service as soon as it has a server."""
-        self.tell(call=service, payload=base64.b64encode(payload).decode())
+    def call(self, service: str, payload: bytes, *, wait: bool = True) -> None:
+        """Call a service as soon as it has a server, or at once."""
+        self.tell(call=service, payload=base64.b64encode(payload).decode(), wait=wait)
+
+    def counts(self, service: str) -> tuple[int, int, bool]:
+        """Return how many readers and writers a client sees, and whether it finds a server."""
+        found = self.heard.setdefault(f"count:{service}", [])
+        before = len(found)
+        self.tell(count=service)
+        wait_for(lambda: len(found) > before)
+        return tuple(found[-1]["counts"])
 
     def echo(self, topic: str, to: str, type_name: str) -> None:
         """Send whatever comes on one topic on another one: an object of rclpy's between the two."""

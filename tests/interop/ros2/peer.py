@@ -3,12 +3,14 @@
 Started as ``python peer.py DOMAIN NAME``. It reads from standard input
 ``{"subscribe": TOPIC, "type": …, "reliable": …}``, ``{"advertise": TOPIC, "type": …}``,
 ``{"serve": SERVICE, "type": …}``, ``{"proxy": SERVICE, "type": …}``,
-``{"call": SERVICE, "payload": BASE64}``, ``{"echo": TOPIC, "to": TOPIC, "type": …}``,
+``{"call": SERVICE, "payload": BASE64, "wait": BOOL}``, ``{"count": SERVICE}``,
+``{"echo": TOPIC, "to": TOPIC, "type": …}``,
 ``{"publish": TOPIC, "payload": BASE64}`` and
 ``{"fill": TOPIC, "size": BYTES, "count": N, "period": SECONDS}``. It prints ``{"ready": TOPIC}`` and
 ``{"heard": TOPIC, "size": …, "crc": …, "payload": …}``, where the payload is left out if it is large.
 Requests and responses are printed as heard on ``request:SERVICE`` and ``response:SERVICE``; a server
-sends its request's bytes back as the response.
+sends its request's bytes back as the response. ``count`` is heard on ``count:SERVICE``: readers of requests,
+writers of responses, and whether a client takes the service to be available.
 """
 
 from __future__ import annotations
@@ -30,7 +32,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
 
 LARGE = 100_000
-VERBS = ("subscribe", "advertise", "echo", "publish", "fill", "serve", "proxy", "call")
+VERBS = ("subscribe", "advertise", "echo", "publish", "fill", "serve", "proxy", "call", "count")
 
 
 def say(**words: object) -> None:
@@ -85,10 +87,16 @@ def main() -> None:
             say(ready=topic)
         elif "call" in order:
             client, kind = publishers[topic]
-            client.wait_for_service()
+            if order.get("wait", True):
+                client.wait_for_service()
             request = deserialize_message(base64.b64decode(order["payload"]), kind.Request)
             future = client.call_async(request)
             future.add_done_callback(lambda f, topic=topic: hear(f"response:{topic}", f.result()))
+        elif "count" in order:
+            readers = node.get_subscriptions_info_by_topic(f"rq{topic}Request", True)
+            writers = node.get_publishers_info_by_topic(f"rr{topic}Reply", True)
+            counts = len(readers), len(writers), publishers[topic][0].service_is_ready()
+            say(heard=f"count:{topic}", counts=counts)
         elif "echo" in order:
             publisher = node.create_publisher(kind, order["to"], profile)
             kept.append(node.create_subscription(kind, topic, publisher.publish, profile))
