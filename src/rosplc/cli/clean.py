@@ -46,7 +46,7 @@ def command(
 
     Options:
         prefix NAME: The `prefix:`, in place of a configuration.
-        topic TOPIC: Only this topic; may be repeated.
+        topic TOPIC: Only this topic, service or action; may be repeated.
         dry_run: Show what would be removed.
     """
     from rosplc.shm import Namespace
@@ -72,10 +72,14 @@ def command(
 
 def _clean(namespace: Namespace, topics: list[str], *, dry_run: bool) -> tuple[list[str], dict[str, str]]:
     """Remove the files of names that no bridge holds; return these, and name → why it is kept."""
+    from rosplc.shm import Part
+
     folder = Path(namespace.directory)
-    pattern = re.compile(re.escape(namespace.prefix) + r"\.([tln])\.(.+?)(?:\.[0-9a-f]{8})?", re.DOTALL)
-    wanted = {namespace.path(topic).name.partition(".t.")[2] for topic in topics}
-    files: dict[str, list[Path]] = {}
+    start = re.escape(namespace.prefix)
+    # A topic's lock and temporaries replace its letter, those of services and actions put one before theirs.
+    pattern = re.compile(rf"{start}\.(?:([tln])|([ln]?)(sq|sr|ag|ar|af))\.(.+?)", re.DOTALL)
+    wanted = {namespace.object_name(topic, part) for topic in topics for part in Part}
+    files: dict[tuple[str, str], list[Path]] = {}
     try:
         listing = sorted(folder.iterdir())
     except OSError as error:
@@ -84,21 +88,24 @@ def _clean(namespace: Namespace, topics: list[str], *, dry_run: bool) -> tuple[l
         found = pattern.fullmatch(path.name)
         if found is None:
             continue
-        # Only a temporary has a suffix of its own behind the topic's name.
-        key = found[2] if found[1] == "n" else path.name.partition(f".{found[1]}.")[2]
-        if not wanted or key in wanted:
-            files.setdefault(key, []).append(path)
+        letters, rest = found[3] or "t", found[4]
+        if "n" in (found[1], found[2]):  # only a temporary has a suffix of its own
+            rest = re.sub(r"\.[0-9a-f]{8}$", "", rest)
+        name = f"{namespace.prefix}.{letters}.{rest}"
+        if not wanted or name in wanted or (namespace.name_of(name) or ("",))[0] in topics:
+            lock = f"{namespace.prefix}.{'l' if letters == 't' else f'l{letters}'}.{rest}"
+            files.setdefault((name, lock), []).append(path)
     removed: list[str] = []
     kept: dict[str, str] = {}
-    for key, paths in files.items():
+    for (name, lock), paths in files.items():
         try:
-            removed += _remove(folder / f"{namespace.prefix}.l.{key}", paths, dry_run=dry_run)
+            removed += _remove(folder / name, folder / lock, paths, dry_run=dry_run)
         except ChannelError as error:
-            kept[f"{namespace.prefix}.t.{key}"] = f"{error.what} [{error.code}]"
+            kept[name] = f"{error.what} [{error.code}]"
     return removed, kept
 
 
-def _remove(lock_file: Path, paths: list[Path], *, dry_run: bool) -> list[str]:
+def _remove(item: Path, lock_file: Path, paths: list[Path], *, dry_run: bool) -> list[str]:
     """Remove the files of one name under its lock, the lock's file last.
 
     Raises:
@@ -113,10 +120,10 @@ def _remove(lock_file: Path, paths: list[Path], *, dry_run: bool) -> list[str]:
     try:
         names = []
         for path in sorted(paths, key=lambda path: path == lock_file):
-            if ".t." in path.name and not lock.held_an_object:
+            if path == item and not lock.held_an_object:
                 open_object(str(path)).close()  # anything else at this name is not ours to remove
             if not dry_run:
-                if ".t." in path.name:
+                if path == item:
                     _retire(path)
                 path.unlink(missing_ok=True)
             names.append(str(path))

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from rosplc.api import Channel
     from rosplc.config.resolve import TopicPlan
     from rosplc.layout import RecordView
-    from rosplc.monitor import ChannelView, ObjectState
+    from rosplc.monitor import CallObject, ChannelView, ObjectState
     from rosplc.monitor.classic import ClassicState
 
 __all__ = ["command", "lines_of"]
@@ -70,6 +70,7 @@ def command(
         as_json: Print JSON.
     """
     from rosplc.api import attach, topics
+    from rosplc.monitor import find_calls
 
     classic, own = [], prefix
     if (file := observed_config(config, prefix)) is not None:
@@ -80,15 +81,19 @@ def command(
         own = prefix or project.namespace.prefix
     if topic is None:
         states = topics(prefix, directory=directory)
+        calls = find_calls(directory, prefix=prefix)
         if as_json:
             print_json(
-                [state.to_dict() for state in states] + [_facts(plan, _look(plan)) for plan in classic]
+                [state.to_dict() for state in states]
+                + [dataclasses.asdict(call) for call in calls]
+                + [_facts(plan, _look(plan)) for plan in classic]
             )
         else:
-            if states or not classic:
+            if states or not (classic or calls):
                 _list(states, prefix, directory)
+            _list_calls(calls)
             _list_classic(classic)
-        if states and all(state.error for state in states) and not classic:
+        if states and all(state.error for state in states) and not (classic or calls):
             raise typer.Exit(EXIT_FAILURE)
         return
     if plan := next((plan for plan in classic if plan.topic == topic), None):
@@ -253,6 +258,22 @@ def _list(states: list[ObjectState], prefix: str | None, directory: str) -> None
     for state in states:
         if state.error:
             warn(f"{state.path}: {state.error} [{state.code}]")
+
+
+def _list_calls(calls: list[CallObject]) -> None:
+    rows = [
+        (
+            *(call.prefix, call.topic, call.client, call.part, _WAYS[call.direction]),
+            *(call.type_name, call.record_size, call.head),
+        )
+        for call in calls
+        if not call.error
+    ]
+    if rows:
+        table(rows, header=("prefix", "service, action", "client", "part", "way", "type", "bytes", "newest"))
+    for call in calls:
+        if call.error:
+            warn(f"{call.path}: {call.error} [{call.code}]")
 
 
 def _follow(

@@ -23,11 +23,12 @@ from rosplc.monitor.expected import Expected
 from rosplc.monitor.message import Message, message_of
 from rosplc.monitor.picture import BridgeView, ChannelView, Event, Picture, State
 from rosplc.monitor.tracked import Tracked, process_words
-from rosplc.shm import Attached, Namespace, Reader
+from rosplc.shm import Attached, Namespace, Part, Reader
 from rosplc.shm.files import open_plain_file
 from rosplc.shm.header import channel_error
 
 _OBJECT = re.compile(r"([A-Za-z][A-Za-z0-9_-]{0,31})\.t\..+", re.DOTALL)
+_CALL = re.compile(r"([A-Za-z][A-Za-z0-9_-]{0,31})\.(sq|sr|ag|ar|af)\..+", re.DOTALL)
 
 
 def open_object(path: str) -> Attached:
@@ -35,9 +36,11 @@ def open_object(path: str) -> Attached:
 
     Raises ChannelError as :func:`rosplc.shm.attach`.
     """
+    name = Path(path).name
+    part = Namespace(name.partition(".")[0]).part_of(name) or Part.TOPIC
     fd = open_plain_file(Path(path), os.O_RDONLY)
     try:
-        return Attached(fd, path, None, False)
+        return Attached(fd, path, None, False, part)
     finally:
         os.close(fd)
 
@@ -414,3 +417,54 @@ def _state(view: ChannelView, directory: str) -> ObjectState:
         writer_alive=view.writer_alive is True,
         readers=tuple(each.task or f"process {each.pid}" for each in view.readers if each.alive),
     )
+
+
+@dataclass(frozen=True)
+class CallObject:
+    """An object of a service or an action; ``topic`` is its name, ``head`` the newest message's sequence.
+
+    ``error`` and ``code`` are those of one that cannot be read.
+    """
+
+    prefix: str
+    topic: str
+    part: str
+    client: str
+    path: str
+    type_name: str = ""
+    direction: str = ""
+    record_size: int = 0
+    bridge: str = ""
+    head: int = 0
+    error: str = ""
+    code: str = ""
+
+
+def find_calls(directory: str = "/dev/shm", *, prefix: str | None = None) -> list[CallObject]:
+    """Look once at the objects of services and actions, those that cannot be read included. Raises SHM123."""
+    try:
+        names = sorted(entry.name for entry in Path(directory).iterdir())
+    except OSError as error:
+        raise channel_error(123, f"cannot list: {error.strerror}", directory) from error
+    found = []
+    for name in names:
+        match = _CALL.fullmatch(name)
+        if match is None or prefix not in (None, match[1]):
+            continue
+        namespace, path = Namespace(match[1], directory), str(Path(directory) / name)
+        part = namespace.part_of(name)
+        assert part is not None
+        topic, client = namespace.name_of(name) or (name, "")
+        try:
+            with open_object(path) as attached:
+                about = attached.description
+                sizes = attached.identity.record_size, about.bridge, attached.snapshot().writer.head
+                described = part.word, about.client, path, about.type, about.direction.word
+                found.append(CallObject(namespace.prefix, about.topic, *described, *sizes))
+        except ChannelError as error:
+            found.append(
+                CallObject(
+                    namespace.prefix, topic, part.word, client, path, error=error.what, code=error.code
+                )
+            )
+    return found

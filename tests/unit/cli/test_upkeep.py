@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import pty
 import signal
@@ -12,10 +13,11 @@ from pathlib import Path
 
 import pytest
 
-from rosplc.errors import CODES
-from rosplc.shm import Direction, Namespace, OwnedChannel
+from rosplc.errors import CODES, ChannelError
+from rosplc.shm import Direction, Namespace, OwnedChannel, Part, attach
 from tests.channels import STORE
 from tests.command import rosplc
+from tests.lib.channels import open_service
 from tests.lib.waiting import wait_for
 
 INT = "std_msgs/msg/Int32"
@@ -137,6 +139,42 @@ def test_clean_removes_what_nobody_holds_and_nothing_else(shm_namespace, tmp_pat
     assert not attached.still_there()
     attached.close()
     foreign.unlink()
+
+
+def test_show_and_clean_know_the_objects_of_services(shm_namespace) -> None:
+    """Both are listed with part and client; what nobody holds is removed with its lock."""
+    held, left = open_service(shm_namespace), open_service(shm_namespace, "ros", client="left")
+    for channel in left:
+        channel.close()
+    prefix = shm_namespace.prefix
+    listed = json.loads(rosplc("show", "--prefix", prefix, "--json").output)
+    assert [(one["topic"], one["part"], one["client"], one["direction"]) for one in listed] == [
+        ("/add", "request", "", "to_plc"),
+        ("/add", "request", "left", "to_ros"),
+        ("/add", "response", "", "to_ros"),
+        ("/add", "response", "left", "to_plc"),
+    ]
+    output = rosplc("show", "--prefix", prefix).output
+    assert "/add" in output and "response" in output and "left" in output
+    shm_namespace.path("/add", Part.GOAL).write_text("something else")
+    assert "SHM103" in rosplc("show", "--prefix", prefix).output
+    temporary = shm_namespace.temporary_prefix("/add", Part.REQUEST, "left") + "0123abcd"
+    shm_namespace.path("/add").with_name(temporary).write_text("")
+    rosplc("clean", "--prefix", prefix, "--topic", "/other")
+    assert len(shm_namespace.objects()) == 5
+    for channel in left:
+        assert channel.path.exists()
+    with attach(shm_namespace, "/add", part=Part.REQUEST, client="left") as attached:
+        output = rosplc("clean", "--prefix", prefix, "--topic", "/add").output
+        with pytest.raises(ChannelError, match="SHM111"):
+            attached.valid()
+    assert output.count("removed") == 5 and output.count("SHM116") == 2 and "SHM103" in output
+    shm_namespace.path("/add", Part.GOAL).unlink()
+    assert [name for name, _ in shm_namespace.objects()] == [channel.path.name for channel in held]
+    for channel in held:
+        channel.close()
+    rosplc("clean", "--prefix", prefix)
+    assert list(held[0].path.parent.glob(f"{prefix}.*")) == []
 
 
 @pytest.mark.parametrize(
