@@ -34,6 +34,7 @@ from rosplc.ros.backend import (
 )
 
 MOST_GOALS = 256  # goals of one server, those whose results are kept included
+_MOST_STATUSES = 1000  # goals of other clients that a client remembers
 MOST_WAITING = 64  # requests for the result of one goal
 KEEP_RESULT_NS = 10_000_000_000
 
@@ -540,7 +541,8 @@ class ActionClient:
         self._tell(uuid, "feedback", payload=feedback)
 
     def _on_statuses(self, payload: bytes, _stamp_ns: int) -> None:
-        self._statuses = {uuid: _status(number) for uuid, _, number in wire.read_statuses(payload)}
+        newest = wire.read_statuses(payload)[-_MOST_STATUSES:]
+        self._statuses = {uuid: _status(number) for uuid, _, number in newest}
         for uuid, status in self._statuses.items():
             self._on_status(uuid, status)
 

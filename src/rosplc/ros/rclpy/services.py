@@ -105,7 +105,10 @@ class RclpyClient(_Service, BaseClient):
         entity.get_pending_request = get_pending_request
 
     def _count(self, entity: Any) -> int:
-        return int(entity.service_is_ready())
+        try:
+            return int(entity.service_is_ready())
+        except RuntimeError:  # the context was shut down
+            return 0
 
     def _receivers(self) -> frozenset[bytes]:
         # Over a middleware that has no topics for services, one that is ready is all that is known.

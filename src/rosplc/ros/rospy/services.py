@@ -33,6 +33,12 @@ _SLOWEST_NS = 8_000_000_000
 _GONE = select.EPOLLRDHUP | select.EPOLLHUP | select.EPOLLERR
 
 
+def _has_gone(sock: socket.socket) -> bool:
+    poller = select.poll()
+    poller.register(sock, select.POLLRDHUP)
+    return bool(poller.poll(0))
+
+
 class _Caller:
     """The connection of one caller; ``key`` is that of its open request."""
 
@@ -61,7 +67,6 @@ class Callers:
         self._bell = os.eventfd(0, os.EFD_NONBLOCK)
         self._epoll.register(self._bell, select.EPOLLIN)
         self._thread = threading.Thread(target=self._run, name="rosplc-services", daemon=True)
-        self._thread.start()
 
     def add(self, sock: socket.socket, server: RospyServer, persistent: bool) -> str:
         """Serve a caller; return why not, or an empty text."""
@@ -70,6 +75,8 @@ class Callers:
                 return f"service {server.topic} is no longer provided"
             if len(self._callers) >= MOST_CALLERS:
                 return f"{MOST_CALLERS} callers are connected already"
+            if self._thread.ident is None:
+                self._thread.start()
             sock.setblocking(False)
             number = sock.fileno()
             self._callers[number] = _Caller(sock, server, persistent, self._clock.monotonic_ns())
@@ -135,9 +142,10 @@ class Callers:
 
     def _serve(self, caller: _Caller, event: int) -> bytes | HandshakeError | None:
         """Do what a connection is ready for; return a request that is complete, or why it is none."""
-        if event & _GONE:
+        # The event may be of an earlier connection with this number.
+        if event & _GONE and _has_gone(caller.sock):
             self._drop(caller)
-        elif event & select.EPOLLOUT:
+        elif event & select.EPOLLOUT and caller.outbox:
             self._flush(caller)
         elif event & select.EPOLLIN:
             return self._read(caller)
@@ -176,7 +184,7 @@ class Callers:
                 return
             self._closing = True
         os.eventfd_write(self._bell, 1)
-        if threading.current_thread() is not self._thread:
+        if self._thread.is_alive() and threading.current_thread() is not self._thread:
             self._thread.join()
         with self._lock:
             for caller in tuple(self._callers.values()):
@@ -348,6 +356,7 @@ class RospyClient(_Service, BaseClient):
     # -- calls
 
     def _receivers(self) -> frozenset[str]:
+        self._node.usable()
         return self._servers if self._place is not None else frozenset()
 
     def _send(self, number: int, payload: bytes) -> Reply | None:
