@@ -18,6 +18,9 @@ from rosplc.config.services import ServicePlan
 from rosplc.errors import ChannelError
 from rosplc.shm import Group
 
+_LAZY_TICK_NS = 10_000_000
+"""The tick while no PLC is there: the wake-ups are what an idle bridge costs."""
+
 
 class CallPorts(Ports[Any]):
     """The uses of all services of a bridge, with one native call per tick for their objects."""
@@ -28,6 +31,7 @@ class CallPorts(Ports[Any]):
         self._tick_ns = tick_ns
         self._group = Group()
         self._uses: dict[int, Use] = {}
+        self._heads: dict[int, int] = {}  # of what has been reported, and not taken
         self._told: deque[Use] = deque()
 
     def make(self, side: Any) -> Use:
@@ -45,6 +49,7 @@ class CallPorts(Ports[Any]):
         for index in [index for index, known in self._uses.items() if known is port]:
             self._group.remove(index)
             del self._uses[index]
+            self._heads.pop(index, None)
 
     def _tell(self, use: Use) -> None:
         self._told.append(use)
@@ -53,7 +58,8 @@ class CallPorts(Ports[Any]):
     def poll(self, due_ns: int | None) -> None:
         """Sleep until there is news."""
         wait = IDLE_NS if due_ns is None else max(0, min(IDLE_NS, due_ns - self._now()))
-        self._group.wait(self._tick_ns if self._uses else IDLE_NS, wait)
+        lively = any(use.lively for use in self._uses.values())
+        self._group.wait(self._tick_ns if lively else max(self._tick_ns, _LAZY_TICK_NS), wait)
 
     def wake(self) -> None:
         """End the sleep."""
@@ -62,14 +68,17 @@ class CallPorts(Ports[Any]):
     def take(self, now_ns: int) -> tuple[int | None, list[Use]]:
         """Go on with the calls of all uses that have news or whose time has come."""
         messages, faults = self._group.take()
-        news = {self._uses[index] for index, *_ in messages}
+        # A request that waits for a server is news once; the use looks at it again by itself.
+        news = {self._uses[index] for index, _, head, *_ in messages if self._heads.get(index) != head}
+        self._heads = {index: head for index, _, head, *_ in messages}
         while self._told:
             news.add(self._told.popleft())
         again = []
         for index, fault in faults:
             again.append(self._uses[index])
             again[-1].fail(now_ns, fault)
-        for use in (*self._uses.values(), *(use for use in news if use.problem)):
+        served = tuple(self._uses.values())
+        for use in (*served, *(use for use in news if use.problem and use not in served)):
             if use in again or (use not in news and now_ns < use.due_ns):
                 continue
             try:

@@ -101,7 +101,9 @@ class Served(Use):
             self.received += 1
             call = _Call(caller, b"", now_ns)
             known = [one for one in (*self._waiting, self._open_call) if one is not None and not one.ended]
-            same = sum(one.caller[:_CLIENT] == caller[:_CLIENT] for one in known)
+            # Only who knows callers by what they have themselves can tell clients apart.
+            told = self._endpoint is not None and self._endpoint.remembers
+            same = sum(told and one.caller[:_CLIENT] == caller[:_CLIENT] for one in known)
             self._recent.append(caller)
             try:
                 call.record = self._codecs[Part.REQUEST].plan.decode(payload, plan.truncate)[0]

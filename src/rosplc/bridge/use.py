@@ -112,6 +112,11 @@ class Use(Notes, ABC):
         plan = self._codecs[self.incoming].plan
         return None if self._reader is None else group.add_reader(self._reader, plan, _REPORT_NEWS)
 
+    @property
+    def lively(self) -> bool:
+        """Whether the PLC's block beats, or a call waits or is open."""
+        return self._peer.alive or bool(self._outstanding)
+
     # -- the objects
 
     def open(self) -> None:

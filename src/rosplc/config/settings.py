@@ -510,7 +510,11 @@ class ServiceSettings(_Section):
         16, "`server: plc`: calls that wait or are carried out at most; one more is refused.", ge=1, le=1000
     )
     per_client: StrictInt | None = _f(
-        None, "`server: plc`: the same for each caller. Without it a quarter of `depth`.", ge=1, le=1000
+        None,
+        "`server: plc`, over `dds`: the same for each client. Without it a quarter of `depth`. Other "
+        "backends do not tell clients apart.",
+        ge=1,
+        le=1000,
     )
     rate_limit_ns: Interval | None = _f(
         None, "`server: plc`: shortest time between two calls that the PLC is given (`10ms`), or a rate."
