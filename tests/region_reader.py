@@ -106,7 +106,7 @@ def open_object(path: Path, expect: dict[str, Any]) -> Object:
     if size < f["object_size"]:
         raise Refused(109)
     if (
-        f["kind"] != 1
+        f["kind"] != expect.get("kind", 1)
         or f["direction"] not in (1, 2)
         or expect.get("direction", f["direction"]) != f["direction"]
     ):

@@ -1,4 +1,4 @@
-"""Write the test vectors of channels: regions/, hostile/, names.json and sequences.json.
+"""Write the test vectors of channels: regions/, hostile/, calls/, names.json and sequences.json.
 
     python spec/vectors/generate_regions.py            write
     python spec/vectors/generate_regions.py --verify   compare with what is there; 1 on a difference
@@ -16,6 +16,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import call_cases
 import hostile_cases
 import name_cases
 import region_cases
@@ -59,6 +60,8 @@ def _all() -> Iterator[tuple[str, bytes]]:
             "expect": {},
         }
         yield f"hostile/file-{name}.json", _json(members)
+    for name, image, members in call_cases.cases():
+        yield from _pair("calls", name, image, members)
     yield "names.json", _json(name_cases.names())
     yield "sequences.json", _json(name_cases.sequences())
 
@@ -74,7 +77,9 @@ def generate() -> dict[str, bytes]:
 
 
 def _present() -> dict[str, bytes]:
-    paths = [*HERE.glob("regions/*"), *HERE.glob("hostile/*"), HERE / "names.json", HERE / "sequences.json"]
+    folders = ("regions", "hostile", "calls")
+    paths = [path for folder in folders for path in HERE.glob(f"{folder}/*")]
+    paths += [HERE / "names.json", HERE / "sequences.json"]
     return {path.relative_to(HERE).as_posix(): path.read_bytes() for path in paths if path.is_file()}
 
 

@@ -56,9 +56,30 @@ def names() -> dict[str, Any]:
                 "temporary": other["n"] + ".",
             }
         )
+    letters = {"request": "sq", "response": "sr", "goal": "ag", "result": "ar", "feedback": "af"}
+    uses = [
+        *(("rosplc", "/gripper/close", part, "") for part in letters),
+        *(("cell-2_B", "/gripper/close", part, "left") for part in letters),
+        ("rosplc", "/add", "request", "a" * 32),
+        ("rosplc", "/" + "a" * 70, "request", ""),
+        ("rosplc", "/" + "a" * 71, "request", ""),
+        ("rosplc", "/" + "a" * 66, "request", "left"),
+        ("rosplc", "/" + "/".join(["level"] * 20), "feedback", "left"),
+        ("rosplc", "/" + "/".join(["level"] * 20), "feedback", "right"),
+    ]
+    calls = []
+    for prefix, topic, part, client in uses:
+        rest = topic[1:].replace("/", ".") + (f"-{client}" if client else "")
+        name = f"{prefix}.{letters[part]}.{rest}"
+        name = f"{name[:71]}~{_fnv1a(name):08x}" if len(name) > 80 else name
+        behind = name[len(prefix) + 1 :]
+        calls.append({"prefix": prefix, "topic": topic, "part": part, "client": client, "object": name,
+                      "lock": f"{prefix}.l{behind}", "temporary": f"{prefix}.n{behind}."})  # fmt: skip
     return {
-        "about": "spec/shm-format.md, section 8.1; 'temporary' lacks its 8 random digits",
+        "about": "spec/shm-format.md, sections 8.1 and 11.1; 'temporary' lacks its 8 random digits",
         "valid": valid,
+        "calls": calls,
+        "invalid_clients": ["1", "_a", "a-b", "a.b", "a b", "a" * 33, "ä", "a\n", "-"],
         "invalid_topics": [
             "", "/", "cmd_vel", "//cmd_vel", "/cmd_vel/", "/a//b", "/1a", "/a/1b", "/a.b", "/a-b", "/a b",
             "/~a", "/ä", "/a\n", "/a\0", "/../etc/passwd", "/{a}", "~/a", "/a/",

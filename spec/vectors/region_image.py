@@ -38,6 +38,7 @@ LINE = {
 SLOT = {
     "sequence": 0, "length": 4, "flags": 8, "status": 12, "stamp_lo": 16, "stamp_hi": 20,
     "stamp_clock": 24, "checksum": 28, "correlation_lo": 32, "correlation_hi": 36,
+    "client0": 40, "client1": 44, "client2": 48, "client3": 52, "reason": 56,
 }  # fmt: skip
 
 

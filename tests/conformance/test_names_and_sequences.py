@@ -12,7 +12,7 @@ import pytest
 from rosplc._core import distance as native_distance
 from rosplc._core import next_sequence as native_next
 from rosplc.errors import ChannelError
-from rosplc.shm import Namespace
+from rosplc.shm import Namespace, Part
 from rosplc.shm.constants import MAX_NAME
 from rosplc.shm.names import fnv1a
 
@@ -34,6 +34,26 @@ def test_a_topic_has_its_name(case: dict[str, str], tmp_path: Path) -> None:
     assert namespace.lock_path(case["topic"]) == tmp_path / case["lock"]
     assert namespace.temporary_prefix(case["topic"]) == case["temporary"]
     assert len(case["object"]) <= MAX_NAME
+
+
+@pytest.mark.parametrize("case", NAMES["calls"], ids=lambda case: case["object"][:40])
+def test_a_call_has_its_names(case: dict[str, str], tmp_path: Path) -> None:
+    """The objects of services and actions, with a client or without, have names and locks of their own."""
+    namespace = Namespace(case["prefix"], tmp_path)
+    name = case["topic"], Part[case["part"].upper()], case["client"]
+    assert namespace.object_name(*name) == case["object"]
+    assert namespace.lock_path(*name) == tmp_path / case["lock"]
+    assert namespace.temporary_prefix(*name) == case["temporary"]
+    assert len(case["object"]) <= MAX_NAME
+    assert namespace.part_of(case["object"]) is name[1]
+    assert namespace.name_of(case["object"]) in (None if "~" in case["object"] else (name[0], name[2]),)
+
+
+@pytest.mark.parametrize("client", NAMES["invalid_clients"])
+def test_what_is_no_client_is_refused(client: str) -> None:
+    """A client's name cannot leave the directory or become another object's."""
+    with pytest.raises(ChannelError, match="SHM118"):
+        Namespace().object_name("/add", Part.REQUEST, client)
 
 
 @pytest.mark.parametrize("topic", NAMES["invalid_topics"])

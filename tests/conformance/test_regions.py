@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import pytest
 
 from rosplc.errors import ChannelError
-from rosplc.shm import Attached, Direction, Namespace, Reader, attach
+from rosplc.shm import SERVICE, Attached, Direction, Namespace, Part, Reader, attach, attach_together
 from tests.region_reader import Refused, StaticReader, open_object
 
 VECTORS = Path(__file__).parents[2] / "spec" / "vectors"
@@ -145,6 +145,65 @@ HOSTILE = load("hostile")
 REFUSED = {name: one for name, one in HOSTILE.items() if "error" in one}
 SCRIBBLED = {name: one for name, one in HOSTILE.items() if "readings" in one}
 IMPLEMENTATIONS = ("product", "independent")
+
+
+CALLS = load("calls")
+
+
+def place_call(name: str, directory: Path) -> dict[str, Any]:
+    vector = CALLS[name]
+    path = directory / vector["object"]
+    path.write_bytes((VECTORS / "calls" / vector["image"]).read_bytes())
+    os.truncate(path, vector["size"])
+    return {"part": Part[vector["open"]["part"].upper()], "client": vector["open"]["client"]}
+
+
+@pytest.mark.parametrize("name", [name for name, one in CALLS.items() if "messages" in one])
+def test_an_object_of_a_call_is_read(name: str, tmp_path: Path) -> None:
+    """Identity, self-description and messages of a service's or action's object are those beside the image."""
+    vector = CALLS[name]
+    with attach(Namespace(directory=tmp_path), TOPIC, **place_call(name, tmp_path)) as attached:
+        found = Product(attached)
+        identity = found.identity()
+        assert {key: identity[key] for key in vector["identity"]} == vector["identity"]
+        assert found.description() == vector["description"]
+        reader, out = Reader(attached.region, 0), bytearray(attached.region.record_size)
+        for wanted in vector["messages"]:
+            info = reader.next(out)
+            assert info is not None
+            values = {key: getattr(info, key) for key in wanted if key not in ("client", "record")}
+            assert values | {"client": info.client.hex(), "record": out.hex()} == wanted
+        assert reader.next(out) is None
+    expect = {"kind": vector["identity"]["kind"], "direction": vector["identity"]["direction"]}
+    assert open_object(tmp_path / vector["object"], expect).description() == vector["description"]
+    with pytest.raises(Refused, match="110"):
+        open_object(tmp_path / vector["object"], {})
+
+
+@pytest.mark.parametrize("name", [name for name in CALLS if name.startswith("refused-")])
+def test_a_wrong_object_of_a_call_is_refused(name: str, tmp_path: Path) -> None:
+    """Another part's object, or one whose self-description does not agree with it, is refused."""
+    with (
+        pytest.raises(ChannelError) as caught,
+        attach(Namespace(directory=tmp_path), TOPIC, **place_call(name, tmp_path)) as attached,
+    ):
+        attached.description  # noqa: B018 - read when it is looked at
+    assert caught.value.code == f"SHM{CALLS[name]['error']}"
+
+
+@pytest.mark.parametrize("name", [name for name in CALLS if name.startswith("pair-")])
+def test_objects_of_a_call_belong_together(name: str, tmp_path: Path) -> None:
+    """Tools open those that name each other's layout ids, and no others."""
+    place_call(name, tmp_path)
+    place_call(CALLS[name]["partner"], tmp_path)
+    try:
+        found = attach_together(Namespace(directory=tmp_path), TOPIC, SERVICE)
+    except ChannelError as error:
+        assert error.code == f"SHM{CALLS[name]['error']}"
+    else:
+        assert "error" not in CALLS[name]
+        for one in found.values():
+            one.close()
 
 
 def compare_readings(implementation: str, object_: Opened, readings: list[dict[str, Any]]) -> None:
