@@ -160,7 +160,7 @@ def place_call(name: str, directory: Path) -> dict[str, Any]:
 
 @pytest.mark.parametrize("name", [name for name, one in CALLS.items() if "messages" in one])
 def test_an_object_of_a_call_is_read(name: str, tmp_path: Path) -> None:
-    """Identity, self-description and messages of a service's or action's object are those beside the image."""
+    """Identity, self-description and messages of a service's or action's object are those beside it."""
     vector = CALLS[name]
     with attach(Namespace(directory=tmp_path), TOPIC, **place_call(name, tmp_path)) as attached:
         found = Product(attached)
