@@ -262,6 +262,7 @@ class ServiceServer(_ServiceBlock):
         self._inputs = (False, False)
         self._waiting: SlotInfo | None = None  # taken, and neither shown nor refused
         self._shown: SlotInfo | None = None
+        self._orphan = False  # the object of the call that is shown is gone
         self._object = self._since_ns = 0
 
     def __call__(self) -> bool:
@@ -281,7 +282,7 @@ class ServiceServer(_ServiceBlock):
         if self._in.xReady and self._in.object != self._object:
             # The bridge has ended what the object before held.
             self._object, self._waiting = self._in.object, None
-            self.xCallerGone = self._shown is not None
+            self._orphan = self.xCallerGone = self._shown is not None
         if self._out.xReady and not self._out.xEnable:
             self._take(scan)
         if self.response is None and self._out.layout is not None:
@@ -305,7 +306,7 @@ class ServiceServer(_ServiceBlock):
         info, shown = self._in.take(), self._shown
         if info is not None:
             fresh, self._in.fresh = self._in.fresh, False
-            if shown is not None and info.correlation == shown.correlation:
+            if shown is not None and info.correlation == shown.correlation and not self._orphan:
                 self.xCallerGone = self.xCallerGone or bool(info.status & ASK_WITHDRAWN)
             elif info.status & ASK_WITHDRAWN:
                 # One that was there before this block's claim may have been begun by an earlier program.
@@ -318,7 +319,7 @@ class ServiceServer(_ServiceBlock):
             info, self._waiting = self._waiting, None
             if self._in.begin() and self._in.msg is not None:
                 self._shown, self.request = info, self._in.msg
-                self._since_ns, self.xCallerGone = scan.now_ns, False
+                self._since_ns, self.xCallerGone, self._orphan = scan.now_ns, False, False
                 self.udiCalls += 1
 
     def _end(self, status: int, reason: Reason) -> None:
@@ -327,7 +328,8 @@ class ServiceServer(_ServiceBlock):
         if status == ANSWER_DONE and self._out.layout is not None:
             self._out.layout.pack(self.response)
         self._shown, self.xCallerGone = None, False
-        self._put(shown, status, reason)
+        if not self._orphan:
+            self._put(shown, status, reason)
 
     def _put(self, info: SlotInfo, status: int, reason: Reason) -> None:
         layout = self._out.layout
@@ -416,6 +418,7 @@ class ServiceClient(_ServiceBlock):
         if rose and not self.xBusy:
             self._begin(scan)
         self._look(scan)
+        self.xServer = self._in.xPeerAlive and any((self._in.sources, self._out.udiSinks))
         self._answers()
         if self.xBusy:
             self._decide(scan)
@@ -490,7 +493,5 @@ class ServiceClient(_ServiceBlock):
     def _show(self) -> None:
         if self.request is None and self._out.layout is not None:
             self.request = Message.initial(self._out.layout)
-        known = [self._in.sources, self._out.udiSinks]
-        self.xServer = self.xPeerAlive and any(known)
         if self.eOutcome is not None and not self.xAborted:
             self.udiError, self.reason = self.eOutcome.value, self.eReason.name
