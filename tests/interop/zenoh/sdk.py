@@ -21,6 +21,8 @@ TRANSIENT_LOCAL = ":1:,10:,:,:,,"
 """The SDK's settings, as its tokens have them: reliable, transient_local, the last ten."""
 
 _STRING_DEFINITION = "string data\n"
+ADD = "diagnostic_msgs/srv/AddDiagnostics"
+_ADD_DEFINITIONS = ["string load_namespace\n", "bool success\nstring message\n"]
 
 
 class SdkInbox:
@@ -120,6 +122,20 @@ class SdkPeer:
         self._open("advertise", topic, kind, definition, qos)
         self._until_ready(topic)
         return SdkOutbox(self, topic)
+
+    def serve(self, service: str) -> SdkInbox:
+        """Serve ``diagnostic_msgs/srv/AddDiagnostics``; return what it is asked."""
+        inbox = self._inboxes[service] = SdkInbox()
+        self.tell(serve=service, type=ADD, definitions=_ADD_DEFINITIONS)
+        self._until_ready(service)
+        return inbox
+
+    def call(self, service: str, text: str) -> SdkInbox:
+        """Call ``diagnostic_msgs/srv/AddDiagnostics``; return what is answered."""
+        inbox = self._inboxes.setdefault(service, SdkInbox())
+        fields = {"load_namespace": text}
+        self.tell(call=service, type=ADD, definitions=_ADD_DEFINITIONS, fields=fields)
+        return inbox
 
     def kill(self) -> None:
         """End it without a goodbye."""

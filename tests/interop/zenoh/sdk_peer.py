@@ -1,8 +1,9 @@
 """A peer on zenoh-ros2-sdk: ``sdk_peer.py PORT DOMAIN``, told by lines of JSON what to do.
 
 Nothing of the project is imported. It takes ``subscribe`` or ``advertise`` (a topic, with ``type``,
-``definition`` and ``qos``) and ``publish`` (a topic, with ``messages``: each its fields), and prints
-``{"ready": topic}`` and ``{"heard": topic, "message": fields}``.
+``definition`` and ``qos``), ``publish`` (a topic, with ``messages``: each its fields), ``serve`` or ``call`` (a
+service, with ``type`` and ``definitions``; a call with ``fields``, and what a server answers is TRUE and the
+request's text). It prints ``{"ready": topic}`` and ``{"heard": topic, "message": fields}``.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import time
 from typing import Any
 
 import numpy as np
-from zenoh_ros2_sdk import ROS2Publisher, ROS2Subscriber
+from zenoh_ros2_sdk import ROS2Publisher, ROS2ServiceClient, ROS2ServiceServer, ROS2Subscriber
 
 ARRAYS = {
     "values": np.float64,
@@ -57,12 +58,8 @@ def given(fields: dict[str, Any]) -> dict[str, Any]:
 
 def obey(order: dict[str, Any]) -> None:
     """Carry out one line."""
-    common = {
-        "msg_definition": order.get("definition"),
-        "domain_id": DOMAIN,
-        "router_port": PORT,
-        "qos": order.get("qos") or None,
-    }
+    place = {"domain_id": DOMAIN, "router_port": PORT}
+    common = {"msg_definition": order.get("definition"), "qos": order.get("qos") or None, **place}
     if topic := order.get("subscribe"):
         heard = lambda message: say(heard=topic, message=plain(message))  # noqa: E731
         _endpoints[f"in {topic}"] = ROS2Subscriber(topic, order["type"], callback=heard, **common)
@@ -70,6 +67,21 @@ def obey(order: dict[str, Any]) -> None:
     elif topic := order.get("advertise"):
         _endpoints[topic] = ROS2Publisher(topic, order["type"], **common)
         say(ready=topic)
+    elif service := order.get("serve"):
+
+        def answer(request: Any) -> Any:
+            say(heard=service, message=plain(request))
+            return server.response_msg_class(success=True, message=request.load_namespace)
+
+        server = ROS2ServiceServer(service, order["type"], answer, *order["definitions"], **place)
+        _endpoints[f"serve {service}"] = server
+        say(ready=service)
+    elif service := order.get("call"):
+        if service not in _endpoints:
+            _endpoints[service] = ROS2ServiceClient(service, order["type"], *order["definitions"], **place)
+        _endpoints[service].call_async(
+            lambda response: say(heard=service, message=plain(response)), **order["fields"]
+        )
     elif topic := order.get("publish"):
         # As a ROS node waits for subscribers: what is put before one is known goes nowhere.
         while order.get("wait") and not _endpoints[topic].pub.matching_status.matching:

@@ -16,10 +16,10 @@ pytest.importorskip("zenoh_ros2_sdk")
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from rosplc.model import TypeStore
-from rosplc.ros import LATCHED, Backend, Qos, open_backend
+from rosplc.ros import LATCHED, SERVICES, Backend, Qos, Reply, open_backend
 from tests.interop.graphs import STRING, string, text_of
 from tests.interop.zenoh.processes import Router, free_port
-from tests.interop.zenoh.sdk import TRANSIENT_LOCAL, SdkPeer
+from tests.interop.zenoh.sdk import ADD, TRANSIENT_LOCAL, SdkInbox, SdkPeer
 from tests.lib.waiting import repeat_until, wait_for
 
 DOMAIN = 11
@@ -155,3 +155,42 @@ def test_sdk_peer_that_leaves_is_missed(node: Backend, port: int) -> None:
         before = node.graph().nodes
     wait_for(lambda: subscription.matched == 0)
     wait_for(lambda: len(node.graph().nodes) < len(before))
+
+
+def test_the_sdk_calls(node: Backend, sdk: SdkPeer) -> None:
+    """Its requests arrive under the hash that both computed, and the answers reach their calls."""
+    asked: list[tuple[bytes, bytes]] = []
+    service = "/from_sdk"
+    server = node.serve(service, ADD, SERVICES, lambda payload, caller, _: asked.append((payload, caller)))
+    inbox = repeat_first(sdk, service, asked)
+    for number in range(5):
+        sdk.call(service, str(number))
+    wait_for(lambda: {text_of(payload) for payload, _ in asked} >= set("01234"))
+    for payload, caller in reversed(asked):
+        assert server.present(caller)
+        assert server.reply(caller, b"\0\1\0\0\1\0\0\0" + payload[4:])
+    wait_for(lambda: len(inbox.messages) == len(asked))
+    assert {message["message"] for message in inbox.messages} == {text_of(payload) for payload, _ in asked}
+    server.close()
+
+
+def repeat_first(sdk: SdkPeer, service: str, asked: list[tuple[bytes, bytes]]) -> SdkInbox:
+    """Call until a request has arrived: the SDK does not wait for a server."""
+    inbox = sdk.call(service, "first")
+    repeat_until(lambda: sdk.call(service, "first"), lambda: asked, every=0.5)
+    return inbox
+
+
+def test_the_sdk_is_called(node: Backend, sdk: SdkPeer) -> None:
+    """The client finds the SDK's server by its token, and each call gets its answer."""
+    client = node.client("/to_sdk", ADD, SERVICES)
+    inbox = sdk.serve("/to_sdk")
+    wait_for(lambda: client.ready)
+    replies: dict[int, Reply] = {}
+    for number in range(5):
+        client.call(string(str(number)), lambda reply, n=number: replies.update({n: reply}))  # type: ignore[misc]
+    wait_for(lambda: len(replies) == 5)
+    answers = {number: text_of(b"\0\1\0\0" + (reply.payload or b"")[8:]) for number, reply in replies.items()}
+    assert answers == {number: str(number) for number in range(5)}
+    assert sorted(message["load_namespace"] for message in inbox.messages) == list("01234")
+    client.close()
