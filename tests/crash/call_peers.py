@@ -52,7 +52,7 @@ _step("bridge: answered by ROS", Called, "_pass_on", "before")
 _step("bridge: answer written", Called, "_answer", "after")
 _step("plc: taken stored", _In, "begin", "after")
 _step("plc: answer taken", _In, "take", "after")
-_step("plc: written", _Out, "step", "after")
+_step("plc: written", _Out, "publish", "after")
 
 
 class Fuse:
@@ -78,7 +78,7 @@ class Fuse:
                 self.burn(self.step)
             result = method(*arguments, **more)
             # A method of the PLC's tells whether anything was done.
-            done = owner in (Served, Called) or result not in (None, False)
+            done = owner in (Served, Called, _Out) or result not in (None, False)
             if when == "after" and done and counts(*arguments):
                 self.burn(self.step)
             return result

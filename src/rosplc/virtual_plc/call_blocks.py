@@ -2,23 +2,35 @@
 
 from __future__ import annotations
 
+import time
+from contextlib import suppress
+from functools import partial
 from typing import Any
 
 from rosplc.errors import ChannelError
 from rosplc.layout import Layout, RecordView
 from rosplc.reasons import Reason
-from rosplc.shm import Attached, Direction, Namespace, Part, Peer, Reader, ReaderClaim, SlotInfo, Writer
+from rosplc.shm import (
+    Attached,
+    Caller,
+    Direction,
+    Namespace,
+    Part,
+    Peer,
+    Reader,
+    ReaderClaim,
+    SlotInfo,
+    Writer,
+)
 from rosplc.shm.constants import (
     ANSWER_DONE,
     ANSWER_FATE_UNKNOWN,
-    ANSWER_MASK,
     ANSWER_NOT_EXECUTED,
     ANSWER_UNREADABLE,
-    ASK_CALL,
     ASK_WITHDRAWN,
+    STAMP_PLC,
     UNKNOWN,
     ErrorNumber,
-    reader_line,
 )
 from rosplc.virtual_plc.block import Block
 from rosplc.virtual_plc.task import Scan
@@ -121,43 +133,29 @@ class _In(Block):
 
 
 class _Out(WriteBlock):
-    """Writes the messages of one of a service's objects; a message that could not be sent waits."""
+    """Writes the messages of one of a service's objects."""
 
     def __init__(self, part: Part, client: str, *arguments: Any, **more: Any) -> None:
         super().__init__(*arguments, **more)
         self._part, self._client = part, client
 
-    def put(self, message: Any, **words: Any) -> None:
-        """Have a message sent; ``words`` are what its slot says of the call."""
-        self.msg, self._words, self.xEnable = message, words, True
-
-    def step(self, scan: Scan) -> bool:
-        """Run once, and return whether the message was sent."""
-        self._run(scan)
-        if self.xPublished:
-            self.xEnable = False
-        return self.xPublished
-
     @property
-    def claim(self) -> tuple[int, int]:
-        """The object that is open and the claim in it, as numbers; zeros without one."""
-        writer = self._usable
-        return (0, 0) if writer is None else (self._opened, writer.epoch)
+    def open(self) -> tuple[Attached, Writer] | None:
+        """The object and its writer; None without the claim."""
+        attached, writer = self._attached, self._writer
+        return (
+            None
+            if attached is None or writer is None or self._opened != self._opened_times
+            else (attached, writer)
+        )
 
-    @property
-    def _usable(self) -> Writer | None:
-        return self._writer if self._opened == self._opened_times else None
-
-    @property
-    def held(self) -> bool:
-        """Whether the bridge holds the line of the one that acts."""
-        attached = self._attached
-        return attached is not None and attached.region.word(reader_line(0)) != 0
-
-    def begun(self, first: int) -> bool:
-        """Return whether the bridge may have begun the call whose first message this is."""
-        writer = self._usable
-        return writer is None or writer.begun(first)
+    def publish(self, message: Any, **words: Any) -> None:
+        """Send a message; ``words`` are what its slot says of the call. Raises ChannelError: Not sent."""
+        found, layout = self.open, self.layout
+        if found is None or layout is None:
+            raise ChannelError("SHM111", "the object is not open", where=self.topic)
+        record = layout.pack(message)
+        found[1].publish(record, stamp_ns=time.monotonic_ns(), stamp_clock=STAMP_PLC, **words)
 
 
 class _ServiceBlock:
@@ -202,14 +200,11 @@ class _ServiceBlock:
 
     def _look(self, scan: Scan) -> None:
         self._in.look(scan)
-
-    def _send(self, scan: Scan) -> bool:
-        sent = self._out.step(scan)
+        self._out._run(scan)
         self.xAttached = self._in.xReady and self._out.xReady
         self.xPeerAlive = self._in.xPeerAlive and self._out.xPeerAlive
         wrong: Block = self._out if self._out.udiError else self._in
         self.udiError, self.reason = wrong.udiError, wrong.reason
-        return sent
 
     def close(self) -> None:
         """Give the claims back and let go of both objects; the next call opens them again."""
@@ -262,6 +257,7 @@ class ServiceServer(_ServiceBlock):
         self._inputs = (False, False)
         self._waiting: SlotInfo | None = None  # taken, and neither shown nor refused
         self._shown: SlotInfo | None = None
+        self._answer: partial[None] | None = None  # to be sent as soon as the object is open
         self._orphan = False  # the object of the call that is shown is gone
         self._object = self._since_ns = 0
 
@@ -281,20 +277,22 @@ class ServiceServer(_ServiceBlock):
         self._look(scan)
         if self._in.xReady and self._in.object != self._object:
             # The bridge has ended what the object before held.
-            self._object, self._waiting = self._in.object, None
+            self._object, self._waiting, self._answer = self._in.object, None, None
             self._orphan = self.xCallerGone = self._shown is not None
-        if self._out.xReady and not self._out.xEnable:
+        if self._out.xReady and self._answer is None:
             self._take(scan)
         if self.response is None and self._out.layout is not None:
             self.response = Message.initial(self._out.layout)
-        illegal = ends is not None and not shown_before
-        if ends is not None and not illegal:
+        if ends is not None and shown_before:
             self._end(*ends)
-        self._send(scan)
+        elif ends is not None:
+            self.udiError, self.reason = ErrorNumber.ILLEGAL_STEP.value, "there is no call to be ended"
+        if self._answer is not None:
+            with suppress(ChannelError):  # in a later scan
+                self._answer()
+                self._answer = None
         self.xRequest = self._shown is not None
         self.age = (scan.now_ns - self._since_ns) / 1e9 if self.xRequest else 0.0
-        if illegal:
-            self.udiError, self.reason = ErrorNumber.ILLEGAL_STEP.value, "there is no call to be ended"
 
     def _edges(self) -> tuple[int, Reason] | None:
         before, self._inputs = self._inputs, (self.xReply, self.xReject)
@@ -323,10 +321,10 @@ class ServiceServer(_ServiceBlock):
                 self.udiCalls += 1
 
     def _end(self, status: int, reason: Reason) -> None:
-        shown = self._shown
+        shown, layout = self._shown, self._out.layout
         assert shown is not None
-        if status == ANSWER_DONE and self._out.layout is not None:
-            self._out.layout.pack(self.response)
+        if status == ANSWER_DONE and layout is not None:
+            layout.pack(self.response)
         self._shown, self.xCallerGone = None, False
         if not self._orphan:
             self._put(shown, status, reason)
@@ -334,9 +332,9 @@ class ServiceServer(_ServiceBlock):
     def _put(self, info: SlotInfo, status: int, reason: Reason) -> None:
         layout = self._out.layout
         assert layout is not None
-        message = self.response if status == ANSWER_DONE else Message.initial(layout)
-        words = {"correlation": info.correlation, "client": info.client}
-        self._out.put(message, status=status, reason=reason, **words)
+        message = layout.view(layout.pack(self.response) if status == ANSWER_DONE else layout.initial())
+        words = {"correlation": info.correlation, "client": info.client, "status": status, "reason": reason}
+        self._answer = partial(self._out.publish, message, **words)
 
 
 class ServiceClient(_ServiceBlock):
@@ -393,11 +391,10 @@ class ServiceClient(_ServiceBlock):
         self.eReason = Reason.NONE
         self.udiCalls = self.udiLate = 0
         self._before = False
-        self._record: Any = None  # the request as it was when xExecute rose
-        self._since_ns = self._limit_ns = self._number = 0
-        self._correlation = self._first = 0  # of the call that was sent; 0: not sent
-        self._claim = (0, 0)
-        self._withdrawing = self._stopped = False
+        self._asked: Any = None  # the request as it was when xExecute rose
+        self._since_ns = self._limit_ns = 0
+        self._caller: Caller | None = None
+        self._object: tuple[Attached, Writer] | None = None  # of the caller
 
     def __call__(self) -> bool:
         """Run the block once and return ``xDone``.
@@ -416,82 +413,70 @@ class ServiceClient(_ServiceBlock):
             self.xDone = self.xAborted = False
             self.eOutcome, self.eReason = None, Reason.NONE
         if rose and not self.xBusy:
-            self._begin(scan)
+            layout = self._out.layout
+            self._asked = layout and layout.view(bytes(layout.pack(self.request)))
+            self.xBusy, self._since_ns, self._limit_ns = True, scan.now_ns, round(self.tTimeout * 1e9)
         self._look(scan)
         self.xServer = self._in.xPeerAlive and any((self._in.sources, self._out.udiSinks))
+        self._follow()
         self._answers()
         if self.xBusy:
             self._decide(scan)
-        withdrawing = self._withdrawing
-        if self._send(scan) and self.xBusy and not withdrawing:
-            self._first = self._out.udiSequence
-            self.udiCalls += 1
-        if self.xBusy and withdrawing and not (self._out.xEnable and self._out.xReady):
-            self._settle()
-        self._show()
-
-    def _begin(self, scan: Scan) -> None:
-        layout = self._out.layout
-        if layout is not None:
-            self._record = Message.of(layout, layout.view(bytes(layout.pack(self.request))))
-        self.xBusy, self._withdrawing, self._stopped = True, False, False
-        self._correlation = self._first = 0
-        self._since_ns, self._limit_ns = scan.now_ns, round(self.tTimeout * 1e9)
-
-    def _answers(self) -> None:
-        info = self._in.take()
-        if info is None:
-            return
-        status = info.status & ANSWER_MASK
-        if not self.xBusy or not self._first or info.correlation != self._correlation:
-            self.udiLate += 1
-        elif status == ANSWER_DONE:
-            self.response = self._in.msg
-            self._conclude(None)
-        elif status in _OUTCOMES:
-            self._conclude(
-                _OUTCOMES[status], Reason(info.reason) if info.reason in list(Reason) else Reason.NONE
-            )
-
-    def _decide(self, scan: Scan) -> None:
-        over = bool(self._limit_ns) and scan.now_ns - self._since_ns > self._limit_ns
-        if self._first and self._out.claim not in ((0, 0), self._claim):
-            # No answer can come any more; what was taken in another object, nobody can look up.
-            self._conclude(ErrorNumber.FATE_UNKNOWN, Reason.BRIDGE_RESTARTED)
-        elif not self._first:
-            if self.xAbort or over:
-                self._out.xEnable, self._stopped = False, self.xAbort
-                reason = Reason.NONE if self.xAbort else Reason.TIME_OUT
-                self._conclude(ErrorNumber.NOT_EXECUTED, reason)
-            elif self.xServer and self.xAttached and self._out.held and not self._out.xEnable:
-                self._call()
-        elif (self.xAbort or over) and not self._withdrawing:
-            self._withdrawing, self._stopped = True, self.xAbort
-            self._out.put(self._record, status=ASK_CALL | ASK_WITHDRAWN, correlation=self._correlation)
-
-    def _call(self) -> None:
-        layout = self._out.layout
-        if self._record is None and layout is not None:
-            self._record = Message.initial(layout)
-        self._number = self._number % 0xFFFFFFFF + 1
-        self._claim = self._out.claim
-        self._correlation = self._claim[1] << 32 | self._number
-        self._out.put(self._record, status=ASK_CALL, correlation=self._correlation)
-
-    def _settle(self) -> None:
-        """The call was withdrawn: only the bridge's ``taken`` tells whether it had begun."""
-        self._out.xEnable, begun = False, self._out.begun(self._first)
-        reason = Reason.NONE if self._stopped else Reason.TIME_OUT
-        self._conclude(ErrorNumber.FATE_UNKNOWN if begun else ErrorNumber.NOT_EXECUTED, reason)
-
-    def _conclude(self, outcome: ErrorNumber | None, reason: Reason = Reason.NONE) -> None:
-        self.xBusy = self._withdrawing = False
-        self.xDone = outcome is None
-        self.xAborted = self._stopped and not self.xDone
-        self.eOutcome, self.eReason = outcome, reason
-
-    def _show(self) -> None:
         if self.request is None and self._out.layout is not None:
             self.request = Message.initial(self._out.layout)
         if self.eOutcome is not None and not self.xAborted:
             self.udiError, self.reason = self.eOutcome.value, self.eReason.name
+
+    def _follow(self) -> None:
+        """Keep to the object that is open; a call that was sent in another one has ended."""
+        found = self._out.open
+        if found is None or (self._object is not None and found[1] is self._object[1]):
+            return
+        if self._sent:
+            self._conclude(ErrorNumber.FATE_UNKNOWN, Reason.BRIDGE_RESTARTED)
+        self._object, self._caller = found, Caller(*found, follows_claim=False)
+
+    @property
+    def _sent(self) -> bool:
+        """Whether the call has been sent."""
+        return self._caller is not None and bool(self._caller.correlation)
+
+    def _answers(self) -> None:
+        info = self._in.take()
+        if info is None or self._caller is None:
+            return
+        status = self._caller.answer(info)
+        self.udiLate += not status
+        if status == ANSWER_DONE:
+            self.response = self._in.msg
+            self._conclude(None)
+        elif status in _OUTCOMES:
+            known = info.reason in list(Reason)
+            self._conclude(_OUTCOMES[status], Reason(info.reason) if known else Reason.NONE)
+
+    def _decide(self, scan: Scan) -> None:
+        over = bool(self._limit_ns) and scan.now_ns - self._since_ns > self._limit_ns
+        caller, send = self._caller, partial(self._out.publish, self._asked)
+        if self.xAbort or over:
+            begun = False
+            if caller is not None and caller.correlation:
+                begun = True
+                with suppress(ChannelError):  # with its object the call has ended as well
+                    begun = caller.withdraw(send)
+                caller.correlation = 0
+            outcome = ErrorNumber.FATE_UNKNOWN if begun else ErrorNumber.NOT_EXECUTED
+            self._conclude(outcome, Reason.NONE if self.xAbort else Reason.TIME_OUT)
+            self.xAborted = self.xAbort
+        elif caller is not None and not caller.correlation and self._may_call(caller):
+            with suppress(ChannelError):  # in a later scan
+                caller.call(send)
+                self.udiCalls += 1
+
+    def _may_call(self, caller: Caller) -> bool:
+        if self._asked is None and self._out.layout is not None:
+            self._asked = Message.initial(self._out.layout)
+        return self.xServer and self.xAttached and self._out.open is not None and caller.claim() != 0
+
+    def _conclude(self, outcome: ErrorNumber | None, reason: Reason = Reason.NONE) -> None:
+        self.xBusy, self.xDone = False, outcome is None
+        self.eOutcome, self.eReason = outcome, reason

@@ -158,7 +158,6 @@ class WriteBlock(Block):
         self._claim: WriterClaim | None = None
         self._writer: Writer | None = None
         self._record = bytearray(0 if layout is None else layout.size)
-        self._words: dict[str, Any] = {}  # what the slot says of a call
         self._unfilled = False  # msg was made in this call: what the program filled was another
 
     def __call__(self) -> bool:
@@ -236,7 +235,7 @@ class WriteBlock(Block):
             if self.xEnable and not self._unfilled:
                 layout.pack_into(self.msg, self._record)
                 self.udiSequence = writer.publish(
-                    self._record, stamp_ns=time.monotonic_ns(), stamp_clock=STAMP_PLC, **self._words
+                    self._record, stamp_ns=time.monotonic_ns(), stamp_clock=STAMP_PLC
                 )
                 self.udiPublished += 1
                 self.xPublished = True
