@@ -61,9 +61,11 @@ class Ledger:
 class Calling:
     """The bridge as caller, with a PLC that serves: what section 11 asks of it, and nothing more."""
 
+    kind = Caller
+
     def __init__(self, cell: CallCell, dice: random.Random, ledger: Ledger) -> None:
         self.cell, self.dice, self.ledger = cell, dice, ledger
-        self.end = Caller(cell)
+        self.end = self.kind(cell)
         self.token = self.tokens = 0  # of the open call; 0: none
         self.claim = 0
         self.shown = 0
@@ -102,7 +104,7 @@ class Calling:
         before = self.end
         open_, self.token = self.token, 0
         before.close()
-        self.end = Caller(self.cell)
+        self.end = self.kind(self.cell)
         if open_:
             record = before.value.to_bytes(8, "little")
             status = spec.ASK_CALL + spec.ASK_WITHDRAWN
@@ -111,6 +113,13 @@ class Calling:
             )
             if not self.end.requests.begun(before.first):
                 self.ledger.not_executed(open_)
+
+    def started(self) -> None:
+        """The PLC has been started again."""
+
+    def replaced(self) -> None:
+        """The objects have been replaced."""
+        self.token = 0
 
     def program(self) -> None:
         """Be the PLC's program: execute what is shown, and answer."""
@@ -129,9 +138,11 @@ class Calling:
 class Serving:
     """The bridge as answerer, with a PLC that calls."""
 
+    kind = Server
+
     def __init__(self, cell: CallCell, dice: random.Random, ledger: Ledger) -> None:
         self.cell, self.dice, self.ledger = cell, dice, ledger
-        self.end = Server(cell)
+        self.end = self.kind(cell)
         self.tokens = self.token = 0
         self.open: tuple[int, int] | None = None
         self.old: list[int] = []  # correlations of calls that are over
@@ -165,10 +176,19 @@ class Serving:
     def restart(self) -> None:
         """Die, and come back: what was taken and not answered has an unknown fate."""
         self.end.close()
-        self.end = Server(self.cell)
+        self.end = self.kind(self.cell)
         if self.open:
             self.end.answer(self.open[0], spec.ANSWER_FATE_UNKNOWN)
+            self.old.append(self.open[0])
             self.open = None
+
+    def started(self) -> None:
+        """The PLC has been started again: it forgets its call."""
+        self.token = 0
+
+    def replaced(self) -> None:
+        """The objects have been replaced."""
+        self.open = None
 
     def program(self) -> None:
         """Be the PLC's program: call, wait, give up."""
@@ -228,16 +248,13 @@ def campaign(
                 if not peer.quiet:
                     peer.step()
                 cell.machine.start()
-                peer.token = 0 if kind is Serving else peer.token
+                peer.started()
             elif event < 0.03:
                 peer.restart()
             elif event < 0.033:
                 peer.end.retire()
-                peer.end = type(peer.end)(cell)  # type: ignore[assignment]
-                if kind is Calling:
-                    peer.token = 0
-                else:
-                    peer.open = None  # type: ignore[union-attr]
+                peer.end = peer.kind(cell)  # type: ignore[assignment]
+                peer.replaced()
     finally:
         cell.machine.stop()
         cell.close()
