@@ -90,7 +90,7 @@ def test_a_type_of_several_sizes_has_a_block_for_each():
 
 
 def test_names_that_collide():
-    """A use named as another service is told apart from it; parts and blocks share one scope with the rest."""
+    """A use named as another service is told apart from it; parts share one scope with the rest."""
     made = project(use("/lamp", SET_BOOL, "Client", "left"), use("/lamp/left", SET_BOOL, "Client"))
     declared = lines(project_texts(made)["ROS_Services"], " : ")
     names = [line.partition(" ")[0] for line in declared]
