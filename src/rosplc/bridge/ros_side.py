@@ -25,7 +25,8 @@ def choose_backend(config: Config, environment: Mapping[str, str] | None = None)
     ros = config.settings.ros
     if ros.backend != "auto":
         return Choice(ros.backend, "ros.backend names it")
-    return choose(ros.distro, environment, zenoh_settings=ros.zenoh is not None)
+    services = bool(config.settings.services)
+    return choose(ros.distro, environment, zenoh_settings=ros.zenoh is not None, services=services)
 
 
 @dataclass(frozen=True)

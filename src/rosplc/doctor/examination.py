@@ -219,7 +219,13 @@ class _Examination:
         ros = self._project.config.settings.ros
         with suppress(RosplcError):  # the same is found below
             self._chosen = choose_backend(self._project.config, variables).name
-        return packages.backend(ros.distro, ros.backend, variables, zenoh_settings=ros.zenoh is not None)
+        return packages.backend(
+            ros.distro,
+            ros.backend,
+            variables,
+            zenoh_settings=ros.zenoh is not None,
+            services=bool(self._project.config.settings.services),
+        )
 
     # Shared memory.
 

@@ -71,6 +71,7 @@ def backend(
     environment: Mapping[str, str],
     *,
     zenoh_settings: bool = False,
+    services: bool = False,
     configured: bool = True,
     missing: Callable[[str], str] = why_not_installed,
 ) -> Iterator[Finding]:
@@ -86,7 +87,9 @@ def backend(
         yield judged("DOC113", seen, f"backend {wanted} is installed", remedy)
         return
     try:
-        choice = choose(distro, environment, zenoh_settings=zenoh_settings, missing=missing)
+        choice = choose(
+            distro, environment, zenoh_settings=zenoh_settings, services=services, missing=missing
+        )
     except RosplcError as error:
         level = Level.ERROR if configured else Level.WARNING
         yield found("DOC112", error.what, error.remedy, level=level)

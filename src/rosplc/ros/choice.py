@@ -76,6 +76,7 @@ def choose(
     environment: Mapping[str, str] | None = None,
     *,
     zenoh_settings: bool = False,
+    services: bool = False,
     missing: Callable[[str], str] = why_not_installed,
 ) -> Choice:
     """Choose a backend for a ROS distribution.
@@ -85,6 +86,7 @@ def choose(
         environment: Variables to use in place of the process's own: ``RMW_IMPLEMENTATION`` and
             ``ROS_SECURITY_ENABLE`` count.
         zenoh_settings: Whether the configuration says how to reach Zenoh.
+        services: Whether it has services or actions: ``rclpy`` carries them whatever the other nodes run on.
         missing: Returns why a backend cannot be imported; empty if it can.
 
     Raises:
@@ -92,7 +94,7 @@ def choose(
             each is installed.
     """
     variables = os.environ if environment is None else environment
-    wanted, why, unfit = _candidates(distro, variables, zenoh_settings)
+    wanted, why, unfit = _candidates(distro, variables, zenoh_settings, services)
     passed_over = {}
     for place, name in enumerate(wanted):
         if reason := missing(name):
@@ -114,7 +116,7 @@ def choose(
 
 
 def _candidates(
-    distro: str, variables: Mapping[str, str], zenoh_settings: bool
+    distro: str, variables: Mapping[str, str], zenoh_settings: bool, services: bool
 ) -> tuple[tuple[str, ...], str, dict[str, str]]:
     """Return what may be taken, in this order, the reason, and why the others are out of the question."""
     rmw = variables.get("RMW_IMPLEMENTATION", "").strip()
@@ -136,4 +138,7 @@ def _candidates(
         why = f"RMW_IMPLEMENTATION is {rmw}"
         return ("rclpy",), why, unfit | {"dds": f"is not known to understand {rmw}"}
     why = f"RMW_IMPLEMENTATION is {rmw}" if rmw else "ROS 2 speaks DDS unless RMW_IMPLEMENTATION is set"
+    if services:
+        why += "; rclpy comes first, as over dds only nodes on rmw_cyclonedds exchange calls of services"
+        return ("rclpy", "dds"), why, unfit
     return ("dds", "rclpy"), why, unfit

@@ -1,9 +1,9 @@
 """A peer on zenoh-ros2-sdk: ``sdk_peer.py PORT DOMAIN``, told by lines of JSON what to do.
 
 Nothing of the project is imported. It takes ``subscribe`` or ``advertise`` (a topic, with ``type``,
-``definition`` and ``qos``), ``publish`` (a topic, with ``messages``: each its fields), ``serve`` or ``call`` (a
-service, with ``type`` and ``definitions``; a call with ``fields``, and what a server answers is TRUE and the
-request's text). It prints ``{"ready": topic}`` and ``{"heard": topic, "message": fields}``.
+``definition`` and ``qos``), ``publish`` (a topic, with ``messages``: each its fields), ``serve`` or ``call``
+(a service, with ``type`` and ``definitions``; a call with ``fields``, and what a server answers is TRUE and
+the request's text). It prints ``{"ready": topic}`` and ``{"heard": topic, "message": fields}``.
 """
 
 from __future__ import annotations

@@ -56,6 +56,16 @@ def test_graph_and_machine_decide(
     assert set(choice.passed_over) == set(INSTALL) - {name}
 
 
+def test_services_prefer_rclpy() -> None:
+    """It carries them with every RMW implementation; dds follows where it is missing, with the reason."""
+    assert choose("jazzy", {}, services=True, missing=EVERYTHING).name == "rclpy"
+    choice = choose("jazzy", {}, services=True, missing=only("dds", "zenoh"))
+    assert choice.name == "dds"
+    assert "only nodes on rmw_cyclonedds" in choice.why
+    assert "not installed" in choice.passed_over["rclpy"]
+    assert choose("jazzy", ZENOH, services=True, missing=EVERYTHING).name == "zenoh"
+
+
 def test_choice_says_what_was_passed_over_and_why() -> None:
     """The sentence names the backend, the reason, and each backend that was not taken."""
     words = str(choose("jazzy", {}, missing=only("rclpy")))
