@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import random
 from collections.abc import Iterator
@@ -9,6 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from rosplc.clock import SYSTEM, Clock
@@ -459,6 +462,9 @@ def all_types() -> tuple[TypeStore, Any]:
     return store, oracle
 
 
+TYPES = all_types()
+
+
 def any_result(oracle: Any, chance: random.Random) -> Any:
     """Return a result with any values."""
     kinds = oracle.types
@@ -489,7 +495,7 @@ def any_result(oracle: Any, chance: random.Random) -> Any:
 @pytest.mark.parametrize("little", [True, False])
 def test_a_result_behind_its_status(little: bool) -> None:
     """What another implementation of CDR writes is read and written, in both byte orders."""
-    store, oracle = all_types()
+    store, oracle = TYPES
     results = wire.Results(store, store["test/msg/Result"])
     chance = random.Random(1)
     for _ in range(100):
@@ -531,3 +537,17 @@ def test_messages_of_the_package() -> None:
     assert wire.read_accepted(wire.pack_accepted(True, 7)) == (True, 7)
     assert wire.read_canceling(wire.pack_canceling(1, [(ONE, 5), (TWO, 6)])) == (1, [(ONE, 5), (TWO, 6)])
     assert wire.unwrap(wire.wrap(ONE, GOAL)) == (ONE, GOAL)
+
+
+@given(st.binary(max_size=120))
+def test_any_bytes_are_a_message_or_refused(data: bytes) -> None:
+    """Nothing that a peer sends raises another error, or makes more of it than there is."""
+    store, _ = TYPES
+    results = wire.Results(store, store["test/msg/Result"])
+    for read in (wire.unwrap, wire.read_cancel, wire.read_canceling, wire.read_accepted):
+        with contextlib.suppress(BackendError):
+            read(data)
+    with contextlib.suppress(BackendError):
+        assert len(wire.read_statuses(data)) <= len(data)
+    with contextlib.suppress(BackendError):
+        assert len(results.read(data)[1]) <= 2 * len(data)
