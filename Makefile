@@ -140,7 +140,7 @@ wheel: $(VENV)/.installed $(VENV)/.core ## build dist/rosplc-*.whl
 	@ls -1 dist/*.whl
 
 .PHONY: deb
-deb: $(VENV)/.installed ## build dist/rosplc_*.deb, for this release of Debian or Ubuntu; DEB_OPTIONS="--board armhf"
+deb: $(VENV)/.core ## build dist/rosplc_*.deb, for this release of Debian or Ubuntu; DEB_OPTIONS="--board armhf"
 	@PYTHONPATH=packaging $(VENV)/bin/python -m deploy.deb $(DEB_OPTIONS)
 
 .PHONY: clean

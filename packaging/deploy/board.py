@@ -18,7 +18,7 @@ from pathlib import Path
 
 from deploy.wheel import PIP, DeployError, build_wheel, run
 
-__all__ = ["ARCHITECTURES", "Architecture", "Board"]
+__all__ = ["ARCHITECTURES", "Architecture", "Board", "fetch_debian"]
 
 _PACKAGES = ("python3", "python3-venv", "libpython3-dev")
 _HOME = Path("opt/rosplc")
@@ -120,16 +120,8 @@ class Board:
             more: Packages beside those that rosplc needs.
         """
         packages = ",".join((*_PACKAGES, *self.architecture.debian, *more))
-        options = ["--quiet", "--variant=extract", f"--architectures={self.architecture.name}"]
-        command = ["mmdebstrap", *options, f"--include={packages}", suite, str(self.root)]
-        # One source, that of the release itself: two that are updated at different times may disagree.
-        sources = run(
-            [
-                "apt-get", "indextargets", "Created-By: Packages", "Origin: Debian", f"Codename: {suite}",
-                "--format", "deb $(REPO_URI) $(RELEASE) $(COMPONENT)",
-            ]
-        ).split("\n")  # fmt: skip
-        run([*command, *sorted({line for line in sources if line})[:1]])
+        architecture = f"--architectures={self.architecture.name}"
+        fetch_debian(self.root, suite, "--variant=extract", architecture, f"--include={packages}")
 
     def command(self, *words: object, argv0: str = "") -> list[str]:
         """Return the command line that runs a program of the board.
@@ -256,6 +248,25 @@ class Board:
         """Return the version of the board's C library."""
         found = self.run_plain("-c", "import os; print(os.confstr('CS_GNU_LIBC_VERSION'))")
         return found.split()[-1]
+
+
+def fetch_debian(target: Path, suite: str, *options: str) -> None:
+    """Fetch a Debian's packages from where this machine has its own, with mmdebstrap.
+
+    Args:
+        target: Gets them: a folder, or a file that ends in ``.tar``.
+        suite: Debian's release.
+        options: mmdebstrap's.
+    """
+    # One source, that of the release itself: two that are updated at different times may disagree.
+    sources = run(
+        [
+            "apt-get", "indextargets", "Created-By: Packages", "Origin: Debian", f"Codename: {suite}",
+            "--format", "deb $(REPO_URI) $(RELEASE) $(COMPONENT)",
+        ]
+    ).split("\n")  # fmt: skip
+    source = sorted({line for line in sources if line})[:1]
+    run(["mmdebstrap", "--quiet", *options, suite, target, *source])
 
 
 def _placeholder(folder: Path, name: str, version: str) -> Path:

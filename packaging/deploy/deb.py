@@ -200,7 +200,7 @@ def pack(stage: Path, folder: Path, version: str, target: Target) -> Path:
     (control / "control").write_text(text, encoding="utf-8")
     folder.mkdir(parents=True, exist_ok=True)
     package = folder / f"rosplc_{name}_{machine}.deb"
-    run(["dpkg-deb", "--root-owner-group", "-Zxz", "-z9", "--build", stage, package])
+    run(["dpkg-deb", "--root-owner-group", "--build", stage, package])
     return package
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from tests.soak.processes import Part
 
-__all__ = ["Contained", "contain"]
+__all__ = ["Contained", "Enclosed", "contain"]
 
 WATCHDOG_S = 120.0
 _NAMESPACES = ("--mount", "--pid", "--ipc", "--uts")
@@ -30,20 +30,8 @@ def contain(command: Sequence[str], *, shm: Path | None, network: bool) -> list[
     return ["unshare", *kinds, "--kill-child", "--mount-proc", "sh", "-c", script, "sh", *command]
 
 
-class Contained(Part):
-    """A part of a cell, in a container.
-
-    Args:
-        part: The part, as the cell has it.
-        shm: As :func:`contain` has it.
-        network: As :func:`contain` has it.
-    """
-
-    def __init__(self, part: Part, *, shm: Path | None, network: bool) -> None:
-        def command() -> list[str]:
-            return contain(part._command(), shm=shm, network=network)
-
-        super().__init__(part.name, command, part.environment, part.log)
+class Enclosed(Part):
+    """A part that ``unshare`` starts, as process 1 of namespaces of its own."""
 
     @property
     def inner(self) -> int:
@@ -60,3 +48,19 @@ class Contained(Part):
             os.kill(self.inner, number)
         else:
             super().send(number)
+
+
+class Contained(Enclosed):
+    """A part of a cell, in a container.
+
+    Args:
+        part: The part, as the cell has it.
+        shm: As :func:`contain` has it.
+        network: As :func:`contain` has it.
+    """
+
+    def __init__(self, part: Part, *, shm: Path | None, network: bool) -> None:
+        def command() -> list[str]:
+            return contain(part._command(), shm=shm, network=network)
+
+        super().__init__(part.name, command, part.environment, part.log)
