@@ -43,7 +43,8 @@ services:
 def built() -> Build:
     """Return the PLC's program, generated from the configuration."""
     project = resolve(parse_config(CONFIG.replace("FOLDER", "/dev/shm")))
-    return build(project_texts(plc_project(project, ProjectOptions())))
+    patient = ProjectOptions(beat_ms=10_000)  # a PLC that a busy machine stops for a while is no silent one
+    return build(project_texts(plc_project(project, patient)))
 
 
 def codec(part: str) -> Codec:
@@ -93,13 +94,13 @@ class Joint:
         for name, value in pins.items():
             self.machine.set(f"ROS_Services.{instance}.{name}", value)
 
-    def until(self, condition: Callable[[], Any], what: str) -> Any:
-        """Let the PLC run until something holds; return it."""
+    def until(self, condition: Callable[[], Any], what: str, step: int = 2) -> Any:
+        """Let the PLC run until something holds; return it. ``step``: ms on the PLC's clock for each scan."""
         deadline = time.monotonic() + WATCHDOG_S
         while not (found := condition()):
             assert time.monotonic() < deadline, f"still waiting for {what}"
             time.sleep(0.002)
-            self.machine.scan(READ, step=2)
+            self.machine.scan(READ, step=step)
         return found
 
 
@@ -131,7 +132,9 @@ def test_the_plc_gives_up(joint: Joint) -> None:
     """A call that ROS does not answer ends by tTimeout with an unknown fate; the next call is a new one."""
     asked: list[tuple[bytes, bytes]] = []
     server = joint.peer.serve("/lamp", TYPE, SERVICES, lambda data, caller, _: asked.append((data, caller)))
+    joint.until(lambda: joint.get("lamp_left", "xServer"), "the server")
     joint.set("lamp_left", xExecute=True, tTimeout=200)
+    joint.until(lambda: asked, "the call", step=0)
     joint.until(lambda: joint.get("lamp_left", "xError"), "the time-out")
     assert len(asked) == 1
     assert joint.get("lamp_left", "eError", "eReason") == (ErrorNumber.FATE_UNKNOWN, Reason.TIME_OUT)
