@@ -265,8 +265,7 @@ class Served(Use):
         if answered and answer is not None and answer[1].sequence == reader.last:
             return  # it was passed on
         self._caller.resume(info)
-        withdrawn = bool(info.status & ASK_WITHDRAWN)
-        call = self._open_call = _Call(info.client, record, now, withdrawn)
+        call = self._open_call = _Call(info.client, record, now)
         self.received += 1
         self._recent.append(call.caller)
         call.inherited = answered or self._caller.begun() or self._withdraw(call)
@@ -274,6 +273,9 @@ class Served(Use):
             self._open_call, call.ended = None, True
             reason = Reason.BRIDGE_RESTARTED
             self._unsent.append((call.caller, self._fallback, "not executed", reason, now + _PATIENCE_NS))
+        elif info.status & ASK_WITHDRAWN and not answered:
+            # Said again: a program that started in between has seen neither the call nor this.
+            self._withdraw(call)
 
     def _repeat(self, now_ns: int) -> None:
         """Answer callers of an earlier bridge, as soon as the middleware has found them."""

@@ -593,6 +593,32 @@ def test_a_plc_that_started_again_while_no_bridge_was_there(make: Make) -> None:
     assert cell.status.done == 1
 
 
+def test_a_withdrawn_call_of_a_plc_and_a_bridge_that_both_started_again(make: Make) -> None:
+    """The new program never saw that the call was withdrawn: the new bridge tells it once more."""
+    cell = make("plc")
+    plc = cell.attach()
+    begun(cell)
+    plc.die()
+    cell.turn(0.1, 8)
+    assert cell.status.fate_unknown == {"plc_down": 1}
+    cell.kill()
+    plc.leave()
+    cell.plcs.clear()
+    cell.plc = again = Plc(cell)
+    cell.plcs.append(again)
+    cell.bridge()
+    cell.turn(0.02, 3)
+    found = again.take()
+    assert found is not None
+    assert found[1].status & ASK_WITHDRAWN
+    again.answer(found[1], ANSWER_NOT_EXECUTED)
+    cell.turn()
+    assert cell.status.fate_unknown == {"bridge_restarted": 1}
+    again.answer(begun(cell, B))
+    cell.turn()
+    assert cell.status.done == 1
+
+
 # -- the PLC is the client
 
 
