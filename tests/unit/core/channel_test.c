@@ -5,6 +5,8 @@
  *   channel_test torn SECONDS BYTES SLOTS MODE MESSAGES
  *       one process writes flat out, another reads; prints "reads accepted torn rejected".
  *       MODE checked | next | unchecked: the last leaves M12 out and must see torn messages.
+ *   channel_test withdrawn CALLS           one process withdraws each of its calls at once, another carries them out;
+ *       prints "calls executed both", the last those that were executed and reported as not executed
  */
 #define _GNU_SOURCE
 #include <rosplc/channel.h>
@@ -380,6 +382,10 @@ static void test_identity(void)
         id->identity_crc = rosplc_identity_crc(copy); \
     } while (0)
     EXPECT(0, 4096, ROSPLC_TO_ROS, (void)0);
+    EXPECT(110, 4096, 0, SIGNED(id->kind = ROSPLC_KIND_GOAL));
+    CHECK(rosplc_identity_check_kind(copy, 4096, ROSPLC_KIND_GOAL, 0, &g) == 0 && g.kind == ROSPLC_KIND_GOAL);
+    CHECK(rosplc_identity_check_kind(copy, 4096, 0, 0, &g) == 0);
+    CHECK(rosplc_identity_check_kind(copy, 4096, ROSPLC_KIND_RESULT, 0, &g) == 110);
     EXPECT(103, 511, 0, (void)0);
     EXPECT(104, 4096, 0, id->magic++);
     EXPECT(105, 4096, 0, id->version = 0x20000);
@@ -581,8 +587,92 @@ static int run_torn(double limit, uint32_t size, uint32_t slots, const char *mod
     return failures || (!unchecked && torn) || accepted == 0;
 }
 
+/* M26 and M27: what a new answerer takes, and what it may act on. */
+static void test_calls(void)
+{
+    rosplc_region r = make_region(4, 8);
+    rosplc_writer w;
+    rosplc_reader first, second;
+    CHECK(rosplc_writer_claim(&w, &r, 0, 7, 100, 1) == 0);
+    publish(&w, 1);
+    r.header->reader[0].taken = 9;
+    rosplc_reader_observe(&first, &r, 0);
+    CHECK(rosplc_answerer_claim(&first, 0, 5, 50, 1) == 0);
+    CHECK(first.last == 1 && r.header->reader[0].taken == 9 && r.header->reader[0].generation == 33);
+    CHECK(take(&first, ROSPLC_TAKE_NEWEST) == -1);
+    publish(&w, 2);
+    CHECK(!rosplc_call_begun(&w, 10) && rosplc_call_begun(&w, 9));
+    CHECK(take(&first, ROSPLC_TAKE_NEWEST) == 2 && rosplc_call_begin(&first));
+    CHECK(rosplc_call_begun(&w, 2) && !rosplc_call_begun(&w, 3));
+    publish(&w, 3);
+    CHECK(!rosplc_call_begin(&first));
+    CHECK(take(&first, ROSPLC_TAKE_NEWEST) == 3 && rosplc_call_begin(&first));
+    rosplc_reader_observe(&second, &r, 0);
+    CHECK(rosplc_answerer_claim(&second, 0, 6, 50, 1) == 114);
+    CHECK(rosplc_answerer_claim(&second, 5, 6, 50, 1) == 0);
+    CHECK(second.last == 3 && !rosplc_call_begin(&first) && rosplc_call_begin(&second));
+    r.header->identity.state = ROSPLC_STATE_RETIRED;
+    CHECK(!rosplc_call_begin(&second));
+}
+
+static int run_withdrawn(uint32_t calls)
+{
+    rosplc_region r = make_region(4, 8);
+    uint32_t *executed = mmap(NULL, (calls + 1) * sizeof *executed, PROT_READ | PROT_WRITE,
+                              MAP_SHARED | MAP_ANONYMOUS, -1, 0);
+    uint8_t *refused = calloc(calls + 1, 1);
+    unsigned long acted = 0, both = 0;
+    rosplc_writer w;
+    pid_t answerer;
+    CHECK(rosplc_writer_claim(&w, &r, 0, 7, 100, 1) == 0);
+    answerer = fork();
+    if (answerer == 0) {
+        rosplc_reader reader;
+        uint8_t record[8];
+        pin(1);
+        rosplc_reader_observe(&reader, &r, 0);
+        if (rosplc_answerer_claim(&reader, 0, 5, 100, 1))
+            _exit(3);
+        for (;;) {
+            rosplc_take t = rosplc_take_start(ROSPLC_TAKE_NEWEST);
+            if (rosplc_take_record(&reader, &t, record) && rosplc_call_begin(&reader)
+                && !(t.status & ROSPLC_ASK_WITHDRAWN))
+                rosplc_store(&executed[t.correlation_lo], 1);
+        }
+    }
+    pin(0);
+    while (rosplc_load(&r.header->reader[0].claim) != 5)
+        sched_yield();
+    for (uint32_t call = 1; call <= calls; call++) {
+        static const uint8_t record[8];
+        rosplc_meta meta = {.status = ROSPLC_ASK_CALL, .correlation_lo = call};
+        CHECK(rosplc_publish(&w, record, &meta) == ROSPLC_OK);
+        meta.status |= ROSPLC_ASK_WITHDRAWN;
+        for (volatile uint32_t pause = random_word() % 1024u; pause; pause--)
+            ;
+        while (call % 64u == 0 && !rosplc_load(&executed[call])) /* so that some are, on one core too */
+            sched_yield();
+        uint32_t first = w.head;
+        CHECK(rosplc_publish(&w, record, &meta) == ROSPLC_OK);
+        refused[call] = (uint8_t)!rosplc_call_begun(&w, first);
+    }
+    while (rosplc_load(&r.header->reader[0].taken) != w.head)
+        sched_yield();
+    kill(answerer, SIGKILL);
+    waitpid(answerer, NULL, 0);
+    for (uint32_t call = 1; call <= calls; call++) {
+        acted += executed[call];
+        both += executed[call] && refused[call];
+    }
+    free(refused);
+    printf("calls %u executed %lu both %lu\n", calls, acted, both);
+    return failures || both;
+}
+
 int main(int argc, char **argv)
 {
+    if (argc == 3 && !strcmp(argv[1], "withdrawn"))
+        return run_withdrawn((uint32_t)strtoul(argv[2], NULL, 0));
     if (argc == 4 && !strcmp(argv[1], "scribble")) {
         run_scribble(strtoul(argv[2], NULL, 0), strtoull(argv[3], NULL, 0));
         return failures != 0;
@@ -611,6 +701,7 @@ int main(int argc, char **argv)
     test_handover_to_the_delayed_rule();
     test_latched();
     test_identity();
+    test_calls();
     printf("%d failures\n", failures);
     return failures != 0;
 }
