@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,10 +15,12 @@ from rosplc.config import ConfigErrors
 from rosplc.config import parse_config as parse
 from rosplc.errors import BackendError, ChannelError
 from rosplc.ros import SERVICES, Reply
-from rosplc.shm import Namespace
+from rosplc.ros.lifecycle import LifecycleBackend
+from rosplc.ros.memory import MemoryServer, open_backend
+from rosplc.shm import Namespace, Part, attach
 from rosplc.virtual_plc import ServiceClient, ServiceServer
 from tests.lib.waiting import repeat_until, wait_for
-from tests.unit.bridge.conftest import INT, Cell, unwire, wire
+from tests.unit.bridge.conftest import DOMAIN, INT, STORE, Cell, unwire, wire
 
 SET_BOOL = "std_srvs/srv/SetBool"
 SERVED = f"  /start: {{type: {SET_BOOL}, server: plc}}\n"
@@ -188,3 +191,47 @@ def test_an_object_that_was_removed_is_created_again(
         return bool(replies) and replies[0].payload is not None
 
     wait_for(asked, "an answer of the new objects")
+
+
+def test_an_inactive_node_serves_and_calls_nothing(
+    cell: Cell, plc: tuple[ServiceServer, ServiceClient]
+) -> None:
+    server, client = plc
+    node = LifecycleBackend(open_backend(STORE, "cell", domain=DOMAIN))
+    cell.bridge = Bridge(config(cell, SERVED + CALLED), node)
+    cell.bridge.start()
+    cell.peer.serve("/grip", SET_BOOL, SERVICES, lambda *_: None)
+    caller = cell.peer.client("/start", SET_BOOL, SERVICES)
+    wait_for(lambda: serve(server), every=0.01)
+    repeat_until(client, lambda: client.xAttached, every=0.005)
+    assert (caller.ready, client.xServer) == (False, False)
+    node.activate()
+    repeat_until(client, lambda: client.xServer, every=0.005)
+    assert text(answered(server, ask(cell))) == "from the PLC"
+    node.deactivate()
+    repeat_until(client, lambda: not client.xServer, every=0.005)
+    assert not caller.ready
+    node.close()
+
+
+def test_a_ros_side_that_hangs_stops_no_beat(
+    cell: Cell, plc: tuple[ServiceServer, ServiceClient], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    server, _ = plc
+    bridge = start(cell, SERVED)
+    wait_for(lambda: serve(server), every=0.01)
+    hangs, go_on = threading.Event(), threading.Event()
+
+    def hang(*_: Any) -> bool:
+        hangs.set()
+        return go_on.wait(100)
+
+    monkeypatch.setattr(MemoryServer, "present", hang)
+    ask(cell)
+    repeat_until(lambda: serve(server), hangs.is_set, every=0.005)
+    with attach(cell.namespace, "/start", part=Part.REQUEST) as seen:
+        before = seen.snapshot().writer.beat
+        wait_for(lambda: seen.snapshot().writer.beat > before + 3, "beats")
+    wait_for(lambda: "towards ROS stands still" in bridge.stuck(100_000_000))
+    go_on.set()
+    wait_for(lambda: not bridge.stuck(100_000_000))
