@@ -252,6 +252,20 @@ def test_payload_without_header_is_refused(graph: Harness) -> None:
     assert [which for which, _ in client.replies()] == [place]
 
 
+# memory carries nothing that another process has made; the others have tests of their own.
+@over(lambda harness: harness.backend in ("dds", "zenoh"))
+def test_what_no_client_sends_is_refused(graph: Harness, caplog: pytest.LogCaptureFixture) -> None:
+    """Hostile bytes are counted, reach nobody, and end no thread: the next call is answered."""
+    server = graph.node("server").serve("/cell/add", ADD)
+    refused = graph.bother("/cell/add", ADD)
+    client = graph.node("client").client("/cell/add", ADD)
+    wait_for(client.ready)
+    assert answered(graph, client, "good") == "good"
+    wait_for(lambda: server.status().rejected >= refused)
+    assert len(server.requests()) == 1
+    assert [record for record in caplog.records if record.levelname == "ERROR"] == []
+
+
 def test_a_receiver_that_fails(graph: Harness) -> None:
     """An exception of a receiver is counted, and the next request arrives."""
     server, client = connect(graph, "fail")

@@ -233,7 +233,8 @@ class BaseEndpoint:
             self._rejected += 1
             first = self._rejected == 1
         level = logging.WARNING if first else logging.DEBUG
-        self._node.logger.log(level, "%s: a message was refused: %s", self.topic, error)
+        # As text: a log that keeps an exception would keep what was received, such as a query of Zenoh.
+        self._node.logger.log(level, "%s: a message was refused: %s", self.topic, str(error))
 
     def _hand_over(self, receiver: Callable[..., object], *arguments: object) -> None:
         """Call what receives; nothing that it raises escapes."""

@@ -151,6 +151,10 @@ class Harness:
         """Return a function that puts any bytes on a topic, past all checks, or None if there is no way."""
         return None
 
+    def bother(self, service: str, type_name: str) -> int:
+        """Send a server what no client sends; return how much of it the server must count as rejected."""
+        raise NotImplementedError
+
     # -- the same for all
 
     def __enter__(self) -> Harness:

@@ -8,7 +8,7 @@ from typing import ClassVar
 
 from rosplc.ros import Qos
 from tests.conformance.backends.base import Abilities, Harness
-from tests.conformance.backends.node import Node, Outbox
+from tests.conformance.backends.node import Calling, Node, Outbox
 from tests.conformance.backends.rtps import Impostor
 from tests.interop.graphs import LOCAL, free_domain
 from tests.lib.waiting import wait_for
@@ -17,15 +17,21 @@ from tests.lib.waiting import wait_for
 class DdsNode(Node):
     """A node that tells its writers' ids."""
 
+    def client(self, service: str, type_name: str) -> Calling:
+        """Call a service."""
+        calling = super().client(service, type_name)
+        self._guid = calling.client.guid  # type: ignore[attr-defined]
+        return calling
+
     def advertise(self, topic: str, type_name: str, qos: Qos | None = None) -> Outbox:
         """Send a topic."""
         outbox = super().advertise(topic, type_name, qos)
-        self._last = outbox
+        self._guid = outbox.publisher.guid  # type: ignore[attr-defined]
         return outbox
 
     def guid(self) -> bytes:
-        """Return the id of the last publisher's writer."""
-        guid: bytes = self._last.publisher.guid  # type: ignore[attr-defined]
+        """Return the id of the last writer."""
+        guid: bytes = self._guid
         return guid
 
 
@@ -73,6 +79,19 @@ class DdsHarness(Harness):
         wait_for(outbox.matched)
         wait_for(lambda: self._matched(topic) > before)
         return Impostor(self.domain, node.call(0, "guid")).send
+
+    def bother(self, service: str, type_name: str) -> int:
+        """Send in the name of another process's client: too short, too long, of another encapsulation."""
+        assert self.domain is not None
+        node = self.process("rogue")
+        client = node.client(service, type_name)
+        wait_for(client.ready)
+        send = Impostor(self.domain, node.call(0, "guid")).send
+        header = b"\0\1\0\0" + bytes(16)
+        hostile = (header[:12], header, header + b"\xff\xff\xff\xff", header + b"\5\0\0\0ab")
+        for payload in (*hostile, b"abcdefgh", b"\0\7\0\0" + bytes(20)):
+            send(payload)
+        return len(hostile)
 
     def _matched(self, topic: str) -> int:
         """Return how many publishers the subscriptions of a topic have matched."""

@@ -232,23 +232,23 @@ class Calling:
     def __init__(self, node: Node, service: str, type_name: str) -> None:
         self._replies: list[tuple[int, Reply]] = []
         self._numbers: list[int] = []
-        self._client = node.backend.client(service, type_name, SERVICES)
+        self.client = node.backend.client(service, type_name, SERVICES)
 
     def call(self, payload: bytes) -> int:
         """Call; return the call's place."""
         place = len(self._numbers)
         self._numbers.append(0)
-        self._numbers[place] = self._client.call(payload, lambda reply: self._replies.append((place, reply)))
+        self._numbers[place] = self.client.call(payload, lambda reply: self._replies.append((place, reply)))
         return place
 
     def call_and_close(self, payload: bytes) -> None:
         """Call, and close the client when the reply comes."""
 
         def receive(reply: Reply) -> None:
-            self._client.close()
+            self.client.close()
             self._replies.append((0, reply))
 
-        self._client.call(payload, receive)
+        self.client.call(payload, receive)
 
     def call_all(self, payloads: Sequence[bytes]) -> None:
         """Call many times."""
@@ -261,23 +261,23 @@ class Calling:
 
     def forget(self, place: int) -> None:
         """Wait no longer for a call."""
-        self._client.forget(self._numbers[place])
+        self.client.forget(self._numbers[place])
 
     def ready(self) -> bool:
         """Return whether there is a server."""
-        return self._client.ready
+        return self.client.ready
 
     def name(self) -> str:
         """Return the service's full name."""
-        return self._client.service
+        return self.client.service
 
     def status(self) -> EndpointStatus:
         """Return the endpoint's status."""
-        return self._client.status()
+        return self.client.status()
 
     def close(self) -> None:
         """Close the client."""
-        self._client.close()
+        self.client.close()
 
 
 class Node:

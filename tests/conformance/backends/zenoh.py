@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from typing import Any, ClassVar
 
+from rosplc.model import TypeStore
 from tests.conformance.backends.base import Abilities, Harness, Peer
 from tests.interop.zenoh.processes import Router, free_port
 from tests.lib.waiting import wait_for
@@ -47,6 +48,31 @@ class ZenohHarness(Harness):
         self.domain = 7
         self.router = self.stack.enter_context(Router(self.stack.enter_context(free_port())))
         self.options = {"mode": self.mode, "connect": [self.router.endpoint]}
+
+    def bother(self, service: str, type_name: str) -> int:
+        """Query without a payload, without an attachment, with a wrong one, and without a header of CDR."""
+        import zenoh
+
+        from rosplc.ros.zenoh.keys import pack, topic_key
+        from rosplc.ros.zenoh.session import session_config
+
+        type_hash = TypeStore.bundled(self.distros[0]).service_hash(type_name)
+        key = topic_key(self.domain or 0, service, type_name, type_hash)
+        good, attachment = self.string("good"), pack(1, 1, bytes(16))
+        hostile = [
+            (None, None),
+            (good, None),
+            (None, attachment),
+            (good, attachment[:20]),
+            (b"x", attachment),
+        ]
+        with zenoh.open(session_config(self.options, {}).config) as session:
+            querier = session.declare_querier(key, target=zenoh.QueryTarget.ALL_COMPLETE)
+            wait_for(lambda: querier.matching_status.matching)
+            for payload, words in hostile:
+                for _ in querier.get(payload=payload, attachment=words):
+                    pass  # until the query has ended
+        return len(hostile)
 
     def restart_hub(self, silent_s: float = 0.0) -> None:
         """Kill the router, wait, start another one at its port."""

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import pytest
 
 from rosplc.errors import BackendError, RosplcError
 from rosplc.model import TypeStore
-from rosplc.ros import LATCHED, Backend, Qos, open_backend
+from rosplc.ros import LATCHED, SERVICES, Backend, Qos, Reply, open_backend
 from rosplc.ros.lifecycle import LifecycleBackend
 from tests.interop.graphs import STRING, Graph, free_domain, string, text_of
 from tests.lib.waiting import wait_for
+
+ADD = "diagnostic_msgs/srv/AddDiagnostics"
 
 
 @pytest.fixture
@@ -154,3 +156,35 @@ def test_endpoints_asked_for_while_active_open_at_once(nodes: tuple[LifecycleBac
     managed.activate()
     assert inbox.matched == 0
     assert (publisher.status().code, managed.status()) == ("ROS009", ())
+
+
+def test_services_exist_while_active(nodes: tuple[LifecycleBackend, Backend]) -> None:
+    """An inactive node neither serves nor calls; calls that are open at a deactivation end."""
+    managed, other = nodes
+    asked: list[bytes] = []
+    server = managed.serve("/add", ADD, SERVICES, lambda _, caller, __: asked.append(caller))
+    client = managed.client("/other", ADD, SERVICES)
+    caller = other.client("/add", ADD, SERVICES)
+    other.serve("/other", ADD, SERVICES, lambda *_: None)
+    ends: list[tuple[str, str]] = []
+
+    def receive(who: str) -> Callable[[Reply], None]:
+        return lambda reply: ends.append((who, reply.outcome if reply.payload is None else "done"))
+
+    caller.call(string("text"), receive("caller"))
+    client.call(string("text"), receive("client"))
+    assert ends == [("caller", "not executed"), ("client", "not executed")]
+    assert not client.ready
+    assert not server.present(bytes(16))
+    managed.activate()
+    wait_for(lambda: caller.ready and client.ready)
+    caller.call(string("text"), receive("caller"))
+    client.call(string("text"), receive("client"))
+    wait_for(lambda: asked)
+    assert server.present(asked[0])
+    assert server.reply(asked[0], b"\0\1\0\0\1\0\0\0" + string("")[4:])
+    wait_for(lambda: ("caller", "done") in ends)
+    managed.deactivate()
+    assert ends[-1] == ("client", "fate unknown")
+    assert not caller.ready
+    assert server.status().messages == client.status().messages == 1
