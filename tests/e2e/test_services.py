@@ -36,8 +36,8 @@ class Plc:
     """Starts what ROS asks for when it is let, and calls /grip when it is told to."""
 
     def __init__(self, prefix: str) -> None:
-        self.server = ServiceServer("/start", prefix=prefix, beat_ms=100)
-        self.client = ServiceClient("/grip", "pick", prefix=prefix, beat_ms=100)
+        self.server = ServiceServer("/start", prefix=prefix)
+        self.client = ServiceClient("/grip", "pick", prefix=prefix)
         self.let, self.call = True, False
         self.task = Task("RosTask", 0.002, programs=[self.scan])
 
@@ -98,18 +98,25 @@ def test_services_both_ways_and_a_bridge_that_is_killed(
         wait_for(lambda: plc.client.xDone, "an answer from ROS")
         assert plc.client.response is not None
         assert (asked, plc.client.response.message) == ([True], "from ROS")
-        plc.let = False
-        start.call(wire("Request", data=True), on_reply)
-        wait_for(lambda: plc.server.xRequest, "the robot's call")
-        bridge.kill()
-        bridge.wait()
-        plc.let = True
-        wait_for(lambda: not plc.server.xRequest, "the PLC's answer")
-        bridge = run(path)
-        assert came.wait(100)
-        assert replies[0].payload is not None
-        assert unwire("Response", replies[0].payload) == {"success": True, "message": "from the PLC"}
-        assert plc.server.udiCalls == 1
+        for attempt in range(1, 6):
+            plc.let = False
+            came.clear()
+            start.call(wire("Request", data=True), on_reply)
+            wait_for(lambda: plc.server.xRequest, "the robot's call")
+            bridge.kill()
+            bridge.wait()
+            plc.let = True
+            wait_for(lambda: not plc.server.xRequest, "the PLC's answer")
+            bridge = run(path)
+            assert came.wait(100)
+            assert plc.server.udiCalls == attempt
+            if replies[-1].payload is not None:
+                break
+            # A machine so busy that the robot's middleware gave the dead bridge up, after 10 s.
+            assert replies[-1].outcome == "fate unknown"
+            wait_for(lambda: start.ready and plc.server.xPeerAlive, "the next bridge")
+        assert replies[-1].payload is not None
+        assert unwire("Response", replies[-1].payload) == {"success": True, "message": "from the PLC"}
         bridge.send_signal(signal.SIGTERM)
         assert bridge.wait(60) == 0
     finally:

@@ -29,7 +29,7 @@ CALLED = f"  /grip: {{type: {SET_BOOL}, server: ros, clients: [pick]}}\n"
 
 @pytest.fixture
 def plc(shm_namespace: Namespace) -> Iterator[tuple[ServiceServer, ServiceClient]]:
-    names: Any = {"prefix": shm_namespace.prefix, "directory": str(shm_namespace.directory), "beat_ms": 100}
+    names: Any = {"prefix": shm_namespace.prefix, "directory": str(shm_namespace.directory)}
     blocks = ServiceServer("/start", **names), ServiceClient("/grip", "pick", **names)
     yield blocks
     for block in blocks:
