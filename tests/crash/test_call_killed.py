@@ -240,7 +240,10 @@ def test_killed_answerer(shm_namespace: Namespace, tmp_path: Path, server: str) 
         outcomes = Counter(calls.told.values())
         # The second call of each round meets the kill: what was taken and not answered is unknown.
         assert outcomes[spec.ANSWER_FATE_UNKNOWN] == 3
-        assert outcomes[spec.ANSWER_DONE] == token - 3
+        # And the call behind the last kill may have been handed out to a PLC that was dead by then.
+        refused = outcomes[spec.ANSWER_NOT_EXECUTED]
+        assert refused <= (1 if server == "plc" else 0)
+        assert outcomes[spec.ANSWER_DONE] == token - 3 - refused
     finally:
         calls.close()
 
