@@ -11,6 +11,7 @@ import sys
 import threading
 import uuid
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +25,13 @@ from tests.lib.waiting import wait_for
 
 pytestmark = [pytest.mark.ros2, pytest.mark.timeout(120)]
 
-STORE = TypeStore.bundled("kilted").with_paths([Path(sys.prefix, "share", "test_msgs")])
 FIBONACCI = "test_msgs/action/Fibonacci"
+
+
+@cache
+def store() -> TypeStore:
+    """Return the types, with those of the environment's own test messages."""
+    return TypeStore.bundled("kilted").with_paths([Path(sys.prefix, "share", "test_msgs")])
 
 
 def numbers(*values: int) -> bytes:
@@ -79,7 +85,7 @@ class Peer:
 
 @pytest.fixture
 def cell(domain: int) -> Iterator[Backend]:
-    backend = open_backend("rclpy", STORE, "cell", domain=domain, environment=LOCAL)
+    backend = open_backend("rclpy", store(), "cell", domain=domain, environment=LOCAL)
     yield backend
     backend.close()
 
@@ -92,7 +98,7 @@ def test_a_client_of_rclpy(cell: Backend, domain: int) -> None:
     def on_goal(one: bytes, payload: bytes) -> None:
         goals[struct.unpack_from("<i", payload, 4)[0]] = one
 
-    server = ActionServer(cell, STORE, "/fibonacci", FIBONACCI, on_goal=on_goal, on_cancel=cancels.append)
+    server = ActionServer(cell, store(), "/fibonacci", FIBONACCI, on_goal=on_goal, on_cancel=cancels.append)
     peer = Peer(domain, use="/fibonacci")
     for order in (1, 2, 3, 4):
         peer.tell(send=order)
@@ -126,7 +132,7 @@ def test_a_server_of_rclpy(cell: Backend, domain: int) -> None:
     """Its decisions, feedback, states and results arrive; so they do at another client that adopts a goal."""
     peer = Peer(domain, serve="/fibonacci")
     events: list[GoalEvent] = []
-    client = ActionClient(cell, STORE, "/fibonacci", FIBONACCI, events.append)
+    client = ActionClient(cell, store(), "/fibonacci", FIBONACCI, events.append)
     wait_for(lambda: client.ready)
 
     def send(order: int) -> bytes:
@@ -150,7 +156,7 @@ def test_a_server_of_rclpy(cell: Backend, domain: int) -> None:
     one = send(60)
     wait(one, "feedback")
     later: list[GoalEvent] = []
-    other = ActionClient(cell, STORE, "/fibonacci", FIBONACCI, later.append)
+    other = ActionClient(cell, store(), "/fibonacci", FIBONACCI, later.append)
     wait_for(lambda: other.ready)
     other.adopt(one)
     wait_for(lambda: any(event.kind == "feedback" for event in later))
