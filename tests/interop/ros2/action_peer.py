@@ -104,8 +104,9 @@ def main() -> None:
             order = words["cancel"]
             done = lambda f, order=order: say(goal=order, canceling=f.result().return_code)  # noqa: E731
             goals[order].cancel_goal_async().add_done_callback(done)
-    rclpy.try_shutdown()
+    executor.shutdown()  # as in peer.py
     thread.join()
+    rclpy.try_shutdown()
 
 
 if __name__ == "__main__":

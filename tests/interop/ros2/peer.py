@@ -114,8 +114,9 @@ def main() -> None:
                 for number in range(order["count"]):
                     publisher.publish(kind(data=bytes([number % 256]) * order["size"]))
                     time.sleep(order["period"])
-    rclpy.try_shutdown()
+    executor.shutdown()  # the context's own end may come between the executor's look at it and its sleep
     thread.join()
+    rclpy.try_shutdown()
 
 
 if __name__ == "__main__":

@@ -108,7 +108,8 @@ class ZenohClient(Queued, BaseClient, Sender):
         )
         try:
             attachment = pack(number, self._clock.time_ns(), self._gid)
-            self._route.get(receive, payload=payload, attachment=attachment)
+            with self._asking:  # the reply may close this client before the library has returned
+                self._route.get(receive, payload=payload, attachment=attachment)
         except (zenoh.ZError, AttributeError):  # withdrawn at this moment
             return NO_SERVER
         return None
