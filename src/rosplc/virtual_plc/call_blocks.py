@@ -117,7 +117,12 @@ class _In(Block):
 
     def begin(self) -> bool:
         """Return whether the call that was taken may be acted on (M26)."""
-        return self.xReady and self._reader is not None and self._reader.begin()
+        try:
+            return self.xReady and self._reader is not None and self._reader.begin()
+        except ChannelError as error:  # retired since it was looked at
+            self._drop(error)
+            self.xReady = False
+            return False
 
     @property
     def object(self) -> int:
@@ -307,6 +312,7 @@ class ServiceServer(_ServiceBlock):
             if shown is not None and info.correlation == shown.correlation and not self._orphan:
                 self.xCallerGone = self.xCallerGone or bool(info.status & ASK_WITHDRAWN)
             elif info.status & ASK_WITHDRAWN:
+                self._waiting = None  # this very call, or one that has ended
                 # One that was there before this block's claim may have been begun by an earlier program.
                 unknown = ANSWER_FATE_UNKNOWN, Reason.PLC_DOWN
                 self._put(info, *(unknown if fresh else (ANSWER_NOT_EXECUTED, Reason.CALLER_GONE)))

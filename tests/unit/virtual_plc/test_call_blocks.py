@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
@@ -20,6 +21,7 @@ from rosplc.shm.constants import (
     ANSWER_UNREADABLE,
     ErrorNumber,
 )
+from rosplc.shm.owned import retire_file
 from rosplc.virtual_plc import ServiceClient, ServiceServer
 from rosplc.virtual_plc.task import Scan, enter_scan
 
@@ -230,6 +232,46 @@ def test_the_objects_of_a_call_are_replaced(sides: Sides) -> None:
     block.xReply = False
     side.scan(block, 2)
     assert block.xRequest
+
+
+def test_a_call_withdrawn_while_another_is_in_hand_is_never_shown(sides: Sides) -> None:
+    """Its caller was told that it is safe to call again."""
+    side, block = sides("plc")
+    side.call()
+    side.scan(block)
+    for channel in side.channels:
+        channel.retire()
+    side.open()
+    side.scan(block, 30)
+    assert (block.xRequest, block.xAttached) == (True, True)  # the program is at the first one still
+    side.call(False)
+    side.scan(block, 2)
+    side.withdraw()
+    side.scan(block, 2)
+    assert side.took().status == ANSWER_NOT_EXECUTED
+    block.xReply = True
+    side.scan(block, 4)
+    assert (block.xRequest, block.udiCalls) == (False, 1)
+
+
+def test_an_object_that_is_retired_while_a_call_is_begun(
+    sides: Sides, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing is raised about the other side."""
+    side, block = sides("plc")
+    side.call()
+    take = block._in.take
+
+    def retired_behind() -> SlotInfo | None:
+        info = take()
+        if info is not None:
+            for channel in side.channels:
+                retire_file(os.open(channel.path, os.O_RDWR))
+        return info
+
+    monkeypatch.setattr(block._in, "take", retired_behind)
+    side.scan(block, 2)
+    assert not block.xRequest
 
 
 def started(side: Side, block: ServiceClient, timeout: float = 0.0) -> SlotInfo:
