@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 
-from rosplc.bridge.port import Context
+from rosplc.bridge.port import Context, log
 from rosplc.bridge.use import ENDINGS, IDLE_NS, LOOK_NS, TOO_LARGE, Outcome, Use
 from rosplc.codec import Fault
 from rosplc.config.services import ServicePlan
@@ -61,13 +61,14 @@ class Called(Use):
             self._give_up(Reason.PLC_DOWN, now_ns)
         waits = head != self._reader.last
         if waits and epoch and self._peer.alive and (ready or self._open_call is not None):
-            self._take(self._reader, self._answerer, epoch, now_ns)
+            self._take(self._reader, self._answerer, now_ns)
         self.due_ns = now_ns + (LOOK_NS if waits or self._open_call is not None else IDLE_NS)
 
-    def _take(self, reader: Reader, answerer: Answerer, epoch: int, now_ns: int) -> None:
+    def _take(self, reader: Reader, answerer: Answerer, now_ns: int) -> None:
         while (found := reader.latest_wire(self._codecs[Part.REQUEST].plan)) is not None:
             payload, info = found
-            if info.correlation >> 32 != epoch:
+            # Behind the message, or the first call of a program that has just started would be lost.
+            if info.correlation >> 32 != self._channels[1].region.word(WRITER_LINE["writer_epoch"]):
                 continue  # of another life of the PLC's program
             what = answerer.take(info)
             if what == "more" and info.status & ASK_WITHDRAWN:
@@ -92,6 +93,9 @@ class Called(Use):
                 self._sent = client.call(payload, lambda reply: self.tell(number, reply))
             except RosplcError as error:
                 self._answer("not executed", Reason.REJECTED, now_ns, error.what)
+            except Exception as error:  # a defect, or no more threads; but the PLC waits for an end
+                log.debug("%s: a request was not sent", self.plan.name, exc_info=True)
+                self._answer("fate unknown", Reason.NONE, now_ns, f"{type(error).__name__}: {error}")
 
     def _pass_on(self, reply: Reply, now_ns: int) -> None:
         if reply.payload is None:

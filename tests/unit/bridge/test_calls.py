@@ -249,7 +249,11 @@ def begun(cell: Cell, who: bytes = A) -> SlotInfo:
     cell.ros.ask(who)
     cell.turn()
     assert cell.plc is not None
-    found = cell.plc.take()
+    return begun_by(cell.plc, who)
+
+
+def begun_by(plc: Plc, who: bytes = A) -> SlotInfo:
+    found = plc.take()
     assert found is not None
     what, info, request = found
     assert (what, info.status, info.client, request) == ("begin", ASK_CALL, who, {"data": True})
@@ -820,3 +824,41 @@ def test_a_backend_without_services(make: Make) -> None:
     cell = make("ros")
     with pytest.raises(BackendError, match="carries no services"):
         cell.use.connect(Ros(capabilities=frozenset({"topics"})))  # type: ignore[arg-type]
+
+
+def test_a_request_whose_sending_fails_unexpectedly_has_an_end(make: Make) -> None:
+    cell = make("ros", error=RuntimeError("can't start new thread"))
+    plc = cell.attach()
+    plc.call()
+    cell.turn()
+    found = plc.take()
+    assert found is not None
+    assert found[1].status == ANSWER_FATE_UNKNOWN
+    assert "new thread" in cell.status.reason
+
+
+def test_a_plc_that_starts_again_while_its_call_is_being_sent(make: Make) -> None:
+    """What the new program asks for at once is not lost."""
+    cell = make("ros")
+    plc = cell.attach()
+    send, lives = cell.ros.call, []
+
+    def slow(payload: bytes, on_reply: Callable[[Reply], None]) -> int:
+        if not lives:
+            plc.leave()
+            cell.plcs.clear()
+            lives.append(Plc(cell))
+            cell.plc = lives[0]
+            cell.plcs.extend(lives)
+            lives[0].call(False)
+        return send(payload, on_reply)
+
+    cell.ros.call = slow  # type: ignore[method-assign]
+    plc.call()
+    cell.turn(0.02, 5)
+    assert cell.ros.said[-1] == ("call", False)
+    cell.ros.on_reply(Reply(wire(Part.RESPONSE, success=True)))
+    cell.turn()
+    found = lives[0].take()
+    assert found is not None
+    assert found[1].status == ANSWER_DONE
