@@ -116,8 +116,9 @@ class LifecycleEndpoint:
 
     @property
     def remembers(self) -> bool:
-        """As the backend's server; False while inactive."""
-        return bool(getattr(self._inner, "remembers", False))
+        """As the backend's server; True while inactive, when it is not known yet: a caller's answer waits."""
+        inner = self._inner
+        return inner is None or bool(getattr(inner, "remembers", False))
 
     @property
     def ready(self) -> bool:

@@ -20,6 +20,7 @@ from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.reasons import Reason
 from rosplc.ros import EndpointStatus, Reply
+from rosplc.ros.lifecycle import LifecycleBackend
 from rosplc.shm import SERVICE, Answerer, Attached, Caller, Namespace, Part, Reader, SlotInfo, Writer, attach
 from rosplc.shm.constants import (
     ANSWER_DONE,
@@ -824,6 +825,25 @@ def test_a_backend_without_services(make: Make) -> None:
     cell = make("ros")
     with pytest.raises(BackendError, match="carries no services"):
         cell.use.connect(Ros(capabilities=frozenset({"topics"})))  # type: ignore[arg-type]
+
+
+def test_a_managed_bridge_answers_an_earlier_ones_caller_once_it_is_active(make: Make) -> None:
+    cell = make("plc")
+    plc = cell.attach()
+    info = begun(cell)
+    plc.answer(info, success=True)
+    cell.kill()
+    cell.ros.topic = "/s"  # type: ignore[attr-defined]
+    node: Any = LifecycleBackend(cell.ros)  # type: ignore[arg-type]
+    ros, cell.ros = cell.ros, node
+    cell.bridge()
+    cell.ros = ros
+    cell.turn(0.5, 3)
+    assert cell.status.outstanding == 1
+    node.activate()
+    cell.turn()
+    assert cell.ros.said == [("reply", A, {"success": True, "message": ""})]
+    assert cell.status.done == 1
 
 
 def test_a_request_whose_sending_fails_unexpectedly_has_an_end(make: Make) -> None:
