@@ -136,21 +136,23 @@ class Served(Use):
             elif not self._present(call):
                 self._end(self._waiting.popleft(), "not executed", Reason.CALLER_GONE, now_ns)
             else:
-                self._publish(self._waiting.popleft(), now_ns)
+                self._publish(call, now_ns)
 
     def _publish(self, call: _Call, now_ns: int) -> None:
+        """Hand out the call that has waited longest; if that fails, it goes on waiting."""
         assert self._caller is not None
-        self._open_call = call
-        self._next_ns = now_ns + self.plan.min_interval_ns
         self._caller.call(partial(self._send, call.record), client=call.caller)
+        self._open_call = self._waiting.popleft()
+        self._next_ns = now_ns + self.plan.min_interval_ns
 
     def _withdraw(self, call: _Call) -> bool:
         """Tell the PLC that nobody waits any more; return whether it may have begun (M26)."""
         assert self._caller is not None
         if call.withdrawn:
             return self._caller.begun()
-        call.withdrawn = True
-        return self._caller.withdraw(partial(self._send, call.record)) or call.inherited
+        begun = self._caller.withdraw(partial(self._send, call.record))
+        call.withdrawn = True  # only now: what could not be withdrawn may still begin
+        return begun or call.inherited
 
     def _end(self, call: _Call, outcome: Outcome, reason: Reason, now_ns: int, text: str = "") -> None:
         """Count a call that has no answer, and tell its caller what the configuration says."""
@@ -230,8 +232,8 @@ class Served(Use):
     def _answered(self, payload: bytes, info: SlotInfo, now_ns: int) -> None:
         call, reader = self._open_call, self._reader
         answer = 0 if self._caller is None else self._caller.answer(info)
-        if call is None or not answer:
-            self.strays += 1
+        if call is None or not answer or (self._caller is not None and self._caller.correlation):
+            self.strays += 1  # another call's, or none that ends a call
             return
         if reader is None or reader.line is None:
             raise ChannelError("SHM116", "another bridge has taken the service over", where=self.plan.service)
@@ -268,6 +270,8 @@ class Served(Use):
         call = self._open_call = _Call(info.client, record, now)
         self.received += 1
         self._recent.append(call.caller)
+        # The program that answered what it found withdrawn may not be the one that had begun it.
+        call.withdrawn = bool(answered and info.status & ASK_WITHDRAWN)
         call.inherited = answered or self._caller.begun() or self._withdraw(call)
         if not call.inherited:
             self._open_call, call.ended = None, True

@@ -23,12 +23,14 @@ from rosplc.ros import EndpointStatus, Reply
 from rosplc.ros.lifecycle import LifecycleBackend
 from rosplc.shm import SERVICE, Answerer, Attached, Caller, Namespace, Part, Reader, SlotInfo, Writer, attach
 from rosplc.shm.constants import (
+    ANSWER_ACCEPTED,
     ANSWER_DONE,
     ANSWER_FATE_UNKNOWN,
     ANSWER_NOT_EXECUTED,
     ANSWER_UNREADABLE,
     ASK_CALL,
     ASK_WITHDRAWN,
+    WRITER_LINE,
 )
 from tests.lib.clock import SteppedClock
 
@@ -825,6 +827,75 @@ def test_a_backend_without_services(make: Make) -> None:
     cell = make("ros")
     with pytest.raises(BackendError, match="carries no services"):
         cell.use.connect(Ros(capabilities=frozenset({"topics"})))  # type: ignore[arg-type]
+
+
+def test_an_answer_that_ends_no_call_does_not_stop_the_service(make: Make) -> None:
+    """As from a program that takes the service for an action, or from a damaged slot."""
+    cell = make("plc")
+    plc = cell.attach()
+    info = begun(cell)
+    plc.send({}, correlation=info.correlation, status=ANSWER_ACCEPTED, client=info.client)
+    cell.turn()
+    assert (cell.status.outstanding, cell.status.strays) == (1, 1)
+    plc.answer(info, success=True)
+    cell.turn()
+    plc.answer(begun(cell, B), success=True)
+    cell.turn()
+    assert cell.status.done == 2
+
+
+def test_a_call_that_could_not_be_handed_out_was_not_executed(make: Make) -> None:
+    """The claim was lost before it was published: it waits for the next objects."""
+    cell = make("plc")
+    plc = cell.attach()
+    cell.use._channels[0].region.store(WRITER_LINE["writer_epoch"], 12345)
+    cell.ros.ask(A)
+    cell.turn(0.02, 10)
+    assert cell.status.fate_unknown == {}
+    plc.answer(begun_by(plc))
+    cell.turn()
+    assert cell.status.done == 1
+
+
+def test_a_call_whose_withdrawal_failed_is_not_handed_out_again(make: Make) -> None:
+    """The PLC may begin it still: nobody has told it not to."""
+    cell = make("plc", "expire_after: 200ms")
+    plc = cell.attach()
+    cell.ros.ask(A)
+    cell.turn()
+    cell.use._channels[0].region.store(WRITER_LINE["writer_epoch"], 12345)
+    take_all, begun_calls = plc.take, []
+    cell.turn(0.3)
+    found = take_all()
+    while found is not None:
+        begun_calls += [found[1].correlation] * (found[0] == "begin")
+        cell.turn()
+        found = take_all()
+    assert len(begun_calls) <= 1
+    assert cell.status.not_executed == {}
+    assert sum(cell.status.fate_unknown.values()) == 1
+
+
+def test_a_refusal_of_a_new_program_says_nothing_to_a_new_bridge(make: Make) -> None:
+    """The program before had begun the call; the one after it found it withdrawn, and no bridge heard that."""
+    cell = make("plc")
+    plc = cell.attach()
+    begun(cell)
+    plc.leave()
+    cell.plcs.clear()
+    again = cell.plc = Plc(cell)
+    cell.plcs.append(again)
+    use: Any = cell.use
+    use._caller.lost(partial(use._send, use._open_call.record))
+    cell.kill()  # before it told the caller
+    found = again.take()
+    assert found is not None
+    assert found[1].status & ASK_WITHDRAWN
+    again.answer(found[1], ANSWER_NOT_EXECUTED, Reason.CALLER_GONE)  # M29: it knows no more
+    cell.bridge()
+    cell.turn(0.02, 3)
+    assert cell.status.not_executed == {}
+    assert sum(cell.status.fate_unknown.values()) == 1
 
 
 def test_a_managed_bridge_answers_an_earlier_ones_caller_once_it_is_active(make: Make) -> None:
