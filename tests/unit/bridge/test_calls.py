@@ -877,7 +877,7 @@ def test_a_call_whose_withdrawal_failed_is_not_handed_out_again(make: Make) -> N
 
 
 def test_a_refusal_of_a_new_program_says_nothing_to_a_new_bridge(make: Make) -> None:
-    """The program before had begun the call; the one after it found it withdrawn, and no bridge heard that."""
+    """The program before had begun the call; the one after it found it withdrawn, with no bridge there."""
     cell = make("plc")
     plc = cell.attach()
     begun(cell)
