@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import socket
 import threading
 from types import SimpleNamespace
@@ -19,6 +20,7 @@ from rosplc.ros.rospy.handshake import Definition, mismatch
 from rosplc.ros.rospy.inbound import Incoming, RospySubscription, cut
 from rosplc.ros.rospy.master import Master, read_address
 from rosplc.ros.rospy.outbound import Outgoing, _Queue
+from rosplc.ros.rospy.services import RospyClient, _Link
 from rosplc_bench.process import free_port
 from tests.lib.clock import SteppedClock
 
@@ -236,6 +238,46 @@ def test_subscriber_that_does_not_read_holds_the_newest_messages() -> None:
         queue.close()
     assert 0 < lost < 9
     assert got == [*messages[: len(got) - 3], *messages[-3:]]
+
+
+# -- services
+
+
+def service_client(monkeypatch: pytest.MonkeyPatch, host: str) -> RospyClient:
+    """Return a client whose server has registered itself at a host."""
+    node = SimpleNamespace(
+        clock=SYSTEM,
+        node="/n",
+        logger=logging.getLogger("rosplc.ros.rospy"),
+        connecting=threading.BoundedSemaphore(1),
+        wake=lambda: None,
+        usable=lambda: None,
+        service_md5=lambda _: "0",
+        servers=lambda _: frozenset({"/server"}),
+    )
+    monkeypatch.setattr(RospyClient, "_lookup", lambda _: (host, 80))
+    return RospyClient(node, "/s", "std_srvs/srv/Trigger", Qos())
+
+
+def test_a_server_at_a_host_that_cannot_be_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is not ready; a call that is made all the same was certainly not executed."""
+    client = service_client(monkeypatch, "a..b")
+    client._look()
+    assert "cannot be called" in client.problem[1]
+    assert not client.ready
+    assert client._exchange(_Link(), b"").outcome == "not executed"
+
+
+def test_without_a_thread_a_service_is_not_called(monkeypatch: pytest.MonkeyPatch) -> None:
+    client = service_client(monkeypatch, "127.0.0.1")
+
+    def none(_: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(threading.Thread, "start", none)
+    reply = client._send(1, b"")
+    assert reply is not None
+    assert (reply.outcome, client._links) == ("not executed", {})
 
 
 # -- the master

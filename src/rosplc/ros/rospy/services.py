@@ -19,7 +19,7 @@ from rosplc.ros._base import BaseClient, BaseEndpoint, KeepingServer, Problem
 from rosplc.ros.backend import Reply
 from rosplc.ros.rospy import handshake
 from rosplc.ros.rospy.handshake import ANY, HandshakeError
-from rosplc.ros.rospy.master import Master, RefusedError, UnreachableError
+from rosplc.ros.rospy.master import Master
 
 MOST_CALLERS = 1000  # connections to all services of a node
 MOST_CALLS = 64  # calls of one client at once; each has a thread
@@ -318,7 +318,7 @@ class RospyClient(_Service, BaseClient):
                 problem = ("ROS003", f"{does}, here it is {self.type_name}")
             elif md5 not in (ANY, self._md5):
                 problem = ("ROS003", f"{does} with another definition (md5 {md5} there, {self._md5} here)")
-        except (OSError, HandshakeError, UnreachableError, RefusedError) as error:
+        except Exception as error:  # a host's name that cannot be one is a UnicodeError
             problem = ("", f"service {self.topic} is registered, but its server cannot be called: {error}")
         finally:
             with self._lock:
@@ -367,7 +367,12 @@ class RospyClient(_Service, BaseClient):
                 return Reply(None, "not executed", Reason.QUEUE_FULL, why)
             self._links[number] = link
         arguments = (number, link, payload)
-        threading.Thread(target=self._run, args=arguments, name="rosplc-call", daemon=True).start()
+        try:
+            threading.Thread(target=self._run, args=arguments, name="rosplc-call", daemon=True).start()
+        except RuntimeError as error:  # no more threads
+            with self._lock:
+                self._links.pop(number, None)
+            return Reply(None, "not executed", Reason.QUEUE_FULL, f"{self.topic} cannot be called: {error}")
         return None
 
     def _run(self, number: int, link: _Link, payload: bytes) -> None:
@@ -386,7 +391,7 @@ class RospyClient(_Service, BaseClient):
             sock = self._reach()
             if not link.begin(sock):
                 return Reply(text="nobody waits for it any more")
-        except (OSError, HandshakeError, UnreachableError, RefusedError) as error:
+        except Exception as error:  # whatever it is: nothing was sent
             self._look_again()
             return Reply(None, "not executed", Reason.NO_SERVER, f"{self.topic} cannot be called: {error}")
         try:
