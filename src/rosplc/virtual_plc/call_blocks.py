@@ -263,6 +263,7 @@ class ServiceServer(_ServiceBlock):
         self._waiting: SlotInfo | None = None  # taken, and neither shown nor refused
         self._shown: SlotInfo | None = None
         self._answer: partial[None] | None = None  # to be sent as soon as the object is open
+        self._ended = 0  # the correlation of the call answered last
         self._orphan = False  # the object of the call that is shown is gone
         self._object = self._since_ns = 0
 
@@ -309,7 +310,9 @@ class ServiceServer(_ServiceBlock):
         info, shown = self._in.take(), self._shown
         if info is not None:
             fresh, self._in.fresh = self._in.fresh, False
-            if shown is not None and info.correlation == shown.correlation and not self._orphan:
+            if info.correlation == self._ended:
+                pass  # it has its answer, and only the newest is read
+            elif shown is not None and info.correlation == shown.correlation and not self._orphan:
                 self.xCallerGone = self.xCallerGone or bool(info.status & ASK_WITHDRAWN)
             elif info.status & ASK_WITHDRAWN:
                 self._waiting = None  # this very call, or one that has ended
@@ -340,7 +343,7 @@ class ServiceServer(_ServiceBlock):
         assert layout is not None
         message = layout.view(layout.pack(self.response) if status == ANSWER_DONE else layout.initial())
         words = {"correlation": info.correlation, "client": info.client, "status": status, "reason": reason}
-        self._answer = partial(self._out.publish, message, **words)
+        self._answer, self._ended = partial(self._out.publish, message, **words), info.correlation
 
 
 class ServiceClient(_ServiceBlock):

@@ -254,6 +254,19 @@ def test_a_call_withdrawn_while_another_is_in_hand_is_never_shown(sides: Sides) 
     assert (block.xRequest, block.udiCalls) == (False, 1)
 
 
+def test_a_call_that_was_answered_and_is_then_withdrawn(sides: Sides) -> None:
+    """There is no second answer: only the newest is read, and it would say that nothing was executed."""
+    side, block = sides("plc")
+    side.call()
+    side.scan(block)
+    block.xReply = True
+    side.scan(block)
+    side.withdraw()
+    side.scan(block, 2)
+    assert side.took().status == ANSWER_DONE
+    assert not block.xRequest
+
+
 def test_an_object_that_is_retired_while_a_call_is_begun(
     sides: Sides, monkeypatch: pytest.MonkeyPatch
 ) -> None:
