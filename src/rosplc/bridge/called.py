@@ -46,10 +46,7 @@ class Called(Use):
             return
         head, epoch, beat, beat_ms = self._channels[1].region.words(WRITER_LINE["head"], 4)
         self._observe(epoch, beat, head, beat_ms, now_ns)
-        while self.events:
-            correlation, reply = self.events.popleft()
-            if correlation == self._open_call:
-                self._pass_on(reply, now_ns)
+        self._hear(now_ns)
         client = self._endpoint
         ready = client is not None and client.ready
         if ready is not self._ready:
@@ -63,6 +60,13 @@ class Called(Use):
         if waits and epoch and self._peer.alive and (ready or self._open_call is not None):
             self._take(self._reader, self._answerer, now_ns)
         self.due_ns = now_ns + (LOOK_NS if waits or self._open_call is not None else IDLE_NS)
+
+    def _hear(self, now_ns: int) -> None:
+        """Pass on what the ROS side has told."""
+        while self.events:
+            correlation, reply = self.events.popleft()
+            if correlation == self._open_call:
+                self._pass_on(reply, now_ns)
 
     def _take(self, reader: Reader, answerer: Answerer, now_ns: int) -> None:
         while (found := reader.latest_wire(self._codecs[Part.REQUEST].plan)) is not None:
@@ -138,8 +142,9 @@ class Called(Use):
             self._answer("fate unknown", Reason.BRIDGE_RESTARTED, self._now())
 
     def _let_go(self, now_ns: int) -> None:
-        if self._open_call is not None:
-            with suppress(RosplcError, OSError, ValueError, AssertionError):
+        with suppress(RosplcError, OSError, ValueError, AssertionError):
+            self._hear(now_ns)
+            if self._open_call is not None:
                 self._give_up(Reason.BRIDGE_RESTARTED, now_ns)
 
     def finish(self, now_ns: int) -> None:

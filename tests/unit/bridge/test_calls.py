@@ -953,3 +953,15 @@ def test_a_plc_that_starts_again_while_its_call_is_being_sent(make: Make) -> Non
     found = lives[0].take()
     assert found is not None
     assert found[1].status == ANSWER_DONE
+
+
+def test_an_answer_that_has_come_is_passed_on_before_the_bridge_stops(make: Make) -> None:
+    cell = make("ros")
+    plc = cell.attach()
+    plc.call()
+    cell.turn()
+    cell.ros.on_reply(Reply(wire(Part.RESPONSE, success=True)))
+    cell.use.finish(cell.clock.monotonic_ns())
+    found = plc.take()
+    assert found is not None
+    assert (found[1].status, cell.status.done) == (ANSWER_DONE, 1)
