@@ -149,7 +149,7 @@ class Served(Use):
         """Tell the PLC that nobody waits any more; return whether it may have begun (M26)."""
         assert self._caller is not None
         if call.withdrawn:
-            return self._caller.begun()
+            return True  # or it would have ended with that
         begun = self._caller.withdraw(partial(self._send, call.record))
         call.withdrawn = True  # only now: what could not be withdrawn may still begin
         return begun or call.inherited

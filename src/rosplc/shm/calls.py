@@ -51,6 +51,7 @@ class Caller:
         self._client = b""
         self._claim = 0
         self._first = 0
+        self._begun = False  # what was taken stays so, whatever the line says later
 
     def claim(self) -> int:
         """Return the answerer's claim of line 0; 0: nobody acts on calls, and none may be handed out."""
@@ -66,7 +67,7 @@ class Caller:
         send(correlation=correlation, status=spec.ASK_CALL, client=client)
         self.correlation, self._counter = correlation, counter
         self._client = client
-        self._first = self._writer.head
+        self._first, self._begun = self._writer.head, False
         return correlation
 
     def again(self, send: Send, status: int) -> None:
@@ -79,14 +80,15 @@ class Caller:
         If not, it has ended and was not executed. If so, it remains open: an answer may still come.
         """
         self.again(send, spec.ASK_WITHDRAWN)
-        if begun := self._writer.begun(self._first):
-            return begun
+        if self.begun():
+            return True
         self.correlation = 0
         return False
 
     def begun(self) -> bool:
         """Return whether the answerer may have begun the open call; sure once it is withdrawn."""
-        return self._writer.begun(self._first)
+        self._begun = self._begun or self._writer.begun(self._first)
+        return self._begun
 
     def lost(self, send: Send) -> int:
         """Return how the open call has ended since the answerer's claim has changed (M27); 0 if not."""
@@ -100,7 +102,7 @@ class Caller:
 
     def retired(self) -> int:
         """Return how the open call has ended because the objects were retired or replaced; for a PLC."""
-        return self._end(self._writer.begun(self._first)) if self.correlation else 0
+        return self._end(self.begun()) if self.correlation else 0
 
     def answer(self, info: SlotInfo) -> int:
         """Return the answer, ``info.status & ANSWER_MASK``, that a message is to the open call; 0 if none."""
@@ -121,7 +123,7 @@ class Caller:
         of_this_call = last is None or last.correlation == info.correlation
         self.correlation, self._client = info.correlation, info.client
         self._first = taken if taken and of_this_call else info.sequence
-        self._claim = self.claim()
+        self._claim, self._begun = self.claim(), False
 
     def _end(self, begun: bool) -> int:
         self.correlation = 0

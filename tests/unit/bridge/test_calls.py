@@ -30,7 +30,9 @@ from rosplc.shm.constants import (
     ANSWER_UNREADABLE,
     ASK_CALL,
     ASK_WITHDRAWN,
+    READER_LINE,
     WRITER_LINE,
+    reader_line,
 )
 from tests.lib.clock import SteppedClock
 
@@ -864,13 +866,13 @@ def test_a_call_whose_withdrawal_failed_is_not_handed_out_again(make: Make) -> N
     cell.ros.ask(A)
     cell.turn()
     cell.use._channels[0].region.store(WRITER_LINE["writer_epoch"], 12345)
-    take_all, begun_calls = plc.take, []
+    begun_calls: list[int] = []
     cell.turn(0.3)
-    found = take_all()
+    found = plc.take()
     while found is not None:
         begun_calls += [found[1].correlation] * (found[0] == "begin")
         cell.turn()
-        found = take_all()
+        found = plc.take()
     assert len(begun_calls) <= 1
     assert cell.status.not_executed == {}
     assert sum(cell.status.fate_unknown.values()) == 1
@@ -932,7 +934,8 @@ def test_a_plc_that_starts_again_while_its_call_is_being_sent(make: Make) -> Non
     """What the new program asks for at once is not lost."""
     cell = make("ros")
     plc = cell.attach()
-    send, lives = cell.ros.call, []
+    lives: list[Plc] = []
+    send = cell.ros.call
 
     def slow(payload: bytes, on_reply: Callable[[Reply], None]) -> int:
         if not lives:
@@ -965,3 +968,28 @@ def test_an_answer_that_has_come_is_passed_on_before_the_bridge_stops(make: Make
     found = plc.take()
     assert found is not None
     assert (found[1].status, cell.status.done) == (ANSWER_DONE, 1)
+
+
+@pytest.mark.parametrize("gone", [False, True])
+def test_a_call_that_was_begun_stays_so_whatever_the_line_says_later(make: Make, gone: bool) -> None:
+    """As after a stray pointer of the PLC's: the call was executed, and the next one is handed out."""
+    cell = make("plc", "expire_after: 200ms")
+    plc = cell.attach()
+    info = begun(cell)
+    cell.turn()
+    if gone:
+        cell.ros.gone.add(A)
+        cell.turn()
+    cell.use._channels[0].region.store(reader_line(0) + READER_LINE["taken"], 0)
+    if gone:
+        plc.die()  # for a while
+    cell.turn(0.1, 10)
+    vars(plc).pop("beat", None)
+    cell.turn(0.02, 4)
+    assert cell.status.not_executed == {}
+    plc.answer(info)
+    cell.turn(0.02, 2)
+    assert (plc.take() is None) is not gone
+    plc.answer(begun(cell, B))
+    cell.turn()
+    assert cell.status.done == 2 - gone
