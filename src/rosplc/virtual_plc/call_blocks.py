@@ -459,9 +459,10 @@ class ServiceClient(_ServiceBlock):
         if status == ANSWER_DONE:
             self.response = self._in.msg
             self._conclude(None)
-        elif status in _OUTCOMES:
+        elif status and not self._caller.correlation:  # ended, and never to be called again
             known = info.reason in list(Reason)
-            self._conclude(_OUTCOMES[status], Reason(info.reason) if known else Reason.NONE)
+            outcome = _OUTCOMES.get(status, ErrorNumber.FATE_UNKNOWN)
+            self._conclude(outcome, Reason(info.reason) if known else Reason.NONE)
 
     def _decide(self, scan: Scan) -> None:
         over = bool(self._limit_ns) and scan.now_ns - self._since_ns > self._limit_ns

@@ -18,6 +18,7 @@ from rosplc.shm.constants import (
     ANSWER_DONE,
     ANSWER_FATE_UNKNOWN,
     ANSWER_NOT_EXECUTED,
+    ANSWER_SUCCEEDED,
     ANSWER_UNREADABLE,
     ErrorNumber,
 )
@@ -276,7 +277,7 @@ def test_an_object_that_is_retired_while_a_call_is_begun(
     take = block._in.take
 
     def retired_behind() -> SlotInfo | None:
-        info = take()
+        info: SlotInfo | None = take()
         if info is not None:
             for channel in side.channels:
                 retire_file(os.open(channel.path, os.O_RDWR))
@@ -303,6 +304,7 @@ def started(side: Side, block: ServiceClient, timeout: float = 0.0) -> SlotInfo:
         (ANSWER_FATE_UNKNOWN, Reason.SERVER_GONE, ErrorNumber.FATE_UNKNOWN),
         (ANSWER_UNREADABLE, Reason.TOO_LARGE, ErrorNumber.UNREADABLE),
         (ANSWER_NOT_EXECUTED, 99, ErrorNumber.NOT_EXECUTED),
+        (ANSWER_SUCCEEDED, 0, ErrorNumber.FATE_UNKNOWN),  # of an action: the call has ended all the same
     ],
 )
 def test_ends_of_a_call(sides: Sides, status: int, reason: int, outcome: ErrorNumber | None) -> None:
