@@ -30,8 +30,6 @@ from rosplc.cli import (
     web,
 )
 
-__all__ = ["app"]
-
 _EXAMPLES = """Examples:
 
 rosplc demo  —  see it work, without a robot and without a PLC

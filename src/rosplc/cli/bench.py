@@ -14,8 +14,6 @@ import typer
 from rosplc.cli.text import warn
 from rosplc.cli.verb import EXIT_CONFIG, verb
 
-__all__ = ["command"]
-
 
 @verb
 def command(

@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from rosplc.config.services import ServicePlan
     from rosplc.layout import Layout
 
-__all__ = ["command"]
-
 
 _SCREEN = 24
 """Lines that are printed without --verbose."""

@@ -29,8 +29,6 @@ from rosplc.harmless import plural
 if TYPE_CHECKING:
     from rosplc.shm import Namespace
 
-__all__ = ["command"]
-
 
 @verb
 def command(

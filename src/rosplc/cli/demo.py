@@ -42,8 +42,6 @@ if TYPE_CHECKING:
     from rosplc.demo.plan import Plan
     from rosplc.demo.result import Outage, Result
 
-__all__ = ["command"]
-
 
 _UNATTENDED = 20.0
 

@@ -31,8 +31,6 @@ if TYPE_CHECKING:
 
     from rosplc.doctor import Report
 
-__all__ = ["command"]
-
 
 _STYLES = {"error": "bold red", "warning": "bold yellow", "note": "cyan", "ok": "green"}
 _WIDTH = 80

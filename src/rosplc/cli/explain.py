@@ -20,8 +20,6 @@ from rosplc.cli.verb import verb
 from rosplc.errors import CODES
 from rosplc.harmless import nearest
 
-__all__ = ["command"]
-
 
 @verb
 def command(code: str | None = None, /, *, as_json: bool = False) -> None:

@@ -20,8 +20,6 @@ from rosplc.cli.text import print_json, say
 from rosplc.cli.verb import verb
 from rosplc.harmless import plural
 
-__all__ = ["command"]
-
 
 @verb
 def command(

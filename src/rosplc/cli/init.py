@@ -35,8 +35,6 @@ from rosplc.harmless import plural
 if TYPE_CHECKING:
     from rosplc.init import Draft, Source, Topic, Wish
 
-__all__ = ["command"]
-
 _LONGEST = 40
 
 

@@ -16,24 +16,6 @@ from rosplc.errors import ConfigError, SetupError
 if TYPE_CHECKING:
     from rosplc.monitor import Picture, Watch
 
-__all__ = [
-    "ConfigFile",
-    "Configs",
-    "Directory",
-    "Prefix",
-    "StaleAfter",
-    "config_file",
-    "default_config",
-    "duration",
-    "need_extra",
-    "nothing_there",
-    "observed_config",
-    "open_watch",
-    "parsed",
-    "settled",
-    "size",
-]
-
 _DEFAULT = Path("rosplc.yaml")
 _NAMED = 4
 _LOOK_NS = 100_000_000

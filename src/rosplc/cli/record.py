@@ -38,8 +38,6 @@ from rosplc.harmless import in_bytes, plural
 if TYPE_CHECKING:
     from rosplc.recorder import Recorder, RecordingOptions, Result
 
-__all__ = ["command"]
-
 
 _TURN_S = 0.1
 

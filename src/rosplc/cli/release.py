@@ -26,8 +26,6 @@ from rosplc.errors import ChannelError
 if TYPE_CHECKING:
     from rosplc.shm import Attached, Namespace
 
-__all__ = ["command"]
-
 
 _LOOK_S = 0.02
 

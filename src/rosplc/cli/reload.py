@@ -20,8 +20,6 @@ from rosplc.cli.text import say
 from rosplc.cli.verb import verb
 from rosplc.errors import ChannelError, SetupError
 
-__all__ = ["command"]
-
 
 @verb
 def command(

@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from rosplc.recorder.replay import Player, ReplayOptions, Target
     from rosplc.recorder.source import Source, SourceTopic
 
-__all__ = ["command"]
-
 
 _WAYS = {"to_plc": "→ PLC", "to_ros": "→ ROS", "": ""}
 

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from rosplc.init.definitions import Definitions
     from rosplc.ros import Backend
 
-__all__ = ["ECHO", "HZ", "LIST", "PUB"]
-
 _LOOK_S = 5.0
 """How long to look for a topic at most; the graph is complete earlier where it is small."""
 _WINDOW = 10_000

@@ -16,8 +16,6 @@ from rosplc.layout import Limits, compute_layout
 from rosplc.layout.compute import limit_paths
 from rosplc.model import ArrayType, NamedType, PrimitiveType, SequenceType, TypeStore
 
-__all__ = ["Reader", "Writer", "as_python", "as_yaml"]
-
 _SHOWN = 128
 """Elements and characters that are shown of a long array or string, as ``ros2 topic echo`` does."""
 _MOST_PER_BYTE, _MOST_SPARE = 64, 1 << 24

@@ -25,8 +25,6 @@ from typer.core import TyperCommand
 from rosplc.cli.options import ConfigFile, config_file
 from rosplc.cli.verb import Between, verb
 
-__all__ = ["RosCommand", "command"]
-
 _KEY = "rosplc.ros_arguments"
 
 

@@ -28,8 +28,6 @@ from rosplc.errors import SetupError
 if TYPE_CHECKING:
     from rosplc.service.install import Step
 
-__all__ = ["command"]
-
 
 @verb
 def command(

@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from rosplc.monitor import CallObject, ChannelView, ObjectState
     from rosplc.monitor.classic import ClassicState
 
-__all__ = ["command", "lines_of"]
-
 _LEAST_S, _MOST_S = 0.1, 1.2
 _WAYS = {"to_plc": "→ PLC", "to_ros": "→ ROS"}
 

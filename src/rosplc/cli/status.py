@@ -31,8 +31,6 @@ from rosplc.harmless import plural
 if TYPE_CHECKING:
     from rosplc.monitor import Picture, Watch
 
-__all__ = ["command"]
-
 
 _LEAST_SECONDS = 1.0
 _MOST_SECONDS = 31.0

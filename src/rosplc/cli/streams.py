@@ -7,8 +7,6 @@ import os
 import sys
 from pathlib import Path
 
-__all__ = ["prepare_streams"]
-
 
 def prepare_streams() -> None:
     """Give closed standard streams a place to go, and make every character printable.

@@ -19,18 +19,6 @@ import typer
 
 from rosplc.harmless import harmless, shorten
 
-__all__ = [
-    "ProgressLine",
-    "columns",
-    "finite",
-    "print_json",
-    "say",
-    "table",
-    "terminal_width",
-    "warn",
-    "wrap",
-]
-
 _GAP = 2
 _LEAST = 12
 """Characters that a column of names or sentences keeps at least."""

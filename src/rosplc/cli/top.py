@@ -23,8 +23,6 @@ from rosplc.cli.options import Configs, Directory, Prefix, StaleAfter, need_extr
 from rosplc.cli.verb import Between, verb
 from rosplc.errors import SetupError
 
-__all__ = ["command"]
-
 
 @verb
 def command(

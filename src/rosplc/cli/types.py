@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from rosplc.layout import Layout, Limits, Node
     from rosplc.model import MessageType, TypeStore
 
-__all__ = ["command"]
-
 
 @verb
 def command(

@@ -23,17 +23,6 @@ from rosplc.cli.text import finite, warn
 from rosplc.errors import ConfigError, RosplcError, SetupError
 from rosplc.harmless import harmless
 
-__all__ = [
-    "EXIT_CONFIG",
-    "EXIT_ENDED",
-    "EXIT_FAILURE",
-    "EXIT_INTERRUPTED",
-    "EXIT_PIPE",
-    "Between",
-    "is_out_of_memory",
-    "verb",
-]
-
 EXIT_FAILURE = 1
 EXIT_CONFIG = 2
 EXIT_ENDED = 3

@@ -33,8 +33,6 @@ from rosplc.harmless import log_to_stderr
 if TYPE_CHECKING:
     from rosplc.web import Settings
 
-__all__ = ["command"]
-
 
 @verb
 def command(

@@ -16,8 +16,6 @@ from rosplc.bridge.run import run_bridge
 from rosplc.demo.processes import remove_objects, report
 from rosplc.errors import RosplcError
 
-__all__ = ["main"]
-
 
 def _end_with_parent() -> None:
     for line in sys.stdin:

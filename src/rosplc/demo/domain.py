@@ -8,8 +8,6 @@ from contextlib import ExitStack
 
 from rosplc.errors import SetupError
 
-__all__ = ["FreeDomain"]
-
 _FIRST, _LAST = 1, 101  # above 101 the ports meet those that Linux gives to clients
 _PARTICIPANTS = 8
 

@@ -14,18 +14,6 @@ from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from typing import Any
 
-__all__ = [
-    "COMMAND",
-    "Kind",
-    "Opened",
-    "Tally",
-    "Turtle",
-    "command",
-    "open_command",
-    "robot_topics",
-    "steer",
-]
-
 SECOND_NS = 1_000_000_000
 
 _JOINTS = tuple(f"wheel_{side}_{end}" for end in ("front", "rear") for side in ("left", "right"))

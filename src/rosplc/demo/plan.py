@@ -10,8 +10,6 @@ from typing import Any
 
 from rosplc.demo.messages import COMMAND, robot_topics
 
-__all__ = ["Plan"]
-
 
 @dataclass(frozen=True, slots=True)
 class Plan:

@@ -14,8 +14,6 @@ from rosplc.demo.processes import Commands
 from rosplc.demo.task import Arrivals, serve_demo
 from rosplc.virtual_plc import ReadBlock, WriteBlock
 
-__all__ = ["main"]
-
 
 class Program:
     """The PLC program: reads every topic, computes the command from the pose."""

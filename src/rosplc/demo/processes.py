@@ -19,8 +19,6 @@ from typing import Any
 
 from rosplc.errors import SetupError
 
-__all__ = ["Child", "Commands", "remove_objects", "report"]
-
 _lock = threading.Lock()
 
 

@@ -8,8 +8,6 @@ from typing import Any
 
 from rosplc.demo.messages import COMMAND
 
-__all__ = ["Flow", "Outage", "Result", "collect"]
-
 _COUNTERS = ("sent", "received", "lost", "torn", "repeated")
 
 

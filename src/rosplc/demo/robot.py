@@ -19,8 +19,6 @@ from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.ros import Qos, open_backend
 
-__all__ = ["main"]
-
 _STATUS_SECONDS = 0.1
 _SENDS = Qos(reliability="reliable", durability="volatile", depth=1000)
 # The bridge latches what it sends, so a bridge that was restarted still hands over the commands

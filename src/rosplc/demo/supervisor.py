@@ -16,8 +16,6 @@ from rosplc.demo.processes import Child, remove_objects
 from rosplc.demo.result import Outage, Result, collect
 from rosplc.errors import SetupError
 
-__all__ = ["Demo"]
-
 _POLL = 0.05
 _KILL_AFTER = 5.0
 _DOWN_SECONDS = 0.5

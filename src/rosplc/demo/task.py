@@ -12,8 +12,6 @@ from rosplc.demo.messages import Opened, Tally
 from rosplc.demo.processes import Commands, report
 from rosplc.virtual_plc import CycleStats, VirtualPlc
 
-__all__ = ["Arrivals", "Program", "serve", "serve_demo"]
-
 _STATUS_SECONDS = 0.1
 _AGES_KEPT = 200_000
 

@@ -14,8 +14,6 @@ from rosplc.demo.messages import COMMAND, robot_topics
 from rosplc.demo.supervisor import Demo
 from rosplc.monitor.tracked import Rate
 
-__all__ = ["LiveView"]
-
 # Columns of the terminal from which on the table has room for everything; a narrow one must still
 # show topics and numbers whole, so it does without the types and what the counts tell anyway.
 _WIDE = 104

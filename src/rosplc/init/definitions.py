@@ -14,8 +14,6 @@ from rosplc.errors import MessageTypeError, RosplcError
 from rosplc.model import TypeStore, split_definition
 from rosplc.model.parse import MAX_TEXT, full_name, parse_definition
 
-__all__ = ["Definitions"]
-
 _MOST_TYPES = 500  # one type's definition has a handful
 _SEPARATOR = "=" * 80
 

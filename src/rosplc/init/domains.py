@@ -10,8 +10,6 @@ import struct
 import time
 from pathlib import Path
 
-__all__ = ["domains_in_use", "elsewhere"]
-
 _GROUP = "239.255.0.1"
 _BASE, _GAIN, _LAST = 7400, 250, 101
 """RTPS 2.5, 9.6.1: the port of a domain's discovery by multicast; beyond 101 the kernel gives ports away."""

@@ -10,8 +10,6 @@ from rosplc.init.definitions import Definitions
 from rosplc.init.meter import Seen
 from rosplc.ros import Qos
 
-__all__ = ["Found", "Source", "Topic"]
-
 
 @dataclass(frozen=True)
 class Topic:

@@ -22,8 +22,6 @@ from rosplc.init.meter import Meter, Sample, Seen
 from rosplc.model import DISTROS, TypeStore
 from rosplc.ros import ROS1, Backend, Choice, EndpointInfo, GraphInfo, Qos, choose, settled_graph
 
-__all__ = ["NODE", "LiveRobot", "distro_here", "matching"]
-
 NODE = "rosplc_init"
 _ANY = "*"
 """What ROS 1's master says where nobody has told the type."""

@@ -21,8 +21,6 @@ from rosplc.model import (
     TypeStore,
 )
 
-__all__ = ["Length", "Meter", "Sample", "Seen"]
-
 _MOST_VISITS = 100_000
 """Values looked at in one message; a point cloud's bytes are one, its fields another ten."""
 

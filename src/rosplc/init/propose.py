@@ -19,8 +19,6 @@ from rosplc.layout.compute import limit_paths
 from rosplc.layout.nodes import SequenceNode, StringNode
 from rosplc.model import TypeStore
 
-__all__ = ["RULES", "Entry", "Limit", "Setting", "direction", "is_of_ros_itself", "propose"]
-
 _STRING_HEADROOM, _STRING_STEP, _STRING_LEAST = 2.0, 16, 48
 _SEQUENCE_HEADROOM, _SEQUENCE_STEP = 1.5, 4
 _RATE_HEADROOM, _RATE_STEP = 1.5, 100

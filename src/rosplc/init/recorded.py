@@ -18,8 +18,6 @@ from rosplc.recorder.mcap_file import survey
 from rosplc.ros import ROS1
 from rosplc.ros.bag import Bag, BagTopic
 
-__all__ = ["RecordedRobot"]
-
 _NEWEST = "jazzy"
 _UNNAMED = "unnamed"
 _WAYS: dict[str, Literal["plc", "ros"]] = {"to_plc": "plc", "to_ros": "ros"}

@@ -14,8 +14,6 @@ from rosplc.init.propose import direction, is_of_ros_itself
 from rosplc.model.parse import full_name
 from rosplc.ros.names import validate_topic
 
-__all__ = ["Chosen", "Wish", "parse_wish", "select"]
-
 To = Literal["plc", "ros"]
 _GLOB = frozenset("*?[")
 

@@ -22,15 +22,6 @@ from rosplc.init.propose import RULES, Entry, propose
 from rosplc.init.select import Chosen
 from rosplc.model import save_definitions
 
-__all__ = [
-    "Draft",
-    "configuration",
-    "draft",
-    "refuse_to_overwrite",
-    "save",
-    "write_file",
-]
-
 _WIDTH = 108
 _PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 

@@ -13,8 +13,6 @@ from typing import Any
 import rosplc
 from rosplc.errors import GenerationError, SetupError
 
-__all__ = ["Translator", "find_translator"]
-
 
 @dataclass(frozen=True)
 class Translator:

@@ -24,8 +24,6 @@ from rosplc.errors import CODES, RosplcError, SetupError
 from rosplc.layout import Layout
 from rosplc.plc.names import instance_names
 
-__all__ = ["main"]
-
 
 class Word:
     """A BOOL or UINT or UDINT of the PLC's memory, by its path."""

@@ -14,18 +14,6 @@ from rosplc.demo.plan import Plan
 from rosplc.plc.names import instance_names
 from rosplc.plc.project import Gvl, PlcProject, Pou, Variable, project_texts
 
-__all__ = [
-    "CONFIGURATION",
-    "INBOX",
-    "MAIN",
-    "READ",
-    "RECORDER",
-    "WRITE",
-    "read_texts",
-    "write_configuration",
-    "write_texts",
-]
-
 CONFIGURATION = "rosplc.yaml"
 # The task's programs in the order of their calls.
 READ, RECORDER, MAIN, WRITE = "SharedMemory_Read", "Demo_Recorder", "PLC_PRG", "SharedMemory_Write"
