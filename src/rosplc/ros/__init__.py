@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from rosplc.clock import SYSTEM, Clock
 from rosplc.errors import BackendError
+from rosplc.ros.actions import ActionClient, ActionServer, GoalEvent, GoalStatus
 from rosplc.ros.arguments import Remapping, RosArguments, split_arguments
 from rosplc.ros.backend import (
     DEFAULT,
@@ -42,10 +43,14 @@ __all__ = [
     "ROS1",
     "SENSOR_DATA",
     "SERVICES",
+    "ActionClient",
+    "ActionServer",
     "Backend",
     "Choice",
     "EndpointInfo",
     "EndpointStatus",
+    "GoalEvent",
+    "GoalStatus",
     "GraphInfo",
     "OnMessage",
     "OnReply",
@@ -59,6 +64,7 @@ __all__ = [
     "ServiceServer",
     "Subscription",
     "TypeSource",
+    "action_classes",
     "choose",
     "ended_for_good",
     "incompatibility",
@@ -111,3 +117,8 @@ def open_backend(
     others = {"remap": remap, "environment": environment, "options": options, "clock": clock}
     backend: Backend = module.open_backend(store, node_name, namespace, domain, **others)
     return backend
+
+
+def action_classes(store: TypeSource) -> tuple[type[ActionServer], type[ActionClient]]:
+    """Return the classes of an action's server and client, for the ROS that the types are of."""
+    return ActionServer, ActionClient
