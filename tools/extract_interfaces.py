@@ -34,9 +34,10 @@ PLAN = Path(__file__).with_name("interfaces.yaml")
 TARGET = Path(__file__).parents[1] / "src/rosplc/model/interfaces.txt"
 ORDER = ("humble", "jazzy", "kilted", "lyrical", "noetic")
 HEAD = """\
-# The services and actions of ROS distributions, without comments. Written by tools/extract_interfaces.py.
-# After each name: the distributions. Those of the tutorials (example_interfaces, turtlesim, turtlesim_msgs,
-# *_tutorials) are written by hand, the others were read from these packages:
+# The services and actions of ROS distributions, and messages that rosbags lacks, without comments. Written by
+# tools/extract_interfaces.py. After each name: the distributions. Messages, and what belongs to the tutorials
+# (example_interfaces, turtlesim, turtlesim_msgs, *_tutorials), are written by hand, the others were read from
+# these packages:
 """
 
 
