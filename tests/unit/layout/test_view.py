@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from rosplc.errors import LayoutError
 from rosplc.layout import Limits, compute_layout
-from rosplc.layout.multiarray import multiarray_index
 from rosplc.model import TypeStore
 
 JAZZY = TypeStore.bundled("jazzy")
@@ -112,28 +111,6 @@ def test_any_bytes_can_be_read(data: st.DataObject) -> None:
     view = layout.view(record)
     again = layout.pack(layout.to_dict(record))
     assert repr(layout.view(again)) == repr(view)
-
-
-def test_multiarray_elements_by_indices() -> None:
-    """Strides and offset of a MultiArray lead to the element; indices are checked."""
-    layout = compute_layout(JAZZY, "std_msgs/Int32MultiArray", Limits(sequence=20))
-    dim = [{"size": 2, "stride": 6}, {"size": 3, "stride": 3}, {"size": 1, "stride": 1}]
-    message = layout.view(layout.pack({"layout": {"dim": dim, "data_offset": 4}, "data": list(range(10))}))
-    assert [message.data[multiarray_index(message, i, j, 0)] for i in (0, 1) for j in (0, 1, 2)] == [
-        4,
-        5,
-        6,
-        7,
-        8,
-        9,
-    ]
-    for indices in ((0,), (0, 0, 1), (2, 0, 0), (0, -1, 0)):
-        with pytest.raises(LayoutError, match="LAY006"):
-            multiarray_index(message, *indices)
-    dim[1]["stride"] = 9
-    wrong = layout.view(layout.pack({"layout": {"dim": dim}, "data": list(range(10))}))
-    with pytest.raises(LayoutError, match="element 11 of 10"):
-        multiarray_index(wrong, 1, 2, 0)
 
 
 def test_an_excerpt_has_the_first_elements_and_knows_the_length() -> None:
