@@ -9,13 +9,14 @@ from dataclasses import dataclass
 from functools import partial
 
 from rosplc.bridge.port import Context
-from rosplc.bridge.use import ENDINGS, IDLE_NS, LOOK_NS, TOO_LARGE, WORDS, Outcome, Use
+from rosplc.bridge.use import ENDINGS, IDLE_NS, LOOK_NS, TOO_LARGE, Outcome, Use
 from rosplc.codec import Fault
 from rosplc.config.services import ServicePlan
 from rosplc.errors import ChannelError, RosplcError
 from rosplc.reasons import Reason
 from rosplc.ros import Backend, ServiceServer
 from rosplc.shm import Caller, Part, Reader, SlotInfo, Writer
+from rosplc.shm.calls import WORDS
 from rosplc.shm.constants import ASK_CALL, ASK_WITHDRAWN, reader_line
 
 _PATIENCE_NS = 10_000_000_000

@@ -19,6 +19,7 @@ from rosplc.errors import BackendError, ChannelError, RosplcError
 from rosplc.reasons import Reason
 from rosplc.ros import Backend, ServiceClient, ServiceServer
 from rosplc.shm import Group, OwnedChannel, Part, Peer, Reader, SlotInfo, Writer
+from rosplc.shm.calls import WORDS
 from rosplc.shm.constants import (
     ANSWER_DONE,
     ANSWER_FATE_UNKNOWN,
@@ -43,20 +44,6 @@ ENDINGS: dict[int, Outcome] = {
     ANSWER_UNREADABLE: "unreadable",
 }
 _CODES = {"not executed": "SHM140", "fate unknown": "SHM141", "unreadable": "SHM142"}
-WORDS = {
-    Reason.NONE: "no more is known",
-    Reason.NO_SERVER: "no server was ready",
-    Reason.TIME_OUT: "nothing came within the time given",
-    Reason.REJECTED: "it was refused",
-    Reason.QUEUE_FULL: "too many are waiting",
-    Reason.EXPIRED: "it has waited for too long",
-    Reason.CALLER_GONE: "the caller does not wait any more",
-    Reason.PLC_DOWN: "the PLC's program stopped, restarted or is silent",
-    Reason.BRIDGE_RESTARTED: "the bridge was restarted",
-    Reason.TOO_LARGE: "it does not fit the record",
-    Reason.SERVER_GONE: "the server left before it answered",
-    Reason.SERVER_FAILED: "the server answered that it failed",
-}
 
 
 class Use(Notes, ABC):

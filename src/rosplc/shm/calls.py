@@ -12,6 +12,7 @@ from typing import Final, Literal
 
 from rosplc._core import Reader, SlotInfo, Writer
 from rosplc.errors import ChannelError
+from rosplc.reasons import Reason
 from rosplc.shm import constants as spec
 from rosplc.shm.attach import Mapped
 from rosplc.shm.constants import READER_LINE
@@ -24,6 +25,21 @@ ENDS: Final = frozenset(
     }
 )
 """Answers that end a call."""
+WORDS: Final = {
+    Reason.NONE: "no more is known",
+    Reason.NO_SERVER: "no server was ready",
+    Reason.TIME_OUT: "nothing came within the time given",
+    Reason.REJECTED: "it was refused",
+    Reason.QUEUE_FULL: "too many are waiting",
+    Reason.EXPIRED: "it has waited for too long",
+    Reason.CALLER_GONE: "the caller does not wait any more",
+    Reason.PLC_DOWN: "the PLC's program stopped, restarted or is silent",
+    Reason.BRIDGE_RESTARTED: "the bridge was restarted",
+    Reason.TOO_LARGE: "it does not fit the record",
+    Reason.SERVER_GONE: "the server left before it answered",
+    Reason.SERVER_FAILED: "the server answered that it failed",
+}
+"""Why a call ended, for people."""
 _LINE_0 = spec.reader_line(0)
 
 
