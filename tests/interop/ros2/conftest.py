@@ -20,6 +20,14 @@ from tests.interop.graphs import LOCAL, free_domain
 from tests.lib.waiting import wait_for
 
 
+def end(process: subprocess.Popen[str]) -> None:
+    """Wait until a process whose input is closed has ended; one that hangs is killed, and fails the test."""
+    try:
+        process.wait(timeout=60)
+    finally:
+        process.kill()
+
+
 class Peer:
     """A process of ``peer.py``; ``heard`` maps a topic to what it has received, each as printed."""
 
@@ -85,9 +93,9 @@ class Peer:
 
     def counts(self, service: str) -> tuple[int, int, bool]:
         """Return how many readers and writers a client sees, and whether it finds a server."""
-        found = self.heard.setdefault(f"count:{service}", [])
+        found = self.heard.setdefault(f"ends:{service}", [])
         before = len(found)
-        self.tell(count=service)
+        self.tell(ends=service)
         wait_for(lambda: len(found) > before)
         return tuple(found[-1]["counts"])
 
@@ -108,7 +116,7 @@ class Peer:
         """Let it leave the graph by itself."""
         assert self.process.stdin is not None
         self.process.stdin.close()
-        self.process.wait()
+        end(self.process)
         self._reader.join()
 
 

@@ -21,6 +21,7 @@ from rosplc.model import TypeStore
 from rosplc.ros import Backend, open_backend
 from rosplc.ros.actions import STEPS, ActionClient, ActionServer, GoalEvent, GoalStatus, GoalStep
 from tests.interop.graphs import LOCAL
+from tests.interop.ros2.conftest import end
 from tests.lib.waiting import wait_for
 
 pytestmark = [pytest.mark.ros2, pytest.mark.timeout(120)]
@@ -79,7 +80,7 @@ class Peer:
     def close(self) -> None:
         assert self.process.stdin is not None
         self.process.stdin.close()
-        self.process.wait()
+        end(self.process)
         self._reader.join()
 
 
