@@ -16,6 +16,7 @@ SECTIONS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("tasks", " (each)", ()),
     ("topics", " (each)", ("qos", "on_stale", "classic")),
     ("services", " (each)", ("clients",)),
+    ("actions", " (each)", ()),
 )
 MODELS = {
     "clients": "ClientSettings",

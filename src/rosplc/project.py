@@ -14,17 +14,17 @@ from typing import Any, Literal
 
 from rosplc.bridge.realtime import contention
 from rosplc.bridge.ros_side import choose_backend
+from rosplc.config.calls import ActionPlan, CallPlan, ServicePlan
 from rosplc.config.plans import ClassicPlan, flag_topic
 from rosplc.config.quantities import format_duration
 from rosplc.config.resolve import (
     Project,
     TopicPlan,
+    call_object_plans,
     load_project,
     object_plan,
     open_doors,
-    service_object_plans,
 )
-from rosplc.config.services import ServicePlan
 from rosplc.errors import GenerationError, RosplcError
 from rosplc.harmless import in_bytes
 from rosplc.layout import Layout, SequenceNode, StringNode, compute_layout
@@ -36,11 +36,11 @@ from rosplc.plc.plan import ProjectOptions, target_of
 from rosplc.plc.project import PlcProject
 from rosplc.ros import INSTALL, Choice
 from rosplc.ros.choice import why_not_installed
-from rosplc.shm import SERVICE
 
 __all__ = [
     "Delivery",
     "access",
+    "call_memory",
     "capacities",
     "check",
     "chosen_backend",
@@ -49,7 +49,6 @@ __all__ = [
     "generate_types",
     "memory",
     "plc_names",
-    "service_memory",
     "total_memory",
     "warnings",
     "when_silent",
@@ -91,6 +90,7 @@ def check(config: Path | str | Project) -> dict[str, Any]:
             for plan in project.topics
         },
         "services": [_service_facts(project, plan) for plan in project.services],
+        "actions": [_action_facts(project, plan) for plan in project.actions],
         "memory_bytes": total_memory(project),
         "unusable_types": [error.to_dict() for error in project.store.problems()],
         "warnings": warnings(project),
@@ -155,7 +155,7 @@ def generate(
     made = plc_project(project, options)
     topics = sorted(project.topics, key=lambda plan: plan.topic)  # as the PLC's objects are ordered
     layouts = [plan.layout for plan in topics]
-    layouts += [layout for plan in project.services for layout in plan.layouts]
+    layouts += [layout for plan in project.calls for layout in plan.layouts]
     return _deliver(made, layouts, folder, force=force)
 
 
@@ -234,15 +234,15 @@ def memory(project: Project, plan: TopicPlan) -> dict[str, int]:
     }
 
 
-def service_memory(project: Project, plan: ServicePlan) -> int:
-    """Return the shared memory that one use of a service takes, in bytes and whole pages."""
-    return sum(_pages(made.object_size) for made in service_object_plans(project, plan).values())
+def call_memory(project: Project, plan: CallPlan) -> int:
+    """Return the shared memory that one use of a service or action takes, in bytes and whole pages."""
+    return sum(_pages(made.object_size) for made in call_object_plans(project, plan).values())
 
 
 def total_memory(project: Project) -> int:
     """Return the shared memory that a configuration takes, in bytes."""
     topics = sum(memory(project, plan)["memory_bytes"] for plan in project.topics)
-    return topics + sum(service_memory(project, plan) for plan in project.services)
+    return topics + sum(call_memory(project, plan) for plan in project.calls)
 
 
 def _pages(count: int) -> int:
@@ -285,31 +285,46 @@ def _topic_facts(project: Project, plan: TopicPlan, names: dict[str, tuple[str, 
     }
 
 
-def _service_facts(project: Project, plan: ServicePlan) -> dict[str, Any]:
-    at_plc = plan.server == "plc"
-    parts = dict(zip(SERVICE, plan.layouts, strict=True))
+def _call_facts(project: Project, plan: CallPlan) -> dict[str, Any]:
     return {
-        "service": plan.service,
+        plan.kind: plan.called,
         "type": plan.type_name,
         "server": plan.server,
         "client": plan.client,
         "task": plan.task,
         "objects": {
             part.word: {
-                "name": project.namespace.object_name(plan.service, part, plan.client),
+                "name": project.namespace.object_name(plan.called, part, plan.client),
                 "layout_id": layout.layout_id,
                 "record_bytes": layout.size,
                 "limits": capacities(layout),
             }
-            for part, layout in parts.items()
+            for part, layout in zip(plan.parts, plan.layouts, strict=True)
         },
-        "memory_bytes": service_memory(project, plan),
+        "memory_bytes": call_memory(project, plan),
+        "on_overflow": "truncate" if plan.truncate else "refuse",
+    }
+
+
+def _service_facts(project: Project, plan: ServicePlan) -> dict[str, Any]:
+    at_plc = plan.server == "plc"
+    return _call_facts(project, plan) | {
         "depth": plan.depth if at_plc else None,
         "per_client": plan.per_client if at_plc else None,
         "min_interval_ms": plan.min_interval_ns / 1e6,
         "expire_after_ms": plan.expire_ns / 1e6 if at_plc else None,
         "fallback": None if plan.fallback is None else plan.response.to_dict(plan.fallback),
-        "on_overflow": "truncate" if plan.truncate else "refuse",
+    }
+
+
+def _action_facts(project: Project, plan: ActionPlan) -> dict[str, Any]:
+    at_plc = plan.server == "plc"
+    return _call_facts(project, plan) | {
+        "on_new_goal": plan.on_new_goal if at_plc else None,
+        "queue": plan.queue if at_plc else None,
+        "accept_within_ms": plan.accept_ns / 1e6 if at_plc else None,
+        "keep_result_ms": plan.keep_result_ns / 1e6 if at_plc else None,
+        "when_plc_down": None if at_plc else plan.when_plc_down,
     }
 
 

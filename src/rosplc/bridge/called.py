@@ -8,7 +8,7 @@ from contextlib import suppress
 from rosplc.bridge.port import Context, log
 from rosplc.bridge.use import ENDINGS, IDLE_NS, LOOK_NS, TOO_LARGE, Outcome, Use
 from rosplc.codec import Fault
-from rosplc.config.services import ServicePlan
+from rosplc.config.calls import ServicePlan
 from rosplc.errors import RosplcError
 from rosplc.reasons import Reason
 from rosplc.ros import Backend, Reply, ServiceClient

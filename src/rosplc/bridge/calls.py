@@ -14,7 +14,7 @@ from rosplc.bridge.called import Called
 from rosplc.bridge.port import Context, Ports, log
 from rosplc.bridge.served import Served
 from rosplc.bridge.use import IDLE_NS, Use
-from rosplc.config.services import ServicePlan
+from rosplc.config.calls import ServicePlan
 from rosplc.errors import ChannelError
 from rosplc.shm import Group
 

@@ -16,8 +16,8 @@ from rosplc.bridge.port import Context, Ports, log
 from rosplc.bridge.stream import Stream, ToPlc, ToRos
 from rosplc.bridge.use import Use
 from rosplc.clock import Clock
+from rosplc.config.calls import CallPlan
 from rosplc.config.resolve import Plan
-from rosplc.config.services import ServicePlan
 from rosplc.errors import RosplcError
 from rosplc.shm import Direction
 
@@ -189,11 +189,11 @@ class Carriers:
 
     def of(self, plan: Plan) -> Carrier:
         """Return the carrier of a plan's streams."""
-        return self._carriers[plan.port, None if isinstance(plan, ServicePlan) else plan.direction]
+        return self._carriers[plan.port, None if isinstance(plan, CallPlan) else plan.direction]
 
     def make(self, plan: Plan) -> Carried:
         """Return the stream or the use of a plan; nothing is opened yet."""
-        if isinstance(plan, ServicePlan):
+        if isinstance(plan, CallPlan):
             return self._calls.make(plan)
         carrier = self.of(plan)
         if plan.direction is Direction.TO_PLC:

@@ -7,14 +7,14 @@ from contextlib import suppress
 from pathlib import Path
 
 from rosplc.bridge.port import log
+from rosplc.config.calls import CallPlan
 from rosplc.config.resolve import Project, rights
-from rosplc.config.services import ServicePlan
 from rosplc.errors import ChannelError
-from rosplc.shm import SERVICE, Direction, OwnedChannel, Part, attach
+from rosplc.shm import Direction, OwnedChannel, Part, attach
 from rosplc.shm.lock import NameLock
 
 _Name = tuple[str, Part, str]
-"""An object: topic or service, what it carries, and the client."""
+"""An object: topic, service or action, what it carries, and the client."""
 
 
 def check_names(project: Project) -> None:
@@ -53,8 +53,8 @@ def retire_leftovers(project: Project) -> None:
 def _objects(project: Project) -> Iterator[_Name]:
     """Yield the objects that a configuration has."""
     for plan in project.plans:
-        if isinstance(plan, ServicePlan):
-            yield from ((plan.service, part, plan.client) for part in SERVICE)
+        if isinstance(plan, CallPlan):
+            yield from ((plan.called, part, plan.client) for part in plan.parts)
         elif plan.port == "channel":
             yield plan.topic, Part.TOPIC, ""
 

@@ -14,14 +14,14 @@ from typing import Any
 from rosplc.bridge.carrier import Carried, Carriers
 from rosplc.bridge.port import log
 from rosplc.clock import Clock
+from rosplc.config.calls import CallPlan
 from rosplc.config.problems import Problems
 from rosplc.config.resolve import Plan, Project, object_name
-from rosplc.config.services import ServicePlan
 from rosplc.errors import BackendError, RosplcError
 from rosplc.ros import Backend
 from rosplc.shm import Namespace
 
-_MAY_CHANGE = frozenset({"topics", "services", "limits", "types", "tasks", "programs"})
+_MAY_CHANGE = frozenset({"topics", "services", "actions", "limits", "types", "tasks", "programs"})
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,8 @@ class Changes:
         changed = tuple(new for _, new in self.changed)
         named = (("added", self.added), ("removed", self.removed), ("changed", changed))
         parts = [f"{word} {', '.join(plan.name for plan in plans)}" for word, plans in named if plans]
-        services = any(isinstance(plan, ServicePlan) for plan in self.kept)
-        what = "topics and services" if services else "topics"
+        kinds = {plan.kind for plan in self.kept if isinstance(plan, CallPlan)}
+        what = " and ".join(("topics", *(f"{kind}s" for kind in ("service", "action") if kind in kinds)))
         return "; ".join([*parts, f"{len(self.kept)} {what} stay as they are"])
 
 
@@ -98,8 +98,8 @@ def _refuse_redefined(new: Project, used: Mapping[str, str], problems: Problems)
             if used.get(name) in (None, new.store.definition_text(name)):
                 continue
             key = ("topics", plan.name, "type")
-            if isinstance(plan, ServicePlan):
-                key = ("services", plan.service, "type")
+            if isinstance(plan, CallPlan):
+                key = (f"{plan.kind}s", plan.called, "type")
             source = new.config.source
             what = f"the definition of {name} is another than the one in use"
             problems.add(source.wrong(key, what, code="CFG012"), source.line(key))

@@ -25,7 +25,7 @@ def choose_backend(config: Config, environment: Mapping[str, str] | None = None)
     ros = config.settings.ros
     if ros.backend != "auto":
         return Choice(ros.backend, "ros.backend names it")
-    services = bool(config.settings.services)
+    services = bool(config.settings.services or config.settings.actions)
     return choose(ros.distro, environment, zenoh_settings=ros.zenoh is not None, services=services)
 
 

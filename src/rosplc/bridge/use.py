@@ -13,8 +13,8 @@ from rosplc.bridge.hold import Hold
 from rosplc.bridge.port import Context, Notes, log
 from rosplc.bridge.status import ServiceStatus
 from rosplc.codec import Codec, Wire
-from rosplc.config.resolve import describe_service
-from rosplc.config.services import ServicePlan
+from rosplc.config.calls import ServicePlan
+from rosplc.config.resolve import describe_call
 from rosplc.errors import BackendError, ChannelError, RosplcError
 from rosplc.reasons import Reason
 from rosplc.ros import Backend, ServiceClient, ServiceServer
@@ -110,7 +110,7 @@ class Use(Notes, ABC):
         """Create or adopt both objects, or neither. Raises as :meth:`OwnedChannel.open`."""
         context = self.context
         parts = [
-            (describe_service(self.plan, part, context.distro, context.bridge), codec.layout.size)
+            (describe_call(self.plan, part, context.distro, context.bridge), codec.layout.size)
             for part, codec in self._codecs.items()
         ]
         opened = OwnedChannel.open_together(

@@ -25,9 +25,9 @@ from rosplc.errors import RosplcError
 from rosplc.harmless import plural
 
 if TYPE_CHECKING:
+    from rosplc.config.calls import ActionPlan, CallPlan, ServicePlan
     from rosplc.config.plans import ClassicPlan
     from rosplc.config.resolve import Project, TopicPlan
-    from rosplc.config.services import ServicePlan
     from rosplc.layout import Layout
 
 
@@ -108,7 +108,7 @@ def _explain(project: Project, *, verbose: bool) -> None:
         return
     if len(found) > _WARNINGS:
         found[_WARNINGS - 1 :] = [f"{plural(len(found) - _WARNINGS + 1, 'more warning')}: rosplc check -v"]
-    body = [*_table(project), *_services(project), *_limits(project)]
+    body = [*_table(project), *_calls(project), *_limits(project)]
     width = terminal_width()
     around = sum(wrap(line, width).count("\n") + 1 for line in (*head, *total, *found))
     room = max(3, _SCREEN - around - 1)
@@ -143,31 +143,40 @@ def _table(project: Project) -> Iterator[str]:
     yield from columns(rows, header=("topic", "direction", "type", "bytes", "stale after", "in the PLC"))
 
 
-def _services(project: Project) -> Iterator[str]:
-    """Yield a line for each use of a service."""
-    rows = []
-    for plan in project.services:
-        served = plan.server == "plc"
-        queue = f"{plan.depth} calls, {_time(plan.expire_ns)}" if served else "-"
-        way = "ROS calls PLC" if served else "PLC calls ROS"
-        sizes = f"{plan.request.size} + {plan.response.size}"
-        rows.append((plan.service, way, plan.type_name, sizes, plan.client or "-", plan.task, queue))
-    if rows:
-        yield ""
-    yield from columns(
-        rows, header=("service", "direction", "type", "bytes", "client", "task", "waits at most")
-    )
+def _calls(project: Project) -> Iterator[str]:
+    """Yield a line for each use of a service or action."""
+    for plans in (project.services, project.actions):
+        rows = []
+        for plan in plans:
+            way = "ROS calls PLC" if plan.server == "plc" else "PLC calls ROS"
+            sizes = " + ".join(str(layout.size) for layout in plan.layouts)
+            row = (plan.called, way, plan.type_name, sizes, plan.client or "-", plan.task, _queue(plan))
+            rows.append(row)
+        if plans:
+            yield ""
+            header = (plans[0].kind, "direction", "type", "bytes", "client", "task", "waits at most")
+            yield from columns(rows, header=header)
+
+
+def _queue(plan: ServicePlan | ActionPlan) -> str:
+    from rosplc.config.calls import ServicePlan
+
+    if plan.server == "ros":
+        return "-"
+    if isinstance(plan, ServicePlan):
+        return f"{plan.depth} calls, {_time(plan.expire_ns)}"
+    return f"{plan.queue} goals" if plan.queue else "1 goal" if plan.on_new_goal == "abort" else "none"
 
 
 def _limits(project: Project) -> Iterator[str]:
     """Yield the effective capacity of each string and sequence."""
     rows = [(plan.topic, limits) for plan in project.topics if (limits := _capacities(plan.layout))]
-    # All uses of a service have the same.
-    for plan in {plan.service: plan for plan in project.services}.values():
+    # All uses of a service or action have the same.
+    for plan in {(plan.kind, plan.called): plan for plan in project.calls}.values():
         rows += [
-            (f"{plan.service} {part}", limits)
-            for part, layout in zip(("request", "response"), plan.layouts, strict=True)
-            if (limits := _capacities(layout))
+            (f"{plan.called} {part.word}", limits)
+            for part in plan.parts
+            if (limits := _capacities(plan.layout(part)))
         ]
     if rows:
         yield "\nLimits (strings in bytes, sequences in elements):"
@@ -186,19 +195,39 @@ def _details(project: Project) -> Iterator[str]:
     for plan in project.topics:
         yield f"\n{plan.topic}  {_WAYS[plan.direction]}  {plan.type_name}"
         yield from columns(_rows(project, plan, names.get(plan.topic)), indent=2)
-    for use in project.services:
-        way = "carried out by the PLC" if use.server == "plc" else "called by the PLC"
-        yield f"\n{use.name}  {way}  {use.type_name}"
-        yield from columns(_service_rows(use), indent=2)
+    for service in project.services:
+        yield from _call(service, _service_rows(service))
+    for action in project.actions:
+        yield from _call(action, _action_rows(action))
 
 
-def _service_rows(plan: ServicePlan) -> Iterator[tuple[str, str]]:
-    for part, layout in zip(("request", "response"), plan.layouts, strict=True):
-        yield part, f"{plural(layout.size, 'byte')}, layout id {layout.layout_id}"
+def _call(plan: CallPlan, rows: Iterator[tuple[str, str]]) -> Iterator[str]:
+    way = "carried out by the PLC" if plan.server == "plc" else "called by the PLC"
+    yield f"\n{plan.name}  {way}  {plan.type_name}"
+    yield from columns((*_call_rows(plan), *rows), indent=2)
+
+
+def _call_rows(plan: CallPlan) -> Iterator[tuple[str, str]]:
+    for part, layout in zip(plan.parts, plan.layouts, strict=True):
+        yield part.word, f"{plural(layout.size, 'byte')}, layout id {layout.layout_id}"
         if limits := _capacities(layout):
             yield "limits", limits
     yield "task", plan.task
     yield "too large", "cut" if plan.truncate else "refused and counted"
+
+
+def _action_rows(plan: ActionPlan) -> Iterator[tuple[str, str]]:
+    if plan.server == "plc":
+        also = {"reject": "is rejected", "abort": "takes its place", "buffer": f"waits, {plan.queue} at most"}
+        yield "another goal", also[plan.on_new_goal]
+        yield "undecided", f"rejected after {_time(plan.accept_ns)}"
+        yield "result", f"kept for {_time(plan.keep_result_ns)}"
+    else:
+        down = {"cancel": "the goal is canceled", "keep": "the goal goes on"}
+        yield "without a PLC", down[plan.when_plc_down]
+
+
+def _service_rows(plan: ServicePlan) -> Iterator[tuple[str, str]]:
     if plan.server == "plc":
         yield "waiting", f"{plan.depth} calls at most, {plan.per_client} of one caller"
         yield "expires", f"a call that has waited for {_time(plan.expire_ns)}"
@@ -227,9 +256,10 @@ def _head(project: Project) -> Iterator[str]:
 
 
 def _amount(project: Project) -> str:
-    topics = plural(len(project.topics), "topic")
-    services = len({plan.service for plan in project.services})
-    return f"{topics} and {plural(services, 'service')}" if services else topics
+    counts = [(len({plan.called for plan in plans}), plans) for plans in (project.services, project.actions)]
+    words = [plural(count, plans[0].kind) for count, plans in counts if count]
+    *rest, last = [plural(len(project.topics), "topic"), *words]
+    return f"{', '.join(rest)} and {last}" if rest else last
 
 
 def _access_words(given: dict[str, Any]) -> str:

@@ -72,6 +72,9 @@ def parse_config(text: str, *, name: str = "<text>", base: Path | None = None) -
     return _parse(Path(name), text, base or Path())
 
 
+_BY_NAME = ("tasks", "topics", "services", "actions")
+
+
 def json_schema() -> dict[str, Any]:
     """Return the JSON Schema of a configuration file, for editors."""
     schema = Settings.model_json_schema(by_alias=True)
@@ -91,15 +94,17 @@ def _allow_short_forms(schema: dict[str, Any]) -> None:
     qos["anyOf"] = [reference, {"enum": ["default", "sensor_data", "latched"], "type": "string"}]
     classic = schema["$defs"]["TopicSettings"]["properties"]["classic"]
     classic["anyOf"] = [{"type": "boolean"}, *classic["anyOf"]]
-    clients = schema["$defs"]["ServiceSettings"]["properties"]["clients"]
-    group = {key: clients.pop(key) for key in list(clients) if key not in ("default", "description", "title")}
-    names = {"type": "string", "pattern": next(iter(group["patternProperties"]))}
-    listed = {"type": "array", "items": names, "uniqueItems": True, "maxItems": MOST_CLIENTS}
-    clients["anyOf"] = [{**group, "additionalProperties": False}, listed]
-    for name in ("tasks", "topics", "services"):
+    for kind in ("ServiceSettings", "ActionSettings"):
+        clients = schema["$defs"][kind]["properties"]["clients"]
+        told = {key: clients.pop(key) for key in ("default", "description", "title") if key in clients}
+        group, names = dict(clients), {"type": "string", "pattern": next(iter(clients["patternProperties"]))}
+        listed = {"type": "array", "items": names, "uniqueItems": True, "maxItems": MOST_CLIENTS}
+        clients.clear()
+        clients |= {**told, "anyOf": [{**group, "additionalProperties": False}, listed]}
+    for name in _BY_NAME:
         schema["properties"][name]["additionalProperties"] = False  # names that miss the pattern
     for name, value in schema["properties"].items():
-        if "$ref" in value or name in ("tasks", "topics", "services"):
+        if "$ref" in value or name in _BY_NAME:
             schema["properties"][name] = {"anyOf": [value, {"type": "null"}], **_lift(value)}
 
 
@@ -218,7 +223,7 @@ def _explain(item: dict[str, Any], path: KeyPath, source: YamlSource) -> ConfigE
         return source.wrong(path, f"{path[-1]!r} is no key here{hint}", code="CFG003")
     if kind == "missing":
         remedy = _MISSING.get(str(path[-1]), "")
-        remedy = remedy.replace("/msg/", "/srv/") if path[0] == "services" else remedy
+        remedy = remedy.replace("/msg/", _FOLDERS.get(str(path[0]), "/msg/"))
         return source.wrong(path, f"{path[-1]!r} is missing", remedy, "CFG005")
     if kind == "literal_error":
         known = [word.strip(" '") for word in context["expected"].replace(" or ", ", ").split(", ")]
@@ -233,10 +238,11 @@ def _explain(item: dict[str, Any], path: KeyPath, source: YamlSource) -> ConfigE
     return source.wrong(path, text[0].lower() + text[1:])
 
 
+_FOLDERS = {"services": "/srv/", "actions": "/action/"}
 _MISSING = {
     "to": "Add `to: plc` for messages from ROS to the PLC, or `to: ros` for the other direction.",
     "type": "Add `type: package/msg/Name`; `rosplc types` lists the types.",
-    "server": "Add `server: ros` for a service that the PLC calls, or `server: plc` for one that it serves.",
+    "server": "Add `server: ros` for what the PLC uses, or `server: plc` for what it carries out.",
 }
 _SHAPES = {
     "model_type": "a group of keys",

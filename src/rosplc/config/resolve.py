@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal, TypeAlias
 
+from rosplc.config.calls import ActionPlan, CallPlan, ServicePlan, action_plans, service_plans
 from rosplc.config.file import Config, read_config
 from rosplc.config.plans import (
     ClassicPlan,
@@ -28,14 +29,13 @@ from rosplc.config.plans import (
 )
 from rosplc.config.problems import Absent, Problems, relocated
 from rosplc.config.quantities import format_duration
-from rosplc.config.services import ServicePlan, service_plans
 from rosplc.config.settings import TaskSettings, TopicSettings
 from rosplc.described import description_of
 from rosplc.errors import ConfigError, LayoutError, RosplcError
 from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.ros import PRESETS, ROS1, Qos
-from rosplc.shm import SERVICE, Description, Direction, Identity, Namespace, Part
+from rosplc.shm import Description, Direction, Identity, Namespace, Part
 from rosplc.shm.constants import HEADER_SIZE, LINE_SIZE, MAX_DESCRIPTION_SIZE, MAX_OBJECT_SIZE, MIN_SLOTS
 from rosplc.shm.files import Rights
 
@@ -105,8 +105,8 @@ class TopicPlan:
         return "channel" if self.classic is None else "classic"
 
 
-Plan: TypeAlias = "TopicPlan | ServicePlan"
-"""What a bridge carries: a topic, or one use of a service."""
+Plan: TypeAlias = "TopicPlan | CallPlan"
+"""What a bridge carries: a topic, or one use of a service or action."""
 
 
 @dataclass(frozen=True)
@@ -119,6 +119,7 @@ class Project:
         namespace: The names of the objects.
         topics: In the order of the file.
         services: One plan for each use, in the order of the file.
+        actions: The same.
     """
 
     config: Config
@@ -126,6 +127,12 @@ class Project:
     namespace: Namespace
     topics: tuple[TopicPlan, ...]
     services: tuple[ServicePlan, ...] = ()
+    actions: tuple[ActionPlan, ...] = ()
+
+    @property
+    def calls(self) -> tuple[CallPlan, ...]:
+        """Services, then actions."""
+        return (*self.services, *self.actions)
 
     @property
     def plans(self) -> tuple[Plan, ...]:
@@ -150,9 +157,9 @@ class Project:
 
 
 def object_name(namespace: Namespace, plan: Plan) -> str:
-    """Return the name of a topic's object or memory, or of a service's requests, without its directory."""
-    if isinstance(plan, ServicePlan):
-        return namespace.object_name(plan.service, Part.REQUEST, plan.client)
+    """Return the name of a topic's object or memory, or of the caller's object, without its directory."""
+    if isinstance(plan, CallPlan):
+        return namespace.object_name(plan.called, plan.parts[0], plan.client)
     return namespace.object_name(plan.topic) if plan.classic is None else plan.classic.name
 
 
@@ -213,8 +220,9 @@ def resolve(config: Config) -> Project:
             wrong = "slots" if entry.classic is None else "classic"
             problems.add(error, config.source.line((*where, wrong)))
     services = service_plans(config, store, problems)
+    actions = action_plans(config, store, problems)
     problems.check()
-    return Project(config, store, namespace, tuple(plans), services)
+    return Project(config, store, namespace, tuple(plans), services, actions)
 
 
 def _store(config: Config, problems: Problems) -> TypeStore:
@@ -376,12 +384,11 @@ def describe(plan: TopicPlan, *, distro: str, bridge: str) -> Description:
     return description_of(plan.layout, plan.topic, plan.direction, bridge=bridge, distro=distro)
 
 
-def describe_service(plan: ServicePlan, part: Part, distro: str, bridge: str) -> Description:
-    """Return the self-description of one of a service's objects, but for its partners."""
-    layout = plan.request if part is Part.REQUEST else plan.response
+def describe_call(plan: CallPlan, part: Part, distro: str, bridge: str) -> Description:
+    """Return the self-description of one of the objects of a service or action, but for its partners."""
     way = part.direction(plan.server)
     names = {"bridge": bridge, "distro": distro, "client": plan.client}
-    return description_of(layout, plan.service, way, part=part, **names)
+    return description_of(plan.layout(part), plan.called, way, part=part, **names)
 
 
 def object_plan(project: Project, plan: TopicPlan) -> Identity:
@@ -399,12 +406,12 @@ def object_plan(project: Project, plan: TopicPlan) -> Identity:
     )
 
 
-def service_object_plans(project: Project, plan: ServicePlan) -> dict[Part, Identity]:
-    """Return the geometry of a service's objects, as :func:`object_plan` does."""
+def call_object_plans(project: Project, plan: CallPlan) -> dict[Part, Identity]:
+    """Return the geometry of the objects of a service or action, as :func:`object_plan` does."""
     settings, found = project.config.settings, {}
-    ids = {part.word: layout.layout_id for part, layout in zip(SERVICE, plan.layouts, strict=True)}
-    for part, layout in zip(SERVICE, plan.layouts, strict=True):
-        description = describe_service(plan, part, settings.ros.distro, settings.bridge)
+    ids = {part.word: plan.layout(part).layout_id for part in plan.parts}
+    for part, layout in zip(plan.parts, plan.layouts, strict=True):
+        description = describe_call(plan, part, settings.ros.distro, settings.bridge)
         partners = {word: layout_id for word, layout_id in ids.items() if word != part.word}
         found[part] = Identity.plan(
             kind=part.value,

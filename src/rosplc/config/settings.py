@@ -36,9 +36,9 @@ LONGEST_TEXT = 4096
 MOST_TOPICS = 10_000
 """Topics of one bridge."""
 MOST_SERVICES = 1_000
-"""Services of one bridge."""
+"""Services of one bridge, and actions."""
 MOST_CLIENTS = 256
-"""Uses of one service in the PLC's program."""
+"""Uses of one service or action in the PLC's program."""
 MOST_TASKS = 64
 """Tasks of the PLC; PLC code serves fewer."""
 MOST_PATHS = 256
@@ -102,6 +102,7 @@ _SHM_NAME = r"(?!sem\.)[A-Za-z0-9_][A-Za-z0-9_.-]{0,79}"
 _TASK = r"[A-Za-z_][A-Za-z0-9_]{0,63}"
 _TYPE = r"[A-Za-z][A-Za-z0-9_]*(/msg)?/[A-Za-z][A-Za-z0-9_]*"
 _SERVICE_TYPE = r"[A-Za-z][A-Za-z0-9_]*(/srv)?/[A-Za-z][A-Za-z0-9_]*"
+_ACTION_TYPE = r"[A-Za-z][A-Za-z0-9_]*(/action)?/[A-Za-z][A-Za-z0-9_]*"
 _CLIENT = r"[A-Za-z][A-Za-z0-9_]{0,31}"
 
 _NAME = r"(/|~/)?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*"
@@ -109,6 +110,7 @@ _LOCATOR = r"[a-z0-9_-]+/.+"
 
 TopicName = Annotated[str, _absolute("topic"), _schema(_TOPIC)]
 ServiceName = Annotated[str, _absolute("service"), _schema(_TOPIC)]
+ActionName = Annotated[str, _absolute("action"), _schema(_TOPIC)]
 ClientName = Annotated[
     str, _pattern(_CLIENT, "a letter, then at most 31 letters, digits or _"), _schema(_CLIENT)
 ]
@@ -134,6 +136,11 @@ ServiceTypeName = Annotated[
     str,
     _pattern(_SERVICE_TYPE, "package/srv/Name, such as std_srvs/srv/Trigger", LONGEST_TYPE),
     _schema(_SERVICE_TYPE),
+]
+ActionTypeName = Annotated[
+    str,
+    _pattern(_ACTION_TYPE, "package/action/Name, such as example_interfaces/action/Fibonacci", LONGEST_TYPE),
+    _schema(_ACTION_TYPE),
 ]
 BackendName = Annotated[
     str, AfterValidator(_known_backend), WithJsonSchema({"type": "string", "enum": ["auto", *BACKENDS]})
@@ -469,9 +476,9 @@ class TopicSettings(_Section):
 
 
 class ClientSettings(_Section):
-    """One use of a service in the PLC's program."""
+    """One use of a service or action in the PLC's program."""
 
-    task: TaskName | None = _f(None, "The PLC task that calls it. Without it the service's.")
+    task: TaskName | None = _f(None, "The PLC task that has it. Without it that of the service or action.")
 
 
 def _clients(value: Any) -> Any:
@@ -483,19 +490,25 @@ def _clients(value: Any) -> Any:
     return {name: {} for name in names}
 
 
-class ServiceSettings(_Section):
-    """One service: `server: ros` is called by the PLC, `server: plc` is carried out by the PLC."""
-
-    type: ServiceTypeName = Field(description="The service type, `package/srv/Name`.")
-    server: Literal["plc", "ros"] = Field(description="Who carries the calls out.")
+class _CallSettings(_Section):
+    type: str
+    server: Literal["plc", "ros"] = Field(description="Who carries it out.")
     clients: Annotated[
         dict[ClientName, ClientSettings], Field(max_length=MOST_CLIENTS), BeforeValidator(_clients)
     ] = _f(
         {},
-        "`server: ros`: the places in the PLC's program that call it, each with a block and objects of its "
+        "`server: ros`: the places in the PLC's program that use it, each with a block and objects of its "
         "own: `[pick, place]`, or `{pick: {task: Fast}}`. Without it there is one, without a name.",
     )
     task: TaskName | None = _f(None, "The PLC task that handles it. Without it the first of `tasks`.")
+    limits: dict[str, StrictInt]
+    on_overflow: Literal["refuse", "truncate"]
+
+
+class ServiceSettings(_CallSettings):
+    """One service: `server: ros` is called by the PLC, `server: plc` is carried out by the PLC."""
+
+    type: ServiceTypeName = Field(description="The service type, `package/srv/Name`.")
     limits: dict[str, StrictInt] = _f(
         {},
         "Capacities by field path (`request.name: 6`, `response.message: 200`); `string` and `sequence` "
@@ -526,6 +539,44 @@ class ServiceSettings(_Section):
         None,
         "`server: plc`: the response that a caller gets whenever the PLC gives none, as in "
         "`{success: false, message: PLC is not running}`. Without it there is none; in ROS 1 an error.",
+    )
+
+
+class ActionSettings(_CallSettings):
+    """One action: `server: ros` is used by the PLC, `server: plc` is carried out by the PLC."""
+
+    type: ActionTypeName = Field(description="The action type, `package/action/Name`.")
+    limits: dict[str, StrictInt] = _f(
+        {},
+        "Capacities by field path (`goal.name: 6`, `result.message: 200`, `feedback.sequence: 9`); `string` "
+        "and `sequence` replace the defaults for this action.",
+    )
+    on_overflow: Literal["refuse", "truncate"] = _f(
+        "refuse",
+        "What happens to what comes from ROS and exceeds a limit. A goal is rejected or cut; a result is "
+        "missing when the PLC's goal ends, or is cut; feedback is dropped or cut.",
+    )
+    on_new_goal: Literal["reject", "abort", "buffer"] = _f(
+        "reject",
+        "`server: plc`: what becomes of a goal that comes while the PLC has one. `reject`: it is rejected. "
+        "`abort`: the PLC is asked to end the one it has (`xPreempt`), and then gets the new one. `buffer`: "
+        "it waits.",
+    )
+    queue: StrictInt | None = _f(
+        None, "`on_new_goal: buffer`: goals that wait at most, else 4; one more is rejected.", ge=1, le=100
+    )
+    accept_within_ns: Annotated[Duration, between("1ms", "1h")] = _f(
+        "5s",
+        "`server: plc`: a goal that the PLC has neither accepted nor rejected after this time is withdrawn, "
+        "and rejected, 1ms to 1h.",
+    )
+    keep_result_ns: Annotated[Duration, between("100ms", "1h")] = _f(
+        "10s", "`server: plc`: how long clients can ask for the result of a goal that has ended, 100ms to 1h."
+    )
+    when_plc_down: Literal["cancel", "keep"] = _f(
+        "cancel",
+        "`server: ros`: what becomes of a goal in ROS when the PLC's program stops or is silent. `cancel`: "
+        "the server is asked to cancel it. `keep`: it goes on.",
     )
 
 
@@ -563,6 +614,9 @@ class Settings(_Section):
     )
     services: dict[ServiceName, ServiceSettings] = _f(
         {}, "Services by name, as ROS writes them.", max_length=MOST_SERVICES
+    )
+    actions: dict[ActionName, ActionSettings] = _f(
+        {}, "Actions by name, as ROS writes them.", max_length=MOST_SERVICES
     )
 
     @model_validator(mode="before")

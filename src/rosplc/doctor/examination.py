@@ -224,7 +224,7 @@ class _Examination:
             ros.backend,
             variables,
             zenoh_settings=ros.zenoh is not None,
-            services=bool(self._project.config.settings.services),
+            services=bool(self._project.calls),
         )
 
     # Shared memory.

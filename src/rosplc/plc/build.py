@@ -450,22 +450,30 @@ def _topics(project: Project) -> list[PlcTopic]:
     ]
 
 
+_ROLES: dict[tuple[str, str], Literal["Client", "Server", "ActionClient", "ActionServer"]] = {
+    ("service", "plc"): "Server",
+    ("service", "ros"): "Client",
+    ("action", "plc"): "ActionServer",
+    ("action", "ros"): "ActionClient",
+}
+
+
 def _calls(project: Project) -> list[PlcCall]:
     return [
         PlcCall(
-            name=plan.service,
+            name=plan.called,
             type_name=plan.type_name,
-            role="Server" if plan.server == "plc" else "Client",
-            parts={"request": plan.request, "response": plan.response},
+            role=_ROLES[plan.kind, plan.server],
+            parts={part.word: plan.layout(part) for part in plan.parts},
             task=plan.task,
             client=plan.client,
         )
-        for plan in project.services
+        for plan in project.calls
     ]
 
 
 def _tasks(project: Project) -> list[PlcTask]:
-    used = {plan.task for plan in project.topics} | {plan.task for plan in project.services}
+    used = {plan.task for plan in project.topics} | {plan.task for plan in project.calls}
     return [
         PlcTask(
             name=name,

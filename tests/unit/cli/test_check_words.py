@@ -201,3 +201,24 @@ def test_services_with_their_clients_limits_and_sizes(tmp_path: Path) -> None:
     assert (start["depth"], start["per_client"], start["min_interval_ms"]) == (8, 2, 10.0)
     assert start["objects"]["response"]["limits"] == {"message": 20}
     assert facts["memory_bytes"] == sum(use["memory_bytes"] for use in facts["services"]) > 0
+
+
+def test_actions_in_words_and_as_json(tmp_path: Path) -> None:
+    text = (
+        "ros: {backend: memory}\nservices: {/s: {type: std_srvs/srv/Trigger, server: ros}}\nactions:\n"
+        "  /a: {type: example_interfaces/action/Fibonacci, server: plc, on_new_goal: buffer, queue: 2}\n"
+        "  /b: {type: example_interfaces/action/Fibonacci, server: ros, clients: [x], when_plc_down: keep}\n"
+    )
+    output = " ".join(explained(tmp_path, text).split())
+    for words in (
+        "0 topics, 1 service and 2 actions",
+        "another goal waits, 2 at most",
+        "undecided rejected after 5s",
+        "without a PLC the goal goes on",
+        "action /b x called by the PLC",
+    ):
+        assert words in output
+    served, called = made(text)["actions"]
+    assert (served["action"], served["queue"], served["accept_within_ms"]) == ("/a", 2, 5000)
+    assert list(served["objects"]) == ["goal", "result", "feedback"]
+    assert (called["client"], called["when_plc_down"], called["queue"]) == ("x", "keep", None)

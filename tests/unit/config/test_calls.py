@@ -1,4 +1,4 @@
-"""The section ``services``: plans for each use, and everything that can be wrong with one."""
+"""The sections ``services`` and ``actions``: each use has a plan, and what is wrong is named."""
 
 from __future__ import annotations
 
@@ -8,21 +8,22 @@ import jsonschema
 import pytest
 
 from rosplc.config import ConfigErrors, json_schema, parse_config, resolve
-from rosplc.config.resolve import Project
+from rosplc.config.resolve import Project, call_object_plans
 from rosplc.ros import SERVICES
 
 TRIGGER = "std_srvs/srv/Trigger"
 SET_BOOL = "std_srvs/srv/SetBool"
+FIBONACCI = "example_interfaces/action/Fibonacci"
 
 
 def project(services: str, more: str = "") -> Project:
     return resolve(parse_config(f"{more}\nservices:\n{services}", name="c.yaml"))
 
 
-def errors_of(services: str, more: str = "") -> list[tuple[str, str, str]]:
+def errors_of(entry: str, name: str = "/a", section: str = "services") -> list[tuple[str, str, str]]:
     """Return code, place and text of everything wrong."""
     with pytest.raises(ConfigErrors) as caught:
-        project(services, more)
+        resolve(parse_config(f"\n{section}:\n  {name}: {{{entry}}}\n", name="c.yaml"))
     return [(error.code, error.where, error.what) for error in caught.value.errors]
 
 
@@ -70,6 +71,40 @@ def test_each_client_is_a_use_of_its_own() -> None:
         ("/shut", "", "Slow"),
     ]
     assert made.services[0].name == "service /grip pick"
+
+
+def test_actions() -> None:
+    """An action may have a service's name; its objects have names of their own."""
+    made = resolve(
+        parse_config(
+            f"services: {{/a: {{type: {TRIGGER}, server: plc}}}}\n"
+            "actions:\n"
+            f"  /a: {{type: {FIBONACCI}, server: plc}}\n"
+            f"  /b: {{type: {FIBONACCI}, server: plc, on_new_goal: buffer, accept_within: 1s,\n"
+            "        keep_result: 2s, limits: {result.sequence: 5, feedback.sequence: 3},\n"
+            "        on_overflow: truncate}\n"
+            f"  /c: {{type: {FIBONACCI}, server: ros, clients: [x, y], when_plc_down: keep}}\n"
+        )
+    )
+    a, b, *both = made.actions
+    assert (a.action, a.type_name, a.server, a.client) == ("/a", FIBONACCI, "plc", "")
+    assert (a.on_new_goal, a.queue, a.accept_ns, a.keep_result_ns) == ("reject", 0, 5 * 10**9, 10**10)
+    assert (b.on_new_goal, b.queue, b.accept_ns, b.keep_result_ns) == ("buffer", 4, 10**9, 2 * 10**9)
+    assert (a.truncate, b.truncate, a.task, a.name) == (False, True, "RosTask", "action /a")
+    assert [layout.type_name for layout in a.layouts] == [
+        f"{FIBONACCI}_{part}" for part in ("Goal", "Result", "Feedback")
+    ]
+    capacities = [
+        {path: node.capacity for path, _, node in layout.fields() if path == "sequence"}  # type: ignore[union-attr]
+        for layout in (b.result, b.feedback)
+    ]
+    assert capacities == [{"sequence": 5}, {"sequence": 3}]
+    assert [plan.name for plan in both] == ["action /c x", "action /c y"]
+    assert {plan.when_plc_down for plan in both} == {"keep"}
+    names = {plan.name: call_object_plans(made, plan) for plan in made.calls}
+    assert [identity.kind for identity in names["action /b"].values()] == [0x0103, 0x0203, 0x0303]
+    assert [identity.direction for identity in names["action /b"].values()] == [1, 2, 2]
+    assert [identity.direction for identity in names["action /c x"].values()] == [2, 1, 1]
 
 
 def test_limits_by_part() -> None:
@@ -135,18 +170,45 @@ def test_limits_by_part() -> None:
             "services./a.fallback.message",
             "4 bytes",
         ),
+        ("type: {T}", "CFG005", "actions./a.server", "'server' is missing"),
+        ("type: no_msgs/action/No, server: plc", "TYP001", "actions./a.type", "no_msgs"),
+        (f"type: {TRIGGER}, server: plc", "CFG004", "actions./a.type", "package/action/Name"),
+        ("type: {T}, server: plc, clients: [a]", "CFG004", "actions./a.clients", "in ROS"),
+        ("type: {T}, server: plc, when_plc_down: keep", "CFG004", "actions./a.when_plc_down", "server: ros"),
+        ("type: {T}, server: plc, on_new_goal: wait", "CFG004", "actions./a.on_new_goal", "'wait'"),
+        (
+            "type: {T}, server: plc, on_new_goal: abort, queue: 2",
+            "CFG004",
+            "actions./a.queue",
+            "no goal waits",
+        ),
+        ("type: {T}, server: plc, accept_within: 0s", "CFG004", "actions./a.accept_within", "not between"),
+        ("type: {T}, server: ros, queue: 2", "CFG004", "actions./a.queue", "`server: plc`"),
+        ("type: {T}, server: ros, accept_within: 1s", "CFG004", "actions./a.accept_within", "`server: plc`"),
+        ("type: {T}, server: ros, keep_result: 1s", "CFG004", "actions./a.keep_result", "`server: plc`"),
+        ("type: {T}, server: ros, limits: {order: 1}", "CFG004", "actions./a.limits.order", "goal or result"),
+        ("type: {T}, server: ros, limits: {goal.no: 1}", "LAY002", "actions./a.limits.goal.no", "no"),
     ],
 )
 def test_what_is_wrong_is_named_with_its_key(entry: str, code: str, place: str, words: str) -> None:
-    ((found, where, what),) = errors_of(f"  /a: {{{entry.replace('{T}', TRIGGER)}}}\n")
+    section = place.partition(".")[0]
+    kind = TRIGGER if section == "services" else FIBONACCI
+    ((found, where, what),) = errors_of(entry.replace("{T}", kind), section=section)
     assert (found, where.rpartition(" ")[2]) == (code, place)
     assert where.startswith("c.yaml:3")
     assert words in what
 
 
-@pytest.mark.parametrize("name", ["/arm/_action/send_goal", "/a/_service_event"])
-def test_names_that_ros_makes_itself(name: str) -> None:
-    ((code, _, what),) = errors_of(f"  {name}: {{type: {TRIGGER}, server: plc}}\n")
+@pytest.mark.parametrize(
+    ("name", "section", "kind"),
+    [
+        ("/arm/_action/send_goal", "services", TRIGGER),
+        ("/a/_service_event", "services", TRIGGER),
+        ("/arm/_action/move", "actions", FIBONACCI),
+    ],
+)
+def test_names_that_ros_makes_itself(name: str, section: str, kind: str) -> None:
+    ((code, _, what),) = errors_of(f"type: {kind}, server: plc", name, section)
     assert code == "CFG004"
     assert "ROS' own" in what
 
@@ -154,6 +216,8 @@ def test_names_that_ros_makes_itself(name: str) -> None:
 @pytest.mark.parametrize(
     ("services", "valid"),
     [
+        ({"/a": {"type": FIBONACCI, "server": "ros", "clients": ["x"], "when_plc_down": "keep"}}, True),
+        ({"/a": {"type": FIBONACCI, "server": "plc", "clients": ["x-y"]}}, False),
         ({"/a": {"type": TRIGGER, "server": "ros", "clients": ["x", "y"]}}, True),
         ({"/a": {"type": TRIGGER, "server": "ros", "clients": {"x": {"task": "T"}}}}, True),
         ({"/a": {"type": TRIGGER, "server": "plc", "fallback": {"success": False}}}, True),
@@ -165,4 +229,5 @@ def test_names_that_ros_makes_itself(name: str) -> None:
 )
 def test_schema(services: Any, valid: bool) -> None:
     check = jsonschema.Draft202012Validator(json_schema())
-    assert check.is_valid({"services": services}) is valid
+    section = "actions" if "/action/" in str(services) else "services"
+    assert check.is_valid({section: services}) is valid
