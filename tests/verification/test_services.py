@@ -306,6 +306,22 @@ def test_replaced_objects_end_the_call(cell: CallCell, begun: bool) -> None:
     cell.until(lambda: again.get(*ENDS) == DONE)
 
 
+def test_removed_objects_leave_the_fate_unknown(cell: CallCell) -> None:
+    """The bridge that holds them may be stopped for a while only, and take the call then."""
+    server = connected(cell)
+    server.set(xExecute=True)
+    cell.until(lambda: server.get("udiCalls") == 1)
+    cell.scan(2)
+    cell.uses.remove(server)
+    for path in Path(cell.namespace.directory).iterdir():
+        path.unlink()
+    again = Server(cell)
+    cell.until(lambda: again.get(*ENDS) == ERROR)
+    assert why(again)[1:] == (ErrorNumber.FATE_UNKNOWN, Reason.BRIDGE_RESTARTED)
+    assert server.take()
+    cell.uses.append(server)
+
+
 def test_an_answer_for_an_earlier_life_completes_nothing(cell: CallCell) -> None:
     """A PLC that starts again counts from 1 again: only the claim in the number tells its calls apart."""
     server = connected(cell)
