@@ -121,6 +121,8 @@ class MemoryServer(Queued, KeepingServer, _Endpoint):
         clients = self.others()
         super().close()
         for client in clients:
+            while client.deliver_next():  # what was answered before
+                pass
             client.gone(self)
 
 
