@@ -118,12 +118,13 @@ class Called(Use):
     def _answer(
         self, outcome: Outcome, reason: Reason, now_ns: int, text: str = "", record: bytes = b""
     ) -> None:
-        """End the open call with its one answer."""
-        number, self._open_call, self._sent = self._open_call, None, None
+        """End the open call with its one answer; it remains open if that cannot be sent."""
+        number = self._open_call
         assert number is not None and self._answerer is not None
+        self._send(record or self._initial, correlation=number, status=_ANSWERS[outcome], reason=reason)
+        self._open_call = self._sent = None
         self._answerer.answered(number)
         self._count(outcome, reason, now_ns, text)
-        self._send(record or self._initial, correlation=number, status=_ANSWERS[outcome], reason=reason)
 
     def _give_up(self, reason: Reason, now_ns: int) -> None:
         """Wait no longer for ROS: the call may have been executed."""
@@ -135,9 +136,12 @@ class Called(Use):
         answers, asks = self._channels
         self._answerer = Answerer(asks, reader, answers)
         self._ready = None
+        before, self._open_call = self._open_call, None  # its answer could not be sent
         number = self._answerer.unanswered
+        if before not in (None, number):
+            self._count("fate unknown", Reason.BRIDGE_RESTARTED, self._now())
         if number and number >> 32 == asks.region.word(WRITER_LINE["writer_epoch"]):
-            self.received += 1
+            self.received += number != before
             self._open_call = number
             self._answer("fate unknown", Reason.BRIDGE_RESTARTED, self._now())
 

@@ -13,6 +13,7 @@ from typing import Any
 
 from rosplc.bridge.carrier import Carried, Carriers
 from rosplc.bridge.port import log
+from rosplc.bridge.use import Use
 from rosplc.clock import Clock
 from rosplc.config.calls import CallPlan
 from rosplc.config.problems import Problems
@@ -127,6 +128,9 @@ class Exchange:
         became = {was.name for was, now in changes.changed if was.port == "channel" != now.port}
         self._retiring = {plan.name for plan in changes.removed} | became
         left = self._retiring | {was.name for was, _ in changes.changed}
+        # Objects with other contents take the place of theirs.
+        others = {was.name for was, now in changes.changed if _contents(was) != _contents(now)}
+        self._ending = self._retiring | others
         self._leaving = tuple(stream for stream in self.running if stream.plan.name in left)
         self._kept = tuple(stream for stream in self.running if stream.plan.name not in left)
 
@@ -149,6 +153,7 @@ class Exchange:
             self._drop_new()
             self.show(self.running)
             raise
+        self._give_up(stream for stream in self._leaving if stream.plan.name in self._ending)
         begun = tuple(self._new)
         try:
             for stream in self._leaving:
@@ -178,9 +183,16 @@ class Exchange:
         if not self.carriers.replace(leaving, coming):
             raise BackendError("ROS018", "the ROS side does not return from publishing")
 
+    def _give_up(self, streams: Iterable[Carried]) -> None:
+        """End the calls in objects that no bridge will look at again."""
+        for stream in streams:
+            if isinstance(stream, Use):
+                stream.give_up(self.clock.monotonic_ns())
+
     def _drop_new(self) -> None:
         """Let go of what was opened; an object that this made is nobody's."""
         adopted = {stream for stream in self._new if stream.port.adopted}
+        self._give_up(stream for stream in self._new if stream not in adopted)
         for stream in self._new:
             stream.disconnect()
             if stream in adopted:
@@ -212,6 +224,11 @@ class Exchange:
 
     def _name(self, plan: Plan) -> str:
         return object_name(self.namespace, plan)
+
+
+def _contents(plan: Plan) -> tuple[Any, ...]:
+    server = plan.server if isinstance(plan, ServicePlan) else ""
+    return (server, *(layout.layout_id for layout in plan.layouts))
 
 
 def _retire(stream: Carried) -> None:

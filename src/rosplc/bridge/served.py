@@ -282,8 +282,8 @@ class Served(Use):
             # Said again: a program that started in between has seen neither the call nor this.
             self._withdraw(call)
 
-    def _repeat(self, now_ns: int) -> None:
-        """Answer callers of an earlier bridge, as soon as the middleware has found them."""
+    def _repeat(self, now_ns: int, *, last: bool = False) -> None:
+        """Answer callers of an earlier bridge, as soon as the middleware has found them, or now or never."""
         server = self._endpoint
         if server is None:
             return
@@ -294,7 +294,7 @@ class Served(Use):
                     outcome, reason = "fate unknown", Reason.BRIDGE_RESTARTED
                 self._reply(caller, None, WORDS[reason])
             elif not self._reply(caller, payload, ""):
-                if now_ns < until_ns:
+                if now_ns < until_ns and not last:
                     self._unsent.append((caller, payload, outcome, reason, until_ns))
                     continue
                 outcome = "late" if outcome == "done" else outcome
@@ -303,8 +303,10 @@ class Served(Use):
     # -- leaving
 
     def _let_go(self, now_ns: int) -> None:
-        call, begun = self._open_call, True
-        if call is None:
+        begun = True
+        with suppress(RosplcError, OSError, ValueError, AssertionError):
+            self._take_answers(now_ns)
+        if (call := self._open_call) is None:
             return
         with suppress(RosplcError, OSError, ValueError, AssertionError):
             begun = self._withdraw(call)
@@ -326,3 +328,4 @@ class Served(Use):
             with suppress(RosplcError, ValueError, OSError):
                 if not caller.begun() and not self._withdraw(call):
                     self._end(call, "not executed", Reason.BRIDGE_RESTARTED, now_ns)
+        self._repeat(now_ns, last=True)

@@ -76,6 +76,7 @@ class Use(Notes, ABC):
         self._on_event = on_event
         self._now = context.clock.monotonic_ns
         self._channels: tuple[OwnedChannel, ...] = ()
+        self._broken: tuple[OwnedChannel, ...] = ()  # those last found to need opening again
         self._writer: Writer | None = None
         self._reader: Reader | None = None
         self._first = True  # nothing was written since the claim
@@ -168,19 +169,28 @@ class Use(Notes, ABC):
     def check(self, now_ns: int) -> bool:
         """Look after the objects; return whether they must be opened again."""
         channels, reader = self._channels, self._reader
+        if channels and reader is None:
+            return False  # they are being opened
         try:
-            if not channels or reader is None or reader.line is None:
-                return True
-            if all(channel.still_there() for channel in channels):
-                return False
+            if channels and reader is not None and reader.line is not None:
+                if all(channel.still_there() for channel in channels):
+                    return False
+                self.note(now_ns, "an object was removed or replaced; both are created again", "SHM120")
         except (ChannelError, ValueError, OSError) as error:
-            self.fail(now_ns, error)
-            return True
-        self.note(now_ns, "an object was removed or replaced; both are created again", "SHM120")
+            super().fail(now_ns, error)
+        self._broken = channels
         return True
 
+    def fail(self, now_ns: int, error: Exception) -> None:
+        """Remember an error that keeps the present objects from being used."""
+        super().fail(now_ns, error)
+        self._broken = self._channels
+
     def reopen(self, now_ns: int) -> bool:
-        """Close both objects and open them again; return whether that succeeded."""
+        """Close both objects and open them again, unless they were since; return whether that succeeded."""
+        if self._channels and self._channels is not self._broken:
+            self.problem = ""
+            return True
         try:
             self._let_go(now_ns)
             self.close()
@@ -221,9 +231,9 @@ class Use(Notes, ABC):
 
     def ask(self, now_ns: int) -> None:
         """Ask the ROS side how the endpoint stands, and show the PLC how many clients there are."""
-        endpoint = self._endpoint
-        if endpoint is not None and self.plan.server == "plc" and self._writer is not None:
-            self._writer.set_sources(endpoint.status().matched)
+        endpoint, writer = self._endpoint, self._writer
+        if endpoint is not None and self.plan.server == "plc" and writer is not None:
+            writer.set_sources(endpoint.status().matched)
 
     # -- the carrier's thread
 
@@ -241,6 +251,11 @@ class Use(Notes, ABC):
     @abstractmethod
     def finish(self, now_ns: int) -> None:
         """End what has not begun: the use is not served any more."""
+
+    def give_up(self, now_ns: int) -> None:
+        """End what has begun too: the objects are about to be retired, and no other bridge finds it."""
+        self._let_go(now_ns)
+        self.finish(now_ns)
 
     def _send(
         self, record: bytes, *, correlation: int, status: int, client: bytes = b"", reason: int = 0

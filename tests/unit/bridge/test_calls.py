@@ -21,7 +21,19 @@ from rosplc.model import TypeStore
 from rosplc.reasons import Reason
 from rosplc.ros import EndpointStatus, Reply
 from rosplc.ros.lifecycle import LifecycleBackend
-from rosplc.shm import SERVICE, Answerer, Attached, Caller, Namespace, Part, Reader, SlotInfo, Writer, attach
+from rosplc.shm import (
+    SERVICE,
+    Answerer,
+    Attached,
+    Caller,
+    Namespace,
+    OwnedChannel,
+    Part,
+    Reader,
+    SlotInfo,
+    Writer,
+    attach,
+)
 from rosplc.shm.constants import (
     ANSWER_ACCEPTED,
     ANSWER_DONE,
@@ -559,6 +571,61 @@ def test_a_caller_that_the_middleware_finds_again_only_later(make: Make) -> None
     assert cell.status.done == 1
 
 
+def test_a_bridge_that_stops_while_a_caller_is_not_found_again(make: Make) -> None:
+    """The answer was taken, and no later bridge finds it: it is counted now."""
+    cell = make("plc")
+    plc = cell.attach()
+    info = begun(cell)
+    cell.ros.gone.add(A)
+    cell.restart()
+    plc.answer(info, success=True)
+    cell.turn(0.5, 3)
+    assert cell.status.outstanding == 1
+    cell.use.finish(cell.clock.monotonic_ns())
+    assert (cell.status.outstanding, cell.status.late) == (0, 1)
+
+
+def test_an_answer_that_has_come_is_passed_on_before_the_objects_are_left(make: Make) -> None:
+    cell = make("plc")
+    plc = cell.attach()
+    plc.answer(begun(cell), success=True)
+    cell.use.give_up(cell.clock.monotonic_ns())
+    assert [said[:2] for said in cell.ros.said] == [("reply", A)]
+    assert cell.status.done == 1
+
+
+def test_objects_are_not_opened_twice_for_one_fault(make: Make) -> None:
+    """Two threads may see it; to open them twice would end the calls of the first time."""
+    cell = make("plc")
+    cell.attach()
+    begun(cell)
+    cell.namespace.path("/s", Part.REQUEST).unlink()
+    now = cell.clock.monotonic_ns()
+    assert cell.use.check(now)
+    assert cell.use.reopen(now)
+    before = cell.use._channels
+    assert cell.use.reopen(now)
+    assert cell.use._channels is before
+    assert not cell.use.check(now)
+
+
+def test_a_look_at_objects_that_are_being_opened(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    cell = make("plc")
+    cell.attach()
+    seen: list[bool] = []
+    open_reader = OwnedChannel.reader
+
+    def look(channel: OwnedChannel, beat_ms: int) -> Reader:
+        seen.append(cell.use.check(0))
+        cell.use.ask(0)
+        return open_reader(channel, beat_ms)
+
+    monkeypatch.setattr(OwnedChannel, "reader", look)
+    cell.use.fail(0, RuntimeError("for a test"))
+    assert cell.use.reopen(0)
+    assert (seen, cell.use.problem) == ([False], "")
+
+
 def test_a_bridge_that_was_killed_before_the_plc_began(make: Make) -> None:
     """The next one does not hand the call out again: it withdraws it."""
     cell = make("plc")
@@ -784,6 +851,26 @@ def test_a_bridge_that_was_killed_while_a_server_carried_out_a_call(make: Make) 
     assert cell.ros.said == [("call", True)]
     cell.restart()
     assert cell.status.received == 0  # it has its answer
+
+
+@pytest.mark.parametrize("replaced", [False, True])
+def test_an_answer_that_cannot_be_sent_counts_once(make: Make, replaced: bool) -> None:
+    """Another has taken the claim: with the objects opened again the call has one end."""
+    cell = make("ros")
+    plc = cell.attach()
+    plc.call()
+    cell.turn()
+    cell.ros.on_reply(Reply(wire(Part.RESPONSE, success=True)))
+    cell.use._channels[0].region.store(WRITER_LINE["writer_epoch"], 12345)
+    if replaced:
+        cell.namespace.path("/s", Part.REQUEST).unlink()
+    cell.turn(0.02, 2)
+    assert cell.status.fate_unknown == {"bridge_restarted": 1}
+    assert (cell.status.received, cell.status.done) == (1, 0)
+    if not replaced:
+        found = plc.take()
+        assert found is not None
+        assert found[1].status == ANSWER_FATE_UNKNOWN
 
 
 def test_a_request_from_before_the_bridge_is_sent_once(make: Make) -> None:

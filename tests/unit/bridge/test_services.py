@@ -11,6 +11,7 @@ import pytest
 
 from rosplc.bridge import Bridge
 from rosplc.bridge.diagnostics import diagnostic_statuses
+from rosplc.bridge.use import Use
 from rosplc.config import ConfigErrors
 from rosplc.config import parse_config as parse
 from rosplc.errors import BackendError, ChannelError
@@ -130,6 +131,27 @@ def test_services_come_and_go(cell: Cell, plc: tuple[ServiceServer, ServiceClien
     assert names == [".sq.start", ".sr.start"]
     assert text(answered(server, ask(cell))) == "from the PLC"
     assert [use.done for use in bridge.status().services] == [1]
+
+
+@pytest.mark.parametrize("change", ["removed", "another layout"])
+def test_a_call_that_the_plc_carries_out_while_its_service_leaves(
+    cell: Cell, plc: tuple[ServiceServer, ServiceClient], change: str
+) -> None:
+    """Its objects are given up, so that no answer can come: the caller is told, and the call is counted."""
+    server, _ = plc
+    served = SERVED.replace("plc}", "plc, fallback: {message: unknown}}")
+    bridge = start(cell, served)
+    wait_for(lambda: serve(server), every=0.01)
+    server.xReply = False
+    replies = ask(cell)
+    repeat_until(server, lambda: server.xRequest, every=0.005)
+    left = bridge._streams[0]
+    longer = served.replace("plc,", "plc, limits: {response.message: 90},")
+    bridge.reload(config(cell, CALLED if change == "removed" else longer))
+    assert text(replies) == "unknown"
+    assert isinstance(left, Use)
+    assert left.status(0).fate_unknown == {"bridge_restarted": 1}
+    assert left.status(0).outstanding == 0
 
 
 def test_a_reload_that_fails_changes_nothing(
