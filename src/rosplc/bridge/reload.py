@@ -227,7 +227,7 @@ class Exchange:
 
 
 def _contents(plan: Plan) -> tuple[Any, ...]:
-    server = plan.server if isinstance(plan, ServicePlan) else ""
+    server = plan.server if isinstance(plan, CallPlan) else ""
     return (server, *(layout.layout_id for layout in plan.layouts))
 
 
