@@ -557,7 +557,7 @@ class BaseNode:
     """
 
     name: str
-    capabilities = frozenset({"topics"})
+    capabilities = frozenset({"topics", "services"})
     logger = logging.getLogger("rosplc.ros")
     ros1: bool | None = False
     """Whether it is a backend of ROS 1; None: it takes the types of both."""
@@ -598,6 +598,31 @@ class BaseNode:
     def _usable(self) -> None:
         if self._closed:
             raise BackendError("ROS009", f"node {self.node} has left the graph")
+
+    # -- endpoints
+
+    _kinds: tuple[Any, ...]
+    """The classes of its subscriptions, publishers, servers and clients."""
+
+    def _open(self, kind: Any, topic: str, type_name: str, qos: Qos, *receiver: Any) -> Any:
+        """Open an endpoint of one of these classes, and keep it."""
+        raise NotImplementedError
+
+    def subscribe(self, topic: str, type_name: str, qos: Qos, on_message: OnMessage) -> Any:
+        """Receive a topic; see :meth:`rosplc.ros.backend.Backend.subscribe`."""
+        return self._open(self._kinds[0], topic, type_name, qos, on_message)
+
+    def advertise(self, topic: str, type_name: str, qos: Qos) -> Any:
+        """Send a topic; see :meth:`rosplc.ros.backend.Backend.advertise`."""
+        return self._open(self._kinds[1], topic, type_name, qos)
+
+    def serve(self, service: str, type_name: str, qos: Qos, on_request: OnRequest) -> Any:
+        """Serve a service; see :meth:`rosplc.ros.backend.Backend.serve`."""
+        return self._open(self._kinds[2], service, type_name, qos, on_request)
+
+    def client(self, service: str, type_name: str, qos: Qos) -> Any:
+        """Call a service; see :meth:`rosplc.ros.backend.Backend.client`."""
+        return self._open(self._kinds[3], service, type_name, qos)
 
     def endpoints(self) -> tuple[Any, ...]:
         """Return the endpoints."""

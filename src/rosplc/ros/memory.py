@@ -26,7 +26,7 @@ from rosplc.ros._base import (
     Queued,
     QueuedSubscription,
 )
-from rosplc.ros.backend import EndpointInfo, GraphInfo, OnMessage, OnRequest, Qos, Reply
+from rosplc.ros.backend import EndpointInfo, GraphInfo, Qos, Reply
 
 _domains: dict[int, list[MemoryBackend]] = {}
 _graph = threading.RLock()  # guards _domains and every list of endpoints: one small graph, one lock
@@ -151,7 +151,7 @@ class MemoryBackend(BaseNode):
     """One node of the graph in this process; see :class:`rosplc.ros.backend.Backend`."""
 
     name = "memory"
-    capabilities = frozenset({"topics", "services"})
+    _kinds = (MemorySubscription, MemoryPublisher, MemoryServer, MemoryClient)
     ros1 = None
     logger = logging.getLogger("rosplc.ros.memory")
 
@@ -172,42 +172,17 @@ class MemoryBackend(BaseNode):
                 while isinstance(endpoint, Queued) and endpoint.deliver_next():
                     pass
 
-    def _details(self, topic: str, type_name: str, qos: Qos) -> tuple[Any, ...]:
+    def _open(self, kind: Any, topic: str, type_name: str, qos: Qos, *receiver: Any) -> Any:
         full, name = self._resolve(topic, type_name)
-        return self, full, name, qos, self._hash(name)
-
-    def subscribe(self, topic: str, type_name: str, qos: Qos, on_message: OnMessage) -> MemorySubscription:
-        """Receive a topic; see :meth:`rosplc.ros.backend.Backend.subscribe`."""
-        subscription = MemorySubscription(on_message, *self._details(topic, type_name, qos))
+        endpoint = kind(*receiver, self, full, name, qos, self._hash(name))
         with _graph:
-            self._endpoints.append(subscription)
-            if qos.durability == "transient_local":
-                for peer in subscription.peers():
+            self._endpoints.append(endpoint)
+            if kind is MemorySubscription and qos.durability == "transient_local":
+                for peer in endpoint.peers():
                     # No loss: a subscriber with a smaller queue asks for fewer old messages.
                     for message in list(peer.kept)[-qos.depth :]:
-                        subscription.put(*message)
-        return subscription
-
-    def advertise(self, topic: str, type_name: str, qos: Qos) -> MemoryPublisher:
-        """Send a topic; see :meth:`rosplc.ros.backend.Backend.advertise`."""
-        publisher = MemoryPublisher(*self._details(topic, type_name, qos))
-        with _graph:
-            self._endpoints.append(publisher)
-        return publisher
-
-    def serve(self, service: str, type_name: str, qos: Qos, on_request: OnRequest) -> MemoryServer:
-        """Serve a service; see :meth:`rosplc.ros.backend.Backend.serve`."""
-        server = MemoryServer(on_request, *self._details(service, type_name, qos))
-        with _graph:
-            self._endpoints.append(server)
-        return server
-
-    def client(self, service: str, type_name: str, qos: Qos) -> MemoryClient:
-        """Call a service; see :meth:`rosplc.ros.backend.Backend.client`."""
-        client = MemoryClient(*self._details(service, type_name, qos))
-        with _graph:
-            self._endpoints.append(client)
-        return client
+                        endpoint.put(*message)
+        return endpoint
 
     def _judge(self, endpoint: _Endpoint) -> tuple[bool, list[Problem]]:
         with _graph:

@@ -20,7 +20,7 @@ from cyclonedds.sub import Subscriber as SubscriberGroup
 
 from rosplc.ros import _base
 from rosplc.ros._base import BaseNode, Context, Problem
-from rosplc.ros.backend import EndpointInfo, GraphInfo, OnMessage, OnRequest, Qos
+from rosplc.ros.backend import EndpointInfo, GraphInfo, Qos
 from rosplc.ros.dds import domain as domains
 from rosplc.ros.dds import native
 from rosplc.ros.dds.domain import check_peers, domain_config, domain_id
@@ -68,6 +68,7 @@ class DdsBackend(BaseNode):
 
     name = "dds"
     capabilities = frozenset({"topics", "services", "deadline"})
+    _kinds = (DdsSubscription, DdsPublisher, DdsServer, DdsClient)
     logger = logging.getLogger("rosplc.ros.dds")
 
     def __init__(self, context: Context) -> None:
@@ -110,79 +111,58 @@ class DdsBackend(BaseNode):
 
     # -- endpoints
 
-    def subscribe(self, topic: str, type_name: str, qos: Qos, on_message: OnMessage) -> DdsSubscription:
-        """Receive a topic; see :meth:`rosplc.ros.backend.Backend.subscribe`."""
+    def _open(self, kind: Any, topic: str, type_name: str, qos: Qos, *receiver: Any) -> Any:
         with self._lock:
-            subscription = DdsSubscription(on_message, *self._make(topic, type_name, qos, DataReader))
-            self._adopt(subscription)
-        self._waitset.wake()
-        return subscription
-
-    def advertise(self, topic: str, type_name: str, qos: Qos) -> DdsPublisher:
-        """Send a topic; see :meth:`rosplc.ros.backend.Backend.advertise`."""
-        with self._lock:
-            publisher = DdsPublisher(*self._make(topic, type_name, qos, DataWriter))
-            self._adopt(publisher)
-        self._waitset.wake()
-        return publisher
-
-    def serve(self, service: str, type_name: str, qos: Qos, on_request: OnRequest) -> DdsServer:
-        """Serve a service; see :meth:`rosplc.ros.backend.Backend.serve`."""
-        with self._lock:
+            full, name = self._resolve(topic, type_name)
             # First: a client on Fast DDS must not see the others alone (service.py).
-            decoy = self.decoy(*self._resolve(service, type_name))
+            decoy = self.decoy(full, name) if kind is DdsServer else None
+            make = self._make_both if kind.serves else self._make
             try:
-                server = DdsServer(on_request, *self._make_both(service, type_name, qos, "serviceid"))
+                endpoint = kind(*receiver, *make(full, name, qos, kind.direction))
             except BaseException:
-                native.delete(decoy)
+                if decoy is not None:
+                    native.delete(decoy)
                 raise
-            server.decoy = decoy
-            self._adopt(server)
+            if decoy is not None:
+                endpoint.decoy = decoy
+            self._adopt(endpoint)
         self._waitset.wake()
-        return server
+        return endpoint
 
-    def client(self, service: str, type_name: str, qos: Qos) -> DdsClient:
-        """Call a service; see :meth:`rosplc.ros.backend.Backend.client`."""
-        with self._lock:
-            client = DdsClient(*self._make_both(service, type_name, qos, "clientid"))
-            self._adopt(client)
-        self._waitset.wake()
-        return client
-
-    def _open(self, kind: Any, topic: str, data_type: Any, qos: DdsQos, group: Any = None) -> Any:
+    def _entity(self, kind: Any, topic: str, data_type: Any, qos: DdsQos, group: Any = None) -> Any:
         group = group or (self._subscribers if kind is DataReader else self._publishers)
         return kind(group, self._topics(topic, data_type), qos)
 
-    def _make(self, topic: str, type_name: str, qos: Qos, kind: Any) -> tuple[Any, ...]:
+    def _make(self, full: str, name: str, qos: Qos, direction: str) -> tuple[Any, ...]:
         """Open an entity; return the arguments of an endpoint."""
-        full, name = self._resolve(topic, type_name)
-        type_hash = self._hash(name)
+        type_hash, kind = self._hash(name), DataReader if direction == "in" else DataWriter
         try:
-            entity = self._open(kind, dds_topic(full), self._types[name], dds_qos(qos, type_hash))
+            entity = self._entity(kind, dds_topic(full), self._types[name], dds_qos(qos, type_hash))
         except DDSException as error:
             raise native.refusal(f"cannot open {full} as {name}", error) from error
         return entity, self, full, name, qos, type_hash
 
-    def _make_both(self, service: str, type_name: str, qos: Qos, role: str) -> tuple[Any, ...]:
+    def _make_both(self, full: str, name: str, qos: Qos, direction: str) -> tuple[Any, ...]:
         """Open both entities of a server or client, or none; return the arguments of an endpoint."""
-        full, name = self._resolve(service, type_name)
+        serves = direction == "in"
         # As rmw_cyclonedds_cpp writes it: not padded, but for the first byte.
         first, *others = self._guid[:12] + next(self._service_ids).to_bytes(4, "big")
+        role = "serviceid" if serves else "clientid"
         service_id = f"{role}={first:2x}{''.join(f'.{octet:x}' for octet in others)};"
-        request, response = f"{name}_Request", f"{name}_Response"
-        hashes = self._hash(request), self._hash(response)
+        parts = f"{name}_Request", f"{name}_Response"
+        hashes = [*map(self._hash, parts)]
         settings = [dds_qos(_base.queue_of(qos), type_hash, service_id) for type_hash in hashes]
-        types = [self._types.with_header(part) for part in (request, response)]
-        kinds = (DataReader, DataWriter) if role == "serviceid" else (DataWriter, DataReader)
+        kinds = (DataReader, DataWriter) if serves else (DataWriter, DataReader)
+        types = map(self._types.with_header, parts)
         opened: list[Any] = []
         try:
             for details in zip(kinds, service_topics(full), types, settings, strict=True):
-                opened.append(self._open(*details))
+                opened.append(self._entity(*details))
         except DDSException as error:
             for entity in opened:
                 native.delete(entity)
             raise native.refusal(f"cannot open {full} as {name}", error) from error
-        reader, writer = opened if role == "serviceid" else reversed(opened)
+        reader, writer = opened if serves else reversed(opened)
         return reader, writer, hashes[1], self, full, name, qos, hashes[0]
 
     def _hash(self, name: str) -> str:
@@ -192,7 +172,7 @@ class DdsBackend(BaseNode):
         """Open another writer of a service's responses, which nothing matches."""
         topic, data_type = service_topics(service)[1], self._types.with_header(f"{type_name}_Response")
         try:
-            return self._open(DataWriter, topic, data_type, dds_qos(Qos(depth=1), ""), self._decoys)
+            return self._entity(DataWriter, topic, data_type, dds_qos(Qos(depth=1), ""), self._decoys)
         except DDSException as error:
             raise native.refusal(f"cannot open {service} as {type_name}", error) from error
 

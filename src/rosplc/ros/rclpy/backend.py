@@ -11,21 +11,18 @@ from typing import Any, Literal
 
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.exceptions import InvalidHandle
-from rclpy.subscription import Subscription as NativeSubscription
 
 from rosplc.clock import SYSTEM, Clock
 from rosplc.errors import BackendError, RosplcError
 from rosplc.ros import _base
 from rosplc.ros._base import BaseNode, Context, Problem
-from rosplc.ros.backend import EndpointInfo, GraphInfo, OnMessage, OnRequest, Qos, TypeSource
+from rosplc.ros.backend import EndpointInfo, GraphInfo, Qos, TypeSource
 from rosplc.ros.names import join, validate_namespace, validate_node_name
 from rosplc.ros.rclpy.endpoint import RclpyPublisher, RclpySubscription, create, profile, read_peers
 from rosplc.ros.rclpy.messages import MessageClasses
 from rosplc.ros.rclpy.parameters import show
 from rosplc.ros.rclpy.services import RclpyClient, RclpyServer, service_type
 from rosplc.ros.rclpy.spin import OwnNode, guard_takes, read_options
-
-_GIVES_STAMPS = hasattr(NativeSubscription, "CallbackType")  # since ROS 2 Iron
 
 _LOOK_NS = 250_000_000
 
@@ -40,7 +37,7 @@ class RclpyBackend(BaseNode):
     """
 
     name = "rclpy"
-    capabilities = frozenset({"topics", "services"})
+    _kinds = (RclpySubscription, RclpyPublisher, RclpyServer, RclpyClient)
     logger = logging.getLogger("rosplc.ros.rclpy")
 
     def __init__(self, node: Any, store: TypeSource, remap: Mapping[str, str], clock: Clock = SYSTEM) -> None:
@@ -62,68 +59,13 @@ class RclpyBackend(BaseNode):
         """Refuse a type that cannot be carried (TYP001, ROS011 or ROS012), without opening anything."""
         _ = self._classes[type_name if _base.is_service(type_name) else self._store[type_name].name]
 
-    def subscribe(self, topic: str, type_name: str, qos: Qos, on_message: OnMessage) -> RclpySubscription:
-        """Receive a topic; see :meth:`rosplc.ros.backend.Backend.subscribe`."""
-        subscription = RclpySubscription(on_message, *self._details(topic, type_name, qos))
-        callback = subscription.receive if _GIVES_STAMPS else subscription.receive_plain
-        self._open(
-            subscription,
-            lambda kind, name, native, **others: self._node.create_subscription(
-                kind, name, callback, native, raw=True, **others
-            ),
-        )
-        return subscription
-
-    def advertise(self, topic: str, type_name: str, qos: Qos) -> RclpyPublisher:
-        """Send a topic; see :meth:`rosplc.ros.backend.Backend.advertise`."""
-        publisher = RclpyPublisher(*self._details(topic, type_name, qos))
-        self._open(publisher, self._node.create_publisher)
-        return publisher
-
-    def serve(self, service: str, type_name: str, qos: Qos, on_request: OnRequest) -> RclpyServer:
-        """Serve a service; see :meth:`rosplc.ros.backend.Backend.serve`."""
-        server = RclpyServer(on_request, *self._details(service, type_name, qos, "_Request"))
-        self._open(
-            server,
-            lambda kind, name, native, **others: self._node.create_service(
-                kind, name, server.hold, qos_profile=native, **others
-            ),
-        )
-        return server
-
-    def client(self, service: str, type_name: str, qos: Qos) -> RclpyClient:
-        """Call a service; see :meth:`rosplc.ros.backend.Backend.client`."""
-        client = RclpyClient(*self._details(service, type_name, qos, "_Request"))
-        self._open(
-            client,
-            lambda kind, name, native, **others: self._node.create_client(
-                kind, name, qos_profile=native, **others
-            ),
-        )
-        with self._lock:
-            if self._watch is None:
-                self._watch = threading.Thread(
-                    target=self._look_after_calls, name="rosplc-calls-rclpy", daemon=True
-                )
-                self._watch.start()
-        return client
-
-    def _look_after_calls(self) -> None:
-        while not self._ending.is_set():
-            self.clock.wait(self._ending, _LOOK_NS)
-            for endpoint in self.endpoints():
-                if isinstance(endpoint, RclpyClient):
-                    endpoint.look()
-
-    def _details(self, topic: str, type_name: str, qos: Qos, part: str = "") -> tuple[Any, ...]:
+    def _open(self, kind: Any, topic: str, type_name: str, qos: Qos, *receiver: Any) -> Any:
         full, name = self._resolve(topic, type_name)
-        _ = self._classes[name]
-        return self, full, name, qos, self._store.type_hash(name + part)
-
-    def _open(self, endpoint: RclpyEndpoint, make: Callable[..., Any]) -> None:
-        qos = _base.queue_of(endpoint.qos) if endpoint.serves else endpoint.qos
-        native, kind = profile(qos), self._classes[endpoint.type_name]
-        make = partial(make, kind, endpoint.topic, native, callback_group=self._group)
+        native_type = self._classes[name]
+        type_hash = self._store.type_hash(f"{name}_Request" if kind.serves else name)
+        endpoint: RclpyEndpoint = kind(*receiver, self, full, name, qos, type_hash)
+        settings = profile(_base.queue_of(qos) if kind.serves else qos)
+        make = partial(endpoint.make, self._node, native_type, full, settings, callback_group=self._group)
         with self._lock:
             self._usable()
             try:
@@ -131,18 +73,31 @@ class RclpyBackend(BaseNode):
                     self._guarded = executor
                     guard_takes(executor, self._refuse)
                 if isinstance(endpoint, RclpyServer | RclpyClient):
-                    topic = self._node.resolve_service_name(endpoint.topic)
+                    native_topic = self._node.resolve_service_name(full)
                     endpoint.entity = make()
                     endpoint.attach(endpoint.entity)
                 else:
                     endpoint.entity = create(make, endpoint, self._look)
-                    topic = endpoint.entity.topic_name
-                endpoint.topic = topic  # after the node's own remapping rules
+                    native_topic = endpoint.entity.topic_name
+                endpoint.topic = native_topic  # after the node's own remapping rules
             except RosplcError:
                 raise
             except Exception as error:
-                raise refusal(f"cannot open {endpoint.topic} as {endpoint.type_name}", error) from error
+                raise refusal(f"cannot open {full} as {name}", error) from error
             self._endpoints.append(endpoint)
+            if kind is RclpyClient and self._watch is None:
+                self._watch = threading.Thread(
+                    target=self._look_after_calls, name="rosplc-calls-rclpy", daemon=True
+                )
+                self._watch.start()
+        return endpoint
+
+    def _look_after_calls(self) -> None:
+        while not self._ending.is_set():
+            self.clock.wait(self._ending, _LOOK_NS)
+            for endpoint in self.endpoints():
+                if isinstance(endpoint, RclpyClient):
+                    endpoint.look()
 
     def _refuse(self, entity: object, error: Exception) -> None:
         for endpoint in self.endpoints():

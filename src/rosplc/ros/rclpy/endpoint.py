@@ -13,6 +13,7 @@ from typing import Any, Literal
 
 from rclpy.exceptions import InvalidHandle
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription as NativeSubscription
 
 from rosplc.errors import BackendError
 from rosplc.ros._base import BaseEndpoint, BasePublisher, BaseSubscription, is_cdr
@@ -91,6 +92,7 @@ except ImportError:  # ROS 2 Humble
     from rclpy.qos_event import PublisherEventCallbacks, SubscriptionEventCallbacks, UnsupportedEventTypeError
 
 
+_GIVES_STAMPS = hasattr(NativeSubscription, "CallbackType")  # since ROS 2 Iron
 _BATCH = 64  # messages taken from one subscription before the others get their turn
 _EVENTS = (
     ("incompatible_qos", "incompatible_type", "message_lost"),
@@ -116,12 +118,22 @@ class RclpyEndpointBase(BaseEndpoint):
     def _count(self, entity: Any) -> int:
         raise NotImplementedError
 
+    def make(self, node: Any, *details: Any, **others: Any) -> Any:
+        """Create rclpy's entity; the details are type, name and settings."""
+        raise NotImplementedError
+
     def _losses(self) -> int:
         return self.lost
 
 
 class RclpySubscription(BaseSubscription, RclpyEndpointBase):
     """A raw subscription; see :class:`rosplc.ros.backend.Subscription`."""
+
+    def make(self, node: Any, *details: Any, **others: Any) -> Any:
+        """Create rclpy's subscription."""
+        kind, name, settings = details
+        callback = self.receive if _GIVES_STAMPS else self.receive_plain
+        return node.create_subscription(kind, name, callback, settings, raw=True, **others)
 
     def _count(self, entity: Any) -> int:
         count = getattr(entity, "get_publisher_count", None)
@@ -172,6 +184,10 @@ class RclpySubscription(BaseSubscription, RclpyEndpointBase):
 
 class RclpyPublisher(BasePublisher, RclpyEndpointBase):
     """A publisher of serialized messages; see :class:`rosplc.ros.backend.Publisher`."""
+
+    def make(self, node: Any, *details: Any, **others: Any) -> Any:
+        """Create rclpy's publisher."""
+        return node.create_publisher(*details, **others)
 
     def _count(self, entity: Any) -> int:
         return int(entity.get_subscription_count())

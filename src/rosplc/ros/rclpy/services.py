@@ -60,6 +60,11 @@ class RclpyServer(_Service, KeepingServer):
         self._respond, entity.send_response = entity.send_response, self._receive
         self._attached.set()
 
+    def make(self, node: Any, *details: Any, **others: Any) -> Any:
+        """Create rclpy's server."""
+        kind, name, settings = details
+        return node.create_service(kind, name, self.hold, qos_profile=settings, **others)
+
     def hold(self, request: Any, _response: Any) -> Any:
         """Return the request in place of a response: the callback of rclpy's server."""
         self._attached.wait()  # it may come before the server's creation has returned
@@ -93,6 +98,11 @@ class RclpyClient(_Service, BaseClient):
         super().__init__(*arguments)
         self._futures: dict[int, Any] = {}
         self._sending = threading.Lock()
+
+    def make(self, node: Any, *details: Any, **others: Any) -> Any:
+        """Create rclpy's client."""
+        kind, name, settings = details
+        return node.create_client(kind, name, qos_profile=settings, **others)
 
     def attach(self, entity: Any) -> None:
         """Take over rclpy's client."""

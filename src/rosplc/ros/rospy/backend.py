@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from rosplc.errors import BackendError
 from rosplc.ros._base import BaseNode, Context, Problem, graph_info, opener
-from rosplc.ros.backend import EndpointInfo, GraphInfo, OnMessage, OnRequest, Qos
+from rosplc.ros.backend import EndpointInfo, GraphInfo, Qos
 from rosplc.ros.rospy.handshake import ANY, Definition, ros2_name
 from rosplc.ros.rospy.inbound import Incoming, RospySubscription
 from rosplc.ros.rospy.master import read_address
@@ -38,7 +38,7 @@ class RospyBackend(BaseNode):
     """
 
     name = "rospy"
-    capabilities = frozenset({"topics", "services"})
+    _kinds = (RospySubscription, RospyPublisher, RospyServer, RospyClient)
     ros1 = True
     logger = logging.getLogger("rosplc.ros.rospy")
 
@@ -64,24 +64,24 @@ class RospyBackend(BaseNode):
 
     # -- endpoints
 
-    def subscribe(self, topic: str, type_name: str, qos: Qos, on_message: OnMessage) -> RospySubscription:
-        """Receive a topic; see :meth:`rosplc.ros.backend.Backend.subscribe`.
-
-        Raises:
-            BackendError: ROS002 if this node receives the topic as another type already.
-        """
+    def _open(self, kind: Any, topic: str, type_name: str, qos: Qos, *receiver: Any) -> Any:
+        """Open an endpoint; ROS002 if this node has the topic as another type, or serves the service."""
         with self._lock:
-            shared = self._shared(Incoming, topic, type_name)
-            subscription = RospySubscription(on_message, shared, qos)
-            self._adopt(subscription)
-        return subscription
-
-    def advertise(self, topic: str, type_name: str, qos: Qos) -> RospyPublisher:
-        """Send a topic; raises as :meth:`subscribe` does."""
-        with self._lock:
-            publisher = RospyPublisher(self._shared(Outgoing, topic, type_name), qos)
-            self._adopt(publisher)
-        return publisher
+            if kind.serves:
+                endpoint = kind(*receiver, self, *self._resolve(topic, type_name), qos)
+                if (
+                    kind is RospyServer
+                    and self._topics.setdefault(("serve", endpoint.topic), endpoint) is not endpoint
+                ):
+                    what = f"{self.node} serves {endpoint.topic} already"
+                    raise BackendError("ROS002", what, remedy="A service of ROS 1 has one server.")
+            else:
+                shared = self._shared(Incoming if kind is RospySubscription else Outgoing, topic, type_name)
+                endpoint = kind(*receiver, shared, qos)
+                shared.add(endpoint)
+            self._endpoints.append(endpoint)
+        self.wake()
+        return endpoint
 
     def _shared(self, kind: Any, topic: str, type_name: str) -> Any:
         full, name = self._resolve(topic, type_name)
@@ -94,38 +94,9 @@ class RospyBackend(BaseNode):
             raise BackendError("ROS002", what, remedy="A node of ROS 1 has one type for each topic.")
         return known
 
-    def serve(self, service: str, type_name: str, qos: Qos, on_request: OnRequest) -> RospyServer:
-        """Serve a service; see :meth:`rosplc.ros.backend.Backend.serve`.
-
-        Raises:
-            BackendError: ROS002 if this node serves it already.
-        """
-        with self._lock:
-            server = RospyServer(on_request, self, *self._resolve(service, type_name), qos)
-            if ("serve", server.topic) in self._topics:
-                what = f"{self.node} serves {server.topic} already"
-                raise BackendError("ROS002", what, remedy="A service of ROS 1 has one server.")
-            self._topics["serve", server.topic] = server
-            self._endpoints.append(server)
-        self.wake()
-        return server
-
-    def client(self, service: str, type_name: str, qos: Qos) -> RospyClient:
-        """Call a service; see :meth:`rosplc.ros.backend.Backend.client`."""
-        with self._lock:
-            client = RospyClient(self, *self._resolve(service, type_name), qos)
-            self._endpoints.append(client)
-        self.wake()
-        return client
-
     def service_md5(self, type_name: str) -> str:
         """Return the MD5 sum of a service."""
         return self._store.service_md5(type_name)
-
-    def _adopt(self, endpoint: RospySubscription | RospyPublisher) -> None:
-        endpoint.shared.add(endpoint)
-        self._endpoints.append(endpoint)
-        self.wake()
 
     def forget(self, endpoint: Any) -> None:
         """Take in that an endpoint is being closed."""

@@ -12,12 +12,13 @@ import zenoh
 
 from rosplc.errors import BackendError
 from rosplc.ros._base import BaseNode, Context, Problem, domain_number, opener, several
-from rosplc.ros.backend import GraphInfo, OnMessage, OnRequest, Qos
+from rosplc.ros.backend import GraphInfo, Qos
 from rosplc.ros.zenoh.endpoint import Endpoint, ZenohPublisher, ZenohSubscription
 from rosplc.ros.zenoh.keys import NO_TYPE_HASH, OTHER, Entity, Kind, TokenTable, explain, tokens_of_domain
 from rosplc.ros.zenoh.service import ZenohClient, ZenohServer
 from rosplc.ros.zenoh.session import Link, session_config
 
+_LETTERS: tuple[Kind, ...] = ("MS", "MP", "SS", "SC")
 _TICK_S = 0.5  # how often the receive thread looks at what has no event of its own
 
 
@@ -25,7 +26,7 @@ class ZenohBackend(BaseNode):
     """One ROS 2 node on Zenoh; see :class:`rosplc.ros.backend.Backend`."""
 
     name = "zenoh"
-    capabilities = frozenset({"topics", "services"})
+    _kinds = (ZenohSubscription, ZenohPublisher, ZenohServer, ZenohClient)
     logger = logging.getLogger("rosplc.ros.zenoh")
 
     def __init__(self, context: Context) -> None:
@@ -79,39 +80,14 @@ class ZenohBackend(BaseNode):
 
     # -- endpoints
 
-    def subscribe(self, topic: str, type_name: str, qos: Qos, on_message: OnMessage) -> ZenohSubscription:
-        """Receive a topic; see :meth:`rosplc.ros.backend.Backend.subscribe`."""
+    def _open(self, kind: Any, topic: str, type_name: str, qos: Qos, *receiver: Any) -> Any:
         with self._lock:
-            entity = self._details("MS", topic, type_name, qos)
-            subscription = ZenohSubscription(on_message, self, entity)
-            self._adopt(subscription)
-        return subscription
-
-    def advertise(self, topic: str, type_name: str, qos: Qos) -> ZenohPublisher:
-        """Send a topic; see :meth:`rosplc.ros.backend.Backend.advertise`."""
-        with self._lock:
-            publisher = ZenohPublisher(self, self._details("MP", topic, type_name, qos))
-            self._adopt(publisher)
-        return publisher
-
-    def serve(self, service: str, type_name: str, qos: Qos, on_request: OnRequest) -> ZenohServer:
-        """Serve a service; see :meth:`rosplc.ros.backend.Backend.serve`."""
-        with self._lock:
-            server = ZenohServer(on_request, self, self._details("SS", service, type_name, qos))
-            self._adopt(server)
-        return server
-
-    def client(self, service: str, type_name: str, qos: Qos) -> ZenohClient:
-        """Call a service; see :meth:`rosplc.ros.backend.Backend.client`."""
-        with self._lock:
-            client = ZenohClient(self, self._details("SC", service, type_name, qos))
-            self._adopt(client)
-        return client
-
-    def _details(self, kind: Kind, topic: str, type_name: str, qos: Qos) -> Entity:
-        full, name = self._resolve(topic, type_name)
-        type_hash = self._hash(name) if self._hashes else NO_TYPE_HASH
-        return self._entity(kind, str(next(self._numbers)), full, name, type_hash, qos)
+            full, name = self._resolve(topic, type_name)
+            details = (full, name, self._hash(name) if self._hashes else NO_TYPE_HASH, qos)
+            letters = _LETTERS[self._kinds.index(kind)]
+            endpoint = kind(*receiver, self, self._entity(letters, str(next(self._numbers)), *details))
+            self._adopt(endpoint)
+        return endpoint
 
     def _adopt(self, endpoint: Endpoint) -> None:
         if self._session is not None:
