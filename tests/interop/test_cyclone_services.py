@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import struct
+import threading
 from collections.abc import Iterator
 from typing import Any
 
@@ -15,7 +16,8 @@ import pytest
 
 pytest.importorskip("cyclonedds", reason="no wheel of cyclonedds for this machine")
 
-from cyclonedds.core import Policy, Qos
+from cyclonedds.core import Policy
+from cyclonedds.core import Qos as DdsQos
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.idl import make_idl_struct
 from cyclonedds.idl.types import int64, uint64
@@ -23,9 +25,9 @@ from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 
 from rosplc.model import TypeStore
-from rosplc.ros import SERVICES, Reply, open_backend
+from rosplc.ros import SERVICES, Qos, Reply, open_backend
 from rosplc.ros.dds.domain import TYPES, Topics
-from tests.interop.graphs import LOCAL, free_domain, string, text_of
+from tests.interop.graphs import LOCAL, STRING, free_domain, string, text_of
 from tests.lib.clock import SteppedClock
 from tests.lib.waiting import repeat_until, wait_for
 
@@ -52,21 +54,21 @@ class RmwNode:
         self._topics = Topics(self.participant)
         self._numbers = itertools.count(1)
 
-    def ids(self, role: str) -> Qos:
+    def ids(self, role: str) -> DdsQos:
         """Return the settings of the two endpoints of a client or server."""
         octets = self.participant.guid.bytes[:12] + next(self._numbers).to_bytes(4, "big")
         text = f"{octets[0]:2x}" + "".join(f".{octet:x}" for octet in octets[1:])
-        return Qos(
+        return DdsQos(
             Policy.Reliability.Reliable(10**9),
             Policy.History.KeepLast(10),
             Policy.DataRepresentation(use_cdrv0_representation=True),
             Policy.Userdata(f"{role}={text};".encode()),
         )
 
-    def writer(self, topic: str, kind: Any, qos: Qos) -> DataWriter[Any]:
+    def writer(self, topic: str, kind: Any, qos: DdsQos) -> DataWriter[Any]:
         return DataWriter(self.participant, self._topics(topic, kind), qos)
 
-    def reader(self, topic: str, kind: Any, qos: Qos) -> DataReader[Any]:
+    def reader(self, topic: str, kind: Any, qos: DdsQos) -> DataReader[Any]:
         return DataReader(self.participant, self._topics(topic, kind), qos)
 
     def close(self) -> None:
@@ -317,3 +319,31 @@ def test_a_server_that_has_gone(cell: Cell, node: RmwNode) -> None:
     del other.writer, other.reader
     wait_for(lambda: len(replies) == 2)
     assert (replies[1].payload, replies[1].outcome) == (None, "fate unknown")
+
+
+def test_a_server_that_answers_and_goes(cell: Cell, node: RmwNode) -> None:
+    """Its response counts, although it has gone before the response is looked at."""
+    held, go_on = threading.Event(), threading.Event()
+
+    def hold(_payload: bytes, _stamp_ns: int) -> None:
+        held.set()
+        go_on.wait()
+
+    client: Any = cell.backend.client("/cell/add", ADD, SERVICES)
+    cell.backend.subscribe("/hold", STRING, Qos(), hold)
+    publisher = cell.backend.advertise("/hold", STRING, Qos())
+    server = RmwServer(node, "/cell/add")
+    wait_for(lambda: client.ready and publisher.matched)
+    replies: list[Reply] = []
+    client.call(string("text"), replies.append)
+    requests = wait_for(server.take)
+    publisher.write(string("now"))
+    held.wait()
+    try:
+        server.answer(requests[0])
+        del server.writer, server.reader
+        wait_for(lambda: not client.matched_handles())
+    finally:
+        go_on.set()
+    wait_for(lambda: replies)
+    assert [reply.payload for reply in replies] == [response("text")]

@@ -232,6 +232,8 @@ class DdsBackend(BaseNode):
                             self._announcer.forget(participant)
                     else:
                         self._look(key)
+                if self.peers.left:
+                    self._part()
                 for _ in range(len(self._hurried)):
                     if (server := self._hurried.popleft()).flush():
                         self._hurried.append(server)
@@ -248,14 +250,26 @@ class DdsBackend(BaseNode):
 
     def _look(self, which: int) -> None:
         with self._lock:
-            changed = self.peers.update(which)
-            self._suspects |= dict.fromkeys(changed, self.clock.monotonic_ns())
-            concerned = [endpoint for endpoint in self._readers.values() if endpoint.dds_topic in changed]
-            for endpoint in concerned:
+            self._review(self.peers.update(which))
+
+    def _part(self) -> None:
+        """Forget the endpoints that have gone, once the responses that they sent before are taken."""
+        left = frozenset(self.peers.left)
+        clients = [endpoint for endpoint in self.endpoints() if isinstance(endpoint, DdsClient)]
+        for client in clients:
+            client.take()
+        with self._lock:
+            changed = self.peers.forget(left)
+            self._review(changed)
+        for client in clients:
+            if client.dds_topic in changed:
+                client.end_orphans()
+
+    def _review(self, changed: set[str]) -> None:
+        self._suspects |= dict.fromkeys(changed, self.clock.monotonic_ns())
+        for endpoint in self._readers.values():
+            if endpoint.dds_topic in changed:
                 endpoint.review()
-        for endpoint in concerned:
-            if isinstance(endpoint, DdsClient):
-                endpoint.end_orphans()
 
     # -- what is wrong
 

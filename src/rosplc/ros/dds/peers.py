@@ -13,7 +13,7 @@ from __future__ import annotations
 import ctypes as ct
 import re
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -71,6 +71,9 @@ class PeerTable:
 
     Args:
         own: Its 16-byte id; its own endpoints are left out, but those of services: a node may call itself.
+
+    Attributes:
+        left: Ids of endpoints that have gone; they are kept until :meth:`forget`.
     """
 
     def __init__(self, participant: Any, own: bytes) -> None:
@@ -78,6 +81,7 @@ class PeerTable:
         self._lock = threading.Lock()
         self._peers: dict[bytes, Peer] = {}
         self._by_topic: dict[tuple[str, str], dict[bytes, Peer]] = {}
+        self.left: set[bytes] = set()
         self.readers = (
             BuiltinDataReader(participant, BuiltinTopicDcpsPublication),
             BuiltinDataReader(participant, BuiltinTopicDcpsSubscription),
@@ -85,15 +89,14 @@ class PeerTable:
         )
 
     def update(self, which: int) -> set[str]:
-        """Take what is new on ``readers[which]``, 0 or 1; return the DDS topics concerned."""
+        """Take what is new on ``readers[which]``, 0 or 1; return the DDS topics with new endpoints."""
         direction = "out" if which == 0 else "in"
         changed: set[str] = set()
 
         def see(guid: bytes, participant: bytes, *shown: Any) -> None:
             _, topic, kind, said, info, _ = shown
-            if _gone(info):
-                changed.update(self._forget(guid))
-            elif topic is not None and kind is not None and said is not None:
+            (self.left.add if _gone(info) else self.left.discard)(guid)
+            if guid not in self.left and topic is not None and kind is not None and said is not None:
                 name, kind = ros_topic(topic) or topic, ros_type_name(kind)
                 if service := ros_service(topic):
                     name, kind = service, _PART.sub("", kind)
@@ -126,16 +129,19 @@ class PeerTable:
             if isinstance(taken, int) or len(taken) < _BATCH:
                 return left
 
-    def _forget(self, guid: bytes) -> set[str]:
+    def forget(self, guids: Iterable[bytes]) -> set[str]:
+        """Forget endpoints that have gone; return the DDS topics concerned."""
+        self.left.difference_update(guids)
         with self._lock:
-            peer = self._peers.pop(guid, None)
-            if peer is None:
-                return set()
-            key = peer.dds_topic, peer.info.direction
-            self._by_topic[key].pop(guid, None)
-            if not self._by_topic[key]:  # a graph whose topics come and go under new names fills no memory
-                del self._by_topic[key]
-            return {peer.dds_topic}
+            known = [self._peers.pop(guid) for guid in guids if guid in self._peers]
+            for peer in known:
+                key = peer.dds_topic, peer.info.direction
+                del self._by_topic[key][peer.guid]
+                if not self._by_topic[
+                    key
+                ]:  # a graph whose topics come and go under new names fills no memory
+                    del self._by_topic[key]
+        return {peer.dds_topic for peer in known}
 
     def on(self, topic: str, direction: str) -> tuple[Peer, ...]:
         """Return the endpoints of one direction on a DDS topic."""
