@@ -12,7 +12,7 @@ from rosplc.config.calls import ServicePlan
 from rosplc.errors import RosplcError
 from rosplc.reasons import Reason
 from rosplc.ros import Backend, Reply, ServiceClient
-from rosplc.shm import Answerer, Part, Reader, Writer
+from rosplc.shm import Answerer, Part, Reader
 from rosplc.shm.constants import ASK_WITHDRAWN, WRITER_LINE
 
 _ANSWERS = {outcome: answer for answer, outcome in ENDINGS.items()}
@@ -21,7 +21,7 @@ _ANSWERS = {outcome: answer for answer, outcome in ENDINGS.items()}
 class Called(Use):
     """A service that the PLC calls: the bridge is the answerer towards the PLC."""
 
-    outgoing, incoming = Part.RESPONSE, Part.REQUEST
+    plan: ServicePlan
     _endpoint: ServiceClient | None
 
     def __init__(self, plan: ServicePlan, context: Context, on_event: Callable[[Use], None]) -> None:
@@ -44,7 +44,7 @@ class Called(Use):
         """Go on with the call."""
         if self._writer is None or self._reader is None or self._answerer is None:
             return
-        head, epoch, beat, beat_ms = self._channels[1].region.words(WRITER_LINE["head"], 4)
+        head, epoch, beat, beat_ms = self._channels[Part.REQUEST].region.words(WRITER_LINE["head"], 4)
         self._observe(epoch, beat, head, beat_ms, now_ns)
         self._hear(now_ns)
         client = self._endpoint
@@ -69,10 +69,11 @@ class Called(Use):
                 self._pass_on(reply, now_ns)
 
     def _take(self, reader: Reader, answerer: Answerer, now_ns: int) -> None:
+        asks = self._channels[Part.REQUEST].region
         while (found := reader.latest_wire(self._codecs[Part.REQUEST].plan)) is not None:
             payload, info = found
             # Behind the message, or the first call of a program that has just started would be lost.
-            if info.correlation >> 32 != self._channels[1].region.word(WRITER_LINE["writer_epoch"]):
+            if info.correlation >> 32 != asks.word(WRITER_LINE["writer_epoch"]):
                 continue  # of another life of the PLC's program
             what = answerer.take(info)
             if what == "more" and info.status & ASK_WITHDRAWN:
@@ -132,9 +133,9 @@ class Called(Use):
             self._endpoint.forget(self._sent)
         self._answer("fate unknown", reason, now_ns)
 
-    def _claimed(self, writer: Writer, reader: Reader) -> None:
-        answers, asks = self._channels
-        self._answerer = Answerer(asks, reader, answers)
+    def _claimed(self) -> None:
+        asks, reader = self._channels[Part.REQUEST], self._readers[Part.REQUEST]
+        self._answerer = Answerer(asks, reader, self._channels[Part.RESPONSE])
         self._ready = None
         before, self._open_call = self._open_call, None  # its answer could not be sent
         number = self._answerer.unanswered

@@ -1,4 +1,4 @@
-"""Calls of services between ROS and the PLC: spec/shm-format.md, section 11.
+"""Services and actions between ROS and the PLC: spec/shm-format.md, section 11.
 
 One thread, that of a :class:`~rosplc.bridge.carrier.Carrier` over :class:`CallPorts`, owns all that is known
 of calls: the ROS side's threads give it events, and the PLC's blocks write into shared memory. At most one
@@ -8,13 +8,14 @@ call is open per use; what else waits is queued by the use, and can expire witho
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from typing import Any
 
 from rosplc.bridge.called import Called
 from rosplc.bridge.port import Context, Ports, log
 from rosplc.bridge.served import Served
 from rosplc.bridge.use import IDLE_NS, Use
-from rosplc.config.calls import ServicePlan
+from rosplc.config.calls import CallPlan
 from rosplc.errors import ChannelError
 from rosplc.shm import Group
 
@@ -22,8 +23,11 @@ _LAZY_TICK_NS = 10_000_000
 """The tick while no PLC is there: the wake-ups are what an idle bridge costs."""
 
 
+_USES: dict[tuple[str, str], Callable[..., Use]] = {("service", "plc"): Served, ("service", "ros"): Called}
+
+
 class CallPorts(Ports[Any]):
-    """The uses of all services of a bridge, with one native call per tick for their objects."""
+    """The uses of all services and actions of a bridge, with one native call per tick for their objects."""
 
     def __init__(self, context: Context, tick_ns: int) -> None:
         self._context = context
@@ -36,13 +40,12 @@ class CallPorts(Ports[Any]):
 
     def make(self, side: Any) -> Use:
         """Return the use of a plan; nothing is opened yet."""
-        plan: ServicePlan = side
-        return (Served if plan.server == "plc" else Called)(plan, self._context, self._tell)
+        plan: CallPlan = side
+        return _USES[plan.kind, plan.server](plan, self._context, self._tell)
 
     def add(self, port: Use) -> None:
         """Serve a use whose objects are open."""
-        if (index := port.watch(self._group)) is not None:
-            self._uses[index] = port
+        self._uses |= dict.fromkeys(port.watch(self._group), port)
 
     def remove(self, port: Use) -> None:
         """Serve it no more."""
@@ -73,11 +76,13 @@ class CallPorts(Ports[Any]):
         self._heads = {index: head for index, _, head, *_ in messages}
         while self._told:
             news.add(self._told.popleft())
-        again = []
+        again: list[Use] = []
         for index, fault in faults:
-            again.append(self._uses[index])
-            again[-1].fail(now_ns, fault)
-        served = tuple(self._uses.values())
+            use = self._uses[index]
+            use.fail(now_ns, fault)
+            if use not in again:
+                again.append(use)
+        served = dict.fromkeys(self._uses.values())
         for use in (*served, *(use for use in news if use.problem and use not in served)):
             if use in again or (use not in news and now_ns < use.due_ns):
                 continue
@@ -86,7 +91,7 @@ class CallPorts(Ports[Any]):
             except (ChannelError, ValueError) as error:  # an object failed, or was just closed
                 use.fail(now_ns, error)
                 again.append(use)
-            except Exception as error:  # one service's trouble is no other's
+            except Exception as error:  # one use's trouble is no other's
                 log.debug("%s: its calls could not be looked after", use.plan.name, exc_info=True)
                 use.note(now_ns, f"calls cannot be looked after: {type(error).__name__}: {error}")
                 use.due_ns = now_ns + IDLE_NS

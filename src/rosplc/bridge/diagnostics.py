@@ -1,4 +1,4 @@
-"""What the bridge publishes on ``/diagnostics``: one status for itself and one per topic or service.
+"""What the bridge publishes on ``/diagnostics``: one status for itself and one per topic, service or action.
 
 The message is built like any other: packed into a record of a generous layout, then encoded.
 Statuses are packed one by one, so that those that have not changed are packed once.
@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from rosplc.bridge.status import BridgeStatus, ServiceStatus, TopicStatus, format_age
+from rosplc.bridge.status import BridgeStatus, CallStatus, TopicStatus, format_age
 from rosplc.clock import SYSTEM, Clock
 from rosplc.codec import Codec, Wire
 from rosplc.layout import Limits, compute_layout
@@ -21,7 +21,10 @@ TYPE = "diagnostic_msgs/msg/DiagnosticArray"
 _STATUS = "diagnostic_msgs/msg/DiagnosticStatus"
 
 _VALUES = 20
-_CALLS = ("matched", "received", "done", "unreadable", "late", "outstanding", "strays")
+_CALLS = (
+    *("matched", "received", "done", "succeeded", "aborted", "canceled"),
+    *("unreadable", "late", "outstanding", "strays", "feedback", "goal_status"),
+)
 _COUNTERS = ("received", "published", "skipped", "lost", "refused", "truncated", "substituted", "recovered")
 _TEXT = 240
 _PER_MESSAGE = 32
@@ -89,14 +92,15 @@ def diagnostic_statuses(status: BridgeStatus) -> list[dict[str, Any]]:
     }
     if status.services:
         values["services"] = str(len(status.services))
+    if status.actions:
+        values["actions"] = str(len(status.actions))
     entries = [_entry(int(level), name, message, values, status.bridge)]
     for topic in status.topics:
         level, message = topic.judgement
         entries.append(_entry(int(level), f"{name}: {topic.topic}", message, _values(topic), status.bridge))
-    for use in status.services:
+    for use in status.calls:
         level, message = use.judgement
-        title = f"{name}: service {use.service} {use.client}".rstrip()
-        entries.append(_entry(int(level), title, message, _service_values(use), status.bridge))
+        entries.append(_entry(int(level), f"{name}: {use.name}", message, _call_values(use), status.bridge))
     return entries
 
 
@@ -130,9 +134,9 @@ def _values(topic: TopicStatus) -> dict[str, str]:
     return values
 
 
-def _service_values(use: ServiceStatus) -> dict[str, str]:
+def _call_values(use: CallStatus) -> dict[str, str]:
     values = {"type": use.type_name, "server": use.server, "PLC alive": str(use.peer_alive)}
-    values |= {name: str(getattr(use, name)) for name in _CALLS}
+    values |= {name: str(getattr(use, name)) for name in _CALLS if hasattr(use, name)}
     for what, reasons in (("not executed", use.not_executed), ("fate unknown", use.fate_unknown)):
         values[what] = ", ".join(f"{count} {reason}" for reason, count in reasons.items()) or "0"
     return values | {"reason": use.reason}

@@ -19,7 +19,7 @@ from rosplc.bridge.port import Context, log
 from rosplc.bridge.realtime import Realtime, contention
 from rosplc.bridge.reload import Changes, Exchange, compare
 from rosplc.bridge.ros_side import LiveTypes, RosSide
-from rosplc.bridge.status import BridgeStatus, carried
+from rosplc.bridge.status import ActionStatus, BridgeStatus, ServiceStatus, carried
 from rosplc.bridge.stream import Stream
 from rosplc.bridge.use import Use
 from rosplc.clock import SYSTEM, Clock
@@ -28,6 +28,7 @@ from rosplc.config.resolve import Project, open_doors, resolve, rights
 from rosplc.errors import ChannelError, RosplcError
 from rosplc.ros import Backend, Choice, RosArguments, ended_for_good
 
+_ROS_TYPES = {"service": ("",), "action": ("_SendGoal", "_GetResult", "_FeedbackMessage")}
 _CHECK_NS = 1_000_000_000
 _STUCK_NS = 5_000_000_000
 _APPLY = "`rosplc reload` or a restart of the bridge applies it"
@@ -101,7 +102,8 @@ class Bridge:
         adopted = sum(stream.plan.port == "channel" and stream.port.adopted for stream in self._streams)
         assert self.backend is not None
         text = "bridge %s carries %s over %s (prefix %s, %d objects adopted)"
-        own, what = self.settings, carried(len(self.project.topics), len(self.project.services))
+        own, made = self.settings, self.project
+        what = carried(len(made.topics), len(made.services), len(made.actions))
         log.info(text, own.bridge, what, self.backend.name, own.prefix, adopted)
 
     def _start(self, stack: ExitStack) -> None:
@@ -129,7 +131,10 @@ class Bridge:
         if self.backend is None:
             self.backend, self._choice = self._ros.open(self._types)
             stack.callback(self._close_backend)
-        check_types(self.backend, {plan.type_name for plan in self.project.plans})
+        names = {plan.type_name for plan in self.project.topics}
+        for plan in self.project.calls:
+            names |= {f"{plan.type_name}{suffix}" for suffix in _ROS_TYPES[plan.kind]}
+        check_types(self.backend, names)
         # Until here nothing in shared memory has been touched.
         retire_leftovers(self.project)
         carriers = self._carriers = Carriers(context, settings.tick_ns)
@@ -277,7 +282,7 @@ class Bridge:
             notes.append(self._ended)
         if self._refused:
             notes.append(f"the new configuration was refused, the one before goes on: {self._refused}")
-        carriers = self._carriers
+        carriers, uses = self._carriers, [use.status(now) for use in self._streams if isinstance(use, Use)]
         busy = (carriers.busy_since_ns if carriers is not None else 0) or now
         if now - busy > _STUCK_NS:
             notes.append(f"the ROS side has not returned from publishing for {(now - busy) / 1e9:.0f} s")
@@ -288,7 +293,8 @@ class Bridge:
             running=bool(self._started_ns),
             uptime_ns=now - self._started_ns if self._started_ns else 0,
             topics=tuple(stream.status(now) for stream in self._streams if isinstance(stream, Stream)),
-            services=tuple(use.status(now) for use in self._streams if isinstance(use, Use)),
+            services=tuple(use for use in uses if isinstance(use, ServiceStatus)),
+            actions=tuple(use for use in uses if isinstance(use, ActionStatus)),
             config_changed=self._config_changed,
             notes=tuple(notes),
         )

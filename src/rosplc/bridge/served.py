@@ -15,7 +15,7 @@ from rosplc.config.calls import ServicePlan
 from rosplc.errors import ChannelError, RosplcError
 from rosplc.reasons import Reason
 from rosplc.ros import Backend, ServiceServer
-from rosplc.shm import Caller, Part, Reader, SlotInfo, Writer
+from rosplc.shm import Caller, Part, SlotInfo
 from rosplc.shm.calls import WORDS
 from rosplc.shm.constants import ASK_CALL, ASK_WITHDRAWN, reader_line
 
@@ -51,7 +51,7 @@ class _Call:
 class Served(Use):
     """A service that the PLC carries out: the bridge is the caller towards the PLC."""
 
-    outgoing, incoming = Part.REQUEST, Part.RESPONSE
+    plan: ServicePlan
     _endpoint: ServiceServer | None
 
     def __init__(self, plan: ServicePlan, context: Context, on_event: Callable[[Use], None]) -> None:
@@ -185,7 +185,7 @@ class Served(Use):
 
     def _look(self, now_ns: int) -> None:
         """Look at the PLC's side, and at what has become of the open call."""
-        claim, beat, beat_ms, taken = self._channels[0].region.words(reader_line(0), 4)
+        claim, beat, beat_ms, taken = self._channels[Part.REQUEST].region.words(reader_line(0), 4)
         self._observe(claim, beat, taken, beat_ms, now_ns)
         self._take_answers(now_ns)
         call, caller = self._open_call, self._caller
@@ -257,10 +257,11 @@ class Served(Use):
 
     # -- calls of an earlier bridge
 
-    def _claimed(self, writer: Writer, reader: Reader) -> None:
-        asks, answers = self._channels
-        self._caller, known, self._known = Caller(asks, writer, follows_claim=True), self._known, True
-        found, answer = self._newest(asks), self._newest(answers)
+    def _claimed(self) -> None:
+        reader, known, self._known = self._readers[Part.RESPONSE], self._known, True
+        asks, writer = self._channels[Part.REQUEST], self._writers[Part.REQUEST]
+        self._caller = Caller(asks, writer, follows_claim=True)
+        found, answer = self._newest(Part.REQUEST), self._newest(Part.RESPONSE)
         if known or found is None or not found[1].status & ASK_CALL:
             return
         (record, info), now = found, self._now()

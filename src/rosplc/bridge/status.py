@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from rosplc.levels import Level, format_age
 from rosplc.shm import Direction
 
 __all__ = [
+    "ActionStatus",
     "BridgeStatus",
+    "CallStatus",
     "ClassicStatus",
     "Level",
     "PortStatus",
@@ -172,39 +174,35 @@ class TopicStatus(PortStatus):
         return {**asdict(self), "direction": self.direction.word, "level": level.name, "message": message}
 
 
-@dataclass(frozen=True)
-class ServiceStatus:
-    """The state of one use of a service. Each call is in exactly one of the numbers that follow ``received``.
+@dataclass(frozen=True, kw_only=True)
+class CallStatus:
+    """The state of one use of a service or action; each call is in exactly one of its numbers.
 
     Attributes:
-        service: As ROS writes it.
-        type_name: ``package/srv/Name``.
+        type_name: ``package/srv/Name`` or ``package/action/Name``.
         server: Who carries the calls out.
         client: The use's name in the PLC's program; empty if it has none.
-        matched: ROS clients of a service that the PLC carries out; else 1 if a server is ready.
+        matched: ROS clients of what the PLC carries out; else 1 if a server is ready.
         peer_alive: Whether the PLC's block beats.
-        received: Calls that came in, from ROS or from the PLC.
-        done: Calls whose answer was passed on.
+        received: Calls that came in, from ROS or from the PLC; the sum of the numbers but ``strays``.
         not_executed: Calls that never began, by reason.
         fate_unknown: Calls that may have been executed, by reason.
         unreadable: Calls that were executed, with an answer that does not fit the PLC's record.
         late: Calls whose answer came when the caller had gone.
         outstanding: Calls that wait or are being carried out.
         strays: Answers that belong to no open call; they are in no other number.
-        problem: Why the service cannot be carried at present; empty if it is.
+        problem: Why it cannot be carried at present; empty if it is.
         reason: In words, what is wrong or was wrong last; empty if all is well.
         code: The error code that goes with ``reason``; empty if there is none.
         recent: Whether ``reason`` is from the last ten seconds, or still holds.
     """
 
-    service: str
     type_name: str
     server: Literal["plc", "ros"]
     client: str = ""
     matched: int = 0
     peer_alive: bool = False
     received: int = 0
-    done: int = 0
     not_executed: Mapping[str, int] = field(default_factory=dict)
     fate_unknown: Mapping[str, int] = field(default_factory=dict)
     unreadable: int = 0
@@ -215,6 +213,23 @@ class ServiceStatus:
     reason: str = ""
     code: str = ""
     recent: bool = False
+
+    kind: ClassVar[Literal["service", "action"]]
+
+    @property
+    def called(self) -> str:
+        """The service or action as ROS writes it."""
+        return str(getattr(self, self.kind))
+
+    @property
+    def name(self) -> str:
+        """What people call it: its kind, its name in ROS and its client."""
+        return f"{self.kind} {self.called} {self.client}".rstrip()
+
+    @property
+    def _summary(self) -> str:
+        """A sentence for the calls while all is well."""
+        raise NotImplementedError
 
     @property
     def judgement(self) -> tuple[Level, str]:
@@ -227,22 +242,71 @@ class ServiceStatus:
             return Level.WARN, "no PLC task serves it" if self.server == "plc" else "no PLC task calls it"
         if not self.matched and self.server == "ros":
             return Level.WARN, "no server is ready"
-        return Level.OK, f"{self.done} of {self.received} calls answered, {self.outstanding} outstanding"
+        return Level.OK, self._summary
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""
         level, message = self.judgement
-        return {**asdict(self), "level": level.name, "message": message}
+        return {self.kind: self.called, **asdict(self), "level": level.name, "message": message}
 
 
-def carried(topics: int, services: int) -> str:
+@dataclass(frozen=True, kw_only=True)
+class ServiceStatus(CallStatus):
+    """The state of one use of a service.
+
+    Attributes:
+        service: As ROS writes it.
+        done: Calls whose answer was passed on.
+    """
+
+    service: str
+    done: int = 0
+
+    kind = "service"
+
+    @property
+    def _summary(self) -> str:
+        return f"{self.done} of {self.received} calls answered, {self.outstanding} outstanding"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ActionStatus(CallStatus):
+    """The state of one use of an action.
+
+    Attributes:
+        action: As ROS writes it.
+        succeeded: Goals that were reached.
+        aborted: Goals that were begun and have failed.
+        canceled: Goals that were canceled.
+        feedback: Messages of feedback that were passed on.
+        goal_status: What the open goal does: ``waiting``, ``accepted``, ``executing`` or ``canceling``;
+            empty while there is none.
+    """
+
+    action: str
+    succeeded: int = 0
+    aborted: int = 0
+    canceled: int = 0
+    feedback: int = 0
+    goal_status: str = ""
+
+    kind = "action"
+
+    @property
+    def _summary(self) -> str:
+        goal = f"; one is {self.goal_status}" if self.goal_status else ""
+        return f"{self.succeeded} of {self.received} goals succeeded, {self.outstanding} outstanding{goal}"
+
+
+def carried(topics: int, services: int, actions: int) -> str:
     """Return in words how much a bridge carries."""
-    return f"{topics} topics" + (f" and {services} uses of services" if services else "")
+    uses = ((services, "services"), (actions, "actions"))
+    return " and ".join((f"{topics} topics", *(f"{count} uses of {what}" for count, what in uses if count)))
 
 
 @dataclass(frozen=True)
 class BridgeStatus:
-    """A bridge, its topics and its services as they stand.
+    """A bridge, its topics, services and actions as they stand.
 
     Attributes:
         backend: The ROS backend in use; empty before start.
@@ -251,6 +315,7 @@ class BridgeStatus:
         uptime_ns: Time since the start; 0 before.
         topics: In the order of the configuration.
         services: In the order of the configuration; each use is one.
+        actions: The same.
         config_changed: Whether the configuration's file differs from what was read.
         notes: What else a person should know.
     """
@@ -264,6 +329,12 @@ class BridgeStatus:
     notes: tuple[str, ...] = ()
     backend_why: str = ""
     services: tuple[ServiceStatus, ...] = ()
+    actions: tuple[ActionStatus, ...] = ()
+
+    @property
+    def calls(self) -> tuple[CallStatus, ...]:
+        """Services, then actions."""
+        return (*self.services, *self.actions)
 
     @property
     def judgement(self) -> tuple[Level, str]:
@@ -272,7 +343,8 @@ class BridgeStatus:
             return Level.ERROR, "not running"
         if self.notes:
             return Level.WARN, "; ".join(self.notes)
-        return Level.OK, f"{carried(len(self.topics), len(self.services))} over {self.backend}"
+        counts = carried(len(self.topics), len(self.services), len(self.actions))
+        return Level.OK, f"{counts} over {self.backend}"
 
     def topic(self, name: str) -> TopicStatus:
         """Return one topic's status; KeyError if there is none."""
@@ -291,4 +363,5 @@ class BridgeStatus:
             "message": message,
             "topics": [status.to_dict() for status in self.topics],
             "services": [status.to_dict() for status in self.services],
+            "actions": [status.to_dict() for status in self.actions],
         }

@@ -1,4 +1,4 @@
-"""One use of a service, as its thread sees it: its objects, its endpoint in ROS, and its calls' counts."""
+"""One use of a service or action, as its thread sees it: objects, endpoint in ROS, and its calls' counts."""
 
 from __future__ import annotations
 
@@ -7,17 +7,18 @@ from abc import ABC, abstractmethod
 from collections import Counter, deque
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any, Literal
 
 from rosplc.bridge.hold import Hold
 from rosplc.bridge.port import Context, Notes, log
-from rosplc.bridge.status import ServiceStatus
+from rosplc.bridge.status import ActionStatus, ServiceStatus
 from rosplc.codec import Codec, Wire
-from rosplc.config.calls import ServicePlan
+from rosplc.config.calls import CallPlan
 from rosplc.config.resolve import describe_call
 from rosplc.errors import BackendError, ChannelError, RosplcError
 from rosplc.reasons import Reason
-from rosplc.ros import Backend, ServiceClient, ServiceServer
+from rosplc.ros import Backend, EndpointStatus
 from rosplc.shm import Group, OwnedChannel, Part, Peer, Reader, SlotInfo, Writer
 from rosplc.shm.calls import WORDS
 from rosplc.shm.constants import (
@@ -36,7 +37,9 @@ IDLE_NS = 100_000_000
 TOO_LARGE = (4, 5, 8)
 """Faults of a codec: a string or sequence exceeds a limit."""
 
-Outcome = Literal["done", "not executed", "fate unknown", "unreadable", "late"]
+Outcome = Literal[
+    "done", "succeeded", "canceled", "aborted", "not executed", "fate unknown", "unreadable", "late"
+]
 ENDINGS: dict[int, Outcome] = {
     ANSWER_DONE: "done",
     ANSWER_NOT_EXECUTED: "not executed",
@@ -47,43 +50,42 @@ _CODES = {"not executed": "SHM140", "fate unknown": "SHM141", "unreadable": "SHM
 
 
 class Use(Notes, ABC):
-    """One use of a service: its two objects, its endpoint in ROS, and its calls.
+    """One use of a service or action: its objects, its endpoint in ROS, and its calls.
 
     To its carrier it is stream and port at once.
 
     Attributes:
-        outgoing: The object that the bridge writes.
-        incoming: The object that the PLC writes.
-        adopted: Whether :meth:`open` found both objects and kept them.
+        adopted: Whether :meth:`open` found all objects and kept them.
         events: What the ROS side has told, for the thread of the calls.
         due_ns: When :meth:`turn` is wanted at the latest.
+        feedback: Messages of feedback that were passed on.
+        goal_status: What the open goal does, in a word; empty while there is none.
     """
 
-    outgoing: Part
-    incoming: Part
-
-    def __init__(self, plan: ServicePlan, context: Context, on_event: Callable[[Use], None]) -> None:
+    def __init__(self, plan: CallPlan, context: Context, on_event: Callable[[Use], None]) -> None:
         super().__init__(plan, context)
         self.plan = plan
-        wire = Wire.ROS1 if plan.request.store.ros_version == 1 else Wire.CDR
-        self._codecs = {Part.REQUEST: Codec(plan.request, wire), Part.RESPONSE: Codec(plan.response, wire)}
+        ros1 = plan.layouts[0].store.ros_version == 1
+        layouts = ((part, plan.layout(part)) for part in plan.parts)
+        self._codecs = {part: Codec(one, Wire.ROS1 if ros1 else Wire.CDR) for part, one in layouts}
         self.adopted = False
         self.hold = Hold((), lambda *_: None)
         self.events: deque[Any] = deque()
         self.due_ns = 0
-        self.received = self.strays = 0
+        self.received = self.strays = self.feedback = 0
+        self.goal_status = ""
         self.counts: Counter[tuple[Outcome, Reason]] = Counter()
         self._on_event = on_event
         self._now = context.clock.monotonic_ns
-        self._channels: tuple[OwnedChannel, ...] = ()
-        self._broken: tuple[OwnedChannel, ...] = ()  # those last found to need opening again
-        self._writer: Writer | None = None
-        self._reader: Reader | None = None
-        self._first = True  # nothing was written since the claim
+        self._channels: dict[Part, OwnedChannel] = {}
+        self._broken: dict[Part, OwnedChannel] = {}  # those last found to need opening again
+        self._writers: dict[Part, Writer] = {}
+        self._readers: dict[Part, Reader] = {}
+        self._first: set[Part] = set()  # where nothing was written since the claim
         self._known = False  # the objects were open before: no call in them is an earlier bridge's
         self._peer = Peer()
         self._holder = 0  # the claim that the PLC's block was last seen to have
-        self._endpoint: ServiceServer | ServiceClient | None = None
+        self._endpoint: Any = None
 
     @property
     def port(self) -> Use:
@@ -95,10 +97,20 @@ class Use(Notes, ABC):
         """The use itself."""
         return self
 
-    def watch(self, group: Group) -> int | None:
-        """Have a group tell of the PLC's messages; return its number there, None while nothing is open."""
-        plan = self._codecs[self.incoming].plan
-        return None if self._reader is None else group.add_reader(self._reader, plan, _REPORT_NEWS)
+    def watch(self, group: Group) -> list[int]:
+        """Have a group tell of the PLC's messages; return the readers' numbers there."""
+        readers = self._readers.items()
+        return [group.add_reader(reader, self._codecs[part].plan, _REPORT_NEWS) for part, reader in readers]
+
+    @property
+    def _writer(self) -> Writer | None:
+        """The writer of the first object that the bridge writes; None while nothing is open."""
+        return next(iter(self._writers.values()), None)
+
+    @property
+    def _reader(self) -> Reader | None:
+        """The reader of the first object that the PLC writes; None while nothing is open."""
+        return next(iter(self._readers.values()), None)
 
     @property
     def lively(self) -> bool:
@@ -108,7 +120,7 @@ class Use(Notes, ABC):
     # -- the objects
 
     def open(self) -> None:
-        """Create or adopt both objects, or neither. Raises as :meth:`OwnedChannel.open`."""
+        """Create or adopt all objects, or none. Raises as :meth:`OwnedChannel.open`."""
         context = self.context
         parts = [
             (describe_call(self.plan, part, context.distro, context.bridge), codec.layout.size)
@@ -117,65 +129,64 @@ class Use(Notes, ABC):
         opened = OwnedChannel.open_together(
             context.namespace, parts, **vars(context.rights), bridge_id=context.bridge_id
         )
-        out, into = sorted(opened, key=lambda channel: channel.description.part is self.incoming)
-        self._channels, self.adopted = (out, into), out.adopted
+        self._channels = dict(zip(self.plan.parts, opened, strict=True))
+        self.adopted = opened[0].adopted
         try:
-            self._writer, self._reader = out.writer(context.beat_ms), into.reader(context.beat_ms)
-            self._first, self._peer, self._holder = True, Peer(), 0
-            self._claimed(self._writer, self._reader)
+            own = [part.asks == (self.plan.server == "plc") for part in self.plan.parts]
+            pairs = list(zip(own, self._channels.items(), strict=True))
+            self._writers = {part: one.writer(context.beat_ms) for mine, (part, one) in pairs if mine}
+            self._readers = {part: one.reader(context.beat_ms) for mine, (part, one) in pairs if not mine}
+            self._first, self._peer, self._holder = set(self._writers), Peer(), 0
+            self._claimed()
         except BaseException:
             self.close()
             raise
-        for channel in opened:
+        for part, channel in self._channels.items():
             if reason := channel.replaced_reason:
                 level = logging.WARNING if reason.endswith("]") else logging.INFO
-                log.log(
-                    level,
-                    "%s: the %s object was replaced: %s",
-                    self.plan.name,
-                    channel.description.part.word,
-                    reason,
-                )
+                text = "%s: the %s object was replaced: %s"
+                log.log(level, text, self.plan.name, part.word, reason)
 
     @abstractmethod
-    def _claimed(self, writer: Writer, reader: Reader) -> None:
-        """Both objects are this bridge's; find what an earlier one left open."""
+    def _claimed(self) -> None:
+        """All objects are this bridge's; find what an earlier one left open."""
 
-    def _newest(self, channel: OwnedChannel) -> tuple[bytes, SlotInfo] | None:
+    def _newest(self, part: Part) -> tuple[bytes, SlotInfo] | None:
         """Return the newest message of one of the objects, and take nothing."""
+        channel = self._channels[part]
         record = bytearray(channel.identity.record_size)
         info = Reader(channel.region, 0).peek(record)
         return None if info is None else (bytes(record), info)
 
     def close(self) -> None:
-        """Leave both objects with their last state."""
-        channels, self._channels, self._writer, self._reader = self._channels, (), None, None
-        for channel in channels:
+        """Leave all objects with their last state."""
+        channels, self._channels, self._writers, self._readers = self._channels, {}, {}, {}
+        for channel in channels.values():
             channel.close()
 
     def retire(self) -> None:
-        """Give both objects up: their users are told, and their names are free."""
-        for channel in self._channels:
+        """Give all objects up: their users are told, and their names are free."""
+        for channel in self._channels.values():
             channel.retire()
         self.close()
 
     def beat(self) -> None:
         """Show that this side lives; from any thread."""
-        for user in (self._writer, self._reader):
-            if user is not None:
-                with suppress(ValueError):  # closed at this moment
-                    user.beat()
+        users: tuple[Writer | Reader, ...] = (*self._writers.values(), *self._readers.values())
+        for user in users:
+            with suppress(ValueError):  # closed at this moment
+                user.beat()
 
     def check(self, now_ns: int) -> bool:
         """Look after the objects; return whether they must be opened again."""
-        channels, reader = self._channels, self._reader
-        if channels and reader is None:
+        channels, readers = self._channels, self._readers
+        if channels and not readers:
             return False  # they are being opened
         try:
-            if channels and reader is not None and reader.line is not None:
-                if all(channel.still_there() for channel in channels):
+            if channels and all(reader.line is not None for reader in readers.values()):
+                if all(channel.still_there() for channel in channels.values()):
                     return False
-                self.note(now_ns, "an object was removed or replaced; both are created again", "SHM120")
+                self.note(now_ns, "an object was removed or replaced; all are created again", "SHM120")
         except (ChannelError, ValueError, OSError) as error:
             super().fail(now_ns, error)
         self._broken = channels
@@ -187,7 +198,7 @@ class Use(Notes, ABC):
         self._broken = self._channels
 
     def reopen(self, now_ns: int) -> bool:
-        """Close both objects and open them again, unless they were since; return whether that succeeded."""
+        """Close all objects and open them again, unless they were since; return whether that succeeded."""
         if self._channels and self._channels is not self._broken:
             self.problem = ""
             return True
@@ -209,14 +220,14 @@ class Use(Notes, ABC):
     # -- the ROS side
 
     def connect(self, backend: Backend) -> None:
-        """Serve the service, or become its client. Raises as the backend does; BackendError ROS019."""
+        """Serve the service or action, or become its client. Raises as the backend does; ROS019."""
         if "services" not in backend.capabilities:
-            what = f"the {backend.name} backend carries no services"
-            raise BackendError("ROS019", what, where=self.plan.service, remedy="Choose another ros.backend.")
+            what = f"the {backend.name} backend carries no {self.plan.kind}s"
+            raise BackendError("ROS019", what, where=self.plan.called, remedy="Choose another ros.backend.")
         self._endpoint = self._connect(backend)
 
     @abstractmethod
-    def _connect(self, backend: Backend) -> ServiceServer | ServiceClient:
+    def _connect(self, backend: Backend) -> Any:
         """As :meth:`connect`."""
 
     def disconnect(self) -> None:
@@ -231,9 +242,20 @@ class Use(Notes, ABC):
 
     def ask(self, now_ns: int) -> None:
         """Ask the ROS side how the endpoint stands, and show the PLC how many clients there are."""
-        endpoint, writer = self._endpoint, self._writer
+        endpoint, writer = self._endpoint_status(), self._writer
         if endpoint is not None and self.plan.server == "plc" and writer is not None:
-            writer.set_sources(endpoint.status().matched)
+            writer.set_sources(endpoint.matched)
+
+    def _endpoint_status(self) -> EndpointStatus | None:
+        """Return how the endpoint stands; an action's five as one, with those that use or have them all."""
+        if self._endpoint is None:
+            return None
+        if self.plan.kind == "service":
+            found: EndpointStatus = self._endpoint.status()
+            return found
+        every: tuple[EndpointStatus, ...] = self._endpoint.endpoints()
+        worst = next((one for one in every if one.code), every[0])
+        return replace(worst, matched=min(one.matched for one in every))
 
     # -- the carrier's thread
 
@@ -258,11 +280,19 @@ class Use(Notes, ABC):
         self.finish(now_ns)
 
     def _send(
-        self, record: bytes, *, correlation: int, status: int, client: bytes = b"", reason: int = 0
+        self,
+        record: bytes,
+        part: Part | None = None,
+        *,
+        correlation: int,
+        status: int,
+        client: bytes = b"",
+        reason: int = 0,
     ) -> None:
-        writer = self._writer
-        assert writer is not None
-        flags, self._first = (FLAG_FIRST if self._first else 0), False
+        """Publish a message in one of the objects that the bridge writes; in the first unless said."""
+        part = next(iter(self._writers)) if part is None else part
+        writer, flags = self._writers[part], FLAG_FIRST if part in self._first else 0
+        self._first.discard(part)
         words = {"correlation": correlation, "status": status, "reason": reason, "flags": flags}
         writer.publish(record, client=client, stamp_ns=self.context.clock.time_ns(), **words)
 
@@ -282,28 +312,40 @@ class Use(Notes, ABC):
     def _outstanding(self) -> int:
         """Calls that wait or are open."""
 
-    def status(self, now_ns: int) -> ServiceStatus:
+    def status(self, now_ns: int) -> ServiceStatus | ActionStatus:
         """Return the present state; from any thread."""
-        plan, endpoint = self.plan, None if self._endpoint is None else self._endpoint.status()
-        counts = sorted(dict(self.counts).items())
+        plan, endpoint = self.plan, self._endpoint_status()
+        kept = sorted(dict(self.counts).items())
 
         def by_reason(wanted: Outcome) -> dict[str, int]:
-            return {reason.name.lower(): count for (outcome, reason), count in counts if outcome == wanted}
+            return {reason.name.lower(): count for (outcome, reason), count in kept if outcome == wanted}
 
-        return ServiceStatus(
-            service=plan.service,
-            type_name=plan.type_name,
-            server=plan.server,
-            client=plan.client,
-            matched=0 if endpoint is None else endpoint.matched,
-            peer_alive=bool(self._holder) and self._peer.alive,
-            received=self.received,
-            done=sum(by_reason("done").values()),
-            not_executed=by_reason("not executed"),
-            fate_unknown=by_reason("fate unknown"),
-            unreadable=sum(by_reason("unreadable").values()),
-            late=sum(by_reason("late").values()),
-            outstanding=self._outstanding,
-            strays=self.strays,
+        def total(wanted: Outcome) -> int:
+            return sum(by_reason(wanted).values())
+
+        shared: dict[str, Any] = {
+            plan.kind: plan.called,
+            "type_name": plan.type_name,
+            "server": plan.server,
+            "client": plan.client,
+            "matched": 0 if endpoint is None else endpoint.matched,
+            "peer_alive": bool(self._holder) and self._peer.alive,
+            "received": self.received,
+            "not_executed": by_reason("not executed"),
+            "fate_unknown": by_reason("fate unknown"),
+            "unreadable": total("unreadable"),
+            "late": total("late"),
+            "outstanding": self._outstanding,
+            "strays": self.strays,
             **self.noted(now_ns, endpoint),
+        }
+        if plan.kind == "service":
+            return ServiceStatus(**shared, done=total("done"))
+        return ActionStatus(
+            **shared,
+            succeeded=total("succeeded"),
+            aborted=total("aborted"),
+            canceled=total("canceled"),
+            feedback=self.feedback,
+            goal_status=self.goal_status,
         )

@@ -136,8 +136,8 @@ class Project:
 
     @property
     def plans(self) -> tuple[Plan, ...]:
-        """Topics, then services."""
-        return (*self.topics, *self.services)
+        """Topics, then services, then actions."""
+        return (*self.topics, *self.calls)
 
     def topic(self, name: str) -> TopicPlan:
         """Return one topic's plan; KeyError if the configuration has none."""

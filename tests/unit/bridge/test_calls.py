@@ -197,7 +197,7 @@ class Cell:
 
     def kill(self) -> None:
         """End the bridge so that it can do nothing any more."""
-        for channel in self.use._channels:
+        for channel in self.use._channels.values():
             channel._abandon()  # as in a forked child: claims and words stay
 
     def restart(self) -> None:
@@ -861,7 +861,7 @@ def test_an_answer_that_cannot_be_sent_counts_once(make: Make, replaced: bool) -
     plc.call()
     cell.turn()
     cell.ros.on_reply(Reply(wire(Part.RESPONSE, success=True)))
-    cell.use._channels[0].region.store(WRITER_LINE["writer_epoch"], 12345)
+    cell.use._channels[Part.RESPONSE].region.store(WRITER_LINE["writer_epoch"], 12345)
     if replaced:
         cell.namespace.path("/s", Part.REQUEST).unlink()
     cell.turn(0.02, 2)
@@ -937,7 +937,7 @@ def test_a_call_that_could_not_be_handed_out_was_not_executed(make: Make) -> Non
     """The claim was lost before it was published: it waits for the next objects."""
     cell = make("plc")
     plc = cell.attach()
-    cell.use._channels[0].region.store(WRITER_LINE["writer_epoch"], 12345)
+    cell.use._channels[Part.REQUEST].region.store(WRITER_LINE["writer_epoch"], 12345)
     cell.ros.ask(A)
     cell.turn(0.02, 10)
     assert cell.status.fate_unknown == {}
@@ -952,7 +952,7 @@ def test_a_call_whose_withdrawal_failed_is_not_handed_out_again(make: Make) -> N
     plc = cell.attach()
     cell.ros.ask(A)
     cell.turn()
-    cell.use._channels[0].region.store(WRITER_LINE["writer_epoch"], 12345)
+    cell.use._channels[Part.REQUEST].region.store(WRITER_LINE["writer_epoch"], 12345)
     begun_calls: list[int] = []
     cell.turn(0.3)
     found = plc.take()
@@ -1067,7 +1067,7 @@ def test_a_call_that_was_begun_stays_so_whatever_the_line_says_later(make: Make,
     if gone:
         cell.ros.gone.add(A)
         cell.turn()
-    cell.use._channels[0].region.store(reader_line(0) + READER_LINE["taken"], 0)
+    cell.use._channels[Part.REQUEST].region.store(reader_line(0) + READER_LINE["taken"], 0)
     if gone:
         plc.die()  # for a while
     cell.turn(0.1, 10)
