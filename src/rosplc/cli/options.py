@@ -133,7 +133,7 @@ def open_watch(prefix: str | None, configs: list[Path] | None, stale_after: str,
     limit = parsed(parse_stale, stale_after, "--stale-after", ", or never")
     default = observed_config(None, prefix)
     expected = replace(expected_by(configs or ([default] if default else [])), stale_after_ns=limit)
-    return Watch(prefix or expected.prefixes or None, directory=directory, expected=expected)
+    return Watch(prefix or expected.prefixes or None, directory=directory, expected=expected, calls=True)
 
 
 def settled(watch: Watch, least: float, most: float, clock: Clock = SYSTEM) -> Picture:

@@ -1,10 +1,12 @@
-"""``rosplc show``: the newest message of a channel or of a classic topic, decoded.
+"""``rosplc show``: the newest message of a channel, a classic topic, a service or an action, decoded.
 
 rosplc show  —  every channel on this machine
 
 rosplc show /cmd_vel  —  the newest message of a topic
 
 rosplc show /cmd_vel --follow  —  every message from now on
+
+rosplc show /gripper/close --header  —  of a service or action: what was asked and answered last
 
 rosplc show /joint_states --count 10 --json  —  ten messages, one JSON document per line
 
@@ -32,7 +34,7 @@ if TYPE_CHECKING:
     from rosplc.api import Channel
     from rosplc.config.resolve import TopicPlan
     from rosplc.layout import RecordView
-    from rosplc.monitor import CallObject, ChannelView, ObjectState
+    from rosplc.monitor import ChannelView, Message, ObjectState
     from rosplc.monitor.classic import ClassicState
 
 _LEAST_S, _MOST_S = 0.1, 1.2
@@ -56,7 +58,7 @@ def command(
     """Show the message in a topic's shared memory, or list all channels of this machine.
 
     Options:
-        topic: The topic as ROS writes it, such as /cmd_vel; all channels without it.
+        topic: The topic, service or action as ROS writes it, such as /cmd_vel; all channels without it.
         prefix NAME: The bridge's `prefix:`; for a topic the configuration's or `rosplc`, any for the
             list.
         follow: Print messages until Ctrl-C.
@@ -67,8 +69,8 @@ def command(
             in this folder by default.
         as_json: Print JSON.
     """
-    from rosplc.api import attach, topics
-    from rosplc.monitor import find_calls
+    from rosplc.api import attach
+    from rosplc.monitor import find_objects
 
     classic, own = [], prefix
     if (file := observed_config(config, prefix)) is not None:
@@ -78,20 +80,16 @@ def command(
         classic = [plan for plan in project.topics if plan.classic is not None]
         own = prefix or project.namespace.prefix
     if topic is None:
-        states = topics(prefix, directory=directory)
-        calls = find_calls(directory, prefix=prefix)
+        states = find_objects(directory, prefix=prefix, calls=True)
         if as_json:
             print_json(
-                [state.to_dict() for state in states]
-                + [dataclasses.asdict(call) for call in calls]
-                + [_facts(plan, _look(plan)) for plan in classic]
+                [state.to_dict() for state in states] + [_facts(plan, _look(plan)) for plan in classic]
             )
         else:
-            if states or not (classic or calls):
+            if states or not classic:
                 _list(states, prefix, directory)
-            _list_calls(calls)
             _list_classic(classic)
-        if states and all(state.error for state in states) and not (classic or calls):
+        if states and all(state.error for state in states) and not classic:
             raise typer.Exit(EXIT_FAILURE)
         return
     if plan := next((plan for plan in classic if plan.topic == topic), None):
@@ -100,7 +98,10 @@ def command(
     try:
         channel = attach(topic, prefix=own or "rosplc", directory=directory)
     except ChannelError as error:
-        raise _with_hint(error, topic, own, directory) from None
+        own, most = own or "rosplc", count if follow or count is not None else 0
+        if error.code != "SHM101" or not _show_calls(topic, own, directory, most, timeout, header, as_json):
+            raise _with_hint(error, topic, own, directory) from None
+        return
     with channel:
         live = follow or count is not None
         view = _view(topic, own or "rosplc", directory) if header or not live else None
@@ -238,40 +239,101 @@ def _list(states: list[ObjectState], prefix: str | None, directory: str) -> None
     if not states:
         say(nothing_there([prefix] if prefix else [], directory))
         return
-    rows = [
-        (
-            state.prefix,
-            state.topic,
-            _WAYS.get(state.direction, "→ ROS"),
-            state.type_name,
-            state.record_size,
-            state.head,
-            "alive" if state.writer_alive else "silent",
-            ", ".join(state.readers) or "nobody",
-        )
-        for state in states
-        if not state.error
-    ]
-    table(rows, header=("prefix", "topic", "way", "type", "bytes", "newest", "writer", "read by"))
+    for calls in (False, True):
+        rows = []
+        for state in states:
+            if state.error or (state.kind != "topic") is not calls:
+                continue
+            who = "alive" if state.writer_alive else "silent", ", ".join(state.readers) or "nobody"
+            name = (state.topic, f"{state.part} {state.client}".rstrip()) if calls else (state.topic,)
+            way = _WAYS.get(state.direction, "→ ROS")
+            rows.append((state.prefix, *name, way, state.type_name, state.record_size, state.head, *who))
+        names = ("service, action", "part") if calls else ("topic",)
+        if rows:
+            table(rows, header=("prefix", *names, "way", "type", "bytes", "newest", "writer", "read by"))
     for state in states:
         if state.error:
             warn(f"{state.path}: {state.error} [{state.code}]")
 
 
-def _list_calls(calls: list[CallObject]) -> None:
-    rows = [
-        (
-            *(call.prefix, call.topic, call.client, call.part, _WAYS[call.direction]),
-            *(call.type_name, call.record_size, call.head),
-        )
-        for call in calls
-        if not call.error
-    ]
-    if rows:
-        table(rows, header=("prefix", "service, action", "client", "part", "way", "type", "bytes", "newest"))
-    for call in calls:
-        if call.error:
-            warn(f"{call.path}: {call.error} [{call.code}]")
+def _show_calls(
+    name: str,
+    prefix: str,
+    directory: str,
+    most: int | None,
+    timeout: float | None,
+    header: bool,
+    as_json: bool,
+) -> bool:
+    """Print what the objects of a service or action hold; return False if there are none.
+
+    Then print at ``most`` so many new messages; None: until Ctrl-C.
+    """
+    from rosplc.monitor import Watch
+
+    with Watch(prefix, directory=directory, topic=name, calls=True) as watch:
+        found = [(view, watch.message(view)) for view in settled(watch, _LEAST_S, _MOST_S).channels]
+        if as_json and most == 0:
+            print_json([_call_facts(*each, header=header) for each in found])
+        elif most == 0:
+            for each in found:
+                _print_call(*each, header=header)
+        seen = {view.id: message and message.sequence for view, message in found}
+        printed, since = 0, time.monotonic()
+        while found and (most is None or printed < most):
+            for view in watch.look().channels:
+                message = watch.message(view)
+                if message is not None and seen.get(view.id) != message.sequence:
+                    seen[view.id], since = message.sequence, time.monotonic()
+                    printed += 1
+                    if as_json:
+                        print_json(_call_facts(view, message, header=header), one_line=True)
+                    else:
+                        _print_call(view, message, header=header)
+            if timeout is not None and time.monotonic() - since > timeout:
+                break
+            time.sleep(0.005)
+    _require(printed, most, "messages")
+    return bool(found)
+
+
+def _call_facts(view: ChannelView, message: Message | None, *, header: bool) -> dict[str, Any]:
+    """Return an object of a service or action as plain data; the same keys as a topic's where they fit."""
+    document = {
+        "topic": view.topic,
+        **{name: getattr(view, name) for name in ("kind", "part", "client")},
+        "type": view.type_name,
+        "sequence": message.sequence if message else 0,
+        "stamp_ns": message.stamp_ns if message else 0,
+        "call": view.call and dataclasses.asdict(view.call),
+        "message": message and message.values,
+        "state": view.state.value,
+        "age_ns": view.age_ns,
+    }
+    return document | ({"object": view.as_json()} if header else {})
+
+
+def _print_call(view: ChannelView, message: Message | None, *, header: bool) -> None:
+    from rosplc.monitor.picture import age_text, plc_text
+
+    marks = f"message {message.sequence} ({', '.join(message.marks)})" if message else "no message yet"
+    old = "" if view.age_ns is None else f", {age_text(view.age_ns)} old"
+    say(f"{view.label}  {view.type_name}  {marks}  {view.state.value}{old}: {view.words}")
+    if header and view.call is not None:
+        ended = ", ".join(f"{count} {words}" for words, count in view.call.ended.items())
+        rows: list[tuple[str, object]] = [
+            ("way", _WAYS[view.direction]),
+            ("carried out in", "the PLC" if view.call.server == "plc" else "ROS"),
+            ("correlation", view.call.correlation or "none"),
+            ("seen to end", ended or "none"),
+            ("layout id", view.layout_id),
+            ("bridge", view.bridge),
+            ("PLC", plc_text(view)),
+            ("messages", f"{view.received}, {view.refused} refused, {view.truncated} truncated"),
+        ]
+        table(rows, indent=2)
+    if message is not None:
+        _print_fields(message.values)
 
 
 def _follow(

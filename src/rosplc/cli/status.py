@@ -80,30 +80,65 @@ def _print(picture: Picture, prefixes: Collection[str], directory: str) -> None:
         alive += f" ({bridge.process})" if bridge.process else ""
         channels = plural(bridge.channels, "channel")
         say(f"bridge {bridge.name}, prefix {bridge.prefix}{process}: {alive}, {channels}")
-    say()
     several = len({view.prefix for view in picture.channels}) > 1
     rows = []
     for view in picture.channels:
         figures = ["-"] * 4
+        if view.kind != "topic":
+            continue
         if view.direction:
             figures = [rate_text(view.rate_hz), age_text(view.age_ns)]
             figures += [count_text(view.lost), count_text(view.refused)]
         row = [state_text(view), view.topic, way_text(view), *figures, plc_text(view), view.prefix]
         rows.append(row if several else row[:-1])
+    if rows:
+        say()
     header = ["  state", "topic", "way", "per s", "age", "lost", "refused", "PLC", "prefix"]
     table(rows, header=header if several else header[:-1])
+    _print_calls(picture, several)
     if picture.wrong:
         say()
     groups: dict[str, list[str]] = {}  # one line for all channels with which the same is wrong
     for view in picture.wrong:
         code = f" [{view.code}]" if view.code else ""
-        name = f"{view.topic} ({view.prefix})" if several else view.topic
+        name = f"{view.label} ({view.prefix})" if several else view.label
         groups.setdefault(f"{view.state.value}: {view.words}{code}", []).append(name)
     for words, names in groups.items():
         more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
         say(f"{', '.join(names[:_NAMED])}{more}: {words}")
     for note in picture.notes:
         say(note)
+
+
+def _print_calls(picture: Picture, several: bool) -> None:
+    """Print a line for each use of a service or action."""
+    from rosplc.monitor.picture import ASKS, count_text, plc_text, state_text
+
+    rows = []
+    for view in picture.channels:
+        if view.part not in ASKS:
+            continue
+        same = (view.prefix, view.kind, view.topic, view.client)
+        parts = [
+            each for each in picture.channels if (each.prefix, each.kind, each.topic, each.client) == same
+        ]
+        worst = max(parts, key=lambda each: each.state.severity)
+        way = newest = "-"
+        calls, ended = 0, ""
+        if (call := view.call) is not None:
+            way = "ROS calls PLC" if call.server == "plc" else "PLC calls ROS"
+            calls, newest = (
+                call.number,
+                f"{'open, ' if call.open else ''}{call.status}" if call.number else "none",
+            )
+            ended = ", ".join(f"{count} {words}" for words, count in call.ended.items())
+        name = f"{view.topic} {view.client}".rstrip()
+        row = [state_text(worst), view.kind, name, way, count_text(calls), newest, ended or "-"]
+        rows.append([*row, plc_text(view), *([view.prefix] if several else [])])
+    header = ["  state", "kind", "name", "way", "calls", "newest call", "ended lately", "PLC", "prefix"]
+    if rows:
+        say()
+    table(rows, header=header if several else header[:-1])
 
 
 def _follow(watch: Watch, *, as_json: bool) -> None:

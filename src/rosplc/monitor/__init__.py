@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from rosplc.monitor.expected import Expectation, Expected
 from rosplc.monitor.message import Message, numbers
-from rosplc.monitor.picture import BridgeView, ChannelView, Event, Picture, ReaderView, State
-from rosplc.monitor.watch import CallObject, ObjectState, Watch, find_calls, find_objects
+from rosplc.monitor.picture import BridgeView, CallView, ChannelView, Event, Picture, ReaderView, State
+from rosplc.monitor.watch import ObjectState, Watch, find_objects
 
 __all__ = [
     "BridgeView",
-    "CallObject",
+    "CallView",
     "ChannelView",
     "Event",
     "Expectation",
@@ -20,7 +20,6 @@ __all__ = [
     "ReaderView",
     "State",
     "Watch",
-    "find_calls",
     "find_objects",
     "numbers",
 ]

@@ -109,4 +109,4 @@ def grouped(events: Iterable[Event]) -> list[Event]:
 
 
 def _event(time_ns: int, kind: str, view: ChannelView, words: str, level: Level = Level.OK) -> Event:
-    return Event(time_ns, kind, level, view.id, view.prefix, view.topic, words)
+    return Event(time_ns, kind, level, view.id, view.prefix, view.label, words)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rosplc.config.resolve import Project, load_project
 from rosplc.layout import Layout
-from rosplc.shm import Direction
+from rosplc.shm import Direction, Part
 
 
 @dataclass(frozen=True)
@@ -46,16 +46,20 @@ class ClassicTopic:
 class Expected:
     """What configurations expect: per prefix and topic, and of classic topics with their bridge's prefix.
 
+    ``calls`` are the objects of services and actions: prefix, name, part and client.
     ``stale_after_ns`` is for topics towards the PLC that no configuration names; 0 for never.
     """
 
     topics: Mapping[tuple[str, str], Expectation] = field(default_factory=dict)
     classic: tuple[tuple[str, ClassicTopic], ...] = ()
+    calls: tuple[tuple[str, str, Part, str], ...] = ()
     stale_after_ns: int = 1_000_000_000
     prefixes: frozenset[str] = frozenset()
 
-    def of(self, prefix: str, topic: str, direction: Direction) -> Expectation:
-        """Return what is expected of a topic."""
+    def of(self, prefix: str, topic: str, direction: Direction, part: Part = Part.TOPIC) -> Expectation:
+        """Return what is expected of a topic; calls may come at any time, or never."""
+        if part is not Part.TOPIC:
+            return Expectation(0, configured=any(call[:2] == (prefix, topic) for call in self.calls))
         # Without a configuration silence towards ROS is never stale.
         default = Expectation(self.stale_after_ns if direction is Direction.TO_PLC else 0, configured=False)
         return self.topics.get((prefix, topic)) or default
@@ -66,12 +70,14 @@ def expected_by(files: Iterable[Path]) -> Expected:
     topics: dict[tuple[str, str], Expectation] = {}
     classic: list[tuple[str, ClassicTopic]] = []
     prefixes: set[str] = set()
+    calls: list[tuple[str, str, Part, str]] = []
     for file in files:
         found = expected_of(load_project(file))
         topics.update(found.topics)
         classic += found.classic
+        calls += found.calls
         prefixes |= found.prefixes
-    return Expected(topics, tuple(classic), prefixes=frozenset(prefixes))
+    return Expected(topics, tuple(classic), tuple(calls), prefixes=frozenset(prefixes))
 
 
 def expected_of(project: Project) -> Expected:
@@ -87,4 +93,5 @@ def expected_of(project: Project) -> Expected:
                 plan.topic, plan.direction, names.name, names.semaphore, plan.layout, plan.stale_after_ns
             )
             classic.append((prefix, topic))
-    return Expected(topics, tuple(classic), prefixes=frozenset({prefix}))
+    calls = [(prefix, plan.called, part, plan.client) for plan in project.calls for part in plan.parts]
+    return Expected(topics, tuple(classic), tuple(calls), prefixes=frozenset({prefix}))

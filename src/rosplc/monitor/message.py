@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from rosplc.layout import Layout
-from rosplc.shm import SlotInfo
+from rosplc.monitor.calls import status_words
+from rosplc.shm import Part, SlotInfo
 from rosplc.shm.constants import (
     FLAG_FIRST,
     FLAG_SUBSTITUTED,
@@ -32,7 +33,7 @@ class Message:
         sequence: Its number; 0 for a classic topic, which has none.
         stamp_ns: The source's time stamp, ns since its clock's epoch; 0 for none.
         clock: That clock: ``system``, ``ros`` or ``plc``; empty for none.
-        marks: Which of ``first``, ``truncated`` and ``substituted`` hold.
+        marks: Which of ``first``, ``truncated`` and ``substituted`` hold; also a call's number and status.
     """
 
     channel: str
@@ -59,17 +60,22 @@ def message_of(
     record: bytes | bytearray,
     info: SlotInfo | None,
     elements: int | None = None,
+    part: Part = Part.TOPIC,
 ) -> Message:
     """Return a record as a message, at most ``elements`` of each array (None: all).
 
-    ``info`` is the record's slot header; None for a classic topic.
+    ``info`` is the record's slot header; None for a classic topic. ``part``: what the record is.
     """
     values = layout.to_dict(record) if elements is None else layout.excerpt(record, elements)
     if info is None:
         return Message(channel, layout.type_name, 0, 0, "", (), values)
     clock = _CLOCKS.get(info.stamp_clock, "")
     stamp = info.stamp_ns if clock else 0
-    return Message(channel, layout.type_name, info.sequence, stamp, clock, marks_of(info.flags), values)
+    marks = marks_of(info.flags)
+    if part is not Part.TOPIC:
+        number = info.correlation & 0xFFFFFFFF
+        marks = (*marks, f"call {number}", status_words(part, info.status, info.reason))
+    return Message(channel, layout.type_name, info.sequence, stamp, clock, marks, values)
 
 
 def numbers(values: Any, *, elements: int = 64, path: str = "") -> Iterator[tuple[str, float]]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import enum
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from rosplc.levels import Level, format_age
@@ -35,6 +35,8 @@ class State(enum.Enum):
     """No message came yet, for longer than the topic allows."""
     NO_PLC = "no PLC"
     """No PLC task reads it, or writes it."""
+    NO_SERVER = "no server"
+    """The PLC calls a service or action of ROS, and no server is ready."""
     UNKNOWN = "looking"
     """Looked at for too short a time to say who is alive; or the bridge is starting."""
     OK = "ok"
@@ -62,7 +64,11 @@ _LEVELS = {
     State.STALE: Level.STALE,
     State.SILENT: Level.STALE,
     State.NO_PLC: Level.WARN,
+    State.NO_SERVER: Level.WARN,
 }
+
+ASKS = ("request", "goal")
+"""The parts of services and actions that the caller writes."""
 
 ALL_WELL = (State.OK, State.UNKNOWN)
 """The states in which nothing is wrong."""
@@ -94,12 +100,34 @@ class ReaderView:
 
 
 @dataclass(frozen=True, slots=True)
+class CallView:
+    """What an object of a service or an action tells of calls.
+
+    Attributes:
+        server: Who carries the calls out: ``plc`` or ``ros``.
+        number: The newest message's call, counted since its caller started; 0 before the first message.
+        correlation: The same, unique over all lives of the caller: 16 hexadecimal digits.
+        status: The newest message's status in words, with the reason.
+        open: Whether the newest call has not ended; None where that cannot be known.
+        ended: Calls that were seen to end, by outcome and reason in words; in the object of the answers. The
+            first look counts those that the object still has.
+    """
+
+    server: str
+    number: int = 0
+    correlation: str = ""
+    status: str = ""
+    open: bool | None = None
+    ended: dict[str, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
 class ChannelView:
     """One channel at one moment. Text comes from the object, and may hold any character.
 
     Attributes:
         id: The object's name, unique on the machine; ``classic:`` and the memory's name for a classic topic.
-        topic: As ROS writes it; the object's name where that cannot be known.
+        topic: As ROS writes it; a service's or action's name; the object's name where that cannot be known.
         direction: ``to_plc`` or ``to_ros``; empty if it cannot be known.
         type_name: ``package/msg/Name``; empty if it cannot be known.
         bridge_pid: The bridge's process, as it wrote it; 0 if there is none.
@@ -128,6 +156,10 @@ class ChannelView:
         layout_id: 16 hexadecimal digits.
         generation: A random number, another for each object.
         created_ns: When the object was made, ns since 1970 UTC.
+        kind: ``topic``, ``service`` or ``action``.
+        part: ``topic``, or what a service's or action's object carries: ``request``, ``goal`` ...
+        client: The name of one of several uses of a service or action.
+        call: What it tells of calls; None for a topic, and where it cannot be known.
     """
 
     id: str
@@ -164,6 +196,15 @@ class ChannelView:
     created_ns: int = 0
     readers: tuple[ReaderView, ...] = ()
     classic: bool = False
+    kind: str = "topic"
+    part: str = "topic"
+    client: str = ""
+    call: CallView | None = None
+
+    @property
+    def label(self) -> str:
+        """What people call it: ``/cmd_vel``, ``/gripper/close request left``."""
+        return self.topic if self.kind == "topic" else f"{self.topic} {self.part} {self.client}".rstrip()
 
     def as_json(self) -> dict[str, Any]:
         """Return plain data; ``state`` as its word, with its ``level`` and ``severity``."""
@@ -172,6 +213,8 @@ class ChannelView:
         members["level"] = self.state.level.name
         members["severity"] = self.state.severity
         members["readers"] = [dataclasses.asdict(reader) for reader in self.readers]
+        members["label"] = self.label
+        members["call"] = self.call and dataclasses.asdict(self.call)
         return members
 
 
@@ -303,6 +346,10 @@ def judge(
         return State.UNKNOWN, "looking for signs of life"
     if seen.plc_alive is False:
         return _no_plc(seen)
+    if seen.call is not None:
+        if seen.ros_peers == 0 and seen.call.server == "ros" and seen.part in ASKS:
+            return State.NO_SERVER, "no server in ROS is ready"
+        return State.OK, seen.call.status or "no call yet"
     if seen.ros_peers == 0:
         return State.OK, "nobody publishes" if to_plc else "nobody subscribes"
     if not seen.received:
@@ -311,6 +358,8 @@ def judge(
 
 
 def _no_plc(seen: ChannelView) -> tuple[State, str]:
+    if seen.call is not None:
+        return State.NO_PLC, f"no PLC task {'serves' if seen.call.server == 'plc' else 'calls'} it"
     if seen.direction != "to_plc":
         return State.NO_PLC, "no PLC task writes it"
     nothing = "" if seen.received else f", and {silence_words(seen)}"

@@ -10,9 +10,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from rosplc.errors import ChannelError
+from rosplc.monitor.calls import Calls
 from rosplc.monitor.expected import Expectation
 from rosplc.monitor.picture import ChannelView, ReaderView, judge
-from rosplc.shm import Attached, Direction, Liveness, ReaderState, Snapshot, distance
+from rosplc.shm import Attached, Direction, Liveness, Part, ReaderState, Snapshot, distance
 from rosplc.shm.constants import SLOT_HEADER, STAMP_SYSTEM, UNKNOWN
 from rosplc.shm.header import channel_error
 from rosplc.shm.names import Namespace
@@ -169,9 +170,9 @@ class Tracked:
     """
 
     def __init__(self, namespace: Namespace, name: str, attached: Attached, now_ns: int) -> None:
-        description = attached.description
+        description, part = attached.description, Part(attached.identity.kind)
         try:
-            stands_right = namespace.object_name(description.topic) == name
+            stands_right = namespace.object_name(description.topic, part, description.client) == name
         except ChannelError:
             stands_right = False
         if not stands_right:
@@ -183,6 +184,8 @@ class Tracked:
         self.description = description
         self.direction = attached.identity.direction
         self._to_plc = self.direction is Direction.TO_PLC
+        self.part = part
+        self._calls = None if part is Part.TOPIC else Calls(attached)
         self._peers = Peers()
         self._rate = Rate()
         self._since_ns = now_ns
@@ -246,7 +249,7 @@ class Tracked:
             reader_alive=plc if self._to_plc else bridge,
             bridge_alive=bridge,
             plc_alive=plc,
-            plc_claimed=bool(readers) if self._to_plc else bool(writer.epoch),
+            plc_claimed=bool(self._acting(readers)) if self._to_plc else bool(writer.epoch),
             ros_peers=self._ros_peers(snapshot),
             stale=bool(limit) and since > limit,
             silent=bool(limit) and (since > limit + _DEBOUNCE_NS or now_ns < self._settled_ns),
@@ -259,6 +262,10 @@ class Tracked:
             generation=identity.generation,
             created_ns=identity.created_ns,
             readers=readers,
+            kind=self.part.kind,
+            part=self.part.word,
+            client=self.description.client,
+            call=None if self._calls is None else self._calls.look(writer.head),
         )
         state, words = judge(
             seen,
@@ -303,9 +310,13 @@ class Tracked:
 
     def _sides(self, writer: bool | None, readers: tuple[ReaderView, ...]) -> tuple[bool | None, bool | None]:
         """Return whether the bridge and whether the PLC beats."""
-        if self._to_plc:
-            return writer, _any(reader.alive for reader in readers)
-        return _any(reader.alive for reader in readers if reader.index == 0), writer
+        acts = _any(reader.alive for reader in self._acting(readers))
+        return (writer, acts) if self._to_plc else (acts, writer)
+
+    def _acting(self, readers: tuple[ReaderView, ...]) -> list[ReaderView]:
+        """Return the readers that are the other side, and no observers."""
+        every = self._to_plc and self._calls is None
+        return [reader for reader in readers if every or reader.index == 0]
 
     def _bridge_pid(self, snapshot: Snapshot) -> int:
         if self._to_plc:

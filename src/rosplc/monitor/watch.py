@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 from rosplc.clock import SYSTEM, Clock
 from rosplc.described import layout_of
 from rosplc.errors import ChannelError
+from rosplc.monitor.calls import joined
 from rosplc.monitor.classic import ClassicWatch
 from rosplc.monitor.events import bridge_events, channel_events
 from rosplc.monitor.expected import Expected
@@ -27,8 +28,7 @@ from rosplc.shm import Attached, Namespace, Part, Reader
 from rosplc.shm.files import open_plain_file
 from rosplc.shm.header import channel_error
 
-_OBJECT = re.compile(r"([A-Za-z][A-Za-z0-9_-]{0,31})\.t\..+", re.DOTALL)
-_CALL = re.compile(r"([A-Za-z][A-Za-z0-9_-]{0,31})\.(sq|sr|ag|ar|af)\..+", re.DOTALL)
+_OBJECT = re.compile(r"([A-Za-z][A-Za-z0-9_-]{0,31})\.(t|sq|sr|ag|ar|af)\..+", re.DOTALL)
 
 
 def open_object(path: str) -> Attached:
@@ -78,7 +78,8 @@ class Watch:
         prefix: Only those of this prefix, or of these; None for all.
         directory: The objects' folder.
         expected: What configurations expect of topics; without it the defaults hold.
-        topic: Only this topic; None for all.
+        topic: Only this topic, service or action; None for all.
+        calls: Whether to look at the objects of services and actions, too.
         clock: What ages, rates and signs of life are judged by.
 
     Attributes:
@@ -95,6 +96,7 @@ class Watch:
         directory: str = "/dev/shm",
         expected: Expected | None = None,
         topic: str | None = None,
+        calls: bool = False,
         clock: Clock = SYSTEM,
     ) -> None:
         prefixes = (prefix,) if isinstance(prefix, str) else prefix
@@ -102,6 +104,7 @@ class Watch:
         self._all = prefixes is None
         self.prefixes = frozenset(self._names)
         self._topic = topic
+        self._calls = calls
         self.clock = clock
         self._directory = directory
         self._expected = expected or Expected()
@@ -143,7 +146,7 @@ class Watch:
         views = [self._view(file, now, wall) for file in files.values()]
         views += [watch.look(now) for watch in self._classic]
         views += self._missing(views)
-        views.sort(key=lambda view: (view.prefix, view.topic, view.id))
+        views = sorted(joined(views), key=lambda view: (view.prefix, view.topic, view.id))
         return self._picture(tuple(views), wall, notes)
 
     def message(self, channel: ChannelView | str, elements: int | None = None) -> Message | None:
@@ -161,7 +164,8 @@ class Watch:
             raise self._broken[identifier].error
         if identifier not in self._tracked:
             raise channel_error(101, where=identifier)
-        attached = self._tracked[identifier][1].attached
+        tracked = self._tracked[identifier][1]
+        attached = tracked.attached
         if not self._sound(attached):
             raise channel_error(101, where=attached.path)
         if attached.identity.record_size > MAX_RECORD:
@@ -170,7 +174,7 @@ class Watch:
         layout = layout_of(attached)
         record = bytearray(layout.size)
         info = Reader(attached.region, 0).peek(record)
-        return None if info is None else message_of(identifier, layout, record, info, elements)
+        return None if info is None else message_of(identifier, layout, record, info, elements, tracked.part)
 
     def _wanted(self, prefix: str, topic: str | None = None, *, name: str = "") -> bool:
         """Return whether a topic, or the object of a name, is to be looked at."""
@@ -178,7 +182,9 @@ class Watch:
             return False
         if self._topic is None:
             return True
-        return name == Namespace(prefix, self._directory).object_name(self._topic) or topic == self._topic
+        namespace = Namespace(prefix, self._directory)
+        names = [namespace.object_name(self._topic, part) for part in Part]
+        return topic == self._topic or name in names or (namespace.name_of(name) or ("",))[0] == self._topic
 
     def _sound(self, attached: Attached) -> bool:
         """Return whether the name still leads to the object, and the object still has its size."""
@@ -195,7 +201,9 @@ class Watch:
             with os.scandir(self._directory) as entries:
                 for entry in entries:
                     named = _OBJECT.fullmatch(entry.name)
-                    if named is None or not self._wanted(named[1], name=entry.name):
+                    if named is None or (named[2] != "t" and not self._calls):
+                        continue
+                    if not self._wanted(named[1], name=entry.name):
                         continue
                     if len(found) >= MAX_CHANNELS:
                         more += 1
@@ -217,16 +225,20 @@ class Watch:
             except ChannelError as reason:
                 error = reason
                 break
-            expectation = self._expected.of(file.prefix, tracked.description.topic, tracked.direction)
+            expectation = self._expected.of(
+                file.prefix, tracked.description.topic, tracked.direction, tracked.part
+            )
             try:
                 return tracked.look(expectation, now, wall)
             except ChannelError as reason:
                 self._drop(file.name)
                 error = reason
-        topic = Namespace(file.prefix, self._directory).topic_of(file.name) or file.name
+        namespace = Namespace(file.prefix, self._directory)
+        (topic, client), part = namespace.name_of(file.name) or (file.name, ""), namespace.part_of(file.name)
+        assert part is not None
         return ChannelView(
             file.name, file.prefix, topic, state=State.UNREADABLE, words=error.what, code=error.code,
-            object_size=file.size,
+            object_size=file.size, kind=part.kind, part=part.word, client=client,
         )  # fmt: skip
 
     def _track(self, file: _File, now: int) -> Tracked:
@@ -263,19 +275,25 @@ class Watch:
             known[1].close()
 
     def _missing(self, views: list[ChannelView]) -> list[ChannelView]:
-        there = {(view.prefix, view.topic) for view in views}
+        there = {view.id for view in views}
+        wanted = [(prefix, topic, Part.TOPIC, "") for prefix, topic in self._expected.topics]
         return [
             ChannelView(
-                id=Namespace(prefix, self._directory).object_name(topic),
+                id=identifier,
                 prefix=prefix,
                 topic=topic,
                 state=State.MISSING,
                 words="the configuration has it, and there is no object: its bridge does not run",
                 code="SHM101",
                 configured=True,
+                kind=part.kind,
+                part=part.word,
+                client=client,
             )
-            for prefix, topic in self._expected.topics
-            if (prefix, topic) not in there and self._wanted(prefix, topic)
+            for prefix, topic, part, client in (*wanted, *(self._expected.calls if self._calls else ()))
+            if self._wanted(prefix, topic)
+            and (identifier := Namespace(prefix, self._directory).object_name(topic, part, client))
+            not in there
         ]
 
     def _picture(self, views: tuple[ChannelView, ...], wall: int, notes: tuple[str, ...]) -> Picture:
@@ -332,7 +350,7 @@ def _bridges(views: tuple[ChannelView, ...]) -> tuple[BridgeView, ...]:
 _LOOKS = 4
 _SHARED = (
     "prefix", "topic", "type_name", "direction", "record_size", "slots", "layout_id", "bridge", "refused",
-    "truncated",
+    "truncated", "kind", "part", "client",
 )  # fmt: skip
 
 
@@ -342,7 +360,7 @@ class ObjectState:
 
     Attributes:
         prefix: The bridge's prefix.
-        topic: As ROS writes it; the object's name where that cannot be known.
+        topic: As ROS writes it, a service or action likewise; the object's name where that cannot be known.
         path: The object's file.
         type_name: ``package/msg/Name``, empty if unreadable.
         direction: ``to_plc`` or ``to_ros``, empty if unreadable.
@@ -357,6 +375,9 @@ class ObjectState:
         readers: Names of the tasks whose reader lines beat while looking.
         error: Why it cannot be read, as an error's text; empty if it can.
         code: The error's code.
+        kind: ``topic``, ``service`` or ``action``.
+        part: ``topic``, or what a service's or action's object carries: ``request``, ``goal`` ...
+        client: The name of one of several uses of a service or action.
     """
 
     prefix: str
@@ -375,6 +396,9 @@ class ObjectState:
     readers: tuple[str, ...] = ()
     error: str = ""
     code: str = ""
+    kind: str = "topic"
+    part: str = "topic"
+    client: str = ""
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""
@@ -382,14 +406,20 @@ class ObjectState:
 
 
 def find_objects(
-    directory: str = "/dev/shm", *, prefix: str | None = None, seconds: float = 0.35, clock: Clock = SYSTEM
+    directory: str = "/dev/shm",
+    *,
+    prefix: str | None = None,
+    seconds: float = 0.35,
+    calls: bool = False,
+    clock: Clock = SYSTEM,
 ) -> list[ObjectState]:
-    """Look at every object of this machine.
+    """Look at every topic's object of this machine.
 
     Args:
         directory: The objects' folder.
         prefix: Only those of this prefix; None for all.
         seconds: How long to watch beats; bridges beat every 0.1 s by default.
+        calls: Whether to look at the objects of services and actions, too.
         clock: What beats are judged by.
 
     Returns:
@@ -398,7 +428,7 @@ def find_objects(
     Raises:
         ChannelError: SHM118 if the prefix is not valid, SHM123 if the directory cannot be listed.
     """
-    with Watch(prefix, directory=directory, clock=clock) as watch:
+    with Watch(prefix, directory=directory, calls=calls, clock=clock) as watch:
         picture = watch.look()
         for _ in range(_LOOKS if seconds and picture.channels else 0):
             clock.sleep(round(seconds / _LOOKS * 1e9))
@@ -409,7 +439,8 @@ def find_objects(
 def _state(view: ChannelView, directory: str) -> ObjectState:
     path = str(Path(directory) / view.id)
     if view.state is State.UNREADABLE:
-        return ObjectState(view.prefix, view.topic, path, error=view.words, code=view.code)
+        told = {name: getattr(view, name) for name in ("kind", "part", "client")}
+        return ObjectState(view.prefix, view.topic, path, error=view.words, code=view.code, **told)
     return ObjectState(
         **{name: getattr(view, name) for name in _SHARED},
         path=path,
@@ -417,54 +448,3 @@ def _state(view: ChannelView, directory: str) -> ObjectState:
         writer_alive=view.writer_alive is True,
         readers=tuple(each.task or f"process {each.pid}" for each in view.readers if each.alive),
     )
-
-
-@dataclass(frozen=True)
-class CallObject:
-    """An object of a service or an action; ``topic`` is its name, ``head`` the newest message's sequence.
-
-    ``error`` and ``code`` are those of one that cannot be read.
-    """
-
-    prefix: str
-    topic: str
-    part: str
-    client: str
-    path: str
-    type_name: str = ""
-    direction: str = ""
-    record_size: int = 0
-    bridge: str = ""
-    head: int = 0
-    error: str = ""
-    code: str = ""
-
-
-def find_calls(directory: str = "/dev/shm", *, prefix: str | None = None) -> list[CallObject]:
-    """Look once at the objects of services and actions, those that cannot be read included. Raises SHM123."""
-    try:
-        names = sorted(entry.name for entry in Path(directory).iterdir())
-    except OSError as error:
-        raise channel_error(123, f"cannot list: {error.strerror}", directory) from error
-    found = []
-    for name in names:
-        match = _CALL.fullmatch(name)
-        if match is None or prefix not in (None, match[1]):
-            continue
-        namespace, path = Namespace(match[1], directory), str(Path(directory) / name)
-        part = namespace.part_of(name)
-        assert part is not None
-        topic, client = namespace.name_of(name) or (name, "")
-        try:
-            with open_object(path) as attached:
-                about = attached.description
-                sizes = attached.identity.record_size, about.bridge, attached.snapshot().writer.head
-                described = part.word, about.client, path, about.type, about.direction.word
-                found.append(CallObject(namespace.prefix, about.topic, *described, *sizes))
-        except ChannelError as error:
-            found.append(
-                CallObject(
-                    namespace.prefix, topic, part.word, client, path, error=error.what, code=error.code
-                )
-            )
-    return found

@@ -139,7 +139,7 @@ class Mapped(ABC):
         words = self.region.words(at, spec.SLOT_HEADER_SIZE // 4)
         if sequence == 0 or not sequence == words[0] == self.region.word(at):
             return None
-        return SlotState(words[0], words[3], words[9] << 32 | words[8])
+        return SlotState(words[0], words[3], words[9] << 32 | words[8], words[14])
 
     def snapshot(self) -> Snapshot:
         """Return all counters and beats as they are now."""

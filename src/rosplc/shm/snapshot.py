@@ -54,6 +54,7 @@ class SlotState:
     sequence: int
     status: int
     correlation: int
+    reason: int = 0
 
 
 @dataclass(frozen=True)

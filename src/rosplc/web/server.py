@@ -23,7 +23,7 @@ from rosplc.errors import RosplcError, WebError
 from rosplc.levels import Level
 from rosplc.monitor.picture import Event
 from rosplc.monitor.watch import Watch
-from rosplc.shm import Namespace
+from rosplc.shm import Namespace, Part
 from rosplc.shm import attach as attach_object
 from rosplc.web.access import Settings, access, add_headers, bearer, require_token
 from rosplc.web.feed import Feed
@@ -143,6 +143,8 @@ class _Api:
         if not isinstance(channel, str) or not isinstance(layout, str) or not isinstance(message, dict):
             raise WebError("WEB009", "`channel` and `layout` are texts, `message` an object")
         view = self._channel(channel)
+        if view["kind"] != "topic":
+            raise WebError("WEB008", "calls are made by the PLC or in ROS, not here", where=view["label"])
         namespace = Namespace(view["prefix"], self._settings.directory)
         who = f"the page at {request.remote}"
         try:
@@ -157,7 +159,8 @@ class _Api:
     def _form(self, channel: str) -> dict[str, Any]:
         view = self._channel(channel)
         namespace = Namespace(view["prefix"], self._settings.directory)
-        with attach_object(namespace, view["topic"]) as attached:
+        part = Part[view["part"].upper()]
+        with attach_object(namespace, view["topic"], part=part, client=view["client"]) as attached:
             layout = layout_of(attached)
         return {
             "channel": channel,

@@ -40,6 +40,7 @@ X dead        bridge or PLC hold it, and do not beat any more
 ~ stale       the newest message is older than stale_after
 ~ silent      no message yet, for longer than stale_after
 ! no PLC      no PLC task reads it, or writes it
+! no server   no server in ROS is ready for what the PLC calls
   looking     watched for too short a time to say who lives
   ok          nothing is wrong
 

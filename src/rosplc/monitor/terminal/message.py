@@ -267,7 +267,7 @@ class MessageScreen(Screen[None]):
     def _head(self) -> None:
         view = self._channel
         self.query_one("#channel-head", Static).update(
-            Text.assemble((one_line(view.topic), "bold"), f"  {way_text(view)}  ", one_line(view.type_name)),
+            Text.assemble((one_line(view.label), "bold"), f"  {way_text(view)}  ", one_line(view.type_name)),
             layout=False,
         )
         figures = (

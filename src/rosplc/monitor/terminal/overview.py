@@ -122,7 +122,7 @@ class OverviewScreen(Screen[None]):
         if view is None:
             box.update("", layout=False)
             return
-        place = f" {one_line(view.topic)}  {one_line(view.type_name)}  {view.prefix}: {one_line(view.bridge)}"
+        place = f" {one_line(view.label)}  {one_line(view.type_name)}  {view.prefix}: {one_line(view.bridge)}"
         readers = ", ".join(
             (one_line(each.task) or f"process {each.pid}") + (" (dead)" if each.alive is False else "")
             for each in view.readers

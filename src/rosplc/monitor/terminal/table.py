@@ -74,7 +74,7 @@ def _natural(text: str) -> list[tuple[int, str]]:
 
 # The first look at a figure is for what stands out, so that figures begin with the largest.
 ORDERS: dict[str, tuple[bool, Callable[[ChannelView], Any]]] = {
-    "topic": (False, lambda view: (view.prefix, _natural(view.topic))),
+    "topic": (False, lambda view: (view.prefix, _natural(view.label))),
     "state": (True, lambda view: view.state.severity),
     "rate": (True, lambda view: view.rate_hz or 0.0),
     "age": (True, lambda view: -1 if view.age_ns is None else view.age_ns),
@@ -121,7 +121,7 @@ class Sorting:
     def _wanted(self, view: ChannelView, words: list[str]) -> bool:
         if self.wrong and view.state in ALL_WELL:
             return False
-        text = " ".join((view.topic, view.type_name, view.bridge, view.prefix, view.state.value)).casefold()
+        text = " ".join((view.label, view.type_name, view.bridge, view.prefix, view.state.value)).casefold()
         return all(word in text for word in words)
 
 
@@ -149,7 +149,7 @@ class Column:
 
 _COLUMNS = (
     Column("state", "  state", 12, 0, state_text),
-    Column("topic", "topic", 0, 0, lambda view: view.topic),
+    Column("topic", "topic", 0, 0, lambda view: view.label),
     Column("way", "way", 5, 72, way_text),
     Column("rate", "per s", 6, 0, lambda view: rate_text(view.rate_hz), True),
     Column("age", "age", 6, 0, lambda view: age_text(view.age_ns), True),

@@ -25,8 +25,8 @@ export function channelList(selected) {
   const search = el("input", {
     type: "search",
     class: "input",
-    placeholder: "Find a topic or type",
-    "aria-label": "Find a topic or type",
+    placeholder: "Find a topic, service, action or type",
+    "aria-label": "Find a topic, service, action or type",
     oninput: () => {
       filter.text = search.value.trim().toLowerCase();
       update();
@@ -118,7 +118,7 @@ export function channelList(selected) {
     const tone = toneOf(channel.state);
     row.state.update(channel.state, tone);
     setAttribute(row.state, "title", channel.words || null);
-    setText(row.topic, channel.topic);
+    setText(row.topic, channel.label);
     setText(row.type, typeName(channel.type_name) || channel.words);
     setAttribute(row.root, "data-tone", tone);
     setAttribute(row.link, "aria-current", selected() === channel.id ? "true" : null);
@@ -183,7 +183,7 @@ export function channelList(selected) {
 
   function matches(channel) {
     if (filter.tone && toneOf(channel.state) !== filter.tone) return false;
-    return !filter.text || `${channel.topic} ${channel.type_name} ${channel.state}`.toLowerCase().includes(filter.text);
+    return !filter.text || `${channel.label} ${channel.type_name} ${channel.state}`.toLowerCase().includes(filter.text);
   }
 
   function nothing(total) {
@@ -195,5 +195,5 @@ export function channelList(selected) {
   return { root, update };
 }
 
-const byName = (a, b) => a.prefix.localeCompare(b.prefix) || a.bridge.localeCompare(b.bridge) || a.topic.localeCompare(b.topic, "en", { numeric: true });
+const byName = (a, b) => a.prefix.localeCompare(b.prefix) || a.bridge.localeCompare(b.bridge) || a.label.localeCompare(b.label, "en", { numeric: true });
 const bySeverity = (a, b) => b.severity - a.severity || byName(a, b);

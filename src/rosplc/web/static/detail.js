@@ -68,7 +68,7 @@ export function channelDetail(id, plots) {
   function showPath(channel) {
     const toPlc = channel.direction === "to_plc";
     const peers = channel.ros_peers;
-    const noun = toPlc ? "publisher" : "subscriber";
+    const noun = channel.call ? (channel.call.server === "plc" ? "client" : "server") : toPlc ? "publisher" : "subscriber";
     const ros = showStation("ros", "ROS", peers === null ? "not counted" : peers === 1 ? `1 ${noun}` : `${peers} ${noun}s`, peers === null ? null : peers > 0);
     const bridge = showStation("bridge", "Bridge", channel.bridge ? `${channel.bridge}${channel.bridge_pid ? `, process ${channel.bridge_pid}` : ""}` : "none", channel.bridge_alive);
     const tasks = channel.readers.filter((reader) => reader.alive !== false && (toPlc || reader.index > 0)).map((reader) => reader.task || `process ${reader.pid}`);
@@ -87,7 +87,7 @@ export function channelDetail(id, plots) {
       return;
     }
     setAttribute(root, "data-gone", null);
-    setText(title, channel.topic);
+    setText(title, channel.label);
     setText(type, [typeName(channel.type_name), way(channel.direction), channel.classic ? "classic" : `prefix ${channel.prefix}`].filter(Boolean).join(" · "));
     setText(words, channel.words ? sentence(channel.words) : "");
     state.update(channel.state, toneOf(channel.state));
@@ -99,6 +99,10 @@ export function channelDetail(id, plots) {
     showFact("Refused", count(channel.refused), channel.refused ? "warn" : null);
     showFact("Cut to fit", count(channel.truncated), channel.truncated ? "warn" : null);
     showFact("Stale after", channel.stale_after_ns ? span(channel.stale_after_ns) : "never");
+    if (channel.call) {
+      showFact("Newest call", channel.call.number ? `${count(channel.call.number)}, ${channel.call.status}` : "none", channel.call.open ? "warn" : null);
+      showFact("Seen to end", Object.entries(channel.call.ended).map(([words, number]) => `${count(number)} ${words}`).join(", ") || "none");
+    }
     showFact("Record", bytes(channel.record_size));
     showFact("Slots", count(channel.slots));
     showFact("Layout", channel.layout_id || "–");
@@ -122,7 +126,7 @@ export function channelDetail(id, plots) {
     if (layout !== answer.layout) {
       layout = answer.layout;
       tree = messageTree(answer.form, { has: (path) => plots.has(id, path), toggle: (path) => plots.toggle(id, path) });
-      fill(writing, store.hello?.write ? writeForm(id, answer) : null);
+      fill(writing, store.hello?.write && !store.channels.get(id)?.call ? writeForm(id, answer) : null);
     }
     showMessage();
   }

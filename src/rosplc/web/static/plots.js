@@ -92,7 +92,7 @@ export function plotsView(plots) {
   }
 
   function nameOf(field) {
-    return `${store.channels.get(field.id)?.topic ?? field.id} ${field.path}`;
+    return `${store.channels.get(field.id)?.label ?? field.id} ${field.path}`;
   }
 
   function build() {
@@ -112,7 +112,7 @@ export function plotsView(plots) {
       const range = el("span", { class: "legend-range" });
       const row = el("div", { class: "legend" },
         el("span", { class: `swatch series-${plots.fields.indexOf(field) % 8}`, "aria-hidden": "true" }),
-        el("a", { class: "legend-topic", href: linkTo(field.id) }, store.channels.get(field.id)?.topic ?? field.id),
+        el("a", { class: "legend-topic", href: linkTo(field.id) }, store.channels.get(field.id)?.label ?? field.id),
         el("span", { class: "legend-path" }, field.path), now, range,
         el("button", { type: "button", class: "button small quiet", "aria-label": `Remove ${nameOf(field)}`, onclick: () => plots.toggle(field.id, field.path) }, "Remove"));
       return { row, now, range };

@@ -6,6 +6,7 @@ const TONES = {
   ok: "good",
   looking: "quiet",
   "no PLC": "warn",
+  "no server": "warn",
   silent: "stale",
   stale: "stale",
   lost: "warn",

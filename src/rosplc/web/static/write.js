@@ -54,7 +54,7 @@ export function writeForm(id, { form, layout, initial }) {
     }
     const channel = store.channels.get(id);
     const message = inputs.get();
-    question.open(channel?.topic ?? id, way(channel?.direction), message, isFinite(form, message));
+    question.open(channel?.label ?? id, way(channel?.direction), message, isFinite(form, message));
   }
 
   async function write(message) {
