@@ -152,6 +152,21 @@ def test_a_server_that_closes_ends_its_callers(ros1: Graph, cell: Backend) -> No
         requests.server.reply(caller, response(True, "late"))
 
 
+def test_a_defect_ends_the_call_that_meets_it(
+    ros1: Graph, cell: Backend, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its caller does not wait without end, and the next one is served."""
+    requests = serve(cell, ros1)
+    proxy = ros1.peer("rospy", "peer").proxy("/start", SET_BOOL)
+    with monkeypatch.context() as patch:
+        patch.setattr(services.RospyServer, "receive", lambda *_: 1 / 0)
+        proxy.call(b"\1")
+        wait_for(lambda: proxy.errors)
+    proxy.call(b"\1")
+    wait_for(lambda: proxy.replies)
+    assert requests.server.status().received == 1
+
+
 def test_a_server_of_rospy_is_called(ros1: Graph, cell: Backend) -> None:
     """A call of a rospy.Service gets its response; its failure comes with its own words."""
     peer = ros1.peer("rospy", "peer")
@@ -273,7 +288,7 @@ def test_hostile_callers_are_dropped(
     requests = serve(cell, ros1)
     place = Master(ros1.environment["ROS_MASTER_URI"], "/rogue").service_place("/start")
     with monkeypatch.context() as patch, socket.create_connection(place) as sock:
-        patch.setattr(services, "_STUCK_NS", 0)
+        patch.setattr(services, "_STUCK_S", 0.5)
         header = {"callerid": "/rogue", "service": "/start", "md5sum": "*"}
         sock.sendall(encode_header(header))
         assert read_header(sock, 5.0)["type"] == "std_srvs/SetBool"
@@ -287,6 +302,7 @@ def test_hostile_callers_are_dropped(
 
 def test_a_caller_that_takes_no_answer(ros1: Graph, cell: Backend, monkeypatch: pytest.MonkeyPatch) -> None:
     """An answer that does not fit its connection waits for it without blocking anybody, and not for ever."""
+    monkeypatch.setattr(services, "_STUCK_S", 3.0)
     requests = serve(cell, ros1, None)
     place = Master(ros1.environment["ROS_MASTER_URI"], "/rogue").service_place("/start")
     with socket.create_connection(place) as sock:
@@ -300,7 +316,7 @@ def test_a_caller_that_takes_no_answer(ros1: Graph, cell: Backend, monkeypatch: 
         requests.answer = "reply"
         assert "done" in ros1.run("rosservice", "call", "/start", "true")
         assert requests.server.matched == 1
-        monkeypatch.setattr(services, "_STUCK_NS", 0)
+        monkeypatch.setattr(services, "_STUCK_S", 0.5)
         wait_for(lambda: not requests.server.matched)
 
 

@@ -23,6 +23,7 @@ from rosplc.ros.rospy.outbound import Outgoing, _Queue
 from rosplc.ros.rospy.services import RospyClient, _Link
 from rosplc_bench.process import free_port
 from tests.lib.clock import SteppedClock
+from tests.lib.waiting import wait_for
 
 NOETIC = TypeStore.bundled("noetic")
 STRING = "std_msgs/msg/String"
@@ -269,15 +270,21 @@ def test_a_server_at_a_host_that_cannot_be_one(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_without_a_thread_a_service_is_not_called(monkeypatch: pytest.MonkeyPatch) -> None:
-    client = service_client(monkeypatch, "127.0.0.1")
+    """Its server is looked for again once there are threads."""
+    client = service_client(monkeypatch, "a..b")
 
     def none(_: threading.Thread) -> None:
         raise RuntimeError("can't start new thread")
 
-    monkeypatch.setattr(threading.Thread, "start", none)
-    reply = client._send(1, b"")
+    with monkeypatch.context() as patch:
+        patch.setattr(threading.Thread, "start", none)
+        reply = client._send(1, b"")
+        client.update()
     assert reply is not None
     assert (reply.outcome, client._links) == ("not executed", {})
+    assert not client.problem[1]
+    client.update()
+    wait_for(lambda: client.problem[1])
 
 
 # -- the master

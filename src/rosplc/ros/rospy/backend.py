@@ -17,7 +17,7 @@ from rosplc.ros.rospy.inbound import Incoming, RospySubscription
 from rosplc.ros.rospy.master import read_address
 from rosplc.ros.rospy.outbound import Outgoing, RospyPublisher
 from rosplc.ros.rospy.registration import Key, Registration
-from rosplc.ros.rospy.services import Callers, RospyClient, RospyServer
+from rosplc.ros.rospy.services import RospyClient, RospyServer
 from rosplc.ros.rospy.slave import Servers
 
 _CONNECTING = 16  # connections that are being made at once
@@ -31,7 +31,6 @@ class RospyBackend(BaseNode):
         uri: The URI of its XML-RPC interface.
         service_uri: Where its services are called.
         master_uri: The master's URI.
-        callers: The connections of those who call its services.
         turn: Held while messages are handed over.
         connecting: Bounds how many connections are being made at once.
         ended: Why the node was told to leave the graph; empty if it was not.
@@ -59,7 +58,6 @@ class RospyBackend(BaseNode):
         self.uri = self._servers.uri
         self.service_uri = f"rosrpc://{address.host}:{self._servers.data.port}"
         self.master_uri = address.master
-        self.callers = Callers(self.clock)
         self._registration = Registration(self, address.master)
 
     # -- endpoints
@@ -190,9 +188,7 @@ class RospyBackend(BaseNode):
         if self._registration is not None:
             self._registration.close()
         for topic in self.topics().values():
-            if not isinstance(topic, RospyServer):
-                topic.close()
-        self.callers.close()
+            topic.disconnect() if isinstance(topic, RospyServer) else topic.close()
         self._servers.close()
 
     # -- what is wrong
@@ -282,7 +278,6 @@ class RospyBackend(BaseNode):
 
     def _leave(self) -> None:
         self._servers.close()
-        self.callers.close()
         for one in self._ending:
             with contextlib.suppress(RuntimeError):
                 one.join()

@@ -19,6 +19,8 @@ ANY = "*"  # Stands for any type and any checksum.
 # Bytes of a connection header, which holds the definition with all types that it needs.
 MOST_HEADER = 4 << 20
 
+TIMEOUT_S = 5.0
+
 _ids = itertools.count(1)
 
 
@@ -34,6 +36,19 @@ def prepare(sock: socket.socket) -> socket.socket:
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, 60)
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, 10)
     return sock
+
+
+def connect(
+    place: tuple[str, int], fields: Mapping[str, str], clock: Clock = SYSTEM
+) -> tuple[socket.socket, dict[str, str]]:
+    """Connect and exchange headers; return the connection and the other's. Raises OSError, HandshakeError."""
+    sock = socket.create_connection(place, TIMEOUT_S)
+    try:
+        prepare(sock).sendall(encode_header(fields))
+        return sock, read_header(sock, TIMEOUT_S, clock)
+    except BaseException:
+        sock.close()
+        raise
 
 
 def connection_info(sock: socket.socket, peer: str, direction: str, topic: str) -> list[Any]:

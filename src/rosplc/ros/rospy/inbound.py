@@ -16,21 +16,19 @@ from rosplc.ros._base import BaseSubscription, Problem
 from rosplc.ros.backend import OnMessage, Qos
 from rosplc.ros.rospy.handshake import (
     ANY,
+    TIMEOUT_S,
     Definition,
     HandshakeError,
     Topic,
+    connect,
     connection_info,
-    encode_header,
     mismatch,
     peer_type,
-    prepare,
-    read_header,
 )
 from rosplc.ros.rospy.master import Master, RefusedError, UnreachableError, call, proxy
 
 _logger = logging.getLogger("rosplc.ros.rospy")
 
-_TIMEOUT_S = 5.0
 _RETRY_NS = 1_000_000_000  # after a lost connection; doubled with each attempt that fails
 _SLOWEST_NS = 8_000_000_000
 _REFUSED_NS = 60_000_000_000  # a publisher with another type logs each attempt
@@ -42,7 +40,7 @@ ANY_TYPE = Definition(ANY, ANY, "")  # Of a subscriber that takes whatever a top
 
 def request(uri: str, caller: str, topic: str) -> tuple[str, int]:
     """Ask a node for a topic; return host and port. Raises UnreachableError, RefusedError: Not its topic."""
-    server = proxy(uri, _TIMEOUT_S)
+    server = proxy(uri, TIMEOUT_S)
     try:
         answer = call(server, "requestTopic", caller, topic, [["TCPROS"]])
     finally:
@@ -58,14 +56,7 @@ def handshake(
     place: tuple[str, int], caller: str, topic: str, definition: Definition
 ) -> tuple[socket.socket, dict[str, str]]:
     """Connect as a subscriber; return the connection and the header. Raises OSError, HandshakeError."""
-    sock = socket.create_connection(place, _TIMEOUT_S)
-    try:
-        fields = {"callerid": caller, "topic": topic, "tcp_nodelay": "1", **definition.fields()}
-        prepare(sock).sendall(encode_header(fields))
-        return sock, read_header(sock, _TIMEOUT_S)
-    except BaseException:
-        sock.close()
-        raise
+    return connect(place, {"callerid": caller, "topic": topic, "tcp_nodelay": "1", **definition.fields()})
 
 
 def cut(buffer: bytearray) -> list[bytes]:

@@ -1,4 +1,4 @@
-"""Services over TCPROS: one thread serves all callers of a node; each call of a client has a connection.
+"""Services over TCPROS: each caller of a server, and each call of a client, has a connection and a thread.
 
 http://wiki.ros.org/ROS/TCPROS
 """
@@ -13,7 +13,6 @@ import socket
 import threading
 from typing import Any
 
-from rosplc.clock import Clock
 from rosplc.reasons import Reason
 from rosplc.ros._base import BaseClient, BaseEndpoint, KeepingServer, Problem
 from rosplc.ros.backend import Reply
@@ -26,11 +25,10 @@ MOST_CALLS = 64  # calls of one client at once; each has a thread
 LARGEST = 64 << 20  # bytes of a request or response
 _LONGEST_TEXT = 1000  # characters of a server's error
 
-_TIMEOUT_S = 5.0
-_STUCK_NS = 10_000_000_000  # a peer that neither sends on nor takes what it asked for is dropped then
+_STUCK_S = 10.0  # a peer that neither sends on nor takes what it asked for is dropped then
+_LOOK_S = 1.0  # how often the thread of a caller that waits looks whether it has gone
 _RETRY_NS = 1_000_000_000  # after a server that could not be asked; doubled each time
 _SLOWEST_NS = 8_000_000_000
-_GONE = select.EPOLLRDHUP | select.EPOLLHUP | select.EPOLLERR
 
 
 def _has_gone(sock: socket.socket) -> bool:
@@ -42,155 +40,64 @@ def _has_gone(sock: socket.socket) -> bool:
 class _Caller:
     """The connection of one caller; ``key`` is that of its open request."""
 
-    def __init__(self, sock: socket.socket, server: RospyServer, persistent: bool, now_ns: int) -> None:
-        self.sock, self.server, self.persistent, self.moved_ns = sock, server, persistent, now_ns
-        self.key = b""
-        self.inbox = bytearray()
-        self.outbox: bytes | memoryview = b""
+    def __init__(self, sock: socket.socket, server: RospyServer, persistent: bool) -> None:
+        self.sock, self.key = sock, b""
+        self._server, self._persistent = server, persistent
+        self._lock = threading.Lock()
+        self._answered = threading.Event()
+        self._frame = b""
 
-    def stuck(self, now_ns: int) -> bool:
-        """Return whether it keeps a connection busy for too long."""
-        waits = bool(self.inbox or self.outbox or not (self.persistent or self.key))
-        return waits and now_ns - self.moved_ns > _STUCK_NS
-
-
-class Callers:
-    """The connections of all callers of a node's services, and the thread that reads their requests."""
-
-    def __init__(self, clock: Clock) -> None:
-        self._clock = clock
-        self._lock = threading.RLock()  # nothing else is locked while it is held
-        self._callers: dict[int, _Caller] = {}
-        self._life, self._numbers = os.urandom(8), itertools.count(1)
-        self._closing = False
-        self._epoll = select.epoll()
-        self._bell = os.eventfd(0, os.EFD_NONBLOCK)
-        self._epoll.register(self._bell, select.EPOLLIN)
-        self._thread = threading.Thread(target=self._run, name="rosplc-services", daemon=True)
-
-    def add(self, sock: socket.socket, server: RospyServer, persistent: bool) -> str:
-        """Serve a caller; return why not, or an empty text."""
+    def waits(self, key: bytes) -> bool:
+        """Return whether it waits for the answer to a request."""
         with self._lock:
-            if self._closing or server.closed:
-                return f"service {server.topic} is no longer provided"
-            if len(self._callers) >= MOST_CALLERS:
-                return f"{MOST_CALLERS} callers are connected already"
-            if self._thread.ident is None:
-                self._thread.start()
-            sock.setblocking(False)
-            number = sock.fileno()
-            self._callers[number] = _Caller(sock, server, persistent, self._clock.monotonic_ns())
-            self._epoll.register(number, select.EPOLLIN | select.EPOLLRDHUP)
-        return ""
+            return bool(key) and self.key == key and not _has_gone(self.sock)
 
-    def count(self, server: RospyServer) -> int:
-        """Return how many callers of a service are connected."""
+    def answer(self, key: bytes, frame: bytes) -> bool:
+        """Have the answer to a request sent; False if its caller has gone. Never blocks."""
         with self._lock:
-            return sum(one.server is server for one in self._callers.values())
-
-    def answer(self, caller: _Caller, key: bytes, frame: bytes) -> bool:
-        """Send the answer to a request; False if its caller has gone. Never blocks."""
-        with self._lock:
-            if not key or caller.key != key:
+            if not key or self.key != key or _has_gone(self.sock):
                 return False
-            caller.key, caller.outbox = b"", frame
-            return self._flush(caller)
-
-    def _flush(self, caller: _Caller) -> bool:
-        try:
-            sent = caller.sock.send(caller.outbox, socket.MSG_DONTWAIT)
-        except BlockingIOError:
-            sent = 0
-        except OSError:
-            self._drop(caller)
-            return False
-        caller.outbox = memoryview(caller.outbox)[sent:]
-        caller.moved_ns = self._clock.monotonic_ns()
-        if caller.outbox or caller.persistent:
-            wanted = select.EPOLLOUT if caller.outbox else select.EPOLLIN
-            self._epoll.modify(caller.sock.fileno(), wanted | select.EPOLLRDHUP)
-        else:
-            self._drop(caller)
+            self.key, self._frame = b"", frame
+            self._answered.set()
         return True
 
-    def _drop(self, caller: _Caller) -> None:
-        caller.key = b""
-        if self._callers.pop(caller.sock.fileno(), None) is not None:
-            self._epoll.unregister(caller.sock.fileno())
-            caller.sock.close()
-
-    def drop(self, server: RospyServer) -> None:
-        """Disconnect the callers of a service, but those that still take an answer."""
-        with self._lock:
-            for caller in [one for one in self._callers.values() if one.server is server]:
-                caller.persistent = False
-                if not caller.outbox:
-                    self._drop(caller)
-
-    def _run(self) -> None:
-        while not self._closing:
-            for number, event in self._epoll.poll(1.0):
-                with self._lock:
-                    caller = self._callers.get(number)
-                    request = self._serve(caller, event) if caller is not None else None
-                if caller is not None and request is not None:
-                    caller.server.receive(request, caller)
-            now = self._clock.monotonic_ns()
-            with self._lock:
-                for caller in [one for one in self._callers.values() if one.stuck(now)]:
-                    self._drop(caller)
-
-    def _serve(self, caller: _Caller, event: int) -> bytes | HandshakeError | None:
-        """Do what a connection is ready for; return a request that is complete, or why it is none."""
-        # The event may be of an earlier connection with this number.
-        if event & _GONE and _has_gone(caller.sock):
-            self._drop(caller)
-        elif event & select.EPOLLOUT and caller.outbox:
-            self._flush(caller)
-        elif event & select.EPOLLIN:
-            return self._read(caller)
-        return None
-
-    def _read(self, caller: _Caller) -> bytes | HandshakeError | None:
-        inbox = caller.inbox
-        size = int.from_bytes(inbox[:4], "little")  # 0 until it is known
-        # Never beyond a request: what follows waits in the connection until this one is answered.
-        lacks = (4 + size if len(inbox) >= 4 else 4) - len(inbox)
+    def run(self) -> None:
+        """Serve the caller until it has gone: its thread."""
+        server = self._server
         try:
-            part = caller.sock.recv(min(lacks, 1 << 20))
-        except BlockingIOError:
-            return None
-        except OSError:
-            part = b""
-        inbox += part
-        size = int.from_bytes(inbox[:4], "little")
-        if not part or (len(inbox) == 4 and size > LARGEST):
-            self._drop(caller)
-            what = f"a caller announces a request of {size} bytes, {LARGEST} are the most"
-            return HandshakeError(what) if part else None
-        caller.moved_ns = self._clock.monotonic_ns()
-        if len(inbox) < 4 or len(inbox) < 4 + size:
-            return None
-        payload = bytes(inbox[4:])
-        inbox.clear()
-        caller.key = self._life + next(self._numbers).to_bytes(8, "little")
-        self._epoll.modify(caller.sock.fileno(), select.EPOLLRDHUP)
-        return payload
+            while self._serve() and self._persistent:
+                pass
+        except (OSError, HandshakeError) as error:
+            server.log.debug("%s: the connection of a caller ended: %s", server.topic, error)
+        except Exception:
+            server.log.exception("%s: the connection of a caller had an error", server.topic)
+        with self._lock:
+            self.key = b""
+            self.sock.close()
+        server.connections.discard(self)
 
-    def close(self) -> None:
-        """Disconnect everybody and end the thread; harmless twice."""
-        with self._lock:
-            if self._closing:
-                return
-            self._closing = True
-        os.eventfd_write(self._bell, 1)
-        if self._thread.is_alive() and threading.current_thread() is not self._thread:
-            self._thread.join()
-        with self._lock:
-            for caller in tuple(self._callers.values()):
-                self._drop(caller)
-        self._epoll.close()
-        os.close(self._bell)
+    def _serve(self) -> bool:
+        """Serve one request; return whether another may follow."""
+        sock = self.sock
+        sock.settimeout(None if self._persistent else _STUCK_S)
+        start = sock.recv(4)
+        sock.settimeout(_STUCK_S)
+        size = int.from_bytes(start + _read(sock, 4 - len(start)), "little") if start else 0
+        if size > LARGEST:
+            self._server.reject(f"a caller announces a request of {size} bytes, {LARGEST} are the most")
+        if not start or size > LARGEST:
+            return False
+        payload = _read(sock, size)
+        self._answered.clear()
+        self.key = key = self._server.next_key()
+        self._server.receive(payload, key, self)
+        while not self._answered.wait(_LOOK_S):
+            if not self.waits(key) and not self._answered.is_set():
+                return False
+        if not self._persistent:
+            self._server.connections.discard(self)
+        sock.sendall(self._frame)
+        return True
 
 
 class _Service(BaseEndpoint):
@@ -209,10 +116,16 @@ class RospyServer(_Service, KeepingServer):
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
-        self._hub: Callers = self._node.callers
+        self.log = self._node.logger
+        self.connections: set[_Caller] = set()
+        self._life, self._numbers = os.urandom(8), itertools.count(1)
 
     def _matched(self) -> int:
-        return self._hub.count(self)
+        return len(self.connections)
+
+    def next_key(self) -> bytes:
+        """Return the key of a new request."""
+        return self._life + next(self._numbers).to_bytes(8, "little")
 
     def accept(self, sock: socket.socket, header: dict[str, str]) -> str:
         """Serve a caller that has connected; return why not, or an empty text."""
@@ -227,18 +140,27 @@ class RospyServer(_Service, KeepingServer):
         if header.get("probe") == "1":
             sock.close()
             return ""
-        return self._hub.add(sock, self, header.get("persistent", "").lower() in ("1", "true"))
+        caller = _Caller(sock, self, header.get("persistent", "").lower() in ("1", "true"))
+        with self._lock:
+            if self.closed:
+                return f"service {self.topic} is no longer provided"
+            if sum(one.matched for one in self._node.serving().values()) >= MOST_CALLERS:
+                return f"{MOST_CALLERS} callers are connected already"
+            self.connections.add(caller)
+        try:
+            threading.Thread(target=caller.run, name="rosplc-caller", daemon=True).start()
+        except RuntimeError as error:
+            self.connections.discard(caller)
+            return f"{error}"
+        return ""
 
-    def receive(self, request: bytes | HandshakeError, caller: _Caller) -> None:
-        """Take what has come from a caller; called by the thread of the connections."""
-        if isinstance(request, HandshakeError):
-            self.reject(request)
-        elif key := caller.key:  # it may have been disconnected
-            self._take(request, key, 0, caller)
+    def receive(self, payload: bytes, key: bytes, caller: _Caller) -> None:
+        """Take a request; called by its caller's thread."""
+        self._take(payload, key, 0, caller)
 
     def _answer(self, caller: bytes, origin: _Caller | None, payload: bytes, ok: int = 1) -> bool:
         frame = bytes([ok]) + len(payload).to_bytes(4, "little") + payload
-        return origin is not None and self._hub.answer(origin, caller, frame)
+        return origin is not None and origin.answer(caller, frame)
 
     def refuse(self, caller: bytes, text: str) -> bool:
         """Answer that the call has failed, and why."""
@@ -249,7 +171,7 @@ class RospyServer(_Service, KeepingServer):
         self._answer(origin.key, origin, b"the service is no longer served", ok=0)
 
     def _waits(self, caller: bytes, origin: _Caller | None) -> bool:
-        return origin is not None and origin.key == caller
+        return origin is not None and origin.waits(caller)
 
     def register(self, master: Master) -> None:
         """Tell the master of it; a server of another node is replaced, as ROS 1 has it."""
@@ -265,7 +187,13 @@ class RospyServer(_Service, KeepingServer):
     def close(self) -> None:
         """Stop serving; callers that wait are told so."""
         super().close()
-        self._hub.drop(self)
+        self.disconnect()
+
+    def disconnect(self) -> None:
+        """End the connections of the callers."""
+        for caller in tuple(self.connections):  # an answer on its way still leaves
+            with contextlib.suppress(OSError):
+                caller.sock.shutdown(socket.SHUT_RD)
 
 
 class RospyClient(_Service, BaseClient):
@@ -303,7 +231,11 @@ class RospyClient(_Service, BaseClient):
             self._servers, self._place, self.problem = servers, None, ("", "")
             self._looking = bool(servers)
         if servers:
-            threading.Thread(target=self._look, name=f"rosplc-{self.topic}", daemon=True).start()
+            try:
+                threading.Thread(target=self._look, name=f"rosplc-{self.topic}", daemon=True).start()
+            except RuntimeError:  # no more threads; the next turn finds the server new
+                with self._lock:
+                    self._looking, self._servers = False, frozenset()
 
     def _look(self) -> None:
         place, problem = None, ("", "")
@@ -339,15 +271,12 @@ class RospyClient(_Service, BaseClient):
     def _connect(
         self, place: tuple[str, int], fields: dict[str, str]
     ) -> tuple[socket.socket, dict[str, str]]:
-        sock = socket.create_connection(place, _TIMEOUT_S)
-        try:
-            usual = {"callerid": self._node.node, "service": self.topic, "md5sum": self._md5}
-            usual["type"] = handshake.ros1_name(self.type_name)
-            handshake.prepare(sock).sendall(handshake.encode_header({**usual, **fields}))
-            header = handshake.read_header(sock, _TIMEOUT_S, self._clock)
-        except BaseException:
-            sock.close()
-            raise
+        fields = {
+            "service": self.topic,
+            "md5sum": self._md5,
+            "type": handshake.ros1_name(self.type_name),
+        } | fields
+        sock, header = handshake.connect(place, {"callerid": self._node.node, **fields}, self._clock)
         if "error" in header:
             sock.close()
             raise HandshakeError(header["error"][:_LONGEST_TEXT])
@@ -395,11 +324,11 @@ class RospyClient(_Service, BaseClient):
             self._look_again()
             return Reply(None, "not executed", Reason.NO_SERVER, f"{self.topic} cannot be called: {error}")
         try:
-            sock.settimeout(_TIMEOUT_S)
+            sock.settimeout(handshake.TIMEOUT_S)
             sock.sendall(len(payload).to_bytes(4, "little") + payload)
             sock.settimeout(None)  # the server may take its time
             ok = _read(sock, 1)[0]
-            sock.settimeout(_TIMEOUT_S)
+            sock.settimeout(handshake.TIMEOUT_S)
             size = int.from_bytes(_read(sock, 4), "little")
             body = _read(sock, size)
         except (OSError, HandshakeError) as error:
