@@ -109,6 +109,14 @@ class TypeStore:
         """
         return self._with(parse_definition(type_name, text, ros_version=self.ros_version))
 
+    def with_events(self, service: str) -> TypeStore:
+        """Return a store that knows a service, and its events, as well; it has both parts' messages."""
+        merged = self._copy()
+        text = "---\n".join(self._text(self[f"{service}_{part}"]) for part in PARTS["srv"])
+        merged._interfaces.setdefault(service, (text,))
+        merged._types |= {name: kind for name, kind in _BUILTIN.items() if name not in merged._types}
+        return merged
+
     def with_paths(self, paths: Iterable[Path]) -> TypeStore:
         """Return a store that knows the custom types below these folders as well.
 

@@ -6,32 +6,28 @@ what it missed. The caller of :meth:`Inlet.look_after` opens and closes objects.
 
 from __future__ import annotations
 
-import json
 import queue
 import threading
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path
 
 from rosplc.clock import SYSTEM, Clock
-from rosplc.codec import Codec, Wire
-from rosplc.described import layout_of
 from rosplc.errors import ChannelError
-from rosplc.monitor.watch import open_object
+from rosplc.recorder.carried import EVENTS, CarriedChannel, CarriedService, Event, channel_info
 from rosplc.recorder.mcap_file import Batch, ChannelInfo, Compression, SealedChunk, seal
-from rosplc.recorder.store import qos_text
-from rosplc.ros import DEFAULT, LATCHED, Qos
-from rosplc.shm import Description, Direction, Group, Namespace, Reader, distance
-from rosplc.shm.constants import STAMP_SYSTEM, WRITER_LINE
+from rosplc.ros import Qos
+from rosplc.shm import Group, Namespace, Part
+from rosplc.shm.constants import STAMP_SYSTEM
 
 
 @dataclass(frozen=True)
 class Selection:
     """Names or patterns of topics, such as ``/robot1/*``; without ``topics`` all but those of ``exclude``.
 
-    A ``*`` also matches slashes.
+    A ``*`` also matches slashes. A service's name means its events.
     """
 
     topics: tuple[str, ...] = ()
@@ -39,110 +35,22 @@ class Selection:
 
     def __contains__(self, topic: str) -> bool:
         """Return whether a topic is meant."""
-        if any(fnmatchcase(topic, _absolute(one)) for one in self.exclude):
-            return False
-        return not self.topics or any(fnmatchcase(topic, _absolute(one)) for one in self.topics)
+        return not _matches(topic, self.exclude) and (not self.topics or _matches(topic, self.topics))
 
     def without_match(self, topics: Iterable[str]) -> list[str]:
         """Return what was asked for and matches none of these topics."""
         names = list(topics)
-        return [one for one in self.topics if not any(fnmatchcase(name, _absolute(one)) for name in names)]
+        return [one for one in self.topics if not any(_matches(name, (one,)) for name in names)]
 
 
-def _absolute(pattern: str) -> str:
-    return pattern if pattern.startswith(("/", "*")) else f"/{pattern}"
-
-
-_NO_COUNT = 1 << 24
-"""A distance beyond this is that to a head which somebody scribbled."""
-
-
-class CarriedChannel:
-    """An object, attached read-only: recording it disturbs no one.
-
-    Args:
-        path: The object's file.
-        since_ns: When the recording began (ns since 1970), if it has: then what the object holds already is
-            taken. None: what comes after :meth:`begin` is.
-
-    Attributes:
-        slots: Its slots; one message less can wait.
-        codec: Record to CDR.
-        reader: Takes every message in order, and counts what it missed.
-        since_creation: Whether the object was made while recording, so that its first message is one to take.
-
-    Raises:
-        ChannelError: As :func:`rosplc.shm.attach`; SHM113 if it does not describe itself.
-    """
-
-    def __init__(self, path: Path, *, since_ns: int | None) -> None:
-        self._attached = open_object(str(path))
-        try:
-            self.description: Description = self._attached.description
-            layout = layout_of(self._attached)
-            # Also of a ROS 1 channel: its store is one of ROS 2, as the description gives no version.
-            self.codec = Codec(layout, Wire.CDR)
-            self.reader: Reader = self._attached.reader(latched=since_ns is not None)
-            self._begun = since_ns is not None
-        except BaseException:
-            self._attached.close()
-            raise
-        self.topic = self.description.topic
-        self.since_creation = since_ns is not None and self._attached.identity.created_ns >= since_ns
-        self.slots = self._attached.identity.slot_count
-
-    def begin(self) -> Reader:
-        """Return the reader, which takes what comes from now on; what came while it was opened is no loss.
-
-        Raises ChannelError SHM111 if the object has been retired meanwhile.
-        """
-        if not self._begun:
-            self._begun = True
-            self.reader = self._attached.reader()
-        return self.reader
-
-    def still_there(self) -> bool:
-        """Return whether the name still leads to this object."""
-        return self._attached.still_there()
-
-    def untaken(self) -> int:
-        """Return how many messages the object holds that the reader has not taken."""
-        head = self._attached.region.word(WRITER_LINE["head"])
-        if not head or not (self.reader.last or self.since_creation):
-            return 0
-        count = distance(self.reader.last, head, self.slots)
-        return count if count < _NO_COUNT else 0
-
-    def close(self) -> None:
-        """Unmap the object."""
-        self._attached.close()
-
-
-def channel_info(carried: CarriedChannel, number: int, prefix: str, qos: Qos | None) -> ChannelInfo:
-    """Return how a file names a channel; ``qos`` None where no configuration says it."""
-    description, layout = carried.description, carried.codec.layout
-    # Which QoS the bridge uses is in its configuration alone; these are its defaults.
-    qos = qos or (LATCHED if description.direction is Direction.TO_ROS else DEFAULT)
-    metadata = {
-        "offered_qos_profiles": qos_text(qos),
-        "topic_type_hash": layout.store.type_hash(layout.type_name),
-        # What a replay needs to make the same channel again.
-        "rosplc.direction": description.direction.word,
-        "rosplc.limits": json.dumps(dict(description.limits)),
-        "rosplc.layout_id": description.layout_id,
-        "rosplc.slots": str(carried.slots),
-        "rosplc.distro": description.distro,
-        "rosplc.bridge": description.bridge,
-        "rosplc.prefix": prefix,
-    }
-    definition = layout.store.definition_text(layout.type_name).encode()
-    return ChannelInfo(number, carried.topic, layout.type_name, "ros2msg", definition, "cdr", metadata)
+def _matches(topic: str, patterns: Iterable[str]) -> bool:
+    absolute = (one if one.startswith(("/", "*")) else f"/{one}" for one in patterns)
+    return any(fnmatchcase(topic.removesuffix(EVENTS), one.removesuffix(EVENTS)) for one in absolute)
 
 
 OnMessage = Callable[[CarriedChannel, bytes, int], None]
 """Called by the taking thread with a channel, a message's CDR and the time; it must be quick."""
 
-_IN_ORDER = 1
 _TICK_NS = 1_000_000
 _LONGEST_WAIT_NS = 200_000_000
 _RETRY_NS = 1_000_000_000
@@ -173,13 +81,13 @@ class _Entry:
     name: str
     count: TopicCount
     on_message: OnMessage | None
-    index: int = -1
+    indices: list[int] = field(default_factory=list)
     broken: bool = False
     lost: int = 0
     first: bool = True
 
     def note_losses(self) -> None:
-        lost = self.carried.reader.lost
+        lost = self.carried.lost
         self.count.lost += lost - self.lost
         self.lost = lost
 
@@ -267,20 +175,26 @@ class Inlet:
                 del self._entries[name]
                 self._jobs.append(lambda entry=entry: self._drop(entry))  # type: ignore[misc]
         now = self._clock.monotonic_ns()
-        for name in self._namespace.topics():
+        for name, part in self._namespace.objects():
+            if part not in (Part.TOPIC, Part.REQUEST):
+                continue
             if name in self._entries or name in self._skipped or now < self._retry_at.get(name, 0):
                 continue
-            self._open(name, now)
+            self._open(name, part, now)
         self._group.wake()
 
-    def _open(self, name: str, now: int) -> None:
-        topic = self._namespace.topic_of(name)
-        if topic is not None and topic not in self._selection:
+    def _open(self, name: str, part: Part, now: int) -> None:
+        found = self._namespace.name_of(name)
+        if found is not None and found[0] not in self._selection:
             self._skipped.add(name)
             return
+        path, since = Path(self._namespace.directory) / name, self._began_ns if self._started else None
         try:
-            path = Path(self._namespace.directory) / name
-            carried = CarriedChannel(path, since_ns=self._began_ns if self._started else None)
+            carried: CarriedChannel
+            if part is Part.TOPIC:
+                carried = CarriedChannel(path, since_ns=since)
+            else:
+                carried = CarriedService(self._namespace, path, since_ns=since)
         except ChannelError as error:
             self._retry_at[name] = now + _RETRY_NS
             if error.code not in ("SHM101", "SHM111"):  # those are about to be replaced, or gone
@@ -310,17 +224,15 @@ class Inlet:
     def _add(self, entry: _Entry) -> None:
         carried = entry.carried
         try:
-            reader = carried.begin()
+            entry.indices = carried.join(self._group)
         except ChannelError:
             entry.broken = True  # look_after opens the name again
-            return
-        entry.index = self._group.add_reader(reader, carried.codec.plan, _IN_ORDER, carried.slots)
-        self._by_index[entry.index] = entry
+        self._by_index |= dict.fromkeys(entry.indices, entry)
 
     def _drop(self, entry: _Entry) -> None:
-        if entry.index >= 0:
-            self._group.remove(entry.index)
-            del self._by_index[entry.index]
+        for index in entry.indices:
+            self._group.remove(index)
+            del self._by_index[index]
         entry.note_losses()
         # A retired object gives nothing out any more, also what was not taken yet.
         entry.count.lost += entry.carried.untaken()
@@ -342,10 +254,11 @@ class Inlet:
                 rest = self._flush_ns - (self._clock.monotonic_ns() - since) if batch else _LONGEST_WAIT_NS
                 self._group.wait(_TICK_NS, max(0, min(_LONGEST_WAIT_NS, rest)))
             messages, faults = self._group.take()
+            taken = False
             if messages:
                 if not batch:
                     since = self._clock.monotonic_ns()
-                self._gather(batch, messages)
+                taken = self._gather(batch, messages)
             for index, fault in faults:
                 entry = self._by_index[index]
                 if isinstance(fault, ChannelError):
@@ -360,24 +273,36 @@ class Inlet:
             if batch and (full or last or self._clock.monotonic_ns() - since >= self._flush_ns):
                 self._put(batch)
                 batch = Batch()
-            if last and not messages:
+            if last and not taken:
                 return
 
-    def _gather(self, batch: Batch, messages: list[tuple[int, bytes, int, int, int, int]]) -> None:
-        now = self._clock.time_ns()
+    def _gather(self, batch: Batch, messages: list[tuple[int, bytes, int, int, int, int]]) -> bool:
+        """Put what was taken into a batch; return whether that was anything."""
+        now, before = self._clock.time_ns(), len(batch.data)
         by_index, add = self._by_index, batch.add
-        for index, data, sequence, _flags, stamp_ns, stamp_clock in messages:
+        for index, message, sequence, _flags, stamp_ns, stamp_clock in messages:
             entry = by_index[index]
-            entry.count.received += 1
-            if entry.first:
+            if message and entry.first:
                 entry.first = False
                 if entry.carried.since_creation and sequence < _LOSS:
                     entry.count.lost += sequence - 1  # overwritten before the new object was found
             # A stamp by the PLC's own clock would look like one by this clock.
             usable = stamp_clock == STAMP_SYSTEM and 0 < stamp_ns < _NO_TIME
-            add(entry.number, sequence, now, stamp_ns if usable else now, data)
-            if entry.on_message is not None:
-                entry.on_message(entry.carried, data, now)
+            own = ((sequence, stamp_ns if usable else now, message),)
+            for number, sent_ns, data in own if message else self._events(entry, now):
+                entry.count.received += 1
+                add(entry.number, number, now, sent_ns, data)
+                if entry.on_message is not None:
+                    entry.on_message(entry.carried, data, now)
+        return len(batch.data) > before
+
+    def _events(self, entry: _Entry, now: int) -> list[Event]:
+        found: list[Event] = []
+        try:
+            found.extend(entry.carried.events(now))
+        except ChannelError:
+            entry.broken = True  # retired or damaged: look_after opens the name again
+        return found
 
 
 class Outlet:

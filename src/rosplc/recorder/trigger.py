@@ -25,7 +25,8 @@ from rosplc.errors import RecordingError
 from rosplc.layout import Layout, RecordView
 from rosplc.layout.nodes import ArrayNode, SequenceNode, StringNode
 from rosplc.monitor import Event
-from rosplc.recorder.inlet import CarriedChannel, OnMessage
+from rosplc.recorder.carried import CarriedChannel
+from rosplc.recorder.inlet import OnMessage
 
 _KINDS = {"stale": ("stale",), "error": ("refused", "lost", "plc-gone", "bridge-gone", "unreadable")}
 """Word → the kinds of events that it stands for."""

@@ -95,7 +95,7 @@ def attach_together(
     try:
         for part in parts:
             found[part] = attach(namespace, name, write=write, part=part, client=client)
-        _belong_together(found)
+        belong_together(found)
     except BaseException:
         for one in found.values():
             one.close()
@@ -103,7 +103,8 @@ def attach_together(
     return found
 
 
-def _belong_together(found: Mapping[Part, Attached]) -> None:
+def belong_together(found: Mapping[Part, Attached]) -> None:
+    """Raise SHM112 unless the objects of one use name each other's layout ids (section 11.1)."""
     ids = {part.word: one.identity.layout_id for part, one in found.items()}
     for part, one in found.items():
         others = {word: layout_id for word, layout_id in ids.items() if word != part.word}
