@@ -56,6 +56,24 @@ def asked(server: Any, count: int = 1) -> list[tuple[bytes, bytes, int]]:
     return found
 
 
+def test_the_graph_shows_services(graph: Harness) -> None:
+    """The other nodes' servers and clients, apart from the topics; one's own are left out."""
+    server, client = connect(graph)
+    node = graph.node("onlooker")
+    ends = 1 if graph.ros1 else 2
+
+    def seen() -> list[Any]:
+        found = [end for end in node.graph().services if end.topic == "/cell/add"]
+        return found if len(found) == ends and all(end.node for end in found) else []
+
+    found = {end.direction: end for end in wait_for(seen)}
+    assert found["in"].node == "/server"
+    if not graph.ros1:
+        assert (found["out"].node, found["in"].type_name, found["out"].type_name) == ("/client", ADD, ADD)
+    assert "/cell/add" not in node.graph().topics
+    del server, client
+
+
 def test_a_call_is_answered(graph: Harness) -> None:
     """Request and response arrive as they were sent, and both ends count them."""
     server, client = connect(graph)

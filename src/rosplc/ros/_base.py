@@ -101,14 +101,19 @@ class LogOnce:
         return True
 
 
-def graph_info(nodes: Iterable[str], endpoints: Iterable[EndpointInfo]) -> GraphInfo:
-    """Return the graph of these nodes and endpoints, sorted."""
-    found = sorted(endpoints, key=lambda info: (info.topic, info.direction, info.node))
+def graph_info(
+    nodes: Iterable[str], endpoints: Iterable[EndpointInfo], services: Iterable[EndpointInfo] = ()
+) -> GraphInfo:
+    """Return the graph of these nodes, endpoints and ends of services, sorted."""
+    found, calls = (
+        tuple(sorted(each, key=lambda info: (info.topic, info.direction, info.node)))
+        for each in (endpoints, services)
+    )
     topics: dict[str, set[str]] = {}
     for one in found:
         topics.setdefault(one.topic, set()).add(one.type_name)
     types = {topic: tuple(sorted(each)) for topic, each in topics.items()}
-    return GraphInfo(tuple(sorted(set(nodes))), tuple(found), types)
+    return GraphInfo(tuple(sorted(set(nodes))), found, types, calls)
 
 
 def is_cdr(payload: bytes) -> bool:

@@ -219,11 +219,14 @@ class GraphInfo:
         nodes: Full names of the other nodes, sorted.
         endpoints: The other nodes' endpoints.
         topics: Topic name → types seen on it, sorted.
+        services: The other nodes' ends of services, with the service's name and type: ``in`` for a server,
+            ``out`` for a client. ROS 1 knows no clients, and no types.
     """
 
     nodes: tuple[str, ...] = ()
     endpoints: tuple[EndpointInfo, ...] = ()
     topics: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    services: tuple[EndpointInfo, ...] = ()
 
 
 class Subscription(Protocol):

@@ -199,8 +199,9 @@ class MemoryBackend(BaseNode):
         """Return what is seen of the other nodes."""
         with _graph:
             others = [backend for backend in _domains.get(self.domain, []) if backend is not self]
-            infos = [endpoint.info for backend in others for endpoint in backend.endpoints()]
-        return _base.graph_info((backend.node for backend in others), infos)
+            ends = [endpoint for backend in others for endpoint in backend.endpoints()]
+        infos, calls = ([end.info for end in ends if end.serves is serves] for serves in (False, True))
+        return _base.graph_info((backend.node for backend in others), infos, calls)
 
     def _stop(self) -> None:
         with _graph:

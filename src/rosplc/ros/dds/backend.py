@@ -26,7 +26,7 @@ from rosplc.ros.dds import native
 from rosplc.ros.dds.domain import check_peers, domain_config, domain_id
 from rosplc.ros.dds.endpoint import DdsPublisher, DdsSubscription, Endpoint
 from rosplc.ros.dds.graph import Announcer
-from rosplc.ros.dds.idl import IdlTypes, dds_topic, ros_topic, service_topics
+from rosplc.ros.dds.idl import IdlTypes, dds_topic, service_topics
 from rosplc.ros.dds.log import TRACING, library_log
 from rosplc.ros.dds.peers import Peer, PeerTable
 from rosplc.ros.dds.service import DdsClient, DdsServer
@@ -35,6 +35,7 @@ _TICK_NS = 500_000_000  # how often the receive thread looks at what has no even
 _SHORT_NS = 10_000_000  # the same while a response waits for its reader
 _DECOYS = "rosplc_nothing"  # the partition of the writers that nothing matches (service.py)
 _PARTICIPANTS, _ANNOUNCEMENTS, _FIRST = 2, 3, 4  # keys in the waitset; 0 and 1 are endpoints of peers
+_FOREIGN = "over another DDS than Cyclone's, which exchanges no calls with this one"
 
 
 def dds_qos(qos: Qos, type_hash: str, service_id: str = "") -> DdsQos:
@@ -305,7 +306,7 @@ class DdsBackend(BaseNode):
         name = self._name(peer)
         if endpoint.serves and not peer.has_header:
             does = _base.describe(peer.info, name)
-            return "ROS021", f"{does} over another DDS than Cyclone's, which exchanges no calls with this one"
+            return "ROS021", f"{does} {_FOREIGN}"
         if problem := _base.explain(peer.info, endpoint, name, matched=matched):
             return problem
         key = (endpoint.guid, peer.guid)
@@ -320,12 +321,15 @@ class DdsBackend(BaseNode):
     def graph(self) -> GraphInfo:
         """Return what is seen of the other nodes."""
 
-        def infos() -> Iterator[EndpointInfo]:
+        def infos(start: str) -> Iterator[EndpointInfo]:
             for peer in self.peers.all():
-                if ros_topic(peer.dds_topic) is not None:
-                    yield replace(peer.info, node=self._announcer.node_of(peer.guid))
+                if peer.dds_topic.startswith(start) and peer.guid[:12] != self._guid[:12]:
+                    foreign = start == "rq/" and not peer.has_header
+                    obstacles = (*peer.info.obstacles, *([_FOREIGN] if foreign else []))
+                    node = self._announcer.node_of(peer.guid)
+                    yield replace(peer.info, node=node, obstacles=obstacles)
 
-        return _base.graph_info(self._announcer.nodes(), infos())
+        return _base.graph_info(self._announcer.nodes(), infos("rt/"), infos("rq/"))
 
     def _stop(self) -> None:
         self._waitset.wake()

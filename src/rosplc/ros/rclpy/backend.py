@@ -215,10 +215,19 @@ class RclpyBackend(BaseNode):
                 for peer in self._peers(topic, direction)
                 if peer.node != self.node
             ]
+            calls = [
+                replace(peer, type_name=service_type(peer.type_name))
+                for topic, _ in self._node.get_topic_names_and_types(True)
+                if topic.startswith("rq/") and topic.endswith("Request")
+                for direction in ("in", "out")
+                for peer in read_peers(self._users(topic[2:-7], direction), topic[2:-7], direction)
+                if peer.node != self.node
+            ]
         except RuntimeError as error:  # InvalidHandle too: closed at this moment
             self.logger.debug("the graph could not be read: %s", error)
             return GraphInfo()
-        return _base.graph_info({join(namespace, name) for name, namespace in names} - {self.node}, found)
+        nodes = {join(namespace, name) for name, namespace in names} - {self.node}
+        return _base.graph_info(nodes, found, calls)
 
     def lose(self) -> None:
         """Note that the context is gone."""

@@ -267,7 +267,12 @@ class RospyBackend(BaseNode):
                     yield EndpointInfo(topic, kind, direction, node, qos)
 
         endpoints = (*infos("in", state.subscribers), *infos("out", state.publishers))
-        found = graph_info(state.nodes - {self.node}, endpoints)
+        calls = [
+            EndpointInfo(service, ANY, "in", node, Qos(depth=1))
+            for service, nodes in state.services.items()
+            for node in nodes - {self.node}
+        ]
+        found = graph_info(state.nodes - {self.node}, endpoints, calls)
         told = {topic: tuple(kind for kind in kinds if kind != ANY) for topic, kinds in found.topics.items()}
         return replace(found, topics=told)
 

@@ -21,6 +21,7 @@ import logging
 import re
 import struct
 import threading
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
@@ -291,9 +292,13 @@ class TokenTable:
         """Return the graph without the entities of one session, our own."""
         with self._lock:
             others = [entity for entity in self._entities.values() if entity.session != own]
-        infos = [entity.info for entity in others if entity.kind in ("MP", "MS")]
-        infos = [replace(one, type_hash="") if one.type_hash == NO_TYPE_HASH else one for one in infos]
-        return _base.graph_info((entity.full_name for entity in others if entity.kind == "NN"), infos)
+
+        def infos(*kinds: str) -> Iterator[EndpointInfo]:
+            for info in (entity.info for entity in others if entity.kind in kinds):
+                yield replace(info, type_hash="") if info.type_hash == NO_TYPE_HASH else info
+
+        nodes = (entity.full_name for entity in others if entity.kind == "NN")
+        return _base.graph_info(nodes, infos("MP", "MS"), infos("SS", "SC"))
 
 
 def fits(ours: Entity, theirs: Entity) -> bool:
