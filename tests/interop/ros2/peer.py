@@ -18,6 +18,7 @@ from __future__ import annotations
 import base64
 import importlib
 import json
+import queue
 import sys
 import threading
 import time
@@ -46,7 +47,14 @@ def main() -> None:
     executor = SingleThreadedExecutor()
     executor.add_node(node)
 
-    stopped = threading.Event()
+    stopped, ended = threading.Event(), threading.Event()
+    lines: queue.SimpleQueue[str] = queue.SimpleQueue()
+
+    def read() -> None:
+        for line in sys.stdin:
+            lines.put(line)
+        ended.set()
+        lines.put("")
 
     def spin() -> None:
         while not stopped.is_set():  # rclpy's own end of a spin can miss the end of its context
@@ -55,6 +63,7 @@ def main() -> None:
     # A daemon: the process ends, and its test fails, when the lines cannot be followed.
     thread = threading.Thread(target=spin, daemon=True)
     thread.start()
+    threading.Thread(target=read, daemon=True).start()
     publishers: dict[str, tuple[Any, Any]] = {}
     kept = []
 
@@ -67,7 +76,7 @@ def main() -> None:
         hear(f"request:{service}", request)
         return deserialize_message(serialize_message(request) + bytes(16), type(response))
 
-    for line in sys.stdin:
+    for line in iter(lines.get, ""):
         order = json.loads(line)
         topic = next(order[verb] for verb in VERBS if verb in order)
         if "type" in order:
@@ -108,7 +117,7 @@ def main() -> None:
             say(ready=topic)
         else:
             publisher, kind = publishers[topic]
-            while not publisher.get_subscription_count():
+            while not publisher.get_subscription_count() and not ended.is_set():
                 time.sleep(0.01)
             if "publish" in order:
                 publisher.publish(deserialize_message(base64.b64decode(order["payload"]), kind))
