@@ -68,8 +68,11 @@ def entry(path: str, thing: Any) -> Iterator[str]:
         return
     if public(thing):
         yield f"```py\n{signature(path, thing)}\n```\n"
-    yield f"{describe(thing)}\n"
-    for name, member in vars(thing).items():
+    # What classes share that are not on the page is said with each class that is.
+    classes = [one for one in thing.__mro__ if one is thing or (one.__name__[0] == "_" and one.__doc__)]
+    for one in classes:
+        yield f"{describe(one)}\n"
+    for name, member in [item for one in reversed(classes) for item in vars(one).items()]:
         if name.startswith("_") and name != "__call__":
             continue
         if isinstance(member, property) or inspect.ismemberdescriptor(member):

@@ -148,7 +148,7 @@ def plc(folder: Path, fuse: Fuse) -> None:
         client()
         if client.xExecute and not client.xBusy:
             answer = client.response.token if client.xDone and client.response is not None else "-"
-            outcome = "done" if client.xDone else str(client.eOutcome and client.eOutcome.name)
+            outcome = "done" if client.xDone else str(client.eError and client.eError.name)
             append(folder / "ended-at-plc", client.request.token, outcome, answer)
             client.xExecute = False
         elif client.request is not None and not client.xExecute:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import shutil
 import struct
-from collections.abc import Callable, Sequence
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from rosplc import virtual_plc
 from rosplc.described import description_of
 from rosplc.layout import Layout
 from rosplc.plc.build import build_project
@@ -15,12 +19,23 @@ from rosplc.plc.plan import PlcCall, PlcTask, ProjectOptions
 from rosplc.plc.project import project_texts
 from rosplc.shm import Namespace, OwnedChannel, Part
 from rosplc.shm import constants as spec
+from rosplc.virtual_plc.task import Scan, enter_scan
 from rosplc_st.build import Build, build
 from rosplc_st.machine import LibraryMachine
 from rosplc_st.translator import Options
 from tests.verification.plc_cell import READ, layout_of, store
 
-__all__ = ["ActionCaller", "ActionServer", "CallCell", "Caller", "Server", "Use", "call_build", "call_texts"]
+__all__ = [
+    "ActionCaller",
+    "ActionServer",
+    "CallCell",
+    "Caller",
+    "Server",
+    "Use",
+    "call_build",
+    "call_texts",
+    "made_cell",
+]
 
 SERVICE = {"request": "std_msgs/msg/Int64", "response": "std_msgs/msg/Int32"}
 ACTION = {"goal": "std_msgs/msg/Int64", "result": "std_msgs/msg/Int32", "feedback": "std_msgs/msg/Int16"}
@@ -57,6 +72,20 @@ def call_texts(**target: Any) -> dict[str, str]:
     """Return the cell's objects; ``target``: further options of the generation."""
     tasks = [PlcTask("Fast"), PlcTask("RosTask")]
     return project_texts(build_project(store(), (), tasks, ProjectOptions(**target), calls=calls()))
+
+
+@contextmanager
+def made_cell(
+    kind: str, sabotage: Callable[[dict[str, str]], dict[str, str]] | None = None
+) -> Iterator[CallCell]:
+    """Give a cell: ``fences`` or ``delayed`` (see :func:`call_build`), or ``virtual``."""
+    folder = Path(tempfile.mkdtemp(prefix="T", dir="/dev/shm"))
+    made = CallCell(folder, None if kind == "virtual" else call_build(kind, sabotage))
+    try:
+        yield made
+    finally:
+        made.close()
+        shutil.rmtree(folder)
 
 
 def call_build(
@@ -229,13 +258,75 @@ class ActionCaller(Caller):
         return info and (info.status, info.correlation, struct.unpack("<h", record)[0])
 
 
-class CallCell:
-    """A folder of shared memory, the bridge's objects in it, and a PLC."""
+class VirtualMachine:
+    """The virtual PLC's blocks, with the paths and units of a PLC's variables."""
 
-    def __init__(self, folder: Path, built: Build | None = None) -> None:
+    def __init__(self, directory: str) -> None:
+        self._directory = directory
+        self._now_ms = 1_000_000
+        self._blocks: dict[str, tuple[str, Any]] = {}
+
+    def start(self) -> None:
+        """Make the instances."""
+        for use, (name, client, role) in USES.items():
+            kind = getattr(virtual_plc, role if role.startswith("Action") else f"Service{role}")
+            types = ACTION if role.startswith("Action") else SERVICE
+            about: dict[str, Any] = {"directory": self._directory, "beat_ms": 250}
+            about |= {word: layout_of(type_name) for word, type_name in types.items()}
+            block = kind(name, client, **about) if role.endswith("Client") else kind(name, **about)
+            self._blocks[_instance(use)] = "Fast" if client else "RosTask", block
+
+    def stop(self) -> None:
+        """End as a program that is stopped."""
+        for _, block in self._blocks.values():
+            block.close()
+
+    def scan(self, *_: str, step: int) -> None:
+        """Call each instance in its task."""
+        self._now_ms += step
+        for task in ("Fast", "RosTask"):
+            enter_scan(Scan(task, 1, self._now_ms * 1_000_000))
+            for its_task, block in self._blocks.values():
+                if its_task == task:
+                    block()
+        enter_scan(None)
+
+    def get(self, path: str) -> Any:
+        """Return a pin as the PLC has it."""
+        _, instance, name, *field = path.split(".")
+        block = self._blocks[instance][1]
+        if name == "tAge":
+            return round(block.age * 1000)
+        value = getattr(block, {"sState": "reason"}.get(name, name))
+        if name == "sState":
+            return f"{block.udiError} {value}"
+        if name == "udiCallers":
+            return spec.UNKNOWN if value is None else value
+        return (getattr(value, field[0]) if value is not None else 0) if field else value or 0
+
+    def set(self, path: str, value: Any) -> None:
+        """Set a pin."""
+        _, instance, name, *field = path.split(".")
+        block = self._blocks[instance][1]
+        if field:
+            block, name = getattr(block, name), field[0]
+        assert hasattr(block, name), path
+        setattr(block, name, value / 1000 if name == "tTimeout" else value)
+
+
+class CallCell:
+    """A folder of shared memory, the bridge's objects in it, and a PLC.
+
+    Args:
+        folder: Where the objects are.
+        built: The PLC's program; None: the virtual PLC.
+    """
+
+    def __init__(self, folder: Path, built: Build | None) -> None:
         self.namespace = Namespace("rosplc", str(folder))
         self.uses: list[Use] = []
-        self.machine = LibraryMachine(built or call_build(), str(folder))
+        self.built = built
+        self.machine: Any = LibraryMachine(built, str(folder)) if built else VirtualMachine(str(folder))
         self.machine.start()
 
     def close(self) -> None:

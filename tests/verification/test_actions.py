@@ -2,36 +2,32 @@
 
 from __future__ import annotations
 
-import shutil
 import struct
-import tempfile
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
 from rosplc.reasons import Reason
 from rosplc.shm import constants as spec
 from rosplc.shm.constants import ErrorNumber
-from tests.verification.call_cell import ActionCaller, ActionServer, CallCell, call_build
+from tests.verification.call_cell import ActionCaller, ActionServer, CallCell, made_cell
 from tests.verification.test_services import ABORTED, BUSY, CALL, DONE, ENDS, ERROR, IDLE
 
 CANCEL, PREEMPT, WITHDRAWN = spec.ASK_CANCEL, spec.ASK_PREEMPT, spec.ASK_WITHDRAWN
 UNKNOWN, EXECUTING, CANCELING, SUCCEEDED, CANCELED, ABORTED_GOAL = 0, 2, 3, 4, 5, 6
 
 
-@pytest.fixture
-def folder() -> Iterator[Path]:
-    made = Path(tempfile.mkdtemp(prefix="T", dir="/dev/shm"))
-    yield made
-    shutil.rmtree(made)
+@pytest.fixture(params=["fences", "delayed", "virtual"])
+def cell(request: pytest.FixtureRequest) -> Iterator[CallCell]:
+    with made_cell(request.param) as made:
+        yield made
 
 
 @pytest.fixture(params=["fences", "delayed"])
-def cell(request: pytest.FixtureRequest, folder: Path) -> Iterator[CallCell]:
-    made = CallCell(folder, call_build(request.param))
-    yield made
-    made.close()
+def plc(request: pytest.FixtureRequest) -> Iterator[CallCell]:
+    """A cell that only a PLC makes: with online changes."""
+    with made_cell(request.param) as made:
+        yield made
 
 
 # ---- the PLC sends goals
@@ -91,6 +87,7 @@ def test_a_goal(cell: CallCell) -> None:
         (spec.ANSWER_CANCELED + spec.ANSWER_NO_RESULT, ABORTED, CANCELED, ErrorNumber.GOAL_CANCELED, 0),
         (spec.ANSWER_FATE_UNKNOWN, ERROR, EXECUTING, ErrorNumber.FATE_UNKNOWN, 0),
         (spec.ANSWER_NOT_EXECUTED, ERROR, EXECUTING, ErrorNumber.NOT_EXECUTED, 0),
+        (spec.ANSWER_DONE, ERROR, EXECUTING, ErrorNumber.FATE_UNKNOWN, 0),  # of a service
     ],
 )
 def test_the_ends_of_a_goal(
@@ -98,6 +95,9 @@ def test_the_ends_of_a_goal(
 ) -> None:
     """What the server reports is what the pins say; the result of a goal that failed is shown as well."""
     server, correlation = sent(cell)
+    server.answer(correlation, spec.ANSWER_ABORTED + 1, 5)  # no answer of this format
+    cell.scan(5)
+    assert server.get("xBusy", "result.data") == (True, 0)
     server.answer(correlation, status, 5)
     cell.until(lambda: not server.get("xBusy"))
     assert server.get(*ENDS) == ends
@@ -233,13 +233,18 @@ def test_replaced_objects_end_the_goal(cell: CallCell) -> None:
     assert cell.until(again.take)[0] == CALL
 
 
-def test_stop_and_online_change_of_a_client(cell: CallCell) -> None:
-    """An online change keeps the goal; after STOP → RUN answers to it complete nothing."""
-    server, number = sent(cell)
-    cell.machine.online_change()
-    cell.scan(5)
+def test_online_change_of_a_client(plc: CallCell) -> None:
+    """An online change keeps the goal."""
+    server, _ = sent(plc)
+    plc.machine.online_change()
+    plc.scan(5)
     assert server.get("xActive", "eStatus") == (True, EXECUTING)
     assert server.take() is None
+
+
+def test_stop_and_run_of_a_client(cell: CallCell) -> None:
+    """After STOP → RUN answers to the goal complete nothing."""
+    server, number = sent(cell)
     cell.machine.stop()
     cell.machine.start()
     cell.until(lambda: server.get("xServer"))
@@ -440,9 +445,8 @@ def test_replaced_objects_orphan_the_goal(cell: CallCell, accepted: bool) -> Non
     caller, _ = offered(cell, accepted=accepted)
     caller.retire()
     again = ActionCaller(cell)
+    cell.until(lambda: again.get("xGoal", "xActive", "xCallerGone") == (False, accepted, accepted))
     cell.until(lambda: again.get("xAttached"))
-    cell.scan(3)
-    assert again.get("xGoal", "xActive", "xCallerGone") == (False, accepted, accepted)
     again.call(12)
     if accepted:
         cell.scan(10)
@@ -453,11 +457,17 @@ def test_replaced_objects_orphan_the_goal(cell: CallCell, accepted: bool) -> Non
     assert again.answer() is None
 
 
-def test_online_change_and_a_new_bridge(cell: CallCell) -> None:
-    """A running goal outlives an online change and the bridge; the result finds the next one."""
+def test_online_change_of_a_server(plc: CallCell) -> None:
+    """A running goal outlives an online change."""
+    caller, number = offered(plc)
+    plc.machine.online_change()
+    plc.scan(3)
+    assert end(plc, caller, "xSucceed", 3) == (spec.ANSWER_SUCCEEDED, number, 3, 0)
+
+
+def test_a_new_bridge(cell: CallCell) -> None:
+    """A running goal outlives the bridge; the result finds the next one."""
     caller, number = offered(cell)
-    cell.machine.online_change()
-    cell.scan(3)
     caller.close()
     cell.scan(300, beats=False)
     assert caller.get("xActive", "xPeerAlive") == (True, False)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from rosplc.virtual_plc.call_blocks import ServiceClient, ServiceServer
+from rosplc.virtual_plc.call_blocks import ActionClient, ActionServer, ServiceClient, ServiceServer
 from rosplc.virtual_plc.read_block import OnStale, ReadBlock
 from rosplc.virtual_plc.task import CycleStats, Program, Task, TaskState, VirtualPlc
 from rosplc.virtual_plc.write_block import Message, WriteBlock
 
 __all__ = [
+    "ActionClient",
+    "ActionServer",
     "CycleStats",
     "Message",
     "OnStale",

@@ -29,32 +29,16 @@ def error_number(error: ChannelError) -> int:
     return int(error.code.removeprefix("SHM"))
 
 
-class Block:
-    """A block on one topic, which belongs to the task that calls it first.
+class Instance:
+    """An instance of a block, which belongs to the task that calls it first.
 
     Attributes:
-        layout: The layout of ``msg``, or None before it is known.
         udiReentries: Calls that were turned away, because another task owns the instance or was inside.
     """
 
-    def __init__(
-        self, topic: str, namespace: Namespace, direction: Direction, layout: Layout | None, beat_ms: int
-    ) -> None:
-        self.topic = topic
-        self.xAttached = self.xPeerAlive = False
-        self.udiError = self.udiSequence = self.udiReentries = 0
+    def __init__(self) -> None:
+        self.udiError = self.udiReentries = 0
         self.reason = ""
-        self.layout = self._compiled = layout
-        self._namespace, self._direction = namespace, direction
-        self._part, self._client = Part.TOPIC, ""
-        self._attached: Attached | None = None
-        self._failure: tuple[int, str] = (ErrorNumber.NO_OBJECT.value, "")  # 0 while the object is open
-        self._opened_times = 0
-        self._map_writable = True
-        self._delay_ns = self._due_ns = 0  # of the next attempt to open
-        self._beat_ms = beat_ms
-        self._opened = 0
-        self._peer = Peer()
         self._task = ""
         self._busy = threading.Lock()
 
@@ -88,6 +72,33 @@ class Block:
         """Report a call that was turned away."""
         self.udiError, self.reason = ErrorNumber.REENTERED.value, "the instance belongs to another task"
         return False
+
+
+class Block(Instance):
+    """A block on one topic.
+
+    Attributes:
+        layout: The layout of ``msg``, or None before it is known.
+    """
+
+    def __init__(
+        self, topic: str, namespace: Namespace, direction: Direction, layout: Layout | None, beat_ms: int
+    ) -> None:
+        super().__init__()
+        self.topic = topic
+        self.xAttached = self.xPeerAlive = False
+        self.udiSequence = 0
+        self.layout = self._compiled = layout
+        self._namespace, self._direction = namespace, direction
+        self._part, self._client = Part.TOPIC, ""
+        self._attached: Attached | None = None
+        self._failure: tuple[int, str] = (ErrorNumber.NO_OBJECT.value, "")  # 0 while the object is open
+        self._opened_times = 0
+        self._map_writable = True
+        self._delay_ns = self._due_ns = 0  # of the next attempt to open
+        self._beat_ms = beat_ms
+        self._opened = 0
+        self._peer = Peer()
 
     def _report_silence(self) -> None:
         if self.udiError == 0 and self._peer.silent:
@@ -148,6 +159,10 @@ class Block:
         if self._attached is not None:
             self._attached.close()
             self._attached = None
+
+    def close(self) -> None:
+        """Let go of the object; the next call opens it again."""
+        self._detach()
 
     def _back_off(self, scan: Scan) -> None:
         self._delay_ns = min(_LONGEST_DELAY_NS, self._delay_ns * 2 or _FIRST_DELAY_NS)

@@ -1,52 +1,52 @@
-"""The Server and Client blocks: services, as a program in a PLC carries them out or calls them."""
+"""The blocks of services and actions, as a program in a PLC calls a server in ROS, or is one.
+
+The behaviour is that of the generated Structured Text (docs/reference/plc-calls.md); one suite runs both.
+"""
 
 from __future__ import annotations
 
+import struct
 import time
+from abc import abstractmethod
+from collections.abc import Callable, Set
 from contextlib import suppress
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 from rosplc.errors import ChannelError
 from rosplc.layout import Layout, RecordView
 from rosplc.reasons import Reason
+from rosplc.ros.actions import GoalStatus
 from rosplc.shm import (
+    ACTION,
+    SERVICE,
     Attached,
     Caller,
     Direction,
     Namespace,
     Part,
-    Peer,
     Reader,
     ReaderClaim,
     SlotInfo,
     Writer,
 )
-from rosplc.shm.constants import (
-    ANSWER_DONE,
-    ANSWER_FATE_UNKNOWN,
-    ANSWER_NOT_EXECUTED,
-    ANSWER_UNREADABLE,
-    ASK_WITHDRAWN,
-    STAMP_PLC,
-    UNKNOWN,
-    ErrorNumber,
-)
-from rosplc.virtual_plc.block import Block
+from rosplc.shm import constants as spec
+from rosplc.shm.constants import UNKNOWN, ErrorNumber
+from rosplc.virtual_plc.block import Block, Instance, Peer
 from rosplc.virtual_plc.task import Scan
 from rosplc.virtual_plc.write_block import Message, WriteBlock
 
-__all__ = ["ServiceClient", "ServiceServer"]
+__all__ = ["ActionClient", "ActionServer", "ServiceClient", "ServiceServer"]
 
 _OUTCOMES = {
-    ANSWER_NOT_EXECUTED: ErrorNumber.NOT_EXECUTED,
-    ANSWER_FATE_UNKNOWN: ErrorNumber.FATE_UNKNOWN,
-    ANSWER_UNREADABLE: ErrorNumber.UNREADABLE,
+    spec.ANSWER_NOT_EXECUTED: ErrorNumber.NOT_EXECUTED,
+    spec.ANSWER_FATE_UNKNOWN: ErrorNumber.FATE_UNKNOWN,
+    spec.ANSWER_UNREADABLE: ErrorNumber.UNREADABLE,
 }
 
 
 class _In(Block):
-    """Takes the messages of one of a service's objects, the newest alone, once reader line 0 is this block's.
+    """Takes the messages of one object, the newest alone, once reader line 0 is this block's.
 
     Attributes:
         fresh: Nothing was taken yet since the object was opened.
@@ -79,15 +79,16 @@ class _In(Block):
         # In place of a silent bridge's object another may just have been opened, for the next scan.
         self.xReady = self.xAttached and self._claim is None and self._opened == self._opened_times
         self.udiError, self.reason = self._failure
+        if self.xAttached and self._claim is not None:
+            self.udiError, self.reason = ErrorNumber.CLAIMED.value, "another program holds the object"
         self._report_silence()
 
     def _watch(self, attached: Attached, scan: Scan) -> None:
         if self._opened_times != self._opened:
             self._opened, self._peer, self.fresh = self._opened_times, Peer(), True
             self._reader = attached.reader()
-            answers, lines = self._part is Part.REQUEST, range(1)
-            region, beat_ms = attached.region, self._beat_ms
-            self._claim = ReaderClaim(region, self._reader, beat_ms, scan.task, lines, answer=answers)
+            claim = partial(ReaderClaim, attached.region, self._reader, self._beat_ms, scan.task, range(1))
+            self._claim = claim(answer=self._part.asks)
         assert self._reader is not None
         if self._claim is not None and self._claim.attempt(scan.now_ns):
             self._claim = None
@@ -138,21 +139,19 @@ class _In(Block):
 
 
 class _Out(WriteBlock):
-    """Writes the messages of one of a service's objects."""
+    """Writes the messages of one object; ``_leaving`` has a last look at one."""
 
-    def __init__(self, part: Part, client: str, *arguments: Any, **more: Any) -> None:
-        super().__init__(*arguments, **more)
-        self._part, self._client = part, client
+    def __init__(self, part: Part, client: str, leaving: Callable[[], object], *name: Any, **more: Any):
+        super().__init__(*name, **more)
+        self._part, self._client, self._leaving = part, client, leaving
 
     @property
     def open(self) -> tuple[Attached, Writer] | None:
         """The object and its writer; None without the claim."""
         attached, writer = self._attached, self._writer
-        return (
-            None
-            if attached is None or writer is None or self._opened != self._opened_times
-            else (attached, writer)
-        )
+        if attached is None or writer is None or self._opened != self._opened_times:
+            return None
+        return attached, writer
 
     def publish(self, message: Any, **words: Any) -> None:
         """Send a message; ``words`` are what its slot says of the call. Raises ChannelError: Not sent."""
@@ -160,281 +159,441 @@ class _Out(WriteBlock):
         if found is None or layout is None:
             raise ChannelError("SHM111", "the object is not open", where=self.topic)
         record = layout.pack(message)
-        found[1].publish(record, stamp_ns=time.monotonic_ns(), stamp_clock=STAMP_PLC, **words)
+        found[1].publish(record, stamp_ns=time.monotonic_ns(), stamp_clock=spec.STAMP_PLC, **words)
+
+    def _detach(self) -> None:
+        if self._attached is not None:
+            self._leaving()
+        super()._detach()
 
 
-class _ServiceBlock:
-    """What both blocks share: their objects, and what is wrong with them.
-
-    Attributes:
-        xAttached: Both objects are open, and this block's.
-        xPeerAlive: The bridge beats.
-        udiError: 0, or a number of spec/shm-format.md, section 9.
-        reason: ``udiError`` in words.
-    """
-
-    def __init__(
-        self,
-        service: str,
-        client: str,
-        parts: tuple[Part, Part],
-        layouts: tuple[Layout | None, Layout | None],
-        prefix: str,
-        directory: str,
-        beat_ms: int,
-    ) -> None:
-        self.service = service
-        self.xAttached = self.xPeerAlive = False
-        self.udiError = 0
-        self.reason = ""
-        taken, sent = parts
-        names = Namespace(prefix, directory)
-        self._in = _In(taken, client, service, names, Direction.TO_PLC, layouts[0], beat_ms)
-        where: Any = {"prefix": prefix, "directory": directory, "beat_ms": beat_ms}
-        self._out = _Out(sent, client, service, layout=layouts[1], **where)
-
-    @property
-    def xError(self) -> bool:
-        """Whether ``udiError`` is not 0."""
-        return self.udiError != 0
-
-    @property
-    def eError(self) -> ErrorNumber | None:
-        """``udiError`` by its name; None while it is 0."""
-        return ErrorNumber(self.udiError) if self.udiError else None
-
-    def _look(self, scan: Scan) -> None:
-        self._in.look(scan)
-        self._out._run(scan)
-        self.xAttached = self._in.xReady and self._out.xReady
-        self.xPeerAlive = self._in.xPeerAlive and self._out.xPeerAlive
-        wrong: Block = self._out if self._out.udiError else self._in
-        self.udiError, self.reason = wrong.udiError, wrong.reason
-
-    def close(self) -> None:
-        """Give the claims back and let go of both objects; the next call opens them again."""
-        self._in.close()
-        self._out.close()
-
-
-class ServiceServer(_ServiceBlock):
-    """Carries out a service that ROS calls; the stand-in for a generated ``<pkg>_<Srv>_Server``.
-
-    Call the instance in every scan. While ``xRequest`` is set, ``request`` is to be carried out; a rising
-    edge of ``xReply`` sends ``response``, one of ``xReject`` refuses. A call waits for nothing.
+class _CallBlock(Instance):
+    """What all blocks of services and actions share. Call the instance in every scan; it waits for nothing.
 
     Args:
-        service: The service as ROS writes it.
-        request: The compiled-in layout, as a PLC has it; None takes the object's own description.
-        response: The same of the response.
+        name: The service or action as ROS writes it.
+        client: Of a client: the use's name in the configuration; empty if it has none.
         prefix: The bridge's ``prefix:``.
         directory: Where the objects stand.
         beat_ms: The longest time between two calls that this block promises.
+        layouts: The compiled-in layouts by part, ``request=``, ``goal=`` and so on, as a PLC has them. For a
+            part that is left out the object describes itself; until it is open, such an input is None.
+
+    Attributes:
+        xAttached: The objects are open, and this block's.
+        xPeerAlive: The bridge beats.
+        udiError: 0, or a number of the error reference.
+        reason: ``udiError`` in words.
+        udiCalls: Calls shown, or sent, since the start.
+    """
+
+    _parts: ClassVar[tuple[Part, ...]] = SERVICE
+    _calls: ClassVar[bool]
+    xAttached = xPeerAlive = False
+    udiCalls = 0
+
+    def __init__(
+        self,
+        name: str,
+        client: str = "",
+        *,
+        prefix: str = "rosplc",
+        directory: str = "/dev/shm",
+        beat_ms: int = 1000,
+        **layouts: Layout | None,
+    ) -> None:
+        super().__init__()
+        if unknown := layouts.keys() - {part.word for part in self._parts}:
+            raise TypeError(f"{type(self).__name__} has no part {', '.join(sorted(unknown))}")
+        where: Any = {"prefix": prefix, "directory": directory, "beat_ms": beat_ms}
+        about = name, Namespace(prefix, directory), Direction.TO_PLC
+        self._ins: list[_In] = []
+        self._outs: list[_Out] = []
+        for part in self._parts:
+            layout = layouts.get(part.word)
+            if part.asks == self._calls:
+                self._outs.append(_Out(part, client, self._leaving, name, layout=layout, **where))
+            else:
+                self._ins.append(_In(part, client, *about, layout, beat_ms))
+            setattr(self, part.word, None)
+        self._in, self._out = self._ins[0], self._outs[0]
+        self._blocks: list[Block] = [*self._ins, *self._outs]
+        self._fill()
+
+    def _leaving(self) -> None:
+        """The object that the first of ``_outs`` writes is about to be left."""
+
+    def _fill(self) -> None:
+        """Give inputs their initial values once their types are known."""
+        for block in self._outs:
+            if block.layout is not None and getattr(self, block._part.word) is None:
+                setattr(self, block._part.word, Message.initial(block.layout))
+
+    def _report(self, number: int = 0, words: str = "") -> None:
+        """Tell what is wrong: with the call if ``number`` is given, else with an object."""
+        self.xAttached = self._in.xReady and self._out.xReady
+        self.xPeerAlive = self._in.xPeerAlive and self._out.xPeerAlive
+        asks: Block = self._out if self._calls else self._in
+        wrong = next((one for one in (asks, self._in, self._out, *self._blocks) if one.udiError), None)
+        found = (wrong.udiError, wrong.reason) if wrong is not None else (0, "")
+        self.udiError, self.reason = (int(number), words) if number else found
+
+    def __call__(self) -> bool:
+        """Run the block once; return ``xDone`` of a client, or whether a server has a call in hand.
+
+        Raises:
+            LayoutError: LAY006, if a value does not fit its field; nothing is sent.
+        """
+        with self._entered() as scan:
+            return self._refuse() if scan is None else self._run(scan)
+
+    @abstractmethod
+    def _run(self, scan: Scan) -> bool: ...
+
+    def close(self) -> None:
+        """Give the claims back and let go of the objects; the next call opens them again."""
+        for block in self._blocks:
+            block.close()
+
+
+class _Answerer(_CallBlock):
+    """What both servers share.
+
+    Attributes:
+        xCallerGone: Nobody waits for the answer any more; the call is to be ended all the same.
+        udiCallers: ROS clients known; None if unknown, as without a bridge.
+        udiRefused: Calls that ended without being shown.
+        age: Seconds since the call in hand was shown.
+    """
+
+    _calls = False
+    _steps: ClassVar[tuple[str, ...]]
+    xCallerGone = False
+    udiCallers: int | None = None
+    udiRefused = 0
+    age = 0.0
+
+    _before: Set[str] = frozenset()  # inputs that were set
+    _now: SlotInfo | None = None  # the message read last
+    _found = False  # it waits to be shown or refused
+    _verdict = (0, Reason.NONE)  # how it is refused; 0: it is shown
+    _shown: SlotInfo | None = None
+    _answer: partial[None] | None = None  # to be sent as soon as the object is open
+    _orphan = False  # the object of the call that is shown is gone
+    _illegal = False
+    _object = _since_ns = 0
+
+    def _run(self, scan: Scan) -> bool:
+        self._in.look(scan)
+        for block in self._outs:
+            block._run(scan)
+        self._fill()
+        self._offer(scan)
+        now = {step for step in self._steps if getattr(self, step)}
+        rose, self._before, self._illegal = now - self._before, now, self._illegal and bool(now)
+        try:
+            self._step(rose)
+        finally:
+            with suppress(ChannelError):  # in a later scan
+                if self._answer is not None:
+                    self._answer()
+                self._answer = None
+        self.udiCallers = self._in.sources
+        self.age = (scan.now_ns - self._since_ns) / 1e9 if self._shown is not None else 0.0
+        self._report(ErrorNumber.ILLEGAL_STEP * self._illegal, "the call in hand does not allow this step")
+        return self._shown is not None
+
+    def _offer(self, scan: Scan) -> None:
+        """Look at the newest message, and show the call if it may begin."""
+        if self._in.xReady and self._in.object != self._object:
+            # The bridge has ended what the object before held.
+            self._object, self._found, self._answer = self._in.object, False, None
+            self._orphan = self.xCallerGone = self._shown is not None
+        info, now, shown = self._in.take(), self._now, self._shown
+        if info is not None:
+            fresh, self._in.fresh = self._in.fresh, False
+            again = now is not None and info.correlation == now.correlation
+            if self._found and not again and self._answer is None:
+                self._put(now, spec.ANSWER_NOT_EXECUTED, Reason.CALLER_GONE)
+                self._found, self.udiRefused = False, self.udiRefused + 1
+            if shown is not None and not self._orphan and info.correlation == shown.correlation:
+                self._updated(info.status)
+                self._found = False
+            else:
+                self._found = self._found or not again  # one that has ended is not begun again
+                self.xCallerGone = self.xCallerGone or (shown is not None and self._found)
+            self._now, self._verdict = info, (0, Reason.NONE)
+            if info.status != spec.ASK_CALL and fresh:  # an earlier program may have begun it
+                self._verdict = spec.ANSWER_FATE_UNKNOWN, Reason.PLC_DOWN
+            elif info.status != spec.ASK_CALL:
+                self._verdict = spec.ANSWER_NOT_EXECUTED, Reason.CALLER_GONE
+        if self._found and self._verdict[0] and self._answer is None:
+            self._put(self._now, *self._verdict)
+            self._found, self.udiRefused = False, self.udiRefused + 1
+        free = self._shown is None and self._answer is None and self._out.xReady
+        if self._found and free and self._in.begin() and self._in.msg is not None:
+            self._begin(scan)
+
+    def _begin(self, scan: Scan) -> None:
+        self._shown, self._found = self._now, False
+        setattr(self, self._in._part.word, self._in.msg)
+        self._since_ns, self.xCallerGone, self._orphan = scan.now_ns, False, False
+        self.udiCalls += 1
+
+    def _updated(self, status: int) -> None:
+        """A further message of the call in hand: each repeats all that is asked."""
+        self.xCallerGone = self.xCallerGone or bool(status & spec.ASK_WITHDRAWN)
+
+    @abstractmethod
+    def _step(self, rose: set[str]) -> None:
+        """Do what the program asks for by the inputs that have risen."""
+
+    def _end(self, status: int, reason: Reason = Reason.NONE, answer: Any = None) -> None:
+        """End the call in hand; with ``answer`` as its record, if that fits."""
+        if not self._orphan:
+            self._put(self._shown, status, reason, answer)
+        self._shown, self.xCallerGone = None, False
+
+    def _put(
+        self, info: SlotInfo | None, status: int, reason: Reason = Reason.NONE, answer: Any = None
+    ) -> None:
+        layout = self._out.layout
+        assert info is not None
+        if layout is not None:
+            answer = layout.view(layout.initial() if answer is None else bytes(layout.pack(answer)))
+        words = {"correlation": info.correlation, "client": info.client, "status": status, "reason": reason}
+        self._answer = partial(self._out.publish, answer, **words)
+
+
+class ServiceServer(_Answerer):
+    """Carries out a service that ROS calls; the stand-in for a generated ``<pkg>_<Srv>_Server``.
+
+    While ``xRequest`` is set, ``request`` is to be carried out; a rising edge of ``xReply`` sends
+    ``response``, one of ``xReject`` refuses.
 
     Attributes:
         xReply: Input: the call is done, send ``response``.
         xReject: Input: the call was not and will not be carried out.
-        response: Input: the answer; None before its type is known.
+        response: Input: the answer.
         xRequest: A call is to be carried out; False for one scan at least between two calls.
         request: What is asked.
-        xCallerGone: Nobody waits for the answer any more; the call is to be ended all the same.
-        age: Seconds since the call was shown.
-        udiCalls: Calls shown since the start.
     """
 
-    def __init__(
-        self,
-        service: str,
-        *,
-        request: Layout | None = None,
-        response: Layout | None = None,
-        prefix: str = "rosplc",
-        directory: str = "/dev/shm",
-        beat_ms: int = 1000,
-    ) -> None:
-        parts = (Part.REQUEST, Part.RESPONSE)
-        super().__init__(service, "", parts, (request, response), prefix, directory, beat_ms)
-        self.xReply = self.xReject = self.xRequest = self.xCallerGone = False
-        self.response: Any = None if response is None else Message.initial(response)
-        self.request: RecordView | None = None
-        self.age = 0.0
-        self.udiCalls = 0
-        self._inputs = (False, False)
-        self._waiting: SlotInfo | None = None  # taken, and neither shown nor refused
-        self._shown: SlotInfo | None = None
-        self._answer: partial[None] | None = None  # to be sent as soon as the object is open
-        self._ended = 0  # the correlation of the call answered last
-        self._orphan = False  # the object of the call that is shown is gone
-        self._object = self._since_ns = 0
+    _steps = ("xReply", "xReject")
+    xReply = xReject = xRequest = False
+    request: Any
+    response: Any
 
-    def __call__(self) -> bool:
-        """Run the block once and return ``xRequest``.
-
-        Raises:
-            LayoutError: LAY006, if a value in ``response`` does not fit its field; the call stays open.
-        """
-        with self._out._entered() as scan:
-            if scan is not None:
-                self._run(scan)
-        return self.xRequest
-
-    def _run(self, scan: Scan) -> None:
-        ends, shown_before = self._edges(), self._shown is not None
-        self._look(scan)
-        if self._in.xReady and self._in.object != self._object:
-            # The bridge has ended what the object before held.
-            self._object, self._waiting, self._answer = self._in.object, None, None
-            self._orphan = self.xCallerGone = self._shown is not None
-        if self._out.xReady and self._answer is None:
-            self._take(scan)
-        if self.response is None and self._out.layout is not None:
-            self.response = Message.initial(self._out.layout)
-        if ends is not None and shown_before:
-            self._end(*ends)
-        elif ends is not None:
-            self.udiError, self.reason = ErrorNumber.ILLEGAL_STEP.value, "there is no call to be ended"
-        if self._answer is not None:
-            with suppress(ChannelError):  # in a later scan
-                self._answer()
-                self._answer = None
+    def _step(self, rose: set[str]) -> None:
+        if rose:
+            # Shown before this call, and one answer, not two.
+            self._illegal = not self.xRequest or (self.xReply and self.xReject)
+            if not self._illegal and self.xReply:
+                self._end(spec.ANSWER_DONE, answer=self.response)
+            elif not self._illegal:
+                self._end(spec.ANSWER_NOT_EXECUTED, Reason.REJECTED)
         self.xRequest = self._shown is not None
-        self.age = (scan.now_ns - self._since_ns) / 1e9 if self.xRequest else 0.0
-
-    def _edges(self) -> tuple[int, Reason] | None:
-        before, self._inputs = self._inputs, (self.xReply, self.xReject)
-        if self.xReply and not before[0]:
-            return ANSWER_DONE, Reason.NONE
-        return (ANSWER_NOT_EXECUTED, Reason.REJECTED) if self.xReject and not before[1] else None
-
-    def _take(self, scan: Scan) -> None:
-        info, shown = self._in.take(), self._shown
-        if info is not None:
-            fresh, self._in.fresh = self._in.fresh, False
-            if info.correlation == self._ended:
-                pass  # it has its answer, and only the newest is read
-            elif shown is not None and info.correlation == shown.correlation and not self._orphan:
-                self.xCallerGone = self.xCallerGone or bool(info.status & ASK_WITHDRAWN)
-            elif info.status & ASK_WITHDRAWN:
-                self._waiting = None  # this very call, or one that has ended
-                # One that was there before this block's claim may have been begun by an earlier program.
-                unknown = ANSWER_FATE_UNKNOWN, Reason.PLC_DOWN
-                self._put(info, *(unknown if fresh else (ANSWER_NOT_EXECUTED, Reason.CALLER_GONE)))
-            else:
-                self._waiting = info
-                self.xCallerGone = shown is not None
-        if self._waiting is not None and shown is None:
-            info, self._waiting = self._waiting, None
-            if self._in.begin() and self._in.msg is not None:
-                self._shown, self.request = info, self._in.msg
-                self._since_ns, self.xCallerGone, self._orphan = scan.now_ns, False, False
-                self.udiCalls += 1
-
-    def _end(self, status: int, reason: Reason) -> None:
-        shown, layout = self._shown, self._out.layout
-        assert shown is not None
-        if status == ANSWER_DONE and layout is not None:
-            layout.pack(self.response)
-        self._shown, self.xCallerGone = None, False
-        if not self._orphan:
-            self._put(shown, status, reason)
-
-    def _put(self, info: SlotInfo, status: int, reason: Reason) -> None:
-        layout = self._out.layout
-        assert layout is not None
-        message = layout.view(layout.pack(self.response) if status == ANSWER_DONE else layout.initial())
-        words = {"correlation": info.correlation, "client": info.client, "status": status, "reason": reason}
-        self._answer, self._ended = partial(self._out.publish, message, **words), info.correlation
 
 
-class ServiceClient(_ServiceBlock):
-    """Calls a service of ROS; the stand-in for a generated ``<pkg>_<Srv>_Client``.
+class ActionServer(_Answerer):
+    """Carries out goals that ROS sends, one at a time; the stand-in for ``<pkg>_<Act>_ActionServer``.
 
-    Call the instance in every scan. A rising edge of ``xExecute`` takes ``request`` over and calls; at most
-    one of ``xBusy``, ``xDone``, ``xAborted`` and ``xError`` is set. The end stands while ``xExecute`` is set,
-    for one scan at least.
-
-    Args:
-        service: The service as ROS writes it.
-        client: The use's name in the configuration; empty if it has none.
-        request: The compiled-in layout, as a PLC has it; None takes the object's own description.
-        response: The same of the response.
-        prefix: The bridge's ``prefix:``.
-        directory: Where the objects stand.
-        beat_ms: The longest time between two calls that this block promises.
+    While ``xGoal`` is set, ``goal`` is to be accepted or rejected. An accepted one is ended by a rising edge
+    of ``xSucceed``, ``xAbort`` or ``xCanceled``, with ``result``. A step that the goal in hand does not allow
+    changes nothing, and is reported (ILLEGAL_STEP).
 
     Attributes:
-        xExecute: Input: call.
-        xAbort: Input: wait no longer; a server that has begun goes on.
+        xAccept: Input: the goal is carried out.
+        xReject: Input: the goal is not and will not be carried out.
+        xSendFeedback: Input, no edge: send ``feedback`` at this call, while ``xActive``.
+        xAcceptCancel: Input, with ``xCancelRequested``: the goal will be canceled.
+        xRejectCancel: Input, with ``xCancelRequested``: the goal goes on.
+        xSucceed: Input: the goal is reached.
+        xAbort: Input: the goal has failed, and nothing moves for it any more.
+        xCanceled: Input, with ``xCanceling``: the goal is canceled, and nothing moves for it.
+        result: Input: taken over when the goal ends.
+        feedback: Input: sent with ``xSendFeedback``.
+        xGoal: A goal is to be accepted or rejected; it may be withdrawn before.
+        xActive: An accepted goal is to be carried out.
+        xCancelRequested: The caller asks for the goal to be canceled.
+        xCanceling: The program has agreed to that.
+        xPreempt: Another goal waits for this one to end.
+        goal: What is asked.
+    """
+
+    _parts = ACTION
+    _ends: ClassVar[dict[str, int]] = {
+        "xSucceed": spec.ANSWER_SUCCEEDED,
+        "xAbort": spec.ANSWER_ABORTED,
+        "xCanceled": spec.ANSWER_CANCELED,
+    }
+    _steps = ("xAccept", "xReject", "xAcceptCancel", "xRejectCancel", *_ends)
+    xAccept = xReject = xSendFeedback = xAcceptCancel = xRejectCancel = False
+    xSucceed = xAbort = xCanceled = False
+    xGoal = xActive = xCancelRequested = xCanceling = xPreempt = False
+    goal: Any
+    result: Any
+    feedback: Any
+    _accepted = _asked = False
+    _cancel = 0  # what was decided on the request to cancel
+    _status = 0  # of the newest message
+
+    def _run(self, scan: Scan) -> bool:
+        in_hand = super()._run(scan)
+        goal = self._shown
+        if self.xSendFeedback and self.xActive and goal is not None and not self._orphan:
+            words = {"correlation": goal.correlation, "client": goal.client, "status": spec.ANSWER_ACCEPTED}
+            with suppress(ChannelError):  # the newest counts
+                self._outs[1].publish(self.feedback, **words)
+        return in_hand
+
+    def _begin(self, scan: Scan) -> None:
+        super()._begin(scan)
+        self._accepted = self._asked = self.xCanceling = self.xPreempt = False
+        self._cancel, self._status = 0, spec.ASK_CALL
+
+    def _updated(self, status: int) -> None:
+        super()._updated(status)
+        if not status & spec.ASK_CANCEL:
+            self._asked = False
+        elif not self.xCanceling and (not self._status & spec.ASK_CANCEL or status == self._status):
+            self._asked = True  # for the first time, or again
+        self.xPreempt, self._status = bool(status & spec.ASK_PREEMPT), status
+
+    def _step(self, rose: set[str]) -> None:
+        if self._shown is not None and self.xCallerGone and not self._accepted:
+            self._end(spec.ANSWER_NOT_EXECUTED, Reason.CALLER_GONE)  # nobody has begun it
+        # Each step belongs to what the pins showed before this call.
+        decided, canceled, ended = (
+            rose.intersection(steps) for steps in (self._steps[:2], self._steps[2:4], self._ends)
+        )
+        allowed = (self.xGoal and self._shown is not None, self.xCancelRequested, self.xActive)
+        for steps, possible in zip((decided, canceled, ended), allowed, strict=True):
+            if steps and (len(steps) > 1 or not possible):
+                self._illegal = True
+                steps.clear()
+        if "xAccept" in decided:
+            self._accepted = True
+            self._put(self._shown, spec.ANSWER_ACCEPTED)
+        elif decided:
+            self._end(spec.ANSWER_NOT_EXECUTED, Reason.REJECTED)
+        if canceled:
+            self._asked, self.xCanceling = False, "xAcceptCancel" in canceled
+            self._cancel = spec.ANSWER_CANCEL_ACCEPTED if self.xCanceling else spec.ANSWER_CANCEL_REJECTED
+            if not self._orphan:
+                self._put(self._shown, spec.ANSWER_ACCEPTED | self._cancel)
+        if ended == {"xCanceled"} and not self.xCanceling:
+            self._illegal = True
+        elif ended:
+            self._end(self._ends[ended.pop()] | self._cancel, answer=self.result)
+        in_hand = self._shown is not None
+        self.xGoal, self.xActive = in_hand and not self._accepted, in_hand and self._accepted
+        self.xCancelRequested = self.xActive and self._asked
+        self.xCanceling = self.xActive and self.xCanceling
+        self.xPreempt = in_hand and self.xPreempt
+
+
+class _Caller(_CallBlock):
+    """What both clients share: at most one of ``xBusy``, ``xDone``, ``xAborted`` and ``xError`` is set.
+
+    Attributes:
+        xExecute: Input: a rising edge takes over what is asked, and calls. The end
+            stands while it is set, for one scan at least.
         tTimeout: Input: seconds for the whole call; 0: no limit.
-        request: Input: what is asked; None before its type is known.
         xBusy: The call is not over.
-        xDone: The answer is in ``response``.
-        xAborted: Ended by ``xAbort``; ``eOutcome`` tells what became of the call.
-        eOutcome: NOT_EXECUTED, FATE_UNKNOWN or UNREADABLE; None while the call has not failed.
-        eReason: Why.
+        xDone: The answer has come.
+        xAborted: Ended as the program asked; ``eError`` tells what became of the call.
+        eReason: With ``xError`` and ``xAborted``: why.
         xServer: A server that can be called is known now; no promise.
-        response: The answer.
-        udiCalls: Calls sent since the start.
         udiLate: Answers that nobody waited for any more.
     """
 
-    def __init__(
-        self,
-        service: str,
-        client: str = "",
-        *,
-        request: Layout | None = None,
-        response: Layout | None = None,
-        prefix: str = "rosplc",
-        directory: str = "/dev/shm",
-        beat_ms: int = 1000,
-    ) -> None:
-        parts = (Part.RESPONSE, Part.REQUEST)
-        super().__init__(service, client, parts, (response, request), prefix, directory, beat_ms)
-        self.xExecute = self.xAbort = False
-        self.tTimeout = 0.0
-        self.request: Any = None if request is None else Message.initial(request)
-        self.response: RecordView | None = None
-        self.xBusy = self.xDone = self.xAborted = self.xServer = False
-        self.eOutcome: ErrorNumber | None = None
-        self.eReason = Reason.NONE
-        self.udiCalls = self.udiLate = 0
-        self._before = False
-        self._asked: Any = None  # the request as it was when xExecute rose
-        self._since_ns = self._limit_ns = 0
-        self._caller: Caller | None = None
-        self._object: tuple[Attached, Writer] | None = None  # of the caller
+    _calls = True
+    _stop: ClassVar[str]  # the input that asks for the end of the call
+    xExecute = False
+    tTimeout = 0.0
+    xBusy = xDone = xAborted = xServer = False
+    eReason = Reason.NONE
+    udiLate = 0
 
-    def __call__(self) -> bool:
-        """Run the block once and return ``xDone``.
+    _before = False
+    _outcome: ErrorNumber | None = None
+    _asked: Any = None  # what is asked, as it was when xExecute rose
+    _since_ns = _limit_ns = 0
+    _sent = False  # the call in hand has been sent; one that was given up may be open besides
+    _stopped = False  # the program has asked for its end
+    _caller: Caller | None = None
+    _object: tuple[Attached, Writer] | None = None  # of the caller
 
-        Raises:
-            LayoutError: LAY006, if a value in ``request`` does not fit its field; nothing is called.
-        """
-        with self._out._entered() as scan:
-            if scan is not None:
-                self._run(scan)
+    @property
+    def xError(self) -> bool:
+        """Whether the call has failed."""
+        return self._outcome is not None and not self.xAborted
+
+    def _run(self, scan: Scan) -> bool:
+        self._start(scan)
+        for block in self._ins:
+            block.look(scan)
+        self._hear()
+        self._out._run(scan)
+        self._follow()
+        known = self._in.sources, self._out.udiSinks
+        alive = self._in.xPeerAlive and self._out.xPeerAlive
+        self.xServer = alive and any(known)
+        ready = alive and self._in.xReady and (self.xServer or None in known)
+        if self.xBusy:
+            over = bool(self._limit_ns) and scan.now_ns - self._since_ns > self._limit_ns
+            if self._sent and self._caller is not None:
+                self._pursue(self._caller, over)
+            else:
+                self._open(over, ready)
+        self._fill()
+        self._report(self._outcome or 0, self.eReason.name)
         return self.xDone
 
-    def _run(self, scan: Scan) -> None:
+    def _start(self, scan: Scan) -> None:
         rose, self._before = self.xExecute and not self._before, self.xExecute
-        if not self.xBusy and (rose or not self.xExecute):
-            self.xDone = self.xAborted = False
-            self.eOutcome, self.eReason = None, Reason.NONE
-        if rose and not self.xBusy:
-            layout = self._out.layout
-            self._asked = layout and layout.view(bytes(layout.pack(self.request)))
-            self.xBusy, self._since_ns, self._limit_ns = True, scan.now_ns, round(self.tTimeout * 1e9)
-        self._look(scan)
-        self.xServer = self._in.xPeerAlive and any((self._in.sources, self._out.udiSinks))
-        self._follow()
-        self._answers()
         if self.xBusy:
-            self._decide(scan)
-        if self.request is None and self._out.layout is not None:
-            self.request = Message.initial(self._out.layout)
-        if self.eOutcome is not None and not self.xAborted:
-            self.udiError, self.reason = self.eOutcome.value, self.eReason.name
+            return
+        if rose or not self.xExecute:
+            self.xDone = self.xAborted = False
+            self._outcome, self.eReason = None, Reason.NONE
+        if rose:
+            layout = self._out.layout
+            asked = getattr(self, self._out._part.word)
+            self._asked = layout and layout.view(bytes(layout.pack(asked)))
+            self.xBusy, self._since_ns, self._limit_ns = True, scan.now_ns, round(self.tTimeout * 1e9)
+            self._sent = self._stopped = False
+            self._begin()
+
+    def _begin(self) -> None:
+        """A call begins."""
+
+    def _hear(self) -> None:
+        info = self._in.take()
+        if info is None:
+            return
+        status = self._caller.answer(info) if self._caller is not None else 0
+        if status and self._sent:
+            self._answered(info, status)
+        else:
+            self.udiLate += 1
+
+    @abstractmethod
+    def _answered(self, info: SlotInfo, status: int) -> None:
+        """An answer to the call in hand."""
+
+    def _failed(self, info: SlotInfo, status: int) -> None:
+        """End the call by an answer without a record; one for another kind of call tells nothing."""
+        if self._caller is not None and self._caller.correlation:
+            return  # no answer that ends a call
+        outcome = _OUTCOMES.get(status, ErrorNumber.FATE_UNKNOWN)
+        known = info.reason in list(Reason)
+        self._conclude(
+            outcome,
+            Reason(info.reason) if known else Reason.NONE,
+            stopped=status == spec.ANSWER_NOT_EXECUTED and self._stopped,
+        )
 
     def _follow(self) -> None:
         """Keep to the object that is open; a call that was sent in another one has ended."""
@@ -442,51 +601,166 @@ class ServiceClient(_ServiceBlock):
         if found is None or (self._object is not None and found[1] is self._object[1]):
             return
         if self._sent:
-            self._conclude(ErrorNumber.FATE_UNKNOWN, Reason.BRIDGE_RESTARTED)
+            self._conclude(ErrorNumber.FATE_UNKNOWN, Reason.BRIDGE_RESTARTED, stopped=self._stopped)
         self._object, self._caller = found, Caller(*found, follows_claim=False)
 
-    @property
-    def _sent(self) -> bool:
-        """Whether the call has been sent."""
-        return self._caller is not None and bool(self._caller.correlation)
+    def _leaving(self) -> None:
+        """The last look at an object that is retired, and with it the call."""
+        fate = self._caller.retired() if self._caller is not None else 0
+        if fate and self._sent:
+            self._conclude(_OUTCOMES[fate], Reason.BRIDGE_RESTARTED, stopped=self._stopped)
 
-    def _answers(self) -> None:
-        info = self._in.take()
-        if info is None or self._caller is None:
-            return
-        status = self._caller.answer(info)
-        self.udiLate += not status
-        if status == ANSWER_DONE:
-            self.response = self._in.msg
-            self._conclude(None)
-        elif status and not self._caller.correlation:  # ended, and never to be called again
-            known = info.reason in list(Reason)
-            outcome = _OUTCOMES.get(status, ErrorNumber.FATE_UNKNOWN)
-            self._conclude(outcome, Reason(info.reason) if known else Reason.NONE)
-
-    def _decide(self, scan: Scan) -> None:
-        over = bool(self._limit_ns) and scan.now_ns - self._since_ns > self._limit_ns
-        caller, send = self._caller, partial(self._out.publish, self._asked)
-        if self.xAbort or over:
-            begun = False
-            if caller is not None and caller.correlation:
-                begun = True
-                with suppress(ChannelError):  # with its object the call has ended as well
-                    begun = caller.withdraw(send)
-                caller.correlation = 0
-            outcome = ErrorNumber.FATE_UNKNOWN if begun else ErrorNumber.NOT_EXECUTED
-            self._conclude(outcome, Reason.NONE if self.xAbort else Reason.TIME_OUT)
-            self.xAborted = self.xAbort
-        elif caller is not None and not caller.correlation and self._may_call(caller):
+    def _open(self, over: bool, ready: bool) -> None:
+        """Send the call in hand, or end it."""
+        caller, layout = self._caller, self._out.layout
+        if getattr(self, self._stop):
+            self._conclude(ErrorNumber.NOT_EXECUTED, stopped=True)
+        elif over:
+            self._conclude(ErrorNumber.NOT_EXECUTED, Reason.TIME_OUT)
+        elif ready and caller is not None and not caller.correlation and self._out.open and caller.claim():
+            if self._asked is None and layout is not None:
+                self._asked = layout.view(layout.initial())
             with suppress(ChannelError):  # in a later scan
-                caller.call(send)
+                caller.call(self._send)
+                self._sent = True
                 self.udiCalls += 1
 
-    def _may_call(self, caller: Caller) -> bool:
-        if self._asked is None and self._out.layout is not None:
-            self._asked = Message.initial(self._out.layout)
-        return self.xServer and self.xAttached and self._out.open is not None and caller.claim() != 0
+    @abstractmethod
+    def _pursue(self, caller: Caller, over: bool) -> None:
+        """Go on with a call that was sent."""
 
-    def _conclude(self, outcome: ErrorNumber | None, reason: Reason = Reason.NONE) -> None:
-        self.xBusy, self.xDone = False, outcome is None
-        self.eOutcome, self.eReason = outcome, reason
+    def _send(self, **words: Any) -> None:
+        self._out.publish(self._asked, **words)
+
+    def _conclude(
+        self, outcome: ErrorNumber | None, reason: Reason = Reason.NONE, *, stopped: bool = False
+    ) -> None:
+        self.xBusy = self._sent = False
+        self.xDone, self.xAborted = outcome is None, stopped and outcome is not None
+        self._outcome, self.eReason = outcome, reason
+
+    def close(self) -> None:
+        """As of every block; nobody can tell what becomes of a call in hand."""
+        if self._caller is not None:
+            self._caller.correlation = 0
+        if self._sent:
+            self._conclude(ErrorNumber.FATE_UNKNOWN, Reason.PLC_DOWN)
+        super().close()
+
+
+class ServiceClient(_Caller):
+    """Calls a service of ROS; the stand-in for a generated ``<pkg>_<Srv>_Client``.
+
+    Attributes:
+        xAbort: Input: wait no longer; a server that has begun goes on.
+        request: Input: what is asked.
+        response: With ``xDone``: the answer.
+    """
+
+    _stop = "xAbort"
+    xAbort = False
+    request: Any
+    response: Any
+
+    def _answered(self, info: SlotInfo, status: int) -> None:
+        if status == spec.ANSWER_DONE:
+            self.response = self._in.msg
+            self._conclude(None)
+        else:
+            self._failed(info, status)
+
+    def _pursue(self, caller: Caller, over: bool) -> None:
+        if self.xAbort or over:
+            begun = True
+            with suppress(ChannelError):  # with its object the call has ended as well
+                begun = caller.withdraw(self._send)
+            caller.correlation = 0
+            outcome = ErrorNumber.FATE_UNKNOWN if begun else ErrorNumber.NOT_EXECUTED
+            why = Reason.NONE if self.xAbort else Reason.TIME_OUT
+            self._conclude(outcome, why, stopped=self.xAbort)
+
+
+class ActionClient(_Caller):
+    """Sends goals to an action of ROS; the stand-in for a generated ``<pkg>_<Act>_ActionClient``.
+
+    Attributes:
+        xCancel: Input: ask the server to cancel the goal, and wait for its end.
+        goal: Input: what is asked.
+        xActive: The server has accepted the goal, which has not ended.
+        xCancelRejected: The server goes on; let ``xCancel`` fall and rise to ask again.
+        eStatus: Of the newest goal.
+        xNewFeedback: Feedback has come in this scan.
+        feedback: With ``xNewFeedback``: the newest.
+        result: With ``xDone``: the result; of a goal that was canceled or aborted, too.
+    """
+
+    _parts = ACTION
+    _stop = "xCancel"
+    xCancel = xActive = xCancelRejected = xNewFeedback = False
+    eStatus = GoalStatus.UNKNOWN
+    goal: Any
+    result: Any
+    feedback: Any
+    _accepted = _cancels = False
+    _ENDS: ClassVar[dict[int, tuple[GoalStatus, ErrorNumber | None]]] = {
+        spec.ANSWER_SUCCEEDED: (GoalStatus.SUCCEEDED, None),
+        spec.ANSWER_CANCELED: (GoalStatus.CANCELED, ErrorNumber.GOAL_CANCELED),
+        spec.ANSWER_ABORTED: (GoalStatus.ABORTED, ErrorNumber.GOAL_ABORTED),
+    }
+
+    def _run(self, scan: Scan) -> bool:
+        done = super()._run(scan)
+        self.xActive = self.xBusy and self._accepted
+        return done
+
+    def _begin(self) -> None:
+        self._accepted = self._cancels = self.xCancelRejected = False
+        self.eStatus = GoalStatus.UNKNOWN
+
+    def _hear(self) -> None:
+        news, known = self._ins[1].take(), self._caller.correlation if self._sent and self._caller else 0
+        self.xNewFeedback = news is not None and news.correlation == known != 0
+        if self.xNewFeedback:
+            self.feedback = self._ins[1].msg
+        super()._hear()
+
+    def _answered(self, info: SlotInfo, status: int) -> None:
+        if status == spec.ANSWER_ACCEPTED:
+            self._accepted = True
+            agreed = info.status & spec.ANSWER_CANCEL_ACCEPTED
+            self.eStatus = GoalStatus.CANCELING if agreed else GoalStatus.EXECUTING
+            if not agreed:
+                self.xCancelRejected = self._cancels and bool(info.status & spec.ANSWER_CANCEL_REJECTED)
+        elif status in self._ENDS:
+            self.eStatus, outcome = self._ENDS[status]
+            why = Reason.NONE
+            if not info.status & spec.ANSWER_NO_RESULT:
+                self.result = self._in.msg
+            elif outcome is None:
+                outcome, why = ErrorNumber.UNREADABLE, Reason.TOO_LARGE
+            self._conclude(outcome, why, stopped=status == spec.ANSWER_CANCELED)
+        else:
+            self._failed(info, status)
+
+    def _pursue(self, caller: Caller, over: bool) -> None:
+        if over:  # whoever has not begun never will (M26)
+            begun, withdrawn = True, 0 if self._accepted else spec.ASK_WITHDRAWN
+            with suppress(ChannelError):  # with its object the goal has ended as well
+                caller.again(self._send, spec.ASK_CANCEL | withdrawn)
+                begun = self._accepted or caller.begun()
+            if not begun:
+                caller.correlation = 0
+            outcome = ErrorNumber.FATE_UNKNOWN if begun else ErrorNumber.NOT_EXECUTED
+            self._conclude(outcome, Reason.TIME_OUT)
+        elif self.xCancel != self._cancels and (self.xCancel or self.xCancelRejected):
+            with suppress(ChannelError):  # in a later scan
+                caller.again(self._send, spec.ASK_CANCEL if self.xCancel else 0)
+                self._cancels = self._stopped = self.xCancel
+                self.xCancelRejected = False
+
+    def _send(self, **words: Any) -> None:
+        """Send the goal with its UUID, which follows from what the slot says."""
+        number = words["correlation"]
+        assert self._object is not None
+        uuid = self._object[0].region.generation, number >> 32, number & 0xFFFFFFFF, spec.GOAL_ID_END
+        super()._send(**{**words, "client": struct.pack("<4I", *uuid)})

@@ -53,7 +53,11 @@ class Side:
             self.caller = Caller(request, self.writer, follows_claim=True)
         else:
             self.answerer = Answerer(request, self.reader, response)
-            self.writer.set_sources(1)
+            self.known(1)
+
+    def known(self, servers: int) -> None:
+        self.writer.set_sources(servers)
+        self.reader.set_sinks(servers)
 
     def send(self, fields: dict[str, Any], **words: Any) -> None:
         self.writer.publish(self.layouts[self.sent].pack(fields), **words)
@@ -180,6 +184,7 @@ def test_a_caller_that_waits_no_longer(sides: Sides, begun: bool) -> None:
     block.xReject = True
     side.scan(block)
     side.caller.answer(side.took())
+    block.xReject = False
     side.call()
     if begun:
         side.scan(block)
@@ -311,7 +316,7 @@ def test_ends_of_a_call(sides: Sides, status: int, reason: int, outcome: ErrorNu
     info = started(side, block)
     side.answer(info, status, reason, message="hi")
     side.scan(block)
-    assert (block.xBusy, block.xDone, block.xError, block.eOutcome) == (
+    assert (block.xBusy, block.xDone, block.xError, block.eError) == (
         False,
         not outcome,
         bool(outcome),
@@ -324,7 +329,7 @@ def test_ends_of_a_call(sides: Sides, status: int, reason: int, outcome: ErrorNu
     assert (block.xDone, block.xError) == (not outcome, bool(outcome))  # while xExecute is TRUE
     block.xExecute = False
     side.scan(block)
-    assert (block.xDone, block.xError, block.eOutcome) == (False, False, None)
+    assert (block.xDone, block.xError, block.eError) == (False, False, None)
     assert side.take() is None
     side.answer(info, status)
     side.scan(block)
@@ -361,7 +366,7 @@ def test_giving_up(sides: Sides, taken: bool, abort: bool) -> None:
     block.xAbort = abort
     side.scan(block, 3, 0.3)
     outcome = ErrorNumber.FATE_UNKNOWN if taken else ErrorNumber.NOT_EXECUTED
-    assert (block.xBusy, block.xAborted, block.xError, block.eOutcome) == (False, abort, not abort, outcome)
+    assert (block.xBusy, block.xAborted, block.xError, block.eError) == (False, abort, not abort, outcome)
     assert block.eReason is (Reason.NONE if abort else Reason.TIME_OUT)
     found = side.take()
     assert found is not None
@@ -370,17 +375,17 @@ def test_giving_up(sides: Sides, taken: bool, abort: bool) -> None:
 
 def test_without_a_server_a_call_waits(sides: Sides) -> None:
     side, block = sides("ros")
-    side.writer.set_sources(0)
+    side.known(0)
     block.xExecute, block.tTimeout = True, 1.0
     side.scan(block, 5, 0.1)
     assert (block.xBusy, block.xServer, side.take()) == (True, False, None)
     side.scan(block, 8, 0.1)
-    assert (block.eOutcome, block.eReason) == (ErrorNumber.NOT_EXECUTED, Reason.TIME_OUT)
+    assert (block.eError, block.eReason) == (ErrorNumber.NOT_EXECUTED, Reason.TIME_OUT)
     block.xExecute = False
     side.scan(block)
     block.xExecute = True
     side.scan(block, 3)
-    side.writer.set_sources(1)
+    side.known(1)
     side.scan(block, 2)
     assert side.took().status == 1
 
@@ -392,7 +397,7 @@ def test_objects_that_are_replaced_end_a_call(sides: Sides) -> None:
         channel.retire()
     side.open()
     side.scan(block, 30)
-    assert (block.xBusy, block.eOutcome) == (False, ErrorNumber.FATE_UNKNOWN)
+    assert (block.xBusy, block.eError) == (False, ErrorNumber.FATE_UNKNOWN)
     assert block.eReason is Reason.BRIDGE_RESTARTED
 
 
@@ -405,5 +410,5 @@ def test_without_a_bridge_a_call_ends_by_its_time(shm_namespace: Namespace) -> N
         enter_scan(Scan("Task", 1, now))
         block()
     enter_scan(None)
-    assert (block.xBusy, block.eOutcome, block.xServer) == (False, ErrorNumber.NOT_EXECUTED, False)
+    assert (block.xBusy, block.eError, block.xServer) == (False, ErrorNumber.NOT_EXECUTED, False)
     assert not block.xAttached
