@@ -13,7 +13,6 @@ notices, and attaches again once a bridge has made a new object; the last values
 from __future__ import annotations
 
 import os
-import re
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -71,11 +70,9 @@ def command(
 def _clean(namespace: Namespace, topics: list[str], *, dry_run: bool) -> tuple[list[str], dict[str, str]]:
     """Remove the files of names that no bridge holds; return these, and name → why it is kept."""
     from rosplc.shm import Part
+    from rosplc.shm.names import file_name
 
     folder = Path(namespace.directory)
-    start = re.escape(namespace.prefix)
-    # A topic's lock and temporaries replace its letter, those of services and actions put one before theirs.
-    pattern = re.compile(rf"{start}\.(?:([tln])|([ln]?)(sq|sr|ag|ar|af))\.(.+?)", re.DOTALL)
     wanted = {namespace.object_name(topic, part) for topic in topics for part in Part}
     files: dict[tuple[str, str], list[Path]] = {}
     try:
@@ -83,16 +80,11 @@ def _clean(namespace: Namespace, topics: list[str], *, dry_run: bool) -> tuple[l
     except OSError as error:
         raise ChannelError("SHM123", f"cannot list: {error.strerror}", where=str(folder)) from error
     for path in listing:
-        found = pattern.fullmatch(path.name)
-        if found is None:
+        found = file_name(path.name)
+        if found is None or found.prefix != namespace.prefix:
             continue
-        letters, rest = found[3] or "t", found[4]
-        if "n" in (found[1], found[2]):  # only a temporary has a suffix of its own
-            rest = re.sub(r"\.[0-9a-f]{8}$", "", rest)
-        name = f"{namespace.prefix}.{letters}.{rest}"
-        if not wanted or name in wanted or (namespace.name_of(name) or ("",))[0] in topics:
-            lock = f"{namespace.prefix}.{'l' if letters == 't' else f'l{letters}'}.{rest}"
-            files.setdefault((name, lock), []).append(path)
+        if not wanted or found.item in wanted or (namespace.name_of(found.item) or ("",))[0] in topics:
+            files.setdefault((found.item, found.lock), []).append(path)
     removed: list[str] = []
     kept: dict[str, str] = {}
     for (name, lock), paths in files.items():

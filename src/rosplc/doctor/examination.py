@@ -16,6 +16,7 @@ from pathlib import Path
 from rosplc._version import __version__
 from rosplc.bridge.ros_side import choose_backend
 from rosplc.config import ConfigErrors, Project, TopicPlan, load_project
+from rosplc.config.calls import CallPlan
 from rosplc.config.plans import ClassicPlan
 from rosplc.config.resolve import group_id, object_size, user_id
 from rosplc.doctor import (
@@ -39,7 +40,7 @@ from rosplc.doctor.objects import Objects, held_files, is_held, look_at_objects
 from rosplc.doctor.probe import Probe, run_probe
 from rosplc.errors import RosplcError
 from rosplc.plc.plan import ProjectOptions
-from rosplc.project import expected_files
+from rosplc.project import call_memory, expected_files
 from rosplc.ros import ROS1
 
 _LOOK_S = 3.5
@@ -128,6 +129,10 @@ class _Examination:
         return () if self._project is None else self._project.topics
 
     @property
+    def _calls(self) -> tuple[CallPlan, ...]:
+        return () if self._project is None else self._project.calls
+
+    @property
     def _classic(self) -> list[tuple[TopicPlan, ClassicPlan]]:
         return [(plan, plan.classic) for plan in self._topics if plan.classic is not None]
 
@@ -168,7 +173,7 @@ class _Examination:
             for each in errors.errors:
                 yield found("DOC501", f"{each.where}: {each.what} [{each.code}]", each.remedy, command)
             return
-        yield fine("DOC501", f"{path} is valid: {len(self._topics)} topics")
+        yield fine("DOC501", f"{path} is valid: {_amount(self._project)}")
         yield self._owner(self._project)
 
     def _owner(self, project: Project) -> Finding:
@@ -246,6 +251,12 @@ class _Examination:
             needed += size
             if path.is_file():
                 present += min(size, path.stat().st_blocks * 512)
+        for call in self._calls:
+            assert self._project is not None
+            needed += call_memory(self._project, call)
+            for part in call.parts:
+                path = self._project.namespace.path(call.called, part, call.client)
+                present += path.stat().st_blocks * 512 if path.is_file() else 0
         return needed, present
 
     def _look_at_objects(self) -> Iterable[Finding]:
@@ -258,6 +269,9 @@ class _Examination:
         if self._project is not None:
             path = self._project.namespace.path
             configured = {path(plan.topic) for plan in self._topics if plan.port == "channel"}
+            configured |= {
+                path(call.called, part, call.client) for call in self._calls for part in call.parts
+            }
         yield from leftovers.leftovers(objects, prefix, configured)
         yield from leftovers.soundness(objects, prefix)
         yield from leftovers.ownership(objects, prefix, {self._uid, self._owner_id}, root=self._uid == 0)
@@ -301,8 +315,8 @@ class _Examination:
             return rights.File(name, status.st_uid, status.st_gid, status.st_mode & 0o7777)
 
         seen = leftovers.concerned(self._seen(), self._prefix)
-        files = [file(each.topic, each.status) for each in seen]
-        there = {each.topic for each in seen}
+        files = [file(each.label, each.status) for each in seen]
+        there = {each.label for each in seen}
         if self._project is None:
             return files
         config, gid = self._project.config, os.getegid()
@@ -319,7 +333,8 @@ class _Examination:
                     files.append(file(name, path.stat()))
                 elif name not in there:
                     files.append(rights.File(name, self._owner_id, gid, mode))
-        return files
+        missing = [each.name for each in self._carried() if each.use != each.name and each.name not in there]
+        return [*files, *(rights.File(name, self._owner_id, gid, mode) for name in missing)]
 
     # ROS.
 
@@ -365,9 +380,20 @@ class _Examination:
     def _carried(self) -> list[live.Carried]:
         if self._project is None or self._objects is None:
             return []
-        own = self._project.namespace
-        plans = [plan for plan in self._topics if plan.port == "channel"]
-        return [live.Carried(plan, self._objects.of(own, plan.topic)) for plan in plans]
+        own, seen = self._project.namespace, self._objects.of
+        carried = [
+            live.Carried(plan.topic, plan.topic, plan.direction, plan.layout, seen(own, plan.topic))
+            for plan in self._topics
+            if plan.port == "channel"
+        ]
+        for call in self._calls:
+            for part in call.parts:
+                name = f"{call.called} {part.word} {call.client}".rstrip()
+                found = seen(own, call.called, part, call.client)
+                carried.append(
+                    live.Carried(call.name, name, part.direction(call.server), call.layout(part), found)
+                )
+        return carried
 
     def _live(self) -> Iterator[Finding]:
         carried, held = self._carried(), held_files(self._proc)
@@ -396,7 +422,7 @@ class _Examination:
         def type_hash(name: str) -> str:
             return "" if silent else project.store.type_hash(name)
 
-        yield from graph.judge_graph(seen, self._topics, type_hash, bridge_runs=runs)
+        yield from graph.judge_graph(seen, self._topics, type_hash, self._calls, bridge_runs=runs)
 
     # Generated code.
 
@@ -422,6 +448,12 @@ class _Examination:
         if self._objects is not None:
             yield from code.against_live(present, self._objects, self._directory)
         yield from code.fences(present, platform.machine(), command)
+
+
+def _amount(project: Project) -> str:
+    several = {(plan.kind, plan.called) for plan in project.calls}
+    more = f" and {len(several)} services or actions" if several else ""
+    return f"{len(project.topics)} topics{more}"
 
 
 def _regenerated(

@@ -11,6 +11,7 @@ import difflib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
+from rosplc.config.calls import CallPlan
 from rosplc.config.resolve import TopicPlan
 from rosplc.doctor.finding import Finding, Level, listed
 from rosplc.doctor.kinds import fine, found, judged
@@ -43,9 +44,14 @@ class Graph:
 
 
 def judge_graph(
-    graph: Graph, plans: Sequence[TopicPlan], type_hash: Callable[[str], str], *, bridge_runs: bool
+    graph: Graph,
+    plans: Sequence[TopicPlan],
+    type_hash: Callable[[str], str],
+    calls: Sequence[CallPlan] = (),
+    *,
+    bridge_runs: bool,
 ) -> Iterator[Finding]:
-    """Compare each topic with what the graph has.
+    """Compare each topic, service and action with what the graph has.
 
     ``type_hash`` returns what a node of the configuration's distribution announces for a type, empty if such
     nodes announce nothing; ``bridge_runs``: a bridge holds the configuration's objects.
@@ -65,6 +71,36 @@ def judge_graph(
         yield judged("DOC517", "" if graph.bridge in info.nodes else what, well)
     for plan in plans:
         yield from _topic(graph, plan, type_hash(plan.type_name), quiet=empty)
+    for call in {(call.kind, call.called): call for call in calls}.values():
+        yield from _call(graph, call, quiet=empty)
+
+
+def _call(graph: Graph, call: CallPlan, *, quiet: bool) -> Iterator[Finding]:
+    """Judge who serves and who calls a service or action."""
+    name = service = graph.names.get(call.called, call.called)
+    type_name, ends = call.type_name, graph.info.services
+    if call.kind == "action" and graph.backend == "rospy":
+        service, type_name, ends = f"{name}/goal", _ANY, graph.info.endpoints
+    elif call.kind == "action":
+        service, type_name = f"{name}/_action/send_goal", f"{type_name}_SendGoal"
+    found_there = [end for end in ends if end.topic == service and end.node != graph.bridge]
+    servers = [end.node or "a nameless node" for end in found_there if end.direction == "in"]
+    most = 1 if call.server == "ros" else 0
+    several = f"{listed(servers)} serve{'s' * (len(servers) == 1)} {name}" + (
+        "" if most else ", as the PLC does"
+    )
+    yield judged(
+        "DOC520", f"{several} [ROS022]" if len(servers) > most else "", f"{name} has no server too many"
+    )
+    if call.server == "ros" and not (quiet and not servers):
+        missing = "" if servers else f"no node serves the {call.kind} {name}, which the PLC calls"
+        yield judged("DOC519", missing, f"{name} is served by {listed(servers)}")
+    for end in found_there:
+        does = f"node {end.node} {'serves' if end.direction == 'in' else 'calls'} {name}"
+        if end.obstacles:
+            yield found("DOC521", f"{does} {'; '.join(end.obstacles)} [ROS021]")
+        if _ANY not in (end.type_name, type_name) and end.type_name != type_name:
+            yield found("DOC512", f"{does} as {end.type_name}, here it is {type_name} [ROS003]")
 
 
 def _topic(graph: Graph, plan: TopicPlan, ours: str, *, quiet: bool) -> Iterator[Finding]:

@@ -113,11 +113,14 @@ _register("DOC515", _A, _W, "names of topics", "No node uses the topic, but the 
 _register("DOC516", _A, _W, "nodes in the graph", "No other node was seen.", "Start the robot's nodes; if they are running, compare domain, backend, container and firewall.")
 _register("DOC517", _A, _W, "the bridge in the graph", "A bridge has the configuration's objects, but its node is not visible from here: it is in another domain, or uses another protocol.", "Start both with the same environment.")
 _register("DOC518", _A, _N, "unknown definitions", "The other side does not announce its definition of the type (Humble, ROS 1), so only the name was compared.", "Nothing; the bridge's /diagnostics report mismatches.")
+_register("DOC519", _A, _W, "servers in ROS", "The PLC calls a service or action that no node serves. A call waits in the PLC until its time-out.", "Start the node, and compare name, type and domain.")
+_register("DOC520", _A, _W, "one server each", "A service or action has several servers (ROS022): each carries out what is asked, and the first answer counts.", "Stop all but one, or rename their services.")
+_register("DOC521", _A, _E, "services over another DDS", "A peer speaks another DDS than Cyclone's, which has another protocol for services (ROS021): it is neither served nor called.", "Set ros.backend: rclpy.")
 
 _A = Area.LIVE
 _register("DOC601", _A, _N, "bridge of the configuration", "No bridge is running, or it carries only a part of the topics; or, as an error, it has them and does not beat. Without a configuration, every bridge of the machine is examined.", "Start the bridge.")
 _register("DOC602", _A, _E, "layouts of the running bridge", "The objects have other layouts, directions or sizes than the configuration: the bridge is running with an older one.", "Restart the bridge with this configuration, and generate the PLC code again.")
-_register("DOC603", _A, _W, "the PLC's task", "The bridge has the object, and no PLC task beats in it.", "Start the PLC program; if it is running, its block shows an error number (112: its code was generated for another layout).")
+_register("DOC603", _A, _W, "the PLC's task", "The bridge has the object, and no PLC task beats in it; of a service or action, no block calls or serves it.", "Start the PLC program; if it is running, its block shows an error number (112: its code was generated for another layout).")
 _register("DOC604", _A, _E, "layouts that the running PLC expects", "The PLC's program was generated for another layout and refuses the topic (SHM112).", "Generate the PLC's code again, import it and download it.")
 _register("DOC605", _A, _W, "refused and shortened messages", "Messages were larger than the limits of their topic.", "Raise the limits of the topic, and generate the PLC's code again.")
 

@@ -12,6 +12,7 @@ from rosplc.doctor.kinds import fine, found, judged
 from rosplc.doctor.objects import Objects, Seen, lock_of
 from rosplc.harmless import plural
 from rosplc.shm.constants import STATE_RETIRED
+from rosplc.shm.names import file_name
 
 _HIDDEN = ("SHM102", "SHM123")
 """Errors that say nothing about an object: no right, or no descriptor, to look at it."""
@@ -50,15 +51,14 @@ def leftovers(objects: Objects, prefix: str | None, configured: Collection[Path]
     yield judged("DOC206", what, well, command=_clean(strangers, objects))
     yield judged("DOC208", f"retired: {_names(retired)}" if retired else "", "no retired object is left")
     # A bridge that runs may be making a temporary at this moment.
-    busy = {lock_of(each.path).name.partition(".l.")[2] for each in objects.objects if each.live}
+    busy = {each.path.name for each in objects.objects if each.live}
     gone = [
-        path
+        name
         for path in objects.temporaries
-        if prefix is None or path.name.startswith(f"{prefix}.n.")
-        if path.name.partition(".n.")[2].rpartition(".")[0] not in busy
+        if (name := file_name(path.name)) and name.prefix == (prefix or name.prefix) and name.item not in busy
     ]
     what = f"{plural(len(gone), 'temporary')} of a bridge that was killed" if gone else ""
-    command = f"rosplc clean --prefix {gone[0].name.partition('.n.')[0]}" if gone else ""
+    command = f"rosplc clean --prefix {gone[0].prefix}" if gone else ""
     yield judged("DOC207", what, "no temporaries are left", command=command)
     without = [
         each
@@ -74,7 +74,7 @@ def _clean(gone: Sequence[Seen], objects: Objects, *, root: bool = False) -> str
     paths = {seen.path for seen in gone}
     commands = []
     for prefix in sorted({seen.prefix for seen in gone}):
-        topics = [seen.topic for seen in gone if seen.prefix == prefix]
+        topics = list(dict.fromkeys(seen.topic for seen in gone if seen.prefix == prefix))
         whole = all(seen.path in paths for seen in objects.objects if seen.prefix == prefix)
         chosen = "" if whole else "".join(f" --topic {shlex.quote(topic)}" for topic in topics)
         commands.append(f"{'sudo ' if root else ''}rosplc clean --prefix {prefix}{chosen}")
@@ -83,7 +83,7 @@ def _clean(gone: Sequence[Seen], objects: Objects, *, root: bool = False) -> str
 
 def _names(seen: Sequence[Seen]) -> str:
     return listed(
-        f"{each.topic} of bridge {each.description.bridge}" if each.description else each.topic
+        f"{each.label} of bridge {each.description.bridge}" if each.description else each.label
         for each in seen
     )
 
@@ -123,10 +123,10 @@ def ownership(
     files = [seen for seen in concerned(objects, prefix) if stat.S_ISREG(seen.status.st_mode)]
     others = [] if prefix is None else [s for s in files if s.status.st_uid not in owners and not s.live]
     names = listed(sorted({user_name(seen.status.st_uid) for seen in others}))
-    what = f"{names} owns {listed(seen.topic for seen in others)}" if others else ""
+    what = f"{names} owns {listed(seen.label for seen in others)}" if others else ""
     command = _clean(others, objects, root=not root)
     yield judged("DOC209", what, "no object of another user is in the way", command=command)
-    open_ = {seen.topic: bits for seen in files if (bits := stat.S_IMODE(seen.status.st_mode) & 0o006)}
+    open_ = {seen.label: bits for seen in files if (bits := stat.S_IMODE(seen.status.st_mode) & 0o006)}
     who = "change" if max(open_.values(), default=0) & 0o002 else "read"
     what = f"everybody may {who} {plural(len(open_), 'object')}: {listed(open_)}" if open_ else ""
     remedy = "In the configuration: shm: {mode: '0660', group: GROUP}; then restart it."

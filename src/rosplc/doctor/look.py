@@ -82,8 +82,8 @@ def _look(project: Project, seconds: float) -> Graph:
     finally:
         backend.close()
     names = {
-        plan.topic: resolve_topic(plan.topic, namespace=namespace, node_name=own, remap=remap)
-        for plan in project.topics
+        name: resolve_topic(name, namespace=namespace, node_name=own, remap=remap)
+        for name in (*(plan.topic for plan in project.topics), *(call.called for call in project.calls))
     }
     where = f"domain {environment.get('ROS_DOMAIN_ID') or 0 if settings.domain is None else settings.domain}"
     if settings.distro == ROS1:

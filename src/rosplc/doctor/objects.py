@@ -7,7 +7,6 @@ lock is to take it, which would keep a starting bridge out.
 from __future__ import annotations
 
 import os
-import re
 import stat
 import time
 from collections.abc import Callable, Mapping
@@ -17,13 +16,14 @@ from pathlib import Path
 from typing import cast
 
 from rosplc.errors import ChannelError
-from rosplc.shm import Description, Direction, Identity, Namespace, ReaderState, Region, Snapshot
-from rosplc.shm.constants import HEADER_SIZE
+from rosplc.monitor.tracked import WRITER, Peers
+from rosplc.shm import Description, Direction, Identity, Namespace, Part, ReaderState, Region, Snapshot
+from rosplc.shm.constants import HEADER_SIZE, KIND_TOPIC
 from rosplc.shm.files import open_plain_file
+from rosplc.shm.names import file_name
 
-_NAME = re.compile(r"([A-Za-z][A-Za-z0-9_-]{0,31})\.([tln])\.(.+)")
 _PAUSE_S = 0.05
-_LEAST_S, _LEAST_UNHELD_S, _MOST_S = 2.0, 0.5, 3.5
+_LEAST_MS, _LEAST_UNHELD_S, _MOST_S = 667, 0.5, 3.5
 """Who promises to beat ten times a second may still not get to it on a machine with other work."""
 
 Held = Mapping[tuple[int, int, int], int]
@@ -35,7 +35,7 @@ class Seen:
     """One object while it was looked at.
 
     Attributes:
-        topic: The topic, as far as name or self-description tell; else the object's name.
+        topic: The topic, service or action, as far as name or self-description tell; else the object's name.
         status: Owner, mode and size; of a link, the link's own.
         error: The check of the format that failed; None if it is sound.
         identity: Lines 0 and 1; None if they cannot be read.
@@ -59,6 +59,13 @@ class Seen:
     bridge_beats: bool = False
     plc_beats: bool = False
     plc_lines: tuple[ReaderState, ...] = ()
+
+    @property
+    def label(self) -> str:
+        """What people call it: ``/cmd_vel``, ``/gripper/close request left``."""
+        if self.description is None or self.description.part is Part.TOPIC:
+            return self.topic
+        return f"{self.topic} {self.description.part.word} {self.description.client}".rstrip()
 
     @property
     def live(self) -> bool:
@@ -87,9 +94,9 @@ class Objects:
     temporaries: tuple[Path, ...] = ()
     locks_seen: bool = True
 
-    def of(self, namespace: Namespace, topic: str) -> Seen | None:
-        """Return a topic's object; None if there is none."""
-        path = namespace.path(topic)
+    def of(self, namespace: Namespace, topic: str, part: Part = Part.TOPIC, client: str = "") -> Seen | None:
+        """Return the object of a topic, or of a part of a service or action; None if there is none."""
+        path = namespace.path(topic, part, client)
         return next((seen for seen in self.objects if seen.path == path), None)
 
 
@@ -124,7 +131,7 @@ def held_files(proc: Path) -> Held | None:
 def lock_holders(directory: Path, prefix: str, held: Held) -> list[int]:
     """Return the processes that hold the names of a prefix; those of other PID namespaces are left out."""
     pids = set()
-    for path in directory.glob(f"{prefix}.l.*"):
+    for path in directory.glob(f"{prefix}.l*.*"):
         with suppress(OSError):
             pids.add(held.get(_key(path), 0))
     return sorted(pid for pid in pids if pid > 0)
@@ -137,7 +144,8 @@ def _key(path: Path) -> tuple[int, int, int]:
 
 def lock_of(path: Path) -> Path:
     """Return the lock file of an object."""
-    return path.parent / path.name.replace(".t.", ".l.", 1)
+    found = file_name(path.name)
+    return path if found is None else path.with_name(found.lock)
 
 
 def is_held(path: Path, held: Held | None) -> bool | None:
@@ -154,47 +162,36 @@ def is_held(path: Path, held: Held | None) -> bool | None:
 class _Watched:
     fd: int
     seen: Seen
-    first: Snapshot
     last: Snapshot
-    moved: set[int] = field(default_factory=set)
-    """Reader lines that moved; -1 is the writer's."""
+    peers: Peers = field(default_factory=Peers)
 
-    def look(self) -> None:
+    def look(self, passed_s: float) -> bool:
+        """Look once more; return whether somebody has a claim, and may still be about to move."""
         self.last = _snapshot(self.fd)
-        before, now = self.first, self.last
-        old, new = before.writer, now.writer
-        if new.epoch and (new.beat, new.head) != (old.beat, old.head):
-            self.moved.add(-1)
-        for line, later in zip(before.readers, now.readers, strict=True):
-            if later.claim and (later.beat, later.taken) != (line.beat, line.taken):
-                self.moved.add(later.index)
-
-    def quiet(self) -> bool:
-        """Whether somebody has a claim, and has not been seen to move."""
-        claims = {line.index for line in self.last.readers if line.claim}
-        if self.last.writer.epoch:
-            claims.add(-1)
-        return bool(claims - self.moved)
-
-    def patience_s(self) -> float:
-        """Return how long a quiet side may be so and live: three of the beats that it promises."""
-        promised = [line.beat_ms for line in self.last.readers if line.claim]
-        if self.last.writer.epoch:
-            promised.append(self.last.writer.beat_ms)
+        writer, now_ns = self.last.writer, int(passed_s * 1e9)
+        lines = [(WRITER, writer.epoch, writer.beat_ms, writer.beat, writer.head)]
+        lines += [(line.index, line.claim, line.beat_ms, line.beat, line.taken) for line in self.last.readers]
+        alive = [
+            self.peers.alive(key, claim, max(beat_ms, _LEAST_MS), beat, count, now_ns)
+            for key, claim, beat_ms, beat, count in lines
+        ]
         # What nobody has locked is a dead bridge's; only another container's lock would not be seen.
-        unheld = self.seen.held is False
-        least, most = (_LEAST_UNHELD_S, _LEAST_UNHELD_S) if unheld else (_LEAST_S, _MOST_S)
-        return max((min(most, max(least, 3 * beat / 1000)) for beat in promised), default=0.0)
+        return None in alive and (self.seen.held is not False or passed_s < _LEAST_UNHELD_S)
 
     def result(self) -> Seen:
-        to_plc = self.seen.identity is not None and self.seen.identity.direction is Direction.TO_PLC
-        lines = tuple(line for line in self.last.readers if line.index in self.moved)
+        assert self.seen.identity is not None
+        to_plc, topic = (
+            self.seen.identity.direction is Direction.TO_PLC,
+            self.seen.identity.kind == KIND_TOPIC,
+        )
+        lines = [line for line in self.last.readers if self.peers.seen(line.index)]
+        plc_lines = tuple(line for line in lines if topic or line.index == 0) if to_plc else ()
         return replace(
             self.seen,
             snapshot=self.last,
-            bridge_beats=(-1 if to_plc else 0) in self.moved,
-            plc_beats=bool(lines) if to_plc else -1 in self.moved,
-            plc_lines=lines if to_plc else (),
+            bridge_beats=self.peers.seen(WRITER if to_plc else 0),
+            plc_beats=bool(plc_lines) if to_plc else self.peers.seen(WRITER),
+            plc_lines=plc_lines,
         )
 
 
@@ -221,15 +218,15 @@ def look_at_objects(
     watched: list[_Watched] = []
     try:
         for path in sorted(directory.iterdir()):
-            found = _NAME.fullmatch(path.name)
-            if found is None or prefix not in (None, found[1]):
+            found = file_name(path.name)
+            if found is None or prefix not in (None, found.prefix):
                 continue
-            if found[2] == "l":
+            if found.role == "l":
                 locks.add(path)
-            elif found[2] == "n":
+            elif found.role == "n":
                 temporaries.append(path)
             else:
-                _open(path, found[1], held, done, watched)
+                _open(path, found.prefix, held, done, watched)
         _watch(watched, seconds, sleep)
         done += [each.result() for each in watched]
     finally:
@@ -244,7 +241,9 @@ def _open(path: Path, prefix: str, held: Held | None, done: list[Seen], watched:
         status = path.lstat()
     except FileNotFoundError:
         return  # removed meanwhile
-    topic = Namespace(prefix, path.parent).topic_of(path.name) or path.name
+    namespace = Namespace(prefix, path.parent)
+    topic, part = (namespace.name_of(path.name) or (path.name,))[0], namespace.part_of(path.name)
+    assert part is not None
     seen = Seen(path, prefix, topic, status, held=is_held(lock_of(path), held))
     try:
         fd = open_plain_file(path, os.O_RDONLY)
@@ -254,9 +253,9 @@ def _open(path: Path, prefix: str, held: Held | None, done: list[Seen], watched:
         return
     try:
         head, size = os.pread(fd, HEADER_SIZE, 0), os.fstat(fd).st_size
-        identity = Identity.parse(head, size, where=str(path), accept_retired=True)
+        identity = Identity.parse(head, size, kind=part.value, where=str(path), accept_retired=True)
         text = os.pread(fd, identity.description_size, identity.description_offset)
-        description = Description.from_json(text, str(path))
+        description = Description.from_json(text, str(path), part)
     except ChannelError as error:
         os.close(fd)
         if stat.S_ISREG(status.st_mode):
@@ -267,15 +266,11 @@ def _open(path: Path, prefix: str, held: Held | None, done: list[Seen], watched:
         raise
     # A shortened name does not give its topic away, its description does.
     sound = replace(seen, topic=description.topic, identity=identity, description=description)
-    first = _snapshot(fd)
-    watched.append(_Watched(fd, sound, first, first))
+    watched.append(_Watched(fd, sound, _snapshot(fd)))
 
 
 def _watch(watched: list[_Watched], seconds: float, sleep: Callable[[float], None]) -> None:
     slept = 0.0
-    longest = min(seconds, max((each.patience_s() for each in watched), default=0.0))
-    while slept < longest and any(each.quiet() for each in watched):
+    while sum(each.look(slept) for each in watched) and slept < seconds:
         sleep(_PAUSE_S)
         slept += _PAUSE_S
-        for each in watched:
-            each.look()

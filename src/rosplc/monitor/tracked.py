@@ -144,7 +144,8 @@ def process_words(pid: int, proc: Path = Path("/proc")) -> str:
 
 _RECENT_NS = 10_000_000_000
 _DEBOUNCE_NS = 500_000_000
-_WRITER = -1
+WRITER = -1
+"""The key of the writer's line."""
 _YEARS_NS = 10 * 365 * 86400 * 10**9
 
 
@@ -214,19 +215,19 @@ class Tracked:
         since = max(now_ns - self._since_ns, _past(wall_ns, identity.created_ns)) if age is None else age
         limit = expectation.stale_after_ns
         writer_alive = self._peers.alive(
-            _WRITER, writer.epoch, writer.beat_ms, writer.beat, writer.head, now_ns
+            WRITER, writer.epoch, writer.beat_ms, writer.beat, writer.head, now_ns
         )
         if writer.epoch and not writer.beat_ms:
             # It promises no beat: its silence tells nothing, its process does.
             runs = self.attached.process.runs(writer.epoch, writer.pid)
-            if not writer_alive and (runs is not None or self._peers.seen(_WRITER)):
+            if not writer_alive and (runs is not None or self._peers.seen(WRITER)):
                 writer_alive = runs is not False
         readers = tuple(self._reader(line, now_ns) for line in snapshot.readers)
         bridge, plc = self._sides(writer_alive, readers)
         bridge_pid = self._bridge_pid(snapshot)
         starting = (
             bridge is False
-            and not self._peers.seen(_WRITER if self._to_plc else 0)
+            and not self._peers.seen(WRITER if self._to_plc else 0)
             and is_starting(bridge_pid)
         )
         bridge = None if starting else bridge

@@ -8,7 +8,6 @@ or written: an observer uses no reader line, and maps objects read-only.
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,8 +26,7 @@ from rosplc.monitor.tracked import Tracked, process_words
 from rosplc.shm import Attached, Namespace, Part, Reader
 from rosplc.shm.files import open_plain_file
 from rosplc.shm.header import channel_error
-
-_OBJECT = re.compile(r"([A-Za-z][A-Za-z0-9_-]{0,31})\.(t|sq|sr|ag|ar|af)\..+", re.DOTALL)
+from rosplc.shm.names import file_name
 
 
 def open_object(path: str) -> Attached:
@@ -200,10 +198,10 @@ class Watch:
         try:
             with os.scandir(self._directory) as entries:
                 for entry in entries:
-                    named = _OBJECT.fullmatch(entry.name)
-                    if named is None or (named[2] != "t" and not self._calls):
+                    named = file_name(entry.name)
+                    if named is None or named.role != "t" or not self._wanted(named.prefix, name=entry.name):
                         continue
-                    if not self._wanted(named[1], name=entry.name):
+                    if not self._calls and not entry.name.startswith(f"{named.prefix}.t."):
                         continue
                     if len(found) >= MAX_CHANNELS:
                         more += 1
@@ -212,7 +210,7 @@ class Watch:
                         status = entry.stat(follow_symlinks=False)
                     except OSError:
                         continue  # gone in between
-                    found[entry.name] = _File(entry.name, named[1], status.st_ino, status.st_size)
+                    found[entry.name] = _File(entry.name, named.prefix, status.st_ino, status.st_size)
         except OSError as error:
             raise channel_error(123, f"cannot list: {error.strerror}", self._directory) from error
         return found, ((f"{more} more objects are not looked at",) if more else ())

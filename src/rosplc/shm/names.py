@@ -6,7 +6,7 @@ import enum
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from rosplc.shm import constants as spec
 from rosplc.shm.constants import FNV_OFFSET, FNV_PRIME, MAX_NAME, NAME_KEPT, Direction
@@ -158,4 +158,32 @@ class Namespace:
         return name[:at] + letter + name[at + (part is Part.TOPIC) :]
 
 
+class FileName(NamedTuple):
+    """What a file's name tells: ``role`` is ``t`` for an object, ``l`` for its lock, ``n`` for a temporary.
+
+    ``item`` and ``lock`` are the names of the object and of its lock.
+    """
+
+    prefix: str
+    role: str
+    item: str
+    lock: str
+
+
+def file_name(name: str) -> FileName | None:
+    """Take the name of an object, a lock or a temporary apart; None if it is none of these."""
+    found = _FILE.fullmatch(name)
+    if found is None:
+        return None
+    prefix, topic, role, letters, rest = found.groups()
+    role = topic or role or "t"
+    if role == "n":  # only a temporary has a suffix of its own
+        rest = re.sub(r"\.[0-9a-f]{8}$", "", rest)
+    return FileName(prefix, role, f"{prefix}.{letters or 't'}.{rest}", f"{prefix}.l{letters or ''}.{rest}")
+
+
 _LETTERS = {part.letters: part for part in Part}
+# A topic's lock and temporaries replace its letter, those of services and actions put one before theirs.
+_FILE = re.compile(
+    rf"({_PREFIX.pattern})\.(?:([tln])|([ln]?)({'|'.join(list(_LETTERS)[1:])}))\.(.+)", re.DOTALL
+)

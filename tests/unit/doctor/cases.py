@@ -524,6 +524,30 @@ case(
 )
 case("DOC518", _graph(_end()), _graph(*GOOD))
 
+CALLS = """{
+  /grip: {type: std_srvs/srv/Trigger, server: ros, clients: [pick, place]},
+  /start: {type: std_srvs/srv/SetBool, server: plc}}"""
+
+
+def _calls(*ends: EndpointInfo) -> Look:
+    def look(stage: Stage) -> Iterable[Finding]:
+        project = stage.project(TOPICS, services=CALLS.replace("\n", " "))
+        seen = Graph("dds", GraphInfo((NODE,), services=ends), {}, "/rosplc_cell", "domain 0")
+        return graph.judge_graph(seen, (), project.store.type_hash, project.calls, bridge_runs=False)
+
+    return look
+
+
+def _server(
+    name: str = "/grip", node: str = NODE, type_name: str = "std_srvs/srv/Trigger", *why: str
+) -> EndpointInfo:
+    return EndpointInfo(name, type_name, "in", node, QOS, obstacles=why)
+
+
+case("DOC519", _calls(), _calls(_server()))
+case("DOC520", _calls(_server(), _server(node="/second")), _calls(_server()))
+case("DOC521", _calls(_server("/grip", NODE, "std_srvs/srv/Trigger", "over another DDS")), _calls(_server()))
+
 # What runs.
 
 
@@ -559,7 +583,7 @@ def _seen(
             plc_lines=() if plc is None else (line,),
             snapshot=replace(found.snapshot, writer=writer),
         )
-        return [live.Carried(plan, found)]
+        return [live.Carried(topic, topic, plan.direction, plan.layout, found)]
 
     return look  # type: ignore[return-value]
 

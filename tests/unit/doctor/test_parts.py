@@ -140,6 +140,28 @@ def test_the_reasons_are_the_bridges(stage: Stage, theirs: str, qos: Qos) -> Non
         assert not said
 
 
+def test_services_and_actions_are_compared_with_the_graph(tmp_path, shm_namespace):
+    """A second server of what the PLC serves, another type, and an action's service of ROS 2."""
+    calls = "{/grip: {type: std_srvs/Trigger, server: ros}, /start: {type: std_srvs/SetBool, server: plc}}"
+    action = "{/arm/move: {type: tf2_msgs/action/LookupTransform, server: ros}}"
+    stage = Stage(tmp_path, shm_namespace)
+    project = stage.project("  /in: {type: std_msgs/msg/Int32, to: plc}\n", services=calls, actions=action)
+
+    def judged(*ends):
+        services = tuple(EndpointInfo(name, kind, "in", node, Qos()) for name, kind, node in ends)
+        graph = Graph("dds", GraphInfo(("/robot",), services=services), {}, "/rosplc_cell", "domain 0")
+        return problems(judge_graph(graph, (), project.store.type_hash, project.calls, bridge_runs=False))
+
+    move = ("/arm/move/_action/send_goal", "tf2_msgs/action/LookupTransform_SendGoal", "/robot")
+    grip = ("/grip", "std_srvs/srv/Trigger", "/robot")
+    assert judged(move, grip, ("/start", "std_srvs/srv/SetBool", "/rosplc_cell")) == {}
+    assert "the action /arm/move" in judged(grip)["DOC519"].seen
+    assert (
+        "as the PLC does" in judged(move, grip, ("/start", "std_srvs/srv/SetBool", "/robot"))["DOC520"].seen
+    )
+    assert "std_srvs/srv/Empty" in judged(move, ("/grip", "std_srvs/srv/Empty", "/robot"))["DOC512"].seen
+
+
 def test_settings_that_ros_does_not_have_are_named(stage: Stage) -> None:
     """What keeps a peer from matching beyond ROS's own settings is told as the bridge tells it."""
     project = stage.project(f"  /in: {{type: {INT}, to: plc}}\n")
