@@ -14,6 +14,7 @@ from typing import Any
 from rosplc.bridge.called import Called
 from rosplc.bridge.port import Context, Ports, log
 from rosplc.bridge.served import Served
+from rosplc.bridge.served_goals import ServedGoals
 from rosplc.bridge.use import IDLE_NS, Use
 from rosplc.config.calls import CallPlan
 from rosplc.errors import ChannelError
@@ -23,7 +24,11 @@ _LAZY_TICK_NS = 10_000_000
 """The tick while no PLC is there: the wake-ups are what an idle bridge costs."""
 
 
-_USES: dict[tuple[str, str], Callable[..., Use]] = {("service", "plc"): Served, ("service", "ros"): Called}
+_USES: dict[tuple[str, str], Callable[..., Use]] = {
+    ("service", "plc"): Served,
+    ("service", "ros"): Called,
+    ("action", "plc"): ServedGoals,
+}
 
 
 class CallPorts(Ports[Any]):

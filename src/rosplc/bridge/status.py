@@ -293,6 +293,13 @@ class ActionStatus(CallStatus):
     kind = "action"
 
     @property
+    def judgement(self) -> tuple[Level, str]:
+        """The level and a sentence for it; an open goal stays as it is while the PLC is silent."""
+        if self.server == "plc" and self.goal_status and not (self.problem or self.peer_alive):
+            return Level.WARN, f"the PLC is silent; a goal is {self.goal_status} and stays so"
+        return super().judgement
+
+    @property
     def _summary(self) -> str:
         goal = f"; one is {self.goal_status}" if self.goal_status else ""
         return f"{self.succeeded} of {self.received} goals succeeded, {self.outstanding} outstanding{goal}"

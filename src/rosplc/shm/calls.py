@@ -132,14 +132,17 @@ class Caller:
             self.correlation = 0
         return outcome
 
-    def resume(self, info: SlotInfo) -> None:
-        """Take over the call in the newest message, not withdrawn and not answered, of the writer before."""
+    def resume(self, info: SlotInfo, claim: int = 0) -> None:
+        """Take over the call in the newest message, not answered, of the writer before.
+
+        ``claim`` is the answerer's when the call was handed out; 0: not known, so its present one.
+        """
         taken = self._asks.region.word(_LINE_0 + READER_LINE["taken"])
         last = self._asks.slot(taken)
         of_this_call = last is None or last.correlation == info.correlation
         self.correlation, self._client = info.correlation, info.client
         self._first = taken if taken and of_this_call else info.sequence
-        self._claim, self._begun = self.claim(), False
+        self._claim, self._begun = claim or self.claim(), False
 
     def _end(self, begun: bool) -> int:
         self.correlation = 0

@@ -1,0 +1,416 @@
+"""Goals that ROS sends to the PLC: the bridge is the caller towards the PLC.
+
+A goal waits undecided in ROS until the PLC has accepted or rejected it. What the PLC answers is read newest
+first, and each answer implies those before it.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+
+from rosplc.bridge.port import Context
+from rosplc.bridge.use import IDLE_NS, LOOK_NS, TOO_LARGE, Outcome, Use
+from rosplc.codec import Fault
+from rosplc.config.calls import ActionPlan
+from rosplc.errors import ChannelError, RosplcError
+from rosplc.reasons import Reason
+from rosplc.ros import Backend
+from rosplc.ros.actions import ActionServer, GoalStatus
+from rosplc.shm import Caller, Part, SlotInfo
+from rosplc.shm.calls import WORDS
+from rosplc.shm.constants import (
+    ANSWER_ABORTED,
+    ANSWER_ACCEPTED,
+    ANSWER_CANCEL_ACCEPTED,
+    ANSWER_CANCEL_REJECTED,
+    ANSWER_CANCELED,
+    ANSWER_FATE_UNKNOWN,
+    ANSWER_MASK,
+    ANSWER_NOT_EXECUTED,
+    ANSWER_SUCCEEDED,
+    ASK_CALL,
+    ASK_CANCEL,
+    ASK_PREEMPT,
+    ASK_WITHDRAWN,
+    reader_line,
+)
+
+_TICK_NS = 1_000_000_000
+_ENDS: dict[int, Outcome] = {
+    ANSWER_NOT_EXECUTED: "not executed",
+    ANSWER_FATE_UNKNOWN: "fate unknown",
+}
+_OF_ACCEPTED = (ANSWER_ACCEPTED, ANSWER_SUCCEEDED, ANSWER_CANCELED, ANSWER_ABORTED)
+
+
+@dataclass(eq=False)
+class _Goal:
+    """A goal from ROS.
+
+    Attributes:
+        uuid: As ROS knows it.
+        record: The goal itself.
+        stamp_ns: When it was handed out, in ns since 1970.
+        claim: Who acted on goals then; each message of the goal says so, for a bridge that comes later.
+        number: Its correlation.
+        handed_ns: When it was handed out, on the monotonic clock.
+        asked: What the PLC was asked besides.
+        cancel: A request to cancel that the PLC has not been told of.
+        accepted: Whether the PLC has accepted it.
+        withdrawn: Whether the PLC was told that nobody waits for its decision.
+        unwanted: Whether its client has taken it back before the decision.
+        inherited: It was handed out by an earlier bridge.
+    """
+
+    uuid: bytes
+    record: bytes
+    stamp_ns: int = 0
+    claim: int = 0
+    number: int = 0
+    handed_ns: int = 0
+    asked: int = 0
+    cancel: bool = False
+    accepted: bool = False
+    withdrawn: bool = False
+    unwanted: bool = False
+    inherited: bool = False
+
+
+class ServedGoals(Use):
+    """An action that the PLC carries out."""
+
+    plan: ActionPlan
+    _endpoint: ActionServer | None
+
+    def __init__(self, plan: ActionPlan, context: Context, on_event: Callable[[Use], None]) -> None:
+        super().__init__(plan, context, on_event)
+        self._waiting: deque[_Goal] = deque()
+        self._open_goal: _Goal | None = None
+        self._caller: Caller | None = None
+        self._again = False  # the newest answer counts once more: it is to a goal of an earlier bridge
+        self._taken = 0  # the sequence that the PLC's block took last
+        self._tick_ns = 0
+
+    def _connect(self, backend: Backend) -> ActionServer:
+        plan = self.plan
+        return ActionServer(
+            backend,
+            plan.goal.store,
+            plan.action,
+            plan.type_name,
+            on_goal=partial(self.tell, "goal"),
+            on_cancel=partial(self.tell, "cancel"),
+            keep_result_ns=plan.keep_result_ns,
+            clock=self.context.clock,
+        )
+
+    @property
+    def _outstanding(self) -> int:
+        return len(self._waiting) + (self._open_goal is not None)
+
+    @property
+    def _down(self) -> bool:
+        """Whether the PLC's block is known to be gone."""
+        return self._writer is None or not self._holder or self._peer.silent
+
+    def turn(self, now_ns: int) -> None:
+        """Go on with all goals."""
+        server = self._endpoint
+        if server is None:
+            return
+        try:
+            if self._writer is not None:
+                self._look(server, now_ns)
+        finally:
+            self._receive(server, now_ns)
+        self._hand_out(server, now_ns)
+        self._inform()
+        if now_ns >= self._tick_ns:
+            self._tick_ns = now_ns + _TICK_NS
+            server.tick()
+        goal = self._open_goal
+        state = server.status(goal.uuid) if goal is not None and goal.accepted else None
+        self.goal_status = state.name.lower() if state else "waiting" if goal is not None else ""
+        self.due_ns = now_ns + (LOOK_NS if goal is not None or self._waiting else IDLE_NS)
+
+    # -- a goal's beginning and end
+
+    def _receive(self, server: ActionServer, now_ns: int) -> None:
+        """Put goals that came into the queue, or reject them; note what is to be canceled."""
+        while self.events:
+            what, uuid, *payload = self.events.popleft()
+            goal = self._open_goal
+            if what == "cancel":
+                self._wish_away(uuid, now_ns)
+                continue
+            if goal is not None and goal.uuid == uuid:
+                server.reject(uuid)  # sent again, to a bridge that was restarted
+                continue
+            self.received += 1
+            goal = _Goal(uuid, b"")
+            try:
+                goal.record = self._codecs[Part.GOAL].plan.decode(payload[0], self.plan.truncate)[0]
+            except Fault as fault:
+                explained = self._codecs[Part.GOAL].explain(fault)
+                reason = Reason.TOO_LARGE if fault.args[0] in TOO_LARGE else Reason.REJECTED
+                self._reject(goal, "not executed", reason, now_ns, f"{explained.where}: {explained.what}")
+                continue
+            self._enqueue(goal, now_ns)
+
+    def _enqueue(self, goal: _Goal, now_ns: int) -> None:
+        replaces, busy = self.plan.on_new_goal == "abort", self._open_goal is not None
+        if self._down:
+            self._reject(goal, "not executed", Reason.PLC_DOWN, now_ns)
+        elif self._waiting and replaces:
+            self._reject(self._waiting.popleft(), "not executed", Reason.QUEUE_FULL, now_ns)
+            self._waiting.append(goal)
+        elif len(self._waiting) < max(self.plan.queue, replaces) + (not busy):
+            self._waiting.append(goal)
+        else:
+            self._reject(goal, "not executed", Reason.QUEUE_FULL, now_ns)
+
+    def _wish_away(self, uuid: bytes, now_ns: int) -> None:
+        goal = self._open_goal
+        if goal is not None and goal.uuid == uuid:
+            goal.cancel, goal.unwanted = goal.accepted, not goal.accepted
+        for waits in [one for one in self._waiting if one.uuid == uuid]:
+            self._waiting.remove(waits)
+            self._reject(waits, "not executed", Reason.CALLER_GONE, now_ns)
+
+    def _hand_out(self, server: ActionServer, now_ns: int) -> None:
+        for goal in tuple(self._waiting):
+            reason = Reason.PLC_DOWN if self._down else Reason.NONE
+            if reason or not server.present(goal.uuid):
+                self._waiting.remove(goal)
+                self._reject(goal, "not executed", reason or Reason.CALLER_GONE, now_ns)
+        if not self._waiting or self._open_goal is not None or not self._peer.alive:
+            return
+        goal, caller = self._waiting[0], self._caller
+        assert caller is not None
+        goal.claim, goal.stamp_ns = caller.claim(), self.context.clock.time_ns()
+        goal.number = caller.call(self._sends(goal), client=goal.uuid)
+        goal.handed_ns = now_ns
+        self._open_goal = self._waiting.popleft()
+
+    def _sends(self, goal: _Goal) -> Callable[..., None]:
+        """Return what publishes a message of a goal."""
+        return partial(self._send, goal.record, reason=goal.claim, stamp_ns=goal.stamp_ns)
+
+    def _inform(self) -> None:
+        """Tell the PLC what is asked of the goal that it has accepted.
+
+        One message at a time, each seen by the PLC, which takes the same message again for another request
+        to cancel. Never a message that asks nothing: to a program that has just started it is a new goal.
+        """
+        goal, writer = self._open_goal, self._writer
+        if goal is None or not goal.accepted or writer is None or self._taken != writer.head:
+            return
+        ask = goal.asked | ASK_CANCEL * goal.cancel
+        repeats = goal.cancel and ask == goal.asked
+        if self._waiting and self.plan.on_new_goal == "abort" and not repeats:
+            ask |= ASK_PREEMPT
+        if goal.cancel or ask != goal.asked:
+            assert self._caller is not None
+            self._caller.again(self._sends(goal), ask)
+            goal.asked, goal.cancel = ask, False
+
+    def _withdraw(self, goal: _Goal) -> bool:
+        """Tell the PLC that nobody waits for its decision; return whether it may have begun (M26)."""
+        assert self._caller is not None
+        begun = goal.withdrawn or self._caller.withdraw(self._sends(goal))
+        goal.withdrawn = True  # only now: what could not be withdrawn may still begin
+        return begun
+
+    def _reject(self, goal: _Goal, outcome: Outcome, reason: Reason, now_ns: int, text: str = "") -> None:
+        """Count a goal that was not accepted, and tell its client."""
+        if goal is self._open_goal:
+            self._open_goal = None
+        self._count(outcome, reason, now_ns, text)
+        if self._endpoint is not None:
+            self._endpoint.reject(goal.uuid)
+
+    def _abort(self, goal: _Goal, reason: Reason, now_ns: int) -> None:
+        """End a goal that the PLC has accepted, and will not end itself any more."""
+        server = self._endpoint
+        self._open_goal = None
+        self._count("aborted", reason, now_ns)
+        self.note(now_ns, f"an accepted goal was aborted: {WORDS[reason]}", "SHM141")
+        if server is not None:
+            server.abort(goal.uuid)
+
+    # -- the open goal
+
+    def _look(self, server: ActionServer, now_ns: int) -> None:
+        """Look at the PLC's side, and at what has become of the open goal."""
+        claim, beat, beat_ms, self._taken = self._channels[Part.GOAL].region.words(reader_line(0), 4)
+        self._observe(claim, beat, self._taken, beat_ms, now_ns)
+        self._take_answers(server, now_ns)
+        self._take_feedback(server)
+        goal, caller = self._open_goal, self._caller
+        if goal is None or caller is None:
+            return
+        # Behind a claim that has changed, what was answered before has been looked for.
+        if caller.claim() == claim and (outcome := caller.lost(self._sends(goal))):
+            if goal.accepted:
+                self._abort(goal, Reason.PLC_DOWN, now_ns)
+            else:
+                self._reject(goal, _ENDS[outcome], Reason.PLC_DOWN, now_ns)
+        elif not goal.accepted and not goal.withdrawn:
+            self._judge(server, goal, now_ns)
+
+    def _judge(self, server: ActionServer, goal: _Goal, now_ns: int) -> None:
+        """Withdraw a goal that the PLC does not decide on, or that nobody waits for."""
+        reason = Reason.NONE
+        if self._peer.silent:
+            reason = Reason.PLC_DOWN
+        elif now_ns - goal.handed_ns > self.plan.accept_ns:
+            reason = Reason.EXPIRED
+        elif goal.unwanted or not server.present(goal.uuid):
+            reason = Reason.CALLER_GONE
+        if reason and not self._withdraw(goal):
+            self._reject(goal, "not executed", reason, now_ns)
+
+    def _take_answers(self, server: ActionServer, now_ns: int) -> None:
+        """Pass on the newest answer, and only then store that it was taken."""
+        reader, plan = self._readers[Part.RESULT], self._codecs[Part.RESULT].plan
+        again, self._again = self._again, False
+        current = reader.peek_wire(plan)
+        if current is not None and (again or current[1].sequence != reader.last):
+            self._answered(server, *current, now_ns)
+        taken = reader.latest_wire(plan)
+        if taken is not None and current is not None and taken[1].sequence != current[1].sequence:
+            self._answered(server, *taken, now_ns)
+
+    def _answered(self, server: ActionServer, payload: bytes, info: SlotInfo, now_ns: int) -> None:
+        goal, caller = self._open_goal, self._caller
+        answer = 0 if caller is None else caller.answer(info)
+        if goal is None or caller is None or not answer:
+            self.strays += 1
+            return
+        if any(reader.line is None for reader in self._readers.values()):
+            raise ChannelError("SHM116", "another bridge has taken the action over", where=self.plan.action)
+        if answer in _OF_ACCEPTED:
+            self._follow(server, goal, payload, info.status, now_ns)
+        elif caller.correlation:
+            self.strays += 1  # nothing that a goal can be answered with
+        else:
+            reason = Reason(info.reason) if info.reason in list(Reason) else Reason.NONE
+            if goal.accepted:
+                self._abort(goal, reason, now_ns)
+            else:
+                self._reject(goal, _ENDS.get(answer, "fate unknown"), reason, now_ns)
+
+    def _follow(self, server: ActionServer, goal: _Goal, payload: bytes, status: int, now_ns: int) -> None:
+        """Bring a goal in ROS to where the PLC has it, through all steps between."""
+        self._accept(server, goal, bool(status & ANSWER_CANCEL_ACCEPTED))
+        answer = status & ANSWER_MASK
+        if status & ANSWER_CANCEL_ACCEPTED or answer == ANSWER_CANCELED:
+            server.accept_cancel(goal.uuid)
+        elif status & ANSWER_CANCEL_REJECTED and not goal.cancel:
+            server.reject_cancel(goal.uuid)
+        if answer == ANSWER_ACCEPTED:
+            return
+        self._take_feedback(server)
+        self._open_goal = None
+        if answer == ANSWER_SUCCEEDED and server.succeed(goal.uuid, payload):
+            self._count("succeeded", Reason.NONE, now_ns)
+        elif answer == ANSWER_CANCELED and server.canceled(goal.uuid, payload):
+            self._count("canceled", Reason.NONE, now_ns)
+        else:  # a goal that nobody in ROS asked to cancel cannot be canceled there
+            server.abort(goal.uuid, payload)
+            self._count("aborted", Reason.NONE, now_ns)
+
+    def _accept(self, server: ActionServer, goal: _Goal, canceling: bool) -> None:
+        if goal.accepted:
+            return
+        goal.accepted = True
+        if goal.inherited:
+            status = GoalStatus.CANCELING if canceling else GoalStatus.EXECUTING
+            server.adopt(goal.uuid, goal.stamp_ns, status)
+            return
+        # Accepted while it was being withdrawn: a client that has gone does not know of it.
+        goal.cancel = goal.unwanted or not server.present(goal.uuid)
+        server.accept(goal.uuid)
+        server.execute(goal.uuid)
+
+    def _take_feedback(self, server: ActionServer) -> None:
+        goal, reader = self._open_goal, self._readers[Part.FEEDBACK]
+        if goal is not None and not goal.accepted:
+            return  # it may be this goal's, whose acceptance was not seen yet
+        found = reader.latest_wire(self._codecs[Part.FEEDBACK].plan)
+        if goal is not None and found is not None and found[1].correlation == goal.number:
+            self.feedback += server.feedback(goal.uuid, found[0])
+
+    # -- a goal of an earlier bridge, or of objects that were left
+
+    def _claimed(self) -> None:
+        asks, writer, reader = self._channels[Part.GOAL], self._writers[Part.GOAL], self._readers[Part.RESULT]
+        caller = self._caller = Caller(asks, writer, follows_claim=True)
+        found, answer = self._newest(Part.GOAL), self._newest(Part.RESULT)
+        known, self._known, goal, now = self._known, True, self._open_goal, self._now()
+        if known:
+            if goal is not None and found is not None and found[1].correlation == goal.number:
+                caller.resume(found[1], goal.claim)
+            elif goal is not None:
+                self._abort(goal, Reason.BRIDGE_RESTARTED, now)
+            return
+        if found is None or not found[1].status & ASK_CALL:
+            return
+        record, info = found
+        if answer is not None and answer[1].correlation != info.correlation:
+            answer = None
+        ended = answer is not None and answer[1].status & ANSWER_MASK != ANSWER_ACCEPTED
+        if ended and answer is not None and answer[1].sequence == reader.last:
+            return  # it was passed on
+        goal = self._open_goal = _Goal(info.client, record, info.stamp_ns, info.reason, info.correlation, now)
+        goal.inherited, goal.asked = True, info.status & (ASK_CANCEL | ASK_PREEMPT)
+        self.received += 1
+        caller.resume(info, goal.claim)
+        self._again = answer is not None
+        # Accepted without a word to its client, it is to be canceled.
+        goal.cancel = answer is None or bool(info.status & ASK_WITHDRAWN)
+        if answer is None and not self._withdraw(goal):
+            self._reject(goal, "not executed", Reason.BRIDGE_RESTARTED, now)
+
+    # -- leaving
+
+    def _let_go(self, now_ns: int) -> None:
+        goal, server = self._open_goal, self._endpoint
+        if goal is None or server is None:
+            return
+        begun = True
+        with suppress(RosplcError, OSError, ValueError, AssertionError, KeyError):
+            self._take_answers(server, now_ns)
+        if self._open_goal is None or goal.accepted:
+            return  # what the PLC has accepted goes on, if its objects remain
+        with suppress(RosplcError, OSError, ValueError, AssertionError):
+            begun = self._withdraw(goal)
+        if begun:
+            self._reject(goal, "fate unknown", Reason.BRIDGE_RESTARTED, now_ns)
+            return
+        # It goes to the next objects.
+        self._open_goal, goal.withdrawn = None, False
+        self._waiting.appendleft(goal)
+
+    def finish(self, now_ns: int) -> None:
+        """Reject what the PLC has not accepted; an accepted goal is left to the next bridge."""
+        server = self._endpoint
+        if server is None:
+            return
+        with suppress(RosplcError, ValueError, OSError):
+            self._receive(server, now_ns)
+        self._let_go(now_ns)
+        while self._waiting:
+            self._reject(self._waiting.popleft(), "not executed", Reason.BRIDGE_RESTARTED, now_ns)
+
+    def give_up(self, now_ns: int) -> None:
+        """End all goals: the objects are about to be retired."""
+        self.finish(now_ns)
+        if (goal := self._open_goal) is not None and self._caller is not None:
+            with suppress(RosplcError, OSError, ValueError, AssertionError):
+                self._caller.again(self._sends(goal), goal.asked | ASK_CANCEL)
+            self._abort(goal, Reason.BRIDGE_RESTARTED, now_ns)
