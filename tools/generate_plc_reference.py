@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Literal, cast
 
 from generated_page import REFERENCE, filled, run
+from rosplc.config import parse_config, resolve
 from rosplc.config.plans import ClassicPlan
 from rosplc.errors import CODES
 from rosplc.layout import compute_layout
 from rosplc.model import TypeStore
 from rosplc.plc.base import HELPER_NAMES, base_objects, call_objects, classic_objects
-from rosplc.plc.build import build_project
-from rosplc.plc.plan import PlcCall, PlcTask, PlcTopic
+from rosplc.plc.build import build_project, plc_project
+from rosplc.plc.plan import PlcTask, PlcTopic, ProjectOptions
 from rosplc.plc.project import Dut, Enumeration, Item, Pou, Variable
 
 PAGE, CALLS_PAGE = REFERENCE / "plc-blocks.md", REFERENCE / "plc-calls.md"
+CALLS = """
+services:
+  /called: {type: std_srvs/srv/Trigger, server: ros}
+  /served: {type: std_srvs/srv/Trigger, server: plc}
+actions:
+  /called: {type: example_interfaces/action/Fibonacci, server: ros}
+  /served: {type: example_interfaces/action/Fibonacci, server: plc}
+"""
 EXAMPLE, EXAMPLE_DUT = "geometry_msgs/msg/PoseStamped", "geometry_msgs_PoseStamped"
 
 
@@ -125,23 +133,7 @@ def parts() -> dict[str, str]:
 
 def call_parts() -> dict[str, str]:
     """Return the generated parts of the page about services and actions."""
-    store = TypeStore.bundled("jazzy")
-    service, action = "std_srvs/srv/Trigger", "example_interfaces/action/Fibonacci"
-    calls = [
-        PlcCall(
-            f"/{role}",
-            kind,
-            role,
-            {part: compute_layout(store, f"{kind}_{part.capitalize()}") for part in words},
-            "RosTask",
-        )
-        for kind, words, roles in (
-            (service, ("request", "response"), ("Client", "Server")),
-            (action, ("goal", "result", "feedback"), ("ActionClient", "ActionServer")),
-        )
-        for role in cast(tuple[Literal["Client", "Server", "ActionClient", "ActionServer"], ...], roles)
-    ]
-    project = build_project(store, (), [PlcTask("RosTask")], calls=calls)
+    project = plc_project(resolve(parse_config(CALLS)), ProjectOptions())
     pous = {pou.name: pou for pou in project.pous}
     objects = call_objects("ROS/Base", actions=True)
     found: dict[str, list[str]] = {}

@@ -29,7 +29,15 @@ from rosplc.errors import GenerationError, RosplcError
 from rosplc.harmless import in_bytes
 from rosplc.layout import Layout, SequenceNode, StringNode, compute_layout
 from rosplc.model import TypeStore
-from rosplc.plc.build import READ_GVL, WRITE_GVL, build_type_library, plc_project
+from rosplc.plc.build import (
+    ACTION_GVL,
+    READ_GVL,
+    SERVICE_GVL,
+    WRITE_GVL,
+    build_type_library,
+    plc_project,
+    use_names,
+)
 from rosplc.plc.delivery import Delivery, project_files, write_files
 from rosplc.plc.names import instance_names
 from rosplc.plc.plan import ProjectOptions, target_of
@@ -71,7 +79,8 @@ def check(config: Path | str | Project) -> dict[str, Any]:
     project = config if isinstance(config, Project) else load_project(config)
     settings = project.config.settings
     chosen = chosen_backend(project)
-    names = plc_names(project)
+    found = plc_names(project)
+    names = {} if isinstance(found, RosplcError) else found
     return {
         "bridge": settings.bridge,
         "prefix": settings.prefix,
@@ -85,12 +94,9 @@ def check(config: Path | str | Project) -> dict[str, Any]:
             name: {"kind": task.kind, "interval_ms": task.interval_ns / 1e6, "priority": task.priority}
             for name, task in settings.tasks.items()
         },
-        "topics": {
-            plan.topic: _topic_facts(project, plan, {} if isinstance(names, RosplcError) else names)
-            for plan in project.topics
-        },
-        "services": [_service_facts(project, plan) for plan in project.services],
-        "actions": [_action_facts(project, plan) for plan in project.actions],
+        "topics": {plan.topic: _topic_facts(project, plan, names) for plan in project.topics},
+        "services": [_service_facts(project, plan, names) for plan in project.services],
+        "actions": [_action_facts(project, plan, names) for plan in project.actions],
         "memory_bytes": total_memory(project),
         "unusable_types": [error.to_dict() for error in project.store.problems()],
         "warnings": warnings(project),
@@ -106,7 +112,7 @@ def chosen_backend(project: Project) -> Choice | RosplcError:
 
 
 def plc_names(project: Project) -> dict[str, tuple[str, str]] | GenerationError:
-    """Return instance and function block of each topic in the generated code, or why there is none."""
+    """Return instance and block of each topic and call in the generated code, or why there is none."""
     try:
         made = plc_project(project, ProjectOptions())
     except GenerationError as error:
@@ -122,6 +128,9 @@ def plc_names(project: Project) -> dict[str, tuple[str, str]] | GenerationError:
         topics = [plan.topic for plan in project.topics if plan.direction == direction]
         for topic, instance in instance_names(topics).items():
             found[topic] = f"{gvl}.{instance}", blocks[gvl, instance]
+    for gvl in (SERVICE_GVL, ACTION_GVL):
+        for (_, plan), instance in use_names(gvl, project.calls):
+            found[plan.name] = f"{gvl}.{instance}", blocks[gvl, instance]
     return found
 
 
@@ -285,13 +294,16 @@ def _topic_facts(project: Project, plan: TopicPlan, names: dict[str, tuple[str, 
     }
 
 
-def _call_facts(project: Project, plan: CallPlan) -> dict[str, Any]:
+def _call_facts(project: Project, plan: CallPlan, names: dict[str, tuple[str, str]]) -> dict[str, Any]:
+    instance, block = names.get(plan.name, (None, None))
     return {
         plan.kind: plan.called,
         "type": plan.type_name,
         "server": plan.server,
         "client": plan.client,
         "task": plan.task,
+        "instance": instance,
+        "block": block,
         "objects": {
             part.word: {
                 "name": project.namespace.object_name(plan.called, part, plan.client),
@@ -306,9 +318,9 @@ def _call_facts(project: Project, plan: CallPlan) -> dict[str, Any]:
     }
 
 
-def _service_facts(project: Project, plan: ServicePlan) -> dict[str, Any]:
+def _service_facts(project: Project, plan: ServicePlan, names: dict[str, tuple[str, str]]) -> dict[str, Any]:
     at_plc = plan.server == "plc"
-    return _call_facts(project, plan) | {
+    return _call_facts(project, plan, names) | {
         "depth": plan.depth if at_plc else None,
         "per_client": plan.per_client if at_plc else None,
         "min_interval_ms": plan.min_interval_ns / 1e6,
@@ -317,9 +329,9 @@ def _service_facts(project: Project, plan: ServicePlan) -> dict[str, Any]:
     }
 
 
-def _action_facts(project: Project, plan: ActionPlan) -> dict[str, Any]:
+def _action_facts(project: Project, plan: ActionPlan, names: dict[str, tuple[str, str]]) -> dict[str, Any]:
     at_plc = plan.server == "plc"
-    return _call_facts(project, plan) | {
+    return _call_facts(project, plan, names) | {
         "on_new_goal": plan.on_new_goal if at_plc else None,
         "queue": plan.queue if at_plc else None,
         "accept_within_ms": plan.accept_ns / 1e6 if at_plc else None,

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from rosplc import virtual_plc
+from rosplc.config.calls import ActionPlan, CallPlan, ServicePlan
 from rosplc.described import description_of
-from rosplc.layout import Layout
 from rosplc.plc.build import build_project
-from rosplc.plc.plan import PlcCall, PlcTask, ProjectOptions
+from rosplc.plc.plan import PlcTask, ProjectOptions
 from rosplc.plc.project import project_texts
 from rosplc.shm import Namespace, OwnedChannel, Part
 from rosplc.shm import constants as spec
@@ -55,16 +55,17 @@ def _instance(use: str) -> str:
     return "_".join(["a_rather_long_part_of_a_name"] * 4) + "_with_a_client" if use == "long" else use
 
 
-def calls() -> list[PlcCall]:
+def calls() -> list[CallPlan]:
     """Return the uses of the cell."""
 
-    def parts(role: str) -> dict[str, Layout]:
-        return {word: layout_of(name) for word, name in (ACTION if "Action" in role else SERVICE).items()}
+    def plan(name: str, client: str, role: str) -> CallPlan:
+        action = role.startswith("Action")
+        about: Any = {word: layout_of(kind) for word, kind in (ACTION if action else SERVICE).items()}
+        about |= {"server": "plc" if role.endswith("Server") else "ros", "client": client}
+        about |= {"type_name": "test_msgs/srv/Add", "task": "Fast" if client else "RosTask"}
+        return ActionPlan(action=name, **about) if action else ServicePlan(service=name, **about)
 
-    return [
-        PlcCall(name, "test_msgs/srv/Add", role, parts(role), "Fast" if client else "RosTask", client)  # type: ignore[arg-type]
-        for name, client, role in USES.values()
-    ]
+    return [plan(*use) for use in USES.values()]
 
 
 @lru_cache

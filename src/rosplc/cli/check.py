@@ -145,16 +145,26 @@ def _table(project: Project) -> Iterator[str]:
 
 def _calls(project: Project) -> Iterator[str]:
     """Yield a line for each use of a service or action."""
+    names = _names(project) if project.calls else {}
     for plans in (project.services, project.actions):
         rows = []
         for plan in plans:
             way = "ROS calls PLC" if plan.server == "plc" else "PLC calls ROS"
             sizes = " + ".join(str(layout.size) for layout in plan.layouts)
-            row = (plan.called, way, plan.type_name, sizes, plan.client or "-", plan.task, _queue(plan))
-            rows.append(row)
+            about = plan.client or "-", plan.task, _queue(plan), names.get(plan.name, "-")[0]
+            rows.append((plan.called, way, plan.type_name, sizes, *about))
         if plans:
             yield ""
-            header = (plans[0].kind, "direction", "type", "bytes", "client", "task", "waits at most")
+            header = (
+                plans[0].kind,
+                "direction",
+                "type",
+                "bytes",
+                "client",
+                "task",
+                "waits at most",
+                "in the PLC",
+            )
             yield from columns(rows, header=header)
 
 
@@ -196,15 +206,18 @@ def _details(project: Project) -> Iterator[str]:
         yield f"\n{plan.topic}  {_WAYS[plan.direction]}  {plan.type_name}"
         yield from columns(_rows(project, plan, names.get(plan.topic)), indent=2)
     for service in project.services:
-        yield from _call(service, _service_rows(service))
+        yield from _call(service, _service_rows(service), names)
     for action in project.actions:
-        yield from _call(action, _action_rows(action))
+        yield from _call(action, _action_rows(action), names)
 
 
-def _call(plan: CallPlan, rows: Iterator[tuple[str, str]]) -> Iterator[str]:
+def _call(
+    plan: CallPlan, rows: Iterator[tuple[str, str]], names: dict[str, tuple[str, str]]
+) -> Iterator[str]:
     way = "carried out by the PLC" if plan.server == "plc" else "called by the PLC"
     yield f"\n{plan.name}  {way}  {plan.type_name}"
-    yield from columns((*_call_rows(plan), *rows), indent=2)
+    in_plc = [("in the PLC", "{} (block {})".format(*names[plan.name]))] if plan.name in names else []
+    yield from columns((*_call_rows(plan), *rows, *in_plc), indent=2)
 
 
 def _call_rows(plan: CallPlan) -> Iterator[tuple[str, str]]:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from rosplc._version import __version__
+from rosplc.config.calls import CallPlan
 from rosplc.config.resolve import Project, TopicPlan, object_size
 from rosplc.errors import GenerationError
 from rosplc.layout import Layout
@@ -34,7 +35,6 @@ from rosplc.plc.names import Scope, instance_names, plain_name, string_literal, 
 from rosplc.plc.plan import (
     LIBRARY,
     UNKNOWN_BEAT_MS,
-    PlcCall,
     PlcTask,
     PlcTopic,
     ProjectOptions,
@@ -120,7 +120,6 @@ _TOPIC = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+\Z")
 _TASK = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,63}\Z")
 _PREFIX = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,31}\Z")
 _CLIENT = re.compile(r"([A-Za-z][A-Za-z0-9_]{0,31})?\Z")
-_ASKS = ("request", "goal")
 _LIBRARIES: tuple[str, ...] = ("SysShm", "SysMem", "SysTypes2 Interfaces")
 _SETTINGS_GVL = "RosPlc_Settings"
 _SAFE_COMMENT = """What a message becomes while its source is silent, whether or not the bridge lives.
@@ -149,25 +148,26 @@ class _Blocks:
             self._known[key] = name
         return self._known[key]
 
-    def of_call(self, call: PlcCall) -> str:
+    def of_call(self, call: CallPlan) -> str:
         """Return the block of a service or action, and build it and those of its parts if need be."""
-        key = (call.role, *call.parts.values())
+        role = ("Action" if call.kind == "action" else "") + ("Server" if call.server == "plc" else "Client")
+        key: tuple[str | Layout, ...] = (role, *call.layouts)
         if key not in self._calls:
-            parts = {}
+            parts, plain = {}, True
             folder = f"{self.options.folder}/Blocks"
-            for part, layout in call.parts.items():
-                kind = "Write" if (part in _ASKS) == call.role.endswith("Client") else "Read"
+            for part, layout in zip(call.parts, call.layouts, strict=True):
+                kind = "Write" if part.asks == (call.server == "ros") else "Read"
                 dut = self.builder.add(layout)
                 if (kind, layout) not in self._parts:
                     inner = self._named(f"{dut}_{kind}", layout.type_name)
                     self._parts[kind, layout] = inner
                     self.pous.append(block(kind, layout, self.builder, inner, folder, part=True))
-                parts[part] = dut, self._parts[kind, layout]
+                parts[part.word] = dut, self._parts[kind, layout]
+                plain = plain and dut == type_prefix(layout.type_name)
             prefix = type_prefix(call.type_name)
-            plain = all(dut == type_prefix(call.parts[part].type_name) for part, (dut, _) in parts.items())
             own = "" if plain else "_" + hashlib.sha256(repr(key).encode()).hexdigest()[:6]
-            name = self._calls[key] = self._named(f"{prefix}_{call.role}{own}", call.type_name)
-            self.pous.append(call_block(call.role, call.type_name, parts, name, folder))
+            name = self._calls[key] = self._named(f"{prefix}_{role}{own}", call.type_name)
+            self.pous.append(call_block(role, call.type_name, parts, name, folder))
         return self._calls[key]
 
     def _named(self, wanted: str, what: str) -> str:
@@ -184,7 +184,7 @@ def build_project(
     options: ProjectOptions | None = None,
     *,
     layouts: Sequence[Layout] = (),
-    calls: Sequence[PlcCall] = (),
+    calls: Sequence[CallPlan] = (),
 ) -> PlcProject:
     """Return the project for a set of topics, services and actions.
 
@@ -208,15 +208,15 @@ def build_project(
     _check_tasks(tasks)
     _check_topics(topics)
     for use in calls:
-        _check_ros_name(use.name, "services")
-        _check_name(_CLIENT, use.client, use.name)
+        _check_ros_name(use.called, f"{use.kind}s")
+        _check_name(_CLIENT, use.client, use.called)
     topics = sorted(topics, key=lambda item: item.topic)
     base, libraries = base_objects(f"{options.folder}/Base"), _LIBRARIES
     if any(topic.classic for topic in topics):
         base = (*base, *classic_objects(f"{options.folder}/Base"))
         libraries = (*_LIBRARIES, LIBRARY)
     if calls:
-        actions = any("goal" in use.parts for use in calls)
+        actions = any(use.kind == "action" for use in calls)
         base = (*base, *call_objects(f"{options.folder}/Base", actions=actions))
     # All objects share one namespace with those that are written by hand.
     own = (
@@ -250,11 +250,9 @@ def build_project(
         instances[topic.direction].append(Variable(name, block_name, None, _what(topic), arguments))
         line = call(name, topic, indices[topic.task], cycles[topic.task])
         lines.setdefault((topic.direction, topic.task), []).append(line)
-    uses = {
-        SERVICE_GVL: [use for use in calls if "request" in use.parts],
-        ACTION_GVL: [use for use in calls if "goal" in use.parts],
+    of_calls = {
+        gvl: _uses(gvl, calls, blocks, indices, lines, renamings) for gvl in (SERVICE_GVL, ACTION_GVL)
     }
-    of_calls = {gvl: _uses(gvl, some, blocks, indices, lines, renamings) for gvl, some in uses.items()}
     programs, plc_tasks = programs_of(order, lines, options, builder.scope)
     helpers = helper_objects(store, builder, f"{options.folder}/Helpers")
     hand_written = (*base, *helpers)
@@ -285,7 +283,7 @@ def build_project(
 
 def _uses(
     gvl: str,
-    calls: Sequence[PlcCall],
+    calls: Sequence[CallPlan],
     blocks: _Blocks,
     indices: dict[str, int],
     lines: dict[tuple[str, str], list[str]],
@@ -293,20 +291,26 @@ def _uses(
 ) -> list[Variable]:
     """Return the instances of a list, and add their calls to the lines of the reading programs."""
     found = []
-    uses = {f"{use.name}-{use.client}".rstrip("-"): use for use in calls}  # as the objects are named
-    names = instance_names(list(uses))
-    for key, use in sorted(uses.items()):
-        wanted, name = plain_name(key).replace("-", "_"), names[key]
+    for (key, use), name in use_names(gvl, calls):
+        wanted = plain_name(key).replace("-", "_")
         if name != wanted:
             renamings.append(Renaming(f"instance of {key}", wanted, name))
-        client = use.role.endswith("Client")
-        arguments = [("sName", string_literal(use.name))]
+        client = use.server == "ros"
+        arguments = [("sName", string_literal(use.called))]
         if client:
             arguments.append(("sClient", string_literal(use.client)))
         comment = f"{use.type_name} in task {use.task}, the PLC is the {'client' if client else 'server'}"
         found.append(Variable(name, blocks.of_call(use), None, comment, tuple(arguments)))
         lines.setdefault(("read", use.task), []).append(f"{gvl}.{name}(uiTask := {indices[use.task]});")
     return found
+
+
+def use_names(gvl: str, calls: Sequence[CallPlan]) -> list[tuple[tuple[str, CallPlan], str]]:
+    """Return what a list of instances holds, as the objects are named: key, use, and the instance's name."""
+    some = [use for use in calls if (use.kind == "action") == (gvl == ACTION_GVL)]
+    uses = {f"{use.called}-{use.client}".rstrip("-"): use for use in some}
+    names = instance_names(list(uses))
+    return [(item, names[item[0]]) for item in sorted(uses.items())]
 
 
 def build_type_library(
@@ -423,7 +427,7 @@ def plc_project(project: Project, options: ProjectOptions) -> PlcProject:
     topics, tasks = _topics(project), _tasks(project)
     settings = project.config.settings
     options = replace(options, prefix=settings.prefix)
-    return build_project(project.store, topics, tasks, options, calls=_calls(project))
+    return build_project(project.store, topics, tasks, options, calls=project.calls)
 
 
 def _on_stale(plan: TopicPlan) -> Literal["hold", "zero", "value"]:
@@ -456,20 +460,6 @@ _ROLES: dict[tuple[str, str], Literal["Client", "Server", "ActionClient", "Actio
     ("action", "plc"): "ActionServer",
     ("action", "ros"): "ActionClient",
 }
-
-
-def _calls(project: Project) -> list[PlcCall]:
-    return [
-        PlcCall(
-            name=plan.called,
-            type_name=plan.type_name,
-            role=_ROLES[plan.kind, plan.server],
-            parts={part.word: plan.layout(part) for part in plan.parts},
-            task=plan.task,
-            client=plan.client,
-        )
-        for plan in project.calls
-    ]
 
 
 def _tasks(project: Project) -> list[PlcTask]:

@@ -67,27 +67,6 @@ class PlcTopic:
 
 
 @dataclass(frozen=True)
-class PlcCall:
-    """One use of a service or action as the PLC sees it.
-
-    Attributes:
-        name: The service or action as ROS writes it.
-        type_name: ``package/srv/Name`` or ``package/action/Name``.
-        role: What the PLC is.
-        parts: The layout of each: ``request`` and ``response``, or ``goal``, ``result`` and ``feedback``.
-        task: Name of the task that calls the block.
-        client: The use's name; empty if it has none.
-    """
-
-    name: str
-    type_name: str
-    role: Literal["Client", "Server", "ActionClient", "ActionServer"]
-    parts: Mapping[str, Layout]
-    task: str
-    client: str = ""
-
-
-@dataclass(frozen=True)
 class PlcTask:
     """One task of the configuration; times in nanoseconds, 0: none."""
 

@@ -3,31 +3,38 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
+from typing import Any
 
 import pytest
 
+from rosplc.config import Project, parse_config, resolve
+from rosplc.config.calls import ActionPlan, CallPlan, ServicePlan
 from rosplc.errors import GenerationError
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.plc.base import ACTION_NAMES, CALL_NAMES, call_objects
-from rosplc.plc.build import build_project
+from rosplc.plc.build import build_project, plc_project
 from rosplc.plc.delivery import project_files
-from rosplc.plc.plan import PlcCall, PlcTask
+from rosplc.plc.plan import PlcTask, ProjectOptions
 from rosplc.plc.plcopen import plcopen_xml
 from rosplc.plc.project import Enumeration, PlcProject, object_text, project_texts
+from rosplc.project import check
 from rosplc.reasons import Reason
 
 STORE = TypeStore.bundled("jazzy")
 FIBONACCI, SET_BOOL = "example_interfaces/action/Fibonacci", "std_srvs/srv/SetBool"
 
 
-def use(name: str, kind: str, role: str, client: str = "", limits: Limits | None = None) -> PlcCall:
-    words = ("goal", "result", "feedback") if "/action/" in kind else ("request", "response")
-    parts = {word: compute_layout(STORE, f"{kind}_{word.capitalize()}", limits or Limits()) for word in words}
-    return PlcCall(name, kind, role, parts, "RosTask", client)  # type: ignore[arg-type]
+def use(name: str, kind: str, role: str, client: str = "", limits: Limits | None = None) -> CallPlan:
+    plan = ActionPlan if "/action/" in kind else ServicePlan
+    about: Any = {plan.kind: name, "type_name": kind, "client": client, "task": "RosTask"}
+    for part in plan.parts:
+        about[part.word] = compute_layout(STORE, f"{kind}_{part.word.capitalize()}", limits or Limits())
+    return plan(server="plc" if role.endswith("Server") else "ros", **about)
 
 
-def project(*calls: PlcCall) -> PlcProject:
+def project(*calls: CallPlan) -> PlcProject:
     return build_project(STORE, (), [PlcTask("RosTask")] if calls else (), calls=calls)
 
 
@@ -143,3 +150,71 @@ def test_blocks_differ_only_in_their_part_of_the_layout():
     for role, most in (("Client", 40), ("Server", 40)):
         text = project_texts(project(use("/s", SET_BOOL, role)))[f"std_srvs_SetBool_{role}"]
         assert len(text.splitlines()) < most
+
+
+CELL = """
+types: {paths: [FOLDER]}
+tasks: {Fast: {interval: 2ms}, Slow: {interval: 100ms}, Idle: {interval: 1s}}
+services:
+  /Go: {type: cell/srv/Move, server: ros, clients: {left: {task: Fast}, right: {task: Slow}}}
+  /go: {type: cell/srv/MOVE, server: plc, task: Slow}
+actions:
+  /Go: {type: cell/action/Move, server: ros, clients: {left: {task: Fast}, right: {task: Slow}}}
+  /go: {type: cell/action/Move, server: plc, task: Fast}
+"""
+
+
+@pytest.fixture
+def cell(tmp_path: Path) -> Project:
+    texts = {
+        "package.xml": "<package><name>cell</name></package>",
+        "srv/Move.srv": "uint8 LEFT=1\n---\nuint8 DONE=2",
+        "srv/MOVE.srv": "bool b\n---\nbool b",
+        "action/Move.action": "uint8 FAR=3\n---\nuint8 THERE=4\n---\nuint8 ON_THE_WAY=5",
+        "msg/MoveGoal.msg": "uint8 x",
+    }
+    for name, text in texts.items():
+        (tmp_path / "cell" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "cell" / name).write_text(text)
+    return resolve(parse_config(CELL.replace("FOLDER", str(tmp_path / "cell"))))
+
+
+def test_a_configuration_of_services_and_actions(cell: Project) -> None:
+    """A service and an action of one name and type, uses in two tasks, and names that differ in capitals."""
+    made = plc_project(cell, ProjectOptions())
+    texts = project_texts(made)
+    assert len({name.upper() for name in texts}) == len(texts)
+    assert [task.task.name for task in made.tasks] == ["Fast", "Slow"]
+    names = ("Go_left", "Go_right", "go")
+    for gvl in ("ROS_Services", "ROS_Actions"):
+        assert tuple(re.findall(r"^ +(\w+) :", texts[gvl], re.MULTILINE)) == names
+    called = {task: lines(texts[f"SharedMemory_Read_{task}"], r"^ROS_") for task in ("Fast", "Slow")}
+    assert called == {
+        "Fast": [
+            "ROS_Services.Go_left(uiTask := 0);",
+            "ROS_Actions.Go_left(uiTask := 0);",
+            "ROS_Actions.go(uiTask := 0);",
+        ],
+        "Slow": [
+            "ROS_Services.Go_right(uiTask := 1);",
+            "ROS_Services.go(uiTask := 1);",
+            "ROS_Actions.Go_right(uiTask := 1);",
+        ],
+    }
+    blocks = re.findall(r": (\w+)\(", texts["ROS_Services"] + texts["ROS_Actions"])
+    assert len({name.upper() for name in blocks}) == len(set(blocks)) == 4
+    assert set(blocks) <= set(texts)
+    constants = "\n".join(text for name, text in texts.items() if name.endswith("_Const"))
+    assert sorted(re.findall(r"^ +(\w+) : USINT := \d;", constants, re.MULTILINE)) == [
+        *("DONE", "FAR", "LEFT", "ON_THE_WAY", "THERE")
+    ]
+
+
+def test_check_tells_what_is_generated(cell: Project) -> None:
+    """Each use has its instance and block there, as the lists have them."""
+    facts, texts = check(cell), project_texts(plc_project(cell, ProjectOptions()))
+    found = {fact["instance"]: fact["block"] for fact in facts["services"] + facts["actions"]}
+    assert len(found) == 6
+    for instance, block in found.items():
+        gvl, name = instance.split(".")
+        assert lines(texts[gvl], rf"^ +{name} : {block}\(")
