@@ -12,6 +12,7 @@ from collections.abc import Callable
 from typing import Any
 
 from rosplc.bridge.called import Called
+from rosplc.bridge.called_goals import CalledGoals
 from rosplc.bridge.port import Context, Ports, log
 from rosplc.bridge.served import Served
 from rosplc.bridge.served_goals import ServedGoals
@@ -28,6 +29,7 @@ _USES: dict[tuple[str, str], Callable[..., Use]] = {
     ("service", "plc"): Served,
     ("service", "ros"): Called,
     ("action", "plc"): ServedGoals,
+    ("action", "ros"): CalledGoals,
 }
 
 

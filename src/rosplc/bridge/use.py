@@ -291,6 +291,8 @@ class Use(Notes, ABC):
         stamp_ns: int = 0,
     ) -> None:
         """Publish a message in one of the objects that the bridge writes; in the first unless said."""
+        if not self._writers:
+            raise ChannelError("SHM111", "the objects are not open", where=self.plan.called)
         part = next(iter(self._writers)) if part is None else part
         writer, flags = self._writers[part], FLAG_FIRST if part in self._first else 0
         self._first.discard(part)

@@ -1,0 +1,305 @@
+"""Goals that the PLC sends to actions of ROS: the bridge is the answerer towards the PLC."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+
+from rosplc.bridge.called import Asked
+from rosplc.bridge.port import Context
+from rosplc.bridge.use import Outcome, Use
+from rosplc.config.calls import ActionPlan
+from rosplc.errors import RosplcError
+from rosplc.reasons import Reason
+from rosplc.ros import ActionClient, Backend, GoalEvent, GoalStatus, Reply, action_classes
+from rosplc.shm import Part, SlotInfo
+from rosplc.shm.calls import WORDS
+from rosplc.shm.constants import (
+    ANSWER_ABORTED,
+    ANSWER_ACCEPTED,
+    ANSWER_CANCEL_ACCEPTED,
+    ANSWER_CANCEL_REJECTED,
+    ANSWER_CANCELED,
+    ANSWER_MASK,
+    ANSWER_NO_RESULT,
+    ANSWER_SUCCEEDED,
+    ASK_CANCEL,
+    ASK_WITHDRAWN,
+    GOAL_ID_END,
+)
+
+_FIRST_PAUSE_NS, _LONGEST_PAUSE_NS = 100_000_000, 5_000_000_000
+_MOST_LEFT = 64
+"""Goals that the PLC does not wait for and that are still to be canceled."""
+_ENDS: dict[GoalStatus, tuple[int, Outcome]] = {
+    GoalStatus.SUCCEEDED: (ANSWER_SUCCEEDED, "succeeded"),
+    GoalStatus.CANCELED: (ANSWER_CANCELED, "canceled"),
+    GoalStatus.ABORTED: (ANSWER_ABORTED, "aborted"),
+}
+
+
+@dataclass
+class _Goal:
+    """A goal of the PLC's in ROS.
+
+    Attributes:
+        number: Its call's correlation.
+        decided: Whether the server has told that it accepts the goal, or will not tell any more.
+        accepted: Whether it is known that the goal was accepted.
+        said: What the server has said of canceling it: one of the bits of an answer, or 0.
+        cancel: It is to be canceled, and the server has not been asked, or did not answer.
+        lost: Status and result are to be asked for.
+    """
+
+    uuid: bytes
+    number: int
+    decided: bool = False
+    accepted: bool = False
+    said: int = 0
+    cancel: bool = False
+    lost: bool = False
+    due_ns: int = 0
+    pause_ns: int = 0
+
+    def wait(self, now_ns: int) -> None:
+        """Ask the server again, later than the time before."""
+        self.pause_ns = min(self.pause_ns * 2 or _FIRST_PAUSE_NS, _LONGEST_PAUSE_NS)
+        self.due_ns = now_ns + self.pause_ns
+
+
+class CalledGoals(Asked):
+    """An action that the PLC sends goals to.
+
+    A goal that the PLC does not wait for any more, and that is not to go on, is kept until its server has
+    answered to be asked to cancel it: it may be accepted later, or be out of reach.
+    """
+
+    plan: ActionPlan
+    _endpoint: ActionClient | None
+
+    def __init__(self, plan: ActionPlan, context: Context, on_event: Callable[[Use], None]) -> None:
+        super().__init__(plan, context, on_event)
+        self._goals: dict[bytes, _Goal] = {}
+
+    def _connect(self, backend: Backend) -> ActionClient:
+        plan, store = self.plan, self.plan.goal.store
+        return action_classes(store)[1](backend, store, plan.action, plan.type_name, self.tell)
+
+    @property
+    def _goal(self) -> _Goal | None:
+        """The goal of the open call."""
+        return next((goal for goal in self._goals.values() if goal.number == self._open_call), None)
+
+    def turn(self, now_ns: int) -> None:
+        """Go on with all goals."""
+        super().turn(now_ns)
+        self._ask(now_ns)
+        goal = self._goal
+        words = {0: "executing", ANSWER_CANCEL_ACCEPTED: "canceling", ANSWER_CANCEL_REJECTED: "executing"}
+        self.goal_status = "" if goal is None else words[goal.said] if goal.accepted else "waiting"
+
+    # -- the PLC's side
+
+    def _uuid(self, number: int) -> bytes:
+        """Return the UUID of a goal that is in the present object."""
+        generation = self._channels[Part.GOAL].generation
+        return struct.pack("<4I", generation, number >> 32, number & 0xFFFFFFFF, GOAL_ID_END)
+
+    def _deserted(self, epoch: int) -> bool:
+        return super()._deserted(epoch) or (self.plan.when_plc_down == "cancel" and self._peer.silent)
+
+    def _call(self, payload: bytes, info: SlotInfo) -> None:
+        uuid, now = self._uuid(info.correlation), self._now()
+        assert self._endpoint is not None
+        if info.client != uuid:
+            self._answer("not executed", Reason.REJECTED, now, "the goal's UUID does not go with its number")
+        elif info.status & ASK_CANCEL:
+            self._answer("not executed", Reason.CALLER_GONE, now)
+        elif self._endpoint.send(uuid, payload):
+            self._goals[uuid] = _Goal(uuid, info.correlation)
+        else:
+            self._answer("fate unknown", Reason.NONE, now, "a goal of its UUID was sent before")
+
+    def _more(self, info: SlotInfo, now_ns: int) -> None:
+        goal = self._goal
+        if goal is None:
+            return
+        if info.status & ASK_WITHDRAWN and not goal.accepted:
+            self._give_up(Reason.CALLER_GONE, now_ns)
+            return
+        goal.cancel = bool(info.status & (ASK_CANCEL | ASK_WITHDRAWN))
+        if goal.cancel:
+            goal.due_ns = 0
+        elif goal.said == ANSWER_CANCEL_REJECTED:
+            goal.said = 0
+
+    def _report(self, goal: _Goal) -> None:
+        """Tell the PLC how its goal stands."""
+        if goal.accepted and goal.number == self._open_call:
+            status = ANSWER_ACCEPTED | goal.said
+            self._send(self._initial, correlation=goal.number, status=status, client=goal.uuid)
+
+    # -- the ROS side
+
+    def _ask(self, now_ns: int) -> None:
+        """Ask the server what is to be asked, as far as it is there."""
+        client = self._endpoint
+        if client is None or not client.ready:
+            return
+        for goal in tuple(self._goals.values()):
+            if now_ns < goal.due_ns:
+                continue
+            try:
+                if goal.lost:
+                    client.adopt(goal.uuid)
+                    goal.lost = False
+                if goal.cancel and goal.decided:
+                    client.cancel(goal.uuid)
+                    goal.cancel = False
+            except Exception as error:  # as the backend raises; or no more threads
+                goal.wait(now_ns)
+                self.note(now_ns, f"the server could not be asked: {error}")
+
+    def _hear(self, now_ns: int) -> None:
+        while self.events:
+            (event,) = self.events.popleft()
+            if (goal := self._goals.get(event.uuid)) is not None:
+                self._learn(goal, event, now_ns)
+
+    def _learn(self, goal: _Goal, event: GoalEvent, now_ns: int) -> None:
+        """Take what has become of a goal."""
+        reply = event.reply or Reply()
+        match event.kind:
+            case "accepted":
+                goal.decided = goal.accepted = True
+                self._report(goal)
+            case "rejected":
+                self._end(goal, "not executed", Reason.REJECTED, now_ns)
+            case "failed":
+                self._end(goal, reply.outcome, reply.reason, now_ns, reply.text)
+                if goal.cancel and reply.outcome == "fate unknown":
+                    self._goals[goal.uuid] = goal  # it may be accepted yet
+            case "feedback":
+                self._pass_on(goal, event.payload or b"", now_ns)
+            case "status" if event.status and not event.status.ended:
+                before = (goal.accepted, goal.said)
+                goal.accepted = goal.decided
+                if event.status is GoalStatus.CANCELING:
+                    goal.said = ANSWER_CANCEL_ACCEPTED
+                if before != (goal.accepted, goal.said):
+                    self._report(goal)
+            case "canceling" | "not canceled":
+                self._canceling(goal, event.kind == "canceling", reply, now_ns)
+            case "result":
+                self._result(goal, event, now_ns)
+            case "lost":
+                if not goal.pause_ns:
+                    why = reply.text or WORDS[reply.reason]
+                    self.note(now_ns, f"the server gives no result, and is asked again: {why}")
+                goal.lost = True
+                goal.wait(now_ns)
+
+    def _canceling(self, goal: _Goal, agreed: bool, reply: Reply, now_ns: int) -> None:
+        if not agreed and reply.payload is None:
+            goal.cancel = True
+            goal.wait(now_ns)
+        elif goal.number != self._open_call:
+            self._forget(goal)
+        else:
+            if goal.said != ANSWER_CANCEL_ACCEPTED:
+                goal.said = ANSWER_CANCEL_ACCEPTED if agreed else ANSWER_CANCEL_REJECTED
+            self._report(goal)
+
+    def _pass_on(self, goal: _Goal, payload: bytes, now_ns: int) -> None:
+        if goal.number != self._open_call:
+            return
+        record, _, text = self._read(Part.FEEDBACK, payload)
+        if text:
+            self.note(now_ns, f"feedback is not passed on: {text}", "SHM142")
+            return
+        self._send(record, Part.FEEDBACK, correlation=goal.number, status=ANSWER_ACCEPTED, client=goal.uuid)
+        self.feedback += 1
+
+    def _result(self, goal: _Goal, event: GoalEvent, now_ns: int) -> None:
+        if event.status not in _ENDS:
+            self._end(goal, "fate unknown", Reason.SERVER_GONE, now_ns, "the server does not know the goal")
+            return
+        status, outcome = _ENDS[event.status]
+        record, reason, text = self._read(Part.RESULT, event.payload or b"")
+        if text:
+            status, outcome = status | ANSWER_NO_RESULT, "unreadable"
+        self._end(goal, outcome, reason, now_ns, text, record, status)
+
+    def _end(
+        self,
+        goal: _Goal,
+        outcome: Outcome,
+        reason: Reason,
+        now_ns: int,
+        text: str = "",
+        record: bytes = b"",
+        status: int = 0,
+    ) -> None:
+        """A goal has ended; if the PLC cannot be told, the server is asked for the result once more."""
+        goal.lost = goal.decided = True
+        if goal.number == self._open_call:
+            self._answer(outcome, reason, now_ns, text, record, status)
+        del self._goals[goal.uuid]
+
+    # -- beginning and end
+
+    def _give_up(self, reason: Reason, now_ns: int) -> None:
+        goal = self._goal
+        self._answer("fate unknown", reason, now_ns)
+        if goal is not None:
+            self._leave(goal, keep=reason is Reason.PLC_DOWN and self.plan.when_plc_down == "keep")
+
+    def _leave(self, goal: _Goal, *, keep: bool = False) -> None:
+        """Have a goal canceled that the PLC does not wait for any more."""
+        goal.cancel, goal.due_ns = True, 0
+        left = [one for one in self._goals.values() if one.number != self._open_call]
+        for one in [goal] if keep else left[:-_MOST_LEFT]:
+            self._forget(one)
+
+    def _forget(self, goal: _Goal) -> None:
+        del self._goals[goal.uuid]
+        if self._endpoint is not None:
+            self._endpoint.forget(goal.uuid)
+
+    def _resume(self, number: int, lives: bool, now_ns: int) -> None:
+        for goal in tuple(self._goals.values()):
+            if goal.number != number and not goal.cancel:
+                self._leave(goal)  # it went with its objects
+        if not number or (not lives and self.plan.when_plc_down == "keep"):
+            return
+        uuid = self._uuid(number)
+        goal = self._goals.setdefault(uuid, _Goal(uuid, number, decided=True, cancel=not lives, lost=True))
+        if not lives:
+            self.note(now_ns, "a goal of a program of the PLC's that has ended is canceled")
+            return
+        assert self._answerer is not None
+        self._answerer.correlation, self._client = number, uuid  # what else comes of it is more
+        (_, asked), answered = self._newest(Part.GOAL) or (b"", None), self._newest(Part.RESULT)
+        if asked is not None and asked.correlation == number:
+            goal.cancel = goal.cancel or bool(asked.status & (ASK_CANCEL | ASK_WITHDRAWN))
+        if answered is not None and answered[1].correlation == number:
+            goal.accepted = goal.accepted or answered[1].status & ANSWER_MASK == ANSWER_ACCEPTED
+            goal.said = goal.said or answered[1].status & (ANSWER_CANCEL_ACCEPTED | ANSWER_CANCEL_REJECTED)
+        self._report(goal)
+
+    def _let_go(self, now_ns: int) -> None:
+        """The goal goes on in ROS: with other objects, or the next bridge."""
+        with suppress(RosplcError, OSError, ValueError, AssertionError):
+            self._hear(now_ns)
+
+    def give_up(self, now_ns: int) -> None:
+        """End the open call and have its goal canceled: no other bridge finds it."""
+        self._let_go(now_ns)
+        with suppress(RosplcError, OSError, ValueError, AssertionError):
+            if self._open_call is not None:
+                self._give_up(Reason.BRIDGE_RESTARTED, now_ns)
+        for goal in self._goals.values():
+            goal.decided = True  # the decision is not waited for
+        self._ask(now_ns)
