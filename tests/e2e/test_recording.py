@@ -23,7 +23,7 @@ import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from rosplc.model import TypeStore
-from rosplc.recorder.convert import Conversion, renamed, with_types_of
+from rosplc.recorder.convert import Conversion, renamed
 from rosplc.recorder.source import Source, open_source
 from tests.e2e.turtle_recording import write_recording
 
@@ -91,7 +91,7 @@ def values(recording: Source) -> dict[str, list[Any]]:
     conversions = {}
     for name, topic in recording.topics.items():
         own = topic.types()
-        store, wanted = with_types_of(JAZZY, own, topic.type_name), renamed(topic.type_name, JAZZY)
+        store, wanted = JAZZY.with_types_of(own, topic.type_name), renamed(topic.type_name, JAZZY)
         conversions[name] = Conversion(own, topic.type_name, store, wanted, from_ros1=topic.ros1), wanted
         if wanted not in library.fielddefs:
             library.register(get_types_from_msg(store.definition_text(wanted), wanted))

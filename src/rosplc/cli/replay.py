@@ -45,6 +45,7 @@ def command(
     listing: bool = False,
     topic: list[str] | None = None,
     exclude: list[str] | None = None,
+    service: list[str] | None = None,
     rename: list[str] | None = None,
     speed: str = "1",
     loop: bool = False,
@@ -68,6 +69,7 @@ def command(
         listing: Say what is in the file, and play nothing.
         topic TOPIC: Only these topics or patterns, several times.
         exclude TOPIC: Topics or patterns to leave out.
+        service SERVICE: Send the recorded requests of this service as well, several times; never without.
         rename OLD:=NEW: Play a topic under another name.
         speed FACTOR: 0.5 for half as fast, 2 for twice, or `max`.
         loop: Begin again at the end, until Ctrl-C.
@@ -97,7 +99,8 @@ def command(
             _list(file, source, as_json=as_json)
             return
         selection = Selection(tuple(topic or ()), tuple(exclude or ()))
-        topics, remarks = chosen_topics(source, selection, renames, to_plc=to == "plc")
+        services = service or ()
+        topics, remarks = chosen_topics(source, selection, renames, to_plc=to == "plc", services=services)
         if not quiet:
             for text in (*source.notes, *remarks):
                 warn(text)
@@ -194,7 +197,7 @@ def _play(
     as_json: bool,
 ) -> None:
     from rosplc.bridge.run import pause, stop_on_signals
-    from rosplc.recorder.replay import Player, wait_for_readers
+    from rosplc.recorder.replay import Player, wait_for_answers, wait_for_readers
 
     player = Player(source, target, topics, options)
     line = ProgressLine(quiet=quiet)
@@ -218,6 +221,7 @@ def _play(
                 warn(f"playing {file}, {pace}; messages are stamped with {kind}")
             try:
                 player.play(partial(pause, stop), lambda: line.show(progress))
+                wait_for_answers(target, partial(pause, stop))
                 pause(stop, target.linger_s)
             finally:
                 line.clear()

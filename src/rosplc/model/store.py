@@ -117,6 +117,15 @@ class TypeStore:
         merged._types |= {name: kind for name, kind in _BUILTIN.items() if name not in merged._types}
         return merged
 
+    def with_types_of(self, source: TypeStore, *names: str) -> TypeStore:
+        """Return a store that has types of another, and what they need, where it has none of their names."""
+        merged = self._copy()
+        merged._types = {
+            each: source[each] for name in names for each in source.dependencies(name)
+        } | self._types
+        merged._interfaces = source._interfaces | self._interfaces
+        return merged
+
     def with_paths(self, paths: Iterable[Path]) -> TypeStore:
         """Return a store that knows the custom types below these folders as well.
 

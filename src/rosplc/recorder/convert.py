@@ -33,6 +33,7 @@ _LOG_NOTES = (
     *(f"{name} is dropped" for name in ("header.seq", "header.frame_id", "topics")),
 )
 _SWAP = {2: "H", 4: "I", 8: "Q"}
+_MOST_CALLS = 4096
 _ENCAPSULATION = b"\0\1\0\0"  # CDR, little-endian
 
 _Read = Callable[["_In"], Any]
@@ -43,14 +44,6 @@ def renamed(type_name: str, store: TypeStore) -> str:
     """Return what a recorded type is called among the types of a store."""
     new = RENAMED.get(type_name, type_name)
     return new if type_name not in store and new in store else type_name
-
-
-def with_types_of(store: TypeStore, source: TypeStore, type_name: str) -> TypeStore:
-    """Return a store that has a type as well, and what it needs, where it has no definition of its own."""
-    if renamed(type_name, store) in store:
-        return store
-    own = {name: store[name] for name in store.names()}
-    return TypeStore(store.distro, {name: source[name] for name in source.dependencies(type_name)} | own)
 
 
 class Conversion:
@@ -101,8 +94,8 @@ class Conversion:
             self._write = self._message(own, target[target_type], "")
         self._read = self._reader(NamedType(own.name))
 
-    def __call__(self, data: bytes) -> bytes:
-        """Return a message under the target's definition.
+    def __call__(self, data: bytes) -> bytes | None:
+        """Return a message under the target's definition; None if there is nothing to be sent.
 
         Raises CodecError COD001, COD002, COD003 or COD008 if it does not fit one of the two definitions.
         """
@@ -252,6 +245,49 @@ class Conversion:
             remedy="Use the definition that it was recorded with, or leave it out with "
             f"--exclude {self._where}.",
         )
+
+
+class Requests(Conversion):
+    """Takes the requests out of a service's events.
+
+    An event that is no request is nothing; nor is what another event, of the other side, has told already.
+
+    Args:
+        source: Has the recorded ``service``.
+        target: Has the same.
+        to_ros1: As of :class:`Conversion`, like ``where``.
+
+    Raises:
+        RecordingError: REC007, the definitions of the request or response do not agree.
+    """
+
+    def __init__(
+        self, source: TypeStore, service: str, target: TypeStore, *, to_ros1: bool = False, where: str = ""
+    ) -> None:
+        own, answer = f"{service}_Request", f"{service}_Response"
+        Conversion(source, answer, target, answer, to_ros1=to_ros1, where=where)
+        super().__init__(source, own, target, own, to_ros1=to_ros1, where=where)
+        self._event = self._reader(NamedType(f"{service}_Event"))
+        self._seen: dict[bytes, bytes] = {}
+
+    def __call__(self, data: bytes) -> bytes | None:
+        """Return the request; CodecError too if the recording has none of its content."""
+        given = _In(data, cdr=True)
+        event = self._event(given)
+        given.end()
+        about = event["info"]
+        kind, call = about["event_type"], about["client_gid"] + about["sequence_number"]
+        if kind[0] > 1:  # neither REQUEST_SENT nor REQUEST_RECEIVED
+            return None
+        if len(self._seen) >= _MOST_CALLS:
+            self._seen.clear()
+        if self._seen.setdefault(call, kind) != kind:
+            return None
+        if not event["request"]:
+            raise CodecError("COD001", "the recording has only the fact of the request", where=self._where)
+        out = _Out(cdr=not self._to_ros1)
+        self._write(out, event["request"][0])
+        return out.finished()
 
 
 def _both_bytes(own: PrimitiveType, wanted: PrimitiveType) -> bool:

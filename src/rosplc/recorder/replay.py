@@ -1,40 +1,78 @@
-"""Playing a recording's messages, in their order and at their pace, into channels or ROS topics."""
+"""Playing a recording's messages, in their order and at their pace, into channels or ROS topics.
+
+Requests of services are sent where a service is named; what was answered is not compared.
+"""
 
 from __future__ import annotations
 
+import secrets
 import stat
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 from rosplc.bridge.bind import Binding
+from rosplc.bridge.calls import CallPorts
+from rosplc.bridge.carrier import Carrier, Duty, Rounds
+from rosplc.bridge.port import Context
 from rosplc.clock import SYSTEM, Clock
 from rosplc.codec import Codec, Wire
+from rosplc.config.calls import ServicePlan
 from rosplc.config.resolve import Project, describe, rights
 from rosplc.described import description_of, layout_of
 from rosplc.errors import ChannelError, RecordingError, RosplcError
 from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
-from rosplc.recorder.convert import Conversion, renamed, with_types_of
+from rosplc.recorder.carried import EVENTS
+from rosplc.recorder.convert import Conversion, Requests, renamed
 from rosplc.recorder.inlet import Selection
 from rosplc.recorder.source import Source, SourceTopic
-from rosplc.ros import ROS1, Backend, Publisher, open_backend
+from rosplc.ros import (
+    ROS1,
+    SERVICES,
+    Backend,
+    EndpointStatus,
+    Publisher,
+    Qos,
+    Reply,
+    ServiceClient,
+    open_backend,
+)
+from rosplc.ros.backend import OnReply, OnRequest
 from rosplc.shm import Description, Direction, Namespace, OwnedChannel, attach
+from rosplc.shm.calls import WORDS
 
 _LOOK_S = 0.05
+_ANSWER_NS = 10_000_000_000
+_TICK_NS = 1_000_000
 
 
 @dataclass
 class SentCount:
-    """What became of one topic's messages."""
+    """What became of one topic's messages; requests are sent when they are answered, and lost without."""
 
     sent: int = 0
     refused: int = 0
     lost: int = 0
     reason: str = ""
+    asked: int = 0
+    """Requests of a service, answered or not."""
+
+    @property
+    def open(self) -> int:
+        """Requests without an answer so far."""
+        return max(0, self.asked - self.sent - self.lost)
+
+    def answered(self, reply: Reply) -> None:
+        """Count how a call has ended."""
+        if reply.payload is not None:
+            self.sent += 1
+        else:
+            self.lost += 1
+            self.reason = reply.text or f"{reply.outcome}: {WORDS[reply.reason]}"
 
 
 class Target(ABC):
@@ -52,6 +90,7 @@ class Target(ABC):
         self.counts = {name: SentCount() for name in topics}
         self.notes: list[str] = []
         self._conversions: dict[str, Conversion] = {}
+        self._clients: dict[str, ServiceClient | PlcService] = {}
 
     @abstractmethod
     def write(self, topic: str, data: bytes, stamp_ns: int) -> str:
@@ -59,7 +98,7 @@ class Target(ABC):
 
     @abstractmethod
     def missing(self) -> list[str]:
-        """Return the topics without a reader or subscriber."""
+        """Return the topics without a reader or subscriber, and services without a server."""
 
     @abstractmethod
     def close(self) -> None:
@@ -73,7 +112,14 @@ class Target(ABC):
         """Convert a message and pass it on; what is refused or lost is counted and never raised."""
         count = self.counts[topic]
         try:
-            lost = self.write(topic, self._conversions[topic](data), stamp_ns)
+            converted = self._conversions[topic](data)
+            if converted is None:
+                return
+            if topic in self._clients:
+                self._clients[topic].call(converted, count.answered)
+                count.asked += 1
+                return
+            lost = self.write(topic, converted, stamp_ns)
         except RosplcError as error:
             count.refused += 1
             where = f"{error.where}: " if error.where else ""
@@ -84,6 +130,17 @@ class Target(ABC):
             count.reason = lost
         else:
             count.sent += 1
+
+
+def wait_for_answers(target: Target, stopped: Callable[[float], bool], clock: Clock = SYSTEM) -> None:
+    """Wait until every request has its answer; what has none then is lost. ``stopped`` as below."""
+    end = clock.monotonic_ns() + _ANSWER_NS
+    while any(one.open for one in target.counts.values()) and clock.monotonic_ns() < end:
+        if stopped(_LOOK_S):
+            break
+    for one in target.counts.values():
+        if one.open:
+            one.lost, one.reason = one.lost + one.open, "no answer came"
 
 
 def wait_for_readers(
@@ -125,26 +182,41 @@ class ReplayOptions:
 
 
 def chosen_topics(
-    source: Source, selection: Selection, rename: Mapping[str, str], *, to_plc: bool
+    source: Source,
+    selection: Selection,
+    rename: Mapping[str, str],
+    *,
+    to_plc: bool,
+    services: Collection[str] = (),
 ) -> tuple[dict[str, SourceTopic], list[str]]:
     """Return new name → topic of what is to be replayed, and sentences on what was left out.
 
     Without names, towards the PLC the topics that the PLC wrote are left out; ``rename`` is topic → new name.
-    Raises RecordingError REC006 if nothing is left, REC007 if two topics would have one name.
+    Requests are sent to ``services`` only, whose events are what is chosen. Raises RecordingError REC006 if
+    nothing is left, REC007 if two topics would have one name.
     """
     remarks = [f"{name} is left out: {why}" for name, why in source.unusable.items() if name in selection]
     chosen: dict[str, SourceTopic] = {}
+    unknown = set(services)
     for name, topic in sorted(source.topics.items()):
-        if name not in selection or name in source.unusable:
+        if service := topic.service:
+            unknown.discard(service)
+        if name in source.unusable or (name not in selection and service not in services):
             continue
-        if to_plc and topic.direction == "to_ros" and not selection.topics:
+        if service and service not in services:
+            remarks.append(f"{service} is left out: requests are sent with --service {service} only")
+            continue
+        if not service and to_plc and topic.direction == "to_ros" and not selection.topics:
             remarks.append(f"{name} is left out: the PLC wrote it; name it to replay it")
             continue
-        new = rename.get(name, name)
+        new = rename.get(service, service) + EVENTS if service else rename.get(name, name)
         if new in chosen:
             raise RecordingError("REC007", f"{new} would get two topics' messages", where=name)
         chosen[new] = topic
-    for wrong in [name for name in rename if name not in source.topics]:
+    for service in sorted(unknown):
+        raise RecordingError("REC006", "the recording has no calls of it", where=service)
+    known_names = {one.service or one.name for one in source.topics.values()}
+    for wrong in [name for name in rename if name not in known_names]:
         remarks.append(f"{wrong} is not in the recording, and not renamed")
     if not chosen:
         known = ", ".join(sorted(source.topics)) or "none"
@@ -253,7 +325,14 @@ class PlcTarget(Target):
         self._bindings: dict[str, Binding] = {}
         self._before: dict[str, tuple[tuple[int, int], ...]] = {}
         try:
-            plans = [(name, self._plan(name, topic, project, distro)) for name, topic in topics.items()]
+            for name, topic in topics.items():
+                if topic.service:
+                    self._clients[name] = self._service(name, topic, project, distro)
+            plans = [
+                (name, self._plan(name, topic, project, distro))
+                for name, topic in topics.items()
+                if not topic.service
+            ]
             for name, plan in plans:
                 try:
                     self._bindings[name] = plan.bind(namespace)
@@ -273,7 +352,7 @@ class PlcTarget(Target):
 
     def missing(self) -> list[str]:
         """Return the topics that no PLC task reads: whose reader lines show no life between two calls."""
-        quiet = []
+        quiet = [name for name, client in self._clients.items() if not client.ready]
         for name in self._bindings:
             now = self._lines(name)
             before = self._before.setdefault(name, now)
@@ -283,6 +362,8 @@ class PlcTarget(Target):
 
     def close(self) -> None:
         """Leave the objects, with their last state."""
+        for client in self._clients.values():
+            client.close()
         for binding in self._bindings.values():
             binding.close()
 
@@ -311,7 +392,7 @@ class PlcTarget(Target):
             )
             return there
         # A ROS 1 bag becomes a channel of the distribution's types, all else one of its own.
-        store = with_types_of(TypeStore.bundled(distro), own, topic.type_name) if topic.ros1 else own
+        store = _with(TypeStore.bundled(distro), own, topic.type_name) if topic.ros1 else own
         layout = _layout(store, renamed(topic.type_name, store), topic.limits)
         self._convert(name, topic, own, layout, Direction.TO_PLC, "")
         description = description_of(layout, name, Direction.TO_PLC, bridge="replay")
@@ -338,6 +419,24 @@ class PlcTarget(Target):
         conversion = Conversion(own, topic.type_name, layout.store, wanted, from_ros1=topic.ros1, where=name)
         self._convert_by(name, conversion)
 
+    def _service(self, name: str, topic: SourceTopic, project: Project | None, distro: str) -> PlcService:
+        """Return a service of the PLC, as the configuration has it; REC007 as :meth:`_convert`."""
+        service, own = name.removesuffix(EVENTS), topic.types(distro)
+        plans = () if project is None else project.services
+        plan = next((one for one in plans if one.service == service and one.server == "plc"), None)
+        if plan is None or project is None:
+            what = "the configuration has no such service of the PLC"
+            remedy = "Give the bridge's with --config, or send the requests to ROS: --to ros."
+            raise RecordingError("REC007", what, where=service, remedy=remedy)
+        if plan.type_name != topic.service_type:
+            what = f"the configuration has {plan.type_name}, and it was recorded as {topic.service_type}"
+            raise RecordingError("REC007", what, where=service)
+        to_ros1 = project.store.ros_version == 1
+        self._convert_by(name, Requests(own, plan.type_name, project.store, to_ros1=to_ros1, where=service))
+        settings = project.config.settings
+        names = settings.bridge, secrets.token_bytes(16), settings.ros.distro
+        return PlcService(plan, Context(self._namespace, *names, rights(project.config)))
+
     def _there(self, name: str) -> _Plan | None:
         """Return the channel that a bridge left; None if there is none, or one that is to be replaced."""
         try:
@@ -348,6 +447,72 @@ class PlcTarget(Target):
                 return _Plan(attached.description, layout_of(attached), slots, owner=owner)
         except (ChannelError, OSError):
             return None
+
+
+class PlcService:
+    """A service of the PLC, called as a bridge calls it: all of ROS that its use of the service sees."""
+
+    capabilities = frozenset({"services"})
+    remembers = False
+
+    def __init__(self, plan: ServicePlan, context: Context) -> None:
+        self._waiting: dict[bytes, OnReply] = {}
+        self._status = EndpointStatus(plan.service, plan.type_name, "in", matched=1)
+        self._clock = context.clock
+        ports = CallPorts(context, _TICK_NS)
+        # A response of the configuration's own says nothing of the PLC.
+        self._use = use = ports.make(replace(plan, fallback=None))
+        use.open()
+        use.connect(cast("Backend", self))
+        use.begin(self._clock.monotonic_ns())
+        self._carrier = Carrier("rosplc-calls", ports, self._clock)
+        self._carrier.replace((), (use,))
+        self._beats = Rounds("rosplc-beats", self._clock, Duty("beating", context.beat_ns, use.beat))
+        self._beats.start()
+
+    @property
+    def ready(self) -> bool:
+        """Whether the PLC's block lives."""
+        return self._use.status(self._clock.monotonic_ns()).peer_alive
+
+    def call(self, payload: bytes, on_reply: OnReply) -> None:
+        """Send a request; ``on_reply`` is called once, by another thread."""
+        caller = secrets.token_bytes(16)
+        self._waiting[caller] = on_reply
+        self._on_request(payload, caller, 0)
+
+    def serve(self, _service: str, _type_name: str, _qos: Qos, on_request: OnRequest) -> PlcService:
+        """As :meth:`rosplc.ros.Backend.serve`, like the rest."""
+        self._on_request = on_request
+        return self
+
+    def reply(self, caller: bytes, payload: bytes) -> bool:
+        """The PLC has answered."""
+        return self._end(caller, Reply(payload))
+
+    def refuse(self, caller: bytes, text: str) -> bool:
+        """No answer comes."""
+        return self._end(caller, Reply(text=text))
+
+    def present(self, caller: bytes) -> bool:
+        """Return whether it is a call of this replay, and not of a bridge before it."""
+        return caller in self._waiting
+
+    def _end(self, caller: bytes, reply: Reply) -> bool:
+        on_reply = self._waiting.pop(caller, None)
+        if on_reply is not None:
+            on_reply(reply)
+        return on_reply is not None
+
+    def status(self) -> EndpointStatus:
+        """There is one client."""
+        return self._status
+
+    def close(self) -> None:
+        """Withdraw what has not begun, and leave the objects."""
+        self._carrier.stop()
+        self._beats.stop()
+        self._use.close()
 
 
 @dataclass(frozen=True)
@@ -375,6 +540,10 @@ class _Plan:
             truncate=self.truncate,
             every=False,
         )
+
+
+def _with(store: TypeStore, own: TypeStore, type_name: str) -> TypeStore:
+    return store if renamed(type_name, store) in store else store.with_types_of(own, type_name)
 
 
 def _layout(store: TypeStore, type_name: str, limits: Mapping[str, Any] | None) -> Layout:
@@ -414,7 +583,12 @@ class RosTarget(Target):
         store = TypeStore.bundled(distro)
         for name, topic in topics.items():
             own = topic.types(distro)
-            store = with_types_of(store, own, topic.type_name)
+            if kind := topic.service and topic.service_type:
+                store = store.with_types_of(own, f"{kind}_Request", f"{kind}_Response")
+                requests = Requests(own, kind, store, to_ros1=distro == ROS1, where=topic.service)
+                self._convert_by(name, requests)
+                continue
+            store = _with(store, own, topic.type_name)
             conversion = Conversion(
                 own, topic.type_name, store, renamed(topic.type_name, store),
                 from_ros1=topic.ros1, to_ros1=distro == ROS1, where=name,
@@ -424,6 +598,10 @@ class RosTarget(Target):
         self._publishers: dict[str, Publisher] = {}
         try:
             for name, topic in topics.items():
+                if topic.service:
+                    service = name.removesuffix(EVENTS)
+                    self._clients[name] = self.backend.client(service, topic.service_type, SERVICES)
+                    continue
                 self._publishers[name] = self.backend.advertise(
                     name, renamed(topic.type_name, store), topic.qos
                 )
@@ -437,7 +615,8 @@ class RosTarget(Target):
 
     def missing(self) -> list[str]:
         """Return the topics without a subscriber."""
-        return [name for name, publisher in self._publishers.items() if not publisher.matched]
+        lonely = [name for name, publisher in self._publishers.items() if not publisher.matched]
+        return lonely + [name for name, client in self._clients.items() if not client.ready]
 
     def close(self) -> None:
         """Leave the graph."""

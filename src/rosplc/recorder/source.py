@@ -13,6 +13,7 @@ from typing import Any
 
 from rosplc.errors import RecordingError, RosplcError
 from rosplc.model import DISTROS, TypeStore
+from rosplc.recorder.carried import service_of
 from rosplc.recorder.mcap_file import Channel, Message, Part, Schema, Survey, read_part, survey
 from rosplc.recorder.store import qos_of_text
 from rosplc.ros import DEFAULT, ROS1, Qos
@@ -30,6 +31,7 @@ class SourceTopic:
     Attributes:
         type_name: ``package/msg/Name``.
         definition: The ``.msg`` text with every type that it needs; None if the distribution has it.
+        type_hash: What the recording gives as its type's hash; empty if it does not.
         count: Messages.
         qos: What its publisher offered.
         direction: ``to_plc`` or ``to_ros`` if a bridge's channel was recorded; else empty.
@@ -49,6 +51,17 @@ class SourceTopic:
     slots: int = 0
     distro: str = ""
     ros1: bool = False
+    type_hash: str = ""
+
+    @property
+    def service(self) -> str:
+        """The service whose events it has; empty if it has none."""
+        return service_of(self.name, self.type_name)
+
+    @property
+    def service_type(self) -> str:
+        """The type of that service."""
+        return self.type_name.removesuffix("_Event")
 
     def types(self, distro: str = "jazzy") -> TypeStore:
         """Return a store that has the topic's type, as it was recorded.
@@ -58,15 +71,19 @@ class SourceTopic:
         """
         try:
             if self.definition is not None:
-                return TypeStore.from_definition(
+                store = TypeStore.from_definition(
                     self.type_name, self.definition, distro=self.distro or distro
                 )
+                return store.with_events(self.service_type) if self.service else store
             store = TypeStore.bundled(self.distro or distro)
-            store[self.type_name]
+            same = self.type_hash in ("", store.type_hash(self.type_name))
         except RosplcError as error:
             raise RecordingError(
                 "REC007", f"its type cannot be used: {error.what} [{error.code}]", where=self.name
             ) from error
+        if not same:
+            what = f"its definition is not that of {store.distro}, and the recording does not have it"
+            raise RecordingError("REC007", what, where=self.name)
         return store
 
 
@@ -181,7 +198,12 @@ class McapSource(Source):
         names = {}
         for number, channel in found.channels.items():
             name, schema = channel.topic, found.schemas.get(channel.schema_id)
-            if channel.message_encoding != "cdr" or schema is None or schema.encoding != "ros2msg":
+            events = schema is not None and service_of(name, schema.name)
+            if (
+                channel.message_encoding != "cdr"
+                or schema is None
+                or (schema.encoding != "ros2msg" and not events)
+            ):
                 encoding = "none" if schema is None else schema.encoding or "none"
                 self.unusable[name] = (
                     f"its messages are {channel.message_encoding or 'of no known encoding'} with a schema of "
@@ -211,13 +233,17 @@ def _topic(channel: Channel, schema: Schema, count: int) -> SourceTopic:
     return SourceTopic(
         name=channel.topic,
         type_name=schema.name,
-        definition=schema.data.decode("utf-8", "replace"),
+        # Whatever a writer takes for a service's schema, no two agree on it.
+        definition=metadata.get("rosplc.definition")
+        if service_of(channel.topic, schema.name)
+        else schema.data.decode("utf-8", "replace"),
         count=count,
         qos=qos_of_text(metadata.get("offered_qos_profiles", "")),
         direction=direction if direction in ("to_plc", "to_ros") else "",
         limits=limits,
         slots=slots if 4 <= slots <= 65536 and slots & (slots - 1) == 0 else 0,
         distro=metadata.get("rosplc.distro", ""),
+        type_hash=metadata.get("topic_type_hash", ""),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -11,12 +12,31 @@ from typing import Any
 import pytest
 from rosbags.highlevel import AnyReader
 
+from rosplc.codec import Codec, Wire
+from rosplc.config import parse_config, resolve
 from rosplc.described import description_of
+from rosplc.errors import RecordingError
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.recorder import Selection
+from rosplc.recorder.mcap_file import Batch, ChannelInfo, McapFile, seal
+from rosplc.recorder.replay import (
+    Player,
+    PlcTarget,
+    ReplayOptions,
+    RosTarget,
+    SentCount,
+    Target,
+    chosen_topics,
+    wait_for_answers,
+    wait_for_readers,
+)
+from rosplc.recorder.source import open_source
+from rosplc.ros import SERVICES, open_backend
 from rosplc.shm import SERVICE, Caller, Namespace, OwnedChannel, Part, attach_together
 from rosplc.shm.constants import ANSWER_DONE, ANSWER_NOT_EXECUTED, ASK_WITHDRAWN
+from rosplc.virtual_plc import ServiceServer, Task
+from tests.lib.waiting import wait_for
 from tests.unit.recorder.making import Feed, received, recording, until
 
 SET_BOOL = "std_srvs/srv/SetBool"
@@ -182,3 +202,189 @@ def test_objects_that_do_not_belong_together_are_refused(shm_namespace: Namespac
     path.write_bytes(kept)
     with recording(shm_namespace, tmp_path / "r") as recorder:
         assert [error.code for error in recorder.failures.values()] == ["SHM112"]
+
+
+STORE = TypeStore.bundled("jazzy")
+DOMAIN = 4712  # of this process alone
+EVENT = Codec(compute_layout(STORE, f"{SET_BOOL}_Event", Limits(sequence=1)), Wire.CDR)
+REQUEST, RESPONSE = (
+    Codec(compute_layout(STORE, f"{SET_BOOL}_{part.word.capitalize()}"), Wire.CDR) for part in SERVICE
+)
+HASH = STORE.type_hash(f"{SET_BOOL}_Event")
+
+
+def recorded(path: Path, *given: dict[str, Any], type_hash: str = HASH) -> Path:
+    """Write events as rosbag2 does, which has no definition of them."""
+    channel = ChannelInfo(
+        1, TOPIC, f"{SET_BOOL}_Event", "unknown", b"", "cdr", {"topic_type_hash": type_hash}
+    )
+    file, batch = McapFile(path), Batch()
+    file.declare(channel)
+    for number, one in enumerate(given):
+        batch.add(1, 0, number, number, EVENT.encode(EVENT.layout.pack(one)))
+    file.append(seal(batch, "none"))
+    file.finish()
+    return path
+
+
+def event(kind: int, number: int, **parts: Any) -> dict[str, Any]:
+    content = {part: [value] for part, value in parts.items()}
+    return {"info": {"event_type": kind, "client_gid": CALLER, "sequence_number": number}, **content}
+
+
+def calls(path: Path, to_plc: bool = False, **rename: str) -> tuple[Any, dict[str, Any]]:
+    """Return a recording and the topic that is replayed to call a service."""
+    source = open_source(path)
+    named = {"/cell/start": "/other"} if rename else {}
+    chosen, _ = chosen_topics(source, Selection((TOPIC,)), named, to_plc=to_plc, services=["/cell/start"])
+    return source, chosen
+
+
+def play(source: Any, target: Target, topics: dict[str, Any]) -> SentCount:
+    stopped = threading.Event()
+    try:
+        assert wait_for_readers(target, 30, stopped.wait) == []
+        Player(source, target, topics, ReplayOptions(speed=0)).play(stopped.wait)
+        wait_for_answers(target, stopped.wait)
+    finally:
+        target.close()
+    [count] = target.counts.values()
+    return count
+
+
+@contextmanager
+def ros_server(name: str = "/cell/start") -> Iterator[list[bool]]:
+    """Serve in ROS: give what was asked for."""
+    got: list[bool] = []
+    node = open_backend("memory", STORE, "robot", domain=DOMAIN)
+
+    def on_request(payload: bytes, caller: bytes, _stamp_ns: int) -> None:
+        got.append(REQUEST.layout.to_dict(REQUEST.decode(payload))["data"])
+        server.reply(caller, RESPONSE.encode(RESPONSE.layout.pack({"success": True})))
+
+    server = node.serve(name, SET_BOOL, SERVICES, on_request)
+    try:
+        yield got
+    finally:
+        node.close()
+
+
+def test_requests_are_sent_only_where_the_service_is_named(shm_namespace: Namespace, tmp_path: Path) -> None:
+    """Neither all topics nor the topic with the events sends one; a name that is not recorded is refused."""
+    feed, service = Feed(shm_namespace, "/a"), Service(shm_namespace)
+    with recording(shm_namespace, tmp_path / "r") as recorder:
+        feed.number(1)
+        service.ask(CALLER, data=True)
+        until(lambda: received(recorder) == 2, recorder)
+    feed.close()
+    service.close()
+    source = open_source(tmp_path / "r.mcap")
+    assert source.topics[TOPIC].service == "/cell/start" and source.topics[TOPIC].direction == "to_plc"
+    for to_plc in (True, False):
+        chosen, remarks = chosen_topics(source, Selection(), {}, to_plc=to_plc)
+        assert list(chosen) == ["/a"] and "--service /cell/start" in remarks[0]
+        with pytest.raises(RecordingError, match="REC006"):
+            chosen_topics(source, Selection((TOPIC,)), {}, to_plc=to_plc)
+        with pytest.raises(RecordingError, match=r"/cell/stop.*REC006"):
+            chosen_topics(source, Selection(), {}, to_plc=to_plc, services=["/cell/stop"])
+    chosen, _ = chosen_topics(source, Selection(), {}, to_plc=True, services=["/cell/start"])
+    assert list(chosen) == ["/a", TOPIC]
+
+
+@pytest.mark.parametrize("renamed", [False, True])
+def test_recorded_requests_are_sent_to_ros(shm_namespace: Namespace, tmp_path: Path, renamed: bool) -> None:
+    """Each request of the recording is sent once; the responses in it are not."""
+    service = Service(shm_namespace, "ros")
+    with recording(shm_namespace, tmp_path / "r") as recorder:
+        for number, data in enumerate((True, False, True)):
+            service.ask(data=data)
+            service.answer(success=True)
+            until(lambda n=number: received(recorder) == 2 * n + 2, recorder)
+    service.close()
+    name = "/other" if renamed else "/cell/start"
+    source, topics = calls(tmp_path / "r.mcap", **({"to": name} if renamed else {}))
+    with ros_server(name) as got:
+        count = play(source, RosTarget(topics, backend="memory", domain=DOMAIN), topics)
+    assert (got, count.sent, count.lost) == ([True, False, True], 3, 0)
+
+
+def test_what_ros_has_recorded_is_sent_once(tmp_path: Path) -> None:
+    """A call that both sides told of is one; the fact of a request without its content is refused."""
+    path = recorded(
+        tmp_path / "r.mcap",
+        event(0, 1, request={"data": True}),
+        event(1, 1, request={"data": True}),
+        event(2, 1, response={"success": True}),
+        event(3, 1, response={"success": True}),
+        event(1, 2, request={"data": False}),
+        event(0, 3),
+    )
+    source, topics = calls(path)
+    with ros_server() as got:
+        count = play(source, RosTarget(topics, backend="memory", domain=DOMAIN), topics)
+    assert (got, count.sent, count.refused) == ([True, False], 2, 1)
+    assert "only the fact" in count.reason
+
+
+def test_another_definition_is_refused(tmp_path: Path) -> None:
+    """Without a definition in the file, the hash of the type tells."""
+    _, topics = calls(recorded(tmp_path / "r.mcap", event(0, 1), type_hash=HASH[:-1] + "x"))
+    with pytest.raises(RecordingError, match="REC007"):
+        RosTarget(topics, backend="memory", domain=DOMAIN)
+
+
+def test_a_server_that_is_not_there_is_no_success(tmp_path: Path) -> None:
+    """A request that nobody took is lost, and the reason is told."""
+    source, topics = calls(recorded(tmp_path / "r.mcap", event(0, 1, request={"data": True})))
+    target = RosTarget(topics, backend="memory", domain=DOMAIN)
+    assert target.missing() == [TOPIC]
+    Player(source, target, topics, ReplayOptions(speed=0)).play(lambda _: False)
+    wait_for_answers(target, lambda _: False)
+    target.close()
+    assert (target.counts[TOPIC].sent, target.counts[TOPIC].lost) == (0, 1)
+    assert "no server" in target.counts[TOPIC].reason
+
+
+def project_of(namespace: Namespace, service: str) -> Any:
+    text = f"prefix: {namespace.prefix}\nservices:\n  /cell/start: {service}\n"
+    return resolve(parse_config(text))
+
+
+def test_recorded_requests_are_sent_to_the_plc(shm_namespace: Namespace, tmp_path: Path) -> None:
+    """The PLC carries each out once, as if a bridge had sent it, and what it answers is counted."""
+    project = project_of(shm_namespace, f"{{type: {SET_BOOL}, server: plc}}")
+    path = recorded(
+        tmp_path / "r.mcap", *(event(1, number, request={"data": number % 2 == 0}) for number in range(6))
+    )
+    source, topics = calls(path, to_plc=True)
+    target = PlcTarget(topics, shm_namespace, project=project)
+    server, got = ServiceServer("/cell/start", prefix=shm_namespace.prefix, beat_ms=100), []
+
+    def scan() -> None:
+        asked = server()
+        if asked and not server.xReply and server.request is not None:
+            got.append(server.request.data)
+        server.xReply = asked and not server.xReply
+
+    task = Task("RosTask", 0.002, programs=[scan])
+    task.start()
+    try:
+        wait_for(lambda: not target.missing())
+        count = play(source, target, topics)
+    finally:
+        task.stop()
+        server.close()
+    assert (got, count.sent, count.lost) == ([True, False] * 3, 6, 0)
+
+
+@pytest.mark.parametrize(
+    "service",
+    [f"{{type: {SET_BOOL}, server: ros}}", "{type: std_srvs/srv/Trigger, server: plc}", None],
+)
+def test_what_the_configuration_does_not_have_is_refused(
+    shm_namespace: Namespace, tmp_path: Path, service: str | None
+) -> None:
+    """A service that the PLC calls, one of another type, and no configuration at all."""
+    _, topics = calls(recorded(tmp_path / "r.mcap", event(1, 1)), to_plc=True)
+    with pytest.raises(RecordingError, match="REC007"):
+        PlcTarget(topics, shm_namespace, project=service and project_of(shm_namespace, service))
