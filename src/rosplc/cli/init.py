@@ -8,6 +8,8 @@ rosplc init --to-plc /cmd_vel --to-ros /joint_states=sensor_msgs/JointState  —
 
 rosplc init --topics '/robot1/*' --output cell1.yaml  —  whatever robot1 has
 
+rosplc init --all --services  —  with the robot's services and actions, as comments
+
 rosplc init --bag line3.bag --all  —  from a recording of ROS 1 or ROS 2
 
 It subscribes to the chosen topics while it listens, and publishes nothing. Limits are proposed from what
@@ -45,6 +47,7 @@ def command(
     to_plc: list[str] | None = None,
     to_ros: list[str] | None = None,
     everything: bool = False,
+    services: bool = False,
     yes: bool = False,
     listen: str = "5s",
     look: str = "5s",
@@ -68,6 +71,7 @@ def command(
         to_plc TOPIC: As --topics, towards the PLC.
         to_ros TOPIC: As --topics, from the PLC to ROS.
         everything: Carry every topic but those of ROS itself, such as /rosout.
+        services: Propose the services and actions of the graph, too, as comments in the file.
         yes: Ask nothing; without a choice of topics take all of them.
         listen TIME: How long to listen for sizes and rates; `0s`: not at all.
         look TIME: How long to look for the robot at most; less once all is seen.
@@ -120,7 +124,7 @@ def command(
             reasons = "; ".join(f"{name}: {why}" for name, why in {**left_out, **made.left_out}.items())
             what = f"nothing is left to carry{f' ({reasons})' if reasons else ''}"
             raise typer.BadParameter(what, param_hint="--topics")
-        text, files = save(source, made, output, bridge=bridge, folders=folders, force=force)
+        text, files = save(source, made, output, bridge=bridge, folders=folders, force=force, calls=services)
     except (KeyboardInterrupt, typer.Abort):
         if not as_json:
             warn("\nInterrupted: no configuration was written.")
@@ -130,7 +134,8 @@ def command(
             source.close()
     left_out = {**left_out, **made.left_out}
     if as_json:
-        print_json(_facts(source, made, left_out, output, files, text))
+        found_calls = {"calls": [asdict(call) for call in source.found.calls]} if services else {}
+        print_json(_facts(source, made, left_out, output, files, text) | found_calls)
     else:
         _tell(source, made, left_out, output, files)
 

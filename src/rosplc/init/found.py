@@ -36,6 +36,17 @@ class Topic:
 
 
 @dataclass(frozen=True)
+class Call:
+    """A service or action that was found: its ``kind``, its type, and where its server is, or should be."""
+
+    kind: Literal["service", "action"]
+    name: str
+    type_name: str
+    server: Literal["plc", "ros"]
+    why: str
+
+
+@dataclass(frozen=True)
 class Found:
     """What was found.
 
@@ -45,6 +56,7 @@ class Found:
         ros: The keys of the configuration's section ``ros`` that lead there.
         why: Remarks on ``ros``, by key.
         notes: What is worth knowing beyond.
+        calls: Services, then actions, by name; not those that each node of ROS has.
     """
 
     topics: Mapping[str, Topic]
@@ -52,6 +64,7 @@ class Found:
     ros: Mapping[str, object]
     why: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    calls: tuple[Call, ...] = ()
 
 
 class Source(Protocol):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -17,8 +17,9 @@ from rosplc.errors import BackendError, RosplcError
 from rosplc.harmless import plural
 from rosplc.init.definitions import Definitions
 from rosplc.init.domains import elsewhere
-from rosplc.init.found import Found, Topic
+from rosplc.init.found import Call, Found, Topic
 from rosplc.init.meter import Meter, Sample, Seen
+from rosplc.init.propose import is_of_ros_itself
 from rosplc.model import DISTROS, TypeStore
 from rosplc.ros import ROS1, Backend, Choice, EndpointInfo, GraphInfo, Qos, choose, settled_graph
 
@@ -36,6 +37,8 @@ _LEADS_THERE = {
     "rospy": ("ROS_MASTER_URI", "ROS_IP", "ROS_HOSTNAME"),
 }
 """Environment variables that have no key in a configuration."""
+_OF_EACH_NODE = ("rcl_interfaces/", "type_description_interfaces/", "lifecycle_msgs/")
+"""Packages of the services that nodes have for parameters and their own state."""
 _SHOW_S = 1.0
 _SETTLE_S = 1.0
 """How long kept messages may take to be delivered; not more than a quarter of the listening."""
@@ -77,7 +80,7 @@ class LiveRobot:
         needed: Collection[str] = (),
     ) -> None:
         given = "distro" in ros
-        distro, why = distro_here(str(ros.get("backend", "auto")), os.environ)
+        distro, why_distro = distro_here(str(ros.get("backend", "auto")), os.environ)
         keys: dict[str, object] = {"backend": "auto", "distro": distro, **ros}
         distro = str(keys["distro"])
         side = RosSide(Config.from_dict({"ros": {**keys, "node_name": NODE}}))
@@ -88,7 +91,8 @@ class LiveRobot:
             info = settled_graph(self._backend.graph, seconds, needed)
             where = f"{_graph_name(self._backend, os.environ)}, over {choice.name}"
             self._refuse_nobody(info, where, seconds)
-            self.found = Found(_topics(info), where, keys, {"distro": "as asked for" if given else why})
+            why = {"distro": "as asked for" if given else why_distro}
+            self.found = Found(_topics(info), where, keys, why, calls=tuple(_calls(info)))
             self._keep_environment(keys, choice)
         except BaseException:
             self._backend.close()
@@ -253,6 +257,27 @@ def _topics(info: GraphInfo) -> dict[str, Topic]:
         )
         for name, parts in sorted(ends.items())
     }
+
+
+def _calls(info: GraphInfo) -> Iterator[Call]:
+    """Yield services and actions whose type the graph tells."""
+    ends: dict[tuple[Literal["service", "action"], str, str], list[EndpointInfo]] = {}
+    for end in info.services:
+        name, is_action, _ = end.topic.partition("/_action/send_goal")
+        type_name = end.type_name.removesuffix("_SendGoal") if is_action else end.type_name
+        own = type_name.startswith(_OF_EACH_NODE) or "/_action/" in name
+        if type_name != _ANY and not own and not is_of_ros_itself(name):
+            ends.setdefault(("action" if is_action else "service", name, type_name), []).append(end)
+    for (kind, name, type_name), parts in sorted(
+        ends.items(), key=lambda item: (item[0][0] == "action", item[0])
+    ):
+        servers, clients = (_names(end for end in parts if end.direction == way) for way in ("in", "out"))
+        why = (
+            f"{', '.join(servers)} serves it"
+            if servers
+            else f"{', '.join(clients)} calls it, no node serves it"
+        )
+        yield Call(kind, name, type_name, "ros" if servers else "plc", why)
 
 
 def _names(ends: Any) -> tuple[str, ...]:

@@ -31,7 +31,13 @@ SCHEMA = ".rosplc.schema.json"
 
 
 def configuration(
-    found: Found, entries: Sequence[Entry], *, bridge: str, folders: Sequence[str] = (), date: str = ""
+    found: Found,
+    entries: Sequence[Entry],
+    *,
+    bridge: str,
+    folders: Sequence[str] = (),
+    date: str = "",
+    calls: bool = False,
 ) -> str:
     """Return the text of a configuration.
 
@@ -41,6 +47,7 @@ def configuration(
         bridge: The bridge's name.
         folders: What ``types.paths`` names.
         date: When; the first line says it.
+        calls: Propose services and actions, too, as comments.
     """
     written = f"Written by rosplc {__version__} init{f', {date}' if date else ''}, from {found.where}."
     lines = [f"# yaml-language-server: $schema={SCHEMA}", *_comment(written)]
@@ -59,7 +66,28 @@ def configuration(
     lines.append("topics:" if entries else "topics: {}")
     for number, entry in enumerate(entries):
         lines += [*([""] if number else []), *_topic(entry)]
+    if calls:
+        lines += ["", *_calls(found)]
     return "\n".join(lines) + "\n"
+
+
+def _calls(found: Found) -> Iterator[str]:
+    """Yield the services and actions that were found, as comments: people decide which the PLC is to have."""
+    more = (
+        "Remove the marks of those that the PLC is to call (`server: ros`) or to carry out (`server: plc`)."
+    )
+    yield from _comment(
+        f"Services and actions of the graph. {more}" if found.calls else "No service was found."
+    )
+    for kind in ("service", "action"):
+        rows = [
+            (f"#  {call.name}: {{type: {call.type_name}, server: {call.server}}}", call.why)
+            for call in found.calls
+            if call.kind == kind
+        ]
+        if rows:
+            yield f"#{kind}s:"
+            yield from _with_reasons(rows)
 
 
 def refuse_to_overwrite(path: Path, *, force: bool) -> None:
@@ -214,6 +242,7 @@ def save(
     bridge: str,
     folders: Sequence[Path] = (),
     force: bool = False,
+    calls: bool = False,
 ) -> tuple[str, tuple[Path, ...]]:
     """Write definitions, configuration and its JSON Schema; return the text and the definitions' files.
 
@@ -224,6 +253,7 @@ def save(
         bridge: The bridge's name.
         folders: The user's own folders with ``.msg`` files.
         force: Replace a configuration that is there.
+        calls: As for :func:`configuration`.
 
     Raises:
         ConfigError: CFG013, CFG014.
@@ -234,9 +264,8 @@ def save(
     base, names = path.parent.resolve(), ["msg"] if files else []
     full = [folder.resolve() for folder in folders]
     names = [str(each.relative_to(base) if each.is_relative_to(base) else each) for each in full] + names
-    text = configuration(
-        source.found, made.entries, bridge=bridge, folders=names, date=time.strftime("%Y-%m-%d")
-    )
+    date = time.strftime("%Y-%m-%d")
+    text = configuration(source.found, made.entries, bridge=bridge, folders=names, date=date, calls=calls)
     # What is wrong is a defect of the proposal, or of the user's own folders.
     resolve(parse_config(text, name="<proposal>", base=path.parent))
     write_file(path, text, force=force)

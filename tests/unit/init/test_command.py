@@ -20,7 +20,8 @@ from rosplc.cli.app import app
 from rosplc.config import load_project
 from rosplc.demo.domain import FreeDomain
 from rosplc.project import check
-from tests.unit.init.robots import PART, PART_TEXTS, Robot, record
+from rosplc.ros import SERVICES, open_backend
+from tests.unit.init.robots import PART, PART_TEXTS, STORE, Robot, record
 
 MEMORY = ("--backend", "memory", "--listen", "300ms")
 _domains = iter(range(1, 233))
@@ -70,6 +71,36 @@ def test_everything_is_written_checked_and_explained(memory: tuple[str, ...], he
     assert "--types" in output
     for words in ("rosplc check rosplc.yaml", "rosplc run rosplc.yaml", "rosplc generate rosplc.yaml"):
         assert words in output
+
+
+def test_services_and_actions_are_proposed_when_asked_for(memory: tuple[str, ...], here: Path) -> None:
+    """They are comments; without their marks the file loads. A node's own services are left out."""
+    robot = open_backend("memory", STORE, "arm", domain=int(memory[-1]))
+    kept = [robot.serve("/grip", "std_srvs/srv/Trigger", SERVICES, lambda *_: None)]
+    kept.append(
+        robot.serve("/arm/get_parameters", "rcl_interfaces/srv/GetParameters", SERVICES, lambda *_: None)
+    )
+    kept.append(robot.client("/start", "std_srvs/srv/SetBool", SERVICES))
+    goal = "tf2_msgs/action/LookupTransform_SendGoal"
+    kept.append(robot.serve("/look/_action/send_goal", goal, SERVICES, lambda *_: None))
+    try:
+        rosplc("--topics", "/mode", *memory)
+        assert "/grip" not in (here / "rosplc.yaml").read_text()
+        rosplc("--topics", "/mode", "--services", "--force", *memory)
+    finally:
+        robot.close()
+    text = (here / "rosplc.yaml").read_text()
+    assert not load_project(here / "rosplc.yaml").calls
+    assert "get_parameters" not in text
+    lines = text.splitlines()
+    marked = lines.index("#services:")
+    (here / "all.yaml").write_text("\n".join([*lines[:marked], *(line[1:] for line in lines[marked:])]))
+    project = load_project(here / "all.yaml")
+    assert {(plan.kind, plan.called, plan.server) for plan in project.calls} == {
+        ("service", "/grip", "ros"),
+        ("service", "/start", "plc"),
+        ("action", "/look", "ros"),
+    }
 
 
 def test_what_is_there_is_never_overwritten(memory: tuple[str, ...], here: Path) -> None:
