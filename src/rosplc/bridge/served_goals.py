@@ -18,8 +18,7 @@ from rosplc.codec import Fault
 from rosplc.config.calls import ActionPlan
 from rosplc.errors import ChannelError, RosplcError
 from rosplc.reasons import Reason
-from rosplc.ros import Backend
-from rosplc.ros.actions import ActionServer, GoalStatus
+from rosplc.ros import ActionServer, Backend, GoalStatus, action_classes
 from rosplc.shm import Caller, Part, SlotInfo
 from rosplc.shm.calls import WORDS
 from rosplc.shm.constants import (
@@ -39,6 +38,7 @@ from rosplc.shm.constants import (
     reader_line,
 )
 
+_GONE = "its objects were given up"
 _TICK_NS = 1_000_000_000
 _ENDS: dict[int, Outcome] = {
     ANSWER_NOT_EXECUTED: "not executed",
@@ -96,10 +96,11 @@ class ServedGoals(Use):
         self._tick_ns = 0
 
     def _connect(self, backend: Backend) -> ActionServer:
-        plan = self.plan
-        return ActionServer(
+        plan, store = self.plan, self.plan.goal.store
+        server, _ = action_classes(store)
+        return server(
             backend,
-            plan.goal.store,
+            store,
             plan.action,
             plan.type_name,
             on_goal=partial(self.tell, "goal"),
@@ -233,12 +234,12 @@ class ServedGoals(Use):
         if self._endpoint is not None:
             self._endpoint.reject(goal.uuid)
 
-    def _abort(self, goal: _Goal, reason: Reason, now_ns: int) -> None:
+    def _abort(self, goal: _Goal, reason: Reason, now_ns: int, text: str = "") -> None:
         """End a goal that the PLC has accepted, and will not end itself any more."""
         server = self._endpoint
         self._open_goal = None
         self._count("aborted", reason, now_ns)
-        self.note(now_ns, f"an accepted goal was aborted: {WORDS[reason]}", "SHM141")
+        self.note(now_ns, f"an accepted goal was aborted: {text or WORDS[reason]}", "SHM141")
         if server is not None:
             server.abort(goal.uuid)
 
@@ -356,7 +357,7 @@ class ServedGoals(Use):
             if goal is not None and found is not None and found[1].correlation == goal.number:
                 caller.resume(found[1], goal.claim)
             elif goal is not None:
-                self._abort(goal, Reason.BRIDGE_RESTARTED, now)
+                self._abort(goal, Reason.BRIDGE_RESTARTED, now, _GONE)
             return
         if found is None or not found[1].status & ASK_CALL:
             return
@@ -413,4 +414,4 @@ class ServedGoals(Use):
         if (goal := self._open_goal) is not None and self._caller is not None:
             with suppress(RosplcError, OSError, ValueError, AssertionError):
                 self._caller.again(self._sends(goal), goal.asked | ASK_CANCEL)
-            self._abort(goal, Reason.BRIDGE_RESTARTED, now_ns)
+            self._abort(goal, Reason.BRIDGE_RESTARTED, now_ns, _GONE)
