@@ -134,6 +134,8 @@ def test_actions_come_and_go(cell: Cell, plc: ActionServer, client: Client) -> N
     repeat_until(plc, lambda: bridge.status().actions[0].goal_status == "executing", "adoption", every=0.005)
     wait_for(lambda: client.ready)
     client.adopt(uuid)
+    server: Any = bridge._streams[0]
+    wait_for(lambda: server._endpoint._goals[uuid].waiting, "the request for the result")
     said = str(bridge.reload(config(cell, "")))
     assert said == "removed action /count; 0 topics stay as they are"
     assert cell.namespace.objects() == []
