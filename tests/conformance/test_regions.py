@@ -7,14 +7,15 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, Protocol
 
 import pytest
 
 from rosplc.errors import ChannelError
-from rosplc.shm import SERVICE, Attached, Direction, Namespace, Part, Reader, attach, attach_together
+from rosplc.shm import SERVICE, Attached, Direction, Namespace, Part, Reader, attach
+from rosplc.shm.attach import belong_together
 from tests.region_reader import Refused, StaticReader, open_object
 
 VECTORS = Path(__file__).parents[2] / "spec" / "vectors"
@@ -197,13 +198,13 @@ def test_objects_of_a_call_belong_together(name: str, tmp_path: Path) -> None:
     place_call(name, tmp_path)
     place_call(CALLS[name]["partner"], tmp_path)
     try:
-        found = attach_together(Namespace(directory=tmp_path), TOPIC, SERVICE)
+        with ExitStack() as stack:
+            opened = (attach(Namespace(directory=tmp_path), TOPIC, part=part) for part in SERVICE)
+            belong_together(dict(zip(SERVICE, map(stack.enter_context, opened), strict=True)))
     except ChannelError as error:
         assert error.code == f"SHM{CALLS[name]['error']}"
     else:
         assert "error" not in CALLS[name]
-        for one in found.values():
-            one.close()
 
 
 def compare_readings(implementation: str, object_: Opened, readings: list[dict[str, Any]]) -> None:

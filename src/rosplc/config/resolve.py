@@ -10,7 +10,7 @@ import grp
 import pwd
 import stat
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, TypeAlias
 
@@ -36,7 +36,8 @@ from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.ros import PRESETS, ROS1, Qos
 from rosplc.shm import Description, Direction, Identity, Namespace, Part
-from rosplc.shm.constants import HEADER_SIZE, LINE_SIZE, MAX_DESCRIPTION_SIZE, MAX_OBJECT_SIZE, MIN_SLOTS
+from rosplc.shm.constants import HEADER_SIZE, LINE_SIZE, MAX_DESCRIPTION_SIZE, MAX_OBJECT_SIZE
+from rosplc.shm.description import partnered
 from rosplc.shm.files import Rights
 
 OWN_SETTINGS = ("zenoh", "rclpy")
@@ -394,36 +395,15 @@ def describe_call(plan: CallPlan, part: Part, distro: str, bridge: str) -> Descr
 def object_plan(project: Project, plan: TopicPlan) -> Identity:
     """Return the geometry that the bridge's object for a topic will have; who made it is left open."""
     settings = project.config.settings
-    description = describe(plan, distro=settings.ros.distro, bridge=settings.bridge)
-    return Identity.plan(
-        direction=plan.direction,
-        slots=plan.slots,
-        record_size=plan.layout.size,
-        description_size=len(description.to_json()),
-        layout_id=plan.layout.layout_id,
-        generation=1,
-        bridge_id=bytes(16),
-    )
+    about = describe(plan, distro=settings.ros.distro, bridge=settings.bridge)
+    return about.plan(plan.layout.size, plan.slots)
 
 
 def call_object_plans(project: Project, plan: CallPlan) -> dict[Part, Identity]:
     """Return the geometry of the objects of a service or action, as :func:`object_plan` does."""
-    settings, found = project.config.settings, {}
-    ids = {part.word: plan.layout(part).layout_id for part in plan.parts}
-    for part, layout in zip(plan.parts, plan.layouts, strict=True):
-        description = describe_call(plan, part, settings.ros.distro, settings.bridge)
-        partners = {word: layout_id for word, layout_id in ids.items() if word != part.word}
-        found[part] = Identity.plan(
-            kind=part.value,
-            direction=description.direction,
-            slots=MIN_SLOTS,
-            record_size=layout.size,
-            description_size=len(replace(description, partners=partners).to_json()),
-            layout_id=layout.layout_id,
-            generation=1,
-            bridge_id=bytes(16),
-        )
-    return found
+    settings = project.config.settings
+    about = [describe_call(plan, part, settings.ros.distro, settings.bridge) for part in plan.parts]
+    return {one.part: one.plan(plan.layout(one.part).size) for one in partnered(about)}
 
 
 def object_size(project: Project, plan: TopicPlan) -> int:
@@ -455,17 +435,9 @@ def open_doors(config: Config) -> list[str]:
 
 def rights(config: Config) -> Rights:
     """Return mode, owner and group of the objects. Raises CFG004 for an unknown user or group."""
-    return Rights(config.settings.shm.mode, user_id(config), group_id(config))
-
-
-def user_id(config: Config) -> int | None:
-    """Return ``shm.owner`` as a number. Raises CFG004 at its line if there is no such user."""
-    return _id(config, "owner", "user", lambda name: pwd.getpwnam(name).pw_uid)
-
-
-def group_id(config: Config) -> int | None:
-    """Return ``shm.group`` as a number. Raises CFG004 at its line if there is no such group."""
-    return _id(config, "group", "group", lambda name: grp.getgrnam(name).gr_gid)
+    uid = _id(config, "owner", "user", lambda name: pwd.getpwnam(name).pw_uid)
+    gid = _id(config, "group", "group", lambda name: grp.getgrnam(name).gr_gid)
+    return Rights(config.settings.shm.mode, uid, gid)
 
 
 def _id(config: Config, key: str, kind: str, find: Callable[[str], int]) -> int | None:

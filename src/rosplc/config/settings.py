@@ -27,24 +27,15 @@ from rosplc.config.quantities import Duration, FileMode, Interval, StaleAfter, b
 from rosplc.model import DISTROS
 from rosplc.ros import BACKENDS
 
-LONGEST_NAME = 247
-"""Characters of a topic's or namespace's name, as in ROS."""
-LONGEST_TYPE = 255
-"""Characters of a type's name."""
-LONGEST_TEXT = 4096
-"""Characters of a path or an address, as of a path in Linux."""
-MOST_TOPICS = 10_000
-"""Topics of one bridge."""
-MOST_SERVICES = 1_000
-"""Services of one bridge, and actions."""
-MOST_CLIENTS = 256
-"""Uses of one service or action in the PLC's program."""
-MOST_TASKS = 64
-"""Tasks of the PLC; PLC code serves fewer."""
-MOST_PATHS = 256
-"""Folders with messages, and addresses of Zenoh."""
-MOST_REMAPPINGS = 10_000
-"""Names that are replaced."""
+LONGEST_NAME = 247  # characters of a topic's or namespace's name, as in ROS
+LONGEST_TYPE = 255  # characters of a type's name
+LONGEST_TEXT = 4096  # characters of a path or an address, as of a path in Linux
+MOST_TOPICS = 10_000  # topics of one bridge
+MOST_SERVICES = 1_000  # services of one bridge, and actions
+MOST_CLIENTS = 256  # uses of one service or action in the PLC's program
+MOST_TASKS = 64  # tasks of the PLC; PLC code serves fewer
+MOST_PATHS = 256  # folders with messages, and addresses of Zenoh
+MOST_REMAPPINGS = 10_000  # names that are replaced
 
 _TOPIC = r"(/[A-Za-z_][A-Za-z0-9_]*)+"
 

@@ -18,7 +18,8 @@ from rosplc.bridge.ros_side import choose_backend
 from rosplc.config import ConfigErrors, Project, TopicPlan, load_project
 from rosplc.config.calls import CallPlan
 from rosplc.config.plans import ClassicPlan
-from rosplc.config.resolve import group_id, object_size, user_id
+from rosplc.config.resolve import object_size
+from rosplc.config.resolve import rights as rights_of
 from rosplc.doctor import (
     classic,
     code,
@@ -156,7 +157,7 @@ class _Examination:
     def _owner_id(self) -> int:
         """Who owns, or would own, the objects."""
         with suppress(RosplcError):
-            if self._project is not None and (uid := user_id(self._project.config)) is not None:
+            if self._project is not None and (uid := rights_of(self._project.config).uid) is not None:
                 return uid
         return self._uid
 
@@ -179,9 +180,10 @@ class _Examination:
     def _owner(self, project: Project) -> Finding:
         settings, who = project.config.settings.shm, user_name(self._uid)
         try:
-            uid, gid = user_id(project.config), group_id(project.config)
+            wanted = rights_of(project.config)
         except RosplcError as error:
             return found("DOC502", error.what, error.remedy)
+        uid, gid = wanted.uid, wanted.gid
         what = remedy = command = ""
         if self._uid != 0 and uid not in (None, self._uid):
             what = f"shm.owner is {settings.owner}, and {who} may not give files away"
@@ -321,7 +323,7 @@ class _Examination:
             return files
         config, gid = self._project.config, os.getegid()
         with suppress(RosplcError):
-            gid = gid if (wanted := group_id(config)) is None else wanted
+            gid = gid if (wanted := rights_of(config).gid) is None else wanted
         mode = config.settings.shm.mode
         for plan in self._topics:
             names = [plan.topic if plan.port == "channel" else self._project.object_name(plan)]

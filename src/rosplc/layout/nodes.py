@@ -8,7 +8,7 @@ type are compared with gcc's for x86-64, armhf and arm64.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import ClassVar, TypeAlias
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,16 +30,12 @@ class StringNode:
 
     capacity: int
     bound: int | None = None
+    align: ClassVar[int] = 1
 
     @property
     def size(self) -> int:
         """Bytes taken, the terminator included."""
         return self.capacity + 1
-
-    @property
-    def align(self) -> int:
-        """A string starts at any byte."""
-        return 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,11 +43,7 @@ class PaddingNode:
     """Bytes without meaning; an explicit member, so that no compiler adds its own."""
 
     size: int
-
-    @property
-    def align(self) -> int:
-        """Padding starts at any byte."""
-        return 1
+    align: ClassVar[int] = 1
 
 
 class _Elements:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import TypeVar
@@ -73,34 +73,6 @@ def attach(
         attached.close()
         raise channel_error(112, what, attached.path)
     return attached
-
-
-def attach_together(
-    namespace: Namespace, name: str, parts: Sequence[Part], *, client: str = "", write: bool = False
-) -> dict[Part, Attached]:
-    """Open all objects of one use of a service or action.
-
-    Args:
-        namespace: Where they lie.
-        name: The service's or action's name.
-        parts: ``SERVICE`` or ``ACTION``.
-        client: The name of one of several uses.
-        write: Map them writable.
-
-    Raises:
-        ChannelError: SHM112 if they do not name each other's layout ids (section 11.1); SHM113; as
-            :func:`attach`.
-    """
-    found: dict[Part, Attached] = {}
-    try:
-        for part in parts:
-            found[part] = attach(namespace, name, write=write, part=part, client=client)
-        belong_together(found)
-    except BaseException:
-        for one in found.values():
-            one.close()
-        raise
-    return found
 
 
 def belong_together(found: Mapping[Part, Attached]) -> None:

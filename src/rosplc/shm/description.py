@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
-from rosplc.shm.constants import FORMAT, MAX_DESCRIPTION_SIZE, Direction
-from rosplc.shm.header import channel_error, layout_id_words
+from rosplc.shm.constants import FORMAT, MAX_DESCRIPTION_SIZE, MIN_SLOTS, Direction
+from rosplc.shm.header import Identity, channel_error, layout_id_words
 from rosplc.shm.names import Part
 
 
@@ -45,6 +45,21 @@ class Description:
     def kind(self) -> str:
         """``"topic"``, ``"service"`` or ``"action"``."""
         return self.part.kind
+
+    def plan(self, record_size: int, slots: int = MIN_SLOTS, **made_by: Any) -> Identity:
+        """Return the identity of an object that describes itself so; ``made_by`` says who made it, and when.
+
+        Raises ValueError as :meth:`Identity.plan`.
+        """
+        return Identity.plan(
+            kind=self.part.value,
+            direction=self.direction,
+            slots=slots,
+            record_size=record_size,
+            description_size=len(self.to_json()),
+            layout_id=self.layout_id,
+            **{"generation": 1, "bridge_id": bytes(16)} | made_by,
+        )
 
     def to_json(self) -> bytes:
         """Return the object's UTF-8 text. Raises ValueError: If it exceeds 2²⁰ bytes."""
@@ -94,6 +109,13 @@ class Description:
             what = f"self-description is a {found[0]}'s {found[1]}, the object a {part.kind}'s {part.word}"
             raise channel_error(113, what, where)
         return cls(**values, part=part)
+
+
+def partnered(parts: Sequence[Description]) -> list[Description]:
+    """Return the descriptions of all objects of one use, each with the layout ids of the others."""
+    ids = {one.part.word: one.layout_id for one in parts}
+    others = ({word: ids[word] for word in ids if word != one.part.word} for one in parts)
+    return [replace(one, partners=ours) for one, ours in zip(parts, others, strict=True)]
 
 
 _MEMBERS = [one.name for one in fields(Description) if one.name not in ("part", "client", "partners")]

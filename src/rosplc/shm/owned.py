@@ -14,8 +14,7 @@ import stat
 import struct
 import time
 import weakref
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from rosplc._core import Reader, Writer
@@ -25,7 +24,7 @@ from rosplc.shm import files
 from rosplc.shm.attach import Mapped
 from rosplc.shm.claims import start_of, take_over_line, take_over_writer
 from rosplc.shm.constants import Direction
-from rosplc.shm.description import Description
+from rosplc.shm.description import Description, partnered
 from rosplc.shm.files import Rights, create_complete, open_plain_file
 from rosplc.shm.header import Identity, channel_error
 from rosplc.shm.lock import NameLock
@@ -123,37 +122,23 @@ class OwnedChannel(Mapped):
         Raises:
             ChannelError: As :meth:`open`; then none of them is owned.
         """
-        ids = {about.part.word: about.layout_id for about, _ in parts}
-        complete = [
-            (replace(one, partners={word: ids[word] for word in ids if word != one.part.word}), size)
-            for one, size in parts
-        ]
+        complete = zip(partnered([one for one, _ in parts]), (size for _, size in parts), strict=True)
         return cls._open(namespace, complete, spec.MIN_SLOTS, Rights(mode, uid, gid), bridge_id)
 
     @classmethod
     def _open(
         cls,
         namespace: Namespace,
-        parts: Sequence[tuple[Description, int]],
+        parts: Iterable[tuple[Description, int]],
         slots: int,
         rights: Rights,
         bridge_id: bytes | None,
     ) -> tuple[OwnedChannel, ...]:
         made_by = {"bridge_id": bridge_id or secrets.token_bytes(16), "creator_pid": os.getpid()}
         plans = []
-        for description, record_size in parts:
-            plan = Identity.plan(
-                kind=description.part.value,
-                direction=description.direction,
-                slots=slots,
-                record_size=record_size,
-                description_size=len(description.to_json()),
-                layout_id=description.layout_id,
-                generation=secrets.randbelow(2**32 - 1) + 1,
-                created_ns=time.time_ns(),
-                **made_by,
-            )
-            plans.append((description, plan))
+        for description, size in parts:
+            made_by |= {"generation": secrets.randbelow(2**32 - 1) + 1, "created_ns": time.time_ns()}
+            plans.append((description, description.plan(size, slots, **made_by)))
         found: list[_Found] = []
         try:
             for description, plan in plans:

@@ -33,7 +33,7 @@ from rosplc.recorder.replay import (
 )
 from rosplc.recorder.source import open_source
 from rosplc.ros import SERVICES, open_backend
-from rosplc.shm import SERVICE, Caller, Namespace, OwnedChannel, Part, attach_together
+from rosplc.shm import SERVICE, Caller, Namespace, OwnedChannel, Part, attach
 from rosplc.shm.constants import ANSWER_DONE, ANSWER_NOT_EXECUTED, ASK_WITHDRAWN
 from rosplc.virtual_plc import ServiceServer, Task
 from tests.lib.waiting import wait_for
@@ -62,7 +62,8 @@ class Service:
             for part, layout in self.layouts.items()
         ]
         self.owned = dict(zip(SERVICE, OwnedChannel.open_together(namespace, parts), strict=True))
-        self.plc = attach_together(namespace, name, SERVICE, client=client, write=True)
+        where = {"client": client, "write": True}
+        self.plc = {part: attach(namespace, name, part=part, **where) for part in SERVICE}
         asks, answers = (self.owned, self.plc) if server == "plc" else (self.plc, self.owned)
         writer, self.answers = asks[Part.REQUEST].writer(), answers[Part.RESPONSE].writer()
         self.asks, self.caller = writer, Caller(asks[Part.REQUEST], writer, follows_claim=False)
