@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from rosplc.clock import SYSTEM, Clock
 from rosplc.errors import BackendError
+from rosplc.ros.actionlib import ActionlibClient, ActionlibServer
 from rosplc.ros.actions import ActionClient, ActionServer, GoalEvent, GoalStatus
 from rosplc.ros.arguments import Remapping, RosArguments, split_arguments
 from rosplc.ros.backend import (
@@ -121,4 +122,4 @@ def open_backend(
 
 def action_classes(store: TypeSource) -> tuple[type[ActionServer], type[ActionClient]]:
     """Return the classes of an action's server and client, for the ROS that the types are of."""
-    return ActionServer, ActionClient
+    return (ActionlibServer, ActionlibClient) if store.distro == ROS1 else (ActionServer, ActionClient)

@@ -1,4 +1,4 @@
-"""Actions of ROS 2 over any backend: three services and two topics, and the goals' states between them.
+"""Actions over any backend: the goals' states, and what ROS 2 makes of them: three services and two topics.
 
 rclpy has an action server of its own, but it can neither answer for goals that another process has accepted
 nor leave the decision on a goal open; no other backend has one. Here a goal is known by its UUID alone, and a
@@ -15,7 +15,6 @@ import enum
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any, Literal
 
 from rosplc.clock import SYSTEM, Clock
@@ -38,7 +37,8 @@ _MOST_STATUSES = 1000  # goals of other clients that a client remembers
 MOST_WAITING = 64  # requests for the result of one goal
 KEEP_RESULT_NS = 10_000_000_000
 
-_STATUS_QOS = Qos(durability="transient_local", depth=1)
+STATUS_QOS = Qos(durability="transient_local", depth=1)
+_STATUSES, _CANCELS = "action_msgs/msg/GoalStatusArray", "action_msgs/srv/CancelGoal"
 _ALL = bytes(16)
 
 
@@ -93,7 +93,7 @@ class CancelCode(enum.IntEnum):
 
 
 @dataclass(slots=True)
-class _Cancel:
+class Cancel:
     """A request to cancel: the goals that have not decided, and those that have agreed."""
 
     caller: bytes
@@ -102,7 +102,7 @@ class _Cancel:
 
 
 @dataclass(slots=True)
-class _Goal:
+class Goal:
     """A goal of the server; UNKNOWN until it is accepted."""
 
     caller: bytes
@@ -111,14 +111,49 @@ class _Goal:
     result: bytes | None = None
     ended_ns: int = 0
     waiting: list[bytes] = field(default_factory=list)
-    cancels: list[_Cancel] = field(default_factory=list)
+    cancels: list[Cancel] = field(default_factory=list)
 
 
-class ActionServer:
+class _Action:
+    """An action's endpoints, all of them or none."""
+
+    def __init__(self, backend: Backend, store: TypeSource, action: str, type_name: str) -> None:
+        self.action, self.type_name = action, type_name
+        self._lock = threading.RLock()
+        self._endpoints: list[Any] = []
+        with self._lock:  # a request may come at once
+            try:
+                self._open(backend, store)
+            except BaseException:
+                self.close()
+                raise
+
+    def _open(self, backend: Backend, store: TypeSource) -> None:
+        raise NotImplementedError
+
+    def _keep(self, endpoint: Any) -> Any:
+        self._endpoints.append(endpoint)
+        return endpoint
+
+    def _place(self, name: str, kind: str = "") -> tuple[str, str]:
+        """Return name and type of a topic or service; the type is given in full, or by its part."""
+        return f"{self.action}/_action/{name}", kind if "/" in kind else f"{self.type_name}_{kind}"
+
+    def endpoints(self) -> tuple[EndpointStatus, ...]:
+        """Return the state of the five topics and services."""
+        return tuple(endpoint.status() for endpoint in self._endpoints)
+
+    def close(self) -> None:
+        """Leave the graph; no goal is ended, and who waits for a decision or a result gets none."""
+        for endpoint in reversed(self._endpoints):
+            endpoint.close()
+
+
+class ActionServer(_Action):
     """An action that ROS clients use. Methods return False, and do nothing, for a step that is not possible.
 
     Args:
-        backend: A backend of ROS 2.
+        backend: A backend of the ROS that the types are of.
         store: Where the types come from.
         action: The action's name.
         type_name: ``package/action/Name``.
@@ -146,21 +181,24 @@ class ActionServer:
     ) -> None:
         self._on_goal, self._on_cancel = on_goal, on_cancel
         self._keep_ns, self._clock = keep_result_ns, clock
-        self._lock = threading.RLock()
-        self._goals: dict[bytes, _Goal] = {}
-        self._results = wire.Results(store, store[f"{type_name}_Result"])
-        self.action, self.type_name = action, type_name
-        places = _Places(action, type_name)
-        with self._lock, contextlib.ExitStack() as stack:  # the lock: a request may come at once
-            self._endpoints: list[Any] = []
-            keep = partial(_keep, stack, self._endpoints)
-            self._feedback: Publisher = keep(backend.advertise(*places.feedback, Qos()))
-            self._statuses: Publisher = keep(backend.advertise(*places.status, _STATUS_QOS))
-            self._get: ServiceServer = keep(backend.serve(*places.get_result, SERVICES, self._on_get))
-            self._cancel: ServiceServer = keep(backend.serve(*places.cancel, SERVICES, self._on_cancels))
-            self._send: ServiceServer = keep(backend.serve(*places.send_goal, SERVICES, self._on_send))
-            self._closing = stack.pop_all()
-            self._publish()
+        self._goals: dict[bytes, Goal] = {}
+        super().__init__(backend, store, action, type_name)
+
+    def _open(self, backend: Backend, store: TypeSource) -> None:
+        self._results = wire.Results(store, store[f"{self.type_name}_Result"])
+        keep, place = self._keep, self._place
+        self._feedback: Publisher = keep(backend.advertise(*place("feedback", "FeedbackMessage"), Qos()))
+        self._statuses: Publisher = keep(backend.advertise(*place("status", _STATUSES), STATUS_QOS))
+        self._get: ServiceServer = keep(
+            backend.serve(*place("get_result", "GetResult"), SERVICES, self._on_get)
+        )
+        self._cancel: ServiceServer = keep(
+            backend.serve(*place("cancel_goal", _CANCELS), SERVICES, self._on_cancels)
+        )
+        self._send: ServiceServer = keep(
+            backend.serve(*place("send_goal", "SendGoal"), SERVICES, self._on_send)
+        )
+        self._publish()
 
     # -- requests of clients
 
@@ -173,7 +211,7 @@ class ActionServer:
                 return
             new = uuid not in self._goals and len(self._goals) < MOST_GOALS
             if new:
-                self._goals[uuid] = _Goal(caller)
+                self._goals[uuid] = Goal(caller)
             else:  # as rclpy and rclcpp answer a goal that they have
                 self._answer(self._send, caller, wire.pack_accepted(False, 0))
         if new:
@@ -205,7 +243,7 @@ class ActionServer:
             code, wanted = self._chosen(uuid, stamp_ns)
             if not wanted:
                 self._answer(self._cancel, caller, wire.pack_canceling(code, []))
-            request = _Cancel(caller, set(wanted))
+            request = Cancel(caller, set(wanted))
             for one in wanted:
                 goal = self._goals[one]
                 goal.cancels.append(request)
@@ -230,7 +268,7 @@ class ActionServer:
             and (one == uuid or not stamp_ns or goal.stamp_ns <= stamp_ns)
         ]
 
-    def _known(self, uuid: bytes) -> _Goal | None:
+    def _known(self, uuid: bytes) -> Goal | None:
         goal = self._goals.get(uuid)
         return goal if goal is not None and goal.status is not GoalStatus.UNKNOWN else None
 
@@ -243,6 +281,22 @@ class ActionServer:
         with contextlib.suppress(BackendError):
             self._statuses.write(wire.pack_statuses(goals))
 
+    def _decided(self, uuid: bytes, goal: Goal, accepted: bool) -> None:
+        """Tell the client of a goal whether it is accepted."""
+        goal.stamp_ns = self._clock.time_ns() if accepted else 0
+        self._answer(self._send, goal.caller, wire.pack_accepted(accepted, goal.stamp_ns))
+
+    def _ended(self, uuid: bytes, goal: Goal, status: GoalStatus, result: bytes | None) -> None:
+        """Give the result to those who wait for it; ROS008 if the bytes are none."""
+        response = self._results.pack(status, result)
+        for caller in goal.waiting:
+            self._answer(self._get, caller, response)
+        goal.waiting.clear()
+
+    def _feed(self, uuid: bytes, goal: Goal, payload: bytes) -> bytes:
+        """Return the message that carries feedback."""
+        return wire.wrap(uuid, payload)
+
     # -- decisions
 
     def accept(self, uuid: bytes) -> bool:
@@ -251,8 +305,8 @@ class ActionServer:
             goal = self._goals.get(uuid)
             if goal is None or goal.status is not GoalStatus.UNKNOWN:
                 return False
-            goal.stamp_ns, goal.status = self._clock.time_ns(), GoalStatus.ACCEPTED
-            self._answer(self._send, goal.caller, wire.pack_accepted(True, goal.stamp_ns))
+            goal.status = GoalStatus.ACCEPTED
+            self._decided(uuid, goal, True)
             self._publish()
             return True
 
@@ -263,7 +317,7 @@ class ActionServer:
             if goal is None or goal.status is not GoalStatus.UNKNOWN:
                 return False
             del self._goals[uuid]
-            self._answer(self._send, goal.caller, wire.pack_accepted(False, 0))
+            self._decided(uuid, goal, False)
             return True
 
     def present(self, uuid: bytes) -> bool:
@@ -277,7 +331,7 @@ class ActionServer:
         with self._lock:
             if uuid in self._goals or status is GoalStatus.UNKNOWN or status.ended:
                 return False
-            self._goals[uuid] = _Goal(b"", stamp_ns, status)
+            self._goals[uuid] = Goal(b"", stamp_ns, status)
             self._publish()
             return True
 
@@ -295,7 +349,7 @@ class ActionServer:
         with self._lock:
             if (goal := self._known(uuid)) is None or goal.status.ended:
                 return False
-            return self._feedback.write(wire.wrap(uuid, payload))
+            return self._feedback.write(self._feed(uuid, goal, payload))
 
     def accept_cancel(self, uuid: bytes) -> bool:
         """Agree to cancel a goal: it is canceling until it ends in one of three ways."""
@@ -331,10 +385,7 @@ class ActionServer:
             if goal is None or status is None:
                 return False
             if status.ended:
-                response = self._results.pack(status, result)
-                for caller in goal.waiting:
-                    self._answer(self._get, caller, response)
-                goal.waiting.clear()
+                self._ended(uuid, goal, status, result)
                 goal.result, goal.ended_ns = result, self._clock.monotonic_ns()
             goal.status = status
             if status.ended or step is GoalStep.CANCEL:
@@ -342,13 +393,13 @@ class ActionServer:
             self._publish()
             return True
 
-    def _settle(self, uuid: bytes, goal: _Goal, *, agreed: bool) -> None:
+    def _settle(self, uuid: bytes, goal: Goal, *, agreed: bool) -> None:
         """Tell those who asked for a goal to be canceled."""
         requests, goal.cancels = goal.cancels, []
         for request in requests:
             self._decide(uuid, request, agreed)
 
-    def _decide(self, uuid: bytes, request: _Cancel, agreed: bool) -> None:
+    def _decide(self, uuid: bytes, request: Cancel, agreed: bool) -> None:
         request.undecided.discard(uuid)
         if agreed:
             request.canceling.append((uuid, self._goals[uuid].stamp_ns))
@@ -367,14 +418,6 @@ class ActionServer:
                 del self._goals[one]
             if old:
                 self._publish()
-
-    def endpoints(self) -> tuple[EndpointStatus, ...]:
-        """Return the state of the two topics and three services."""
-        return tuple(endpoint.status() for endpoint in self._endpoints)
-
-    def close(self) -> None:
-        """Leave the graph; who waits for a decision or a result gets none."""
-        self._closing.close()
 
 
 @dataclass(frozen=True, slots=True)
@@ -402,22 +445,27 @@ class GoalEvent:
 
 
 @dataclass(slots=True)
-class _Sent:
-    """A goal of the client, and its open calls."""
+class Sent:
+    """A goal of the client, its open calls, and what lists of statuses tell of it (of actionlib)."""
 
+    since_ns: int  # when it was sent or adopted, or ended without a result
+    adopted: bool = False
+    accepted: bool = False
+    number: int = -1  # its status, once it was listed
     status: GoalStatus = GoalStatus.UNKNOWN
     calls: set[tuple[int, int]] = field(default_factory=set)  # which service, and the call's number
 
 
-class ActionClient:
+class ActionClient(_Action):
     """An action of a ROS server that is used.
 
     Args:
-        backend: A backend of ROS 2.
+        backend: A backend of the ROS that the types are of.
         store: Where the types come from.
         action: The action's name.
         type_name: ``package/action/Name``.
         on_event: Called with what becomes of the goals. A status may come before the acceptance.
+        clock: For tests.
 
     Raises:
         BackendError, MessageTypeError: As :meth:`rosplc.ros.backend.Backend.client`.
@@ -430,24 +478,23 @@ class ActionClient:
         action: str,
         type_name: str,
         on_event: Callable[[GoalEvent], object],
+        *,
+        clock: Clock = SYSTEM,
     ) -> None:
-        self._on_event = on_event
-        self._lock = threading.RLock()
-        self._goals: dict[bytes, _Sent] = {}
+        self._on_event, self._clock = on_event, clock
+        self._goals: dict[bytes, Sent] = {}
         self._statuses: dict[bytes, GoalStatus] = {}  # as the server last published them
-        self._results = wire.Results(store, store[f"{type_name}_Result"])
-        self.action, self.type_name = action, type_name
-        places = _Places(action, type_name)
-        with self._lock, contextlib.ExitStack() as stack:
-            self._endpoints: list[Any] = []
-            keep = partial(_keep, stack, self._endpoints)
-            keep(backend.subscribe(*places.feedback, Qos(), self._on_feedback))
-            keep(backend.subscribe(*places.status, _STATUS_QOS, self._on_statuses))
-            self._services: list[ServiceClient] = [
-                keep(backend.client(*place, SERVICES))
-                for place in (places.send_goal, places.cancel, places.get_result)
-            ]
-            self._closing = stack.pop_all()
+        super().__init__(backend, store, action, type_name)
+
+    def _open(self, backend: Backend, store: TypeSource) -> None:
+        self._results = wire.Results(store, store[f"{self.type_name}_Result"])
+        keep, place = self._keep, self._place
+        keep(backend.subscribe(*place("feedback", "FeedbackMessage"), Qos(), self._on_feedback))
+        keep(backend.subscribe(*place("status", _STATUSES), STATUS_QOS, self._on_statuses))
+        self._services: list[ServiceClient] = [
+            keep(backend.client(*place(*each), SERVICES))
+            for each in (("send_goal", "SendGoal"), ("cancel_goal", _CANCELS), ("get_result", "GetResult"))
+        ]
 
     @property
     def ready(self) -> bool:
@@ -459,21 +506,27 @@ class ActionClient:
         with self._lock:
             if uuid in self._goals:
                 return False
-            self._goals[uuid] = _Sent()
+            self._goals[uuid] = Sent(self._clock.monotonic_ns())
         try:
-            self._call(_SEND, uuid, wire.wrap(uuid, goal), self._on_decision)
+            self._dispatch(uuid, goal)
         except BaseException:
             self.forget(uuid)
             raise
         return True
 
+    def _dispatch(self, uuid: bytes, goal: bytes) -> None:
+        self._call(_SEND, uuid, wire.wrap(uuid, goal), self._on_decision)
+
     def adopt(self, uuid: bytes) -> None:
         """Ask for status and result of a goal that was sent before, by this process or another one."""
         with self._lock:
-            self._goals.setdefault(uuid, _Sent())
+            self._goals.setdefault(uuid, Sent(self._clock.monotonic_ns(), adopted=True))
             status = self._statuses.get(uuid)
         if status is not None:
             self._on_status(uuid, status)
+        self._seek(uuid)
+
+    def _seek(self, uuid: bytes) -> None:
         self._call(_GET, uuid, wire.LITTLE + uuid, self._on_result)
 
     def cancel(self, uuid: bytes) -> None:
@@ -512,7 +565,7 @@ class ActionClient:
         if accepted:
             self._tell(uuid, "accepted")
             with contextlib.suppress(BackendError):  # closed meanwhile
-                self._call(_GET, uuid, wire.LITTLE + uuid, self._on_result)
+                self._seek(uuid)
         elif accepted is None:
             self._tell(uuid, "failed", reply=reply, last=True)
         else:
@@ -560,34 +613,9 @@ class ActionClient:
         if known is not None:
             self._on_event(GoalEvent(uuid, kind, **more))
 
-    def endpoints(self) -> tuple[EndpointStatus, ...]:
-        """Return the state of the two topics and three services."""
-        return tuple(endpoint.status() for endpoint in self._endpoints)
-
-    def close(self) -> None:
-        """Leave the graph; the server goes on with its goals. Open calls end as the backend ends them."""
-        self._closing.close()
-
 
 _SEND, _CANCEL, _GET = range(3)
 
 
-def _keep(stack: contextlib.ExitStack, opened: list[Any], endpoint: Any) -> Any:
-    stack.callback(endpoint.close)
-    opened.append(endpoint)
-    return endpoint
-
-
 def _status(number: int) -> GoalStatus:
     return GoalStatus(number) if number in GoalStatus.__members__.values() else GoalStatus.UNKNOWN
-
-
-class _Places:
-    """The names and types of an action's topics and services."""
-
-    def __init__(self, action: str, type_name: str) -> None:
-        self.send_goal: tuple[str, str] = f"{action}/_action/send_goal", f"{type_name}_SendGoal"
-        self.get_result: tuple[str, str] = f"{action}/_action/get_result", f"{type_name}_GetResult"
-        self.cancel: tuple[str, str] = f"{action}/_action/cancel_goal", "action_msgs/srv/CancelGoal"
-        self.feedback: tuple[str, str] = f"{action}/_action/feedback", f"{type_name}_FeedbackMessage"
-        self.status: tuple[str, str] = f"{action}/_action/status", "action_msgs/msg/GoalStatusArray"

@@ -40,6 +40,9 @@ class _Endpoint(BaseEndpoint):
             self.topic, self.type_name, self.direction, self._node.node, self.qos, self.type_hash
         )
 
+    def _checked(self, payload: bytes) -> bytes:
+        return bytes(payload) if self._node.plain else super()._checked(payload)
+
     def others(self) -> list[Any]:
         """Return the endpoints that may match this one; ours on the same node too, as in ROS."""
         return [
@@ -158,6 +161,9 @@ class MemoryBackend(BaseNode):
     def __init__(self, context: Context) -> None:
         super().__init__(context)
         self.domain = domain = _base.domain_number(context.domain, context.environment) or 0
+        self.plain = (
+            context.store.distro == "noetic"
+        )  # nothing of ROS 1's bytes shows whether they fit a type
         self.news = threading.Event()  # messages wait, or the node is being closed
         self._lock = _graph
         with _graph:

@@ -116,8 +116,8 @@ class Graph:
         self._programs.clear()
 
     def peer(self, kind: str, name: str, *defines: str) -> Peer:
-        """Start a ``rospy`` or ``roscpp`` peer."""
-        command: list[Any] = [PYTHON, HERE / "peers" / "rospy_peer.py", name]
+        """Start a ``rospy``, ``actionlib`` or ``roscpp`` peer."""
+        command: list[Any] = [PYTHON, HERE / "peers" / f"{kind}_peer.py", name]
         if kind == "roscpp":
             command = [build(*defines), name]
         self._peers.append(Peer(command, self.variables))
@@ -239,6 +239,14 @@ class Peer:
         self._ask("proxy", service, type_name.replace("/srv/", "/"), int(persistent))
         replies, errors = (self._got.setdefault(f"{what}:{service}", []) for what in ("reply", "error"))
         return PeerProxy(lambda payload: self._ask("call", service, payload.hex() or "-"), replies, errors)
+
+    def act(self, *words: object) -> None:
+        """Give a command to an ``actionlib`` peer."""
+        self._ask(*words)
+
+    def told(self, what: str) -> list[str]:
+        """Return the list of texts that an ``actionlib`` peer's messages have filled so far."""
+        return [text.decode() for text in self._got.get(what, [])]
 
     def matched(self, topic: str) -> int:
         """Return how many peers the program counts on a topic."""

@@ -420,7 +420,7 @@ def test_bytes_that_are_none_of_an_action(graph: Any, server: Server, client: Cl
     ):
         rogue.client(f"/fibonacci/_action/{name}", kind, actions.SERVICES).call(GOAL, print)
     statuses = rogue.advertise(
-        "/fibonacci/_action/status", "action_msgs/msg/GoalStatusArray", actions._STATUS_QOS
+        "/fibonacci/_action/status", "action_msgs/msg/GoalStatusArray", actions.STATUS_QOS
     )
     statuses.write(b"\0\1\0\0\xff\xff\xff\xff")
     rogue.advertise("/fibonacci/_action/feedback", f"{FIBONACCI}_FeedbackMessage", actions.Qos()).write(GOAL)

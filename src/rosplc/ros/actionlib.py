@@ -1,0 +1,320 @@
+"""Actions of ROS 1 over any backend: the five topics of actionlib, http://wiki.ros.org/actionlib.
+
+A goal has a text there, and 16 bytes here. The client writes these as 32 hexadecimal digits. The server reads
+such digits, takes a text of up to 16 bytes as it is, and a digest of a longer one, as most clients make; it
+remembers the text with the goal. So a server in another process that adopts a goal cannot name it to such a
+client, which takes the goal to be lost, until the client cancels it: that tells the text again.
+
+A result is published once. A client that was away learns no more than the goal's status.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import re
+import struct
+from collections import OrderedDict
+from functools import partial
+from typing import Any
+
+from rosplc.errors import BackendError
+from rosplc.model.types import PRIMITIVES, ArrayType, FieldType, MessageType, NamedType, PrimitiveType
+from rosplc.reasons import Reason
+from rosplc.ros import actions
+from rosplc.ros._base import NO_SERVER
+from rosplc.ros.actions import ActionClient, ActionServer, Goal, GoalStatus
+from rosplc.ros.backend import Backend, Publisher, Qos, Reply, TypeSource
+
+LONGEST_ID = 1024  # bytes of a goal's text
+_PATIENCE_NS = 10_000_000_000  # for a goal that the server does not list, or a result that does not come
+_QOS = Qos(depth=100)
+_UNLISTED = Reply(reason=Reason.SERVER_GONE, text="the server does not list the goal")
+_HEX = re.compile(rb"[0-9a-f]{32}\Z")
+
+# actionlib_msgs/GoalStatus
+_PENDING, _ACTIVE, _PREEMPTED, _SUCCEEDED, _ABORTED, _REJECTED, _PREEMPTING, _RECALLING, _RECALLED = range(9)
+_NUMBERS = (_PENDING, _ACTIVE, _ACTIVE, _PREEMPTING, _SUCCEEDED, _PREEMPTED, _ABORTED)  # by GoalStatus
+_STATUSES = {number: GoalStatus(status) for status, number in enumerate(_NUMBERS)}
+# Those that a goal has one after the other until it ends; not listed comes first.
+_OPEN = (-1, _PENDING, _RECALLING, _ACTIVE, _PREEMPTING)
+
+
+def _rank(number: int) -> int:
+    return _OPEN.index(number) if number in _OPEN else len(_OPEN)
+
+
+def uuid_of(text: bytes) -> bytes:
+    """Return the 16 bytes of a goal's text."""
+    if _HEX.match(text):
+        return bytes.fromhex(text.decode())
+    return text.ljust(16, b"\0") if len(text) <= 16 else hashlib.blake2b(text, digest_size=16).digest()
+
+
+def text_of(uuid: bytes) -> bytes:
+    """Return the text of a goal, as far as its 16 bytes tell it."""
+    text = uuid.rstrip(b"\0")
+    return text if text.isascii() and text.decode().isprintable() else uuid.hex().encode()
+
+
+def _size(store: TypeSource, kind: MessageType | FieldType) -> int:
+    """Return the bytes of a default value, all of which are 0."""
+    if isinstance(kind, MessageType):
+        return sum(_size(store, field.type) for field in kind.fields)
+    if isinstance(kind, PrimitiveType):
+        return PRIMITIVES[kind.name]
+    if isinstance(kind, ArrayType):
+        return kind.length * _size(store, kind.element)
+    return _size(store, store[kind.name]) if isinstance(kind, NamedType) else 4
+
+
+def _text(text: bytes) -> bytes:
+    return len(text).to_bytes(4, "little") + text
+
+
+def _goal_id(text: bytes, stamp_ns: int = 0) -> bytes:
+    return struct.pack("<2I", *divmod(stamp_ns, 10**9)) + _text(text)
+
+
+def _header(now_ns: int) -> bytes:
+    return struct.pack("<4I", 0, *divmod(now_ns, 10**9), 0)
+
+
+def _topic(action: str, type_name: str, name: str, kind: str) -> tuple[str, str]:
+    """Return name and type of a topic; an action's own types have its name before them."""
+    own = type_name.replace("/action/", "/msg/")
+    return f"{action}/{name}", f"actionlib_msgs/msg/{kind}" if kind.startswith("Goal") else own + kind
+
+
+class _Message:
+    """Reads a message, behind its header; ROS008 if it is too short."""
+
+    def __init__(self, payload: bytes, *, header: bool = True) -> None:
+        self._payload, self._at = payload, 0
+        if header:
+            self.take(12)  # number, seconds, nanoseconds
+            self.text()
+
+    def take(self, size: int) -> bytes:
+        self._at += size
+        if self._at > len(self._payload):
+            raise BackendError("ROS008", "a message of an action cannot be read: it is too short")
+        return self._payload[self._at - size : self._at]
+
+    def number(self) -> int:
+        return int.from_bytes(self.take(4), "little")
+
+    def text(self) -> bytes:
+        return self.take(self.number())
+
+    def goal_id(self) -> tuple[bytes, int]:
+        stamp_ns = self.number() * 10**9 + self.number()
+        text = self.text()
+        if len(text) > LONGEST_ID:
+            raise BackendError("ROS008", f"a goal's id has {len(text)} bytes, {LONGEST_ID} are the most")
+        return text, stamp_ns
+
+    def status(self) -> tuple[bytes, int, str]:
+        """Return a goal's UUID, its status, and what the server says of it."""
+        text, _ = self.goal_id()
+        return uuid_of(text), self.take(1)[0], self.text()[:LONGEST_ID].decode(errors="replace")
+
+    def rest(self) -> bytes:
+        return self._payload[self._at :]
+
+
+class ActionlibServer(ActionServer):
+    """An action that clients of actionlib use; see :class:`rosplc.ros.actions.ActionServer`.
+
+    ``on_cancel`` is called of undecided goals, too: one rejected then counts as recalled; for one accepted it
+    is called again. A cancel that is rejected goes unanswered: actionlib has no word for it.
+    Nothing is listed before the first :meth:`tick` or goal, lest a goal to be adopted is missing.
+    """
+
+    def _open(self, backend: Backend, store: TypeSource) -> None:
+        self._default = bytes(_size(store, store[f"{self.type_name}_Result"]))
+        self._canceled_ns = 0  # goals up to this stamp are canceled
+        # Goals that were not accepted, or canceled before they came: number and message of the status, since.
+        self._over: OrderedDict[bytes, tuple[int, bytes, int]] = OrderedDict()
+        keep, topic = self._keep, partial(_topic, self.action, self.type_name)
+        self._feedback: Publisher = keep(backend.advertise(*topic("feedback", "ActionFeedback"), _QOS))
+        self._statuses: Publisher = keep(
+            backend.advertise(*topic("status", "GoalStatusArray"), actions.STATUS_QOS)
+        )
+        self._result: Publisher = keep(backend.advertise(*topic("result", "ActionResult"), _QOS))
+        keep(backend.subscribe(*topic("cancel", "GoalID"), _QOS, self._on_cancels))
+        keep(backend.subscribe(*topic("goal", "ActionGoal"), _QOS, self._on_send))
+
+    def _on_send(self, payload: bytes, *_others: Any) -> None:
+        message = _Message(payload)
+        text, stamp_ns = message.goal_id()
+        text, stamp_ns = text or os.urandom(16).hex().encode(), stamp_ns or self._clock.time_ns()
+        uuid = uuid_of(text)
+        with self._lock:
+            over = self._over.get(uuid)
+            if uuid in self._goals or (over and over[0] != _RECALLING):
+                return  # as actionlib: it has come before
+            goal = self._goals[uuid] = Goal(text, stamp_ns)
+            if over or stamp_ns <= self._canceled_ns:
+                goal.cancels.append(actions.Cancel(b"", {uuid}))
+            if goal.cancels or len(self._goals) > actions.MOST_GOALS:
+                self.reject(uuid)
+                return
+            self._publish()
+        self._on_goal(uuid, message.rest())
+
+    def _on_cancels(self, payload: bytes, *_others: Any) -> None:
+        text, stamp_ns = _Message(payload, header=False).goal_id()
+        uuid, asked = uuid_of(text), []
+        with self._lock:
+            self._canceled_ns = max(self._canceled_ns, min(stamp_ns, self._clock.time_ns()))
+            if text and uuid in self._goals:
+                self._goals[uuid].caller = text
+            elif text and uuid not in self._over:
+                self._keep_over(uuid, Goal(text, stamp_ns), _RECALLING)
+            for one, goal in self._goals.items():
+                meant = one == uuid if text else not stamp_ns
+                meant = meant or 0 < goal.stamp_ns <= stamp_ns
+                if meant and goal.status < GoalStatus.CANCELING and not goal.cancels:
+                    goal.cancels.append(actions.Cancel(b"", {one}))
+                    asked.append(one)
+        for one in asked:
+            self._on_cancel(one)
+
+    def _keep_over(self, uuid: bytes, goal: Goal, number: int) -> None:
+        self._over[uuid] = number, self._status(uuid, goal, number), self._clock.monotonic_ns()
+        if len(self._over) > actions.MOST_GOALS:
+            self._over.popitem(last=False)
+        self._publish()
+
+    def _write(self, publisher: Publisher, body: bytes) -> None:
+        with contextlib.suppress(BackendError):  # closed, or the middleware refuses: nobody can be told
+            publisher.write(_header(self._clock.time_ns()) + body)
+
+    def _status(self, uuid: bytes, goal: Goal, number: int | None = None) -> bytes:
+        number = _NUMBERS[goal.status] if number is None else number
+        return _goal_id(goal.caller or text_of(uuid), goal.stamp_ns) + bytes([number]) + _text(b"")
+
+    def _publish(self) -> None:
+        listed = [self._status(uuid, goal) for uuid, goal in self._goals.items()]
+        listed += [status for _, status, _ in self._over.values()]
+        self._write(self._statuses, len(listed).to_bytes(4, "little") + b"".join(listed))
+
+    def _decided(self, uuid: bytes, goal: Goal, accepted: bool) -> None:
+        if not accepted:
+            number = _RECALLED if goal.cancels else _REJECTED
+            self._write(self._result, self._status(uuid, goal, number) + self._default)
+            self._keep_over(uuid, goal, number)
+
+    def _ended(self, uuid: bytes, goal: Goal, status: GoalStatus, result: bytes | None) -> None:
+        body = self._default if result is None else result
+        self._write(self._result, self._status(uuid, goal, _NUMBERS[status]) + body)
+
+    def _settle(self, uuid: bytes, goal: Goal, *, agreed: bool) -> None:
+        goal.cancels.clear()
+
+    def _feed(self, uuid: bytes, goal: Goal, payload: bytes) -> bytes:
+        return _header(self._clock.time_ns()) + self._status(uuid, goal) + payload
+
+    def accept(self, uuid: bytes) -> bool:
+        """Accept a goal; see :meth:`rosplc.ros.actions.ActionServer.accept`."""
+        accepted = super().accept(uuid)
+        if accepted and self._goals[uuid].cancels:
+            self._on_cancel(uuid)
+        return accepted
+
+    def present(self, uuid: bytes) -> bool:
+        """Return whether a goal waits for a decision: of its client nothing is known."""
+        return uuid in self._goals and not self.status(uuid)
+
+    def tick(self) -> None:
+        """Forget what ended long ago, and publish the statuses: clients wait for them."""
+        super().tick()
+        with self._lock:
+            before = self._clock.monotonic_ns() - self._keep_ns
+            for one in [one for one, (*_, since) in self._over.items() if since <= before]:
+                del self._over[one]
+            self._publish()
+
+
+class ActionlibClient(ActionClient):
+    """An action of a server of actionlib that is used; see :class:`rosplc.ros.actions.ActionClient`.
+
+    A recalled goal counts as rejected. There is no event ``not canceled``, and no ``lost``: a goal that the
+    server no longer lists has the result UNKNOWN, one whose result was missed its status without a payload.
+    """
+
+    def _open(self, backend: Backend, store: TypeSource) -> None:
+        keep, topic = self._keep, partial(_topic, self.action, self.type_name)
+        keep(
+            backend.subscribe(*topic("feedback", "ActionFeedback"), _QOS, partial(self._on_news, "feedback"))
+        )
+        keep(backend.subscribe(*topic("status", "GoalStatusArray"), _QOS, self._on_statuses))
+        keep(backend.subscribe(*topic("result", "ActionResult"), _QOS, partial(self._on_news, "result")))
+        self._cancel: Publisher = keep(backend.advertise(*topic("cancel", "GoalID"), _QOS))
+        self._goal: Publisher = keep(backend.advertise(*topic("goal", "ActionGoal"), _QOS))
+
+    @property
+    def ready(self) -> bool:
+        """Whether all topics of a server are connected."""
+        return all(endpoint.matched for endpoint in self._endpoints)
+
+    def _dispatch(self, uuid: bytes, goal: bytes) -> None:
+        if self.ready:
+            goal_id = _goal_id(uuid.hex().encode(), self._clock.time_ns())
+            self._goal.write(_header(self._clock.time_ns()) + goal_id + goal)
+        else:
+            self._tell(uuid, "failed", reply=NO_SERVER, last=True)
+
+    def _seek(self, uuid: bytes) -> None:
+        """Wait for the next list: nothing can be asked."""
+
+    def cancel(self, uuid: bytes) -> None:
+        """Ask for a goal to be canceled."""
+        if uuid in self._goals:
+            self._cancel.write(_goal_id(uuid.hex().encode()))
+
+    # -- what comes
+
+    def _learn(self, uuid: bytes, number: int, words: str) -> None:
+        """Take in what the server says of a goal; messages of several topics come in any order."""
+        with self._lock:
+            sent = self._goals.get(uuid)
+            if sent is None or number > _RECALLED or _rank(number) <= _rank(sent.number):
+                return
+            sent.number = number
+            if _rank(number) == len(_OPEN):
+                sent.since_ns = self._clock.monotonic_ns()
+            begins = number in _STATUSES and number != _PENDING and not sent.accepted
+            sent.accepted |= begins
+        if begins and not sent.adopted:
+            self._tell(uuid, "accepted")
+        if number in (_REJECTED, _RECALLED) and not sent.accepted:
+            self._tell(uuid, "rejected", reply=Reply(None, "not executed", Reason.REJECTED, words), last=True)
+        elif number in (_PREEMPTING, _RECALLING):
+            self._tell(uuid, "canceling")
+        if sent.accepted:
+            self._on_status(uuid, _STATUSES.get(number, GoalStatus.UNKNOWN))
+
+    def _on_statuses(self, payload: bytes, _stamp_ns: int) -> None:
+        message = _Message(payload)
+        listed = {status[0]: status for status in (message.status() for _ in range(message.number()))}
+        for uuid in listed.keys() & self._goals.keys():
+            self._learn(*listed[uuid])
+        now = self._clock.monotonic_ns()
+        for uuid, sent in tuple(self._goals.items()):
+            waits = _rank(sent.number) in (0, len(_OPEN))
+            gone = now - sent.since_ns > _PATIENCE_NS if waits else uuid not in listed
+            if gone and (sent.adopted or sent.number >= 0):
+                status = _STATUSES.get(sent.number if waits else -1, GoalStatus.UNKNOWN)
+                self._tell(uuid, "result", status=status, last=True)
+            elif gone:
+                self._tell(uuid, "failed", reply=_UNLISTED, last=True)
+
+    def _on_news(self, kind: str, payload: bytes, _stamp_ns: int) -> None:
+        message, last = _Message(payload), kind == "result"
+        uuid, number, words = message.status()
+        self._learn(uuid, number, words)
+        status = _STATUSES.get(number, GoalStatus.UNKNOWN) if last else GoalStatus.UNKNOWN
+        self._tell(uuid, kind, payload=message.rest(), status=status, last=last)
