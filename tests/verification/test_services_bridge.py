@@ -2,33 +2,20 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
-import time
-from collections.abc import Callable, Iterator
-from functools import cache
-from pathlib import Path
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
 
-from rosplc.bridge import Bridge
-from rosplc.codec import Codec, Wire
-from rosplc.config import parse_config, resolve
-from rosplc.plc.build import plc_project
-from rosplc.plc.plan import ProjectOptions
-from rosplc.plc.project import project_texts
 from rosplc.reasons import Reason
 from rosplc.ros import SERVICES
-from rosplc.ros.memory import open_backend
 from rosplc.shm.constants import ErrorNumber
-from rosplc_st.build import Build, build
-from rosplc_st.machine import LibraryMachine
-from tests.verification.plc_cell import READ, layout_of, store
+from tests.verification.joint import Joint, decode, encode, made_joint
 
 TYPE = "std_srvs/srv/SetBool"
+ADD = "example_interfaces/srv/AddTwoInts"
 DOMAIN = 53
-WATCHDOG_S = 100.0
+REQUEST, RESPONSE = f"{TYPE}_Request", f"{TYPE}_Response"
 CONFIG = f"""bridge: services
 ros: {{backend: memory, domain: {DOMAIN}}}
 shm: {{directory: FOLDER}}
@@ -39,76 +26,10 @@ services:
 """
 
 
-@cache
-def built() -> Build:
-    """Return the PLC's program, generated from the configuration."""
-    project = resolve(parse_config(CONFIG.replace("FOLDER", "/dev/shm")))
-    patient = ProjectOptions(beat_ms=10_000)  # a PLC that a busy machine stops for a while is no silent one
-    return build(project_texts(plc_project(project, patient)))
-
-
-def codec(part: str) -> Codec:
-    return Codec(layout_of(f"{TYPE}_{part}"), Wire.CDR)
-
-
-def encode(part: str, **fields: Any) -> bytes:
-    return codec(part).encode(layout_of(f"{TYPE}_{part}").pack(fields))
-
-
-def decode(part: str, payload: bytes) -> dict[str, Any]:
-    return layout_of(f"{TYPE}_{part}").to_dict(codec(part).decode(payload))
-
-
-class Joint:
-    """A PLC, a bridge and a ROS node."""
-
-    def __init__(self) -> None:
-        self.folder = Path(tempfile.mkdtemp(prefix="T", dir="/dev/shm"))
-        self.machine = LibraryMachine(built(), str(self.folder))
-        self.machine.start()
-        self.peer = open_backend(store(), "peer", domain=DOMAIN)
-        self.bridge: Bridge | None = None
-        self.start_bridge()
-
-    def start_bridge(self) -> None:
-        self.bridge = Bridge(parse_config(CONFIG.replace("FOLDER", str(self.folder))))
-        self.bridge.start()
-
-    def stop_bridge(self) -> None:
-        if self.bridge is not None:
-            self.bridge.stop()
-        self.bridge = None
-
-    def close(self) -> None:
-        self.stop_bridge()
-        self.peer.close()
-        shutil.rmtree(self.folder)
-
-    def get(self, instance: str, *names: str) -> Any:
-        """Return pins of an instance: one value, or a tuple."""
-        values = tuple(self.machine.get(f"ROS_Services.{instance}.{name}") for name in names)
-        return values[0] if len(values) == 1 else values
-
-    def set(self, instance: str, **pins: Any) -> None:
-        """Set inputs of an instance."""
-        for name, value in pins.items():
-            self.machine.set(f"ROS_Services.{instance}.{name}", value)
-
-    def until(self, condition: Callable[[], Any], what: str, step: int = 2) -> Any:
-        """Let the PLC run until something holds; return it. ``step``: ms on the PLC's clock for each scan."""
-        deadline = time.monotonic() + WATCHDOG_S
-        while not (found := condition()):
-            assert time.monotonic() < deadline, f"still waiting for {what}"
-            time.sleep(0.002)
-            self.machine.scan(READ, step=step)
-        return found
-
-
 @pytest.fixture
 def joint() -> Iterator[Joint]:
-    made = Joint()
-    yield made
-    made.close()
+    with made_joint(CONFIG, "ROS_Services", DOMAIN) as made:
+        yield made
 
 
 def test_the_plc_calls(joint: Joint) -> None:
@@ -120,8 +41,8 @@ def test_the_plc_calls(joint: Joint) -> None:
     server = joint.peer.serve("/lamp", TYPE, SERVICES, lambda data, caller, _: asked.append((data, caller)))
     joint.until(lambda: len(asked) == 2, "both calls")
     for payload, caller in asked:
-        on = decode("Request", payload)["data"]
-        assert server.reply(caller, encode("Response", success=on, message=f"lamp {on}"))
+        on = decode(REQUEST, payload)["data"]
+        assert server.reply(caller, encode(RESPONSE, success=on, message=f"lamp {on}"))
     for name, data in (("lamp_left", True), ("lamp_right", False)):
         joint.until(lambda name=name: joint.get(name, "xDone"), f"the answer to {name}")
         assert joint.get(name, "response.success", "response.message") == (data, f"lamp {data}")
@@ -142,8 +63,8 @@ def test_the_plc_gives_up(joint: Joint) -> None:
     joint.until(lambda: not joint.get("lamp_left", "xError"), "xExecute to fall")
     joint.set("lamp_left", xExecute=True, tTimeout=0)
     joint.until(lambda: len(asked) == 2, "the second call")
-    server.reply(asked[0][1], encode("Response", success=False))
-    server.reply(asked[1][1], encode("Response", success=True))
+    server.reply(asked[0][1], encode(RESPONSE, success=False))
+    server.reply(asked[1][1], encode(RESPONSE, success=True))
     joint.until(lambda: joint.get("lamp_left", "xDone"), "the second answer")
     assert joint.get("lamp_left", "response.success") is True
 
@@ -154,14 +75,14 @@ def test_ros_calls(joint: Joint) -> None:
     joint.until(lambda: client.ready and joint.get("start", "xAttached", "xPeerAlive") == (True, True), "all")
     replies: list[Any] = []
     for number in range(3):
-        client.call(encode("Request", data=bool(number % 2)), replies.append)
+        client.call(encode(REQUEST, data=bool(number % 2)), replies.append)
         joint.until(lambda: joint.get("start", "xRequest"), "the request")
         assert joint.get("start", "request.data") is bool(number % 2)
         joint.set("start", **{"response.success": True, "response.message": f"n{number}", "xReply": True})
         joint.until(lambda number=number: len(replies) == number + 1, "the answer")
         joint.set("start", xReply=False)
-        joint.machine.scan(READ, step=2)
-        assert decode("Response", replies[-1].payload) == {"success": True, "message": f"n{number}"}
+        joint.scan()
+        assert decode(RESPONSE, replies[-1].payload) == {"success": True, "message": f"n{number}"}
     assert joint.get("start", "udiCalls", "udiError") == (3, 0)
 
 
@@ -169,15 +90,14 @@ def test_a_restarted_plc_executes_nothing(joint: Joint) -> None:
     """A call in hand at STOP → RUN is not shown again; the next one is."""
     client = joint.peer.client("/start", TYPE, SERVICES)
     joint.until(lambda: client.ready and joint.get("start", "xAttached", "xPeerAlive") == (True, True), "all")
-    client.call(encode("Request", data=True), lambda _: None)
+    client.call(encode(REQUEST, data=True), lambda _: None)
     joint.until(lambda: joint.get("start", "xRequest"), "the request")
-    joint.machine.stop()
-    joint.machine.start()
+    joint.restart_plc()
     joint.until(lambda: joint.get("start", "xAttached", "xPeerAlive") == (True, True), "the start")
     for _ in range(50):
         assert not joint.get("start", "xRequest")
-        joint.machine.scan(READ, step=2)
-    client.call(encode("Request", data=False), lambda _: None)
+        joint.scan()
+    client.call(encode(REQUEST, data=False), lambda _: None)
     joint.until(lambda: joint.get("start", "xRequest"), "the next request")
     assert joint.get("start", "request.data", "udiCalls") == (False, 1)
 
@@ -197,5 +117,50 @@ def test_a_restarted_bridge(joint: Joint) -> None:
     joint.until(lambda: not joint.get("lamp_left", "xError"), "xExecute to fall")
     joint.set("lamp_left", xExecute=True)
     joint.until(lambda: len(asked) == 2, "the next call")
-    server.reply(asked[1][1], encode("Response", success=True))
+    server.reply(asked[1][1], encode(RESPONSE, success=True))
     joint.until(lambda: joint.get("lamp_left", "xDone"), "its answer")
+
+
+INTERLEAVED = f"""bridge: services
+ros: {{backend: memory, domain: {DOMAIN}}}
+shm: {{directory: FOLDER}}
+diagnostics: {{enabled: false}}
+tasks: {{Fast: {{interval: 2ms}}, Slow: {{interval: 10ms}}}}
+services:
+  /add: {{type: {ADD}, server: ros, task: Slow, clients: {{one: {{task: Fast}}, two: {{}}, three: {{}}}}}}
+"""
+
+
+def test_three_clients_in_two_tasks() -> None:
+    """Interleaved calls of one service: each gets its own answer, once, also over online changes."""
+    names = ("add_one", "add_two", "add_three")
+    with made_joint(INTERLEAVED, "ROS_Services", DOMAIN) as joint:
+        open_calls: dict[int, bytes] = {}
+        carried_out: list[int] = []
+
+        def carry_out(payload: bytes, caller: bytes, _stamp_ns: int) -> None:
+            asked = decode(f"{ADD}_Request", payload)
+            carried_out.append(asked["a"])
+            open_calls[asked["a"]] = caller
+
+        server = joint.peer.serve("/add", ADD, SERVICES, carry_out)
+        for turn in range(12):
+            calls = {name: 10 * turn + index for index, name in enumerate(names)}
+            for name, number in calls.items():
+                joint.set(name, **{"request.a": number, "request.b": 1000, "xExecute": True})
+                joint.scan(count=turn % 3)  # one after the other, or at once
+            joint.until(lambda calls=calls: open_calls.keys() == set(calls.values()), "the calls")
+            if turn % 2:
+                joint.machine.online_change()
+            order = sorted(calls.items(), key=lambda item: (item[1] * 7 + turn) % 5)
+            for name, number in order:
+                answer = encode(f"{ADD}_Response", sum=number + 1000)
+                assert server.reply(open_calls.pop(number), answer)
+                joint.until(lambda name=name: joint.get(name, "xDone"), f"the answer to {name}")
+                assert joint.get(name, "response.sum", "udiLate") == (number + 1000, 0)
+                joint.set(name, xExecute=False)
+                joint.machine.online_change()
+            joint.scan()
+            assert [joint.get(name, "xBusy", "xDone") for name in names] == [(False, False)] * 3
+        assert sorted(carried_out) == sorted(10 * turn + index for turn in range(12) for index in range(3))
+        assert [joint.get(name, "udiCalls", "udiError") for name in names] == [(12, 0)] * 3

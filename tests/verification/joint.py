@@ -1,0 +1,115 @@
+"""A PLC of a configuration (executed Structured Text), its bridge, and a ROS node on the other side."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from rosplc.bridge import Bridge
+from rosplc.codec import Codec, Wire
+from rosplc.config import parse_config, resolve
+from rosplc.plc.build import plc_project
+from rosplc.plc.plan import ProjectOptions
+from rosplc.plc.project import project_texts
+from rosplc.ros.memory import open_backend
+from rosplc_st.build import Build, build
+from rosplc_st.machine import LibraryMachine
+from tests.verification.plc_cell import layout_of, store
+
+WATCHDOG_S = 100.0
+
+
+@cache
+def built(config: str) -> tuple[Build, tuple[str, ...]]:
+    """Return the PLC's program, generated from a configuration, and what its tasks call."""
+    project = resolve(parse_config(config.replace("FOLDER", "/dev/shm")))
+    # A PLC that a busy machine stops for a while is no silent one.
+    made = plc_project(project, ProjectOptions(beat_ms=10_000))
+    return build(project_texts(made)), tuple(name for task in made.tasks for name in task.programs)
+
+
+def codec(message: str) -> Codec:
+    return Codec(layout_of(message), Wire.CDR)
+
+
+def encode(message: str, /, **fields: Any) -> bytes:
+    """Return a message as ROS sends it."""
+    return codec(message).encode(layout_of(message).pack(fields))
+
+
+def decode(message: str, payload: bytes) -> dict[str, Any]:
+    """Return the fields of a message that came from ROS."""
+    return layout_of(message).to_dict(codec(message).decode(payload))
+
+
+class Joint:
+    """A PLC, a bridge and a ROS node; FOLDER in the configuration is where the objects are."""
+
+    def __init__(self, config: str, gvl: str, domain: int) -> None:
+        self.config, self.gvl = config, gvl
+        self.folder = Path(tempfile.mkdtemp(prefix="T", dir="/dev/shm"))
+        made, self.programs = built(config)
+        self.machine = LibraryMachine(made, str(self.folder))
+        self.machine.start()
+        self.peer = open_backend(store(), "peer", domain=domain)
+        self.bridge: Bridge | None = None
+        self.start_bridge()
+
+    def start_bridge(self) -> None:
+        self.bridge = Bridge(parse_config(self.config.replace("FOLDER", str(self.folder))))
+        self.bridge.start()
+
+    def stop_bridge(self) -> None:
+        if self.bridge is not None:
+            self.bridge.stop()
+        self.bridge = None
+
+    def close(self) -> None:
+        self.stop_bridge()
+        self.peer.close()
+        shutil.rmtree(self.folder)
+
+    def restart_plc(self) -> None:
+        """STOP → RUN."""
+        self.machine.stop()
+        self.machine.start()
+
+    def get(self, instance: str, *names: str) -> Any:
+        """Return pins of an instance: one value, or a tuple."""
+        values = tuple(self.machine.get(f"{self.gvl}.{instance}.{name}") for name in names)
+        return values[0] if len(values) == 1 else values
+
+    def set(self, instance: str, **pins: Any) -> None:
+        """Set inputs of an instance."""
+        for name, value in pins.items():
+            self.machine.set(f"{self.gvl}.{instance}.{name}", value)
+
+    def scan(self, step: int = 2, count: int = 1) -> None:
+        """Run every task ``count`` times; ``step``: ms on the PLC's clock for each."""
+        for _ in range(count):
+            self.machine.scan(*self.programs, step=step)
+
+    def until(self, condition: Callable[[], Any], what: str, step: int = 2) -> Any:
+        """Let the PLC run until something holds; return it."""
+        deadline = time.monotonic() + WATCHDOG_S
+        while not (found := condition()):
+            assert time.monotonic() < deadline, f"still waiting for {what}"
+            time.sleep(0.002)
+            self.scan(step)
+        return found
+
+
+@contextlib.contextmanager
+def made_joint(config: str, gvl: str, domain: int) -> Iterator[Joint]:
+    """Give a joint, and close it."""
+    made = Joint(config, gvl, domain)
+    try:
+        yield made
+    finally:
+        made.close()
