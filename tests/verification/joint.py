@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import shutil
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -17,7 +19,7 @@ from rosplc.config import parse_config, resolve
 from rosplc.plc.build import plc_project
 from rosplc.plc.plan import ProjectOptions
 from rosplc.plc.project import project_texts
-from rosplc.ros.memory import open_backend
+from rosplc.ros import open_backend
 from rosplc_st.build import Build, build
 from rosplc_st.machine import LibraryMachine
 from tests.verification.plc_cell import layout_of, store
@@ -49,25 +51,48 @@ def decode(message: str, payload: bytes) -> dict[str, Any]:
 
 
 class Joint:
-    """A PLC, a bridge and a ROS node; FOLDER in the configuration is where the objects are."""
+    """A PLC, a bridge and a ROS node; FOLDER in the configuration is where the objects are.
 
-    def __init__(self, config: str, gvl: str, domain: int) -> None:
-        self.config, self.gvl = config, gvl
+    Args:
+        config: The configuration.
+        gvl: The list of the instances.
+        domain: The ROS domain.
+        backend: ``memory``, or ``dds``: the bridge is a process of its own then.
+    """
+
+    def __init__(self, config: str, gvl: str, domain: int, backend: str = "memory") -> None:
+        self.config, self.gvl, self.backend = config, gvl, backend
         self.folder = Path(tempfile.mkdtemp(prefix="T", dir="/dev/shm"))
         made, self.programs = built(config)
         self.machine = LibraryMachine(made, str(self.folder))
         self.machine.start()
-        self.peer = open_backend(store(), "peer", domain=domain)
-        self.bridge: Bridge | None = None
+        self.peer = open_backend(backend, store(), "peer", domain=domain)
+        self.bridge: Bridge | subprocess.Popen[bytes] | None = None
         self.start_bridge()
 
     def start_bridge(self) -> None:
-        self.bridge = Bridge(parse_config(self.config.replace("FOLDER", str(self.folder))))
-        self.bridge.start()
+        text = self.config.replace("FOLDER", str(self.folder))
+        if self.backend == "memory":
+            self.bridge = Bridge(parse_config(text))
+            self.bridge.start()
+        else:
+            path = self.folder / "rosplc.yaml"
+            path.write_text(text)
+            self.bridge = subprocess.Popen([sys.executable, "-m", "rosplc", "run", str(path)])
+
+    def kill_bridge(self) -> None:
+        """Kill the bridge, which is a process of its own."""
+        assert isinstance(self.bridge, subprocess.Popen)
+        self.bridge.kill()
+        self.bridge.wait()
+        self.bridge = None
 
     def stop_bridge(self) -> None:
-        if self.bridge is not None:
+        if isinstance(self.bridge, Bridge):
             self.bridge.stop()
+        elif self.bridge is not None:
+            self.bridge.terminate()
+            self.bridge.wait()
         self.bridge = None
 
     def close(self) -> None:
@@ -106,9 +131,9 @@ class Joint:
 
 
 @contextlib.contextmanager
-def made_joint(config: str, gvl: str, domain: int) -> Iterator[Joint]:
+def made_joint(config: str, gvl: str, domain: int, backend: str = "memory") -> Iterator[Joint]:
     """Give a joint, and close it."""
-    made = Joint(config, gvl, domain)
+    made = Joint(config, gvl, domain, backend)
     try:
         yield made
     finally:

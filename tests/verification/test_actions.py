@@ -9,7 +9,7 @@ import pytest
 
 from rosplc.reasons import Reason
 from rosplc.shm import constants as spec
-from rosplc.shm.constants import ErrorNumber
+from rosplc.shm.constants import READER_LINE, ErrorNumber, reader_line
 from tests.verification.call_cell import ActionCaller, ActionServer, CallCell, made_cell
 from tests.verification.test_services import ABORTED, BUSY, CALL, DONE, ENDS, ERROR, IDLE
 
@@ -344,6 +344,9 @@ def test_a_cancel_is_rejected(cell: CallCell) -> None:
     caller.ask(CALL + CANCEL + PREEMPT)
     cell.until(lambda: caller.get("xPreempt"))
     assert caller.get("xCancelRequested", "xActive") == (False, True)
+    cell.until(
+        lambda: caller.channels[0].region.word(reader_line(0) + READER_LINE["taken"]) == caller.requests.head
+    )
     caller.ask(CALL + CANCEL + PREEMPT)
     cell.until(lambda: caller.get("xCancelRequested"))
     caller.ask(CALL)
