@@ -21,17 +21,8 @@ TRUNCATED = 2  # Bit of the flags: something was cut off to fit (spec/shm-format
 class Codec:
     """Turns messages of one type and wire into records of one layout, and back.
 
-    Args:
-        layout: The record's layout.
-        wire: The serialization of the messages.
-
-    Attributes:
-        layout: As given.
-        wire: As given.
-        plan: What the C core executes; ``publish_wire`` and groups take it.
-
-    Raises:
-        MessageTypeError: TYP007 if the type nests sequences deeper than the executor goes.
+    ``plan`` is what the C core executes; ``publish_wire`` and groups take it. Raises MessageTypeError TYP007
+    if the type nests sequences deeper than the executor goes.
     """
 
     def __init__(self, layout: Layout, wire: Wire) -> None:

@@ -176,15 +176,7 @@ def _with_new_names(data: dict[str, Any], source: YamlSource, problems: Problems
 def rename_keys(text: str, *, name: str = "<text>") -> tuple[str, list[str]]:
     """Give keys of a configuration their present names; everything else in the text stays as it is.
 
-    Args:
-        text: YAML.
-        name: The file's name, for places.
-
-    Returns:
-        The text, and what was changed, each with its line.
-
-    Raises:
-        ConfigErrors: It is no YAML.
+    Return the text, and what was changed, each with its line. Raises ConfigErrors: It is no YAML.
     """
     problems = Problems()
     source = read_yaml(Path(name), problems, text=text)

@@ -108,17 +108,9 @@ def flag_topic(topic: str) -> str:
 
 
 def stale_plan(config: Config, topic: str, entry: TopicSettings, layout: Layout, stale_ns: int) -> StalePlan:
-    """Return what a topic's entry says about its silent source.
+    """Return what a topic's entry says about its silent source, silent after ``stale_ns`` (0: never).
 
-    Args:
-        config: The configuration.
-        topic: The topic's name.
-        entry: Its entry.
-        layout: Its message's layout.
-        stale_ns: The time after which the source counts as silent; 0 for never.
-
-    Raises:
-        ConfigError: CFG004, at the line of what is wrong.
+    Raises ConfigError CFG004 at the line of what is wrong.
     """
     asked = entry.on_stale
     if asked is None:

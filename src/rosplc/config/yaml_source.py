@@ -84,13 +84,9 @@ class YamlSource:
 def read_yaml(path: Path, problems: Problems, *, text: str | None = None) -> YamlSource:
     """Read a file; what is wrong in a way that lets reading go on goes into ``problems``.
 
-    Args:
-        path: The file.
-        problems: Takes aliases and tags (CFG009) and keys written twice (CFG006, CFG010).
-        text: The content, where it does not come from the file.
-
-    Raises:
-        ConfigError: CFG001 if the file cannot be read, CFG002 if it is not YAML.
+    That is aliases and tags (CFG009) and keys written twice (CFG006, CFG010). ``text`` is the content, where
+    it does not come from the file. Raises ConfigError CFG001 if the file cannot be read, CFG002 if it is not
+    YAML.
     """
     name = str(path)
     if text is None:

@@ -63,9 +63,7 @@ def c_header(layouts: Iterable[Layout], guard: str = "ROSPLC_RECORDS_H") -> str:
     A type's struct is ``package__Name``; where one type is needed with several limits, the
     later ones get a number. A sequence ``x`` has the members ``x_count`` and ``x``.
 
-    Args:
-        layouts: The layouts; equal ones are written once.
-        guard: The macro that keeps the header from being read twice.
+    Equal layouts are written once; ``guard`` is the macro that keeps the header from being read twice.
     """
     unique = list(dict.fromkeys(layouts))
     names = _Names()

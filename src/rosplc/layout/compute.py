@@ -33,14 +33,7 @@ _COUNT = ScalarNode("uint32", 4)
 def compute_struct(store: TypeStore, type_name: str, limits: Limits) -> StructNode:
     """Return where everything lies in a record of a type.
 
-    Args:
-        store: Knows the type and those it needs.
-        type_name: ``package/msg/Name`` or ``package/Name``.
-        limits: Capacities.
-
-    Raises:
-        MessageTypeError: TYP001, the type is unknown; TYP002, a field's name is none.
-        LayoutError: LAY001 … LAY004; LAY006 if a default value does not fit its capacity.
+    Raises as :func:`~rosplc.layout.compute_layout`; MessageTypeError TYP002, a field's name is none.
     """
     return _Builder(store, type_name, limits).struct(store[type_name].name, dict(limits.fields), "")[0]
 
@@ -57,10 +50,7 @@ class _Builder:
     def struct(self, type_name: str, limits: dict[str, int], path: str) -> tuple[StructNode, int]:
         """Return the node and its number of layout lines.
 
-        Args:
-            type_name: Full name.
-            limits: Capacities by path, relative to this struct.
-            path: Path of this struct with a trailing dot, for errors.
+        The paths of ``limits`` are relative to this struct, whose own ``path``, for errors, ends with a dot.
         """
         key = (type_name, tuple(sorted(limits.items())))
         if key not in self._known:

@@ -28,15 +28,7 @@ _TIMES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 
 
 class StructPacker:
-    """Writes values into a struct's bytes.
-
-    Args:
-        node: The struct.
-        store: Knows the default values.
-
-    Attributes:
-        initial: The struct's bytes when no field is given.
-    """
+    """Writes values into a struct's bytes; ``initial`` are those when no field is given."""
 
     def __init__(self, node: StructNode, store: TypeStore) -> None:
         self._type_name = node.type_name
@@ -108,10 +100,7 @@ class StructPacker:
 def _packer(node: Node, count: int, store: TypeStore) -> tuple[Pack, bytes]:
     """Return how to write a member, and its initial bytes without its own default value.
 
-    Args:
-        node: What is there.
-        count: Where the count of a sequence lies, from the sequence's own place.
-        store: Knows the default values.
+    ``count`` is where the count of a sequence lies, from the sequence's own place.
     """
     if isinstance(node, StructNode):
         inner = StructPacker(node, store)

@@ -39,12 +39,9 @@ def layout_text(root: StructNode) -> str:
 
 
 def layout_difference(one: str, other: str, limit: int = 5) -> str:
-    """Say in words how two layout texts differ; empty if they do not.
+    """Say in words how this side's layout text and the other's differ; empty if they do not.
 
-    Args:
-        one: This side's layout text.
-        other: The other side's.
-        limit: Most fields to name.
+    At most ``limit`` fields are named.
     """
     if one == other:
         return ""

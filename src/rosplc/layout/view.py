@@ -34,9 +34,7 @@ class Excerpt(list[Any]):
 class StructReader:
     """Knows how to read each field of a struct; made once per layout.
 
-    Args:
-        node: The struct.
-        most: How many elements of an array are read at most; longer ones become an :class:`Excerpt`.
+    Of an array at most ``most`` elements are read; longer ones become an :class:`Excerpt`.
     """
 
     def __init__(self, node: StructNode, most: int | None = None) -> None:

@@ -45,11 +45,7 @@ EMPTY_MEMBER = "structure_needs_at_least_one_member"
 
 
 def bundled_types(distro: str) -> dict[str, MessageType]:
-    """Return every type that rosbags bundles for a distribution, without default values.
-
-    Args:
-        distro: One of :data:`DISTROS`.
-    """
+    """Return every type that rosbags bundles for one of :data:`DISTROS`, without default values."""
     definitions: dict[str, Any] = get_typestore(_STORES[distro]).fielddefs
     ros1 = distro == "noetic"
     return {name: _message(name, *definition, ros1=ros1) for name, definition in definitions.items()}
@@ -58,16 +54,9 @@ def bundled_types(distro: str) -> dict[str, MessageType]:
 def parse_field_type(text: str, package: str, *, ros1: bool = False) -> tuple[FieldType, bool] | None:
     """Read the type part of a ``.msg`` line, such as ``geometry_msgs/Point[<=4]``.
 
-    An unqualified ``Header`` is std_msgs' one.
-
-    Args:
-        text: The type as written.
-        package: Where a name without a package is looked for.
-        ros1: Whether it is ROS 1, where ``byte`` is an ``int8``.
-
-    Returns:
-        The type, and whether its length and bounds are within 1 … 2^32 - 1; None if the
-        text is no type at all.
+    An unqualified ``Header`` is std_msgs' one; another name without a package is that of ``package``. In
+    ROS 1 ``byte`` is an ``int8``. Return the type, and whether its length and bounds are within 1 … 2^32 - 1;
+    None if the text is no type at all.
     """
     parser = MSGParser(text)
     found = parser.typ(0)

@@ -158,12 +158,7 @@ def _name_in(manifest: Path) -> str:
 
 
 def split_definition(type_name: str, text: str) -> dict[str, str]:
-    """Return the parts of a definition text by full type name, the text's own type first.
-
-    Args:
-        type_name: The type that the text defines first.
-        text: The ``.msg`` text, other types after lines of 80 ``=``; one that parses.
-    """
+    """Return the parts of a text that parses by full type name, ``type_name`` first."""
     first, *others = _SEPARATOR.split(text.replace("\r\n", "\n"))
     parts = {full_name(type_name): first.strip("\n") + "\n"}
     for name, part in zip(others[::2], others[1::2], strict=True):
@@ -174,11 +169,7 @@ def split_definition(type_name: str, text: str) -> dict[str, str]:
 def save_definitions(texts: Mapping[str, str], folder: Path) -> tuple[Path, ...]:
     """Write ``package/msg/Name.msg`` below a folder for each text; return the files.
 
-    A file that has the same text already is left as it is.
-
-    Args:
-        texts: Definition by full type name.
-        folder: Where the packages are; made if it does not exist.
+    A file that has the same text already is left as it is; the folder is made if it does not exist.
 
     Raises:
         MessageTypeError: TYP001 if a name is none; TYP009 if a file of that name has another text,

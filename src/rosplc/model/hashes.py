@@ -33,12 +33,7 @@ _ARRAY, _BOUNDED_SEQUENCE, _SEQUENCE = 48, 96, 144  # added to the element's id
 
 
 def rihs01(message: MessageType, dependencies: list[MessageType]) -> str:
-    """Return the type hash ``RIHS01_<64 hexadecimal digits>``.
-
-    Args:
-        message: The type.
-        dependencies: Every type that it needs, directly or not, without itself.
-    """
+    """Return the type hash ``RIHS01_<64 hexadecimal digits>``; dependencies are direct and indirect ones."""
     description = {
         "type_description": _describe(message),
         "referenced_type_descriptions": [
@@ -49,12 +44,7 @@ def rihs01(message: MessageType, dependencies: list[MessageType]) -> str:
 
 
 def md5_text(message: MessageType, md5_of: Callable[[str], str]) -> str:
-    """Return the text whose MD5 identifies a type in ROS 1.
-
-    Args:
-        message: The type.
-        md5_of: Gives a nested type's MD5 by its full name.
-    """
+    """Return the text whose MD5 identifies a type in ROS 1; ``md5_of`` gives that of a nested type."""
     lines = [f"{c.type} {c.name}={c.text}" for c in message.constants]
     for field in message.fields:
         kind, element = field.type, field.type.inner

@@ -51,14 +51,9 @@ def strip_comment(text: str) -> str:
 
 
 def parse_value(text: str, kind: FieldType) -> Value:
-    """Read the literal of a default value or a constant.
+    """Read the literal of a default value or a constant, without a comment.
 
-    Args:
-        text: The literal without a comment.
-        kind: The type it must have.
-
-    Raises:
-        LiteralError: The text is no literal of that type, or out of its range.
+    Raises LiteralError: The text is no literal of that type, or out of its range.
     """
     if isinstance(kind, NamedType):
         raise LiteralError(f"a field of type {kind} cannot have a default value")

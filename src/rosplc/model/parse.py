@@ -46,12 +46,7 @@ class ParsedType:
 def full_name(name: str, kind: str = "msg") -> str:
     """Return ``package/msg/Name`` for ``package/Name``; a name of three parts as it is.
 
-    Args:
-        name: The name; one of three parts is of a message, or of a service (``srv``) or an ``action``.
-        kind: The middle of a name of two parts.
-
-    Raises:
-        MessageTypeError: TYP001, the text is no type name.
+    ``kind`` is the middle for a name of two: ``msg``, ``srv`` or ``action``. Raises MessageTypeError TYP001.
     """
     found = _TYPE_NAME.match(name) if len(name) <= MAX_NAME else None
     if not found:

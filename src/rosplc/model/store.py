@@ -90,10 +90,8 @@ class TypeStore:
     def from_definition(cls, type_name: str, text: str, *, distro: str = "") -> TypeStore:
         """Rebuild a type from a self-description's text, which is not trusted.
 
-        Args:
-            type_name: The type that the text defines first.
-            text: The definition with every type it needs (spec/type-mapping.md, section 6).
-            distro: What the self-description says; only ``noetic`` means ROS 1.
+        The text defines it first, then every type it needs (spec/type-mapping.md, section 6). ``distro`` is
+        what the self-description says; only ``noetic`` means ROS 1.
 
         Raises:
             MessageTypeError: TYP001 a needed type is missing, TYP002 syntax, TYP003, TYP004,

@@ -554,14 +554,10 @@ def _layout(store: TypeStore, type_name: str, limits: Mapping[str, Any] | None) 
 
 
 class RosTarget(Target):
-    """Publishers on ROS topics, over any backend.
+    """Publishers on ROS topics, and clients of services, over any backend.
 
-    Args:
-        topics: Name in ROS → topic.
-        backend: The backend's name, or ``auto``.
-        distro: Whose definitions hold on the wire.
-        domain: The ROS domain; None: ``ROS_DOMAIN_ID``, else 0.
-        join: Opens the backend; for tests.
+    ``topics`` is name in ROS → topic, ``distro`` names whose definitions hold on the wire, ``join`` opens the
+    backend.
 
     Raises:
         RecordingError: REC007, the recording's definition of a type does not agree with the distribution's.

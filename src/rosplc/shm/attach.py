@@ -175,10 +175,6 @@ class Attached(Mapped):
     def acting_reader(self, task: str = "", *, beat_ms: int = 1000) -> Reader:
         """Return the reader of a service's or action's object that acts on its messages (section 11.1).
 
-        Args:
-            task: The reader's name, shown to people.
-            beat_ms: The longest time between two beats, or takings, that the reader promises.
-
         Raises:
             ChannelError: SHM114 if another one lives; SHM110 if the bridge acts on them; SHM122; SHM111.
         """

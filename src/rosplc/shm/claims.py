@@ -83,11 +83,8 @@ class WriterProcess:
     """Whether the process behind a claim runs; for people, and never a reason to take the claim (M6).
 
     A process number means nothing in another PID namespace, and the kernel uses it again. So a process is
-    taken for the writer's only if it has the object mapped writable, and is then followed by a pidfd.
-
-    Args:
-        device: The object's device.
-        inode: The object's inode.
+    taken for the writer's only if it has the object (``device``, ``inode``) mapped writable, and is then
+    followed by a pidfd.
     """
 
     def __init__(self, device: int, inode: int) -> None:

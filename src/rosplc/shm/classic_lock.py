@@ -47,15 +47,9 @@ _lseek.argtypes = [ctypes.c_int, ctypes.c_int64, ctypes.c_int]
 
 
 class Semaphore:
-    """A named semaphore; ``/dev/shm/sem.NAME`` on Linux.
+    """A named semaphore, ``/dev/shm/sem.NAME`` on Linux; ``create`` makes one with the value 1.
 
-    Args:
-        name: Without a slash.
-        create: Make it, with the value 1; it must not be there yet. Otherwise open it.
-        mode: Permission bits of a new one, less the process's umask.
-
-    Raises:
-        OSError: As sem_open says: FileNotFoundError, FileExistsError, PermissionError, …
+    Raises OSError as sem_open says: FileNotFoundError, FileExistsError, PermissionError, …
     """
 
     def __init__(self, name: str, *, create: bool = False, mode: int = 0o600) -> None:

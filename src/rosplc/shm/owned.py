@@ -111,16 +111,8 @@ class OwnedChannel(Mapped):
 
         If one of them is no longer :meth:`still_there`, close or retire all and open them together again.
 
-        Args:
-            namespace: Where they lie.
-            parts: The description and record size, in bytes, of each; ``partners`` is filled in here.
-            mode: As :meth:`open`, like the rest.
-            uid: Owner.
-            gid: Group.
-            bridge_id: 16 random bytes of the bridge.
-
-        Raises:
-            ChannelError: As :meth:`open`; then none of them is owned.
+        ``parts`` are the description and record size, in bytes, of each; ``partners`` is filled in here. The
+        rest is as of :meth:`open`, which says what is raised; then none of them is owned.
         """
         complete = zip(partnered([one for one, _ in parts]), (size for _, size in parts), strict=True)
         return cls._open(namespace, complete, spec.MIN_SLOTS, Rights(mode, uid, gid), bridge_id)
@@ -163,11 +155,8 @@ class OwnedChannel(Mapped):
     def writer(self, beat_ms: int = 1000) -> Writer:
         """Claim the channel towards the PLC; the lock makes any other claim an old one.
 
-        Args:
-            beat_ms: The longest time between two beats, or messages, that the writer promises.
-
-        Raises:
-            ChannelError: SHM110 if the direction is towards ROS.
+        ``beat_ms`` is the longest time between two beats, or messages, that the writer promises. Raises
+        ChannelError SHM110 if the direction is towards ROS.
         """
         if self.identity.direction is not Direction.TO_PLC:
             raise channel_error(110, "only the PLC writes towards ROS", str(self.path))
@@ -178,12 +167,9 @@ class OwnedChannel(Mapped):
     def reader(self, beat_ms: int = 1000, *, latched: bool = False) -> Reader:
         """Claim line 0 of a channel towards ROS, and go on after what the bridge before had taken (M14).
 
-        Args:
-            beat_ms: The longest time between two beats, or takings, that the reader promises.
-            latched: Where there is no such record, start with what the object holds.
-
-        Raises:
-            ChannelError: SHM110 if the direction is towards the PLC.
+        ``beat_ms`` is the longest time between two beats, or takings, that the reader promises. Where there
+        is no record of the one before, ``latched`` starts with what the object holds. Raises ChannelError
+        SHM110 if the direction is towards the PLC.
         """
         if self.identity.direction is not Direction.TO_ROS:
             raise channel_error(110, "the bridge does not read what it writes", str(self.path))
