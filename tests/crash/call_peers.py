@@ -1,16 +1,20 @@
-"""A bridge and a PLC as processes of their own, which kill themselves at a named step of a call.
+"""Bridge, PLC and robot as processes of their own, which kill themselves at a named step of a call.
 
-``call_peers.py bridge|plc FOLDER [STEP PASSES] [SABOTAGE]``: at the given pass of the step the process gets
-SIGKILL. Who carries a call out appends the request's token to a file of its own before it acts; who calls
-appends the token before, and how the call ended after it.
+``call_peers.py FOLDER [SABOTAGE]`` forks them when it is told to on its standard input. Who carries a call
+out appends the request's token to a file of its own before it acts; who calls appends the token before, and
+how the call ended after it. The bridge notes for each call when it came and in which counter it went, so that
+the counters can be compared with those files.
 """
 
 from __future__ import annotations
 
 import functools
+import importlib
+import itertools
 import os
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -19,12 +23,25 @@ from typing import Any
 from rosplc.bridge import Bridge
 from rosplc.bridge.called import Called
 from rosplc.bridge.served import Served
+from rosplc.codec import Codec, Wire
 from rosplc.config import read_config
+from rosplc.layout import compute_layout
+from rosplc.model import TypeStore
+from rosplc.ros import SERVICES, Reply, open_backend
+from rosplc.shm import Attached, Part, Reader, SlotInfo
+from rosplc.shm.claims import ReaderClaim
 from rosplc.virtual_plc import ServiceClient, ServiceServer, Task
 from rosplc.virtual_plc.call_blocks import _In, _Out
+from tests.lib.waiting import wait_for
 
+TYPE = "cell_msgs/srv/Do"
+PATIENCE_S = 0.3
+"""How long a caller in ROS waits for an answer."""
 SLOW_S = 2.5
 """How long the PLC takes for a call whose token begins with ``slow``."""
+RESTART_EVERY = 200
+"""Of so many calls, the PLC's program executes one and goes to STOP and RUN before it answers."""
+BEAT_MS = 30
 
 STEPS: dict[str, list[tuple[Any, str, str, Callable[..., bool]]]] = {}
 """Step → where it is: class, method, ``before`` or ``after``, and whether a pass counts."""
@@ -52,7 +69,13 @@ _step("bridge: answered by ROS", Called, "_pass_on", "before")
 _step("bridge: answer written", Called, "_answer", "after")
 _step("plc: taken stored", _In, "begin", "after")
 _step("plc: answer taken", _In, "take", "after")
-_step("plc: written", _Out, "publish", "after")
+_step("plc: request written", _Out, "publish", "after", lambda out, *_: out._part is Part.REQUEST)
+_step("plc: answer written", _Out, "publish", "after", lambda out, *_: out._part is Part.RESPONSE)
+ALL = (
+    *STEPS,
+    *("plc: shown", "robot: asked", "robot: sent", "robot: answer taken", "robot: shown", "robot: answered"),
+)
+"""All steps; those that are not in ``STEPS`` call :meth:`Fuse.burn`."""
 
 
 class Fuse:
@@ -113,67 +136,232 @@ def _sabotage(what: str) -> None:
             begin(self, now_ns)
 
         Served.begin = for_ever  # type: ignore[method-assign]
+    elif what == "no count":
+        Served._count = lambda *_: None  # type: ignore[method-assign]
+
+
+def _sabotage_plc(what: str) -> None:
+    if what == "last := 0":
+        Attached.reader = lambda self, **_: Reader(self.region, 0)  # type: ignore[assignment,method-assign]
+        claim = ReaderClaim.__init__
+        ReaderClaim.__init__ = lambda *a, answer, **k: claim(*a, **k)  # type: ignore[method-assign]
+
+
+class Tokens:
+    """The requests and responses of ``cell_msgs/srv/Do``, as serialized bytes."""
+
+    def __init__(self, folder: Path) -> None:
+        self.store = TypeStore.bundled("jazzy").with_paths([folder / "types"])
+        self._codecs = {
+            part: Codec(compute_layout(self.store, f"{TYPE}_{part}"), Wire.CDR)
+            for part in ("Request", "Response")
+        }
+
+    def put(self, part: str, token: str) -> bytes:
+        codec = self._codecs[part]
+        return codec.encode(codec.layout.pack({"token": token}))
+
+    def get(self, part: str, data: bytes) -> str:
+        codec = self._codecs[part]
+        return str(codec.layout.to_dict(codec.decode(data))["token"])
+
+
+def _note_counts(folder: Path) -> None:
+    """Note for each call when it came, and in which counter it went: ``pid service call came|outcome``."""
+    tokens, now = Tokens(folder), {Served: "", Called: ""}
+
+    def around(owner: Any, name: str, before: Callable[..., None]) -> None:
+        method = getattr(owner, name)
+
+        @functools.wraps(method)
+        def noted(*arguments: Any, **more: Any) -> Any:
+            before(*arguments)
+            return method(*arguments, **more)
+
+        setattr(owner, name, noted)
+
+    def note(use: Any, key: str, *words: object) -> None:
+        append(folder / "noted-by-bridge", os.getpid(), use.plan.server, key, *words)
+
+    def came(use: Any, payload: bytes, caller: bytes, _: int) -> None:
+        note(use, caller.hex(), "came", tokens.get("Request", payload))
+
+    def begun(use: Any, what: str, payload: bytes, info: SlotInfo, _: int) -> None:
+        note(use, f"{info.correlation:x}", "came", tokens.get("Request", payload))
+
+    def of(owner: Any, key: Callable[..., str]) -> Callable[..., None]:
+        return lambda use, *arguments: now.update({owner: key(use, *arguments)})
+
+    def counted(use: Any, outcome: str, *_: Any) -> None:
+        note(use, now[type(use)], "counted", outcome.replace(" ", "_"))
+
+    around(Served, "tell", came)
+    around(Served, "_end", of(Served, lambda _, call, *__: call.caller.hex()))
+    around(Served, "_reply", of(Served, lambda _, caller, *__: caller.hex()))
+    around(Called, "_begin", begun)
+    around(Called, "_answer", of(Called, lambda use, *_: f"{use._open_call:x}"))
+    around(Served, "_count", counted)
+    around(Called, "_count", counted)
 
 
 def bridge(folder: Path) -> None:
     """Carry the calls until SIGTERM."""
     with Bridge(read_config(folder / "rosplc.yaml")):
-        print("ready", flush=True)
+        _say_ready()
         signal.sigwait({signal.SIGTERM})
 
 
 def plc(folder: Path, fuse: Fuse) -> None:
     """Carry out what ROS asks for, and call ROS all the time, until SIGTERM."""
-    prefix = (folder / "prefix").read_text()
-    server = ServiceServer("/do", prefix=prefix, beat_ms=100)
-    client = ServiceClient("/move", prefix=prefix, beat_ms=100)
+    prefix = (folder / "where").read_text().split()[0]
     task = Task("Cell", 0.002)
-    state: dict[str, Any] = {"number": 0, "until": 0.0, "token": ""}
+    server: ServiceServer
+    client: ServiceClient
+    number, shown, executing, until = 0, 0, "", 0.0
+
+    def run() -> None:
+        nonlocal server, client
+        server = ServiceServer("/do", prefix=prefix, beat_ms=BEAT_MS)
+        client = ServiceClient("/move", prefix=prefix, beat_ms=BEAT_MS)
+
+    def stop() -> None:
+        if client.xExecute:
+            append(folder / "ended-at-plc", client.request.token, "forgotten", "-", "-")
+        server.close()
+        client.close()
 
     @task.program
     def serve() -> None:
+        nonlocal shown, executing, until
         server.xReply = server.xReply and server.xRequest
         if not server():
-            state["token"] = ""
-        elif not state["token"] and server.request is not None:
-            state["token"] = server.request.token
-            append(folder / "executed-by-plc", state["token"])
+            executing = ""
+        elif not executing and server.request is not None:
+            executing = server.request.token
+            append(folder / "executed-by-plc", executing)
             fuse.burn("plc: shown")
-            state["until"] = time.monotonic() + SLOW_S * state["token"].startswith("slow")
-            server.response.token = state["token"]
-        server.xReply = bool(state["token"]) and time.monotonic() >= state["until"]
+            slow, shown = executing.startswith("slow"), shown + 1
+            until = time.monotonic() + SLOW_S * slow
+            server.response.token = executing
+            if shown % RESTART_EVERY == 2 and not slow:
+                stop()
+                run()
+                executing = ""
+        server.xReply = bool(executing) and time.monotonic() >= until
 
     @task.program
     def call() -> None:
+        nonlocal number
         client()
         if client.xExecute and not client.xBusy:
             answer = client.response.token if client.xDone and client.response is not None else "-"
             outcome = "done" if client.xDone else str(client.eError and client.eError.name)
-            append(folder / "ended-at-plc", client.request.token, outcome, answer)
+            append(folder / "ended-at-plc", client.request.token, outcome, answer, client.eReason.name)
             client.xExecute = False
         elif client.request is not None and not client.xExecute:
-            state["number"] += 1
-            client.request.token = f"p{os.getpid()}-{state['number']}"
+            number += 1
+            client.request.token = f"p{os.getpid()}-{number}"
             append(folder / "asked-by-plc", client.request.token)
-            client.xExecute, client.tTimeout = True, 2.0
+            client.xExecute, client.tTimeout = True, 0.5
 
+    run()
     task.start()
-    print("ready", flush=True)
+    _say_ready()
     signal.sigwait({signal.SIGTERM})
     task.stop()
-    server.close()
-    client.close()
+    stop()
 
 
-def main(role: str, folder: str, step: str = "", passes: str = "0", sabotage: str = "") -> None:
-    """Run a role."""
-    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
-    _sabotage(sabotage)
-    fuse = Fuse(step, int(passes))
-    if role == "bridge":
-        bridge(Path(folder))
+def robot(folder: Path, fuse: Fuse, *, late: bool) -> None:
+    """Serve the PLC, and call it all the time, until SIGTERM, or with ``late`` until a call has expired."""
+    tokens, lock, known = Tokens(folder), threading.Lock(), threading.Event()
+    ros = open_backend("dds", tokens.store, "peer", domain=int((folder / "where").read_text().split()[1]))
+
+    def on_request(payload: bytes, caller: bytes, _: int) -> None:
+        token = tokens.get("Request", payload)
+        append(folder / "executed-by-ros", token)
+        fuse.burn("robot: shown")
+        known.wait()
+        server.reply(caller, tokens.put("Response", token))
+        fuse.burn("robot: answered")
+
+    def call(token: str, seconds: float) -> bool:
+        came = threading.Event()
+
+        def on_reply(reply: Reply) -> None:
+            if reply.payload is not None:
+                fuse.burn("robot: answer taken")
+                append(folder / "ended-at-ros", token, "done", tokens.get("Response", reply.payload), "-")
+                came.set()
+
+        with lock:  # in the order of the file
+            append(folder / "asked-by-ros", token)
+            fuse.burn("robot: asked")
+            number = client.call(tokens.put("Request", token), on_reply)
+        fuse.burn("robot: sent")
+        if not (answered := came.wait(seconds)):
+            client.forget(number)
+        return answered
+
+    server = ros.serve("/move", TYPE, SERVICES, on_request)
+    known.set()
+    client = ros.client("/do", TYPE, SERVICES)
+    _say_ready()
+    name = (f"r{os.getpid()}-{number}" for number in itertools.count(1))
+    if late:
+        wait_for(lambda: client.ready and call(next(name), 1.0), "an answer")
+        slow = threading.Thread(target=call, args=("slow", SLOW_S + 5))
+        slow.start()
+        wait_for(lambda: "slow" in (folder / "executed-by-plc").read_text(), "a call that takes long")
+        call("late", SLOW_S + 1)
+        slow.join()
     else:
-        plc(Path(folder), fuse)
+        while not signal.sigtimedwait({signal.SIGTERM}, 0.002):
+            if client.ready:
+                call(next(name), PATIENCE_S)
+
+
+def _say_ready() -> None:
+    os.write(1, f"ready {os.getpid()}\n".encode())
+
+
+def _play(folder: Path, sabotage: str, role: str, step: str, passes: int) -> None:
+    fuse = Fuse(step, passes)
+    if role == "bridge":
+        _note_counts(folder)
+        _sabotage(sabotage)
+        bridge(folder)
+    elif role == "plc":
+        _sabotage_plc(sabotage)
+        plc(folder, fuse)
+    else:
+        robot(folder, fuse, late=step == "late")
+
+
+def main(folder: str, sabotage: str = "") -> None:
+    """Start processes, and wait for their ends, as standard input says, until it ends."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
+    Tokens(Path(folder)).get("Request", Tokens(Path(folder)).put("Request", "warm"))
+    importlib.import_module("rosplc.ros.dds.backend")  # once for all of them
+    children = set()
+    for line in sys.stdin:
+        order, *words = line.rstrip("\n").split("|")
+        if order == "wait":
+            status = os.waitpid(int(words[0]), 0)[1]
+            children.discard(int(words[0]))
+            os.write(1, f"ended {os.waitstatus_to_exitcode(status)}\n".encode())
+        elif child := os.fork():
+            children.add(child)
+            os.write(1, f"started {child}\n".encode())
+        else:
+            try:
+                _play(Path(folder), sabotage, words[0], words[1], int(words[2]))
+                os._exit(0)
+            except BaseException:
+                sys.excepthook(*sys.exc_info())
+                os._exit(1)
+    for child in children:
+        os.kill(child, signal.SIGKILL)
 
 
 if __name__ == "__main__":
