@@ -246,6 +246,7 @@ def plc(folder: Path, fuse: Fuse) -> None:
             if shown % RESTART_EVERY == 2 and not slow:
                 stop()
                 run()
+                server()  # at once: the bridge shall not have withdrawn the call yet
                 executing = ""
         server.xReply = bool(executing) and time.monotonic() >= until
 

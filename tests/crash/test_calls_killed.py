@@ -254,7 +254,7 @@ def test_the_check_sees_a_sabotage(
     Correlations without the epoch are sabotaged in ``test_call_killed.py``, where a late answer can be timed.
     """
     with _cell(tmp_path, shm_namespace, domain, sabotage) as cell:
-        for _ in range(20):
+        for _ in range(60):
             if step:
                 cell.kill_at(step, 1)
             cell.complete()
