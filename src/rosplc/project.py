@@ -419,8 +419,8 @@ def warnings(project: Project) -> list[str]:
     found += [*open_doors(project.config), *contention(project.config)]
     if isinstance(names := plc_names(project), RosplcError):
         found.append(f"rosplc generate would refuse this: {names.what} [{names.code}]. {names.remedy}")
-    if not project.topics:
-        found.append("the file names no topics: a bridge would carry nothing")
+    if not project.plans:
+        found.append("the file names no topics, services or actions: a bridge would carry nothing")
     for plan in project.topics:
         if plan.layout.size > _LARGE_RECORD:
             found.append(
