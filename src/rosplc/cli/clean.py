@@ -98,8 +98,7 @@ def _clean(namespace: Namespace, topics: list[str], *, dry_run: bool) -> tuple[l
 def _remove(item: Path, lock_file: Path, paths: list[Path], *, dry_run: bool) -> list[str]:
     """Remove the files of one name under its lock, the lock's file last.
 
-    Raises:
-        ChannelError: SHM116 while a bridge holds it; SHM104, SHM119, SHM121 for what is somebody else's.
+    Raises ChannelError SHM116 while a bridge holds it; SHM104, SHM119, SHM121 for what is somebody else's.
     """
     from rosplc.monitor.watch import open_object
     from rosplc.shm.files import Rights

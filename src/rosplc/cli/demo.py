@@ -88,11 +88,7 @@ def command(
 
 
 def parse_duration(text: str) -> float:
-    """Return the seconds in ``20s``, ``500ms``, ``1.5min`` or, without a unit, ``20``.
-
-    Raises:
-        typer.BadParameter: It is none of these, or zero.
-    """
+    """Return the seconds in ``20s``, ``500ms``, ``1.5min`` or, without a unit, ``20``; zero is none."""
     text = text.strip()
     return duration_ns(f"{text}s" if text[-1:].isdigit() else text, "--duration") / 1e9
 

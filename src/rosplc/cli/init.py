@@ -264,11 +264,7 @@ def _facts(
 
 
 def _ask_topics(topics: Mapping[str, Topic]) -> list[Wish]:
-    """Ask what to carry, and which way; the answers are wishes as from the command line.
-
-    Raises:
-        typer.Abort: Ctrl-C, or the end of the input.
-    """
+    """Ask what to carry, and which way; the answers are wishes as from the command line."""
     from rosplc.errors import RosplcError
     from rosplc.init import direction, is_of_ros_itself
     from rosplc.init.select import Wish

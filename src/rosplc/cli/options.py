@@ -58,11 +58,7 @@ def observed_config(given: Path | None, prefix: str | None) -> Path | None:
 
 
 def config_file(given: Path | None) -> Path:
-    """Return the configuration to use: what was given, else ./rosplc.yaml.
-
-    Raises:
-        ConfigError: CFG001, none was given and there is no rosplc.yaml here.
-    """
+    """Return the configuration to use: what was given, else ./rosplc.yaml; CFG001 if there is neither."""
     if given is None and default_config() is None:
         raise ConfigError(
             "CFG001",
@@ -105,8 +101,7 @@ def need_extra(package: str, extra: str, verb: str) -> None:
 def nothing_there(prefixes: Collection[str], directory: str) -> str:
     """Return what to print where there are no channels, or none of the prefixes that were asked for.
 
-    Raises:
-        ChannelError: SHM123 if the directory cannot be listed.
+    Raises ChannelError SHM123 if the directory cannot be listed.
     """
     from rosplc.monitor import find_objects
 
@@ -121,10 +116,8 @@ def nothing_there(prefixes: Collection[str], directory: str) -> str:
 def open_watch(prefix: str | None, configs: list[Path] | None, stale_after: str, directory: str) -> Watch:
     """Return a watch over the channels that the options, or else ./rosplc.yaml, ask for.
 
-    Raises:
-        BadParameter: ``stale_after`` is no duration.
-        ConfigErrors: A configuration is wrong.
-        ChannelError: SHM118 if the prefix is not valid.
+    Raises BadParameter, ``stale_after`` is no duration; ConfigErrors; ChannelError SHM118, the prefix is not
+    valid.
     """
     from rosplc.config.quantities import parse_stale
     from rosplc.monitor import Watch
@@ -139,8 +132,7 @@ def open_watch(prefix: str | None, configs: list[Path] | None, stale_after: str,
 def settled(watch: Watch, least: float, most: float, clock: Clock = SYSTEM) -> Picture:
     """Look until it is known of every side whether it is alive: at least and at most so many seconds.
 
-    Raises:
-        ChannelError: SHM123 if the directory cannot be listed.
+    Raises ChannelError SHM123 if the directory cannot be listed.
     """
     from rosplc.monitor import State
 

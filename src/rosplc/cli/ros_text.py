@@ -28,12 +28,7 @@ def _wire(store: TypeStore) -> Wire:
 
 
 class Reader:
-    """Decodes messages of one type, whatever their lengths.
-
-    Args:
-        store: Knows the type.
-        type_name: Its full name.
-    """
+    """Decodes messages of one type, which the store knows, whatever their lengths."""
 
     def __init__(self, store: TypeStore, type_name: str) -> None:
         self._store, self._type_name = store, type_name
@@ -44,9 +39,8 @@ class Reader:
     def __call__(self, data: bytes) -> dict[str, Any]:
         """Return a message as nested dicts and lists.
 
-        Raises:
-            CodecError: The bytes are no message of the type.
-            LayoutError: LAY003, its sequences are too large to be shown.
+        Raises CodecError, the bytes are no message of the type; LayoutError LAY003, it is too large to be
+        shown.
         """
         self._meter.measure(data)
         capacities = {path: max(1, length.most) for path, length in self._meter.lengths.items()}
@@ -65,12 +59,8 @@ class Reader:
 class Writer:
     """Encodes the message that values make, as often as it is called; what they lack has its default.
 
-    ``header: auto`` and ``stamp: now`` become the present time, as in ``ros2 topic pub``.
-
-    Args:
-        store: Knows the type.
-        type_name: Its full name.
-        value: Fields, nested as the type is.
+    The values are nested as the type is; ``header: auto`` and ``stamp: now`` become the present time, as in
+    ``ros2 topic pub``.
     """
 
     def __init__(self, store: TypeStore, type_name: str, value: Mapping[str, Any]) -> None:
@@ -82,11 +72,7 @@ class Writer:
         self._codec = Codec(compute_layout(store, type_name, Limits(fields=capacities)), _wire(store))
 
     def __call__(self) -> bytes:
-        """Return the message as it is now.
-
-        Raises:
-            LayoutError: LAY006, naming the field that does not fit.
-        """
+        """Return the message as it is now. Raises LayoutError LAY006, naming the field that does not fit."""
         value = _with_time(self._store, self._type_name, self._value)
         return self._codec.encode(self._codec.layout.pack(value))
 

@@ -76,11 +76,8 @@ def columns(
 ) -> list[str]:
     """Return rows as aligned lines; numbers are aligned to the right, the last column is not padded.
 
-    Args:
-        rows: The cells, as many in each row.
-        header: A title for each column.
-        indent: Blanks before each line.
-        width: Characters that a line may have; None takes the terminal's, and none in a pipe.
+    ``header`` has a title for each column. A line has at most ``width`` characters after ``indent`` blanks;
+    None takes the terminal's, and none in a pipe.
     """
     cells = [[str(cell) for cell in row] for row in rows]
     if not cells:
@@ -130,11 +127,7 @@ def _is_number(text: str) -> bool:
 
 
 class ProgressLine:
-    """Progress on stderr: a line that is rewritten in a terminal, printed now and then into a log.
-
-    Args:
-        quiet: Show nothing.
-    """
+    """Progress on stderr: a line that is rewritten in a terminal, printed now and then into a log."""
 
     def __init__(self, *, quiet: bool = False) -> None:
         self._quiet = quiet

@@ -55,11 +55,7 @@ def command(
 
 
 def _check_terminal() -> None:
-    """Refuse what is no terminal that can be drawn upon.
-
-    Raises:
-        SetupError: SYS012.
-    """
+    """Refuse what is no terminal that can be drawn upon: SYS012."""
     # The picture is drawn on stderr, as textual does.
     for name in ("stdin", "stdout", "stderr"):
         if not getattr(sys, name).isatty():

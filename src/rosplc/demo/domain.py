@@ -13,13 +13,9 @@ _PARTICIPANTS = 8
 
 
 class FreeDomain:
-    """A DDS domain in 1 … 101 whose UDP ports are free, kept from other demonstrations.
+    """A DDS domain in 1 … 101, ``number``, whose UDP ports are free, kept from other demonstrations.
 
-    Attributes:
-        number: The domain.
-
-    Raises:
-        SetupError: SYS003, no such domain was found.
+    Raises SetupError SYS003 if no such domain was found.
     """
 
     def __init__(self) -> None:

@@ -24,10 +24,8 @@ _BEAMS = 64
 class Opened:
     """What a received message says about itself.
 
-    Attributes:
-        number: Its number in the sender's count, from 1; 0 if the seal is broken.
-        whole: Whether seal and contents agree.
-        stamp_ns: When the sender made it, ns since 1970; 0 where it carries none.
+    ``number`` is of the sender's count, from 1, and 0 if the seal is broken; ``whole``: seal and contents
+    agree; ``stamp_ns``: when it was made, ns since 1970, 0 where it carries none.
     """
 
     number: int
@@ -39,11 +37,8 @@ class Opened:
 class Kind:
     """A kind of message that the robot sends.
 
-    Attributes:
-        name: Its topic's last part.
-        type_name: ``package/msg/Name``.
-        frame: The frame in ``header.frame_id``.
-        numbers: Every number of a message (a dict or a record view), as ``float64`` values.
+    ``name`` is its topic's last part, ``frame`` stands in ``header.frame_id``; ``numbers`` returns every
+    number of a message (a dict or a record view), as ``float64`` values.
     """
 
     name: str
@@ -187,14 +182,8 @@ class Turtle:
 def steer(x: float, y: float, heading: float, corner: int) -> tuple[float, float, int]:
     """Compute the command that leads round a square: the virtual PLC's control law.
 
-    Args:
-        x: Position, metres.
-        y: Position, metres.
-        heading: Direction, radians.
-        corner: Index of the corner aimed at.
-
-    Returns:
-        Forward speed (m/s), turning speed (rad/s) and the corner to aim at next.
+    From a position (m), a heading (rad) and the index of the corner aimed at, return forward speed (m/s),
+    turning speed (rad/s) and the corner to aim at next.
     """
     goal_x, goal_y = _CORNERS[corner % len(_CORNERS)]
     if math.hypot(goal_x - x, goal_y - y) < 0.1:
@@ -210,13 +199,8 @@ def steer(x: float, y: float, heading: float, corner: int) -> tuple[float, float
 class Tally:
     """What one receiver saw of one topic; numbers start at 1.
 
-    Attributes:
-        received: Whole messages with a number that had not been seen.
-        missing: Numbers left out so far.
-        gaps: How often numbers were left out.
-        torn: Messages whose contents do not agree with their seal.
-        repeated: Messages with a number at or below the newest one.
-        newest: The highest number received.
+    ``received`` are whole messages with a new number, ``missing`` numbers left out so far and ``gaps`` how
+    often that was; ``torn`` do not agree with their seal, ``repeated`` have a number at or below ``newest``.
     """
 
     received: int = 0

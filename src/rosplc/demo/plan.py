@@ -15,13 +15,9 @@ from rosplc.demo.messages import COMMAND, robot_topics
 class Plan:
     """The run's settings.
 
-    Attributes:
-        domain: The DDS domain; unused by others, so that nothing else is touched.
-        rate: Messages per second and topic that the robot sends.
-        topics: How many topics the robot sends.
-        prefix: First part of the objects' names, likewise unique.
-        interval: The virtual PLC's cycle time, seconds.
-        distro: Whose message definitions hold.
+    DDS ``domain`` and ``prefix`` are unused by others, so that nothing else is touched. The robot sends so
+    many ``topics`` with ``rate`` Hz each; ``interval`` is the PLC's cycle in seconds; message definitions are
+    those of ``distro``.
     """
 
     domain: int

@@ -31,16 +31,10 @@ def report(kind: str, **facts: Any) -> None:
 
 
 class Commands:
-    """The parent's commands as events: ``go``, ``drain``, ``stop``, and others that are named.
+    """The parent's commands as events: ``go``, ``drain``, ``stop``, and ``others`` that are named.
 
-    Constructing it makes the process deaf to Ctrl-C, which a terminal sends to the whole
-    group: the parent decides what ends when.
-
-    Args:
-        others: More commands.
-
-    Attributes:
-        others: The event of each of them.
+    Constructing it makes the process deaf to Ctrl-C, which a terminal sends to the whole group: the parent
+    decides what ends when.
     """
 
     def __init__(self, *others: str) -> None:
@@ -64,16 +58,9 @@ _LAST_LINES = 15
 
 
 class Child:
-    """A process with commands going in and reports coming out.
+    """A process that runs a module, with commands going in and reports coming out.
 
-    Args:
-        role: What people call it: robot, bridge or PLC.
-        module: The module that it runs.
-        arguments: Its command line.
-        environment: Its environment.
-
-    Attributes:
-        status: The last report of its state.
+    ``role`` is what people call it: robot, bridge or PLC; ``status`` its last report.
     """
 
     def __init__(self, role: str, module: str, arguments: list[str], environment: dict[str, str]) -> None:
@@ -107,11 +94,7 @@ class Child:
             self._process.stdin.flush()
 
     def check(self) -> None:
-        """Raise if the process has ended.
-
-        Raises:
-            SetupError: SYS002, with its own error or its last output.
-        """
+        """Raise SetupError SYS002, with its own error or its last output, if the process has ended."""
         status = self._process.poll()
         if status is None:
             return
@@ -167,8 +150,8 @@ class Child:
 def remove_objects(prefix: str, directory: str = "/dev/shm") -> int:
     """Remove the objects and lock files of ``prefix`` and return how many there were.
 
-    Only for a prefix that was made up for this run: a running bridge's objects must never
-    be removed by others (spec/shm-format.md, M5).
+    Only for a prefix that was made up for this run: a running bridge's objects must never be removed by
+    others (spec/shm-format.md, M5).
     """
     removed = 0
     for path in Path(directory).glob(f"{prefix}.[tln].*"):

@@ -13,19 +13,12 @@ _COUNTERS = ("sent", "received", "lost", "torn", "repeated")
 
 @dataclass(frozen=True, slots=True)
 class Flow:
-    """One topic, from the process that sends to the one that receives.
+    """One topic, from the process that sends to the one that receives; ``to`` is ``plc`` or ``ros``.
 
-    Attributes:
-        topic: As ROS writes it.
-        to: ``plc`` or ``ros``.
-        sent: Messages that the sender counts.
-        received: Whole messages with a new number that the receiver counts.
-        lost: ``sent`` minus ``received``.
-        torn: Messages whose contents do not agree with their seal.
-        repeated: Messages that came twice or out of order.
-        counted_lost: What the channel's own counter says about losses; None where none applies.
-        gaps: How often numbers were left out.
-        last_arrived: Whether the last message that was sent is among those received.
+    Of the messages that the sender counts, ``received`` came whole with a new number, ``lost`` are the
+    others, ``torn`` do not agree with their seal, ``repeated`` came twice or out of order. ``counted_lost``
+    is the channel's own counter, None where none applies; ``gaps`` how often numbers were left out;
+    ``last_arrived``: the last one came.
     """
 
     topic: str
@@ -54,11 +47,8 @@ class Flow:
 class Outage:
     """The bridge was killed (SIGKILL) and started again; times in seconds since the first message.
 
-    Attributes:
-        killed_at: When it was killed.
-        restarted_at: When it was started again.
-        to_plc_at: When the first message after that was with the PLC; None if none was.
-        to_ros_at: When the first command after that was with the robot; None if none was.
+    ``to_plc_at`` and ``to_ros_at``: when the first message after that was with the PLC, the first command
+    with the robot; None if none was.
     """
 
     killed_at: float
@@ -69,19 +59,12 @@ class Outage:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """The whole run.
+    """The whole run: messages were sent for so many seconds.
 
-    Attributes:
-        seconds: How long messages were sent.
-        flows: One per topic.
-        ages: Per topic, and over all as ``""``: median and p99 age of a message, in
-            milliseconds, at the moment the PLC program had it in hand.
-        cycle: The PLC task's statistics.
-        metres: How far the robot went on the PLC's commands.
-        drained: Whether the drain phase ended because the last messages had arrived.
-        outage: What happened with ``--kill``.
-        program: With ``--plc st``: mean and longest time that the Structured Text alone took of a
-            scan, in microseconds.
+    ``ages`` has per topic, and over all as ``""``, median and p99 age of a message, in ms, at the moment the
+    PLC program had it in hand; ``metres`` is how far the robot went on the PLC's commands; ``drained``: the
+    last messages had arrived at the end. ``program``, with ``--plc st``: mean and longest time that the
+    Structured Text alone took of a scan, in µs.
     """
 
     seconds: float
@@ -146,15 +129,7 @@ class Result:
 def collect(
     robot: dict[str, Any], plc: dict[str, Any], seconds: float, *, drained: bool, outage: Outage | None = None
 ) -> Result:
-    """Compare the last reports of the two ends, which sent messages for so many seconds.
-
-    Args:
-        robot: The robot's last report.
-        plc: The PLC's last report.
-        seconds: How long messages were sent.
-        drained: Whether everything had arrived when the drain phase ended.
-        outage: What happened to the bridge meanwhile.
-    """
+    """Compare the last reports of the two ends, which sent messages for so many seconds."""
     counters = plc.get("counters", {})
     flows = [
         _flow(topic, "plc", sent, plc["received"][topic], counters.get(topic, {}).get("lost"))

@@ -24,12 +24,9 @@ _DOWN_SECONDS = 0.5
 class Demo:
     """Three processes and what they report; a context manager that leaves nothing behind.
 
-    Args:
-        plan: What to run.
-        on_tick: Called some twenty times per second with this object, to draw a view.
-        structured_text: The folder of a PLC project (``demo.st.sources``) to run as the PLC;
-            None: the Python program.
-        startup: Seconds that the processes may take to find each other.
+    ``on_tick`` is called some twenty times per second with this object, to draw a view; ``structured_text``
+    is the folder of a PLC project (``demo.st.sources``) to run as the PLC, None for the Python program; the
+    processes may take ``startup`` seconds to find each other.
     """
 
     def __init__(
@@ -70,12 +67,8 @@ class Demo:
     def run(self, duration: float | None, *, kill: bool = False) -> Result:
         """Run for ``duration`` seconds (None: until KeyboardInterrupt), drain, and compare.
 
-        Args:
-            duration: Seconds for which messages are sent; longer until a killed bridge carries again.
-            kill: Kill the bridge on the way, and start it again.
-
-        Raises:
-            SetupError: SYS002 if a process failed, SYS004 if they did not find each other.
+        It takes longer until a bridge that was killed on the way (``kill``) carries again. Raises SetupError
+        SYS002 if a process failed, SYS004 if they did not find each other.
         """
         self._start()
         self._wait_until_ready()

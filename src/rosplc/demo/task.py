@@ -17,11 +17,7 @@ _AGES_KEPT = 200_000
 
 
 class Arrivals:
-    """What came, per topic: counted, and how old it was.
-
-    Attributes:
-        tallies: The counters per topic.
-    """
+    """What came, per topic: counted in ``tallies``, and how old it was."""
 
     def __init__(self, topics: Iterable[str]) -> None:
         self.tallies = {topic: Tally() for topic in topics}
@@ -55,19 +51,9 @@ def serve(
     commands: Commands,
     facts: Callable[[CycleStats], dict[str, Any]],
 ) -> CycleStats:
-    """Run ``program`` every ``interval`` seconds and report its facts, until told to stop.
+    """Run ``program`` every ``interval`` seconds and report until told to stop; return the statistics.
 
-    Args:
-        program: Runs one scan.
-        interval: Seconds.
-        commands: The parent's commands.
-        facts: What a report contains; gets the task's statistics.
-
-    Returns:
-        The task's statistics.
-
-    Raises:
-        BaseException: What the program raised.
+    Raises what the program raised.
     """
     plc = VirtualPlc()
     task = plc.task("RosTask", interval, priority=4)
@@ -80,13 +66,7 @@ def serve(
 
 
 class Program(Protocol):
-    """A PLC program of the demonstration.
-
-    Attributes:
-        arrivals: What it took.
-        lock: Guards ``state``.
-        state: What it last knew: ready, waiting, sent, received, counters.
-    """
+    """A PLC program of the demonstration; ``state`` is what it last knew, guarded by ``lock``."""
 
     arrivals: Arrivals
     lock: threading.Lock

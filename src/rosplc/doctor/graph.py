@@ -26,14 +26,10 @@ _ANY = "*"
 
 @dataclass(frozen=True)
 class Graph:
-    """What the doctor saw of the ROS graph.
+    """What the doctor saw of the ROS graph through a backend, its own nodes and endpoints left out.
 
-    Attributes:
-        backend: The backend that it looked through.
-        info: Nodes and endpoints, the doctor's own left out.
-        names: Topic of the configuration → its name in ROS, after remapping.
-        bridge: The full name of the configuration's own node.
-        where: The domain or master, in words.
+    ``names`` has each topic, service and action of the configuration with its name in ROS, after remapping;
+    ``bridge`` is the full name of the configuration's own node, ``where`` the domain or master in words.
     """
 
     backend: str

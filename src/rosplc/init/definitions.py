@@ -19,21 +19,12 @@ _SEPARATOR = "=" * 80
 
 
 class Definitions:
-    """The types that are known, more of them with time.
+    """The types that are known, more of them with time, beginning with a distribution's.
 
-    Args:
-        distro: The ROS distribution to begin with.
-        folders: The user's own folders with ``.msg`` files.
-        environment: Variables; ``AMENT_PREFIX_PATH`` and ``ROS_PACKAGE_PATH`` say where an installed
-            ROS keeps its definitions.
-
-    Attributes:
-        store: The types.
-        texts: Definition text by full name, of the types that are to be saved.
-        origins: Where each type that was learnt comes from, in words.
-
-    Raises:
-        MessageTypeError: TYP… as for ``types.paths`` of a configuration.
+    ``folders`` are the user's own with ``.msg`` files; ``AMENT_PREFIX_PATH`` and ``ROS_PACKAGE_PATH`` of the
+    environment say where an installed ROS keeps its definitions. ``texts`` has the definitions that are to be
+    saved by full name, ``origins`` where each of them comes from, in words. Raises MessageTypeError TYP… as
+    for ``types.paths`` of a configuration.
     """
 
     def __init__(
@@ -45,11 +36,7 @@ class Definitions:
         self._environment = os.environ if environment is None else environment
 
     def learn(self, type_name: str, text: str, origin: str) -> None:
-        """Take a type from a definition text, which is not trusted.
-
-        Raises:
-            MessageTypeError: TYP001 … TYP007.
-        """
+        """Take a type from a definition text, which is not trusted; raises TYP001 … TYP007."""
         new = self.store.with_definition(type_name, text)
         for name, part in split_definition(type_name, text).items():
             if name not in self.store:
@@ -58,10 +45,9 @@ class Definitions:
         self.store = new
 
     def find_installed(self, type_name: str) -> bool:
-        """Look for a type, and those it needs, where ROS has them installed; say whether it is known now.
+        """Look for a type, and those it needs, in an installed ROS; return whether it is known now.
 
-        Raises:
-            MessageTypeError: TYP… if what stands there is wrong.
+        Raises MessageTypeError TYP… if what stands there is wrong.
         """
         if type_name in self.store:
             return True

@@ -19,9 +19,8 @@ _PORTS = {_BASE + _GAIN * domain: domain for domain in range(_LAST + 1)}
 def elsewhere(where: str, seconds: float = 3.0) -> str:
     """Return a clause that names other domains with DDS nodes; empty if none were seen.
 
-    Args:
-        where: What was looked at, in words; of interest if it begins with "domain" and a number.
-        seconds: How long to listen for other machines.
+    ``where`` is of interest if it begins with "domain" and a number; other machines are listened to for so
+    long.
     """
     looked_at = re.match(r"domain (\d+)", where)
     if looked_at is None:
@@ -34,12 +33,7 @@ def elsewhere(where: str, seconds: float = 3.0) -> str:
 
 
 def domains_in_use(seconds: float, proc: Path = Path("/proc")) -> set[int]:
-    """Return the domains of this machine's DDS programs, and of those heard from the network for a while.
-
-    Args:
-        seconds: How long to listen.
-        proc: Where the kernel lists sockets.
-    """
+    """Return the domains of this machine's DDS programs, and of those heard for so many seconds."""
     found = set()
     with contextlib.suppress(OSError, ValueError, IndexError):
         for line in (proc / "net/udp").read_text(encoding="ascii").splitlines()[1:]:

@@ -15,15 +15,10 @@ from rosplc.ros import Qos
 class Topic:
     """One topic that was found.
 
-    Attributes:
-        name: As ROS writes it.
-        types: Those that were seen on it, ``package/msg/Name``; more than one is an error of the robot, none
-            means that no node announced it.
-        publishers: Names of the nodes that publish it; ``?`` for a node without a name.
-        subscribers: Names of the nodes that subscribe to it.
-        offered: The publishers' quality of service, each once.
-        hashes: The type hashes that are announced, each once.
-        carried: Where a bridge took it when it was recorded: to the ``plc`` or to ``ros``; else empty.
+    ``types`` are those seen on it, ``package/msg/Name``: more than one is an error of the robot, none means
+    that no node announced it. ``publishers`` and ``subscribers`` name nodes, ``?`` one without a name;
+    ``offered`` has the publishers' quality of service, each once, ``hashes`` the type hashes announced;
+    ``carried`` is where a bridge took it when it was recorded, ``plc`` or ``ros``.
     """
 
     name: str
@@ -48,15 +43,10 @@ class Call:
 
 @dataclass(frozen=True)
 class Found:
-    """What was found.
+    """What was found: topics by name, services and actions without those that each node has.
 
-    Attributes:
-        topics: By name, sorted.
-        where: What was looked at, in words: ``domain 0, over dds``.
-        ros: The keys of the configuration's section ``ros`` that lead there.
-        why: Remarks on ``ros``, by key.
-        notes: What is worth knowing beyond.
-        calls: Services, then actions, by name; not those that each node of ROS has.
+    ``where`` is what was looked at, in words; ``ros`` the keys of the configuration's section ``ros`` that
+    lead there, ``why`` remarks on them by key; ``notes`` what is worth knowing beyond.
     """
 
     topics: Mapping[str, Topic]
@@ -74,21 +64,15 @@ class Source(Protocol):
     found: Found
 
     def learn(self, topic: str, type_name: str) -> None:
-        """Make sure that a topic's type is known.
-
-        Raises:
-            RosplcError: It is not, or what tells its definition cannot be right.
-        """
+        """Make sure that a topic's type is known; raises RosplcError if it is not, or cannot be right."""
 
     def listen(
         self, wanted: Mapping[str, str], seconds: float, progress: Callable[[str], None]
     ) -> dict[str, Seen]:
-        """Return what the messages of these topics (name → type) are like.
+        """Return what the messages of these topics (name → type, which was learnt) are like.
 
-        Args:
-            wanted: Type by topic; each type has been learnt.
-            seconds: How long to listen; a recording is read to its end.
-            progress: Called about once a second with how far it is, in words.
+        A recording is read to its end; ``progress`` is called about once a second with how far it is, in
+        words.
         """
 
     def close(self) -> None:

@@ -57,19 +57,12 @@ def distro_here(backend: str, environment: Mapping[str, str]) -> tuple[str, str]
 
 
 class LiveRobot:
-    """The ROS graph as a :class:`~rosplc.init.found.Source`.
+    """The ROS graph as a :class:`~rosplc.init.found.Source`; it publishes nothing.
 
-    It subscribes to what is to be learnt about, for as long as that takes, and publishes nothing.
-
-    Args:
-        ros: Keys of the configuration's section ``ros``: ``backend``, and what else was given.
-        folders: The user's own folders with ``.msg`` files.
-        seconds: How long to look for others at most.
-        needed: Topics that are waited for.
-
-    Raises:
-        BackendError: ROS001, no way into ROS is installed; ROS002, the middleware refuses; ROS014 or
-            ROS016, the master or router does not answer; ROS020, there is nobody.
+    ``ros`` are keys of the configuration's section ``ros``: ``backend``, and what else was given; ``folders``
+    the user's own with ``.msg`` files. It looks for others for ``seconds`` at most, and waits for the topics
+    ``needed``. Raises BackendError: ROS001, no way into ROS is installed; ROS002, the middleware refuses;
+    ROS014 or ROS016, the master or router does not answer; ROS020, nothing was found.
     """
 
     def __init__(

@@ -29,15 +29,10 @@ _MOST_VISITS = 100_000
 class Seen:
     """What the messages of one topic were like.
 
-    Attributes:
-        messages: How many there were.
-        unreadable: How many more did not fit the type.
-        seconds: How long was listened, or how long the recording is.
-        rate_hz: Messages a second from the first to the last, without what was delivered at once when
-            the subscription began; 0 with fewer than two.
-        longest_gap_s: The longest time between two.
-        lengths: By field path: the lengths of its strings and sequences.
-        trouble: Why nothing could be received, in words; empty if nothing spoke against it.
+    ``unreadable`` did not fit the type. ``seconds`` is how long was listened, or how long the recording is;
+    ``rate_hz`` from the first to the last message, without what was delivered at once when the subscription
+    began, 0 with fewer than two; ``lengths`` of strings and sequences by field path; ``trouble`` why nothing
+    could be received, in words.
     """
 
     messages: int = 0
@@ -64,18 +59,11 @@ class Length:
 
 @dataclass
 class Meter:
-    """Measures the messages of one type.
+    """Measures the messages of one type: ROS 1's serialization for ``ros_version`` 1, else CDR.
 
-    Args:
-        store: Knows the type.
-        type_name: Its full name.
-        ros_version: 1: ROS 1's serialization; 2: CDR with its 4-byte header.
-
-    Attributes:
-        messages: Messages measured.
-        unreadable: Messages that do not fit the type.
-        cut_short: Messages with more values than are looked at; what came first is in ``lengths``.
-        lengths: By field path, as a configuration's ``limits`` write it.
+    It counts those measured, ``unreadable`` ones that do not fit the type, and ``cut_short`` ones with more
+    values than are looked at: what came first is in ``lengths``, by field path as a configuration's
+    ``limits`` write it.
     """
 
     store: TypeStore
@@ -188,10 +176,8 @@ class _Walk:
 class Sample:
     """Counts, times and measures messages; used by one thread at a time.
 
-    Args:
-        meter: Measures them.
-        settle_ns: For so long from the first message on none counts for the rate: publishers that keep
-            messages for those who come later deliver all of them at once.
+    For ``settle_ns`` from the first message on none counts for the rate: publishers that keep messages for
+    those who come later deliver all of them at once.
     """
 
     meter: Meter

@@ -65,14 +65,8 @@ class Setting:
 class Entry:
     """One topic of the configuration.
 
-    Attributes:
-        topic: Its name.
-        type_name: Its type.
-        to: Where its messages go.
-        about: What was found of it, in sentences.
-        limits: Capacities that differ from the defaults.
-        settings: Other keys.
-        record_bytes: Size of a record with these limits.
+    ``about`` is what was found of it, in sentences; ``limits`` are capacities that differ from the defaults,
+    ``settings`` other keys; ``record_bytes`` the size of a record with these limits.
     """
 
     topic: str
@@ -120,17 +114,9 @@ def direction(topic: Topic) -> tuple[Literal["plc", "ros"], str]:
 def propose(
     topic: Topic, type_name: str, to: Literal["plc", "ros"], store: TypeStore, seen: Seen | None
 ) -> Entry:
-    """Return the entry of a topic.
+    """Return the entry of a topic whose type the store knows; ``seen`` None if nobody listened.
 
-    Args:
-        topic: What was found of it.
-        type_name: Its type; the store knows it.
-        to: Where its messages go.
-        store: The types.
-        seen: What its messages are like; None if nobody listened.
-
-    Raises:
-        LayoutError: LAY…, a record of the type cannot be made, whatever the limits.
+    Raises LayoutError LAY…: a record of the type cannot be made, whatever the limits.
     """
     draft = _Draft()
     _tell(draft, topic, to, seen)

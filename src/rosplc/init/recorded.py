@@ -26,14 +26,9 @@ _WAYS: dict[str, Literal["plc", "ros"]] = {"to_plc": "plc", "to_ros": "ros"}
 class RecordedRobot:
     """A recording as a :class:`~rosplc.init.found.Source`.
 
-    Args:
-        path: The file or folder.
-        distro: The ROS distribution; None: what the recording fits best.
-        folders: The user's own folders with ``.msg`` files.
-        ros: More keys of the configuration's section ``ros``.
-
-    Raises:
-        BackendError: ROS006, the recording cannot be read; ROS001, it is of the other ROS.
+    ``distro`` None takes what the recording fits best; ``folders`` are the user's own with ``.msg`` files,
+    ``ros`` more keys of the configuration's section ``ros``. Raises BackendError: ROS006, the recording
+    cannot be read; ROS001, it is of the other ROS.
     """
 
     def __init__(

@@ -20,13 +20,10 @@ _GLOB = frozenset("*?[")
 
 @dataclass(frozen=True)
 class Wish:
-    """What the user asked for.
+    """What the user asked for: a topic, or a pattern with ``*``, ``?`` or ``[…]``.
 
-    Attributes:
-        pattern: A topic's name, or a pattern with ``*``, ``?`` or ``[…]`` that any part may match.
-        type_name: The type, if the user said it.
-        to: The direction, if the user said it.
-        firm: Whether a topic that cannot be carried is an error; otherwise it is left out.
+    ``type_name`` and ``to`` as far as they were given; ``firm``: a topic that cannot be carried is an error,
+    and not left out.
     """
 
     pattern: str
@@ -42,14 +39,7 @@ class Wish:
 
 @dataclass(frozen=True)
 class Chosen:
-    """A topic that is to be carried.
-
-    Attributes:
-        topic: What was found of it.
-        type_name: Its type.
-        to: Where its messages go.
-        named: Whether the user named it, itself and not by a pattern.
-    """
+    """A topic that is to be carried; ``named``: by the user, itself and not by a pattern."""
 
     topic: Topic
     type_name: str
@@ -60,8 +50,7 @@ class Chosen:
 def parse_wish(text: str, to: To | None = None) -> Wish:
     """Return the wish that ``/topic``, ``/robot1/*`` or ``/topic=package/Type`` stands for.
 
-    Raises:
-        ValueError: With a text that says what would be right.
+    Raises ValueError with a text of what would be right.
     """
     pattern, equals, type_name = text.strip().partition("=")
     if pattern and not pattern.startswith(("/", "*")):
@@ -85,13 +74,8 @@ def select(
 ) -> tuple[dict[str, Chosen], dict[str, str]]:
     """Return the topics to carry by name, and why others that were meant are left out.
 
-    Args:
-        topics: What was found.
-        wishes: What was asked for; a later one replaces an earlier one's answers for the same topic.
-        everything: Take every topic but those of ROS itself.
-
-    Raises:
-        ValueError: A wish names a topic that is not there, or that cannot be carried.
+    A later wish replaces an earlier one's answers for the same topic; ``everything`` takes all topics but
+    those of ROS itself. Raises ValueError: a wish names a topic that was not found, or cannot be carried.
     """
     meant: dict[str, Wish] = {}
     if everything:

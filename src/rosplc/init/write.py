@@ -39,15 +39,10 @@ def configuration(
     date: str = "",
     calls: bool = False,
 ) -> str:
-    """Return the text of a configuration.
+    """Return the text of a configuration for what was found.
 
-    Args:
-        found: Where it comes from.
-        entries: The topics, in the order in which they shall stand.
-        bridge: The bridge's name.
-        folders: What ``types.paths`` names.
-        date: When; the first line says it.
-        calls: Propose services and actions, too, as comments.
+    ``entries`` are in the order in which they shall stand, ``folders`` what ``types.paths`` names; the first
+    line has the ``date``. ``calls``: propose services and actions, too, as comments.
     """
     written = f"Written by rosplc {__version__} init{f', {date}' if date else ''}, from {found.where}."
     lines = [f"# yaml-language-server: $schema={SCHEMA}", *_comment(written)]
@@ -103,8 +98,7 @@ def refuse_to_overwrite(path: Path, *, force: bool) -> None:
 def write_file(path: Path, text: str, *, force: bool) -> None:
     """Write the file, complete or not at all.
 
-    Raises:
-        ConfigError: CFG013, there is one already and ``force`` is not given; CFG014, it cannot be written.
+    Raises ConfigError: CFG013, there is one already and ``force`` is not given; CFG014, it cannot be written.
     """
     refuse_to_overwrite(path, force=force)
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
@@ -169,12 +163,9 @@ def _comment(text: str, indent: int = 0) -> list[str]:
 class Draft:
     """What a configuration will say.
 
-    Attributes:
-        entries: The topics in the file's order: towards the PLC first, then by name.
-        seen: What the messages of each topic were like.
-        left_out: Why a topic is not among them, by name.
-        definitions: Definition text by type, of the types in use that must be saved.
-        origins: Where each of them comes from.
+    ``entries`` stand in the file's order: towards the PLC first, then by name. By topic: ``seen``, what its
+    messages were like, and ``left_out``, why it is not among them. By type: ``definitions``, the text of
+    those that must be saved, and ``origins``.
     """
 
     entries: tuple[Entry, ...]
@@ -191,16 +182,10 @@ def draft(
     seconds: float,
     progress: Callable[[str], None] = lambda words: None,
 ) -> Draft:
-    """Learn types, listen, and propose.
+    """Learn types, listen for so many seconds (0: not at all), and propose.
 
-    Args:
-        source: The robot or the recording.
-        chosen: The topics by name.
-        seconds: How long to listen; 0: not at all.
-        progress: Called about once a second with how far it is, in words.
-
-    Raises:
-        RosplcError: A topic that the user named cannot be carried.
+    ``progress`` is called about once a second with how far it is, in words. Raises RosplcError: a topic that
+    the user named cannot be carried.
     """
     left_out: dict[str, str] = {}
 
@@ -246,18 +231,9 @@ def save(
 ) -> tuple[str, tuple[Path, ...]]:
     """Write definitions, configuration and its JSON Schema; return the text and the definitions' files.
 
-    Args:
-        source: The robot or the recording.
-        made: What the configuration says.
-        path: The configuration; definitions go into the folder ``msg`` beside it.
-        bridge: The bridge's name.
-        folders: The user's own folders with ``.msg`` files.
-        force: Replace a configuration that is there.
-        calls: As for :func:`configuration`.
-
-    Raises:
-        ConfigError: CFG013, CFG014.
-        MessageTypeError: TYP009, a definition cannot be saved.
+    ``path`` is the configuration's; definitions go into the folder ``msg`` beside it. ``calls`` as for
+    :func:`configuration`. Raises ConfigError CFG013, CFG014; MessageTypeError TYP009, a definition cannot be
+    saved.
     """
     beside = path.parent / "msg"
     files = save_definitions(made.definitions, beside) if made.definitions else ()

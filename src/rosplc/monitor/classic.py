@@ -25,13 +25,9 @@ _ATTEMPTS = 100
 class ClassicState:
     """Memory and lock at one moment.
 
-    Attributes:
-        semaphore: The semaphore's name; empty if there is none by configuration.
-        size: Bytes of the memory; 0 while there is none.
-        owner: Its owner and mode, ``root:root 0750``.
-        value: How many could enter now: 1 if the lock is free, 0 if it is taken; None if there is
-            no semaphore or it cannot be read.
-        record: The record; None if it cannot be read: ``error`` and ``code`` are why.
+    ``semaphore`` is empty if there is none by configuration; ``size`` 0 while there is no memory; ``owner``
+    reads ``root:root 0750``. ``value`` is 1 if the lock is free, 0 if it is taken, None if it cannot be read;
+    ``record`` None likewise: ``error`` and ``code`` are why.
     """
 
     name: str

@@ -411,20 +411,11 @@ def find_objects(
     calls: bool = False,
     clock: Clock = SYSTEM,
 ) -> list[ObjectState]:
-    """Look at every topic's object of this machine.
+    """Look at every topic's object of this machine; return one state each, sorted by prefix and topic.
 
-    Args:
-        directory: The objects' folder.
-        prefix: Only those of this prefix; None for all.
-        seconds: How long to watch beats; bridges beat every 0.1 s by default.
-        calls: Whether to look at the objects of services and actions, too.
-        clock: What beats are judged by.
-
-    Returns:
-        One state per object, sorted by prefix and topic; objects that cannot be read have their error.
-
-    Raises:
-        ChannelError: SHM118 if the prefix is not valid, SHM123 if the directory cannot be listed.
+    ``seconds`` is how long to watch beats (bridges beat every 0.1 s by default); ``calls``: look at the
+    objects of services and actions, too. Objects that cannot be read have their error. Raises ChannelError
+    SHM118 if the prefix is not valid, SHM123 if the directory cannot be listed.
     """
     with Watch(prefix, directory=directory, calls=calls, clock=clock) as watch:
         picture = watch.look()

@@ -23,20 +23,11 @@ _BACKOFF = 254  # systemd's version that knows RestartSteps=
 
 @dataclass(frozen=True)
 class Plan:
-    """One bridge as a service.
+    """One bridge as a service, ``rosplc@NAME.service``; SYS011 if a name or path cannot be in a unit.
 
-    Attributes:
-        name: The instance: the unit is ``rosplc@NAME.service``.
-        user: The user that runs it.
-        config: The configuration file, absolute; so is ``program``, the rosplc command.
-        group: The group of the objects; empty for the user's own.
-        directory: The objects' folder.
-        priority: The wanted SCHED_FIFO priority; 0 for none.
-        lock_memory: Whether memory is to be locked; ``affinity``: threads are to be kept on processors.
-        systemd: The version of systemd that will read the files; 0 if unknown.
-
-    Raises:
-        SetupError: SYS011 if a name or path cannot be in a unit.
+    ``config`` and ``program``, the rosplc command, are absolute; ``group`` is that of the objects, empty for
+    the user's own, ``directory`` their folder. ``priority`` is for SCHED_FIFO, 0 for none; ``affinity``:
+    threads are to be kept on processors; ``systemd`` the version that will read the files, 0 if unknown.
     """
 
     name: str

@@ -30,13 +30,9 @@ from rosplc.shm.files import describe_status
 class Settings:
     """The settings of one server.
 
-    Attributes:
-        prefix: Only channels of this prefix; None for all.
-        directory: The objects' folder.
-        names: Host names under which the server may be asked, besides ``localhost`` and addresses.
-        allow_write: Whether test messages may be written.
-        token: What is required to write, or to look (``token_to_view``); empty for nothing.
-        viewers: How many pages may be connected at once.
+    ``prefix`` None shows all; ``names`` are host names under which the server may be asked, besides
+    ``localhost`` and addresses; ``token`` is required to write, or to look (``token_to_view``), and empty for
+    nothing; ``viewers`` is how many pages may be connected at once.
     """
 
     prefix: str | None = None

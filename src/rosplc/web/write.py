@@ -164,20 +164,13 @@ def write_message(
     not_finite: bool = False,
     clock: Clock = SYSTEM,
 ) -> int:
-    """Write one message and return its sequence number.
+    """Write one message into a channel of a prefix, and return its sequence number.
 
-    Args:
-        namespace: The channel's prefix and directory.
-        topic: As ROS writes it.
-        layout_id: The layout that the message was made for.
-        message: Nested dicts and lists; what it lacks takes its initial value. Numbers may be text.
-        not_finite: Whether NaN and infinities are meant.
-        clock: What the message is stamped by.
-
-    Raises:
-        WebError: WEB010, another writer has the channel, or the channel has another layout by now.
-        LayoutError: LAY006, a value does not fit its field, or is not finite.
-        ChannelError: SHM101 and the others of :func:`rosplc.attach`.
+    ``layout_id`` is the layout that the message was made for: nested dicts and lists, numbers perhaps as
+    text; what it lacks takes its initial value. ``not_finite``: NaN and infinities are meant; ``clock``
+    stamps it. Raises WebError WEB010, another writer has the channel, or it has another layout by now;
+    LayoutError LAY006, a value does not fit its field, or is not finite; ChannelError SHM101 and the others
+    of :func:`rosplc.attach`.
     """
     with attach_object(namespace, topic) as attached:
         layout = layout_of(attached)

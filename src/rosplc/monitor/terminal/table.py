@@ -130,13 +130,10 @@ _LEAST_TOPIC = 8
 
 @dataclass(frozen=True)
 class Column:
-    """A column.
+    """A column, with the name of its order.
 
-    Attributes:
-        by: The name of its order.
-        width: Cells, without the space that follows; 0 takes what is left.
-        from_width: How wide the screen must be for it to be shown.
-        figure: Whether its text is a figure, which is aligned to the right.
+    Its ``width`` in cells is without the space that follows, 0 takes what is left; it is shown on screens of
+    ``from_width``. A ``figure`` is aligned to the right.
     """
 
     by: str
