@@ -21,9 +21,9 @@ from rosplc.shm import Namespace, OwnedChannel, Part
 from rosplc.shm import constants as spec
 from rosplc.virtual_plc.task import Scan, enter_scan
 from rosplc_st.build import Build, build
-from rosplc_st.machine import LibraryMachine
+from rosplc_st.machine import LibraryMachine, ProcessMachine
 from rosplc_st.translator import Options
-from tests.verification.plc_cell import READ, layout_of, store
+from tests.verification.plc_cell import READ, TARGETS, layout_of, store
 
 __all__ = [
     "ActionCaller",
@@ -92,11 +92,10 @@ def made_cell(
 def call_build(
     name: str = "fences", sabotage: Callable[[dict[str, str]], dict[str, str]] | None = None
 ) -> Build:
-    """Return the cell, built: with fences, by the ``delayed`` rule, or for 32 bits with a ``barrier``."""
-    texts = dict(call_texts(fenced=name != "delayed", target="arm" if name == "barrier" else "x86"))
-    defined = ("pou: MemoryBarrier.MemoryBarrier",) if name == "barrier" else ()
-    options = Options(cpu_bits=32 if name == "barrier" else 64, defined=defined)
-    return build(sabotage(texts) if sabotage else texts, options)
+    """Return the cell, built: with fences, by the ``delayed`` rule, or for a target of ``plc_cell``."""
+    options, toolchain, processor = TARGETS.get(name, (Options(), None, "x86"))
+    texts = dict(call_texts(fenced=name != "delayed", target=processor))
+    return build(sabotage(texts) if sabotage else texts, options, toolchain, program=toolchain is not None)
 
 
 class Use:
@@ -327,13 +326,17 @@ class CallCell:
         self.namespace = Namespace("rosplc", str(folder))
         self.uses: list[Use] = []
         self.built = built
-        self.machine: Any = LibraryMachine(built, str(folder)) if built else VirtualMachine(str(folder))
+        self.machine: Any = VirtualMachine(str(folder))
+        if built is not None:
+            self.machine = (ProcessMachine if built.toolchain.runner else LibraryMachine)(built, str(folder))
         self.machine.start()
 
     def close(self) -> None:
         """Let go of the objects."""
         for use in list(self.uses):
             use.close()
+        if isinstance(self.machine, ProcessMachine):
+            self.machine.kill()
 
     def scan(self, count: int = 1, step: int = 10, *, beats: bool = True) -> None:
         """Run both tasks' programs; ``beats``: the bridge beats before each scan."""

@@ -138,7 +138,7 @@ class Following(Serving):
 
 
 @pytest.mark.parametrize("kind", [Asking, Following])
-@pytest.mark.parametrize("rule", ["barrier", "delayed"])
+@pytest.mark.parametrize("rule", ["32-bit-with-barrier", "delayed"])
 @pytest.mark.parametrize("seed", range(3))
 def test_at_most_once(folder: Path, kind: type[Asking | Following], rule: str, seed: int) -> None:
     """Whatever is stopped, killed or replaced, at whichever fence."""
@@ -174,4 +174,4 @@ def test_a_rule_that_is_left_out_is_found(folder: Path, name: str) -> None:
     with pytest.raises(AssertionError):
         for seed in range(12):
             (folder / str(seed)).mkdir()
-            campaign(folder / str(seed), kind, "barrier", seed, sabotage)
+            campaign(folder / str(seed), kind, "32-bit-with-barrier", seed, sabotage)

@@ -11,6 +11,7 @@ from rosplc.reasons import Reason
 from rosplc.shm import constants as spec
 from rosplc.shm.constants import ErrorNumber
 from tests.verification.call_cell import CallCell, Caller, Server, made_cell
+from tests.verification.plc_cell import needs_armhf
 
 ENDS = ("xDone", "xBusy", "xError", "xAborted")
 DONE, BUSY, ERROR, ABORTED, IDLE = (
@@ -19,7 +20,7 @@ DONE, BUSY, ERROR, ABORTED, IDLE = (
 CALL, WITHDRAWN = spec.ASK_CALL, spec.ASK_CALL + spec.ASK_WITHDRAWN
 
 
-@pytest.fixture(params=["fences", "delayed", "virtual"])
+@pytest.fixture(params=["fences", "delayed", "virtual", pytest.param("armhf", marks=needs_armhf)])
 def cell(request: pytest.FixtureRequest) -> Iterator[CallCell]:
     with made_cell(request.param) as made:
         yield made
@@ -385,6 +386,7 @@ def test_a_second_program_is_refused(cell: CallCell) -> None:
         second.scan()
     assert second.machine.get(f"{path}.udiError") == ErrorNumber.CLAIMED
     assert second.machine.get(f"{path}.xBusy")
+    second.close()
     assert server.take() is None
 
 

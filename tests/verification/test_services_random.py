@@ -230,7 +230,7 @@ def campaign(
 
     try:
         for _ in range(rounds):
-            if rule == "barrier":
+            if rule == "32-bit-with-barrier":
                 cell.machine.on_barrier(inside)
             cell.scan(step=dice.choice([1, 10, 10, 10, 40]))
             cell.machine.on_barrier(None)
@@ -262,7 +262,7 @@ def campaign(
 
 
 @pytest.mark.parametrize("kind", [Calling, Serving])
-@pytest.mark.parametrize("rule", ["barrier", "delayed"])
+@pytest.mark.parametrize("rule", ["32-bit-with-barrier", "delayed"])
 @pytest.mark.parametrize("seed", range(3))
 def test_at_most_once(folder: Path, kind: type[Calling | Serving], rule: str, seed: int) -> None:
     """Whatever is stopped, killed or replaced, at whichever fence."""
@@ -308,7 +308,7 @@ def test_a_rule_that_is_left_out_is_found(folder: Path, name: str) -> None:
     kind, sabotage = SABOTAGES[name]
     for seed in range(12):
         try:
-            campaign(folder, kind, "barrier", seed, sabotage)
+            campaign(folder, kind, "32-bit-with-barrier", seed, sabotage)
         except AssertionError:
             return
         shutil.rmtree(folder)
