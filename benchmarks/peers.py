@@ -26,10 +26,11 @@ from rosplc.codec import Codec, Wire
 from rosplc.described import description_of
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
-from rosplc.ros import ROS1, Backend, Qos, open_backend
+from rosplc.ros import ROS1, SERVICES, Backend, Qos, open_backend
 from rosplc.shm import Direction, Namespace, OwnedChannel, attach
 from rosplc.shm.classic import ClassicObject
 from rosplc.shm.classic_lock import Entry
+from rosplc.virtual_plc import ServiceServer, Task
 from rosplc_bench.process import reply
 
 TYPE = "geometry_msgs/msg/PoseStamped"
@@ -592,6 +593,55 @@ def _classic_write(request: Plan, prefix: str, size: int) -> None:
     reply(written=request["count"] * request["topics"])
 
 
+def answerer(plan: Plan) -> None:
+    """Serve each service of ``bare`` over the backend, and those of ``rclpy`` with nothing of rosplc's."""
+    backend = connect(plan, "answerer")
+
+    def serve(service: str) -> None:
+        server = backend.serve(service, plan["type"], SERVICES, lambda *call: server.reply(call[1], answer))
+
+    answer = bytes.fromhex(plan["response"])
+    for service in plan["bare"]:
+        serve(service)
+    if plan["rclpy"]:
+        _serve_plainly(plan)
+    reply(ready=True)
+    sys.stdin.read()
+    os._exit(0)
+
+
+def _serve_plainly(plan: Plan) -> None:
+    """Serve with rclpy alone, as a node of any package does."""
+    import rclpy
+    from rclpy.serialization import deserialize_message
+    from std_srvs.srv import SetBool
+
+    context = rclpy.Context()
+    context.init(domain_id=plan["domain"])
+    node = rclpy.create_node("plain", context=context)
+    response = deserialize_message(bytes.fromhex(plan["response"]), SetBool.Response)
+    for service in plan["rclpy"]:
+        node.create_service(SetBool, service, lambda *_: response)
+    executor = rclpy.executors.SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    threading.Thread(target=executor.spin, daemon=True).start()
+
+
+def service_plc(plan: Plan) -> None:
+    """Answer calls with a block per service, each in a task with the scan interval that the plan gives."""
+    for service, seconds in plan["blocks"].items():
+        block, task = ServiceServer(service, prefix=plan["prefix"]), Task(service, seconds)
+
+        def scan(block: ServiceServer = block) -> None:
+            block.xReply = block() and not block.xReply
+
+        task.program(scan)
+        task.start()
+    reply(ready=True)
+    sys.stdin.read()
+    os._exit(0)
+
+
 def page(plan: Plan) -> None:
     """Be an open page of `rosplc web`: ask for the overview, a message and plots, and read every frame."""
     import aiohttp
@@ -616,7 +666,7 @@ ROLES = {
     each.__name__: each
     for each in (
         *(ros, plc, feeder, source, subscriber, spinner, counter, page),
-        *(realtime_source, realtime_plc, classic_plc),
+        *(realtime_source, realtime_plc, classic_plc, answerer, service_plc),
     )
 }
 

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from benchmarks import bench_bridge, bench_classic, bench_realtime, bench_views, measure
+from benchmarks import bench_bridge, bench_classic, bench_realtime, bench_services, bench_views, measure
 from rosplc.layout import Limits
 from tests.conformance.backends.registry import HARNESSES
 
@@ -76,6 +76,15 @@ def test_the_classic_benchmark() -> None:
     for title, table in found.items():
         names = {"classic", "channel"}
         assert set(table) == (names if title.startswith("CPU") else {*names, *(f"{n}, held" for n in names)})
+
+
+def test_the_benchmark_of_services() -> None:
+    """A bare server and both blocks answer each call, and ratios have their spread."""
+    pytest.importorskip("cyclonedds", reason="no wheel of cyclonedds for this machine")
+    (table,) = rows(bench_services.run(2, ("dds",), 3)).values()
+    assert set(table) == {"bare", *bench_services.SCANS}
+    assert all(0 < row["lowest"] <= row["to bare"] <= row["highest"] for row in table.values())
+    assert all(row["count"] + row["unanswered"] == 6 for row in table.values())
 
 
 def check_backends(titles: tuple[str, ...] | None) -> dict[str, object]:
