@@ -213,14 +213,16 @@ def chosen_topics(
         if new in chosen:
             raise RecordingError("REC007", f"{new} would get two topics' messages", where=name)
         chosen[new] = topic
-    for service in sorted(unknown):
-        raise RecordingError("REC006", "the recording has no calls of it", where=service)
-    known_names = {one.service or one.name for one in source.topics.values()}
-    for wrong in [name for name in rename if name not in known_names]:
-        remarks.append(f"{wrong} is not in the recording, and not renamed")
+    if unknown:
+        raise RecordingError("REC006", "the recording has no calls of it", where=min(unknown))
+    names = {one.service or one.name for one in source.topics.values()}
+    remarks += (f"{wrong} is not in the recording, and not renamed" for wrong in rename if wrong not in names)
     if not chosen:
         known = ", ".join(sorted(source.topics)) or "none"
-        raise RecordingError("REC006", f"no topic is left to replay; the recording has {known}")
+        calls = any(one.service for one in source.topics.values())
+        remedy = "Requests are sent to the services that --service names." if calls else ""
+        what = f"no topic is left to replay; the recording has {known}"
+        raise RecordingError("REC006", what, remedy=remedy)
     return chosen, remarks
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,7 +12,9 @@ from typing import Any
 
 import pytest
 from rosbags.highlevel import AnyReader
+from typer.testing import CliRunner
 
+from rosplc.cli.app import app
 from rosplc.codec import Codec, Wire
 from rosplc.config import parse_config, resolve
 from rosplc.described import description_of
@@ -359,7 +362,7 @@ def test_recorded_requests_are_sent_to_the_plc(shm_namespace: Namespace, tmp_pat
     )
     source, topics = calls(path, to_plc=True)
     target = PlcTarget(topics, shm_namespace, project=project)
-    server, got = ServiceServer("/cell/start", prefix=shm_namespace.prefix, beat_ms=100), []
+    server, got = ServiceServer("/cell/start", prefix=shm_namespace.prefix, beat_ms=10_000), []
 
     def scan() -> None:
         asked = server()
@@ -372,10 +375,20 @@ def test_recorded_requests_are_sent_to_the_plc(shm_namespace: Namespace, tmp_pat
     try:
         wait_for(lambda: not target.missing())
         count = play(source, target, topics)
+        assert (got, count.sent, count.lost) == ([True, False] * 3, 6, 0)
+        config = tmp_path / "rosplc.yaml"
+        config.write_text(
+            f"prefix: {shm_namespace.prefix}\nservices: {{/cell/start: {{type: {SET_BOOL}, server: plc}}}}\n"
+        )
+        command = ["replay", str(path), "--to", "plc", "--config", str(config), "--wait", "30s", "--json"]
+        refused = CliRunner().invoke(app, command)
+        assert refused.exit_code == 1 and "REC006" in refused.output and "--service" in refused.output
+        sent = CliRunner().invoke(app, [*command, "--service", "/cell/start", "--quiet"])
+        assert json.loads(sent.stdout)["topics"][TOPIC]["sent"] == 6
+        assert got == [True, False] * 6
     finally:
         task.stop()
         server.close()
-    assert (got, count.sent, count.lost) == ([True, False] * 3, 6, 0)
 
 
 @pytest.mark.parametrize(
