@@ -8,8 +8,7 @@ from contextlib import suppress
 from typing import Any
 
 from rosplc.bridge.port import Context, log
-from rosplc.bridge.use import ENDINGS, IDLE_NS, LOOK_NS, TOO_LARGE, Outcome, Use
-from rosplc.codec import Fault
+from rosplc.bridge.use import ENDINGS, IDLE_NS, LOOK_NS, Outcome, Use
 from rosplc.config.calls import ServicePlan
 from rosplc.errors import RosplcError
 from rosplc.reasons import Reason
@@ -132,16 +131,6 @@ class Asked(Use):
     @abstractmethod
     def _hear(self, now_ns: int) -> None:
         """Pass on what the ROS side has told."""
-
-    def _read(self, part: Part, payload: bytes) -> tuple[bytes, Reason, str]:
-        """Return what came from ROS as a record; if it cannot be one: no bytes, and why."""
-        codec = self._codecs[part]
-        try:
-            return codec.plan.decode(payload, self.plan.truncate)[0], Reason.NONE, ""
-        except Fault as fault:
-            explained = codec.explain(fault)
-            reason = Reason.TOO_LARGE if fault.args[0] in TOO_LARGE else Reason.NONE
-            return b"", reason, f"{explained.where}: {explained.what}"
 
     # -- beginning and end
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
@@ -9,8 +10,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from rosplc.bridge.port import Context
-from rosplc.bridge.use import ENDINGS, IDLE_NS, LOOK_NS, TOO_LARGE, Outcome, Use
-from rosplc.codec import Fault
+from rosplc.bridge.use import ENDINGS, IDLE_NS, LOOK_NS, Outcome, Use
 from rosplc.config.calls import ServicePlan
 from rosplc.errors import ChannelError, RosplcError
 from rosplc.reasons import Reason
@@ -48,8 +48,43 @@ class _Call:
     inherited: bool = False
 
 
-class Served(Use):
-    """A service that the PLC carries out: the bridge is the caller towards the PLC."""
+class Calling(Use):
+    """What the PLC carries out: the bridge is the caller towards the PLC."""
+
+    _caller: Caller | None = None
+    _again = False  # the newest answer counts once more: it is to what an earlier bridge asked
+
+    @property
+    def _down(self) -> bool:
+        """Whether the PLC's block is known to be gone, or there are no objects."""
+        return self._writer is None or not self._holder or self._peer.silent
+
+    def _take_answers(self, now_ns: int) -> None:
+        """Pass on the newest answer, and only then store that it was taken."""
+        answers = self.plan.parts[1]
+        reader, plan = self._readers[answers], self._codecs[answers].plan
+        again, self._again = self._again, False
+        found = reader.peek_wire(plan)
+        if found is None or (found[1].sequence == reader.last and not again):
+            return
+        self._answered(*found, now_ns)
+        taken = reader.latest_wire(plan)
+        if taken is not None and taken[1].sequence != found[1].sequence:
+            self._answered(*taken, now_ns)
+
+    @abstractmethod
+    def _answered(self, payload: bytes, info: SlotInfo, now_ns: int) -> None:
+        """Act on an answer."""
+
+    def _check_claims(self) -> None:
+        """Raise ChannelError (SHM116) if answers are not this bridge's any more."""
+        if any(reader.line is None for reader in self._readers.values()):
+            what = f"another bridge has taken the {self.plan.kind} over"
+            raise ChannelError("SHM116", what, where=self.plan.called)
+
+
+class Served(Calling):
+    """A service that the PLC carries out."""
 
     plan: ServicePlan
     _endpoint: ServiceServer | None
@@ -58,7 +93,6 @@ class Served(Use):
         super().__init__(plan, context, on_event)
         self._waiting: deque[_Call] = deque()
         self._open_call: _Call | None = None
-        self._caller: Caller | None = None
         self._unsent: deque[tuple[bytes, bytes | None, Outcome, Reason, int]] = deque()
         self._recent: deque[bytes] = deque(maxlen=_REMEMBERED)
         self._next_ns = 0  # before that the rate limit lets nothing pass
@@ -106,29 +140,20 @@ class Served(Use):
             told = self._endpoint is not None and self._endpoint.remembers
             same = sum(told and one.caller[:_CLIENT] == caller[:_CLIENT] for one in known)
             self._recent.append(caller)
-            try:
-                call.record = self._codecs[Part.REQUEST].plan.decode(payload, plan.truncate)[0]
-            except Fault as fault:
-                explained = self._codecs[Part.REQUEST].explain(fault)
-                reason = Reason.TOO_LARGE if fault.args[0] in TOO_LARGE else Reason.REJECTED
-                self._end(call, "not executed", reason, now_ns, f"{explained.where}: {explained.what}")
-                continue
-            if self._writer is None or self._down:
+            call.record, reason, text = self._read(Part.REQUEST, payload)
+            if text:
+                self._end(call, "not executed", reason or Reason.REJECTED, now_ns, text)
+            elif self._down:
                 self._end(call, "not executed", Reason.PLC_DOWN, now_ns)
             elif len(known) >= plan.depth or same >= plan.per_client:
                 self._end(call, "not executed", Reason.QUEUE_FULL, now_ns)
             else:
                 self._waiting.append(call)
 
-    @property
-    def _down(self) -> bool:
-        """Whether the PLC's block is known to be gone."""
-        return not self._holder or self._peer.silent
-
     def _hand_out(self, now_ns: int) -> None:
         while self._waiting:
             call = self._waiting[0]
-            if self._writer is None or self._down:
+            if self._down:
                 self._end(self._waiting.popleft(), "not executed", Reason.PLC_DOWN, now_ns)
             elif now_ns - call.arrived_ns > self.plan.expire_ns:
                 self._end(self._waiting.popleft(), "not executed", Reason.EXPIRED, now_ns)
@@ -218,26 +243,13 @@ class Served(Use):
         elif not self._present(call) and not self._withdraw(call):
             self._end(call, "not executed", Reason.CALLER_GONE, now_ns)
 
-    def _take_answers(self, now_ns: int) -> None:
-        """Pass on the newest answer, and only then store that it was taken."""
-        reader, plan = self._reader, self._codecs[Part.RESPONSE].plan
-        assert reader is not None
-        found = reader.peek_wire(plan)
-        if found is None or found[1].sequence == reader.last:
-            return
-        self._answered(*found, now_ns)
-        taken = reader.latest_wire(plan)
-        if taken is not None and taken[1].sequence != found[1].sequence:
-            self._answered(*taken, now_ns)
-
     def _answered(self, payload: bytes, info: SlotInfo, now_ns: int) -> None:
-        call, reader = self._open_call, self._reader
+        call = self._open_call
         answer = 0 if self._caller is None else self._caller.answer(info)
         if call is None or not answer or (self._caller is not None and self._caller.correlation):
             self.strays += 1  # another call's, or none that ends a call
             return
-        if reader is None or reader.line is None:
-            raise ChannelError("SHM116", "another bridge has taken the service over", where=self.plan.service)
+        self._check_claims()
         outcome = ENDINGS.get(answer, "fate unknown")
         if outcome != "done":
             reason = Reason(info.reason) if info.reason in list(Reason) else Reason.NONE

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from functools import partial
 
 from rosplc.bridge.port import Context
-from rosplc.bridge.use import IDLE_NS, LOOK_NS, TOO_LARGE, Outcome, Use
-from rosplc.codec import Fault
+from rosplc.bridge.served import Calling
+from rosplc.bridge.use import IDLE_NS, LOOK_NS, Outcome, Use
 from rosplc.config.calls import ActionPlan
-from rosplc.errors import ChannelError, RosplcError
+from rosplc.errors import RosplcError
 from rosplc.reasons import Reason
 from rosplc.ros import ActionServer, Backend, GoalStatus, action_classes
 from rosplc.shm import Caller, Part, SlotInfo
@@ -80,7 +80,7 @@ class _Goal:
     inherited: bool = False
 
 
-class ServedGoals(Use):
+class ServedGoals(Calling):
     """An action that the PLC carries out."""
 
     plan: ActionPlan
@@ -90,8 +90,6 @@ class ServedGoals(Use):
         super().__init__(plan, context, on_event)
         self._waiting: deque[_Goal] = deque()
         self._open_goal: _Goal | None = None
-        self._caller: Caller | None = None
-        self._again = False  # the newest answer counts once more: it is to a goal of an earlier bridge
         self._taken = 0  # the sequence that the PLC's block took last
         self._tick_ns = 0
 
@@ -112,11 +110,6 @@ class ServedGoals(Use):
     @property
     def _outstanding(self) -> int:
         return len(self._waiting) + (self._open_goal is not None)
-
-    @property
-    def _down(self) -> bool:
-        """Whether the PLC's block is known to be gone."""
-        return self._writer is None or not self._holder or self._peer.silent
 
     def turn(self, now_ns: int) -> None:
         """Go on with all goals."""
@@ -152,15 +145,12 @@ class ServedGoals(Use):
                 server.reject(uuid)  # sent again, to a bridge that was restarted
                 continue
             self.received += 1
-            goal = _Goal(uuid, b"")
-            try:
-                goal.record = self._codecs[Part.GOAL].plan.decode(payload[0], self.plan.truncate)[0]
-            except Fault as fault:
-                explained = self._codecs[Part.GOAL].explain(fault)
-                reason = Reason.TOO_LARGE if fault.args[0] in TOO_LARGE else Reason.REJECTED
-                self._reject(goal, "not executed", reason, now_ns, f"{explained.where}: {explained.what}")
-                continue
-            self._enqueue(goal, now_ns)
+            record, reason, text = self._read(Part.GOAL, payload[0])
+            goal = _Goal(uuid, record)
+            if text:
+                self._reject(goal, "not executed", reason or Reason.REJECTED, now_ns, text)
+            else:
+                self._enqueue(goal, now_ns)
 
     def _enqueue(self, goal: _Goal, now_ns: int) -> None:
         replaces, busy = self.plan.on_new_goal == "abort", self._open_goal is not None
@@ -249,7 +239,7 @@ class ServedGoals(Use):
         """Look at the PLC's side, and at what has become of the open goal."""
         claim, beat, beat_ms, self._taken = self._channels[Part.GOAL].region.words(reader_line(0), 4)
         self._observe(claim, beat, self._taken, beat_ms, now_ns)
-        self._take_answers(server, now_ns)
+        self._take_answers(now_ns)
         self._take_feedback(server)
         goal, caller = self._open_goal, self._caller
         if goal is None or caller is None:
@@ -275,25 +265,13 @@ class ServedGoals(Use):
         if reason and not self._withdraw(goal):
             self._reject(goal, "not executed", reason, now_ns)
 
-    def _take_answers(self, server: ActionServer, now_ns: int) -> None:
-        """Pass on the newest answer, and only then store that it was taken."""
-        reader, plan = self._readers[Part.RESULT], self._codecs[Part.RESULT].plan
-        again, self._again = self._again, False
-        current = reader.peek_wire(plan)
-        if current is not None and (again or current[1].sequence != reader.last):
-            self._answered(server, *current, now_ns)
-        taken = reader.latest_wire(plan)
-        if taken is not None and current is not None and taken[1].sequence != current[1].sequence:
-            self._answered(server, *taken, now_ns)
-
-    def _answered(self, server: ActionServer, payload: bytes, info: SlotInfo, now_ns: int) -> None:
-        goal, caller = self._open_goal, self._caller
+    def _answered(self, payload: bytes, info: SlotInfo, now_ns: int) -> None:
+        goal, caller, server = self._open_goal, self._caller, self._endpoint
         answer = 0 if caller is None else caller.answer(info)
-        if goal is None or caller is None or not answer:
+        if goal is None or caller is None or server is None or not answer:
             self.strays += 1
             return
-        if any(reader.line is None for reader in self._readers.values()):
-            raise ChannelError("SHM116", "another bridge has taken the action over", where=self.plan.action)
+        self._check_claims()
         if answer in _OF_ACCEPTED:
             self._follow(server, goal, payload, info.status, now_ns)
         elif caller.correlation:
@@ -331,6 +309,7 @@ class ServedGoals(Use):
         goal.accepted = True
         if goal.inherited:
             status = GoalStatus.CANCELING if canceling else GoalStatus.EXECUTING
+            server.reject(goal.uuid)  # should its client have sent it again
             server.adopt(goal.uuid, goal.stamp_ns, status)
             return
         # Accepted while it was being withdrawn: a client that has gone does not know of it.
@@ -385,7 +364,7 @@ class ServedGoals(Use):
             return
         begun = True
         with suppress(RosplcError, OSError, ValueError, AssertionError, KeyError):
-            self._take_answers(server, now_ns)
+            self._take_answers(now_ns)
         if self._open_goal is None or goal.accepted:
             return  # what the PLC has accepted goes on, if its objects remain
         with suppress(RosplcError, OSError, ValueError, AssertionError):

@@ -13,7 +13,7 @@ from typing import Any, Literal
 from rosplc.bridge.hold import Hold
 from rosplc.bridge.port import Context, Notes, log
 from rosplc.bridge.status import ActionStatus, ServiceStatus
-from rosplc.codec import Codec, Wire
+from rosplc.codec import Codec, Fault, Wire
 from rosplc.config.calls import CallPlan
 from rosplc.config.resolve import describe_call
 from rosplc.errors import BackendError, ChannelError, RosplcError
@@ -34,7 +34,7 @@ LOOK_NS = 5_000_000
 """Time between two looks at the peers of a use with a call that waits or is open."""
 IDLE_NS = 100_000_000
 """The same without one."""
-TOO_LARGE = (4, 5, 8)
+_TOO_LARGE = (4, 5, 8)
 """Faults of a codec: a string or sequence exceeds a limit."""
 
 Outcome = Literal[
@@ -239,6 +239,16 @@ class Use(Notes, ABC):
         """Take an event of the ROS side's; from any thread."""
         self.events.append(event)
         self._on_event(self)
+
+    def _read(self, part: Part, payload: bytes) -> tuple[bytes, Reason, str]:
+        """Return what came from ROS as a record; if it cannot be one: no bytes, and why."""
+        codec = self._codecs[part]
+        try:
+            return codec.plan.decode(payload, self.plan.truncate)[0], Reason.NONE, ""
+        except Fault as fault:
+            explained = codec.explain(fault)
+            reason = Reason.TOO_LARGE if fault.args[0] in _TOO_LARGE else Reason.NONE
+            return b"", reason, f"{explained.where}: {explained.what}"
 
     def ask(self, now_ns: int) -> None:
         """Ask the ROS side how the endpoint stands, and show the PLC how many clients there are."""
