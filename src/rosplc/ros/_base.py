@@ -200,6 +200,11 @@ class BaseEndpoint:
         self._messages = self._dropped = self._rejected = self._failed = self._last_ns = 0
 
     @property
+    def service(self) -> str:
+        """The absolute name of a service."""
+        return self.topic
+
+    @property
     def matched(self) -> int:
         """Peers that exchange messages with this endpoint."""
         return 0 if self.closed else self._matched()
@@ -348,8 +353,11 @@ class BasePublisher(BaseEndpoint):
     kind = "publisher"
 
 
-class BaseServer(BaseEndpoint):
-    """A service being provided; see :class:`rosplc.ros.backend.ServiceServer`."""
+class KeepingServer(BaseEndpoint):
+    """A service being provided; see :class:`rosplc.ros.backend.ServiceServer`.
+
+    It keeps what the backend needs to know of a caller until that is answered or refused.
+    """
 
     direction: Literal["in"] = "in"
     peer_does = "calls"
@@ -360,33 +368,6 @@ class BaseServer(BaseEndpoint):
     def __init__(self, on_request: OnRequest, *arguments: Any) -> None:
         super().__init__(*arguments)
         self._on_request = on_request
-
-    @property
-    def service(self) -> str:
-        """The absolute name of the service."""
-        return self.topic
-
-    def deliver(self, payload: bytes, caller: bytes, stamp_ns: int = 0) -> None:
-        """Hand over one request, and count it; nothing that the receiver raises escapes."""
-        with self._delivering:
-            if self.closed:
-                return
-            self._messages += 1
-            self._last_ns = self._clock.time_ns()
-            self._hand_over(self._on_request, payload, caller, stamp_ns)
-
-    def close(self) -> None:
-        """Stop serving; after the return no callback runs or starts (unless called from it)."""
-        super().close()
-        with self._delivering:
-            pass
-
-
-class KeepingServer(BaseServer):
-    """A server that keeps what the backend needs to know of a caller until it is answered or refused."""
-
-    def __init__(self, *arguments: Any) -> None:
-        super().__init__(*arguments)
         self._callers: OrderedDict[bytes, Any] = OrderedDict()
 
     def _take(self, payload: bytes, caller: bytes, stamp_ns: int, origin: Any) -> None:
@@ -398,7 +379,11 @@ class KeepingServer(BaseServer):
             self._dropped += too_many
         if too_many:
             self._drop(evicted)
-        self.deliver(payload, caller, stamp_ns)
+        with self._delivering:
+            if not self.closed:
+                self._messages += 1
+                self._last_ns = self._clock.time_ns()
+                self._hand_over(self._on_request, payload, caller, stamp_ns)
 
     def _answer(self, caller: bytes, origin: Any, payload: bytes) -> bool:
         """Send a response, without the lock; False if the caller has gone. No ``origin``: unknown caller."""
@@ -440,7 +425,7 @@ class KeepingServer(BaseServer):
     def close(self) -> None:
         """Stop serving; after the return no callback runs or starts (unless called from it)."""
         super().close()
-        with self._lock:
+        with self._delivering, self._lock:
             dropped, self._callers = self._callers, OrderedDict()
         for origin in dropped.values():
             self._drop(origin)
@@ -468,28 +453,9 @@ class BaseClient(BaseEndpoint):
         self._after = 0  # responses to calls that are not open any more
 
     @property
-    def service(self) -> str:
-        """The absolute name of the service."""
-        return self.topic
-
-    @property
     def ready(self) -> bool:
         """Whether a matching server is known now whose responses can be read."""
         return self.matched > 0
-
-    def _register(self, on_reply: OnReply, what: Any = None) -> int:
-        """Give a call its number; ROS009 after close. Count it with :meth:`_sent`."""
-        with self._lock:
-            if self.closed:
-                raise self._closed()
-            number = next(_call_numbers)
-            self.calls[number] = (on_reply, what)
-            return number
-
-    def _sent(self) -> None:
-        with self._lock:
-            self._messages += 1
-            self._last_ns = self._clock.time_ns()
 
     def end(self, number: int, reply: Reply) -> None:
         """End a call, unless it has ended or is forgotten; nothing that the receiver raises escapes."""
@@ -516,16 +482,20 @@ class BaseClient(BaseEndpoint):
         data = self._checked(payload)
         with self._lock:
             receivers = set(self._receivers())
-            number = self._register(on_reply, receivers)
+            if self.closed:
+                raise self._closed()
+            number = next(_call_numbers)
+            self.calls[number] = (on_reply, receivers)
         try:
             refusal = self._send(number, data) if receivers else NO_SERVER
         except BaseException:
             self.forget(number)
             raise
-        if refusal is None:
-            self._sent()
-            return number
         with self._lock:
+            if refusal is None:
+                self._messages += 1
+                self._last_ns = self._clock.time_ns()
+                return number
             open_ = self.calls.pop(number, None)
         if open_ is not None:  # in this thread, which must wait for no callback of another
             self._hand_over(on_reply, refusal)
@@ -554,7 +524,34 @@ class BaseClient(BaseEndpoint):
                 self.end(number, Reply(None, "fate unknown", Reason.NONE, "the client was closed"))
 
 
-class BaseNode:
+class Opener:
+    """A backend's methods that open endpoints."""
+
+    _kinds: tuple[Any, ...]
+    """The classes of its subscriptions, publishers, servers and clients."""
+
+    def _open(self, kind: Any, topic: str, type_name: str, qos: Qos, *receiver: Any) -> Any:
+        """Open an endpoint of one of these classes, and keep it."""
+        raise NotImplementedError
+
+    def subscribe(self, topic: str, type_name: str, qos: Qos, on_message: OnMessage) -> Any:
+        """Receive a topic; see :meth:`rosplc.ros.backend.Backend.subscribe`."""
+        return self._open(self._kinds[0], topic, type_name, qos, on_message)
+
+    def advertise(self, topic: str, type_name: str, qos: Qos) -> Any:
+        """Send a topic; see :meth:`rosplc.ros.backend.Backend.advertise`."""
+        return self._open(self._kinds[1], topic, type_name, qos)
+
+    def serve(self, service: str, type_name: str, qos: Qos, on_request: OnRequest) -> Any:
+        """Serve a service; see :meth:`rosplc.ros.backend.Backend.serve`."""
+        return self._open(self._kinds[2], service, type_name, qos, on_request)
+
+    def client(self, service: str, type_name: str, qos: Qos) -> Any:
+        """Call a service; see :meth:`rosplc.ros.backend.Backend.client`."""
+        return self._open(self._kinds[3], service, type_name, qos)
+
+
+class BaseNode(Opener):
     """A node's names, types, endpoints and receive thread; its full name is ``node``.
 
     Raises:
@@ -603,31 +600,6 @@ class BaseNode:
     def _usable(self) -> None:
         if self._closed:
             raise BackendError("ROS009", f"node {self.node} has left the graph")
-
-    # -- endpoints
-
-    _kinds: tuple[Any, ...]
-    """The classes of its subscriptions, publishers, servers and clients."""
-
-    def _open(self, kind: Any, topic: str, type_name: str, qos: Qos, *receiver: Any) -> Any:
-        """Open an endpoint of one of these classes, and keep it."""
-        raise NotImplementedError
-
-    def subscribe(self, topic: str, type_name: str, qos: Qos, on_message: OnMessage) -> Any:
-        """Receive a topic; see :meth:`rosplc.ros.backend.Backend.subscribe`."""
-        return self._open(self._kinds[0], topic, type_name, qos, on_message)
-
-    def advertise(self, topic: str, type_name: str, qos: Qos) -> Any:
-        """Send a topic; see :meth:`rosplc.ros.backend.Backend.advertise`."""
-        return self._open(self._kinds[1], topic, type_name, qos)
-
-    def serve(self, service: str, type_name: str, qos: Qos, on_request: OnRequest) -> Any:
-        """Serve a service; see :meth:`rosplc.ros.backend.Backend.serve`."""
-        return self._open(self._kinds[2], service, type_name, qos, on_request)
-
-    def client(self, service: str, type_name: str, qos: Qos) -> Any:
-        """Call a service; see :meth:`rosplc.ros.backend.Backend.client`."""
-        return self._open(self._kinds[3], service, type_name, qos)
 
     def endpoints(self) -> tuple[Any, ...]:
         """Return the endpoints."""

@@ -12,25 +12,14 @@ import threading
 from collections.abc import Callable, Collection
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from rosplc.errors import BackendError, RosplcError
 from rosplc.reasons import Reason
 from rosplc.ros import backend
-from rosplc.ros.backend import (
-    Backend,
-    EndpointStatus,
-    GraphInfo,
-    OnMessage,
-    OnReply,
-    OnRequest,
-    Publisher,
-    Qos,
-    Reply,
-    ServiceClient,
-    ServiceServer,
-    Subscription,
-)
+from rosplc.ros._base import Opener
+from rosplc.ros.backend import Backend, EndpointStatus, GraphInfo, OnReply, Qos, Reply
 
 _INACTIVE = "the node is not active"
 _SUMMED = ("messages", "dropped", "rejected", "failed")
@@ -160,7 +149,7 @@ class LifecycleEndpoint:
             self._on_close(self)
 
 
-class LifecycleBackend:
+class LifecycleBackend(Opener):
     """A backend that is connected while it is active; see :class:`rosplc.ros.backend.Backend`.
 
     Args:
@@ -172,6 +161,8 @@ class LifecycleBackend:
     Attributes:
         active: Whether endpoints are open; they are not at first.
     """
+
+    _kinds = ("subscribe", "advertise", "serve", "client")
 
     def __init__(
         self,
@@ -187,33 +178,13 @@ class LifecycleBackend:
         self._lock = threading.RLock()
         self._endpoints: list[LifecycleEndpoint] = []
 
-    def subscribe(self, topic: str, type_name: str, qos: Qos, on_message: OnMessage) -> Subscription:
-        """Receive a topic while active; see :meth:`rosplc.ros.backend.Backend.subscribe`."""
+    def _open(self, kind: Any, topic: str, type_name: str, qos: Qos, *receiver: Any) -> Any:
+        make = partial(getattr(self._inner, kind), topic, type_name, qos, *receiver)
         if topic in self._always:
-            return self._inner.subscribe(topic, type_name, qos, on_message)
-        before = EndpointStatus(topic, type_name, "in")
-        return self._add(before, qos, lambda: self._inner.subscribe(topic, type_name, qos, on_message))
-
-    def advertise(self, topic: str, type_name: str, qos: Qos) -> Publisher:
-        """Send a topic while active; see :meth:`rosplc.ros.backend.Backend.advertise`."""
-        if topic in self._always:
-            return self._inner.advertise(topic, type_name, qos)
-        before = EndpointStatus(topic, type_name, "out")
-        return self._add(before, qos, lambda: self._inner.advertise(topic, type_name, qos))
-
-    def serve(self, service: str, type_name: str, qos: Qos, on_request: OnRequest) -> ServiceServer:
-        """Serve a service while active; see :meth:`rosplc.ros.backend.Backend.serve`."""
-        before = EndpointStatus(service, type_name, "in")
-        return self._add(before, qos, lambda: self._inner.serve(service, type_name, qos, on_request))
-
-    def client(self, service: str, type_name: str, qos: Qos) -> ServiceClient:
-        """Call a service while active; see :meth:`rosplc.ros.backend.Backend.client`."""
-        before = EndpointStatus(service, type_name, "out")
-        return self._add(before, qos, lambda: self._inner.client(service, type_name, qos))
-
-    def _add(self, before: EndpointStatus, qos: Qos, make: Callable[[], Any]) -> LifecycleEndpoint:
-        self.check(before.type_name)
-        latched = before.direction == "out" and before.topic in self._latched
+            return make()
+        self.check(type_name)
+        before = EndpointStatus(topic, type_name, "in" if receiver else "out")
+        latched = not receiver and topic in self._latched
         endpoint = LifecycleEndpoint(before, qos, make, self._remove, latched)
         with self._lock:
             if self.active:
