@@ -39,7 +39,7 @@ PACKAGES = {
     "rosplc.codec": ("Between wire bytes and records.", "Codec Wire"),
     "rosplc.ros": (
         "The ROS side for programs without ROS: a node of its own, over any backend.",
-        "open_backend Backend Publisher Subscription Qos EndpointStatus",
+        "open_backend Backend Endpoint Publisher Subscription Qos EndpointStatus",
     ),
 }
 

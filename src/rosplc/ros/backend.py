@@ -229,34 +229,34 @@ class GraphInfo:
     services: tuple[EndpointInfo, ...] = ()
 
 
-class Subscription(Protocol):
-    """A topic that is being received."""
+class Endpoint(Protocol):
+    """What subscriptions, publishers, servers and clients have in common."""
 
     topic: str
+    """The absolute name of the topic or service."""
     type_name: str
     qos: Qos
 
     @property
     def matched(self) -> int:
-        """Publishers that this subscription receives from."""
+        """Peers that messages are exchanged with: of a server, the clients that can be answered."""
 
     def status(self) -> EndpointStatus:
         """Return the present state; cheap enough to be asked every second."""
 
     def close(self) -> None:
-        """Stop receiving; after the return no callback runs or starts (unless called from it)."""
+        """Withdraw it; afterwards no callback runs or starts (unless called from it). Harmless twice.
+
+        A client ends every open call with ``fate unknown`` before.
+        """
 
 
-class Publisher(Protocol):
+class Subscription(Endpoint, Protocol):
+    """A topic that is being received."""
+
+
+class Publisher(Endpoint, Protocol):
     """A topic that is being sent."""
-
-    topic: str
-    type_name: str
-    qos: Qos
-
-    @property
-    def matched(self) -> int:
-        """Subscribers that this publisher sends to."""
 
     def write(self, payload: bytes, stamp_ns: int | None = None) -> bool:
         """Send one message.
@@ -271,12 +271,6 @@ class Publisher(Protocol):
         Raises:
             BackendError: ROS008 if the payload is no message of the type, ROS009 after close.
         """
-
-    def status(self) -> EndpointStatus:
-        """Return the present state; cheap enough to be asked every second."""
-
-    def close(self) -> None:
-        """Stop sending; closing twice is harmless."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -301,23 +295,12 @@ OnReply = Callable[[Reply], None]
 """Called once with the end of a call."""
 
 
-class ServiceServer(Protocol):
+class ServiceServer(Endpoint, Protocol):
     """A service that ROS clients call."""
-
-    type_name: str
-    qos: Qos
-
-    @property
-    def service(self) -> str:
-        """The absolute name of the service."""
 
     @property
     def remembers(self) -> bool:
         """Whether another server of this service, in another process, can answer a caller by its 16 bytes."""
-
-    @property
-    def matched(self) -> int:
-        """Clients that this server can answer."""
 
     def reply(self, caller: bytes, payload: bytes) -> bool:
         """Send a response; never blocks.
@@ -342,22 +325,9 @@ class ServiceServer(Protocol):
     def present(self, caller: bytes) -> bool:
         """Return whether a caller still waits, as far as the middleware knows; True where it does not."""
 
-    def status(self) -> EndpointStatus:
-        """Return the present state; cheap enough to be asked every second."""
 
-    def close(self) -> None:
-        """Stop serving; after the return no callback runs or starts (unless called from it)."""
-
-
-class ServiceClient(Protocol):
+class ServiceClient(Endpoint, Protocol):
     """A service of a ROS server that is called."""
-
-    type_name: str
-    qos: Qos
-
-    @property
-    def service(self) -> str:
-        """The absolute name of the service."""
 
     @property
     def ready(self) -> bool:
@@ -381,12 +351,6 @@ class ServiceClient(Protocol):
 
     def forget(self, number: int) -> None:
         """Wait no longer for a call: ``on_reply`` does not start any more. An unknown number is ignored."""
-
-    def status(self) -> EndpointStatus:
-        """Return the present state; cheap enough to be asked every second."""
-
-    def close(self) -> None:
-        """End every open call with ``fate unknown``; afterwards no callback runs or starts."""
 
 
 class Backend(Protocol):

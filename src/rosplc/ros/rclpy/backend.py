@@ -127,27 +127,23 @@ class RclpyBackend(BaseNode):
 
     # -- what is wrong
 
-    def _peers(self, topic: str, direction: Literal["in", "out"]) -> list[EndpointInfo]:
+    def _ends(self, topic: str, direction: Literal["in", "out"], no_mangle: bool = False) -> list[Any]:
         """Return the endpoints of one direction on a topic, our own node's too, as in ROS."""
         node = self._node
         ask = (
             node.get_publishers_info_by_topic if direction == "out" else node.get_subscriptions_info_by_topic
         )
-        return read_peers(self._asked(ask, topic), topic, direction)
-
-    def _asked(self, ask: Callable[..., list[Any]], *arguments: object) -> list[Any]:
         try:
-            return ask(*arguments)
+            return list(ask(topic, no_mangle))
         except (InvalidHandle, RuntimeError):  # the node is being destroyed
             return []
 
+    def _peers(self, topic: str, direction: Literal["in", "out"]) -> list[EndpointInfo]:
+        return read_peers(self._ends(topic, direction), topic, direction)
+
     def _users(self, service: str, direction: Literal["in", "out"]) -> list[Any]:
         """Return who serves (``in``) or calls (``out``) a service: who reads or writes its requests."""
-        node = self._node
-        ask = (
-            node.get_publishers_info_by_topic if direction == "out" else node.get_subscriptions_info_by_topic
-        )
-        return self._asked(ask, f"rq{service}Request", True)
+        return self._ends(f"rq{service}Request", direction, True)
 
     def servers(self, service: str) -> frozenset[bytes]:
         """Return the ids of a service's servers, as far as the middleware has topics for services."""
