@@ -9,13 +9,13 @@ import logging
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, cast
 
 from rosplc.config.file import Config
 from rosplc.config.resolve import OWN_SETTINGS, Plan
 from rosplc.model import TypeStore
 from rosplc.model.types import MessageType
-from rosplc.ros import ROS1, Backend, Choice, RosArguments, TypeSource, choose, open_backend
+from rosplc.ros import ROS1, Backend, Choice, RosArguments, choose, open_backend
 
 log = logging.getLogger("rosplc.bridge")
 
@@ -71,7 +71,7 @@ class RosSide:
         shown: dict[str, str | list[str]] = {"bridge": settings.bridge, "topics": list(settings.topics)}
         return shown if path is None else shown | {"config": str(path.absolute())}
 
-    def open(self, store: TypeSource) -> tuple[Backend, Choice]:
+    def open(self, store: TypeStore | LiveTypes) -> tuple[Backend, Choice]:
         """Join the graph; return the backend, and how it was chosen. Raises as ``open_backend``."""
         environment = self.environment()
         choice = choose_backend(self.config, environment)
@@ -82,7 +82,7 @@ class RosSide:
         name, namespace, remap = self.names()
         backend = open_backend(
             choice.name,
-            store,
+            cast("TypeStore", store),
             name,
             namespace,
             self.config.settings.ros.domain,
@@ -99,7 +99,7 @@ class RosSide:
 
 
 class LiveTypes:
-    """A :class:`~rosplc.ros.backend.TypeSource` whose store can be exchanged while a backend has it.
+    """What a backend has for a store of types, which can be exchanged meanwhile.
 
     Attributes:
         store: Where types are looked up.
@@ -116,31 +116,9 @@ class LiveTypes:
             if layout.type_name not in self.used:
                 self.used[layout.type_name] = layout.store.definition_text(layout.type_name)
 
-    @property
-    def distro(self) -> str:
-        """The ROS distribution."""
-        return self.store.distro
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.store, name)
 
     def __getitem__(self, name: str) -> MessageType:
         """Return a type; TYP001 if it is unknown."""
         return self.store[name]
-
-    def type_hash(self, name: str) -> str:
-        """Return the ROS 2 type hash."""
-        return self.store.type_hash(name)
-
-    def md5(self, name: str) -> str:
-        """Return the ROS 1 MD5 sum."""
-        return self.store.md5(name)
-
-    def service_hash(self, name: str) -> str:
-        """Return the ROS 2 type hash of a service."""
-        return self.store.service_hash(name)
-
-    def service_md5(self, name: str) -> str:
-        """Return the ROS 1 MD5 sum of a service."""
-        return self.store.service_md5(name)
-
-    def definition_text(self, name: str) -> str:
-        """Return the definition with every type it needs."""
-        return self.store.definition_text(name)

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from rosplc.clock import SYSTEM, Clock
 from rosplc.errors import BackendError
+from rosplc.model import TypeStore
 from rosplc.ros.actionlib import ActionlibClient, ActionlibServer
 from rosplc.ros.actions import ActionClient, ActionServer, GoalEvent, GoalStatus
 from rosplc.ros.arguments import Remapping, RosArguments, split_arguments
@@ -79,7 +80,7 @@ __all__ = [
 
 def open_backend(
     name: str,
-    store: TypeSource,
+    store: TypeStore,
     node_name: str,
     namespace: str = "/",
     domain: int | None = None,
@@ -122,6 +123,6 @@ def open_backend(
     return backend
 
 
-def action_classes(store: TypeSource) -> tuple[type[ActionServer], type[ActionClient]]:
+def action_classes(store: TypeStore) -> tuple[type[ActionServer], type[ActionClient]]:
     """Return the classes of an action's server and client, for the ROS that the types are of."""
     return (ActionlibServer, ActionlibClient) if store.distro == ROS1 else (ActionServer, ActionClient)

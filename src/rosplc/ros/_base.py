@@ -14,6 +14,7 @@ from typing import Any, Literal, TypeVar
 from rosplc.clock import SYSTEM, Clock
 from rosplc.errors import BackendError
 from rosplc.harmless import one_line
+from rosplc.model import TypeStore
 from rosplc.reasons import Reason
 from rosplc.ros import backend
 from rosplc.ros.backend import (
@@ -25,7 +26,6 @@ from rosplc.ros.backend import (
     OnRequest,
     Qos,
     Reply,
-    TypeSource,
 )
 from rosplc.ros.names import join, resolve_topic, validate_namespace, validate_node_name
 
@@ -45,7 +45,7 @@ _B = TypeVar("_B")
 class Context:
     """What a node is opened with; see :func:`rosplc.ros.open_backend`."""
 
-    store: TypeSource
+    store: TypeStore
     node_name: str
     namespace: str = "/"
     domain: int | None = None
@@ -58,7 +58,7 @@ class Context:
 def opener(make: Callable[[Context], _B]) -> Callable[..., _B]:
     """Return a backend module's ``open_backend``; it takes what :func:`rosplc.ros.open_backend` does."""
 
-    def open_backend(store: TypeSource, node_name: str, *places: Any, **others: Any) -> _B:
+    def open_backend(store: TypeStore, node_name: str, *places: Any, **others: Any) -> _B:
         given = {key: value for key, value in others.items() if value is not None}
         return make(Context(store, node_name, *places, **given))
 
@@ -198,11 +198,6 @@ class BaseEndpoint:
         self._lock = threading.RLock()  # re-entrant: on_message may close its own subscription
         self._delivering = threading.RLock()  # held while something is delivered without the lock
         self._messages = self._dropped = self._rejected = self._failed = self._last_ns = 0
-
-    @property
-    def service(self) -> str:
-        """The absolute name of a service."""
-        return self.topic
 
     @property
     def matched(self) -> int:
@@ -670,7 +665,7 @@ class BaseNode(Opener):
         self._leave()
 
 
-def check_ros(name: str, store: TypeSource, *, ros1: bool = False) -> None:
+def check_ros(name: str, store: TypeStore, *, ros1: bool = False) -> None:
     """Refuse (ROS001) types of the other ROS."""
     if ros1 and store.distro != "noetic":
         what = f"the {name} backend speaks ROS 1; {store.distro or 'this type store'} is ROS 2"

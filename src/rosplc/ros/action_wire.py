@@ -11,6 +11,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from rosplc.errors import BackendError
+from rosplc.model import TypeStore
 from rosplc.model.types import (
     PRIMITIVES,
     ArrayType,
@@ -21,7 +22,6 @@ from rosplc.model.types import (
     SequenceType,
     StringType,
 )
-from rosplc.ros.backend import TypeSource
 
 LITTLE = b"\0\1\0\0"  # the header of plain CDR, little-endian
 _GOAL_INFO = 24  # bytes: UUID, seconds, nanoseconds
@@ -124,7 +124,7 @@ def read_statuses(payload: bytes) -> list[KnownGoal]:
 class Results:
     """Converts between a result and the response that has its status before it, or no result at all."""
 
-    def __init__(self, store: TypeSource, result: MessageType) -> None:
+    def __init__(self, store: TypeStore, result: MessageType) -> None:
         self._store, self._result = store, result
 
     def pack(self, status: int, result: bytes | None) -> bytes:
@@ -145,7 +145,7 @@ class Results:
 class _Copy:
     """Copies values of CDR to where they are aligned differently; defaults if there is no source."""
 
-    def __init__(self, store: TypeSource, source: bytes | None, at: int) -> None:
+    def __init__(self, store: TypeStore, source: bytes | None, at: int) -> None:
         self.header = LITTLE if source is None else source[:4]
         self.out = bytearray()
         self._store, self._at = store, at

@@ -20,12 +20,13 @@ from functools import partial
 from typing import Any
 
 from rosplc.errors import BackendError
+from rosplc.model import TypeStore
 from rosplc.model.types import PRIMITIVES, ArrayType, FieldType, MessageType, NamedType, PrimitiveType
 from rosplc.reasons import Reason
 from rosplc.ros import actions
 from rosplc.ros._base import NO_SERVER
 from rosplc.ros.actions import ActionClient, ActionServer, Goal, GoalStatus
-from rosplc.ros.backend import Backend, Publisher, Qos, Reply, TypeSource
+from rosplc.ros.backend import Backend, Publisher, Qos, Reply
 
 LONGEST_ID = 1024  # bytes of a goal's text
 _PATIENCE_NS = 10_000_000_000  # for a goal that the server does not list, or a result that does not come
@@ -58,7 +59,7 @@ def text_of(uuid: bytes) -> bytes:
     return text if text.isascii() and text.decode().isprintable() else uuid.hex().encode()
 
 
-def _size(store: TypeSource, kind: MessageType | FieldType) -> int:
+def _size(store: TypeStore, kind: MessageType | FieldType) -> int:
     """Return the bytes of a default value, all of which are 0."""
     if isinstance(kind, MessageType):
         return sum(_size(store, field.type) for field in kind.fields)
@@ -132,7 +133,7 @@ class ActionlibServer(ActionServer):
     Nothing is listed before the first :meth:`tick` or goal, lest a goal to be adopted is missing.
     """
 
-    def _open(self, backend: Backend, store: TypeSource) -> None:
+    def _open(self, backend: Backend, store: TypeStore) -> None:
         self._default = bytes(_size(store, store[f"{self.type_name}_Result"]))
         self._canceled_ns = 0  # goals up to this stamp are canceled
         # Goals that were not accepted, or canceled before they came: number and message of the status, since.
@@ -245,7 +246,7 @@ class ActionlibClient(ActionClient):
     server no longer lists has the result UNKNOWN, one whose result was missed its status without a payload.
     """
 
-    def _open(self, backend: Backend, store: TypeSource) -> None:
+    def _open(self, backend: Backend, store: TypeStore) -> None:
         keep, topic = self._keep, partial(_topic, self.action, self.type_name)
         keep(
             backend.subscribe(*topic("feedback", "ActionFeedback"), _QOS, partial(self._on_news, "feedback"))

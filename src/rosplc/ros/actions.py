@@ -19,6 +19,7 @@ from typing import Any, Literal
 
 from rosplc.clock import SYSTEM, Clock
 from rosplc.errors import BackendError
+from rosplc.model import TypeStore
 from rosplc.ros import action_wire as wire
 from rosplc.ros.backend import (
     SERVICES,
@@ -29,7 +30,6 @@ from rosplc.ros.backend import (
     Reply,
     ServiceClient,
     ServiceServer,
-    TypeSource,
 )
 
 MOST_GOALS = 256  # goals of one server, those whose results are kept included
@@ -117,7 +117,7 @@ class Goal:
 class _Action:
     """An action's endpoints, all of them or none."""
 
-    def __init__(self, backend: Backend, store: TypeSource, action: str, type_name: str) -> None:
+    def __init__(self, backend: Backend, store: TypeStore, action: str, type_name: str) -> None:
         self.action, self.type_name = action, type_name
         self._lock = threading.RLock()
         self._endpoints: list[Any] = []
@@ -128,7 +128,7 @@ class _Action:
                 self.close()
                 raise
 
-    def _open(self, backend: Backend, store: TypeSource) -> None:
+    def _open(self, backend: Backend, store: TypeStore) -> None:
         raise NotImplementedError
 
     def _keep(self, endpoint: Any) -> Any:
@@ -170,7 +170,7 @@ class ActionServer(_Action):
     def __init__(
         self,
         backend: Backend,
-        store: TypeSource,
+        store: TypeStore,
         action: str,
         type_name: str,
         *,
@@ -184,7 +184,7 @@ class ActionServer(_Action):
         self._goals: dict[bytes, Goal] = {}
         super().__init__(backend, store, action, type_name)
 
-    def _open(self, backend: Backend, store: TypeSource) -> None:
+    def _open(self, backend: Backend, store: TypeStore) -> None:
         self._results = wire.Results(store, store[f"{self.type_name}_Result"])
         keep, place = self._keep, self._place
         self._feedback: Publisher = keep(backend.advertise(*place("feedback", "FeedbackMessage"), Qos()))
@@ -474,7 +474,7 @@ class ActionClient(_Action):
     def __init__(
         self,
         backend: Backend,
-        store: TypeSource,
+        store: TypeStore,
         action: str,
         type_name: str,
         on_event: Callable[[GoalEvent], object],
@@ -486,7 +486,7 @@ class ActionClient(_Action):
         self._statuses: dict[bytes, GoalStatus] = {}  # as the server last published them
         super().__init__(backend, store, action, type_name)
 
-    def _open(self, backend: Backend, store: TypeSource) -> None:
+    def _open(self, backend: Backend, store: TypeStore) -> None:
         self._results = wire.Results(store, store[f"{self.type_name}_Result"])
         keep, place = self._keep, self._place
         keep(backend.subscribe(*place("feedback", "FeedbackMessage"), Qos(), self._on_feedback))

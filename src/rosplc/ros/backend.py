@@ -17,7 +17,7 @@ from typing import Literal, Protocol
 
 from rosplc.clock import SYSTEM, Clock
 from rosplc.errors import BackendError
-from rosplc.model.types import MessageType
+from rosplc.model import TypeStore
 from rosplc.reasons import Reason
 
 _STEADY_NS = 1_000_000_000
@@ -27,31 +27,8 @@ OnRequest = Callable[[bytes, bytes, int], None]
 """Called with a request's bytes, its caller (16 bytes, for the reply) and its source stamp (0: unknown)."""
 
 
-class TypeSource(Protocol):
-    """The part of a type store that backends use (:class:`rosplc.model.TypeStore` has it)."""
-
-    @property
-    def distro(self) -> str:
-        """The ROS distribution, such as ``"jazzy"``."""
-
-    def __getitem__(self, name: str) -> MessageType:
-        """Return a type; TYP001 if it is unknown."""
-
-    def type_hash(self, name: str) -> str:
-        """Return the ROS 2 type hash, ``RIHS01_`` and 64 hex digits."""
-
-    def md5(self, name: str) -> str:
-        """Return the ROS 1 MD5 sum, 32 hex digits."""
-
-    def service_hash(self, name: str) -> str:
-        """Return the ROS 2 type hash of a service, as :meth:`type_hash` that of a message."""
-
-    def service_md5(self, name: str) -> str:
-        """Return the ROS 1 MD5 sum of a service."""
-
-    def definition_text(self, name: str) -> str:
-        """Return the definition with every type it needs, as ROS 1 puts it into connection headers."""
-
+TypeSource = TypeStore
+"""The former name of a parameter's type."""
 
 Reliability = Literal["reliable", "best_effort"]
 Durability = Literal["volatile", "transient_local"]

@@ -99,11 +99,6 @@ class LifecycleEndpoint:
         return bool(inner.write(payload, stamp_ns))
 
     @property
-    def service(self) -> str:
-        """The service's name."""
-        return self.topic
-
-    @property
     def remembers(self) -> bool:
         """As the backend's server; True while inactive, when it is not known yet: a caller's answer waits."""
         inner = self._inner

@@ -211,7 +211,7 @@ class Served:
 
     def name(self) -> str:
         """Return the service's full name."""
-        return self._server.service
+        return self._server.topic
 
     def matched(self) -> int:
         """Return how many clients there are."""
@@ -269,7 +269,7 @@ class Calling:
 
     def name(self) -> str:
         """Return the service's full name."""
-        return self.client.service
+        return self.client.topic
 
     def status(self) -> EndpointStatus:
         """Return the endpoint's status."""

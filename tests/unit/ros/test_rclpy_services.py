@@ -64,7 +64,7 @@ def test_answers_come_later_and_in_any_order(nodes: Any) -> None:
     requests, replies = Requests(), dict[int, list[Reply]]()
     server = nodes("cell").serve("start", SET_BOOL, SERVICES, requests)
     client = nodes("robot").client("/start", SET_BOOL, SERVICES)
-    assert server.service == client.service == "/start"
+    assert server.topic == client.topic == "/start"
     wait_for(lambda: client.ready)
     for number in range(10):
         client.call(YES if number % 2 else NO, replies.setdefault(number, []).append)

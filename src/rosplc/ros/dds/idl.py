@@ -14,8 +14,8 @@ from typing import Any
 from cyclonedds.idl import make_idl_struct
 from cyclonedds.idl import types as idl_types
 
+from rosplc.model import TypeStore
 from rosplc.model.types import ArrayType, FieldType, MessageType, NamedType, PrimitiveType, StringType
-from rosplc.ros.backend import TypeSource
 from rosplc.ros.names import dds_type_name
 
 _PRIMITIVES: dict[str, Any] = {
@@ -58,7 +58,7 @@ def ros_service(topic: str) -> str | None:
 class IdlTypes:
     """The wheel's type classes for the message types of one store, made when first asked for."""
 
-    def __init__(self, store: TypeSource) -> None:
+    def __init__(self, store: TypeStore) -> None:
         self._store = store
         self._made: dict[tuple[str, bool], Any] = {}
         self._lock = threading.Lock()

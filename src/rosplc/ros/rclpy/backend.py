@@ -14,9 +14,10 @@ from rclpy.exceptions import InvalidHandle
 
 from rosplc.clock import SYSTEM, Clock
 from rosplc.errors import BackendError, RosplcError
+from rosplc.model import TypeStore
 from rosplc.ros import _base
 from rosplc.ros._base import BaseNode, Context, Problem
-from rosplc.ros.backend import EndpointInfo, GraphInfo, Qos, TypeSource
+from rosplc.ros.backend import EndpointInfo, GraphInfo, Qos
 from rosplc.ros.names import join, validate_namespace, validate_node_name
 from rosplc.ros.rclpy.endpoint import RclpyPublisher, RclpySubscription, create, profile, read_peers
 from rosplc.ros.rclpy.messages import MessageClasses
@@ -40,7 +41,7 @@ class RclpyBackend(BaseNode):
     _kinds = (RclpySubscription, RclpyPublisher, RclpyServer, RclpyClient)
     logger = logging.getLogger("rosplc.ros.rclpy")
 
-    def __init__(self, node: Any, store: TypeSource, remap: Mapping[str, str], clock: Clock = SYSTEM) -> None:
+    def __init__(self, node: Any, store: TypeStore, remap: Mapping[str, str], clock: Clock = SYSTEM) -> None:
         super().__init__(Context(store, node.get_name(), node.get_namespace(), remap=remap, clock=clock))
         self._node = node
         self._own: OwnNode | None = None
@@ -253,7 +254,7 @@ def refusal(what: str, error: Exception) -> BackendError:
     return BackendError("ROS002", f"{what}: {str(error).strip() or type(error).__name__}")
 
 
-def from_node(node: Any, store: TypeSource, *, remap: Mapping[str, str] | None = None) -> RclpyBackend:
+def from_node(node: Any, store: TypeStore, *, remap: Mapping[str, str] | None = None) -> RclpyBackend:
     """Carry topics on a node that the caller owns and spins, such as a lifecycle node.
 
     Args:

@@ -11,9 +11,9 @@ import operator
 from typing import Any
 
 from rosplc.errors import BackendError
+from rosplc.model import TypeStore
 from rosplc.model.types import ArrayType, FieldType, MessageType, PrimitiveType, SequenceType, StringType
 from rosplc.ros._base import is_service
-from rosplc.ros.backend import TypeSource
 
 # How rosidl_generator_py writes a field's type (resource/_msg.py.em); `char` is uint8 there.
 _NAMES = {"bool": "boolean", "byte": "octet", "char": "uint8", "float32": "float", "float64": "double"}
@@ -77,7 +77,7 @@ def field_text(kind: FieldType) -> str:
 class MessageClasses:
     """The classes of the types of a store, the bridge's own definitions, each compared once."""
 
-    def __init__(self, store: TypeSource) -> None:
+    def __init__(self, store: TypeStore) -> None:
         self._store = store
         self._found: dict[str, Any] = {}
 
