@@ -52,14 +52,10 @@ _LOOK_S = 3.5
 class Question:
     """What is to be examined.
 
-    Attributes:
-        config: The configuration file; None for the machine alone.
-        code: The folder of generated PLC code; None for none.
-        plc_user: The user of the PLC runtime, where it does not run now; empty: found by its process.
-        ros: Whether to look at the ROS graph, for at most ``seconds``.
-        root: The folder of ``proc``, ``sys``, ``etc`` and ``run``.
-        directory: The objects' folder without a configuration.
-        variables: The environment variables.
+    ``config`` is None for the machine alone; ``code`` the folder of generated PLC code; ``plc_user`` the user
+    of the PLC runtime, where it does not run now: otherwise it is found by its process. ``ros``: look at the
+    ROS graph, for at most ``seconds``. ``root`` has the folders ``proc``, ``sys``, ``etc`` and ``run``;
+    ``directory`` is the objects' folder without a configuration; ``variables`` the environment.
     """
 
     config: Path | None = None

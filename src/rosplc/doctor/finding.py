@@ -50,14 +50,10 @@ class Area(enum.Enum):
 
 @dataclass(frozen=True)
 class Kind:
-    """What a code means, for the reference page and for findings.
+    """What a ``code`` means, which never changes, for the reference page and for findings.
 
-    Attributes:
-        code: Three letters and three digits; it never changes its meaning.
-        level: How much it matters when it is found.
-        title: What is examined, in a few words.
-        meaning: What it means when it is found, in a sentence or two.
-        remedy: What usually helps; empty where nothing has to be done.
+    ``level`` is how much it matters when it is found, ``title`` what is examined, ``meaning`` what it means
+    when it is found, ``remedy`` what usually helps, empty where nothing has to be done.
     """
 
     code: str

@@ -34,17 +34,12 @@ Held = Mapping[tuple[int, int, int], int]
 class Seen:
     """One object while it was looked at.
 
-    Attributes:
-        topic: The topic, service or action, as far as name or self-description tell; else the object's name.
-        status: Owner, mode and size; of a link, the link's own.
-        error: The check of the format that failed; None if it is sound.
-        identity: Lines 0 and 1; None if they cannot be read.
-        description: The self-description; None if it cannot be read.
-        snapshot: The counters at the end.
-        held: Whether a bridge holds its lock; None if that cannot be seen.
-        bridge_beats: Whether the bridge's side moved.
-        plc_beats: Whether a PLC's side moved.
-        plc_lines: Towards the PLC: the reader lines that moved.
+    ``topic`` is the topic, service or action, as far as name or self-description tell, else the object's
+    name; ``status`` has owner, mode and size, of a link the link's own. ``error`` is the check of the format
+    that failed; ``identity`` (lines 0 and 1) and ``description`` are None if they cannot be read;
+    ``snapshot`` has the counters at the end. ``held``: a bridge holds its lock, None if that cannot be seen;
+    ``bridge_beats`` and ``plc_beats``: that side moved; ``plc_lines`` are, towards the PLC, the reader lines
+    that moved.
     """
 
     path: Path

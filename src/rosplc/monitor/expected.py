@@ -15,10 +15,8 @@ from rosplc.shm import Direction, Part
 class Expectation:
     """What is expected of one topic.
 
-    Attributes:
-        stale_after_ns: How old its newest message may become; 0 for never.
-        in_order: Whether each message counts, so that a loss is a fault. False where it is not known.
-        configured: Whether this is from a configuration.
+    Its newest message may be ``stale_after_ns`` old, 0 for any age; ``in_order``: each message counts, so
+    that a loss is a fault, False where it is not known; ``configured``: this is from a configuration.
     """
 
     stale_after_ns: int

@@ -27,13 +27,10 @@ _CLOCKS = {STAMP_SYSTEM: "system", STAMP_ROS: "ros", STAMP_PLC: "plc"}
 class Message:
     """A message, with its values as nested dicts and lists in the order of the type.
 
-    Attributes:
-        channel: The channel's id.
-        type_name: ``package/msg/Name``.
-        sequence: Its number; 0 for a classic topic, which has none.
-        stamp_ns: The source's time stamp, ns since its clock's epoch; 0 for none.
-        clock: That clock: ``system``, ``ros`` or ``plc``; empty for none.
-        marks: Which of ``first``, ``truncated`` and ``substituted`` hold; also a call's number and status.
+    ``channel`` is the channel's id; ``sequence`` its number, 0 for a classic topic, which has none;
+    ``stamp_ns`` the source's time stamp since the epoch of its ``clock``, which is ``system``, ``ros`` or
+    ``plc``: 0 and empty for none. ``marks`` are those of ``first``, ``truncated`` and ``substituted`` that
+    hold, and a call's number and status.
     """
 
     channel: str

@@ -76,17 +76,12 @@ ALL_WELL = (State.OK, State.UNKNOWN)
 
 @dataclass(frozen=True, slots=True)
 class ReaderView:
-    """A claimed reader line.
+    """A claimed reader line; line 0 of a channel towards ROS is the bridge's.
 
-    Attributes:
-        index: 0 to 3; line 0 of a channel towards ROS is the bridge's.
-        task: Its name, as the reader gave it.
-        pid: Its process, as the reader gave it; for people.
-        alive: Whether it beats; None before that can be known.
-        taken: Sequence of the newest message that it has taken.
-        lost: Messages that it has missed. A reader that takes the newest alone misses by design.
-        retries: Copies that it threw away because the writer came too near.
-        error: Its last error number, 0 for none.
+    ``task`` and ``pid`` are what the reader gave, for people; ``alive`` is None before that can be known.
+    ``taken`` is the sequence of the newest message taken; ``lost`` counts messages missed, which a reader
+    that takes the newest alone does by design, ``retries`` copies thrown away because the writer came too
+    near; ``error`` is its last error number, 0 for none.
     """
 
     index: int
@@ -101,16 +96,13 @@ class ReaderView:
 
 @dataclass(frozen=True, slots=True)
 class CallView:
-    """What an object of a service or an action tells of calls.
+    """What an object of a service or action tells of calls, which ``server`` (plc or ros) carries out.
 
-    Attributes:
-        server: Who carries the calls out: ``plc`` or ``ros``.
-        number: The newest message's call, counted since its caller started; 0 before the first message.
-        correlation: The same, unique over all lives of the caller: 16 hexadecimal digits.
-        status: The newest message's status in words, with the reason.
-        open: Whether the newest call has not ended; None where that cannot be known.
-        ended: Calls that were seen to end, by outcome and reason in words; in the object of the answers. The
-            first look counts those that the object still has.
+    ``number`` is the newest message's call, counted since its caller started, 0 before the first message;
+    ``correlation`` the same, unique over all lives of the caller: 16 hexadecimal digits. ``status`` is the
+    newest message's status in words, with the reason. ``open``: the newest call has not ended; None where
+    that cannot be known. ``ended`` are the calls that were seen to end, by outcome and reason in words, in
+    the object of the answers; the first look counts those that the object still has.
     """
 
     server: str
@@ -125,41 +117,28 @@ class CallView:
 class ChannelView:
     """One channel at one moment. Text comes from the object, and may hold any character.
 
-    Attributes:
-        id: The object's name, unique on the machine; ``classic:`` and the memory's name for a classic topic.
-        topic: As ROS writes it; a service's or action's name; the object's name where that cannot be known.
-        direction: ``to_plc`` or ``to_ros``; empty if it cannot be known.
-        type_name: ``package/msg/Name``; empty if it cannot be known.
-        bridge_pid: The bridge's process, as it wrote it; 0 if there is none.
-        words: The state in a sentence, without time or numbers that change at each look.
-        code: The error's code where there is one.
-        rate_hz: Messages per second over the last seconds; None before it can be known.
-        age_ns: Time since the newest message came; None before the first. It is exact once a message came
-            while looking; before, it is taken from the message's stamp, and is at least the time of looking.
-        received: Sequence of the newest message: how many there were since the object was made. For a
-            classic topic, which has none, the changes that were seen.
-        lost: Messages that the readers have missed, the reader that missed most counting. Readers that take
-            the newest alone miss by design.
-        refused: Messages that the writer could not put into a record.
-        truncated: Messages with something cut off.
-        writer_alive: Whether the writer beats: the bridge towards the PLC, the PLC towards ROS. None if it
-            cannot be known, or not yet.
-        reader_alive: Whether one of the readers beats: a PLC task towards the PLC, the bridge towards ROS.
-        bridge_alive: The one of these two that is the bridge's; ``plc_alive`` likewise.
-        plc_claimed: Whether the PLC's side holds a claim: alive, or dead without having given it back.
-        ros_peers: ROS publishers towards the PLC, subscribers towards ROS; None if they are not counted.
-        stale: Whether the newest message is older than ``stale_after_ns``.
-        silent: The same, half a second later and half a second longer: one late message changes nothing.
-        stale_after_ns: How old it may become; 0 for never.
-        configured: Whether that is from a configuration; otherwise it is the default.
-        slots: Slots of the object: the channel's depth.
-        layout_id: 16 hexadecimal digits.
-        generation: A random number, another for each object.
-        created_ns: When the object was made, ns since 1970 UTC.
-        kind: ``topic``, ``service`` or ``action``.
-        part: ``topic``, or what a service's or action's object carries: ``request``, ``goal`` ...
-        client: The name of one of several uses of a service or action.
-        call: What it tells of calls; None for a topic, and where it cannot be known.
+    ``id`` is the object's name, unique on the machine, or ``classic:`` and the memory's name; ``topic`` as
+    ROS writes it, of a service or action its name, and the object's name where that cannot be known; ``kind``
+    is ``topic``, ``service`` or ``action``, ``part`` ``topic`` or what a service's or action's object
+    carries, ``client`` the name of one of several uses, ``call`` None for a topic and where it cannot be
+    known. ``direction`` (``to_plc`` or ``to_ros``) and ``type_name`` are empty if they cannot be known.
+
+    ``words`` is the state in a sentence, without time or numbers that change at each look; ``code`` the
+    error's code where there is one. ``rate_hz`` counts the last seconds, None before it can be known.
+    ``age_ns`` is None before the first message, and exact once one came while looking; before, it is taken
+    from the message's stamp, and is at least the time of looking. ``received`` is the sequence of the newest
+    message, for a classic topic, which has none, the changes that were seen; ``lost`` what the reader that
+    missed most has missed (one that takes the newest alone misses by design); ``refused`` could not be put
+    into a record, ``truncated`` had something cut off.
+
+    ``writer_alive`` and ``reader_alive``, one of which is ``bridge_alive`` and the other ``plc_alive``, are
+    None where that cannot be known, or not yet; ``plc_claimed``: the PLC's side holds a claim, alive, or dead
+    without having given it back; ``bridge_pid`` is 0 if there is none. ``ros_peers`` are ROS publishers or
+    subscribers, clients or servers; None if they are not counted. ``stale``: the newest message is older than
+    ``stale_after_ns`` (0 for never), which is from a configuration if ``configured``, else the default;
+    ``silent``: the same, half a second later and half a second longer, so that one late message changes
+    nothing. ``generation`` is a random number, another for each object; ``created_ns`` when it was made, ns
+    since 1970 UTC.
     """
 
     id: str
@@ -244,16 +223,12 @@ class BridgeView:
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something that happened between two looks.
+    """Something that happened between two looks, seen at ``time_ns`` since 1970 UTC.
 
-    Attributes:
-        time_ns: When it was seen, ns since 1970 UTC.
-        kind: ``appeared``, ``vanished``, ``replaced``, ``unreadable``, ``readable``, ``stale``,
-            ``recovered``, ``refused``, ``lost``, ``truncated``, ``bridge-gone``, ``bridge-back``,
-            ``plc-gone``, ``plc-back``.
-        level: How grave it is; OK for what is no trouble, or its end.
-        channel: The channel's id; empty where it concerns a whole bridge, as is ``topic``.
-        words: What happened, as a sentence.
+    ``kind`` is ``appeared``, ``vanished``, ``replaced``, ``unreadable``, ``readable``, ``stale``,
+    ``recovered``, ``refused``, ``lost``, ``truncated``, ``bridge-gone``, ``bridge-back``, ``plc-gone`` or
+    ``plc-back``; ``level`` OK for what is no trouble, or its end; ``channel`` the channel's id, empty where
+    it concerns a whole bridge, as is ``topic``; ``words`` a sentence.
     """
 
     time_ns: int

@@ -72,19 +72,10 @@ class _Broken(NamedTuple):
 class Watch:
     """Looks at the channels of this machine; a context manager. For one thread at a time.
 
-    Args:
-        prefix: Only those of this prefix, or of these; None for all.
-        directory: The objects' folder.
-        expected: What configurations expect of topics; without it the defaults hold.
-        topic: Only this topic, service or action; None for all.
-        calls: Whether to look at the objects of services and actions, too.
-        clock: What ages, rates and signs of life are judged by.
-
-    Attributes:
-        prefixes: The prefixes that were asked for; empty for all.
-
-    Raises:
-        ChannelError: SHM118 if the prefix is not valid.
+    It looks at one prefix, or several, None for all; at one ``topic``, service or action, None for all; with
+    ``calls`` at the objects of services and actions, too. ``expected`` is what configurations expect of
+    topics, else the defaults hold; ages, rates and signs of life are judged by ``clock``. ``prefixes`` has
+    what was asked for, and is empty for all. Raises ChannelError SHM118 if the prefix is not valid.
     """
 
     def __init__(

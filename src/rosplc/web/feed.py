@@ -121,10 +121,8 @@ _STAMP_MS = 500
 class Look:
     """What one turn of looking has found.
 
-    Attributes:
-        picture: All channels, if it was time for them.
-        messages: Of each wanted channel whose message is new, what is shown of it, by id.
-        samples: Per plotted channel the time in ms since 1970 and its fields' values by path.
+    ``picture``: all channels, if it was time for them; by id ``messages``, what is shown of each wanted one
+    that is new, and ``samples``, the time in ms since 1970 and the plotted fields' values by path.
     """
 
     picture: Picture | None = None
@@ -227,14 +225,10 @@ class Feed:
     """The looks of one server, for as long as :meth:`run` runs; for one event loop.
 
     ``wanted`` returns what each connected page wants; from now on only the thread that looks uses the watch.
-
-    Attributes:
-        document: The last picture as ``rosplc status --json`` prints it; None before the first.
-        channels: The same by id.
-        events: What happened, each with a number that grows by one.
-        messages: The newest message of each wanted channel, with a number that grows.
-        samples: Per plotted channel its newest samples: number, ms since 1970, value by path.
-        failure: Why the last look failed; empty if it did not.
+    ``document`` is the last picture as ``rosplc status --json`` prints it, None before the first,
+    ``channels`` the same by id. ``events`` and the newest ``messages`` of wanted channels have numbers that
+    grow; ``samples`` are per plotted channel number, ms since 1970 and values by path. ``failure`` is why the
+    last look failed, or empty.
     """
 
     def __init__(self, watch: Watch, wanted: Callable[[], Iterable[Wants]]) -> None:
