@@ -19,6 +19,8 @@ from __future__ import annotations
 
 import dataclasses
 import time
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -34,7 +36,7 @@ if TYPE_CHECKING:
     from rosplc.api import Channel
     from rosplc.config.resolve import TopicPlan
     from rosplc.layout import RecordView
-    from rosplc.monitor import ChannelView, Message, ObjectState
+    from rosplc.monitor import ChannelView, Message, ObjectState, Picture
     from rosplc.monitor.classic import ClassicState
 
 _LEAST_S, _MOST_S = 0.1, 1.2
@@ -159,21 +161,34 @@ def _show_classic(
     plan: TopicPlan, *, follow: bool, count: int | None, timeout: float | None, as_json: bool
 ) -> None:
     """Print the message in a classic topic's memory; with ``follow`` or ``count`` each change seen."""
-    state = _look(plan)
+    first = _look(plan)
     if not follow and count is None:
-        _print_classic(plan, state, as_json=as_json, one_line=False)
+        _print_classic(plan, first, as_json=as_json, one_line=False)
         return
-    printed, last, since = 0, state.record, time.monotonic()
-    while count is None or printed < count:
+    last = first.record
+
+    def news() -> int:
+        nonlocal last
         state = _look(plan)
-        if state.record is not None and state.record != last:
-            last, since = state.record, time.monotonic()
-            _print_classic(plan, state, as_json=as_json, one_line=True)
-            printed += 1
+        if state.record is None or state.record == last:
+            return 0
+        last = state.record
+        _print_classic(plan, state, as_json=as_json, one_line=True)
+        return 1
+
+    _poll(news, count, timeout, "changes")
+
+
+def _poll(news: Callable[[], int], count: int | None, timeout: float | None, what: str) -> None:
+    """Look until so many were printed, or none was for so long; ``news`` prints and returns how many."""
+    printed, since = 0, time.monotonic()
+    while count is None or printed < count:
+        if new := news():
+            printed, since = printed + new, time.monotonic()
         elif timeout is not None and time.monotonic() - since > timeout:
             break
         time.sleep(0.005)
-    _require(printed, count, "changes")
+    _require(printed, count, what)
 
 
 def _require(printed: int, count: int | None, what: str) -> None:
@@ -214,9 +229,11 @@ def _with_hint(error: ChannelError, topic: str, prefix: str | None, directory: s
     if error.code != "SHM101":
         return error
     others = sorted(
-        state.prefix
-        for state in find_objects(directory, seconds=0.0)
-        if state.topic == topic and not state.error
+        {
+            state.prefix
+            for state in find_objects(directory, seconds=0.0, calls=True)
+            if state.topic == topic and not state.error
+        }
     )
     if not others:
         return _with_classic_hint(error, topic)
@@ -271,30 +288,39 @@ def _show_calls(
     """
     from rosplc.monitor import Watch
 
+    seen: dict[str, int] = {}
+
+    def read(picture: Picture) -> list[tuple[ChannelView, Message | None]]:
+        found = []
+        for view in picture.channels:
+            message = None
+            with suppress(ChannelError):  # its state tells why
+                message = watch.message(view)
+            found.append((view, message))
+        new = [each for each in found if each[1] is not None and seen.get(each[0].id) != each[1].sequence]
+        seen.update({view.id: message.sequence for view, message in new if message is not None})
+        return new if most != 0 else found
+
+    def news() -> int:
+        new = read(watch.look())
+        for each in new:
+            if as_json:
+                print_json(_call_facts(*each, header=header), one_line=True)
+            else:
+                _print_call(*each, header=header)
+        return len(new)
+
     with Watch(prefix, directory=directory, topic=name, calls=True) as watch:
-        found = [(view, watch.message(view)) for view in settled(watch, _LEAST_S, _MOST_S).channels]
+        picture = settled(watch, _LEAST_S, _MOST_S)
+        found = read(picture)
         if as_json and most == 0:
             print_json([_call_facts(*each, header=header) for each in found])
         elif most == 0:
             for each in found:
                 _print_call(*each, header=header)
-        seen = {view.id: message and message.sequence for view, message in found}
-        printed, since = 0, time.monotonic()
-        while found and (most is None or printed < most):
-            for view in watch.look().channels:
-                message = watch.message(view)
-                if message is not None and seen.get(view.id) != message.sequence:
-                    seen[view.id], since = message.sequence, time.monotonic()
-                    printed += 1
-                    if as_json:
-                        print_json(_call_facts(view, message, header=header), one_line=True)
-                    else:
-                        _print_call(view, message, header=header)
-            if timeout is not None and time.monotonic() - since > timeout:
-                break
-            time.sleep(0.005)
-    _require(printed, most, "messages")
-    return bool(found)
+        elif picture.channels:
+            _poll(news, most, timeout, "messages")
+    return bool(picture.channels)
 
 
 def _call_facts(view: ChannelView, message: Message | None, *, header: bool) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from contextlib import ExitStack
 from functools import partial
 
@@ -16,6 +17,7 @@ from rosplc.shm import ACTION, SERVICE, Caller, OwnedChannel, Part, attach
 from rosplc.shm import constants as spec
 from rosplc.shm.calls import WORDS
 from tests.channels import layout_of
+from tests.command import rosplc
 
 TYPES = {
     Part.REQUEST: "std_srvs/srv/SetBool_Request",
@@ -190,3 +192,47 @@ def test_every_status_and_reason_has_words():
     assert status_words(Part.RESULT, 9 | spec.ANSWER_CANCEL_REJECTED, 99) == "status 9, cancel rejected"
     assert set(WORDS) == set(Reason)
     assert status_words(Part.GOAL, spec.ASK_CALL | spec.ASK_WITHDRAWN, 0) == "withdrawn"
+
+
+def shown(*arguments):
+    return rosplc("show", *arguments).output
+
+
+def test_show_decodes_each_object_with_its_call(cell, use):
+    """In words and as JSON; with --header the rest, and another prefix is named."""
+    made, prefix = use("ros", client="left"), cell.namespace.prefix
+    made.ask(data=True)
+    made.answer(spec.ANSWER_NOT_EXECUTED, Reason.REJECTED)
+    text = shown("/s", "--prefix", prefix, "--header")
+    assert "/s request left  std_srvs/srv/SetBool_Request  message 1 (first, call 1, called)" in text
+    answer = "message 1 (first, call 1, not executed: it was refused)"
+    assert f"/s response left  std_srvs/srv/SetBool_Response  {answer}" in text
+    assert "data: true" in text
+    assert "1 not executed: it was refused" in text
+    request, response = json.loads(shown("/s", "--prefix", prefix, "--json", "--header"))
+    assert (request["part"], request["client"], request["message"]) == ("request", "left", {"data": True})
+    assert response["call"]["status"] == "not executed: it was refused"
+    assert response["object"]["layout_id"] == made.layouts[Part.RESPONSE].layout_id
+    listed = {(each["kind"], each["part"]) for each in json.loads(shown("--prefix", prefix, "--json"))}
+    assert listed == {("service", "request"), ("service", "response")}
+    assert f"add --prefix {prefix}" in rosplc("show", "/s", "--prefix", f"{prefix}x", code=1).output
+
+
+def test_show_follows_messages_and_gives_up_in_time(cell, use):
+    """--count ends with a failure where fewer come; what was there before is not printed."""
+    made, prefix = use(), cell.namespace.prefix
+    made.ask(data=True)
+    done = rosplc("show", "/s", "--prefix", prefix, "--count", "1", "--timeout", "0.05", code=1).output
+    assert "0 of 1 messages came" in done
+
+
+def test_status_has_a_line_for_each_use(cell, use):
+    """Counts, the newest call and its end in words; who does not live is wrong."""
+    made, prefix = use("plc"), cell.namespace.prefix
+    made.ask(data=True)
+    made.answer(spec.ANSWER_FATE_UNKNOWN, Reason.SERVER_GONE)
+    text = rosplc("status", "--prefix", prefix, code=1).output
+    (line,) = [line for line in text.splitlines() if "ROS calls PLC" in line]
+    assert "fate unknown: the server left before it answered" in line
+    assert "1 fate unknown" in line
+    assert "/s request: dead" in text
