@@ -14,7 +14,7 @@ from functools import partial
 from typing import Any, ClassVar
 
 from rosplc.errors import ChannelError
-from rosplc.layout import Layout, RecordView
+from rosplc.layout import Layout
 from rosplc.reasons import Reason
 from rosplc.ros.actions import GoalStatus
 from rosplc.shm import (
@@ -22,8 +22,6 @@ from rosplc.shm import (
     SERVICE,
     Attached,
     Caller,
-    Direction,
-    Namespace,
     Part,
     Reader,
     ReaderClaim,
@@ -31,10 +29,11 @@ from rosplc.shm import (
     Writer,
 )
 from rosplc.shm import constants as spec
-from rosplc.shm.constants import UNKNOWN, ErrorNumber
+from rosplc.shm.constants import ErrorNumber
 from rosplc.virtual_plc.block import Block, Instance, Peer
+from rosplc.virtual_plc.read_block import ReadBlock
 from rosplc.virtual_plc.task import Scan
-from rosplc.virtual_plc.write_block import Message, WriteBlock
+from rosplc.virtual_plc.write_block import WriteBlock
 
 __all__ = ["ActionClient", "ActionServer", "ServiceClient", "ServiceServer"]
 
@@ -45,60 +44,31 @@ _OUTCOMES = {
 }
 
 
-class _In(Block):
-    """Takes the messages of one object, the newest alone, once reader line 0 is this block's.
+class _In(ReadBlock):
+    """Takes the messages of one object, the newest alone, once reader line 0 is this block's."""
 
-    Attributes:
-        fresh: Nothing was taken yet since the object was opened.
-        msg: A copy of the message taken last.
-        sources: What the bridge says of its ROS side; None if unknown.
-    """
-
-    def __init__(self, part: Part, client: str, *arguments: Any) -> None:
-        super().__init__(*arguments)
+    def __init__(self, part: Part, client: str, name: str, **more: Any) -> None:
+        super().__init__(name, stale_after=None, **more)
         self._part, self._client = part, client
         self.xReady = False
-        self.fresh = True
-        self.msg: RecordView | None = None
-        self.sources: int | None = None
-        self._claim: ReaderClaim | None = None
-        self._reader: Reader | None = None
+        self.fresh = True  # nothing was taken yet since the object was opened
 
     def look(self, scan: Scan) -> None:
         """Open the object, claim the line, and watch the bridge."""
-        attached = self._follow(scan)
-        try:
-            if attached is not None:
-                self._watch(attached, scan)
-        except ChannelError as error:  # retired between the check and the claim, or not readable
-            self._drop(error)
-        self.xAttached = self._attached is not None
-        if not self.xAttached:
-            self._reader = self._claim = self.sources = None
-            self.xPeerAlive = False
+        self._run(scan)
         # In place of a silent bridge's object another may just have been opened, for the next scan.
         self.xReady = self.xAttached and self._claim is None and self._opened == self._opened_times
-        self.udiError, self.reason = self._failure
         if self.xAttached and self._claim is not None:
             self.udiError, self.reason = ErrorNumber.CLAIMED.value, "another program holds the object"
-        self._report_silence()
 
-    def _watch(self, attached: Attached, scan: Scan) -> None:
-        if self._opened_times != self._opened:
-            self._opened, self._peer, self.fresh = self._opened_times, Peer(), True
-            self._reader = attached.reader()
-            claim = partial(ReaderClaim, attached.region, self._reader, self._beat_ms, scan.task, range(1))
-            self._claim = claim(answer=self._part.asks)
-        assert self._reader is not None
-        if self._claim is not None and self._claim.attempt(scan.now_ns):
-            self._claim = None
-        self._reader.beat()
-        state = attached.snapshot().writer
-        self._peer.observe(state.beat, state.head, state.beat_ms, scan.now_ns)
-        self.xPeerAlive = self._peer.alive
-        self.sources = state.sources if self.xPeerAlive and state.sources != UNKNOWN else None
-        if self._peer.silent:
-            self._look_for_another(scan)
+    def _adopt(self, attached: Attached, scan: Scan) -> None:
+        self._opened, self._peer, self.fresh = self._opened_times, Peer(), True
+        reader = self._reader = attached.reader()
+        claim = attached.region, reader, self._beat_ms, scan.task, range(1)
+        self._claim = ReaderClaim(*claim, answer=self._part.asks)
+
+    def _take(self, reader: Reader, scan: Scan) -> bool:
+        return False  # take() does
 
     def take(self) -> SlotInfo | None:
         """Take what is new; ``msg`` is a copy of it."""
@@ -129,13 +99,6 @@ class _In(Block):
     def object(self) -> int:
         """Which object is open; 0 none."""
         return 0 if self._attached is None else self._opened
-
-    def close(self) -> None:
-        """Give the line back and let go of the object."""
-        if self._reader is not None:
-            self._reader.release()
-        self._detach()
-        self._reader = self._claim = None
 
 
 class _Out(WriteBlock):
@@ -206,28 +169,19 @@ class _CallBlock(Instance):
         if unknown := layouts.keys() - {part.word for part in self._parts}:
             raise TypeError(f"{type(self).__name__} has no part {', '.join(sorted(unknown))}")
         where: Any = {"prefix": prefix, "directory": directory, "beat_ms": beat_ms}
-        about = name, Namespace(prefix, directory), Direction.TO_PLC
         self._ins: list[_In] = []
         self._outs: list[_Out] = []
         for part in self._parts:
-            layout = layouts.get(part.word)
+            where["layout"] = layouts.get(part.word)
             if part.asks == self._calls:
-                self._outs.append(_Out(part, client, self._leaving, name, layout=layout, **where))
+                self._outs.append(_Out(part, client, self._leaving, name, **where))
             else:
-                self._ins.append(_In(part, client, *about, layout, beat_ms))
-            setattr(self, part.word, None)
+                self._ins.append(_In(part, client, name, **where))
         self._in, self._out = self._ins[0], self._outs[0]
         self._blocks: list[Block] = [*self._ins, *self._outs]
-        self._fill()
 
     def _leaving(self) -> None:
         """The object that the first of ``_outs`` writes is about to be left."""
-
-    def _fill(self) -> None:
-        """Give inputs their initial values once their types are known."""
-        for block in self._outs:
-            if block.layout is not None and getattr(self, block._part.word) is None:
-                setattr(self, block._part.word, Message.initial(block.layout))
 
     def _report(self, number: int = 0, words: str = "") -> None:
         """Tell what is wrong: with the call if ``number`` is given, else with an object."""
@@ -256,6 +210,13 @@ class _CallBlock(Instance):
             block.close()
 
 
+def _input(index: int) -> Any:
+    """Return the pin for what one of a block's objects is to be given; None before its type is known."""
+    return property(
+        lambda self: self._outs[index].msg, lambda self, value: setattr(self._outs[index], "msg", value)
+    )
+
+
 class _Answerer(_CallBlock):
     """What both servers share.
 
@@ -272,7 +233,6 @@ class _Answerer(_CallBlock):
     udiCallers: int | None = None
     udiRefused = 0
     age = 0.0
-
     _before: Set[str] = frozenset()  # inputs that were set
     _now: SlotInfo | None = None  # the message read last
     _found = False  # it waits to be shown or refused
@@ -287,18 +247,15 @@ class _Answerer(_CallBlock):
         self._in.look(scan)
         for block in self._outs:
             block._run(scan)
-        self._fill()
         self._offer(scan)
         now = {step for step in self._steps if getattr(self, step)}
         rose, self._before, self._illegal = now - self._before, now, self._illegal and bool(now)
-        try:
-            self._step(rose)
-        finally:
-            with suppress(ChannelError):  # in a later scan
-                if self._answer is not None:
-                    self._answer()
-                self._answer = None
-        self.udiCallers = self._in.sources
+        self._step(rose)
+        with suppress(ChannelError):  # in a later scan
+            if self._answer is not None:
+                self._answer()
+            self._answer = None
+        self.udiCallers = self._in.udiSources
         self.age = (scan.now_ns - self._since_ns) / 1e9 if self._shown is not None else 0.0
         self._report(ErrorNumber.ILLEGAL_STEP * self._illegal, "the call in hand does not allow this step")
         return self._shown is not None
@@ -331,7 +288,7 @@ class _Answerer(_CallBlock):
             self._put(self._now, *self._verdict)
             self._found, self.udiRefused = False, self.udiRefused + 1
         free = self._shown is None and self._answer is None and self._out.xReady
-        if self._found and free and self._in.begin() and self._in.msg is not None:
+        if self._found and free and self._in.begin():
             self._begin(scan)
 
     def _begin(self, scan: Scan) -> None:
@@ -381,8 +338,8 @@ class ServiceServer(_Answerer):
 
     _steps = ("xReply", "xReject")
     xReply = xReject = xRequest = False
-    request: Any
-    response: Any
+    request: Any = None
+    response = _input(0)
 
     def _step(self, rose: set[str]) -> None:
         if rose:
@@ -431,9 +388,8 @@ class ActionServer(_Answerer):
     xAccept = xReject = xSendFeedback = xAcceptCancel = xRejectCancel = False
     xSucceed = xAbort = xCanceled = False
     xGoal = xActive = xCancelRequested = xCanceling = xPreempt = False
-    goal: Any
-    result: Any
-    feedback: Any
+    goal: Any = None
+    result, feedback = _input(0), _input(1)
     _accepted = _asked = False
     _cancel = 0  # what was decided on the request to cancel
     _status = 0  # of the newest message
@@ -515,7 +471,6 @@ class _Caller(_CallBlock):
     xBusy = xDone = xAborted = xServer = False
     eReason = Reason.NONE
     udiLate = 0
-
     _before = False
     _outcome: ErrorNumber | None = None
     _asked: Any = None  # what is asked, as it was when xExecute rose
@@ -537,7 +492,7 @@ class _Caller(_CallBlock):
         self._hear()
         self._out._run(scan)
         self._follow()
-        known = self._in.sources, self._out.udiSinks
+        known = self._in.udiSources, self._out.udiSinks
         alive = self._in.xPeerAlive and self._out.xPeerAlive
         self.xServer = alive and any(known)
         ready = alive and self._in.xReady and (self.xServer or None in known)
@@ -547,7 +502,6 @@ class _Caller(_CallBlock):
                 self._pursue(self._caller, over)
             else:
                 self._open(over, ready)
-        self._fill()
         self._report(self._outcome or 0, self.eReason.name)
         return self.xDone
 
@@ -560,14 +514,9 @@ class _Caller(_CallBlock):
             self._outcome, self.eReason = None, Reason.NONE
         if rose:
             layout = self._out.layout
-            asked = getattr(self, self._out._part.word)
-            self._asked = layout and layout.view(bytes(layout.pack(asked)))
+            self._asked = layout and layout.view(bytes(layout.pack(self._out.msg)))
             self.xBusy, self._since_ns, self._limit_ns = True, scan.now_ns, round(self.tTimeout * 1e9)
             self._sent = self._stopped = False
-            self._begin()
-
-    def _begin(self) -> None:
-        """A call begins."""
 
     def _hear(self) -> None:
         info = self._in.take()
@@ -659,8 +608,8 @@ class ServiceClient(_Caller):
 
     _stop = "xAbort"
     xAbort = False
-    request: Any
-    response: Any
+    request = _input(0)
+    response: Any = None
 
     def _answered(self, info: SlotInfo, status: int) -> None:
         if status == spec.ANSWER_DONE:
@@ -698,9 +647,9 @@ class ActionClient(_Caller):
     _stop = "xCancel"
     xCancel = xActive = xCancelRejected = xNewFeedback = False
     eStatus = GoalStatus.UNKNOWN
-    goal: Any
-    result: Any
-    feedback: Any
+    goal = _input(0)
+    result: Any = None
+    feedback: Any = None
     _accepted = _cancels = False
     _ENDS: ClassVar[dict[int, tuple[GoalStatus, ErrorNumber | None]]] = {
         spec.ANSWER_SUCCEEDED: (GoalStatus.SUCCEEDED, None),
@@ -713,9 +662,12 @@ class ActionClient(_Caller):
         self.xActive = self.xBusy and self._accepted
         return done
 
-    def _begin(self) -> None:
-        self._accepted = self._cancels = self.xCancelRejected = False
-        self.eStatus = GoalStatus.UNKNOWN
+    def _start(self, scan: Scan) -> None:
+        was_busy = self.xBusy
+        super()._start(scan)
+        if self.xBusy and not was_busy:
+            self._accepted = self._cancels = self.xCancelRejected = False
+            self.eStatus = GoalStatus.UNKNOWN
 
     def _hear(self) -> None:
         news, known = self._ins[1].take(), self._caller.correlation if self._sent and self._caller else 0
