@@ -203,7 +203,7 @@ def _repair(file: Path, output: Path | None, *, as_json: bool, quiet: bool) -> N
 def _begin(recorder: Recorder, options: RecordingOptions, *, quiet: bool) -> None:
     from rosplc.monitor import find_objects
 
-    for name, error in recorder.failures.items():
+    for name, error in recorder.inlet.failures.items():
         warn(f"{name} is not recorded: {error.what} [{error.code}]")
     topics = list(recorder.inlet.counts)
     for pattern in options.selection.without_match(topics):
@@ -271,5 +271,5 @@ def _document(result: Result, recorder: Recorder) -> dict[str, Any]:
         "saves": list(result.saves),
         "unsaved": result.unsaved,
         "cut_short": result.cut_short,
-        "not_recorded": {name: error.to_dict() for name, error in recorder.failures.items()},
+        "not_recorded": {name: error.to_dict() for name, error in recorder.inlet.failures.items()},
     }

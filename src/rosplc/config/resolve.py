@@ -406,11 +406,6 @@ def call_object_plans(project: Project, plan: CallPlan) -> dict[Part, Identity]:
     return {one.part: one.plan(plan.layout(one.part).size) for one in partnered(about)}
 
 
-def object_size(project: Project, plan: TopicPlan) -> int:
-    """Return the bytes that the bridge's object for a topic will have."""
-    return object_plan(project, plan).object_size
-
-
 def open_doors(config: Config) -> list[str]:
     """Return a sentence for each way in which every user of the machine may read or write the objects."""
     shm = config.settings.shm

@@ -18,7 +18,7 @@ from rosplc.bridge.ros_side import choose_backend
 from rosplc.config import ConfigErrors, Project, TopicPlan, load_project
 from rosplc.config.calls import CallPlan
 from rosplc.config.plans import ClassicPlan
-from rosplc.config.resolve import object_size
+from rosplc.config.resolve import object_plan
 from rosplc.config.resolve import rights as rights_of
 from rosplc.doctor import (
     classic,
@@ -245,7 +245,8 @@ class _Examination:
         for plan in self._topics:
             assert self._project is not None
             path = self._directory / self._project.object_name(plan)
-            size = object_size(self._project, plan) if plan.port == "channel" else plan.layout.size
+            own = object_plan(self._project, plan).object_size if plan.port == "channel" else 0
+            size = own or plan.layout.size
             needed += size
             if path.is_file():
                 present += min(size, path.stat().st_blocks * 512)

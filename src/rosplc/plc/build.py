@@ -14,7 +14,7 @@ from typing import Literal
 
 from rosplc._version import __version__
 from rosplc.config.calls import CallPlan
-from rosplc.config.resolve import Project, TopicPlan, object_size
+from rosplc.config.resolve import Project, TopicPlan, object_plan
 from rosplc.errors import GenerationError
 from rosplc.layout import Layout
 from rosplc.model import TypeStore
@@ -442,7 +442,7 @@ def _topics(project: Project) -> list[PlcTopic]:
             layout=plan.layout,
             direction="read" if plan.direction == Direction.TO_PLC else "write",
             task=plan.task,
-            object_size=object_size(project, plan) if plan.port == "channel" else 0,
+            object_size=object_plan(project, plan).object_size if plan.port == "channel" else 0,
             stale_after_ns=plan.stale_after_ns,
             on_stale=_on_stale(plan),
             safe=plan.on_stale.value if plan.on_stale.action == "value" else None,

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from rosplc._version import __version__
 from rosplc.clock import SYSTEM, Clock
-from rosplc.errors import ChannelError, RecordingError
+from rosplc.errors import RecordingError
 from rosplc.monitor import Expected, Watch
 from rosplc.recorder.inlet import Inlet, Outlet, Ring, Selection, TopicCount
 from rosplc.recorder.mcap_file import Compression, SealedChunk
@@ -346,8 +346,3 @@ class Recorder:
             "refused": json.dumps({name: topic.refused for name, topic in topics.items() if topic.refused}),
             "lost_total": str(sum(topic.lost for topic in topics.values())),
         }
-
-    @property
-    def failures(self) -> Mapping[str, ChannelError]:
-        """Object name → why it is not recorded."""
-        return self.inlet.failures

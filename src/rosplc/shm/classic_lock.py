@@ -63,8 +63,7 @@ class Semaphore:
     def value(self) -> int:
         """How many could enter now."""
         found = ctypes.c_int()
-        if _sem_getvalue(self._address(), ctypes.byref(found)):
-            raise _error("")
+        _done(_sem_getvalue(self._address(), ctypes.byref(found)))
         return found.value
 
     def enter(self) -> bool:
@@ -77,8 +76,7 @@ class Semaphore:
 
     def leave(self) -> None:
         """Give one back. Raises OSError (EOVERFLOW) if there are too many."""
-        if _sem_post(self._address()):
-            raise _error("")
+        _done(_sem_post(self._address()))
 
     def close(self) -> None:
         """Let go of it; it stays. A second call does nothing."""
@@ -97,26 +95,24 @@ class Semaphore:
 
 def read_at(fd: int, buffer: ctypes.Array[ctypes.c_char]) -> int:
     """Copy from the beginning of a file into a buffer; return how many bytes there were."""
-    done: int = _pread(fd, buffer, len(buffer), 0)
-    if done < 0:
-        raise _error("")
-    return done
+    return _done(_pread(fd, buffer, len(buffer), 0))
 
 
 def size_of(fd: int) -> int:
     """Return a file's size."""
-    size: int = _lseek(fd, 0, os.SEEK_END)
-    if size < 0:
-        raise _error("")
-    return size
+    return _done(_lseek(fd, 0, os.SEEK_END))
 
 
 def write_at(fd: int, content: bytes) -> int:
     """Copy bytes to the beginning of a file; return how many were written."""
-    done: int = _pwrite(fd, content, len(content), 0)
-    if done < 0:
+    return _done(_pwrite(fd, content, len(content), 0))
+
+
+def _done(result: int) -> int:
+    """Return what a function of the C library has returned, unless it failed."""
+    if result < 0:
         raise _error("")
-    return done
+    return result
 
 
 def _error(name: str) -> OSError:

@@ -37,14 +37,8 @@ class Part(enum.Enum):
     def __init__(self, number: int) -> None:
         self.word = self.name.lower()
         self.kind = {1: "topic", 2: "service", 3: "action"}[number & 0xFF]
-        self.letters = {
-            "topic": "t",
-            "request": "sq",
-            "response": "sr",
-            "goal": "ag",
-            "result": "ar",
-            "feedback": "af",
-        }[self.word]
+        letter = {"request": "q", "response": "r", "goal": "g", "result": "r", "feedback": "f"}
+        self.letters = self.kind[0] + letter.get(self.word, "")
         self.asks = number in (spec.KIND_REQUEST, spec.KIND_GOAL)
 
     def direction(self, server: Literal["plc", "ros"]) -> Direction:
@@ -137,13 +131,11 @@ class Namespace:
         letters, dot, _ = rest.partition(".")
         return _LETTERS.get(letters) if dot and prefix == self.prefix else None
 
-    def topic_of(self, object_name: str) -> str | None:
-        """Return the topic of an object's name; None if it was shortened or is no such name."""
-        name, client = self.name_of(object_name) or ("", "")
-        return name if name and not client and self.part_of(object_name) is Part.TOPIC else None
-
     def name_of(self, object_name: str) -> tuple[str, str] | None:
-        """Return the topic, service or action of an object's name, and the client; None as topic_of()."""
+        """Return the topic, service or action of an object's name, and the client.
+
+        None if it was shortened or is no such name.
+        """
         part = self.part_of(object_name)
         if part is None:
             return None

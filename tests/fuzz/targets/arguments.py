@@ -59,8 +59,7 @@ def _names(choices: Choices) -> None:
         path = namespace.path(topic)
         assert path.parent == namespace.lock_path(topic).parent
         assert len(path.name) <= 80
-        back = namespace.topic_of(path.name)
-        assert back in (None, topic)
+        assert namespace.name_of(path.name) in (None, (topic, ""))
 
 
 def check(data: bytes) -> None:

@@ -30,7 +30,7 @@ def reload(cell: Cell, topics: str, **arguments: Any) -> str:
 
 def objects(namespace: Namespace) -> set[str]:
     """Return the topics of the objects that stand."""
-    return {topic for name in namespace.topics() if (topic := namespace.topic_of(name)) is not None}
+    return {found[0] for name in namespace.topics() if (found := namespace.name_of(name)) is not None}
 
 
 def test_topics_come_and_go(cell: Cell) -> None:

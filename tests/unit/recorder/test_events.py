@@ -205,7 +205,7 @@ def test_objects_that_do_not_belong_together_are_refused(shm_namespace: Namespac
     other.close()
     path.write_bytes(kept)
     with recording(shm_namespace, tmp_path / "r") as recorder:
-        assert [error.code for error in recorder.failures.values()] == ["SHM112"]
+        assert [error.code for error in recorder.inlet.failures.values()] == ["SHM112"]
 
 
 STORE = TypeStore.bundled("jazzy")

@@ -129,7 +129,6 @@ def test_parts(part: Part) -> None:
     assert namespace.part_of(name) is part
     assert namespace.name_of(name) == ("/robot1/add", "left")
     assert namespace.name_of(namespace.object_name("/robot1/add", part)) == ("/robot1/add", "")
-    assert namespace.topic_of(name) is None
     assert Namespace("cell2").part_of(name) is None
 
 

@@ -31,7 +31,7 @@ def test_names_fit_and_are_reversible(topic: str) -> None:
     namespace = Namespace("rosplc")
     name = namespace.object_name(topic)
     assert len(name) <= MAX_NAME
-    assert namespace.topic_of(name) == (None if "~" in name else topic)
+    assert namespace.name_of(name) == (None if "~" in name else (topic, ""))
     assert ("~" in name) == (len("rosplc.t.") + len(topic) - 1 > MAX_NAME)
 
 
