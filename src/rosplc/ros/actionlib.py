@@ -227,7 +227,7 @@ class ActionlibServer(ActionServer):
 
     def present(self, uuid: bytes) -> bool:
         """Return whether a goal waits for a decision: of its client nothing is known."""
-        return uuid in self._goals and not self.status(uuid)
+        return self._undecided(uuid) is not None
 
     def tick(self) -> None:
         """Forget what ended long ago, and publish the statuses: clients wait for them."""

@@ -272,6 +272,10 @@ class ActionServer(_Action):
         goal = self._goals.get(uuid)
         return goal if goal is not None and goal.status is not GoalStatus.UNKNOWN else None
 
+    def _undecided(self, uuid: bytes) -> Goal | None:
+        goal = self._goals.get(uuid)
+        return goal if goal is not None and goal.status is GoalStatus.UNKNOWN else None
+
     def _answer(self, server: ServiceServer, caller: bytes, payload: bytes) -> None:
         with contextlib.suppress(BackendError):  # closed, or the middleware refuses: nobody can be told
             server.reply(caller, payload)
@@ -302,8 +306,7 @@ class ActionServer(_Action):
     def accept(self, uuid: bytes) -> bool:
         """Accept a goal; it is executed once :meth:`execute` is called."""
         with self._lock:
-            goal = self._goals.get(uuid)
-            if goal is None or goal.status is not GoalStatus.UNKNOWN:
+            if (goal := self._undecided(uuid)) is None:
                 return False
             goal.status = GoalStatus.ACCEPTED
             self._decided(uuid, goal, True)
@@ -313,8 +316,7 @@ class ActionServer(_Action):
     def reject(self, uuid: bytes) -> bool:
         """Reject a goal."""
         with self._lock:
-            goal = self._goals.get(uuid)
-            if goal is None or goal.status is not GoalStatus.UNKNOWN:
+            if (goal := self._undecided(uuid)) is None:
                 return False
             del self._goals[uuid]
             self._decided(uuid, goal, False)
@@ -323,8 +325,8 @@ class ActionServer(_Action):
     def present(self, uuid: bytes) -> bool:
         """Return whether the client of a goal that has not been decided still waits."""
         with self._lock:
-            goal = self._goals.get(uuid)
-            return goal is not None and not goal.status and self._send.present(goal.caller)
+            goal = self._undecided(uuid)
+            return goal is not None and self._send.present(goal.caller)
 
     def adopt(self, uuid: bytes, stamp_ns: int, status: GoalStatus) -> bool:
         """Take over a goal that another process has accepted at a time, and not ended."""

@@ -25,6 +25,16 @@ _INACTIVE = "the node is not active"
 _SUMMED = ("messages", "dropped", "rejected", "failed")
 
 
+def _while_open(name: str) -> Any:
+    """Return a method of a server, which is False while inactive."""
+
+    def method(endpoint: LifecycleEndpoint, *arguments: Any) -> bool:
+        inner = endpoint._inner
+        return inner is not None and bool(getattr(inner, name)(*arguments))
+
+    return method
+
+
 class LifecycleEndpoint:
     """A topic or service of the backend while it is active; ``before`` tells the direction.
 
@@ -109,20 +119,7 @@ class LifecycleEndpoint:
         """As the backend's client; False while inactive."""
         return bool(getattr(self._inner, "ready", False))
 
-    def reply(self, caller: bytes, payload: bytes) -> bool:
-        """Send a response; False while inactive."""
-        inner = self._inner
-        return inner is not None and bool(inner.reply(caller, payload))
-
-    def refuse(self, caller: bytes, text: str) -> bool:
-        """End a call without a response; False while inactive."""
-        inner = self._inner
-        return inner is not None and bool(inner.refuse(caller, text))
-
-    def present(self, caller: bytes) -> bool:
-        """Return whether a caller still waits; False while inactive."""
-        inner = self._inner
-        return inner is not None and bool(inner.present(caller))
+    reply, refuse, present = map(_while_open, ("reply", "refuse", "present"))
 
     def call(self, payload: bytes, on_reply: OnReply) -> int:
         """Send a request; not executed while inactive."""

@@ -179,8 +179,6 @@ class DdsBackend(BaseNode):
 
     def _adopt(self, endpoint: Endpoint) -> None:
         self._endpoints.append(endpoint)
-        for guid, reads in endpoint.guids.items():
-            self._announcer.add(guid, reader=reads)
         self._changed = True
         self._suspects.setdefault(endpoint.dds_topic, self.clock.monotonic_ns())
         endpoint.review()
@@ -196,8 +194,6 @@ class DdsBackend(BaseNode):
             if endpoint.condition:
                 self._readers = {key: one for key, one in self._readers.items() if one is not endpoint}
                 self._waitset.detach(endpoint.condition)
-            for guid in endpoint.guids:
-                self._announcer.remove(guid)
             for pair in [pair for pair in self._since if pair[0] == endpoint.guid]:  # type: ignore[index]
                 del self._since[pair]
             self._changed = True
@@ -240,7 +236,9 @@ class DdsBackend(BaseNode):
                         self._hurried.append(server)
                 if self._changed:
                     self._changed = False
-                    self._announcer.announce()
+                    with self._lock:
+                        guids = [pair for one in self._endpoints for pair in one.guids.items()]
+                    self._announcer.announce(dict(guids))
                 if (now := self.clock.monotonic_ns()) >= next_tick:
                     next_tick = now + _TICK_NS
                     library_log().drain()

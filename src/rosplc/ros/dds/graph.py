@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 import struct
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -162,8 +162,6 @@ class Announcer:
         self._node = (namespace, name)
         self._size = gid_size(distro)
         self._lock = threading.Lock()
-        self._readers: set[bytes] = set()
-        self._writers: set[bytes] = set()
         self._others: dict[bytes, tuple[NodeEntities, ...]] = {}
         self._names: dict[bytes, str] = {}
         types, type_hash = announcement_types(distro)
@@ -171,25 +169,16 @@ class Announcer:
         self._writer = DataWriter(participant, topic, qos_of(_QOS, type_hash))
         self._reader = DataReader(participant, topic, qos_of(_READ_QOS, type_hash))
         self.reader: int = self._reader._ref
-        self.announce()
+        self.announce({})
 
-    def add(self, guid: bytes, *, reader: bool) -> None:
-        """Count an endpoint among the node's; :meth:`announce` tells the others."""
-        with self._lock:
-            (self._readers if reader else self._writers).add(guid)
-
-    def remove(self, guid: bytes) -> None:
-        """Take an endpoint off the node's."""
-        with self._lock:
-            self._readers.discard(guid)
-            self._writers.discard(guid)
-
-    def announce(self, *, leaving: bool = False) -> None:
-        """Publish the node's endpoints, or that the participant has no node any more."""
-        with self._lock:
-            node = NodeEntities(*self._node, tuple(sorted(self._readers)), tuple(sorted(self._writers)))
-            data = encode_announcement(self._guid, () if leaving else (node,), self._size)
-            code = ddspy_write(self._writer._ref, data)
+    def announce(self, endpoints: Mapping[bytes, bool], *, leaving: bool = False) -> None:
+        """Publish the node's endpoints (id → whether it is a reader), or that there is no node any more."""
+        readers, writers = (
+            tuple(sorted(guid for guid, reads in endpoints.items() if reads is wanted))
+            for wanted in (True, False)
+        )
+        nodes = () if leaving else (NodeEntities(*self._node, readers, writers),)
+        code = ddspy_write(self._writer._ref, encode_announcement(self._guid, nodes, self._size))
         if code < 0:
             _logger.warning("the node could not be announced: %s", native.refusal("write", code))
 
@@ -239,6 +228,6 @@ class Announcer:
 
     def close(self) -> None:
         """Say that the node has gone, and delete the entities."""
-        self.announce(leaving=True)
+        self.announce({}, leaving=True)
         for entity in (self._writer, self._reader):
             native.delete(entity)

@@ -11,6 +11,7 @@ import os
 import select
 import socket
 import threading
+from dataclasses import dataclass
 from typing import Any
 
 from rosplc.reasons import Reason
@@ -196,6 +197,14 @@ class RospyServer(_Service, KeepingServer):
                 caller.sock.shutdown(socket.SHUT_RD)
 
 
+@dataclass(slots=True)
+class _Link:
+    """The connection of one call, once there is one, and whether it is not needed any more."""
+
+    sock: socket.socket | None = None
+    stopped: bool = False
+
+
 class RospyClient(_Service, BaseClient):
     """A service that is called; see :class:`rosplc.ros.backend.ServiceClient`.
 
@@ -318,8 +327,11 @@ class RospyClient(_Service, BaseClient):
         sock: socket.socket | None = None
         try:
             sock = self._reach()
-            if not link.begin(sock):
-                return Reply(text="nobody waits for it any more")
+            with self._lock:
+                link.sock = sock
+                if link.stopped:
+                    sock.close()
+                    return Reply(text="nobody waits for it any more")
         except Exception as error:  # whatever it is: nothing was sent
             self._look_again()
             return Reply(None, "not executed", Reason.NO_SERVER, f"{self.topic} cannot be called: {error}")
@@ -362,41 +374,20 @@ class RospyClient(_Service, BaseClient):
     def forget(self, number: int) -> None:
         """Wait no longer for a call: its connection is closed."""
         super().forget(number)
-        with self._lock:
-            link = self._links.get(number)
-        if link is not None:
-            link.stop()
+        if (link := self._links.get(number)) is not None:
+            self._stop(link)
 
     def close(self) -> None:
         """End every open call with ``fate unknown``."""
         super().close()
         for link in tuple(self._links.values()):
-            link.stop()
+            self._stop(link)
 
-
-class _Link:
-    """The connection of one call, once there is one."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self.stopped = False
-        self._sock: socket.socket | None = None
-
-    def begin(self, sock: socket.socket) -> bool:
-        """Take the connection; close it and return False if it is not needed any more."""
-        with self._lock:
-            self._sock = sock
-            if self.stopped:
-                sock.close()
-            return not self.stopped
-
-    def stop(self) -> None:
-        """Disconnect; the call's thread ends."""
-        with self._lock:
-            self.stopped = True
-            if self._sock is not None:
-                with contextlib.suppress(OSError):
-                    self._sock.shutdown(socket.SHUT_RDWR)
+    def _stop(self, link: _Link) -> None:
+        with self._lock, contextlib.suppress(OSError):
+            link.stopped = True
+            if link.sock is not None:
+                link.sock.shutdown(socket.SHUT_RDWR)
 
 
 def _read(sock: socket.socket, size: int) -> bytes:
