@@ -58,11 +58,7 @@ def command(
 
 
 def _wait_for_silence(attached: Attached, topic: str) -> None:
-    """Watch the writer for as long as the format gives it.
-
-    Raises:
-        ChannelError: SHM114, it lives.
-    """
+    """Watch the writer for as long as the format gives it; SHM114 if it lives."""
     from rosplc.shm.claims import silence_ns
 
     first = attached.snapshot().writer

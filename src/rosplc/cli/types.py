@@ -178,9 +178,7 @@ def _ask(topic: str, folder: Path | None, timeout: float) -> tuple[TypeStore, st
 def parse_limits(texts: list[str]) -> Limits:
     """Return the limits that ``FIELD=N`` options give; ``string`` and ``sequence`` are the defaults.
 
-    Raises:
-        typer.BadParameter: A text is not of that form.
-        LayoutError: LAY001, a capacity is out of range.
+    Raises BadParameter, a text is not of that form; LayoutError LAY001, a capacity is out of range.
     """
     from rosplc.layout import Limits
 

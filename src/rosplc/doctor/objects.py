@@ -72,9 +72,8 @@ class Seen:
         """The bridge's process, as it wrote it; 0 if it has no claim."""
         if self.snapshot is None or self.identity is None:
             return 0
-        if self.identity.direction is Direction.TO_PLC:
-            return self.snapshot.writer.pid if self.snapshot.writer.epoch else 0
-        return next((line.pid for line in self.snapshot.readers if line.index == 0 and line.claim), 0)
+        line = self.snapshot.bridge(self.identity.direction)
+        return line.pid if line else 0
 
 
 @dataclass(frozen=True)

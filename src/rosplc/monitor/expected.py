@@ -65,17 +65,13 @@ class Expected:
 
 def expected_by(files: Iterable[Path]) -> Expected:
     """Read configurations and return what they expect together. Raises ConfigErrors if a file is wrong."""
-    topics: dict[tuple[str, str], Expectation] = {}
-    classic: list[tuple[str, ClassicTopic]] = []
-    prefixes: set[str] = set()
-    calls: list[tuple[str, str, Part, str]] = []
-    for file in files:
-        found = expected_of(load_project(file))
-        topics.update(found.topics)
-        classic += found.classic
-        calls += found.calls
-        prefixes |= found.prefixes
-    return Expected(topics, tuple(classic), tuple(calls), prefixes=frozenset(prefixes))
+    found = [expected_of(load_project(file)) for file in files]
+    return Expected(
+        {key: topic for each in found for key, topic in each.topics.items()},
+        tuple(classic for each in found for classic in each.classic),
+        tuple(call for each in found for call in each.calls),
+        prefixes=frozenset().union(*(each.prefixes for each in found)),
+    )
 
 
 def expected_of(project: Project) -> Expected:

@@ -216,9 +216,7 @@ class BridgeView:
 
     def as_json(self) -> dict[str, Any]:
         """Return plain data."""
-        members = {name: getattr(self, name) for name in self.__slots__}
-        members["worst"] = self.worst.value
-        return members
+        return dataclasses.asdict(self) | {"worst": self.worst.value}
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,6 +17,7 @@ from rosplc.shm import Attached, Direction, Liveness, Part, ReaderState, Snapsho
 from rosplc.shm.constants import SLOT_HEADER, STAMP_SYSTEM, UNKNOWN
 from rosplc.shm.header import channel_error
 from rosplc.shm.names import Namespace
+from rosplc.shm.snapshot import WriterState
 
 _LEAST_MS = 334
 """Beats are taken for at least so long: views look seldom, and must not flicker on a busy machine."""
@@ -224,7 +225,8 @@ class Tracked:
                 writer_alive = runs is not False
         readers = tuple(self._reader(line, now_ns) for line in snapshot.readers)
         bridge, plc = self._sides(writer_alive, readers)
-        bridge_pid = self._bridge_pid(snapshot)
+        own = snapshot.bridge(self.direction)
+        bridge_pid = own.pid if own else 0
         starting = (
             bridge is False
             and not self._peers.seen(WRITER if self._to_plc else 0)
@@ -251,7 +253,7 @@ class Tracked:
             bridge_alive=bridge,
             plc_alive=plc,
             plc_claimed=bool(self._acting(readers)) if self._to_plc else bool(writer.epoch),
-            ros_peers=self._ros_peers(snapshot),
+            ros_peers=_peers(own),
             stale=bool(limit) and since > limit,
             silent=bool(limit) and (since > limit + _DEBOUNCE_NS or now_ns < self._settled_ns),
             stale_after_ns=limit,
@@ -319,17 +321,11 @@ class Tracked:
         every = self._to_plc and self._calls is None
         return [reader for reader in readers if every or reader.index == 0]
 
-    def _bridge_pid(self, snapshot: Snapshot) -> int:
-        if self._to_plc:
-            return snapshot.writer.pid if snapshot.writer.epoch else 0
-        return next((line.pid for line in snapshot.readers if line.index == 0), 0)
 
-    def _ros_peers(self, snapshot: Snapshot) -> int | None:
-        if self._to_plc:
-            count = snapshot.writer.sources
-        else:
-            count = next((line.sinks for line in snapshot.readers if line.index == 0), UNKNOWN)
-        return None if count == UNKNOWN else count
+def _peers(own: WriterState | ReaderState | None) -> int | None:
+    """Return how many peers in ROS the bridge's line counts; None if it does not."""
+    count = UNKNOWN if own is None else own.sources if isinstance(own, WriterState) else own.sinks
+    return None if count == UNKNOWN else count
 
 
 def _any(alive: Iterable[bool | None]) -> bool | None:

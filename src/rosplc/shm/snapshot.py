@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from rosplc._core import Region
-from rosplc.shm.constants import CHANGING_WORDS, IDENTITY, IDENTITY_SIZE, LINE_SIZE, READER_LINES
+from rosplc.shm.constants import CHANGING_WORDS, IDENTITY, IDENTITY_SIZE, LINE_SIZE, READER_LINES, Direction
 from rosplc.shm.header import layout_id_text
 
 _WORDS = LINE_SIZE // 4
@@ -74,6 +74,12 @@ class Snapshot:
             _reader(index, lines[1 + index]) for index in range(READER_LINES) if free or lines[1 + index][0]
         )
         return cls(region.word(IDENTITY["state"]), WriterState(*lines[0][:10]), readers)
+
+    def bridge(self, direction: Direction) -> WriterState | ReaderState | None:
+        """Return the bridge's line of an object whose messages go this way; None if it has no claim."""
+        if direction is Direction.TO_PLC:
+            return self.writer if self.writer.epoch else None
+        return next((line for line in self.readers if line.index == 0 and line.claim), None)
 
 
 def task_name(words: Sequence[int]) -> str:

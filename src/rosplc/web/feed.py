@@ -82,25 +82,22 @@ class Wants:
 
         Raises WebError WEB009 if it has another form, or wants more than one page may.
         """
-        if not isinstance(data, dict):
-            raise _malformed("what a page wants is an object")
-        messages, plots = data.get("messages", []), data.get("plots", {})
+        found = data if isinstance(data, dict) else {"messages": None}
+        messages, plots = found.get("messages", []), found.get("plots", {})
         if not isinstance(messages, list) or not isinstance(plots, dict):
-            raise _malformed("`messages` is a list, `plots` an object")
+            raise _malformed("what a page wants is an object: `messages` is a list, `plots` an object")
         for name in [*messages, *plots]:
             if not isinstance(name, str) or len(name) > _MAX_ID:
                 raise _malformed("a channel's id is a text")
-        count = 0
-        for paths in plots.values():
-            if not isinstance(paths, list) or not all(isinstance(path, str) for path in paths):
+        fields = [path for paths in plots.values() for path in (paths if isinstance(paths, list) else [None])]
+        for path in fields:
+            if not isinstance(path, str):
                 raise _malformed("the fields to plot are a list of paths")
-            count += len(paths)
-            for path in paths:
-                try:
-                    parse_path(path)
-                except ValueError as error:
-                    raise _malformed(str(error)) from None
-        if len(messages) > MAX_MESSAGES or count > MAX_PLOTS:
+            try:
+                parse_path(path)
+            except ValueError as error:
+                raise _malformed(str(error)) from None
+        if len(messages) > MAX_MESSAGES or len(fields) > MAX_PLOTS:
             raise _malformed(f"a page may open {MAX_MESSAGES} messages and plot {MAX_PLOTS} fields")
         return cls(frozenset(messages), {name: frozenset(paths) for name, paths in plots.items() if paths})
 

@@ -16,11 +16,7 @@ from rosplc.errors import GenerationError, SetupError
 
 @dataclass(frozen=True)
 class Translator:
-    """The translator of a checkout.
-
-    Attributes:
-        root: The checkout's top folder.
-    """
+    """The translator of a checkout, whose top folder is ``root``."""
 
     root: Path
 
@@ -30,15 +26,10 @@ class Translator:
         return self.root / "examples" / "st"
 
     def build(self, texts: Mapping[str, str], on_parsed: Callable[[int, int], None] | None = None) -> Any:
-        """Translate and compile objects; texts and programs known from before come from ``.cache``.
+        """Translate and compile texts by object name; those known from before come from ``.cache``.
 
-        Args:
-            texts: Structured Text by object name.
-            on_parsed: Called with how many of the new texts are parsed, and of how many.
-
-        Raises:
-            GenerationError: PLC004, a text cannot be translated.
-            SetupError: SYS001, gcc does not compile it.
+        ``on_parsed`` is called with how many of the new texts are parsed, and of how many. Raises
+        GenerationError PLC004, a text cannot be translated; SetupError SYS001, gcc does not compile it.
         """
         from rosplc_st.build import build
         from rosplc_st.translator.source import TranslationError
@@ -67,8 +58,7 @@ class Translator:
 def find_translator() -> Translator:
     """Return the translator of the checkout that this package runs from.
 
-    Raises:
-        SetupError: SYS001, there is none, or what it needs is missing; the remedy says how to get it.
+    Raises SetupError SYS001, there is none, or what it needs is missing; the remedy says how to get it.
     """
     root = Path(rosplc.__file__).resolve().parents[2]
     if not (root / "tests" / "st" / "pyproject.toml").is_file():

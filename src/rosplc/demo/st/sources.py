@@ -26,13 +26,10 @@ def write_configuration(folder: Path, plan: Plan) -> None:
 
 
 def write_texts(folder: Path, plan: Plan, project: PlcProject, programs: Path) -> None:
-    """Write the whole PLC project into a folder, one ``.st`` file per object.
+    """Write the whole PLC project into an empty folder, one ``.st`` file per object.
 
-    Args:
-        folder: An existing, empty folder.
-        plan: The run.
-        project: What the generator makes of the run's configuration.
-        programs: The folder of the demonstration's own Structured Text.
+    ``project`` is what the generator makes of the run's configuration, ``programs`` the folder of the
+    demonstration's own Structured Text.
     """
     texts = project_texts(project)
     texts |= {path.stem: path.read_text(encoding="utf-8") for path in sorted(programs.glob("*.st"))}
