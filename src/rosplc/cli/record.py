@@ -69,13 +69,13 @@ def command(
     """Record channels into MCAP files, which Foxglove, PlotJuggler and `ros2 bag` read.
 
     Options:
-        topics: Topics, or patterns such as '/robot1/*'; every channel without.
+        topics: Topics and services, or patterns such as '/robot1/*'; without, all of both.
         output PATH: The file, or the folder of a bag; by default rosplc_DATE.
         bag: Write a folder with a metadata.yaml, as `ros2 bag record` does.
         prefix NAME: The bridge's `prefix:`; by default the configuration's, else rosplc.
         config FILE: The bridge's configuration: prefix, QoS and `stale_after:` count; without --prefix,
             rosplc.yaml in this folder by default.
-        exclude TOPIC: Topics or patterns to leave out.
+        exclude TOPIC: Topics, services or patterns to leave out.
         duration TIME: End after so long, such as 10min.
         split_size SIZE: Begin a new file at so many bytes, such as 1GB.
         split_time TIME: Begin a new file after so long, such as 10min.

@@ -9,6 +9,8 @@ again and again until Ctrl-C
 
 rosplc replay robot.bag --to ros --topic /odom --rename /odom:=/test/odom  —  onto a ROS topic
 
+rosplc replay shift.mcap --to plc --config rosplc.yaml --service /cell/start  —  requests of a service as well
+
 It plays MCAP files and folders of ROS 2, and ROS 1 bags, also those that were cut off. Towards the PLC it
 takes the bridge's place, so that no bridge may carry these topics meanwhile. Messages are stamped with the
 time at which they are sent; `--stamps original` keeps the recorded stamps.
