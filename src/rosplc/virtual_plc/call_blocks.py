@@ -44,6 +44,10 @@ _OUTCOMES = {
 }
 
 
+def _reason(info: SlotInfo) -> Reason:
+    return Reason(info.reason) if info.reason in list(Reason) else Reason.NONE
+
+
 class _In(ReadBlock):
     """Takes the messages of one object, the newest alone, once reader line 0 is this block's."""
 
@@ -537,12 +541,8 @@ class _Caller(_CallBlock):
         if self._caller is not None and self._caller.correlation:
             return  # no answer that ends a call
         outcome = _OUTCOMES.get(status, ErrorNumber.FATE_UNKNOWN)
-        known = info.reason in list(Reason)
-        self._conclude(
-            outcome,
-            Reason(info.reason) if known else Reason.NONE,
-            stopped=status == spec.ANSWER_NOT_EXECUTED and self._stopped,
-        )
+        stopped = self._stopped and status == spec.ANSWER_NOT_EXECUTED
+        self._conclude(outcome, _reason(info), stopped=stopped)
 
     def _follow(self) -> None:
         """Keep to the object that is open; a call that was sent in another one has ended."""
@@ -685,7 +685,7 @@ class ActionClient(_Caller):
                 self.xCancelRejected = self._cancels and bool(info.status & spec.ANSWER_CANCEL_REJECTED)
         elif status in self._ENDS:
             self.eStatus, outcome = self._ENDS[status]
-            why = Reason.NONE
+            why = _reason(info)
             if not info.status & spec.ANSWER_NO_RESULT:
                 self.result = self._in.msg
             elif outcome is None:
