@@ -10,6 +10,7 @@ from rosplc._version import __version__
 if TYPE_CHECKING:
     from rosplc.api import Channel, attach, include_dir, topics
     from rosplc.bridge.bind import Binding, bind
+    from rosplc.bridge.bind_service import bind_service
     from rosplc.config import ConfigErrors, Project, load_project
     from rosplc.errors import (
         BackendError,
@@ -53,6 +54,7 @@ __all__ = [
     "__version__",
     "attach",
     "bind",
+    "bind_service",
     "check",
     "generate",
     "include_dir",
@@ -66,6 +68,7 @@ _HOME = {
     for module, names in {
         "rosplc.api": "Channel attach include_dir topics",
         "rosplc.bridge.bind": "Binding bind",
+        "rosplc.bridge.bind_service": "bind_service",
         "rosplc.config": "ConfigErrors Project load_project",
         "rosplc.errors": "BackendError ChannelError CodecError ConfigError GenerationError LayoutError "
         "MessageTypeError RecordingError RosplcError SetupError WebError",
