@@ -14,7 +14,7 @@ from typing import Literal
 
 from rosplc._version import __version__
 from rosplc.config.calls import CallPlan
-from rosplc.config.resolve import Project, TopicPlan, object_plan
+from rosplc.config.resolve import Project, object_plan
 from rosplc.errors import GenerationError
 from rosplc.layout import Layout
 from rosplc.model import TypeStore
@@ -430,11 +430,6 @@ def plc_project(project: Project, options: ProjectOptions) -> PlcProject:
     return build_project(project.store, topics, tasks, options, calls=project.calls)
 
 
-def _on_stale(plan: TopicPlan) -> Literal["hold", "zero", "value"]:
-    action = plan.on_stale.action
-    return "hold" if action == "stop" or action == "substitute" else action
-
-
 def _topics(project: Project) -> list[PlcTopic]:
     return [
         PlcTopic(
@@ -444,7 +439,7 @@ def _topics(project: Project) -> list[PlcTopic]:
             task=plan.task,
             object_size=object_plan(project, plan).object_size if plan.port == "channel" else 0,
             stale_after_ns=plan.stale_after_ns,
-            on_stale=_on_stale(plan),
+            on_stale=plan.on_stale.action if plan.on_stale.action in ("zero", "value") else "hold",
             safe=plan.on_stale.value if plan.on_stale.action == "value" else None,
             in_order=plan.every,
             latched=plan.latched,
@@ -463,16 +458,10 @@ _ROLES: dict[tuple[str, str], Literal["Client", "Server", "ActionClient", "Actio
 
 
 def _tasks(project: Project) -> list[PlcTask]:
-    used = {plan.task for plan in project.topics} | {plan.task for plan in project.calls}
+    used = {plan.task for plan in project.plans}
+    tasks = {name: task for name, task in project.config.settings.tasks.items() if name in used}
+    same = ("interval_ns", "priority", "kind", "watchdog_sensitivity")
     return [
-        PlcTask(
-            name=name,
-            interval_ns=task.interval_ns,
-            priority=task.priority,
-            kind=task.kind,
-            watchdog_ns=task.watchdog_ns or 0,
-            watchdog_sensitivity=task.watchdog_sensitivity,
-        )
-        for name, task in project.config.settings.tasks.items()
-        if name in used
+        PlcTask(name, **{each: getattr(task, each) for each in same}, watchdog_ns=task.watchdog_ns or 0)
+        for name, task in tasks.items()
     ]
