@@ -16,7 +16,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +47,7 @@ STEPS: dict[str, list[tuple[Any, str, str, Callable[..., bool]]]] = {}
 """Step → where it is: class, method, ``before`` or ``after``, and whether a pass counts."""
 
 
-def _always(*_: Any) -> bool:
+def always(*_: Any) -> bool:
     return True
 
 
@@ -55,7 +55,7 @@ def _answers(_use: Any, _caller: bytes, payload: bytes | None, *_: Any) -> bool:
     return payload is not None
 
 
-def _step(name: str, owner: Any, method: str, when: str, counts: Callable[..., bool] = _always) -> None:
+def _step(name: str, owner: Any, method: str, when: str, counts: Callable[..., bool] = always) -> None:
     STEPS.setdefault(name, []).append((owner, method, when, counts))
 
 
@@ -81,9 +81,9 @@ ALL = (
 class Fuse:
     """Kills this process at a pass of its step; ``burn`` is the pass of a step that has no method."""
 
-    def __init__(self, step: str, passes: int) -> None:
+    def __init__(self, step: str, passes: int, steps: Mapping[str, Sequence[Any]] = STEPS) -> None:
         self.step, self.left = step, passes
-        for owner, name, when, counts in STEPS.get(step, []):
+        for owner, name, when, counts in steps.get(step, []):
             self._instrument(owner, name, when, counts)
 
     def burn(self, step: str) -> None:
@@ -101,7 +101,7 @@ class Fuse:
                 self.burn(self.step)
             result = method(*arguments, **more)
             # A method of the PLC's tells whether anything was done.
-            done = owner in (Served, Called, _Out) or result not in (None, False)
+            done = owner is not _In or result not in (None, False)
             if when == "after" and done and counts(*arguments):
                 self.burn(self.step)
             return result
