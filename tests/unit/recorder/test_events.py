@@ -133,6 +133,7 @@ def test_what_is_no_request_and_no_response(shm_namespace: Namespace, tmp_path: 
         service.answer(ANSWER_NOT_EXECUTED)
         service.ask(CALLER, data=True)
         until(lambda: received(recorder) == 1, recorder)
+        service.caller.again(service.send, 0)
         service.caller.again(service.send, ASK_WITHDRAWN)
         service.answer(ANSWER_NOT_EXECUTED)
         service.ask(CALLER, data=True)
