@@ -313,7 +313,7 @@ def _show_calls(
     with Watch(prefix, directory=directory, topic=name, calls=True) as watch:
         picture = settled(watch, _LEAST_S, _MOST_S)
         found = read(picture)
-        if as_json and most == 0:
+        if found and as_json and most == 0:
             print_json([_call_facts(*each, header=header) for each in found])
         elif most == 0:
             for each in found:

@@ -160,4 +160,7 @@ def _in_words(status: BridgeStatus) -> str:
     received = sum(topic.received for topic in status.topics)
     published = sum(topic.published for topic in status.topics)
     text = f"{fine} of {len(status.topics)} topics fine over {status.backend}; in {received}, out {published}"
-    return "; ".join((text, *status.notes))
+    uses = (*status.services, *status.actions)
+    well = sum(use.judgement[0] == 0 for use in uses)
+    calls = [f"{well} of {len(uses)} services and actions fine"] if uses else []
+    return "; ".join((text, *calls, *status.notes))

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from rosplc.bridge.status import BridgeStatus
+from rosplc.bridge.status import BridgeStatus, ServiceStatus
 from rosplc.service.supervisor import Notifier, Supervisor, supervised
 from rosplc.shm import Namespace
 
@@ -68,11 +68,13 @@ class Bridge:
         self.running = False
         self.still = ""
         self.fails = False
+        self.services: tuple[ServiceStatus, ...] = ()
 
     def status(self) -> BridgeStatus:
         if self.fails:
             raise ValueError("no status")
-        return BridgeStatus(bridge="cell1", backend="memory", running=self.running, notes=("two\nlines",))
+        given = {"running": self.running, "notes": ("two\nlines",), "services": self.services}
+        return BridgeStatus(bridge="cell1", backend="memory", **given)
 
     def stuck(self, longest_ns: int) -> str:
         assert longest_ns == 15_000_000_000
@@ -106,6 +108,10 @@ def test_a_status_is_one_line(manager: Manager, address: str) -> None:
     bridge.running = True
     Supervisor(bridge, Notifier(address, 30.0)).look()
     assert manager.hear()["STATUS"] == "0 of 0 topics fine over memory; in 0, out 0; two lines"
+    manager.all()
+    bridge.services = (ServiceStatus(type_name="std_srvs/srv/Trigger", server="ros", service="/grip"),)
+    Supervisor(bridge, Notifier(address, 30.0)).look()
+    assert "; 0 of 1 services and actions fine; two lines" in manager.until("STATUS")
 
 
 def test_a_defect_feeds_no_watchdog(manager: Manager, address: str) -> None:
