@@ -2,7 +2,8 @@
 
 Started as ``python action_peer.py DOMAIN NAME``. It reads ``{"serve": ACTION}``, ``{"use": ACTION}``,
 ``{"send": ORDER}`` and ``{"cancel": ORDER}``. It prints ``{"ready": ACTION}``, and with a goal's order
-``accepted``, ``feedback``, ``canceling`` with a code, and ``status`` with a ``sequence``.
+``accepted``, ``feedback``, ``canceling`` with a code, and ``status`` with a ``sequence``; the server adds
+``began`` and ``canceled``.
 
 The server rejects orders below 0. It sends the numbers up to the order as feedback until there are so many,
 or for ever from 50 on; then the goal succeeds, or is aborted if the order is odd. It refuses to cancel 77.
@@ -32,9 +33,11 @@ def say(**words: object) -> None:
 def execute(goal: Any) -> Any:
     """Execute a goal of the server."""
     order, sequence = goal.request.order, []
+    say(goal=order, began=True)
     while len(sequence) < order or order >= 50:
         if goal.is_cancel_requested:
             goal.canceled()
+            say(goal=order, canceled=True)
             return Fibonacci.Result(sequence=sequence)
         sequence.append(len(sequence))
         goal.publish_feedback(Fibonacci.Feedback(sequence=sequence))
