@@ -178,6 +178,18 @@ def test_a_goal_of_ros_that_is_rejected_or_aborted(joint: Joint) -> None:
     assert client.result(uuid) == (GoalStatus.ABORTED, [1])
 
 
+def test_a_goal_of_ros_that_is_not_decided_on() -> None:
+    """It is rejected, and the program can accept it no more."""
+    text = config().replace("on_new_goal: reject", "accept_within: 300ms")
+    with made_joint(text, "ROS_Actions", DOMAIN) as joint:
+        client = Client(joint)
+        client.until(client.send(1), "rejected")
+        assert joint.get("cycle", "xGoal", "xActive") == (False, False)
+        joint.set("cycle", xAccept=True)
+        joint.scan()
+        assert joint.get("cycle", "eError", "xActive") == (ErrorNumber.ILLEGAL_STEP, False)
+
+
 def test_a_goal_of_ros_is_canceled(joint: Joint) -> None:
     """The program rejects the first request to cancel and accepts the second."""
     client = Client(joint)
