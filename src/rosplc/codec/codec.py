@@ -52,8 +52,7 @@ class Codec:
 
         Every byte of ``out`` is written. After an error it holds anything.
 
-        Raises:
-            CodecError: As :meth:`decode`; COD009 if ``out`` is not exactly a record long.
+        Raises CodecError: As :meth:`decode`; COD009 if ``out`` is not exactly a record long.
         """
         try:
             return self.plan.decode_into(data, out, truncate)
@@ -67,8 +66,7 @@ class Codec:
         DDS wants it. Whatever the record holds gives a message: counts above a capacity read as
         the capacity, a string without NUL has its full capacity, every bool but 0 is 1.
 
-        Raises:
-            CodecError: COD009 if ``record`` is not exactly a record long.
+        Raises CodecError: COD009 if ``record`` is not exactly a record long.
         """
         try:
             return self.plan.encode(record)

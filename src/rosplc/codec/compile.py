@@ -71,8 +71,7 @@ class CompiledPlan:
 def compile_plan(root: StructNode, wire: Wire) -> CompiledPlan:
     """Compile the plan that turns ``wire`` messages into records of ``root`` and back.
 
-    Raises:
-        MessageTypeError: TYP007 if sequences and arrays are nested deeper than the executor goes.
+    Raises MessageTypeError: TYP007 if sequences and arrays are nested deeper than the executor goes.
     """
     native = _OpList(wire, swapped=False)
     native.struct(root, 0, "")

@@ -48,8 +48,7 @@ class Config:
     def from_dict(cls, data: Mapping[str, Any], *, base: Path | None = None) -> Config:
         """Return the configuration that a YAML file with this content would give.
 
-        Raises:
-            ConfigErrors: As :func:`read_config`; places are key paths.
+        Raises ConfigErrors: As :func:`read_config`; places are key paths.
         """
         return _validate(YamlSource("<settings>", dict(data)), base or Path(), Problems())
 
@@ -57,8 +56,7 @@ class Config:
 def read_config(path: Path | str) -> Config:
     """Read and validate a file, without looking at message types (:func:`load_config` does).
 
-    Raises:
-        ConfigErrors: CFG001 … CFG006, CFG009, CFG010; all that was found.
+    Raises ConfigErrors: CFG001 … CFG006, CFG009, CFG010; all that was found.
     """
     return _parse(Path(path), None, Path(path).parent)
 
@@ -66,8 +64,7 @@ def read_config(path: Path | str) -> Config:
 def parse_config(text: str, *, name: str = "<text>", base: Path | None = None) -> Config:
     """Validate YAML text; ``base`` is the folder that its relative paths refer to.
 
-    Raises:
-        ConfigErrors: As :func:`read_config`.
+    Raises ConfigErrors: As :func:`read_config`.
     """
     return _parse(Path(name), text, base or Path())
 

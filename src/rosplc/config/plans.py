@@ -56,8 +56,7 @@ def passes_changes_only(entry: TopicSettings) -> bool:
 def classic_plan(config: Config, topic: str, entry: TopicSettings, task: str) -> ClassicPlan | None:
     """Return what a topic's entry says about classic mode; None if it is carried over a channel.
 
-    Raises:
-        ConfigError: CFG004 for a name that cannot be had, or another directory than /dev/shm.
+    Raises ConfigError: CFG004 for a name that cannot be had, or another directory than /dev/shm.
     """
     asked, settings = entry.classic, config.settings
     if asked is None:

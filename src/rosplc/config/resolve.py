@@ -167,8 +167,7 @@ def object_name(namespace: Namespace, plan: Plan) -> str:
 def load_config(path: Path | str) -> Config:
     """Read a file and check all of it, types and sizes included.
 
-    Raises:
-        ConfigErrors: Everything that is wrong, each with file, line and key.
+    Raises ConfigErrors: Everything that is wrong, each with file, line and key.
     """
     return load_project(path).config
 
@@ -176,8 +175,7 @@ def load_config(path: Path | str) -> Config:
 def load_project(path: Path | str) -> Project:
     """Read a file and resolve it.
 
-    Raises:
-        ConfigErrors: As :func:`load_config`.
+    Raises ConfigErrors: As :func:`load_config`.
     """
     return resolve(read_config(path))
 
@@ -185,9 +183,8 @@ def load_project(path: Path | str) -> Project:
 def resolve(config: Config) -> Project:
     """Find types, compute layouts and sizes.
 
-    Raises:
-        ConfigErrors: CFG001 for folders, CFG004, CFG007, CFG008, SHM118, and the type and layout
-            errors TYP001 … TYP008, LAY001 … LAY006 at the line of the topic.
+    Raises ConfigErrors: CFG001 for folders, CFG004, CFG007, CFG008, SHM118, and the type and layout errors
+    TYP001 … TYP008, LAY001 … LAY006 at the line of the topic.
     """
     problems = Problems()
     settings = config.settings

@@ -137,8 +137,7 @@ class Layout:
 
         The buffer changes only if the whole value fits.
 
-        Raises:
-            LayoutError: LAY006, the value does not fit its field, or the buffer is too small.
+        Raises LayoutError: LAY006, the value does not fit its field, or the buffer is too small.
         """
         target = self._bytes(buffer)
         target[: self.size] = self.pack(value)
@@ -146,8 +145,7 @@ class Layout:
     def view(self, buffer: Buffer) -> RecordView:
         """Return a view of a record; it reads from ``buffer`` at each access.
 
-        Raises:
-            LayoutError: LAY006, the buffer is smaller than a record.
+        Raises LayoutError: LAY006, the buffer is smaller than a record.
         """
         return self._reader(self._bytes(buffer), 0)
 

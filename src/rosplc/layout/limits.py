@@ -50,8 +50,7 @@ class Limits:
     def from_dict(cls, data: Mapping[str, Any]) -> Limits:
         """Return the limits that :meth:`to_dict` wrote; the data is not trusted.
 
-        Raises:
-            LayoutError: LAY001, the data has another form or a capacity is not valid.
+        Raises LayoutError: LAY001, the data has another form or a capacity is not valid.
         """
         fields = data.get("fields", {})
         unknown = set(data) - {"string", "sequence", "fields"}

@@ -51,8 +51,7 @@ class StructPacker:
     def __call__(self, buffer: bytearray, offset: int, value: Any) -> None:
         """Write ``value``'s fields; those that it lacks keep what ``buffer`` has.
 
-        Raises:
-            Misfit: A value does not fit its field.
+        Raises Misfit: A value does not fit its field.
         """
         if isinstance(value, Mapping):
             self._from_mapping(buffer, offset, value)

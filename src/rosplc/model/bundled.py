@@ -61,8 +61,7 @@ def with_defaults(
 ) -> dict[str, MessageType]:
     """Return ``types`` with default values.
 
-    Raises:
-        LookupError: The table names a type or a field that the distribution lacks.
+    Raises LookupError: The table names a type or a field that the distribution lacks.
     """
     result = dict(types)
     for name, values in defaults.items():

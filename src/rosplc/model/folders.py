@@ -110,8 +110,7 @@ def _ignored(folder: Path) -> bool:
 def read(file: Path) -> str:
     """Return a file's text.
 
-    Raises:
-        MessageTypeError: TYP002, TYP007 or TYP008, with the file's name.
+    Raises MessageTypeError: TYP002, TYP007 or TYP008, with the file's name.
     """
     try:
         with file.open("rb") as stream:
@@ -171,9 +170,8 @@ def save_definitions(texts: Mapping[str, str], folder: Path) -> tuple[Path, ...]
 
     A file that has the same text already is left as it is; the folder is made if it does not exist.
 
-    Raises:
-        MessageTypeError: TYP001 if a name is none; TYP009 if a file of that name has another text,
-            or cannot be written. Nothing is written in the first two cases.
+    Raises MessageTypeError: TYP001 if a name is none; TYP009 if a file of that name has another text, or
+    cannot be written. Nothing is written in the first two cases.
     """
     wanted = {}
     for name, text in texts.items():

@@ -59,8 +59,7 @@ def check_names(message: MessageType) -> None:
 
     They become identifiers of generated code, and that is no place for anything else.
 
-    Raises:
-        MessageTypeError: TYP001 for the type's name, TYP002 for a field's or constant's.
+    Raises MessageTypeError: TYP001 for the type's name, TYP002 for a field's or constant's.
     """
     if full_name(message.name) != message.name:
         raise MessageTypeError("TYP001", f"{message.name!r} is no full name such as geometry_msgs/msg/Twist")

@@ -77,8 +77,7 @@ class TypeStore:
     def bundled(cls, distro: str) -> TypeStore:
         """Return the types that come with a ROS distribution.
 
-        Raises:
-            MessageTypeError: TYP006, no such distribution is bundled.
+        Raises MessageTypeError: TYP006, no such distribution is bundled.
         """
         if distro not in DISTROS:
             near = difflib.get_close_matches(distro, DISTROS, 1)
@@ -93,17 +92,15 @@ class TypeStore:
         The text defines it first, then every type it needs (spec/type-mapping.md, section 6). ``distro`` is
         what the self-description says; only ``noetic`` means ROS 1.
 
-        Raises:
-            MessageTypeError: TYP001 a needed type is missing, TYP002 syntax, TYP003, TYP004,
-                TYP005, TYP007 limits.
+        Raises MessageTypeError: TYP001 a needed type is missing, TYP002 syntax, TYP003, TYP004, TYP005,
+        TYP007 limits.
         """
         return cls(distro, {}).with_definition(type_name, text)
 
     def with_definition(self, type_name: str, text: str) -> TypeStore:
         """Return a store that knows the types of a definition text as well.
 
-        Raises:
-            MessageTypeError: See :meth:`from_definition`.
+        Raises MessageTypeError: See :meth:`from_definition`.
         """
         return self._with(parse_definition(type_name, text, ros_version=self.ros_version))
 
@@ -153,9 +150,8 @@ class TypeStore:
     def __getitem__(self, name: str) -> MessageType:
         """Return a type by ``package/msg/Name`` or ``package/Name``.
 
-        Raises:
-            MessageTypeError: TYP001 if it is unknown; for a custom type also what is wrong with it or with
-                a type that it needs (TYP001 … TYP007), with file and line.
+        Raises MessageTypeError: TYP001 if it is unknown; for a custom type also what is wrong with it or
+        with a type that it needs (TYP001 … TYP007), with file and line.
         """
         if name not in self._heights:
             if not (isinstance(name, str) and name.isidentifier()):
@@ -197,8 +193,7 @@ class TypeStore:
 
         In ROS 2 also those of an action: ``package/action/Name_SendGoal`` and ``…_GetResult``.
 
-        Raises:
-            MessageTypeError: See :meth:`__getitem__`.
+        Raises MessageTypeError: See :meth:`__getitem__`.
         """
         own = self._interface(name, "srv")
         return ServiceType(own, *(self[f"{own}_{part}"] for part in PARTS["srv"]))
@@ -206,8 +201,7 @@ class TypeStore:
     def action(self, name: str) -> ActionType:
         """Return an action by ``package/action/Name`` or ``package/Name``.
 
-        Raises:
-            MessageTypeError: See :meth:`__getitem__`.
+        Raises MessageTypeError: See :meth:`__getitem__`.
         """
         own = self._interface(name, "action")
         return ActionType(own, *(self[f"{own}_{part}"] for part in PARTS["action"]))

@@ -175,8 +175,7 @@ class Attached(Mapped):
     def acting_reader(self, task: str = "", *, beat_ms: int = 1000) -> Reader:
         """Return the reader of a service's or action's object that acts on its messages (section 11.1).
 
-        Raises:
-            ChannelError: SHM114 if another one lives; SHM110 if the bridge acts on them; SHM122; SHM111.
+        Raises ChannelError: SHM114 if another one lives; SHM110 if the bridge acts on them; SHM122; SHM111.
         """
         if self.identity.direction is not Direction.TO_PLC:
             raise channel_error(110, "only the bridge acts on what the PLC writes", self.path)
@@ -201,9 +200,8 @@ class Attached(Mapped):
     def writer_claim(self, beat_ms: int = 1000) -> WriterClaim:
         """Return an attempt to become the writer, for callers that must not wait.
 
-        Raises:
-            ChannelError: SHM110 if the direction is towards the PLC, where only the bridge writes;
-                SHM122 if the object is mapped read-only; SHM111.
+        Raises ChannelError: SHM110 if the direction is towards the PLC, where only the bridge writes;
+        SHM122 if the object is mapped read-only; SHM111.
         """
         if self.identity.direction is not Direction.TO_ROS:
             raise channel_error(110, "only the bridge writes towards the PLC", self.path)

@@ -51,9 +51,8 @@ USUAL = Rights()
 def open_plain_file(path: Path, flags: int, *, denied: int = 102, mode: int = 0o600) -> int:
     """Open a plain file, never a link, a device or a pipe, and return its descriptor.
 
-    Raises:
-        ChannelError: SHM101 if there is none, SHM121 if it is no plain file, SHM123 if the
-            directory cannot be used, SHM117 if there is no room for a new one, or ``denied``.
+    Raises ChannelError: SHM101 if there is none, SHM121 if it is no plain file, SHM123 if the directory
+    cannot be used, SHM117 if there is no room for a new one, or ``denied``.
     """
     try:
         # Without O_NONBLOCK a pipe of this name would stop the caller for ever.

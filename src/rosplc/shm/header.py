@@ -93,9 +93,8 @@ class Identity:
     def plan(cls, *, slots: int, record_size: int, description_size: int, **others: Any) -> Identity:
         """Lay out a new object: self-description at 512, then the slots, each part on a new line.
 
-        Raises:
-            ValueError: If the number of slots is no power of two from 4 to 65536, the record is not
-                of 1 to 2³⁰ bytes, or the object would exceed 2³¹ - 1 bytes.
+        Raises ValueError: If the number of slots is no power of two from 4 to 65536, the record is not of 1
+        to 2³⁰ bytes, or the object would exceed 2³¹ - 1 bytes.
         """
         stride = _round_up(spec.SLOT_HEADER_SIZE + record_size)
         start = _round_up(spec.HEADER_SIZE + description_size)
@@ -152,8 +151,7 @@ class Identity:
         Without ``direction`` both are accepted, with ``kind`` 0 all; ``where`` is the path, for messages.
         ``accept_retired`` returns a retired object's identity too, instead of raising SHM111.
 
-        Raises:
-            ChannelError: SHM103 to SHM111, the first of section 9 that fails.
+        Raises ChannelError: SHM103 to SHM111, the first of section 9 that fails.
         """
         available = size if len(first) >= spec.HEADER_SIZE else len(first)
         number = check_identity(first, available, direction or 0, kind)

@@ -112,8 +112,7 @@ class Namespace:
     def topics(self) -> list[str]:
         """Return the names of the topics' objects that are present, sorted.
 
-        Raises:
-            ChannelError: SHM123 if the directory cannot be listed.
+        Raises ChannelError: SHM123 if the directory cannot be listed.
         """
         return [name for name, part in self.objects() if part is Part.TOPIC]
 
