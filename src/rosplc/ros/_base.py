@@ -506,6 +506,13 @@ class BaseClient(BaseEndpoint):
         for number in ended:
             self.end(number, SERVER_GONE)
 
+    def end_orphans(self, servers: Collection[Any]) -> None:
+        """End the calls that no other servers have received than such as are not among these any more."""
+        with self._lock:
+            called = set().union(*(receivers for _, receivers in self.calls.values()))
+        if dead := called.difference(servers):
+            self.gone(*dead)
+
     def forget(self, number: int) -> None:
         """Wait no longer for a call."""
         with self._lock:

@@ -462,10 +462,7 @@ class ActionClient(_Action):
     """An action of a ROS server that is used.
 
     Args:
-        backend: A backend of the ROS that the types are of.
-        store: Where the types come from.
-        action: The action's name.
-        type_name: ``package/action/Name``.
+        backend, store, action, type_name: As of :class:`ActionServer`.
         on_event: Called with what becomes of the goals. A status may come before the acceptance.
         clock: For tests.
 

@@ -117,9 +117,8 @@ class DdsBackend(BaseNode):
             full, name = self._resolve(topic, type_name)
             # First: a client on Fast DDS must not see the others alone (service.py).
             decoy = self.decoy(full, name) if kind is DdsServer else None
-            make = self._make_both if kind.serves else self._make
             try:
-                endpoint = kind(*receiver, *make(full, name, qos, kind.direction))
+                endpoint = kind(*receiver, *self._make(full, name, qos, kind))
             except BaseException:
                 if decoy is not None:
                     native.delete(decoy)
@@ -134,37 +133,33 @@ class DdsBackend(BaseNode):
         group = group or (self._subscribers if kind is DataReader else self._publishers)
         return kind(group, self._topics(topic, data_type), qos)
 
-    def _make(self, full: str, name: str, qos: Qos, direction: str) -> tuple[Any, ...]:
-        """Open an entity; return the arguments of an endpoint."""
-        type_hash, kind = self._hash(name), DataReader if direction == "in" else DataWriter
-        try:
-            entity = self._entity(kind, dds_topic(full), self._types[name], dds_qos(qos, type_hash))
-        except DDSException as error:
-            raise native.refusal(f"cannot open {full} as {name}", error) from error
-        return entity, self, full, name, qos, type_hash
-
-    def _make_both(self, full: str, name: str, qos: Qos, direction: str) -> tuple[Any, ...]:
-        """Open both entities of a server or client, or none; return the arguments of an endpoint."""
-        serves = direction == "in"
-        # As rmw_cyclonedds_cpp writes it: not padded, but for the first byte.
-        first, *others = self._guid[:12] + next(self._service_ids).to_bytes(4, "big")
-        role = "serviceid" if serves else "clientid"
-        service_id = f"{role}={first:2x}{''.join(f'.{octet:x}' for octet in others)};"
-        parts = f"{name}_Request", f"{name}_Response"
+    def _make(self, full: str, name: str, qos: Qos, kind: Any) -> tuple[Any, ...]:
+        """Open the one or both entities of an endpoint, or none; return its arguments."""
+        reads, service_id = kind.direction == "in", ""
+        parts: tuple[str, ...] = (name,)
+        topics: tuple[str, ...] = (dds_topic(full),)
+        settings, type_of = qos, self._types.__getitem__
+        if kind.serves:
+            # As rmw_cyclonedds_cpp writes it: not padded, but for the first byte.
+            first, *others = self._guid[:12] + next(self._service_ids).to_bytes(4, "big")
+            role = "serviceid" if reads else "clientid"
+            service_id = f"{role}={first:2x}{''.join(f'.{octet:x}' for octet in others)};"
+            parts, topics = (f"{name}_Request", f"{name}_Response"), service_topics(full)
+            settings, type_of = _base.queue_of(qos), self._types.with_header
+        kinds = (DataReader, DataWriter) if reads else (DataWriter, DataReader)
         hashes = [*map(self._hash, parts)]
-        settings = [dds_qos(_base.queue_of(qos), type_hash, service_id) for type_hash in hashes]
-        kinds = (DataReader, DataWriter) if serves else (DataWriter, DataReader)
-        types = map(self._types.with_header, parts)
         opened: list[Any] = []
         try:
-            for details in zip(kinds, service_topics(full), types, settings, strict=True):
-                opened.append(self._entity(*details))
+            for each, topic, part, type_hash in zip(kinds, topics, parts, hashes, strict=False):
+                how = dds_qos(settings, type_hash, service_id)
+                opened.append(self._entity(each, topic, type_of(part), how))
         except DDSException as error:
             for entity in opened:
                 native.delete(entity)
             raise native.refusal(f"cannot open {full} as {name}", error) from error
-        reader, writer = opened if serves else reversed(opened)
-        return reader, writer, hashes[1], self, full, name, qos, hashes[0]
+        if kind.serves:  # reader and writer, whatever comes first
+            opened = [*(opened if reads else reversed(opened)), hashes[1]]
+        return *opened, self, full, name, qos, hashes[0]
 
     def _hash(self, name: str) -> str:
         return super()._hash(name) if self._hashes else ""
@@ -262,7 +257,7 @@ class DdsBackend(BaseNode):
             self._review(changed)
         for client in clients:
             if client.dds_topic in changed:
-                client.end_orphans()
+                client.end_orphans([peer.handle for peer in self.peers.on(client.dds_topic, "in")])
 
     def _review(self, changed: set[str]) -> None:
         self._suspects |= dict.fromkeys(changed, self.clock.monotonic_ns())

@@ -248,11 +248,3 @@ class DdsClient(BaseClient, _Service):
         if client == self._id:  # all clients of a service receive all responses
             self._sender(info, replying=True)
             self.end(number, Reply(payload))
-
-    def end_orphans(self) -> None:
-        """End the calls whose servers have gone."""
-        alive = {peer.handle for peer in self._node.peers.on(self.dds_topic, "in")}
-        with self._lock:
-            called = {server for _, servers in self.calls.values() for server in servers}
-        if dead := called - alive:
-            self.gone(*dead)

@@ -142,11 +142,7 @@ class RclpyClient(_Service, BaseClient):
     def look(self) -> None:
         """End the calls whose servers have gone: rclpy tells nobody of it."""
         if self.calls and not self.closed:
-            now = self._receivers()
-            with self._lock:
-                known = set().union(*(receivers for _, receivers in self.calls.values()))
-            if gone := known - now:
-                self.gone(*gone)
+            self.end_orphans(self._receivers())
 
     def _withdraw(self, number: int) -> None:
         future = self._futures.pop(number, None)

@@ -129,7 +129,7 @@ def mismatch(
 ) -> tuple[str, str] | None:
     """Return code and words if type name and MD5 sum of a peer (``*``: any) are not ours; None if they are.
 
-    ``verb`` is ``publishes`` or ``subscribes to``.
+    ``verb`` is ``publishes``, ``subscribes to`` or ``serves``.
     """
     (name, md5), (own_name, own_md5) = theirs, ours
     does = f"node {node} {verb} {topic} as {name}"

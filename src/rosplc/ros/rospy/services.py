@@ -253,12 +253,9 @@ class RospyClient(_Service, BaseClient):
                 place = self._lookup()
                 sock, header = self._connect(place, {"md5sum": ANY, "probe": "1"})
                 sock.close()
-            kind, md5 = handshake.service_name(header.get("type", ANY))[:256], header.get("md5sum", ANY)[:64]
-            does = f"node {header.get('callerid', '?')[:256]} serves {self.topic} as {kind}"
-            if kind not in (ANY, self.type_name):
-                problem = ("ROS003", f"{does}, here it is {self.type_name}")
-            elif md5 not in (ANY, self._md5):
-                problem = ("ROS003", f"{does} with another definition (md5 {md5} there, {self._md5} here)")
+            theirs = handshake.service_name(header.get("type", ANY))[:256], header.get("md5sum", ANY)[:64]
+            node, ours = header.get("callerid", "?")[:256], (self.type_name, self._md5)
+            problem = handshake.mismatch(node, "serves", self.topic, theirs, ours) or problem
         except Exception as error:  # a host's name that cannot be one is a UnicodeError
             problem = ("", f"service {self.topic} is registered, but its server cannot be called: {error}")
         finally:

@@ -36,12 +36,8 @@ LONGEST_TOKEN = 2048  # Characters of a token; ROS' own names leave it far below
 MOST_TOKENS = 65_536  # Nodes and endpoints that are kept in mind; far above any real graph.
 
 Kind = Literal["NN", "MP", "MS", "SC", "SS"]  # A node, a publisher, a subscription, a client, a server.
-OTHER: dict[Kind, Kind] = {
-    "MP": "MS",
-    "MS": "MP",
-    "SC": "SS",
-    "SS": "SC",
-}  # What each exchanges messages with.
+# What each exchanges messages with.
+OTHER: dict[Kind, Kind] = {"MP": "MS", "MS": "MP", "SC": "SS", "SS": "SC"}
 
 _TYPE = re.compile(r"[A-Za-z0-9_:/]{1,255}\Z")
 _HASH = re.compile(r"[A-Za-z0-9_]{1,128}\Z")
