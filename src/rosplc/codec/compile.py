@@ -18,17 +18,11 @@ from rosplc.layout.nodes import ArrayNode, Node, PaddingNode, ScalarNode, Sequen
 
 @dataclass(frozen=True, slots=True)
 class Flat:
-    """A struct or number without gaps, whose wire bytes are its record bytes.
+    """A struct or number without gaps, whose wire bytes are its record bytes."""
 
-    Attributes:
-        first: Alignment of its first number in bytes: where CDR starts it.
-        widest: Alignment that the whole needs to be free of gaps, in bytes.
-        uniform: All numbers have the same width (then swapping needs no structure).
-    """
-
-    first: int
-    widest: int
-    uniform: bool
+    first: int  # alignment of its first number in bytes: where CDR starts it
+    widest: int  # alignment that the whole needs to be free of gaps, in bytes
+    uniform: bool  # all numbers have the same width (then swapping needs no structure)
 
 
 def flat_form(node: Node) -> Flat | None:
@@ -54,18 +48,13 @@ def flat_form(node: Node) -> Flat | None:
 
 @dataclass(frozen=True, slots=True)
 class CompiledPlan:
-    """A plan before the C core has loaded it.
+    """A plan before the C core has loaded it."""
 
-    Attributes:
-        blob: What ``_native.Plan`` takes.
-        ops: The little-endian list, then the list for big-endian input; a fault's ``op`` is an
-            index into it.
-        native_count: Number of ops in the little-endian list.
-    """
-
-    blob: bytes
+    blob: bytes  # what ``_native.Plan`` takes
+    # the little-endian list, then the list for big-endian input; a fault's ``op`` is an index into
+    # it
     ops: tuple[Op, ...]
-    native_count: int
+    native_count: int  # number of ops in the little-endian list
 
 
 def compile_plan(root: StructNode, wire: Wire) -> CompiledPlan:

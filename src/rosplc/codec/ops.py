@@ -34,35 +34,21 @@ class OpCode(enum.IntEnum):
 
 @dataclass(slots=True)
 class Op:
-    """One op.
+    """One op."""
 
-    Attributes:
-        code: What it does.
-        path: The field that it is about, for error messages; not part of the binary form.
-        at: Record offset in bytes, from the start of the record or of the enclosing loop's element.
-        n: Bytes, elements, or capacity, depending on the code.
-        align: Alignment on the wire in bytes.
-        width: Bytes of one number whose bytes are swapped; 1 for none.
-        flags: ``SEQ_OF_BOOL``.
-        count_at: Record offset of a sequence's count.
-        stride: Bytes from one element to the next.
-        room: Bytes from ``at`` that the op fills, the padding behind it included.
-        bound: The definition's own bound; 0 for none.
-        body: For loops the number of ops that follow and belong to it; for BOOLS how many bytes
-            before the wire position they begin.
-    """
-
-    code: OpCode
-    path: str
-    at: int = 0
-    n: int = 0
-    align: int = 1
-    width: int = 1
-    flags: int = 0
-    count_at: int = 0
-    stride: int = 0
-    room: int = 0
-    bound: int = 0
+    code: OpCode  # what it does
+    path: str  # the field that it is about, for error messages; not part of the binary form
+    at: int = 0  # record offset in bytes, from the start of the record or of the enclosing loop's element
+    n: int = 0  # bytes, elements, or capacity, depending on the code
+    align: int = 1  # alignment on the wire in bytes
+    width: int = 1  # bytes of one number whose bytes are swapped; 1 for none
+    flags: int = 0  # ``SEQ_OF_BOOL``
+    count_at: int = 0  # record offset of a sequence's count
+    stride: int = 0  # bytes from one element to the next
+    room: int = 0  # bytes from ``at`` that the op fills, the padding behind it included
+    bound: int = 0  # the definition's own bound; 0 for none
+    # for loops the number of ops that follow and belong to it; for BOOLS how many bytes before the
+    # wire position they begin
     body: int = 0
 
     def pack(self) -> bytes:

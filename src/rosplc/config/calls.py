@@ -26,21 +26,13 @@ _RESERVED = ("_action", "_service_event")
 
 @dataclass(frozen=True, kw_only=True)
 class CallPlan:
-    """One use of a service or action with everything decided; one that the PLC carries out has one use.
+    """One use of a service or action with everything decided; one that the PLC carries out has one use."""
 
-    Attributes:
-        type_name: ``package/srv/Name`` or ``package/action/Name``.
-        server: Who carries it out.
-        client: The use's name; empty if it has none.
-        task: Name of the PLC task.
-        truncate: What comes from ROS and does not fit is cut, not refused.
-    """
-
-    type_name: str
-    server: Literal["plc", "ros"]
-    client: str
-    task: str
-    truncate: bool = False
+    type_name: str  # ``package/srv/Name`` or ``package/action/Name``
+    server: Literal["plc", "ros"]  # who carries it out
+    client: str  # the use's name; empty if it has none
+    task: str  # name of the PLC task
+    truncate: bool = False  # what comes from ROS and does not fit is cut, not refused
 
     kind: ClassVar[Literal["service", "action"]]
     parts: ClassVar[tuple[Part, ...]]
@@ -71,29 +63,18 @@ class CallPlan:
 
 @dataclass(frozen=True, kw_only=True)
 class ServicePlan(CallPlan):
-    """One use of a service.
+    """One use of a service."""
 
-    Attributes:
-        service: The service as ROS writes it.
-        request: The layout of its requests.
-        response: The layout of its responses.
-        depth: Calls that wait or are carried out at most.
-        per_client: The same for each caller.
-        min_interval_ns: Shortest time between two calls that the PLC is given; 0 for no limit.
-        expire_ns: A call that has waited for longer is not given to the PLC.
-        fallback: The response of a call that the PLC does not answer, as a record; None: there is none.
-        qos: Quality of service on the ROS side.
-    """
-
-    service: str
-    request: Layout
-    response: Layout
-    depth: int = 16
-    per_client: int = 4
-    min_interval_ns: int = 0
-    expire_ns: int = 5_000_000_000
+    service: str  # the service as ROS writes it
+    request: Layout  # the layout of its requests
+    response: Layout  # the layout of its responses
+    depth: int = 16  # calls that wait or are carried out at most
+    per_client: int = 4  # the same for each caller
+    min_interval_ns: int = 0  # shortest time between two calls that the PLC is given; 0 for no limit
+    expire_ns: int = 5_000_000_000  # a call that has waited for longer is not given to the PLC
+    # the response of a call that the PLC does not answer, as a record; None: there is none
     fallback: bytes | None = None
-    qos: Qos = SERVICES
+    qos: Qos = SERVICES  # quality of service on the ROS side
 
     kind = "service"
     parts = SERVICE
@@ -105,29 +86,18 @@ class ServicePlan(CallPlan):
 
 @dataclass(frozen=True, kw_only=True)
 class ActionPlan(CallPlan):
-    """One use of an action.
+    """One use of an action."""
 
-    Attributes:
-        action: The action as ROS writes it.
-        goal: The layout of its goals.
-        result: The layout of its results.
-        feedback: The layout of its feedback.
-        on_new_goal: What becomes of a goal that comes while the PLC has one.
-        queue: Goals that wait at most; 0 unless ``on_new_goal`` is ``buffer``.
-        accept_ns: How long the PLC may take to decide on a goal.
-        keep_result_ns: How long a goal and its result are kept after its end.
-        when_plc_down: What becomes of a goal in ROS whose PLC has gone.
-    """
-
-    action: str
-    goal: Layout
-    result: Layout
-    feedback: Layout
+    action: str  # the action as ROS writes it
+    goal: Layout  # the layout of its goals
+    result: Layout  # the layout of its results
+    feedback: Layout  # the layout of its feedback
+    # what becomes of a goal that comes while the PLC has one
     on_new_goal: Literal["reject", "abort", "buffer"] = "reject"
-    queue: int = 0
-    accept_ns: int = 5_000_000_000
-    keep_result_ns: int = 10_000_000_000
-    when_plc_down: Literal["cancel", "keep"] = "cancel"
+    queue: int = 0  # goals that wait at most; 0 unless ``on_new_goal`` is ``buffer``
+    accept_ns: int = 5_000_000_000  # how long the PLC may take to decide on a goal
+    keep_result_ns: int = 10_000_000_000  # how long a goal and its result are kept after its end
+    when_plc_down: Literal["cancel", "keep"] = "cancel"  # what becomes of a goal in ROS whose PLC has gone
 
     kind = "action"
     parts = ACTION

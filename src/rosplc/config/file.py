@@ -27,17 +27,12 @@ _MOST_WARNINGS = 5
 
 @dataclass(frozen=True)
 class Config:
-    """Settings together with the file that they come from.
+    """Settings together with the file that they come from."""
 
-    Attributes:
-        settings: What the file says, defaults filled in.
-        source: The file's keys and lines, to name a place in later errors.
-        base: The folder that relative paths refer to.
-    """
-
-    settings: Settings
+    settings: Settings  # what the file says, defaults filled in
+    # the file's keys and lines, to name a place in later errors
     source: YamlSource = field(default_factory=lambda: YamlSource("<settings>"), repr=False)
-    base: Path = field(default_factory=Path)
+    base: Path = field(default_factory=Path)  # the folder that relative paths refer to
 
     @property
     def path(self) -> Path | None:

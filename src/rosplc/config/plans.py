@@ -20,22 +20,14 @@ __all__ = ["ClassicPlan", "Demand", "StalePlan", "classic_name", "classic_plan",
 
 @dataclass(frozen=True)
 class ClassicPlan:
-    """A topic whose record stands alone at offset 0 of a shared memory, guarded by a semaphore.
+    """A topic whose record stands alone at offset 0 of a shared memory, guarded by a semaphore."""
 
-    Attributes:
-        name: The memory's name, without a slash: ``/dev/shm/NAME``.
-        semaphore: The semaphore's name, ``/dev/shm/sem.NAME``; empty if nothing guards the memory.
-        wait_ns: How long a side tries to get the lock before it leaves it for the next time.
-        recover_after_ns: How long the lock must be held, without any sign of life, before its
-            holder counts as dead.
-        poll_ns: Towards ROS: time between two looks at the memory.
-    """
-
-    name: str
-    semaphore: str
-    wait_ns: int = 5_000_000
+    name: str  # the memory's name, without a slash: ``/dev/shm/NAME``
+    semaphore: str  # the semaphore's name, ``/dev/shm/sem.NAME``; empty if nothing guards the memory
+    wait_ns: int = 5_000_000  # how long a side tries to get the lock before it leaves it for the next time
+    # how long the lock must be held, without any sign of life, before its holder counts as dead
     recover_after_ns: int = 1_000_000_000
-    poll_ns: int = 1_000_000
+    poll_ns: int = 1_000_000  # towards ROS: time between two looks at the memory
 
 
 def classic_name(topic: str) -> str:
@@ -85,20 +77,15 @@ _SHORTEST_NS = parse_duration("1ms")
 
 @dataclass(frozen=True)
 class StalePlan:
-    """What is there while a topic's source is silent.
+    """What is there while a topic's source is silent."""
 
-    Attributes:
-        action: Towards the PLC ``hold`` the last message, ``zero``, or ``value``; towards ROS ``stop`` or
-            ``substitute``.
-        value: The fields of the message that takes the source's place; what it lacks is initial.
-        record: The same as a record; empty unless there is such a message.
-        period_ns: Towards ROS: time between two substitutes.
-    """
-
+    # towards the PLC ``hold`` the last message, ``zero``, or ``value``; towards ROS ``stop`` or
+    # ``substitute``
     action: Literal["hold", "zero", "value", "stop", "substitute"] = "hold"
+    # the fields of the message that takes the source's place; what it lacks is initial
     value: Mapping[str, Any] = field(default_factory=dict)
-    record: bytes = b""
-    period_ns: int = 0
+    record: bytes = b""  # the same as a record; empty unless there is such a message
+    period_ns: int = 0  # towards ROS: time between two substitutes
 
 
 def flag_topic(topic: str) -> str:
@@ -226,21 +213,13 @@ _MOST = 65536
 
 @dataclass(frozen=True)
 class Demand:
-    """What the slots have to stand.
+    """What the slots have to stand."""
 
-    Attributes:
-        period_ns: Shortest time between two messages; 0 if unknown.
-        visit_ns: Time between two visits of the reader.
-        record_size: Bytes of a record.
-        every: Every message counts.
-        by_bridge: The reader is the bridge.
-    """
-
-    period_ns: int
-    visit_ns: int
-    record_size: int
-    every: bool
-    by_bridge: bool = False
+    period_ns: int  # shortest time between two messages; 0 if unknown
+    visit_ns: int  # time between two visits of the reader
+    record_size: int  # bytes of a record
+    every: bool  # every message counts
+    by_bridge: bool = False  # the reader is the bridge
 
 
 def least_slots(demand: Demand) -> int:

@@ -51,44 +51,26 @@ _STALE_NS = {"plc": 1_000_000_000, "ros": 0}
 
 @dataclass(frozen=True)
 class TopicPlan:
-    """One topic with everything decided.
+    """One topic with everything decided."""
 
-    Attributes:
-        topic: The topic as ROS writes it.
-        type_name: ``package/msg/Name``.
-        direction: Where its messages go.
-        layout: The record's layout.
-        qos: Quality of service on the ROS side.
-        slots: Slots of the object, a power of two.
-        every: Every message counts, in order; otherwise the newest alone.
-        latched: A message from before counts: a PLC that starts takes it as new, a bridge that starts
-            publishes it again, and in classic memory it is a message.
-        task: Name of the PLC task.
-        min_interval_ns: Shortest time between two messages passed on; 0 for no limit.
-        stale_after_ns: Age at which the last message counts as stale; 0 for never.
-        on_stale: What is there while the source is silent.
-        on_change: Only messages that differ from the one before are passed on.
-        truncate: What does not fit is cut, not refused.
-        print: Each message is logged.
-        classic: Set for a topic in classic mode: a bare record instead of a channel.
-    """
-
-    topic: str
-    type_name: str
-    direction: Direction
-    layout: Layout
-    qos: Qos
-    slots: int = 4
-    every: bool = False
+    topic: str  # the topic as ROS writes it
+    type_name: str  # ``package/msg/Name``
+    direction: Direction  # where its messages go
+    layout: Layout  # the record's layout
+    qos: Qos  # quality of service on the ROS side
+    slots: int = 4  # slots of the object, a power of two
+    every: bool = False  # every message counts, in order; otherwise the newest alone
+    # a message from before counts: a PLC that starts takes it as new, a bridge that starts
+    # publishes it again, and in classic memory it is a message
     latched: bool = False
-    task: str = ""
-    min_interval_ns: int = 0
-    stale_after_ns: int = 0
-    on_stale: StalePlan = field(default_factory=StalePlan)
-    on_change: bool = False
-    truncate: bool = False
-    print: bool = False
-    classic: ClassicPlan | None = None
+    task: str = ""  # name of the PLC task
+    min_interval_ns: int = 0  # shortest time between two messages passed on; 0 for no limit
+    stale_after_ns: int = 0  # age at which the last message counts as stale; 0 for never
+    on_stale: StalePlan = field(default_factory=StalePlan)  # what is there while the source is silent
+    on_change: bool = False  # only messages that differ from the one before are passed on
+    truncate: bool = False  # what does not fit is cut, not refused
+    print: bool = False  # each message is logged
+    classic: ClassicPlan | None = None  # set for a topic in classic mode: a bare record instead of a channel
 
     @property
     def name(self) -> str:

@@ -44,18 +44,12 @@ KeyPath = tuple["str | int", ...]
 
 @dataclass(frozen=True)
 class YamlSource:
-    """A parsed file.
+    """A parsed file."""
 
-    Attributes:
-        name: The file's name, as the user gave it.
-        data: Mappings (keys are text), lists, and scalars.
-        lines: Key path → line, counted from 1.
-        starts: Key path → where the key begins, in characters of the text.
-    """
-
-    name: str
-    data: Any = None
-    lines: dict[KeyPath, int] = field(default_factory=dict)
+    name: str  # the file's name, as the user gave it
+    data: Any = None  # mappings (keys are text), lists, and scalars
+    lines: dict[KeyPath, int] = field(default_factory=dict)  # key path → line, counted from 1
+    # key path → where the key begins, in characters of the text
     starts: dict[KeyPath, int] = field(default_factory=dict, repr=False)
 
     def line(self, path: Sequence[str | int]) -> int:

@@ -97,20 +97,14 @@ class SequenceNode(_Elements):
 
 @dataclass(frozen=True, slots=True)
 class Member:
-    """One member of a struct.
+    """One member of a struct."""
 
-    Attributes:
-        name: The field's name; for a sequence's count the sequence's name (``count_of`` tells
-            the two apart); empty for padding. Generators choose identifiers for both.
-        offset: Bytes from the start of the enclosing struct.
-        node: What is there.
-        count_of: For a sequence's count: the name of the sequence member; else None.
-    """
-
+    # the field's name; for a sequence's count the sequence's name (``count_of`` tells the two
+    # apart); empty for padding. Generators choose identifiers for both.
     name: str
-    offset: int
-    node: Node
-    count_of: str | None = None
+    offset: int  # bytes from the start of the enclosing struct
+    node: Node  # what is there
+    count_of: str | None = None  # for a sequence's count: the name of the sequence member; else None
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,15 +20,11 @@ _SHOWN = 8
 
 
 class Excerpt(list[Any]):
-    """The first elements of an array that is longer.
-
-    Attributes:
-        length: How many elements the array has.
-    """
+    """The first elements of an array that is longer."""
 
     def __init__(self, elements: Iterable[Any], length: int) -> None:
         super().__init__(elements)
-        self.length = length
+        self.length = length  # how many elements the array has
 
 
 class StructReader:

@@ -29,13 +29,10 @@ class _Pin:
 
 @dataclass(frozen=True)
 class _Step:
-    """A check of the record in ``stShadow``.
+    """A check of the record in ``stShadow``."""
 
-    Attributes:
-        kind: ``"count"``: keep ``path`` at most ``limit``; ``"string"``: end it after ``limit`` characters;
-            ``"loop"``: the steps ``inner`` for ``path`` from 0 to ``limit``.
-    """
-
+    # ``"count"``: keep ``path`` at most ``limit``; ``"string"``: end it after ``limit`` characters;
+    # ``"loop"``: the steps ``inner`` for ``path`` from 0 to ``limit``
     kind: str
     path: str
     limit: int

@@ -59,13 +59,11 @@ class Scope:
 
     Args:
         taken: Names that exist already.
-
-    Attributes:
-        renamed: ``(wanted, given)`` for each name that had to change, in order.
     """
 
     def __init__(self, taken: Iterable[str] = ()) -> None:
         self._taken = {name.upper() for name in taken}
+        # ``(wanted, given)`` for each name that had to change, in order
         self.renamed: list[tuple[str, str]] = []
 
     def give_all(self, wanted: Sequence[str]) -> tuple[str, ...]:

@@ -36,33 +36,21 @@ def classic_wait(classic: ClassicPlan, cycle_ns: int) -> int:
 
 @dataclass(frozen=True)
 class PlcTopic:
-    """One topic as the PLC sees it.
+    """One topic as the PLC sees it."""
 
-    Attributes:
-        topic: As ROS writes it.
-        layout: Its message's layout.
-        direction: ``"read"`` towards the PLC, ``"write"`` towards ROS.
-        task: Name of the task that serves it.
-        object_size: Bytes of the shared-memory object; 0: the block asks the object.
-        stale_after_ns: Age from which a message is stale; 0: never.
-        on_stale: What the message becomes then.
-        safe: With ``on_stale="value"``: the fields of that message, as a constant of the project; None: what
-            a program puts into ``stSafe``.
-        in_order: Take every message, not only the newest.
-        latched: Take the state found at the start as a new message.
-        classic: Set for a topic in classic mode, without ``object_size`` and ``in_order``.
-    """
-
-    topic: str
-    layout: Layout
-    direction: Literal["read", "write"]
-    task: str
-    object_size: int = 0
-    stale_after_ns: int = 0
-    on_stale: Literal["hold", "zero", "value"] = "hold"
+    topic: str  # as ROS writes it
+    layout: Layout  # its message's layout
+    direction: Literal["read", "write"]  # ``"read"`` towards the PLC, ``"write"`` towards ROS
+    task: str  # name of the task that serves it
+    object_size: int = 0  # bytes of the shared-memory object; 0: the block asks the object
+    stale_after_ns: int = 0  # age from which a message is stale; 0: never
+    on_stale: Literal["hold", "zero", "value"] = "hold"  # what the message becomes then
+    # with ``on_stale="value"``: the fields of that message, as a constant of the project; None:
+    # what a program puts into ``stSafe``
     safe: Mapping[str, Any] | None = None
-    in_order: bool = False
-    latched: bool = False
+    in_order: bool = False  # take every message, not only the newest
+    latched: bool = False  # take the state found at the start as a new message
+    # set for a topic in classic mode, without ``object_size`` and ``in_order``
     classic: ClassicPlan | None = None
 
 
@@ -80,27 +68,19 @@ class PlcTask:
 
 @dataclass(frozen=True)
 class ProjectOptions:
-    """What holds for the whole project.
+    """What holds for the whole project."""
 
-    Attributes:
-        folder: The top folder in the PLC project.
-        prefix: The prefix of shared-memory names.
-        target: The PLC's processor, ``"x86"`` or ``"arm"``.
-        fenced: Whether the target orders memory accesses by a fence: on x86 it does, on ARM only where the
-            device description enables the MemoryBarrier library; where the project lacks the library the
-            blocks follow the delayed rule nevertheless.
-        beat_ms: The least that a task promises as the longest time between two beats; see :func:`beat_ms`.
-        programs: What the names of the generated programs begin with.
-        pins: Give blocks a pin for each top-level field.
-    """
-
-    folder: str = "ROS"
-    prefix: str = "rosplc"
-    target: Literal["x86", "arm"] = "x86"
+    folder: str = "ROS"  # the top folder in the PLC project
+    prefix: str = "rosplc"  # the prefix of shared-memory names
+    target: Literal["x86", "arm"] = "x86"  # the PLC's processor, ``"x86"`` or ``"arm"``
+    # whether the target orders memory accesses by a fence: on x86 it does, on ARM only where the
+    # device description enables the MemoryBarrier library; where the project lacks the library the
+    # blocks follow the delayed rule nevertheless
     fenced: bool = True
+    # the least that a task promises as the longest time between two beats; see :func:`beat_ms`
     beat_ms: int = 0
-    programs: str = "SharedMemory"
-    pins: bool = False
+    programs: str = "SharedMemory"  # what the names of the generated programs begin with
+    pins: bool = False  # give blocks a pin for each top-level field
 
 
 def target_of(machine: str) -> Literal["x86", "arm"]:

@@ -21,21 +21,14 @@ PouKind: TypeAlias = Literal["FUNCTION_BLOCK", "PROGRAM", "FUNCTION"]
 
 @dataclass(frozen=True, slots=True)
 class Variable:
-    """One declared variable or struct member.
+    """One declared variable or struct member."""
 
-    Attributes:
-        name: The identifier.
-        type: The type as Structured Text, ``ARRAY[0..5] OF LREAL``.
-        initial: The initial value as Structured Text, if any.
-        comment: One line for people.
-        arguments: What a function block's FB_Init takes, as Structured Text, in its order:
-            ``(("sTopic", "'/cmd_vel'"),)`` is written ``name : type(sTopic := '/cmd_vel')``.
-    """
-
-    name: str
-    type: str
-    initial: str | None = None
-    comment: str = ""
+    name: str  # the identifier
+    type: str  # the type as Structured Text, ``ARRAY[0..5] OF LREAL``
+    initial: str | None = None  # the initial value as Structured Text, if any
+    comment: str = ""  # one line for people
+    # what a function block's FB_Init takes, as Structured Text, in its order: ``(("sTopic",
+    # "'/cmd_vel'"),)`` is written ``name : type(sTopic := '/cmd_vel')``
     arguments: tuple[tuple[str, str], ...] = ()
 
 
@@ -124,23 +117,16 @@ class Task(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class PlcProject:
-    """Everything that a generation produces; objects stand in the order in which they depend.
+    """Everything that a generation produces; objects stand in the order in which they depend."""
 
-    Attributes:
-        name: The top folder's name in the PLC project.
-        libraries: Library names to add (``"SysShm"``), as the library manager lists them.
-        notes: What a person should know: renamed identifiers, sizes near a limit.
-        programs: What the names of the programs begin with.
-    """
-
-    name: str
+    name: str  # the top folder's name in the PLC project
     duts: tuple[Dut | Enumeration, ...] = ()
     gvls: tuple[Gvl, ...] = ()
     pous: tuple[Pou, ...] = ()
     tasks: tuple[Task, ...] = ()
-    libraries: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
-    programs: str = "SharedMemory"
+    libraries: tuple[str, ...] = ()  # library names to add (``"SysShm"``), as the library manager lists them
+    notes: tuple[str, ...] = ()  # what a person should know: renamed identifiers, sizes near a limit
+    programs: str = "SharedMemory"  # what the names of the programs begin with
 
     @property
     def items(self) -> tuple[Item, ...]:

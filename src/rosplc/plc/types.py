@@ -54,25 +54,16 @@ class MemberNames:
 
 @dataclass
 class DutBuilder:
-    """Collects the DUTs that layouts need, each once, in the order in which they depend.
+    """Collects the DUTs that layouts need, each once, in the order in which they depend."""
 
-    Attributes:
-        store: Knows default values and constants.
-        folder: The folder of everything built.
-        scope: Names of the project's objects; who adds objects takes their names from it.
-        duts: What has been built.
-        constants: Variable lists of the types' constants.
-        renamings: Names that had to change.
-        omitted: Values that Structured Text cannot write, as sentences.
-    """
-
-    store: TypeStore
-    folder: str = ""
+    store: TypeStore  # knows default values and constants
+    folder: str = ""  # the folder of everything built
+    # names of the project's objects; who adds objects takes their names from it
     scope: Scope = field(default_factory=Scope)
-    duts: list[Dut] = field(default_factory=list)
-    constants: list[Gvl] = field(default_factory=list)
-    renamings: list[Renaming] = field(default_factory=list)
-    omitted: list[str] = field(default_factory=list)
+    duts: list[Dut] = field(default_factory=list)  # what has been built
+    constants: list[Gvl] = field(default_factory=list)  # variable lists of the types' constants
+    renamings: list[Renaming] = field(default_factory=list)  # names that had to change
+    omitted: list[str] = field(default_factory=list)  # values that Structured Text cannot write, as sentences
     _names: dict[StructNode, MemberNames] = field(default_factory=dict)
     _seen_types: set[str] = field(default_factory=set)
 

@@ -57,10 +57,6 @@ class Conversion:
         from_ros1: Whether messages come in ROS 1's serialization; else in CDR. ``to_ros1`` likewise.
         where: The topic, for errors.
 
-    Attributes:
-        notes: What differs between the two.
-        unchanged: Whether a message's bytes are the same under both.
-
     Raises:
         RecordingError: REC007, a field has two types that do not agree, or the two have no field in common.
     """
@@ -78,8 +74,8 @@ class Conversion:
     ) -> None:
         self._source, self._target, self._where = source, target, where
         self._from_ros1, self._to_ros1 = from_ros1, to_ros1
-        self.notes: list[str] = []
-        self.unchanged = from_ros1 == to_ros1
+        self.notes: list[str] = []  # what differs between the two
+        self.unchanged = from_ros1 == to_ros1  # whether a message's bytes are the same under both
         if source_type != target_type:
             self.notes.append(f"{source_type} is given as {target_type}")
         self._is_log = (source_type, target_type) == _LOG

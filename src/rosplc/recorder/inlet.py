@@ -104,12 +104,6 @@ class Inlet:
         qos: Topic → QoS, as far as a configuration says it.
         watch: Given a channel that is being attached, returns what its messages are shown to, or None.
         clock: What messages are stamped with, and when a batch is full.
-
-    Attributes:
-        channels: Channel id → how files name it, for every channel that was ever taken.
-        counts: Topic → what was taken and missed.
-        failures: Object name → why it cannot be taken.
-        error: What ended the taking thread before its time; None if nothing has.
     """
 
     def __init__(
@@ -129,9 +123,11 @@ class Inlet:
         self._chunk_bytes, self._flush_ns = chunk_bytes, flush_ns
         self._qos = qos or {}
         self._watch = watch
+        # channel id → how files name it, for every channel that was ever taken
         self.channels: dict[int, ChannelInfo] = {}
-        self.counts: dict[str, TopicCount] = {}
-        self.failures: dict[str, ChannelError] = {}
+        self.counts: dict[str, TopicCount] = {}  # topic → what was taken and missed
+        self.failures: dict[str, ChannelError] = {}  # object name → why it cannot be taken
+        # what ended the taking thread before its time; None if nothing has
         self.error: Exception | None = None
         self._numbers: dict[tuple[str, bytes, str], int] = {}
         self._entries: dict[str, _Entry] = {}

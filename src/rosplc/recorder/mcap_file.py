@@ -150,12 +150,6 @@ def seal(batch: Batch, compression: Compression) -> SealedChunk:
 class McapFile:
     """A file that is being written; nothing may have its name yet.
 
-    Attributes:
-        size: Bytes, whole records only.
-        finished: Whether the summary is written.
-        counts: Channel id → messages written.
-        taken_back: Channel id → messages that gave way to the summary.
-
     Raises:
         OSError: It cannot be created, or written; also from the other methods.
     """
@@ -163,10 +157,10 @@ class McapFile:
     def __init__(self, path: Path, profile: str = "ros2") -> None:
         self.path = path
         self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
-        self.size = 0
-        self.finished = False
-        self.counts: Counter[int] = Counter()
-        self.taken_back: Counter[int] = Counter()
+        self.size = 0  # bytes, whole records only
+        self.finished = False  # whether the summary is written
+        self.counts: Counter[int] = Counter()  # channel id → messages written
+        self.taken_back: Counter[int] = Counter()  # channel id → messages that gave way to the summary
         self._schemas: dict[tuple[str, bytes], Schema] = {}
         self._channels: dict[int, Channel] = {}
         self._chunks: list[ChunkIndex] = []
@@ -346,27 +340,19 @@ class Part(NamedTuple):
 
 @dataclass
 class Survey:
-    """What a file holds.
-
-    Attributes:
-        profile: From the header.
-        schemas: By id, as are ``channels``.
-        metadata: Metadata records, in their order.
-        parts: Where messages are, in the order of the file.
-        counts: Channel id → messages; empty where the file does not have it and was not counted.
-        complete: Whether the file ends as it should; ``problem`` is why it does not.
-        damaged: Parts that cannot be read; :func:`survey` finds them only if it has to look inside.
-    """
+    """What a file holds."""
 
     path: Path
-    profile: str = ""
-    schemas: dict[int, Schema] = field(default_factory=dict)
+    profile: str = ""  # from the header
+    schemas: dict[int, Schema] = field(default_factory=dict)  # by id, as are ``channels``
     channels: dict[int, Channel] = field(default_factory=dict)
-    metadata: list[Metadata] = field(default_factory=list)
-    parts: list[Part] = field(default_factory=list)
+    metadata: list[Metadata] = field(default_factory=list)  # metadata records, in their order
+    parts: list[Part] = field(default_factory=list)  # where messages are, in the order of the file
+    # channel id → messages; empty where the file does not have it and was not counted
     counts: Counter[int] = field(default_factory=Counter)
-    complete: bool = False
+    complete: bool = False  # whether the file ends as it should; ``problem`` is why it does not
     problem: str = ""
+    # parts that cannot be read; :func:`survey` finds them only if it has to look inside
     damaged: list[Part] = field(default_factory=list)
 
     def note(self, record: McapRecord) -> None:

@@ -29,38 +29,24 @@ _SETTLE_NS = 200_000_000
 
 @dataclass(frozen=True)
 class RecordingOptions:
-    """What is to be recorded, and how.
+    """What is to be recorded, and how."""
 
-    Attributes:
-        namespace: The channels' prefix and directory.
-        base: The file's path without ``.mcap``; of a ring buffer's files, what their names begin with.
-        bag: Write folders as `ros2 bag record` does.
-        flush_ns: How old a chunk becomes before it is written: what a crash may cost.
-        qos: Topic → QoS, as far as a configuration says it.
-        distro: The ROS distribution that is named in the file.
-        keep_ns: How much a ring buffer keeps; 0: everything is written at once.
-        memory: Bytes that a ring buffer's chunks may have.
-        after_ns: How long it goes on after a trigger before it is saved.
-        most_files: How many times it is saved; more would fill the disk.
-        expected: What is stale, as far as a configuration says it.
-    """
-
-    namespace: Namespace
-    base: Path
+    namespace: Namespace  # the channels' prefix and directory
+    base: Path  # the file's path without ``.mcap``; of a ring buffer's files, what their names begin with
     selection: Selection = field(default_factory=Selection)
     split: Split = field(default_factory=Split)
-    bag: bool = False
+    bag: bool = False  # write folders as `ros2 bag record` does
     compression: Compression = "zstd"
     chunk_bytes: int = 1 << 20
-    flush_ns: int = 1_000_000_000
-    qos: Mapping[str, Qos] = field(default_factory=dict)
-    distro: str = ""
-    keep_ns: int = 0
-    memory: int = 200_000_000
+    flush_ns: int = 1_000_000_000  # how old a chunk becomes before it is written: what a crash may cost
+    qos: Mapping[str, Qos] = field(default_factory=dict)  # topic → QoS, as far as a configuration says it
+    distro: str = ""  # the ROS distribution that is named in the file
+    keep_ns: int = 0  # how much a ring buffer keeps; 0: everything is written at once
+    memory: int = 200_000_000  # bytes that a ring buffer's chunks may have
     triggers: Sequence[str] = ()
-    after_ns: int = 0
-    most_files: int = 100
-    expected: Expected | None = None
+    after_ns: int = 0  # how long it goes on after a trigger before it is saved
+    most_files: int = 100  # how many times it is saved; more would fill the disk
+    expected: Expected | None = None  # what is stale, as far as a configuration says it
 
 
 @dataclass(frozen=True)

@@ -76,19 +76,13 @@ class SentCount:
 
 
 class Target(ABC):
-    """Where messages go; converted on the way.
+    """Where messages go; converted on the way."""
 
-    Attributes:
-        counts: Topic → what became of its messages.
-        notes: What is converted, dropped or left zero on the way.
-        linger_s: How long to stay after the last message, in seconds.
-    """
-
-    linger_s = 0.0
+    linger_s = 0.0  # how long to stay after the last message, in seconds
 
     def __init__(self, topics: Collection[str]) -> None:
-        self.counts = {name: SentCount() for name in topics}
-        self.notes: list[str] = []
+        self.counts = {name: SentCount() for name in topics}  # topic → what became of its messages
+        self.notes: list[str] = []  # what is converted, dropped or left zero on the way
         self._conversions: dict[str, Conversion] = {}
         self._clients: dict[str, ServiceClient | PlcService] = {}
 
@@ -165,19 +159,13 @@ _NAP_S = 0.2
 
 @dataclass(frozen=True)
 class ReplayOptions:
-    """How a recording is replayed.
+    """How a recording is replayed."""
 
-    Attributes:
-        speed: 1 as recorded, 2 twice as fast; 0 as fast as possible.
-        start_ns: Leave out so much at the beginning.
-        end_ns: End so long after the recording's beginning; 0 for its end.
-        stamps: ``now``: a message is stamped when it is sent; ``original``: as it was recorded.
-    """
-
-    speed: float = 1.0
+    speed: float = 1.0  # 1 as recorded, 2 twice as fast; 0 as fast as possible
     loop: bool = False
-    start_ns: int = 0
-    end_ns: int = 0
+    start_ns: int = 0  # leave out so much at the beginning
+    end_ns: int = 0  # end so long after the recording's beginning; 0 for its end
+    # ``now``: a message is stamped when it is sent; ``original``: as it was recorded
     stamps: Literal["now", "original"] = "now"
 
 
@@ -228,26 +216,17 @@ def chosen_topics(
 
 @dataclass
 class Player:
-    """Plays a recording into a target.
-
-    Attributes:
-        topics: New name → topic.
-        clock: What the pace is kept by, and messages are stamped with.
-        rounds: How many times it was begun.
-        position_ns: How far it is from the recording's beginning.
-        latest_ns: The most that a message was sent too late, at a speed other than the fastest.
-        disordered: Messages whose time lies before that of the one sent before.
-    """
+    """Plays a recording into a target."""
 
     source: Source
     target: Target
-    topics: Mapping[str, SourceTopic]
+    topics: Mapping[str, SourceTopic]  # new name → topic
     options: ReplayOptions = field(default_factory=ReplayOptions)
-    clock: Clock = SYSTEM
-    rounds: int = 0
-    position_ns: int = 0
-    latest_ns: int = 0
-    disordered: int = 0
+    clock: Clock = SYSTEM  # what the pace is kept by, and messages are stamped with
+    rounds: int = 0  # how many times it was begun
+    position_ns: int = 0  # how far it is from the recording's beginning
+    latest_ns: int = 0  # the most that a message was sent too late, at a speed other than the fastest
+    disordered: int = 0  # messages whose time lies before that of the one sent before
 
     def play(self, stopped: Callable[[float], bool], look: Callable[[], None] = lambda: None) -> None:
         """Play until the end, or until told to stop.

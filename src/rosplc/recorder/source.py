@@ -26,32 +26,21 @@ _OPEN_PARTS = 64
 
 @dataclass(frozen=True)
 class SourceTopic:
-    """A topic of a recording.
-
-    Attributes:
-        type_name: ``package/msg/Name``.
-        definition: The ``.msg`` text with every type that it needs; None if the distribution has it.
-        type_hash: What the recording gives as its type's hash; empty if it does not.
-        count: Messages.
-        qos: What its publisher offered.
-        direction: ``to_plc`` or ``to_ros`` if a bridge's channel was recorded; else empty.
-        limits: The channel's limits, as a self-description has them; None if there was no channel.
-        slots: The channel's slots; 0 if there was none.
-        distro: The distribution that its definition comes from; empty if unknown.
-        ros1: Whether its messages are in ROS 1's serialization; else in CDR.
-    """
+    """A topic of a recording."""
 
     name: str
-    type_name: str
+    type_name: str  # ``package/msg/Name``
+    # the ``.msg`` text with every type that it needs; None if the distribution has it
     definition: str | None = None
-    count: int = 0
-    qos: Qos = DEFAULT
-    direction: str = ""
+    count: int = 0  # messages
+    qos: Qos = DEFAULT  # what its publisher offered
+    direction: str = ""  # ``to_plc`` or ``to_ros`` if a bridge's channel was recorded; else empty
+    # the channel's limits, as a self-description has them; None if there was no channel
     limits: Mapping[str, Any] | None = None
-    slots: int = 0
-    distro: str = ""
-    ros1: bool = False
-    type_hash: str = ""
+    slots: int = 0  # the channel's slots; 0 if there was none
+    distro: str = ""  # the distribution that its definition comes from; empty if unknown
+    ros1: bool = False  # whether its messages are in ROS 1's serialization; else in CDR
+    type_hash: str = ""  # what the recording gives as its type's hash; empty if it does not
 
     @property
     def service(self) -> str:

@@ -167,10 +167,6 @@ class FileStore:
         bag: Write a folder with a ``metadata.yaml``, as `ros2 bag record` does.
         distro: The ROS distribution that ``metadata.yaml`` names.
 
-    Attributes:
-        written: The files that are finished.
-        taken_back: Channel id → messages that gave way to the end of a file, on a full disk.
-
     Raises:
         RecordingError: REC001, the first file cannot be created; REC002, the disk is full. Also from
             the other methods; the files that there are stay readable.
@@ -191,7 +187,8 @@ class FileStore:
         self._bag, self._distro = bag, distro
         self._counts: Counter[int] = Counter()
         self._said: Mapping[str, str] = {}
-        self.written: list[Written] = []
+        self.written: list[Written] = []  # the files that are finished
+        # channel id → messages that gave way to the end of a file, on a full disk
         self.taken_back: Counter[int] = Counter()
         if bag:
             with _writing(base):

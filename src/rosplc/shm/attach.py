@@ -86,23 +86,18 @@ def belong_together(found: Mapping[Part, Attached]) -> None:
 
 
 class Mapped(ABC):
-    """A mapped object; a context manager that closes it.
-
-    Attributes:
-        identity: The validated private copy of lines 0 and 1.
-        region: The mapping.
-        process: The process that writes it.
-    """
+    """A mapped object; a context manager that closes it."""
 
     def __init__(
         self, fd: int, path: str, direction: Direction | None, write: bool, part: Part = Part.TOPIC
     ) -> None:
         self._first, size = read_header(fd)
+        # the validated private copy of lines 0 and 1
         self.identity = Identity.parse(self._first, size, direction=direction, kind=part.value, where=path)
-        self.region = Region(fd, self._first, write, path)
+        self.region = Region(fd, self._first, write, path)  # the mapping
         status = os.fstat(fd)
         self._file = (status.st_dev, status.st_ino)
-        self.process = WriterProcess(*self._file)
+        self.process = WriterProcess(*self._file)  # the process that writes it
         self._users: list[Reader | Writer] = []
 
     def slot(self, sequence: int) -> SlotState | None:
@@ -130,17 +125,13 @@ class Mapped(ABC):
 
 
 class Attached(Mapped):
-    """An object that somebody else has made.
-
-    Attributes:
-        path: The object's path.
-    """
+    """An object that somebody else has made."""
 
     def __init__(
         self, fd: int, path: str, direction: Direction | None, write: bool, part: Part = Part.TOPIC
     ) -> None:
         super().__init__(fd, path, direction, write, part)
-        self.path = path
+        self.path = path  # the object's path
 
     @cached_property
     def description(self) -> Description:

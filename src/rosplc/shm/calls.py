@@ -51,15 +51,11 @@ class Caller:
         writer: Its writer.
         follows_claim: Whether a call ends when the answerer's claim changes: in a bridge, which calls
             the PLC, but not in a PLC, whose call is answered by the bridge that comes back (M27).
-
-    Attributes:
-        correlation: The open call's number; 0 while none is open.
-        late: Answers dropped because they were not the open call's (M28).
     """
 
     def __init__(self, asks: Mapped, writer: Writer, *, follows_claim: bool) -> None:
-        self.correlation = 0
-        self.late = 0
+        self.correlation = 0  # the open call's number; 0 while none is open
+        self.late = 0  # answers dropped because they were not the open call's (M28)
         self._asks = asks
         self._writer = writer
         self._follows_claim = follows_claim
@@ -156,17 +152,14 @@ class Answerer:
         asks: The request or goal object.
         reader: Its reader.
         answers: The response or result object.
-
-    Attributes:
-        correlation: The number of the call that is being carried out; 0 while there is none.
-        unanswered: A call that an earlier answerer may have begun and has not answered; 0 if there is none.
-            A bridge answers it at once (``BRIDGE_RESTARTED``); in a PLC the caller ends it.
     """
 
     def __init__(self, asks: Mapped, reader: Reader, answers: Mapped) -> None:
-        self.correlation = 0
+        self.correlation = 0  # the number of the call that is being carried out; 0 while there is none
         before = asks.slot(reader.last)
         newest = answers.slot(answers.region.word(spec.WRITER_LINE["head"]))
+        # a call that an earlier answerer may have begun and has not answered; 0 if there is none. A
+        # bridge answers it at once (``BRIDGE_RESTARTED``); in a PLC the caller ends it.
         self.unanswered = before.correlation if before else 0
         self._answered = 0
         if newest and newest.status & spec.ANSWER_MASK in ENDS:

@@ -54,16 +54,11 @@ class Liveness:
 
 
 class Peer:
-    """The other side of a channel, by the observer's own clock.
-
-    Attributes:
-        alive: The beat or the sequence changed within the time that the peer promises.
-        silent: Neither did for longer than that. Just after the attach a peer is neither.
-    """
+    """The other side of a channel, by the observer's own clock."""
 
     def __init__(self) -> None:
-        self.alive = False
-        self.silent = False
+        self.alive = False  # the beat or the sequence changed within the time that the peer promises
+        self.silent = False  # neither did for longer than that. Just after the attach a peer is neither.
         self._beat_ms = -1
         self._liveness = Liveness(0)
         self._since_ns = 0

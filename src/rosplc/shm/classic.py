@@ -142,10 +142,6 @@ class ClassicObject:
 
     Args:
         semaphore: The semaphore's, without ``sem.``; empty if nothing guards the memory.
-
-    Attributes:
-        lock: None while it is not attached, and without a semaphore.
-        attachments: How often it was attached.
     """
 
     def __init__(
@@ -161,8 +157,8 @@ class ClassicObject:
     ) -> None:
         self.name, self.semaphore, self.record_size = name, semaphore, record_size
         self.memory: ClassicMemory | None = None
-        self.lock: ClassicLock | None = None
-        self.attachments = 0
+        self.lock: ClassicLock | None = None  # None while it is not attached, and without a semaphore
+        self.attachments = 0  # how often it was attached
         self._directory = Path(directory)
         self._write = write
         self._recover_after_ns = recover_after_ns

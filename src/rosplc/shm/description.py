@@ -14,31 +14,20 @@ from rosplc.shm.names import Part
 
 @dataclass(frozen=True)
 class Description:
-    """What a tool needs to read a channel that it has never heard of.
+    """What a tool needs to read a channel that it has never heard of."""
 
-    Attributes:
-        topic: As ROS writes it; a service's or action's name.
-        type: ``"package/msg/Name"``.
-        distro: The ROS distribution whose definitions were used.
-        direction: Which way the messages go.
-        limits: ``{"string": 80, "sequence": 16, "fields": {...}}``.
-        layout_id: 16 hexadecimal digits.
-        definition: The ``.msg`` text with every type that it uses.
-        part: What the object carries; this and the rest are written for services and actions only.
-        client: The name of one of several uses in the PLC.
-        partners: The other objects' parts and layout ids: ``{"response": "0123456789abcdef"}``.
-    """
-
-    topic: str
-    type: str
-    distro: str
-    direction: Direction
-    limits: Mapping[str, Any]
-    layout_id: str
+    topic: str  # as ROS writes it; a service's or action's name
+    type: str  # ``"package/msg/Name"``
+    distro: str  # the ROS distribution whose definitions were used
+    direction: Direction  # which way the messages go
+    limits: Mapping[str, Any]  # ``{"string": 80, "sequence": 16, "fields": {...}}``
+    layout_id: str  # 16 hexadecimal digits
     bridge: str
-    definition: str
+    definition: str  # the ``.msg`` text with every type that it uses
+    # what the object carries; this and the rest are written for services and actions only
     part: Part = Part.TOPIC
-    client: str = ""
+    client: str = ""  # the name of one of several uses in the PLC
+    # the other objects' parts and layout ids: ``{"response": "0123456789abcdef"}``
     partners: Mapping[str, str] = field(default_factory=dict)
 
     @property

@@ -62,14 +62,7 @@ def _round_up(value: int) -> int:
 
 @dataclass(frozen=True)
 class Identity:
-    """What an object is; sizes and offsets are bytes from its start.
-
-    Attributes:
-        layout_id: The record's layout id, 16 hexadecimal digits.
-        bridge_id: 16 random bytes of the bridge that created the object.
-        created_ns: Creation time, ns since 1970 UTC; for people.
-        kind: ``Part.value``.
-    """
+    """What an object is; sizes and offsets are bytes from its start."""
 
     direction: Direction
     slot_count: int
@@ -79,15 +72,15 @@ class Identity:
     object_size: int
     description_offset: int
     description_size: int
-    layout_id: str
+    layout_id: str  # the record's layout id, 16 hexadecimal digits
     generation: int
-    bridge_id: bytes
+    bridge_id: bytes  # 16 random bytes of the bridge that created the object
     creator_pid: int = 0
-    created_ns: int = 0
+    created_ns: int = 0  # creation time, ns since 1970 UTC; for people
     state: int = spec.STATE_LIVE
     version: int = spec.VERSION
     features_optional: int = 0
-    kind: int = spec.KIND_TOPIC
+    kind: int = spec.KIND_TOPIC  # ``Part.value``
 
     @classmethod
     def plan(cls, *, slots: int, record_size: int, description_size: int, **others: Any) -> Identity:

@@ -20,9 +20,6 @@ class NameLock:
     object of a bridge has stood at the name, 0 before and after that was retired. Its time of change is
     when a holder was last seen.
 
-    Attributes:
-        unheld_ns: For how long nothing had held the lock before, ns; 0 where that is not known.
-
     Args:
         rights: The object's: the lock file gets its mode and group, and its owner, as this process's user and
             root, may own an older lock file.
@@ -35,7 +32,7 @@ class NameLock:
 
     def __init__(self, path: Path, rights: Rights) -> None:
         self.path = path
-        self.unheld_ns = 0
+        self.unheld_ns = 0  # for how long nothing had held the lock before, ns; 0 where that is not known
         self._fd = -1
         while True:
             fd = _open_or_create(path)

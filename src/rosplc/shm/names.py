@@ -18,14 +18,7 @@ _CLIENT = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}")
 
 
 class Part(enum.Enum):
-    """What an object carries; the value is the word ``kind`` in its identity.
-
-    Attributes:
-        letters: In the object's name.
-        kind: ``"topic"``, ``"service"`` or ``"action"``.
-        word: ``"topic"``, ``"request"`` ...: as self-descriptions have it.
-        asks: Whether the caller writes it: the request of a service, the goal of an action.
-    """
+    """What an object carries; the value is the word ``kind`` in its identity."""
 
     TOPIC = spec.KIND_TOPIC
     REQUEST = spec.KIND_REQUEST
@@ -35,10 +28,12 @@ class Part(enum.Enum):
     FEEDBACK = spec.KIND_FEEDBACK
 
     def __init__(self, number: int) -> None:
-        self.word = self.name.lower()
+        self.word = self.name.lower()  # ``"topic"``, ``"request"`` ...: as self-descriptions have it
+        # ``"topic"``, ``"service"`` or ``"action"``
         self.kind = {1: "topic", 2: "service", 3: "action"}[number & 0xFF]
         letter = {"request": "q", "response": "r", "goal": "g", "result": "r", "feedback": "f"}
-        self.letters = self.kind[0] + letter.get(self.word, "")
+        self.letters = self.kind[0] + letter.get(self.word, "")  # in the object's name
+        # whether the caller writes it: the request of a service, the goal of an action
         self.asks = number in (spec.KIND_REQUEST, spec.KIND_GOAL)
 
     def direction(self, server: Literal["plc", "ros"]) -> Direction:
@@ -62,16 +57,12 @@ def fnv1a(text: str) -> int:
 class Namespace:
     """The names of one bridge: a prefix in a directory.
 
-    Attributes:
-        prefix: Keeps several bridges of one machine apart.
-        directory: Where the objects lie; anything but ``/dev/shm`` is for tests.
-
     Raises:
         ChannelError: SHM118 if the prefix is not valid.
     """
 
-    prefix: str = "rosplc"
-    directory: Path | str = "/dev/shm"
+    prefix: str = "rosplc"  # keeps several bridges of one machine apart
+    directory: Path | str = "/dev/shm"  # where the objects lie; anything but ``/dev/shm`` is for tests
 
     def __post_init__(self) -> None:
         if not _PREFIX.fullmatch(self.prefix):

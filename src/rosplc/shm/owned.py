@@ -259,12 +259,7 @@ def _sweep(directory: Path, temporary_prefix: str) -> None:
 
 
 class _Found:
-    """What is at a name whose lock this process holds.
-
-    Attributes:
-        fd: The object found or made; -1 none.
-        difference: Why the object found cannot be adopted; empty where there is none, None if it can.
-    """
+    """What is at a name whose lock this process holds."""
 
     def __init__(
         self, namespace: Namespace, description: Description, identity: Identity, rights: Rights
@@ -273,7 +268,8 @@ class _Found:
         self.path = namespace.path(*name)
         self.description = description
         self.lock = NameLock(namespace.lock_path(*name), rights)
-        self.fd = -1
+        self.fd = -1  # the object found or made; -1 none
+        # why the object found cannot be adopted; empty where there is none, None if it can
         self.difference: str | None = ""
         self._temporary = namespace.temporary_prefix(*name)
         self._identity = identity
