@@ -206,18 +206,28 @@ def test_goals_at_each_step(tmp_path: Path, shm_namespace: Namespace, domain: in
 
 
 @pytest.mark.parametrize(
-    ("sabotage", "steps", "words"),
+    ("sabotage", "step", "words"),
     [
-        ("republish", ["bridge: end taken"], "executed 2 times"),
-        ("no accept_within", [], "slow: executed too late"),
+        ("republish", "bridge: end taken", "executed 2 times"),
+        ("no accept_within", "", "executed too late"),
     ],
 )
 def test_the_check_sees_a_sabotaged_bridge(
-    tmp_path: Path, shm_namespace: Namespace, domain: int, sabotage: str, steps: list[str], words: str
+    tmp_path: Path, shm_namespace: Namespace, domain: int, sabotage: str, step: str, words: str
 ) -> None:
+    """Sooner or later: a PLC that is held up is silent for a while, and then gets no goal."""
     cell = Cell(tmp_path, shm_namespace, domain, sabotage)
-    _kills(cell, steps, 1, late=not steps)
-    assert any(words in line for line in cell.check())
+    with cell.running():
+        for number in range(20):
+            if step:
+                cell.kill_at(step, 1)
+            cell.complete()
+            cell.until_more()
+            if not step:
+                cell.send(f"slow{number}", SLOW_S + 5)
+            if any(words in line for line in cell.check()):
+                return
+    raise AssertionError(f"it did not see: {sabotage}")
 
 
 @pytest.mark.verify(minutes=15)
