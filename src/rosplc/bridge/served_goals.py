@@ -20,64 +20,34 @@ from rosplc.errors import RosplcError
 from rosplc.reasons import Reason
 from rosplc.ros import ActionServer, Backend, GoalStatus, action_classes
 from rosplc.shm import Caller, Part, SlotInfo
+from rosplc.shm import constants as spec
 from rosplc.shm.calls import WORDS
-from rosplc.shm.constants import (
-    ANSWER_ABORTED,
-    ANSWER_ACCEPTED,
-    ANSWER_CANCEL_ACCEPTED,
-    ANSWER_CANCEL_REJECTED,
-    ANSWER_CANCELED,
-    ANSWER_FATE_UNKNOWN,
-    ANSWER_MASK,
-    ANSWER_NOT_EXECUTED,
-    ANSWER_SUCCEEDED,
-    ASK_CALL,
-    ASK_CANCEL,
-    ASK_PREEMPT,
-    ASK_WITHDRAWN,
-    reader_line,
-)
 
 _GONE = "its objects were given up"
 _TICK_NS = 1_000_000_000
 _ENDS: dict[int, Outcome] = {
-    ANSWER_NOT_EXECUTED: "not executed",
-    ANSWER_FATE_UNKNOWN: "fate unknown",
+    spec.ANSWER_NOT_EXECUTED: "not executed",
+    spec.ANSWER_FATE_UNKNOWN: "fate unknown",
 }
-_OF_ACCEPTED = (ANSWER_ACCEPTED, ANSWER_SUCCEEDED, ANSWER_CANCELED, ANSWER_ABORTED)
+_OF_ACCEPTED = (spec.ANSWER_ACCEPTED, spec.ANSWER_SUCCEEDED, spec.ANSWER_CANCELED, spec.ANSWER_ABORTED)
 
 
 @dataclass(eq=False)
 class _Goal:
-    """A goal from ROS.
-
-    Attributes:
-        uuid: As ROS knows it.
-        record: The goal itself.
-        stamp_ns: When it was handed out, in ns since 1970.
-        claim: Who acted on goals then; each message of the goal says so, for a bridge that comes later.
-        number: Its correlation.
-        handed_ns: When it was handed out, on the monotonic clock.
-        asked: What the PLC was asked besides.
-        cancel: A request to cancel that the PLC has not been told of.
-        accepted: Whether the PLC has accepted it.
-        withdrawn: Whether the PLC was told that nobody waits for its decision.
-        unwanted: Whether its client has taken it back before the decision.
-        inherited: It was handed out by an earlier bridge.
-    """
+    """A goal from ROS."""
 
     uuid: bytes
     record: bytes
-    stamp_ns: int = 0
-    claim: int = 0
-    number: int = 0
-    handed_ns: int = 0
-    asked: int = 0
-    cancel: bool = False
+    stamp_ns: int = 0  # when it was handed out, in ns since 1970
+    claim: int = 0  # who acted on goals then; each message says so, for a bridge that comes later
+    number: int = 0  # its correlation
+    handed_ns: int = 0  # when it was handed out, on the monotonic clock
+    asked: int = 0  # what the PLC was asked besides
+    cancel: bool = False  # a request to cancel that the PLC has not been told of
     accepted: bool = False
-    withdrawn: bool = False
-    unwanted: bool = False
-    inherited: bool = False
+    withdrawn: bool = False  # the PLC was told that nobody waits for its decision
+    unwanted: bool = False  # its client has taken it back before the decision
+    inherited: bool = False  # it was handed out by an earlier bridge
 
 
 class ServedGoals(Calling):
@@ -200,10 +170,10 @@ class ServedGoals(Calling):
         goal, writer = self._open_goal, self._writer
         if goal is None or not goal.accepted or writer is None or self._taken != writer.head:
             return
-        ask = goal.asked | ASK_CANCEL * goal.cancel
+        ask = goal.asked | spec.ASK_CANCEL * goal.cancel
         repeats = goal.cancel and ask == goal.asked
         if self._waiting and self.plan.on_new_goal == "abort" and not repeats:
-            ask |= ASK_PREEMPT
+            ask |= spec.ASK_PREEMPT
         if goal.cancel or ask != goal.asked:
             assert self._caller is not None
             self._caller.again(self._sends(goal), ask)
@@ -237,7 +207,7 @@ class ServedGoals(Calling):
 
     def _look(self, server: ActionServer, now_ns: int) -> None:
         """Look at the PLC's side, and at what has become of the open goal."""
-        claim, beat, beat_ms, self._taken = self._channels[Part.GOAL].region.words(reader_line(0), 4)
+        claim, beat, beat_ms, self._taken = self._channels[Part.GOAL].region.words(spec.reader_line(0), 4)
         self._observe(claim, beat, self._taken, beat_ms, now_ns)
         self._take_answers(now_ns)
         self._take_feedback(server)
@@ -285,19 +255,19 @@ class ServedGoals(Calling):
 
     def _follow(self, server: ActionServer, goal: _Goal, payload: bytes, status: int, now_ns: int) -> None:
         """Bring a goal in ROS to where the PLC has it, through all steps between."""
-        self._accept(server, goal, bool(status & ANSWER_CANCEL_ACCEPTED))
-        answer = status & ANSWER_MASK
-        if status & ANSWER_CANCEL_ACCEPTED or answer == ANSWER_CANCELED:
+        self._accept(server, goal, bool(status & spec.ANSWER_CANCEL_ACCEPTED))
+        answer = status & spec.ANSWER_MASK
+        if status & spec.ANSWER_CANCEL_ACCEPTED or answer == spec.ANSWER_CANCELED:
             server.accept_cancel(goal.uuid)
-        elif status & ANSWER_CANCEL_REJECTED and not goal.cancel:
+        elif status & spec.ANSWER_CANCEL_REJECTED and not goal.cancel:
             server.reject_cancel(goal.uuid)
-        if answer == ANSWER_ACCEPTED:
+        if answer == spec.ANSWER_ACCEPTED:
             return
         self._take_feedback(server)
         self._open_goal = None
-        if answer == ANSWER_SUCCEEDED and server.succeed(goal.uuid, payload):
+        if answer == spec.ANSWER_SUCCEEDED and server.succeed(goal.uuid, payload):
             self._count("succeeded", Reason.NONE, now_ns)
-        elif answer == ANSWER_CANCELED and server.canceled(goal.uuid, payload):
+        elif answer == spec.ANSWER_CANCELED and server.canceled(goal.uuid, payload):
             self._count("canceled", Reason.NONE, now_ns)
         else:  # a goal that nobody in ROS asked to cancel cannot be canceled there
             server.abort(goal.uuid, payload)
@@ -338,21 +308,21 @@ class ServedGoals(Calling):
             elif goal is not None:
                 self._abort(goal, Reason.BRIDGE_RESTARTED, now, _GONE)
             return
-        if found is None or not found[1].status & ASK_CALL:
+        if found is None or not found[1].status & spec.ASK_CALL:
             return
         record, info = found
         if answer is not None and answer[1].correlation != info.correlation:
             answer = None
-        ended = answer is not None and answer[1].status & ANSWER_MASK != ANSWER_ACCEPTED
+        ended = answer is not None and answer[1].status & spec.ANSWER_MASK != spec.ANSWER_ACCEPTED
         if ended and answer is not None and answer[1].sequence == reader.last:
             return  # it was passed on
         goal = self._open_goal = _Goal(info.client, record, info.stamp_ns, info.reason, info.correlation, now)
-        goal.inherited, goal.asked = True, info.status & (ASK_CANCEL | ASK_PREEMPT)
+        goal.inherited, goal.asked = True, info.status & (spec.ASK_CANCEL | spec.ASK_PREEMPT)
         self.received += 1
         caller.resume(info, goal.claim)
         self._again = answer is not None
         # Accepted without a word to its client, it is to be canceled.
-        goal.cancel = answer is None or bool(info.status & ASK_WITHDRAWN)
+        goal.cancel = answer is None or bool(info.status & spec.ASK_WITHDRAWN)
         if answer is None and not self._withdraw(goal):
             self._reject(goal, "not executed", Reason.BRIDGE_RESTARTED, now)
 
@@ -392,5 +362,5 @@ class ServedGoals(Calling):
         self.finish(now_ns)
         if (goal := self._open_goal) is not None and self._caller is not None:
             with suppress(RosplcError, OSError, ValueError, AssertionError):
-                self._caller.again(self._sends(goal), goal.asked | ASK_CANCEL)
+                self._caller.again(self._sends(goal), goal.asked | spec.ASK_CANCEL)
             self._abort(goal, Reason.BRIDGE_RESTARTED, now_ns, _GONE)
