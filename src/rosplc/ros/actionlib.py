@@ -175,8 +175,7 @@ class ActionlibServer(ActionServer):
             elif text and uuid not in self._over:
                 self._keep_over(uuid, Goal(text, stamp_ns), _RECALLING)
             for one, goal in self._goals.items():
-                meant = one == uuid if text else not stamp_ns
-                meant = meant or 0 < goal.stamp_ns <= stamp_ns
+                meant = (one == uuid if text else not stamp_ns) or 0 < goal.stamp_ns <= stamp_ns
                 if meant and goal.status < GoalStatus.CANCELING and not goal.cancels:
                     goal.cancels.append(actions.Cancel(b"", {one}))
                     asked.append(one)

@@ -139,17 +139,9 @@ class RospyBackend(BaseNode):
 
     # -- what the node's servers and the master ask
 
-    def incoming(self) -> dict[str, Incoming]:
-        """Return the topics that are received."""
-        return {topic: one for (direction, topic), one in self.topics().items() if direction == "in"}
-
-    def outgoing(self) -> dict[str, Outgoing]:
-        """Return the topics that are sent."""
-        return {topic: one for (direction, topic), one in self.topics().items() if direction == "out"}
-
-    def serving(self) -> dict[str, RospyServer]:
-        """Return the services that are provided."""
-        return {topic: one for (direction, topic), one in self.topics().items() if direction == "serve"}
+    def having(self, direction: str) -> dict[str, Any]:
+        """Return the topics that are received (``in``) or sent (``out``), or the services (``serve``)."""
+        return {topic: one for (kind, topic), one in self.topics().items() if kind == direction}
 
     def clients(self) -> list[RospyClient]:
         """Return the services that are called."""
@@ -162,7 +154,7 @@ class RospyBackend(BaseNode):
 
     def publishers_changed(self, topic: str, uris: tuple[str, ...]) -> None:
         """Take the master's word for who publishes a topic."""
-        if (incoming := self.incoming().get(topic)) is not None:
+        if (incoming := self.having("in").get(topic)) is not None:
             incoming.publishers = uris
             incoming.update()
 
@@ -251,7 +243,7 @@ class RospyBackend(BaseNode):
         state = self._registration.state
         latching = {
             (topic, link.node)
-            for topic, incoming in self.incoming().items()
+            for topic, incoming in self.having("in").items()
             for link in incoming.links()
             if link.latching
         }

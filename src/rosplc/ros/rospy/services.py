@@ -145,7 +145,7 @@ class RospyServer(_Service, KeepingServer):
         with self._lock:
             if self.closed:
                 return f"service {self.topic} is no longer provided"
-            if sum(one.matched for one in self._node.serving().values()) >= MOST_CALLERS:
+            if sum(one.matched for one in self._node.having("serve").values()) >= MOST_CALLERS:
                 return f"{MOST_CALLERS} callers are connected already"
             self.connections.add(caller)
         try:

@@ -37,7 +37,7 @@ class _Api:
         return 1, "", [[], [], []]
 
     def getBusInfo(self, caller_id: object) -> tuple[int, str, list[Any]]:
-        topics: list[Any] = [*self._node.outgoing().values(), *self._node.incoming().values()]
+        topics: list[Any] = [*self._node.having("out").values(), *self._node.having("in").values()]
         return 1, "bus info", [row for topic in topics for row in topic.info()]
 
     def getMasterUri(self, caller_id: object) -> tuple[int, str, str]:
@@ -47,10 +47,10 @@ class _Api:
         return 1, "", os.getpid()
 
     def getSubscriptions(self, caller_id: object) -> tuple[int, str, list[Any]]:
-        return 1, "subscriptions", _types(self._node.incoming())
+        return 1, "subscriptions", _types(self._node.having("in"))
 
     def getPublications(self, caller_id: object) -> tuple[int, str, list[Any]]:
-        return 1, "publications", _types(self._node.outgoing())
+        return 1, "publications", _types(self._node.having("out"))
 
     def paramUpdate(self, caller_id: object, key: object, value: object) -> tuple[int, str, int]:
         return -1, "not subscribed", 0
@@ -62,7 +62,7 @@ class _Api:
         return 1, "", 0
 
     def requestTopic(self, caller_id: object, topic: object, protocols: object) -> tuple[int, str, list[Any]]:
-        if not isinstance(topic, str) or topic not in self._node.outgoing():
+        if not isinstance(topic, str) or topic not in self._node.having("out"):
             return -1, f"Not a publisher of [{str(topic)[:256]}]", []
         wanted = protocols if isinstance(protocols, list) else []
         if not any(isinstance(each, list) and each[:1] == ["TCPROS"] for each in wanted):
@@ -184,7 +184,7 @@ class Servers:
         sock.settimeout(_TIMEOUT_S)
         header = read_header(sock, _TIMEOUT_S, self._clock)
         kind = "service" if "service" in header else "topic"
-        known = self._node.serving() if kind == "service" else self._node.outgoing()
+        known = self._node.having("serve" if kind == "service" else "out")
         wanted = known.get(header.get(kind, ""))
         missing = [name for name in (kind, "md5sum", "callerid") if name not in header]
         if missing:
