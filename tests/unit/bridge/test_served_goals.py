@@ -484,7 +484,7 @@ def test_a_goal_that_was_begun_is_decided_by_its_answer(make: Make, accepts: boo
 
 
 def test_a_client_that_has_gone(make: Make) -> None:
-    """A goal that is accepted all the same is canceled."""
+    """A goal that is accepted nevertheless is canceled."""
     cell = make()
     plc = cell.attach()
     info = begun(cell)
