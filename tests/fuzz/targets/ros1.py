@@ -64,11 +64,9 @@ class _Answer:
 class _Topics:
     """A node that publishes one topic and receives none."""
 
-    def incoming(self) -> dict[str, Any]:
-        return {}
-
-    def outgoing(self) -> dict[str, Any]:
-        return {"/t": SimpleNamespace(info=list, definition=SimpleNamespace(type_name="std_msgs/msg/String"))}
+    def having(self, direction: str) -> dict[str, Any]:
+        definition = SimpleNamespace(type_name="std_msgs/msg/String")
+        return {"/t": SimpleNamespace(info=list, definition=definition)} if direction == "out" else {}
 
     def publishers_changed(self, topic: str, uris: tuple[str, ...]) -> None:
         assert isinstance(topic, str)
