@@ -235,4 +235,6 @@ def test_status_has_a_line_for_each_use(cell, use):
     (line,) = [line for line in text.splitlines() if "ROS calls PLC" in line]
     assert "fate unknown: the server left before it answered" in line
     assert "1 fate unknown" in line
-    assert "/s request: dead" in text
+    # Who is named first, bridge or PLC, depends on the age of this process: a young bridge may be starting.
+    wrong = text.split("ROS calls PLC")[1]
+    assert "/s request" in wrong and ": dead: " in wrong
