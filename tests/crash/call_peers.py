@@ -12,29 +12,34 @@ import functools
 import importlib
 import itertools
 import os
+import queue
 import signal
 import sys
 import threading
 import time
+import uuid
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from rosplc.bridge import Bridge
 from rosplc.bridge.called import Called
+from rosplc.bridge.called_goals import CalledGoals
 from rosplc.bridge.served import Served
+from rosplc.bridge.served_goals import ServedGoals
 from rosplc.codec import Codec, Wire
 from rosplc.config import read_config
 from rosplc.layout import compute_layout
 from rosplc.model import TypeStore
-from rosplc.ros import SERVICES, Reply, open_backend
+from rosplc.ros import SERVICES, GoalEvent, GoalStatus, Reply, action_classes, open_backend
 from rosplc.shm import Attached, Part, Reader, SlotInfo
 from rosplc.shm.claims import ReaderClaim
-from rosplc.virtual_plc import ServiceClient, ServiceServer, Task
+from rosplc.virtual_plc import ActionClient, ActionServer, ServiceClient, ServiceServer, Task
 from rosplc.virtual_plc.call_blocks import _In, _Out
 from tests.lib.waiting import wait_for
 
-TYPE = "cell_msgs/srv/Do"
+TYPE, ACTION = "cell_msgs/srv/Do", "cell_msgs/action/Work"
 PATIENCE_S = 0.3
 """How long a caller in ROS waits for an answer."""
 SLOW_S = 2.5
@@ -67,15 +72,25 @@ _step("bridge: request taken", Called, "_begin", "before")
 _step("bridge: sent to ROS", Called, "_begin", "after")
 _step("bridge: answered by ROS", Called, "_pass_on", "before")
 _step("bridge: answer written", Called, "_answer", "after")
+_step("bridge: goal taken from ROS", ServedGoals, "_hand_out", "before", lambda use, *_: bool(use._waiting))
+_step("bridge: goal taken", CalledGoals, "_begin", "before")
+_step("bridge: goal sent", CalledGoals, "_begin", "after")
+_step("bridge: result taken", ServedGoals, "_answered", "before")
+_step("bridge: result passed on", ServedGoals, "_answered", "after")
+_step("bridge: result written", CalledGoals, "_answer", "after")
 _step("plc: taken stored", _In, "begin", "after")
 _step("plc: answer taken", _In, "take", "after")
 _step("plc: request written", _Out, "publish", "after", lambda out, *_: out._part is Part.REQUEST)
 _step("plc: answer written", _Out, "publish", "after", lambda out, *_: out._part is Part.RESPONSE)
 ALL = (
-    *STEPS,
+    *(step for step in STEPS if "goal" not in step and "result" not in step),
     *("plc: shown", "robot: asked", "robot: sent", "robot: answer taken", "robot: shown", "robot: answered"),
 )
-"""All steps; those that are not in ``STEPS`` call :meth:`Fuse.burn`."""
+GOALS = (
+    *(step for step in STEPS if "goal" in step or "result" in step),
+    *("goal-plc: shown", "goal-robot: sent", "goal-robot: shown", "goal-robot: ended"),
+)
+"""All steps, of calls and of goals; those that are not in ``STEPS`` call :meth:`Fuse.burn`."""
 
 
 class Fuse:
@@ -148,13 +163,14 @@ def _sabotage_plc(what: str) -> None:
 
 
 class Tokens:
-    """The requests and responses of ``cell_msgs/srv/Do``, as serialized bytes."""
+    """The parts of ``cell_msgs/srv/Do`` and ``cell_msgs/action/Work``, as serialized bytes."""
 
     def __init__(self, folder: Path) -> None:
         self.store = TypeStore.bundled("jazzy").with_paths([folder / "types"])
         self._codecs = {
-            part: Codec(compute_layout(self.store, f"{TYPE}_{part}"), Wire.CDR)
-            for part in ("Request", "Response")
+            part: Codec(compute_layout(self.store, f"{name}_{part}"), Wire.CDR)
+            for name, parts in ((TYPE, ("Request", "Response")), (ACTION, ("Goal", "Result", "Feedback")))
+            for part in parts
         }
 
     def put(self, part: str, token: str) -> bytes:
@@ -322,6 +338,99 @@ def robot(folder: Path, fuse: Fuse, *, late: bool) -> None:
                 call(next(name), PATIENCE_S)
 
 
+def goal_plc(folder: Path, fuse: Fuse) -> None:
+    """Carry out ROS' goals, and send goals to ROS all the time, until SIGTERM."""
+    prefix = (folder / "where").read_text().split()[0]
+    task = Task("Cell", 0.002)
+    server = ActionServer("/work", prefix=prefix, beat_ms=BEAT_MS)
+    client = ActionClient("/arm", prefix=prefix, beat_ms=BEAT_MS)
+    number, executing = 0, ""
+
+    @task.program
+    def serve() -> None:
+        nonlocal executing
+        server.xAccept = server.xGoal
+        server.xSucceed = bool(executing)
+        server()
+        if server.xActive and not executing:
+            executing = server.goal.token
+            append(folder / "executed-by-plc", executing)
+            fuse.burn("goal-plc: shown")
+            server.result.token = executing
+        elif not server.xActive:
+            executing = ""
+
+    @task.program
+    def send() -> None:
+        nonlocal number
+        client()
+        if client.xExecute and not client.xBusy:
+            answer = client.result.token if client.xDone else "-"
+            outcome = "done" if client.xDone else str(client.eError and client.eError.name)
+            append(folder / "ended-at-plc", client.goal.token, outcome, answer, client.eReason.name)
+            client.xExecute = False
+        elif client.goal is not None and not client.xExecute:
+            number += 1
+            client.goal.token = f"p{os.getpid()}-{number}"
+            append(folder / "asked-by-plc", client.goal.token)
+            client.xExecute, client.tTimeout = True, 1.0
+
+    task.start()
+    _say_ready()
+    signal.sigwait({signal.SIGTERM})
+    task.stop()
+    if client.xExecute:
+        append(folder / "ended-at-plc", client.goal.token, "forgotten", "-", "-")
+    server.close()
+    client.close()
+
+
+def goal_robot(folder: Path, fuse: Fuse) -> None:
+    """Carry out the PLC's goals, and send goals to it all the time, until SIGTERM."""
+    tokens, known = Tokens(folder), threading.Event()
+    ros = open_backend("dds", tokens.store, "peer", domain=int((folder / "where").read_text().split()[1]))
+    servers, clients = action_classes(tokens.store)
+    events: queue.SimpleQueue[GoalEvent] = queue.SimpleQueue()
+
+    def on_goal(name: bytes, payload: bytes) -> None:
+        known.wait()
+        token = tokens.get("Goal", payload)
+        append(folder / "executed-by-ros", token)
+        fuse.burn("goal-robot: shown")
+        server.accept(name)
+        server.execute(name)
+        server.succeed(name, tokens.put("Result", token))
+        fuse.burn("goal-robot: ended")
+
+    def send(token: str) -> None:
+        name, ends = uuid.uuid4().bytes, time.monotonic() + 1.0
+        append(folder / "asked-by-ros", token)
+        client.send(name, tokens.put("Goal", token))
+        fuse.burn("goal-robot: sent")
+        while (left := ends - time.monotonic()) > 0:
+            with suppress(queue.Empty):
+                event = events.get(timeout=left)
+                if event.uuid == name and event.kind == "rejected":
+                    append(folder / "ended-at-ros", token, "NOT_EXECUTED", "-", "-")
+                    return
+                if event.uuid == name and event.kind == "result" and event.payload is not None:
+                    outcome = "done" if event.status is GoalStatus.SUCCEEDED else event.status.name
+                    answer = tokens.get("Result", event.payload) or "-"
+                    append(folder / "ended-at-ros", token, outcome, answer, "-")
+                    return
+        client.forget(name)
+
+    server = servers(ros, tokens.store, "/arm", ACTION, on_goal=on_goal, on_cancel=lambda _: None)
+    known.set()
+    client = clients(ros, tokens.store, "/work", ACTION, events.put)
+    _say_ready()
+    for number in itertools.count(1):
+        if signal.sigtimedwait({signal.SIGTERM}, 0.002):
+            return
+        if client.ready:
+            send(f"r{os.getpid()}-{number}")
+
+
 def _say_ready() -> None:
     os.write(1, f"ready {os.getpid()}\n".encode())
 
@@ -335,8 +444,12 @@ def _play(folder: Path, sabotage: str, role: str, step: str, passes: int) -> Non
     elif role == "plc":
         _sabotage_plc(sabotage)
         plc(folder, fuse)
-    else:
+    elif role == "robot":
         robot(folder, fuse, late=step == "late")
+    elif role == "goal-plc":
+        goal_plc(folder, fuse)
+    else:
+        goal_robot(folder, fuse)
 
 
 def main(folder: str, sabotage: str = "") -> None:

@@ -23,11 +23,12 @@ import pytest
 
 from rosplc.demo.domain import FreeDomain
 from rosplc.shm import Namespace
-from tests.crash.call_peers import ALL, TYPE
+from tests.crash.call_peers import ACTION, ALL, GOALS, TYPE
 from tests.lib.waiting import wait_for
 
 ROOT = Path(__file__).resolve().parents[2]
 ROLES = ("bridge", "plc", "robot")
+GOAL_ROLES = ("bridge", "goal-plc", "goal-robot")
 EXPIRE_S = 0.5
 SLACK_S = 1.5
 OUTSTANDING = 5
@@ -37,17 +38,27 @@ OUTSTANDING = 5
 class Cell:
     """Bridge, PLC and robot, each a process that can be killed."""
 
-    def __init__(self, folder: Path, namespace: Namespace, domain: int, sabotage: str = "") -> None:
-        self.folder = folder
-        definition = folder / "types/cell_msgs/srv/Do.srv"
-        definition.parent.mkdir(parents=True)
-        definition.write_text("string token\n---\nstring token\n")
+    def __init__(
+        self,
+        folder: Path,
+        namespace: Namespace,
+        domain: int,
+        sabotage: str = "",
+        roles: tuple[str, ...] = ROLES,
+    ) -> None:
+        self.folder, self.roles = folder, roles
+        for name, parts in (("srv/Do.srv", 2), ("action/Work.action", 3)):
+            definition = folder / "types/cell_msgs" / name
+            definition.parent.mkdir(parents=True)
+            definition.write_text("---\n".join(["string token\n"] * parts))
         (folder / "where").write_text(f"{namespace.prefix} {domain}")
         (folder / "rosplc.yaml").write_text(
             f"prefix: {namespace.prefix}\nros: {{backend: dds, domain: {domain}}}\nbeat: 20ms\n"
             "types: {paths: [types]}\ndiagnostics: {enabled: false}\nservices:\n"
             f"  /do: {{type: {TYPE}, server: plc, expire_after: {EXPIRE_S:g}s}}\n"
             f"  /move: {{type: {TYPE}, server: ros}}\n"
+            f"actions:\n  /work: {{type: {ACTION}, server: plc, accept_within: {EXPIRE_S:g}s}}\n"
+            f"  /arm: {{type: {ACTION}, server: ros}}\n"
         )
         command = [sys.executable, "-m", "tests.crash.call_peers", str(folder), sabotage]
         pipe = subprocess.PIPE
@@ -97,7 +108,7 @@ class Cell:
 
     def complete(self, but: str = "") -> None:
         """Start what is not running."""
-        for role in ROLES:
+        for role in self.roles:
             if role != but and role not in self.running:
                 self.start(role)
 
@@ -105,7 +116,7 @@ class Cell:
         for _ in range(times):
             self.complete()
             time.sleep(chance.random())  # when the kill comes, and nothing is concluded from it
-            self.kill(chance.choice(ROLES))
+            self.kill(chance.choice(self.roles))
         self.complete()
 
     def done(self) -> list[int]:
@@ -238,6 +249,17 @@ def test_calls_at_each_step(tmp_path: Path, shm_namespace: Namespace, domain: in
     assert not any(line[0] == "late" for line in cell.lines("executed-by-plc"))
 
 
+def test_goals_at_each_step(tmp_path: Path, shm_namespace: Namespace, domain: int) -> None:
+    """As calls: what was accepted is executed once, and what was rejected is not."""
+    chance = random.Random(1)
+    with _cell(tmp_path, shm_namespace, domain, "", GOAL_ROLES) as cell:
+        for step in GOALS:
+            cell.kill_at(step, chance.randint(1, 4))
+        cell.kill_at_random(4, chance)
+        cell.until_more()
+        assert cell.check() == []
+
+
 @pytest.mark.parametrize(
     ("sabotage", "step", "words"),
     [
@@ -292,4 +314,16 @@ def test_a_hundred_thousand_calls(tmp_path: Path, shm_namespace: Namespace, doma
         for most in range(1000, 101_000, 1000):
             cell.kill_at_random(3, chance)
             wait_for(partial(lambda least: sum(cell.done()) >= least, most), "calls", every=0.5)
+        assert cell.check() == []
+
+
+@pytest.mark.verify(minutes=10)
+@pytest.mark.timeout(3600)
+def test_ten_thousand_goals(tmp_path: Path, shm_namespace: Namespace, domain: int) -> None:
+    """As calls, both directions together."""
+    chance = random.Random(4)
+    with _cell(tmp_path, shm_namespace, domain, "", GOAL_ROLES) as cell:
+        for most in range(100, 10_100, 100):
+            cell.kill_at_random(3, chance)
+            wait_for(partial(lambda least: sum(cell.done()) >= least, most), "goals", every=0.5)
         assert cell.check() == []
