@@ -28,11 +28,12 @@ from rosplc.bridge.called import Called
 from rosplc.bridge.called_goals import CalledGoals
 from rosplc.bridge.served import Served
 from rosplc.bridge.served_goals import ServedGoals
+from rosplc.bridge.use import Use
 from rosplc.codec import Codec, Wire
 from rosplc.config import read_config
 from rosplc.layout import compute_layout
 from rosplc.model import TypeStore
-from rosplc.ros import SERVICES, GoalEvent, GoalStatus, Reply, action_classes, open_backend
+from rosplc.ros import SERVICES, GoalEvent, GoalStatus, Reply, action_classes, actions, open_backend
 from rosplc.shm import Attached, Part, Reader, SlotInfo
 from rosplc.shm.claims import ReaderClaim
 from rosplc.virtual_plc import ActionClient, ActionServer, ServiceClient, ServiceServer, Task
@@ -131,7 +132,7 @@ def append(path: Path, *words: object) -> None:
         file.write(line.encode())
 
 
-def _sabotage(what: str) -> None:
+def _sabotage(what: str, folder: Path) -> None:
     if what == "republish":
         claimed = Served._claimed
 
@@ -144,13 +145,21 @@ def _sabotage(what: str) -> None:
 
         Served._claimed = hand_out_again  # type: ignore[method-assign]
     elif what == "no expiry":
-        begin = Served.begin
+        begin = Use.begin
 
         def for_ever(self: Any, now_ns: int) -> None:
-            object.__setattr__(self.plan, "expire_ns", 10**12)
+            for limit in {"expire_ns", "accept_ns"}.intersection(vars(self.plan)):
+                object.__setattr__(self.plan, limit, 10**12)
             begin(self, now_ns)
 
-        Served.begin = for_ever  # type: ignore[method-assign]
+        Use.begin = for_ever  # type: ignore[method-assign]
+    elif what == "duplicate":
+
+        def send_again(self: Any, uuid: bytes) -> None:
+            self.forget(uuid)
+            self.send(uuid, Tokens(folder).put("Goal", "again"))
+
+        actions.ActionClient.adopt = send_again  # type: ignore[method-assign]
     elif what == "no count":
         Served._count = lambda *_: None  # type: ignore[method-assign]
 
@@ -344,12 +353,14 @@ def goal_plc(folder: Path, fuse: Fuse) -> None:
     task = Task("Cell", 0.002)
     server = ActionServer("/work", prefix=prefix, beat_ms=BEAT_MS)
     client = ActionClient("/arm", prefix=prefix, beat_ms=BEAT_MS)
-    number, executing = 0, ""
+    number, executing, slow = 0, "", 0.0
 
     @task.program
     def serve() -> None:
-        nonlocal executing
-        server.xAccept = server.xGoal
+        nonlocal executing, slow
+        if not server.xGoal or not server.goal.token.startswith("late"):
+            slow = time.monotonic() + SLOW_S
+        server.xAccept = server.xGoal and (time.monotonic() > slow or server.goal.token[:4] != "late")
         server.xSucceed = bool(executing)
         server()
         if server.xActive and not executing:
@@ -385,8 +396,8 @@ def goal_plc(folder: Path, fuse: Fuse) -> None:
     client.close()
 
 
-def goal_robot(folder: Path, fuse: Fuse) -> None:
-    """Carry out the PLC's goals, and send goals to it all the time, until SIGTERM."""
+def goal_robot(folder: Path, fuse: Fuse, *, late: bool) -> None:
+    """As :func:`robot`, with goals."""
     tokens, known = Tokens(folder), threading.Event()
     ros = open_backend("dds", tokens.store, "peer", domain=int((folder / "where").read_text().split()[1]))
     servers, clients = action_classes(tokens.store)
@@ -402,8 +413,8 @@ def goal_robot(folder: Path, fuse: Fuse) -> None:
         server.succeed(name, tokens.put("Result", token))
         fuse.burn("goal-robot: ended")
 
-    def send(token: str) -> None:
-        name, ends = uuid.uuid4().bytes, time.monotonic() + 1.0
+    def send(token: str, seconds: float = 1.0) -> bool:
+        name, ends = uuid.uuid4().bytes, time.monotonic() + seconds
         append(folder / "asked-by-ros", token)
         client.send(name, tokens.put("Goal", token))
         fuse.burn("goal-robot: sent")
@@ -412,23 +423,27 @@ def goal_robot(folder: Path, fuse: Fuse) -> None:
                 event = events.get(timeout=left)
                 if event.uuid == name and event.kind == "rejected":
                     append(folder / "ended-at-ros", token, "NOT_EXECUTED", "-", "-")
-                    return
+                    return False
                 if event.uuid == name and event.kind == "result" and event.payload is not None:
                     outcome = "done" if event.status is GoalStatus.SUCCEEDED else event.status.name
                     answer = tokens.get("Result", event.payload) or "-"
                     append(folder / "ended-at-ros", token, outcome, answer, "-")
-                    return
+                    return outcome == "done"
         client.forget(name)
+        return False
 
     server = servers(ros, tokens.store, "/arm", ACTION, on_goal=on_goal, on_cancel=lambda _: None)
     known.set()
     client = clients(ros, tokens.store, "/work", ACTION, events.put)
     _say_ready()
-    for number in itertools.count(1):
-        if signal.sigtimedwait({signal.SIGTERM}, 0.002):
-            return
+    name = (f"r{os.getpid()}-{number}" for number in itertools.count(1))
+    if late:
+        wait_for(lambda: client.ready and send(next(name)), "a result")
+        send("late", SLOW_S + 1)
+        return
+    while not signal.sigtimedwait({signal.SIGTERM}, 0.002):
         if client.ready:
-            send(f"r{os.getpid()}-{number}")
+            send(next(name))
 
 
 def _say_ready() -> None:
@@ -439,7 +454,7 @@ def _play(folder: Path, sabotage: str, role: str, step: str, passes: int) -> Non
     fuse = Fuse(step, passes)
     if role == "bridge":
         _note_counts(folder)
-        _sabotage(sabotage)
+        _sabotage(sabotage, folder)
         bridge(folder)
     elif role == "plc":
         _sabotage_plc(sabotage)
@@ -449,7 +464,7 @@ def _play(folder: Path, sabotage: str, role: str, step: str, passes: int) -> Non
     elif role == "goal-plc":
         goal_plc(folder, fuse)
     else:
-        goal_robot(folder, fuse)
+        goal_robot(folder, fuse, late=step == "late")
 
 
 def main(folder: str, sabotage: str = "") -> None:

@@ -131,9 +131,9 @@ class Cell:
     def call_late(self) -> None:
         """Have the robot make a call that waits for longer than it may."""
         self.complete()
-        self.end("robot")
-        self.start("robot", "late")
-        assert self.wait("robot") == 0
+        self.end(self.roles[2])
+        self.start(self.roles[2], "late")
+        assert self.wait(self.roles[2]) == 0
 
     def close(self) -> None:
         for role in list(self.running):
@@ -257,7 +257,9 @@ def test_goals_at_each_step(tmp_path: Path, shm_namespace: Namespace, domain: in
             cell.kill_at(step, chance.randint(1, 4))
         cell.kill_at_random(4, chance)
         cell.until_more()
+        cell.call_late()
         assert cell.check() == []
+    assert not any(line[0] == "late" for line in cell.lines("executed-by-plc"))
 
 
 @pytest.mark.parametrize(
@@ -266,6 +268,7 @@ def test_goals_at_each_step(tmp_path: Path, shm_namespace: Namespace, domain: in
         ("republish", "bridge: answer taken", "executed 2 times"),
         ("last := 0", "", "executed 2 times"),
         ("no count", "", "in no counter"),
+        ("duplicate", "bridge: goal sent", "called safe to repeat, and executed"),
     ],
 )
 def test_the_check_sees_a_sabotage(
@@ -275,29 +278,33 @@ def test_the_check_sees_a_sabotage(
 
     Correlations without the epoch are sabotaged in ``test_call_killed.py``, where a late answer can be timed.
     """
-    with _cell(tmp_path, shm_namespace, domain, sabotage) as cell:
+    roles = GOAL_ROLES if step in GOALS else ROLES
+    with _cell(tmp_path, shm_namespace, domain, sabotage, roles) as cell:
         for _ in range(60):
             if step:
                 cell.kill_at(step, 1)
             cell.complete()
-            cell.until_more(OUTSTANDING + 1)
+            cell.until_more(OUTSTANDING + 1 if roles is ROLES else 1)
             if any(words in line for line in cell.check()):
                 return
         raise AssertionError(f"not found: {words}")
 
 
-def test_the_check_sees_that_nothing_expires(tmp_path: Path, shm_namespace: Namespace, domain: int) -> None:
-    with _cell(tmp_path, shm_namespace, domain, "no expiry") as cell:
+@pytest.mark.parametrize("roles", [ROLES, GOAL_ROLES], ids=["calls", "goals"])
+def test_the_check_sees_that_nothing_expires(
+    tmp_path: Path, shm_namespace: Namespace, domain: int, roles: tuple[str, ...]
+) -> None:
+    with _cell(tmp_path, shm_namespace, domain, "no expiry", roles) as cell:
         cell.call_late()
         assert any("late: executed too late" in line for line in cell.check())
 
 
 @pytest.mark.verify(minutes=3)
 @pytest.mark.timeout(3600)
-@pytest.mark.parametrize("step", ALL)
+@pytest.mark.parametrize("step", (*ALL, *GOALS))
 def test_many_kills_at_one_step(tmp_path: Path, shm_namespace: Namespace, domain: int, step: str) -> None:
     chance = random.Random(2)
-    with _cell(tmp_path, shm_namespace, domain) as cell:
+    with _cell(tmp_path, shm_namespace, domain, "", GOAL_ROLES if step in GOALS else ROLES) as cell:
         for _ in range(300):
             cell.kill_at(step, chance.randint(1, 4))
         cell.complete()
