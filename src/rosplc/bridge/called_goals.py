@@ -42,24 +42,15 @@ _ENDS: dict[GoalStatus, tuple[int, Outcome]] = {
 
 @dataclass
 class _Goal:
-    """A goal of the PLC's in ROS.
-
-    Attributes:
-        number: Its call's correlation.
-        decided: Whether the server has told that it accepts the goal, or will not tell any more.
-        accepted: Whether it is known that the goal was accepted.
-        said: What the server has said of canceling it: one of the bits of an answer, or 0.
-        cancel: It is to be canceled, and the server has not been asked, or did not answer.
-        lost: Status and result are to be asked for.
-    """
+    """A goal of the PLC's in ROS."""
 
     uuid: bytes
-    number: int
-    decided: bool = False
-    accepted: bool = False
-    said: int = 0
-    cancel: bool = False
-    lost: bool = False
+    number: int  # its call's correlation
+    decided: bool = False  # whether the server has told that it accepts the goal, or will not tell any more
+    accepted: bool = False  # whether it is known that the goal was accepted
+    said: int = 0  # what the server has said of canceling it: one of the bits of an answer, or 0
+    cancel: bool = False  # it is to be canceled, and the server has not been asked, or did not answer
+    lost: bool = False  # status and result are to be asked for
     due_ns: int = 0
     pause_ns: int = 0
 

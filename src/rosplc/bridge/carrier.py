@@ -29,17 +29,12 @@ Carried: TypeAlias = "Stream | Use"
 
 
 class Carrier:
-    """The thread of all streams over one kind of port in one direction; without streams there is none.
-
-    Attributes:
-        busy_since_ns: When it began to pass on what it holds; 0 while it waits for news.
-        turned_ns: When it last began a round.
-    """
+    """The thread of all streams over one kind of port in one direction; without streams there is none."""
 
     def __init__(self, name: str, ports: Ports[Any], clock: Clock) -> None:
         self.ports = ports
-        self.busy_since_ns = 0
-        self.turned_ns = clock.monotonic_ns()
+        self.busy_since_ns = 0  # when it began to pass on what it holds; 0 while it waits for news
+        self.turned_ns = clock.monotonic_ns()  # when it last began a round
         self._name = name
         self._clock = clock
         self._streams: tuple[Carried, ...] = ()
@@ -253,17 +248,12 @@ class Carriers:
 
 @dataclass
 class Duty:
-    """Something to be done once per period; when it fails it is logged, and done again.
-
-    Attributes:
-        period_ns: Time between two times.
-        due_ns: When it is due first, after the start; later the monotonic time.
-    """
+    """Something to be done once per period; when it fails it is logged, and done again."""
 
     what: str
-    period_ns: int
+    period_ns: int  # time between two times
     work: Callable[[], None]
-    due_ns: int = 0
+    due_ns: int = 0  # when it is due first, after the start; later the monotonic time
 
 
 class Rounds:

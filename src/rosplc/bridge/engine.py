@@ -44,10 +44,6 @@ class Bridge:
         backend: The ROS side; by default the configuration's is opened, and closed again at the end.
         arguments: ROS arguments of the command line, for a backend that is opened.
 
-    Attributes:
-        on_ended: Called once, with the reason, if the ROS side ends for good; the bridge itself only
-            says so, since it may be part of a larger program.
-
     Raises:
         ConfigErrors: The configuration is wrong.
     """
@@ -71,6 +67,8 @@ class Bridge:
         self._types = LiveTypes(self.project.store)
         self._streams: tuple[Carried, ...] = ()
         self._carriers: Carriers | None = None
+        # called once, with the reason, if the ROS side ends for good; the bridge itself only says so,
+        # since it may be part of a larger program
         self.on_ended: Callable[[str], None] | None = None
         self._ended = ""
         self._changing = threading.Lock()  # reload and check exclude each other

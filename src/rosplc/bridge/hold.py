@@ -69,19 +69,12 @@ class Silence:
 
 
 class Stage:
-    """One reason to hold messages back; this one lets all through.
+    """One reason to hold messages back; this one lets all through."""
 
-    Attributes:
-        due_ns: When :meth:`flush` wants to be called; None if nothing waits.
-        skipped: Messages that were held back for good, on purpose.
-        over: Whether the stage has become useless and can be left out from now on.
-        clears: Whether everything else is sent before its own time.
-    """
-
-    due_ns: int | None = None
-    skipped = 0
-    over = False
-    clears = False
+    due_ns: int | None = None  # when :meth:`flush` wants to be called; None if nothing waits
+    skipped = 0  # messages that were held back for good, on purpose
+    over = False  # whether the stage has become useless and can be left out from now on
+    clears = False  # whether everything else is sent before its own time
 
     def offer(self, item: Item, now_ns: int) -> Sequence[Item]:
         """Take a message; return what may continue now."""

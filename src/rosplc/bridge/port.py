@@ -53,20 +53,16 @@ class RepeatedWarnings:
 
 @dataclass(frozen=True)
 class Context:
-    """What the streams of one bridge have in common.
-
-    Attributes:
-        beat_ns: The beat that is promised.
-        debounce_ns: How long silence must last beyond what a topic allows before it is reported, and how long
-            its end.
-    """
+    """What the streams of one bridge have in common."""
 
     namespace: Namespace
     bridge: str
     bridge_id: bytes
     distro: str
     rights: Rights = USUAL
-    beat_ns: int = 100_000_000
+    beat_ns: int = 100_000_000  # the beat that is promised
+    # how long silence must last beyond what a topic allows before it is reported, and how long its
+    # end
     debounce_ns: int = 500_000_000
     clock: Clock = SYSTEM
     warnings: RepeatedWarnings = field(default_factory=lambda: RepeatedWarnings(log))
@@ -78,15 +74,11 @@ class Context:
 
 
 class Notes:
-    """What went wrong with a topic or service, for its status and the log.
-
-    Attributes:
-        problem: Why it cannot be carried at present; empty if it is.
-    """
+    """What went wrong with a topic or service, for its status and the log."""
 
     def __init__(self, plan: Plan, context: Context) -> None:
         self.context = context
-        self.problem = ""
+        self.problem = ""  # why it cannot be carried at present; empty if it is
         self._name = plan.name
         self._reason: tuple[str, str, int] | None = None  # words, code, when
 
@@ -127,16 +119,12 @@ class Counters:
 
 
 class Side(Protocol):
-    """What a port may ask of its stream.
-
-    Attributes:
-        problem: Why the stream cannot be carried at present; empty if it is.
-    """
+    """What a port may ask of its stream."""
 
     plan: TopicPlan
     codec: Codec
     counters: Counters
-    problem: str
+    problem: str  # why the stream cannot be carried at present; empty if it is
 
     def receive(self, data: bytes, flags: int, stamp_ns: int, stamp_clock: int) -> None:
         """Take a message from the PLC, encoded."""
@@ -158,13 +146,9 @@ class Side(Protocol):
 
 
 class Port(Protocol):
-    """The PLC's side of one stream; what has a body is what a port does that does not say otherwise.
+    """The PLC's side of one stream; what has a body is what a port does that does not say otherwise."""
 
-    Attributes:
-        adopted: Whether :meth:`open` found an object and kept it; never asked before that.
-    """
-
-    adopted: bool
+    adopted: bool  # whether :meth:`open` found an object and kept it; never asked before that
     side: Side
 
     def open(self) -> None:

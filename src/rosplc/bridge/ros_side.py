@@ -99,16 +99,11 @@ class RosSide:
 
 
 class LiveTypes:
-    """What a backend has for a store of types, which can be exchanged meanwhile.
-
-    Attributes:
-        store: Where types are looked up.
-        used: Definition by type name, of the types that a backend has been given.
-    """
+    """What a backend has for a store of types, which can be exchanged meanwhile."""
 
     def __init__(self, store: TypeStore) -> None:
-        self.store = store
-        self.used: dict[str, str] = {}
+        self.store = store  # where types are looked up
+        self.used: dict[str, str] = {}  # definition by type name, of the types that a backend has been given
 
     def use(self, plans: Iterable[Plan]) -> None:
         """Remember the definitions of the types of these topics and services."""

@@ -29,23 +29,14 @@ _CLIENT = 8
 
 @dataclass(eq=False)
 class _Call:
-    """A call from ROS to the PLC.
+    """A call from ROS to the PLC."""
 
-    Attributes:
-        caller: As the ROS side knows it.
-        record: The request.
-        arrived_ns: When it came.
-        withdrawn: Whether the PLC was told that nobody waits.
-        ended: Whether the caller has been told how it ended, though the PLC has not ended it.
-        inherited: It was handed out by an earlier bridge, and begun.
-    """
-
-    caller: bytes
-    record: bytes
-    arrived_ns: int
-    withdrawn: bool = False
-    ended: bool = False
-    inherited: bool = False
+    caller: bytes  # as the ROS side knows it
+    record: bytes  # the request
+    arrived_ns: int  # when it came
+    withdrawn: bool = False  # whether the PLC was told that nobody waits
+    ended: bool = False  # whether the caller has been told how it ended, though the PLC has not ended it
+    inherited: bool = False  # it was handed out by an earlier bridge, and begun
 
 
 class Calling(Use):

@@ -24,27 +24,17 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True)
 class ClassicStatus:
-    """What can be known of a classic topic's memory and lock: there is no beat in them.
+    """What can be known of a classic topic's memory and lock: there is no beat in them."""
 
-    Attributes:
-        memory: The memory's name.
-        semaphore: The semaphore's name; empty if nothing guards the memory.
-        bytes: The memory's size; 0 while there is none that can be used.
-        attached: Whether memory and lock are in use.
-        held_ns: How long the lock has been taken at every look, without a sign of life; 0 if it was free.
-        timeouts: How often the lock was not free within ``wait``.
-        recovered: How often it was freed for a holder that counted as dead.
-        mended: How often it would have let in more than one.
-    """
-
-    memory: str
-    semaphore: str
-    bytes: int
-    attached: bool
+    memory: str  # the memory's name
+    semaphore: str  # the semaphore's name; empty if nothing guards the memory
+    bytes: int  # the memory's size; 0 while there is none that can be used
+    attached: bool  # whether memory and lock are in use
+    # how long the lock has been taken at every look, without a sign of life; 0 if it was free
     held_ns: int = 0
-    timeouts: int = 0
-    recovered: int = 0
-    mended: int = 0
+    timeouts: int = 0  # how often the lock was not free within ``wait``
+    recovered: int = 0  # how often it was freed for a holder that counted as dead
+    mended: int = 0  # how often it would have let in more than one
 
     @property
     def lock(self) -> str:
@@ -57,75 +47,45 @@ class ClassicStatus:
 
 @dataclass(frozen=True, kw_only=True)
 class PortStatus:
-    """What a port knows of the PLC and its memory.
+    """What a port knows of the PLC and its memory."""
 
-    Attributes:
-        skipped: Messages held back on purpose: rate limit, unchanged, replaced by a newer one.
-        lost: Messages that came too fast, or while there was no object or no room.
-        peer_alive: Whether the PLC's side beats: a reader for ``to: plc``, the writer for ``to: ros``.
-            None where that cannot be known: classic memory has no beat.
-        peer_gone_ns: Time since the PLC's side, having been there, was missed; None if it is there, or
-            never was.
-        tasks: Names of the PLC's reading tasks (``to: plc``).
-        classic: Memory and lock of a classic topic; None for a channel.
-    """
-
-    skipped: int = 0
-    lost: int = 0
+    skipped: int = 0  # messages held back on purpose: rate limit, unchanged, replaced by a newer one
+    lost: int = 0  # messages that came too fast, or while there was no object or no room
+    # whether the PLC's side beats: a reader for ``to: plc``, the writer for ``to: ros``. None where
+    # that cannot be known: classic memory has no beat.
     peer_alive: bool | None = False
+    # time since the PLC's side, having been there, was missed; None if it is there, or never was
     peer_gone_ns: int | None = None
-    tasks: tuple[str, ...] = ()
-    classic: ClassicStatus | None = None
+    tasks: tuple[str, ...] = ()  # names of the PLC's reading tasks (``to: plc``)
+    classic: ClassicStatus | None = None  # memory and lock of a classic topic; None for a channel
 
 
 @dataclass(frozen=True)
 class TopicStatus(PortStatus):
-    """The state of one topic, with that of its port.
+    """The state of one topic, with that of its port."""
 
-    Attributes:
-        topic: As ROS writes it.
-        type_name: ``package/msg/Name``.
-        direction: Where its messages go.
-        matched: ROS publishers or subscribers on the other side; 0 also before start.
-        received: Messages that came in, from ROS or from the PLC.
-        published: Messages passed on.
-        refused: Messages that could not be converted or that the other side refused.
-        truncated: Messages passed on with something cut off.
-        deadlines_missed: Times that the QoS' deadline passed without a message; 0 where there is none.
-        rate_hz: Messages that came in per second, over the last seconds.
-        age_ns: Time since the last message came in; None before the first.
-        stale: Whether that is longer than the topic allows.
-        silent: The same as it is reported: not yet while it lasts for less than ``diagnostics.debounce``, and
-            still until messages have come again for so long.
-        substituting: Whether substitutes are published now in a silent PLC's place.
-        substituted: Substitutes published in a silent PLC's place; they are in no other number.
-        recovered: How often messages came again after the source was stale.
-        problem: Why the topic cannot be carried at present; empty if it is.
-        reason: In words, what is wrong or was wrong last; empty if all is well.
-        code: The error code that goes with ``reason``; empty if there is none.
-        recent: Whether ``reason`` is from the last ten seconds, or still holds.
-    """
-
-    topic: str
-    type_name: str
-    direction: Direction
-    matched: int = 0
-    received: int = 0
-    published: int = 0
-    refused: int = 0
-    truncated: int = 0
-    deadlines_missed: int = 0
-    rate_hz: float = 0.0
-    age_ns: int | None = None
-    stale: bool = False
-    substituting: bool = False
+    topic: str  # as ROS writes it
+    type_name: str  # ``package/msg/Name``
+    direction: Direction  # where its messages go
+    matched: int = 0  # ROS publishers or subscribers on the other side; 0 also before start
+    received: int = 0  # messages that came in, from ROS or from the PLC
+    published: int = 0  # messages passed on
+    refused: int = 0  # messages that could not be converted or that the other side refused
+    truncated: int = 0  # messages passed on with something cut off
+    deadlines_missed: int = 0  # times that the QoS' deadline passed without a message; 0 where there is none
+    rate_hz: float = 0.0  # messages that came in per second, over the last seconds
+    age_ns: int | None = None  # time since the last message came in; None before the first
+    stale: bool = False  # whether that is longer than the topic allows
+    substituting: bool = False  # whether substitutes are published now in a silent PLC's place
+    # stale as it is reported: not yet while it lasts for less than ``diagnostics.debounce``, and still
+    # until messages have come again for so long
     silent: bool = False
-    substituted: int = 0
-    recovered: int = 0
-    problem: str = ""
-    reason: str = ""
-    code: str = ""
-    recent: bool = False
+    substituted: int = 0  # substitutes published in a silent PLC's place; they are in no other number
+    recovered: int = 0  # how often messages came again after the source was stale
+    problem: str = ""  # why the topic cannot be carried at present; empty if it is
+    reason: str = ""  # in words, what is wrong or was wrong last; empty if all is well
+    code: str = ""  # the error code that goes with ``reason``; empty if there is none
+    recent: bool = False  # whether ``reason`` is from the last ten seconds, or still holds
 
     def _staleness(self, to_plc: bool) -> str:
         source = "ROS publisher" if to_plc else "the PLC"
@@ -176,43 +136,25 @@ class TopicStatus(PortStatus):
 
 @dataclass(frozen=True, kw_only=True)
 class CallStatus:
-    """The state of one use of a service or action; each call is in exactly one of its numbers.
+    """The state of one use of a service or action; each call is in exactly one of its numbers."""
 
-    Attributes:
-        type_name: ``package/srv/Name`` or ``package/action/Name``.
-        server: Who carries the calls out.
-        client: The use's name in the PLC's program; empty if it has none.
-        matched: ROS clients of what the PLC carries out; else 1 if a server is ready.
-        peer_alive: Whether the PLC's block beats.
-        received: Calls that came in, from ROS or from the PLC; the sum of the numbers but ``strays``.
-        not_executed: Calls that never began, by reason.
-        fate_unknown: Calls that may have been executed, by reason.
-        unreadable: Calls that were executed, with an answer that does not fit the PLC's record.
-        late: Calls whose answer came when the caller had gone.
-        outstanding: Calls that wait or are being carried out.
-        strays: Answers that belong to no open call; they are in no other number.
-        problem: Why it cannot be carried at present; empty if it is.
-        reason: In words, what is wrong or was wrong last; empty if all is well.
-        code: The error code that goes with ``reason``; empty if there is none.
-        recent: Whether ``reason`` is from the last ten seconds, or still holds.
-    """
-
-    type_name: str
-    server: Literal["plc", "ros"]
-    client: str = ""
-    matched: int = 0
-    peer_alive: bool = False
-    received: int = 0
-    not_executed: Mapping[str, int] = field(default_factory=dict)
+    type_name: str  # ``package/srv/Name`` or ``package/action/Name``
+    server: Literal["plc", "ros"]  # who carries the calls out
+    client: str = ""  # the use's name in the PLC's program; empty if it has none
+    matched: int = 0  # ROS clients of what the PLC carries out; else 1 if a server is ready
+    peer_alive: bool = False  # whether the PLC's block beats
+    received: int = 0  # calls that came in, from ROS or from the PLC; the sum of the numbers but ``strays``
+    not_executed: Mapping[str, int] = field(default_factory=dict)  # calls that never began, by reason
+    # calls that may have been executed, by reason
     fate_unknown: Mapping[str, int] = field(default_factory=dict)
-    unreadable: int = 0
-    late: int = 0
-    outstanding: int = 0
-    strays: int = 0
-    problem: str = ""
-    reason: str = ""
-    code: str = ""
-    recent: bool = False
+    unreadable: int = 0  # calls that were executed, with an answer that does not fit the PLC's record
+    late: int = 0  # calls whose answer came when the caller had gone
+    outstanding: int = 0  # calls that wait or are being carried out
+    strays: int = 0  # answers that belong to no open call; they are in no other number
+    problem: str = ""  # why it cannot be carried at present; empty if it is
+    reason: str = ""  # in words, what is wrong or was wrong last; empty if all is well
+    code: str = ""  # the error code that goes with ``reason``; empty if there is none
+    recent: bool = False  # whether ``reason`` is from the last ten seconds, or still holds
 
     kind: ClassVar[Literal["service", "action"]]
 
@@ -252,15 +194,10 @@ class CallStatus:
 
 @dataclass(frozen=True, kw_only=True)
 class ServiceStatus(CallStatus):
-    """The state of one use of a service.
+    """The state of one use of a service."""
 
-    Attributes:
-        service: As ROS writes it.
-        done: Calls whose answer was passed on.
-    """
-
-    service: str
-    done: int = 0
+    service: str  # as ROS writes it
+    done: int = 0  # calls whose answer was passed on
 
     kind = "service"
 
@@ -271,23 +208,15 @@ class ServiceStatus(CallStatus):
 
 @dataclass(frozen=True, kw_only=True)
 class ActionStatus(CallStatus):
-    """The state of one use of an action.
+    """The state of one use of an action."""
 
-    Attributes:
-        action: As ROS writes it.
-        succeeded: Goals that were reached.
-        aborted: Goals that were begun and have failed.
-        canceled: Goals that were canceled.
-        feedback: Messages of feedback that were passed on.
-        goal_status: What the open goal does: ``waiting``, ``accepted``, ``executing`` or ``canceling``;
-            empty while there is none.
-    """
-
-    action: str
-    succeeded: int = 0
-    aborted: int = 0
-    canceled: int = 0
-    feedback: int = 0
+    action: str  # as ROS writes it
+    succeeded: int = 0  # goals that were reached
+    aborted: int = 0  # goals that were begun and have failed
+    canceled: int = 0  # goals that were canceled
+    feedback: int = 0  # messages of feedback that were passed on
+    # what the open goal does: ``waiting``, ``accepted``, ``executing`` or ``canceling``; empty
+    # while there is none
     goal_status: str = ""
 
     kind = "action"
@@ -313,30 +242,18 @@ def carried(topics: int, services: int, actions: int) -> str:
 
 @dataclass(frozen=True)
 class BridgeStatus:
-    """A bridge, its topics, services and actions as they stand.
-
-    Attributes:
-        backend: The ROS backend in use; empty before start.
-        backend_why: How it was chosen, in words, with what was passed over; empty before start.
-        running: Whether it is started.
-        uptime_ns: Time since the start; 0 before.
-        topics: In the order of the configuration.
-        services: In the order of the configuration; each use is one.
-        actions: The same.
-        config_changed: Whether the configuration's file differs from what was read.
-        notes: What else a person should know.
-    """
+    """A bridge, its topics, services and actions as they stand."""
 
     bridge: str
-    backend: str = ""
-    running: bool = False
-    uptime_ns: int = 0
-    topics: tuple[TopicStatus, ...] = ()
-    config_changed: bool = False
-    notes: tuple[str, ...] = ()
-    backend_why: str = ""
-    services: tuple[ServiceStatus, ...] = ()
-    actions: tuple[ActionStatus, ...] = ()
+    backend: str = ""  # the ROS backend in use; empty before start
+    running: bool = False  # whether it is started
+    uptime_ns: int = 0  # time since the start; 0 before
+    topics: tuple[TopicStatus, ...] = ()  # in the order of the configuration
+    config_changed: bool = False  # whether the configuration's file differs from what was read
+    notes: tuple[str, ...] = ()  # what else a person should know
+    backend_why: str = ""  # how it was chosen, in words, with what was passed over; empty before start
+    services: tuple[ServiceStatus, ...] = ()  # in the order of the configuration; each use is one
+    actions: tuple[ActionStatus, ...] = ()  # likewise
 
     @property
     def calls(self) -> tuple[CallStatus, ...]:

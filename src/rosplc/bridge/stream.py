@@ -29,14 +29,9 @@ _FLAG_QOS = Qos(reliability="reliable", durability="transient_local", depth=1)
 
 
 class Stream(Notes, ABC):
-    """One topic; :class:`rosplc.bridge.port.Side` is what its port sees of it.
+    """One topic; :class:`rosplc.bridge.port.Side` is what its port sees of it."""
 
-    Attributes:
-        silence: Since when its source has been silent.
-        substituting: Whether something else is passed on in the source's place.
-    """
-
-    substituting = False
+    substituting = False  # whether something else is passed on in the source's place
 
     def __init__(self, plan: TopicPlan, context: Context, ports: Ports[Any]) -> None:
         super().__init__(plan, context)
@@ -46,6 +41,7 @@ class Stream(Notes, ABC):
         self._endpoint: Subscription | Publisher | None = None
         self._now = context.clock.monotonic_ns
         now = self._now()
+        # since when its source has been silent
         self.silence = Silence(plan.stale_after_ns, context.debounce_ns, now)
         self._lost_before = 0
         self._rate = 0.0
