@@ -424,25 +424,20 @@ class ActionServer(_Action):
 
 @dataclass(frozen=True, slots=True)
 class GoalEvent:
-    """What has become of a goal that was sent.
+    """What has become of a goal that was sent."""
 
-    Attributes:
-        uuid: The goal.
-        kind: ``accepted``, or ``rejected`` and forgotten; ``failed``: nothing is known of the acceptance;
-            ``feedback``; ``status``: it has changed; ``canceling`` or ``not canceled``: the answer to
-            :meth:`ActionClient.cancel`; ``result``: it has ended, and is forgotten; ``lost``: the server
-            gives no result, and :meth:`ActionClient.adopt` asks again.
-        payload: Feedback or result.
-        status: With ``status`` and ``result``; UNKNOWN if the server does not know the goal (any more).
-        reply: With ``failed``, ``not canceled`` and ``lost``: how the call ended that has no response.
-    """
-
-    uuid: bytes
+    uuid: bytes  # the goal
+    # ``accepted``, or ``rejected`` and forgotten; ``failed``: nothing is known of the acceptance;
+    # ``feedback``; ``status``: it has changed; ``canceling`` or ``not canceled``: the answer to
+    # :meth:`ActionClient.cancel`; ``result``: it has ended, and is forgotten; ``lost``: the server
+    # gives no result, and :meth:`ActionClient.adopt` asks again
     kind: Literal[
         "accepted", "rejected", "failed", "feedback", "status", "canceling", "not canceled", "result", "lost"
     ]
-    payload: bytes | None = None
+    payload: bytes | None = None  # feedback or result
+    # with ``status`` and ``result``; UNKNOWN if the server does not know the goal (any more)
     status: GoalStatus = GoalStatus.UNKNOWN
+    # with ``failed``, ``not canceled`` and ``lost``: how the call ended that has no response
     reply: Reply | None = None
 
 

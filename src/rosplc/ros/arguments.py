@@ -23,34 +23,24 @@ _ENVIRONMENT = {"__master": "ROS_MASTER_URI", "__ip": "ROS_IP", "__hostname": "R
 
 @dataclass(frozen=True, slots=True)
 class Remapping:
-    """What a node's arguments make of its names.
+    """What a node's arguments make of its names."""
 
-    Attributes:
-        topics: Topic → topic; the first rule for a topic holds.
-        node: Another base name for the node, if given (``__node:=``, ``__name:=``).
-        namespace: Another namespace, if given (``__ns:=``).
-    """
-
-    topics: Mapping[str, str] = field(default_factory=dict)
-    node: str | None = None
-    namespace: str | None = None
+    topics: Mapping[str, str] = field(default_factory=dict)  # topic → topic; the first rule for a topic holds
+    node: str | None = None  # another base name for the node, if given (``__node:=``, ``__name:=``)
+    namespace: str | None = None  # another namespace, if given (``__ns:=``)
 
 
 @dataclass(frozen=True, slots=True)
 class RosArguments:
-    """ROS arguments that have been understood.
+    """ROS arguments that have been understood."""
 
-    Attributes:
-        rules: Remapping rules in their order: node name (empty: any), from, to.
-        environment: Variables of ROS 1's environment that arguments replace.
-        others: What concerns the client library (parameters, enclave, logs), as after ``--ros-args``.
-        log_level: ``debug`` … ``fatal``, if asked for.
-    """
-
+    # remapping rules in their order: node name (empty: any), from, to
     rules: tuple[tuple[str, str, str], ...] = ()
+    # variables of ROS 1's environment that arguments replace
     environment: Mapping[str, str] = field(default_factory=dict)
+    # what concerns the client library (parameters, enclave, logs), as after ``--ros-args``
     others: tuple[str, ...] = ()
-    log_level: str | None = None
+    log_level: str | None = None  # ``debug`` … ``fatal``, if asked for
 
     @classmethod
     def parse(cls, arguments: Sequence[str]) -> RosArguments:

@@ -29,25 +29,15 @@ DAMAGE = Exception  # What a reader lets through when bytes of a file are not wh
 
 @dataclass(frozen=True, slots=True)
 class BagTopic:
-    """One topic of a recording, with one of the types it was recorded with.
+    """One topic of a recording, with one of the types it was recorded with."""
 
-    Attributes:
-        name: The topic, as the file has it.
-        type_name: ``package/msg/Name``, as the file has it.
-        definition: The ``.msg`` text, with every type that it needs; empty where the file has none.
-        several: Whether it was recorded with further definitions of the same type.
-        publishers: Names of the nodes that published it, where the file tells.
-        offered: The publishers' quality of service, where the file tells.
-        count: Messages recorded.
-    """
-
-    name: str
-    type_name: str
-    definition: str = ""
-    several: bool = False
-    publishers: tuple[str, ...] = ()
-    offered: tuple[Qos, ...] = ()
-    count: int = 0
+    name: str  # the topic, as the file has it
+    type_name: str  # ``package/msg/Name``, as the file has it
+    definition: str = ""  # the ``.msg`` text, with every type that it needs; empty where the file has none
+    several: bool = False  # whether it was recorded with further definitions of the same type
+    publishers: tuple[str, ...] = ()  # names of the nodes that published it, where the file tells
+    offered: tuple[Qos, ...] = ()  # the publishers' quality of service, where the file tells
+    count: int = 0  # messages recorded
 
 
 def refuse_other_kinds(path: Path) -> None:
@@ -63,17 +53,13 @@ class Bag:
     Args:
         path: A ``.bag``, ``.mcap`` or ``.db3`` file, or a folder of ``ros2 bag``.
 
-    Attributes:
-        ros_version: 1 or 2.
-        distro: The ROS distribution that the file names; empty if it names none.
-
     Raises:
         BackendError: ROS006, the file cannot be read.
     """
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
-        self.ros_version = 1 if self.path.suffix == ".bag" else 2
+        self.ros_version = 1 if self.path.suffix == ".bag" else 2  # 1 or 2
         self._reader: Any = None
         refuse_other_kinds(self.path)
         try:
@@ -83,6 +69,7 @@ class Bag:
         except DAMAGE as error:
             raise self._unreadable(error) from error
         self._reader = reader
+        # the ROS distribution that the file names; empty if it names none
         self.distro = "noetic" if self.ros_version == 1 else str(reader.ros_distro or "")
 
     def __enter__(self) -> Bag:

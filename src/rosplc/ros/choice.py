@@ -40,17 +40,11 @@ _PLAIN_DDS = ("", "rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp", "rmw_cyclonedd
 
 @dataclass(frozen=True)
 class Choice:
-    """A backend that was chosen.
+    """A backend that was chosen."""
 
-    Attributes:
-        name: The backend.
-        why: What decided, in words.
-        passed_over: Backend → why it was not taken.
-    """
-
-    name: str
-    why: str
-    passed_over: Mapping[str, str] = field(default_factory=dict)
+    name: str  # the backend
+    why: str  # what decided, in words
+    passed_over: Mapping[str, str] = field(default_factory=dict)  # backend → why it was not taken
 
     def __str__(self) -> str:
         others = "; ".join(f"{name}: {why}" for name, why in self.passed_over.items())

@@ -149,9 +149,6 @@ class LifecycleBackend(Opener):
             could not be opened later.
         always: Topics that are connected in every state.
         latched: Topics whose last message is sent again at each activation.
-
-    Attributes:
-        active: Whether endpoints are open; they are not at first.
     """
 
     _kinds = ("subscribe", "advertise", "serve", "client")
@@ -164,7 +161,7 @@ class LifecycleBackend(Opener):
         latched: Collection[str] = (),
     ) -> None:
         self.name, self.capabilities = inner.name, inner.capabilities
-        self.active = False
+        self.active = False  # whether endpoints are open; they are not at first
         self.check = check
         self._inner, self._always, self._latched = inner, frozenset(always), frozenset(latched)
         self._lock = threading.RLock()

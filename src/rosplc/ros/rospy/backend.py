@@ -25,16 +25,7 @@ _SETTLE_NS = 5_000_000_000  # a subscriber that has not connected by then cannot
 
 
 class RospyBackend(BaseNode):
-    """One ROS 1 node; see :class:`rosplc.ros.backend.Backend`.
-
-    Attributes:
-        uri: The URI of its XML-RPC interface.
-        service_uri: Where its services are called.
-        master_uri: The master's URI.
-        turn: Held while messages are handed over.
-        connecting: Bounds how many connections are being made at once.
-        ended: Why the node was told to leave the graph; empty if it was not.
-    """
+    """One ROS 1 node; see :class:`rosplc.ros.backend.Backend`."""
 
     name = "rospy"
     _kinds = (RospySubscription, RospyPublisher, RospyServer, RospyClient)
@@ -43,9 +34,10 @@ class RospyBackend(BaseNode):
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
-        self.turn = threading.RLock()
+        self.turn = threading.RLock()  # held while messages are handed over
+        # bounds how many connections are being made at once
         self.connecting = threading.BoundedSemaphore(_CONNECTING)
-        self.ended = ""
+        self.ended = ""  # why the node was told to leave the graph; empty if it was not
         self._topics: dict[Key, Any] = {}
         self._ending: list[Any] = []
         self._registration: Registration | None = None
@@ -55,9 +47,10 @@ class RospyBackend(BaseNode):
         except OSError as error:
             what = f"cannot listen at {address.bind or 'any address'}: {error}"
             raise BackendError("ROS010", what, where="ROS_IP") from error
-        self.uri = self._servers.uri
+        self.uri = self._servers.uri  # the URI of its XML-RPC interface
+        # where its services are called
         self.service_uri = f"rosrpc://{address.host}:{self._servers.data.port}"
-        self.master_uri = address.master
+        self.master_uri = address.master  # the master's URI
         self._registration = Registration(self, address.master)
 
     # -- endpoints

@@ -76,17 +76,13 @@ def cut(buffer: bytearray) -> list[bytes]:
 
 
 class Link:
-    """The connection to one publisher, and the thread that reads from it.
-
-    Attributes:
-        node: The publisher's name, once its header has named it.
-        problem: Code and words for what keeps it from connecting, or from being the right type.
-    """
+    """The connection to one publisher, and the thread that reads from it."""
 
     def __init__(self, incoming: Incoming, uri: str, former: Link | None = None) -> None:
         self.uri = uri
-        self.node = ""
+        self.node = ""  # the publisher's name, once its header has named it
         self.connected = self.latching = self.ended = False
+        # code and words for what keeps it from connecting, or from being the right type
         self.problem: Problem | None = former.problem if former else None  # until it is known again
         self.retry_ns = 0
         self.pause_ns: int = min(2 * former.pause_ns, _SLOWEST_NS) if former else _RETRY_NS

@@ -20,17 +20,11 @@ DEFAULT_MASTER = "http://localhost:11311"
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """How a node finds the graph and is found.
+    """How a node finds the graph and is found."""
 
-    Attributes:
-        master: The master's URI.
-        host: The host name or address that other nodes are told.
-        bind: The address to listen at; everything but a loopback ``host`` listens everywhere.
-    """
-
-    master: str
-    host: str
-    bind: str
+    master: str  # the master's URI
+    host: str  # the host name or address that other nodes are told
+    bind: str  # the address to listen at; everything but a loopback ``host`` listens everywhere
 
 
 def is_node_uri(uri: object) -> bool:
@@ -147,20 +141,16 @@ def call(server: xmlrpc.client.ServerProxy, method: str, *arguments: Any) -> Any
 
 @dataclass(frozen=True, slots=True)
 class SystemState:
-    """What the master knows.
+    """What the master knows."""
 
-    Attributes:
-        publishers: Topic → names of the nodes that publish it.
-        subscribers: Topic → names of the nodes that subscribe to it.
-        services: Service → names of the nodes that serve it: one, or none.
-        nodes: The names of all nodes.
-        types: Topic → type as ROS 1 writes it; ``*`` where nobody has said.
-    """
-
+    # topic → names of the nodes that publish it
     publishers: dict[str, frozenset[str]] = field(default_factory=dict)
+    # topic → names of the nodes that subscribe to it
     subscribers: dict[str, frozenset[str]] = field(default_factory=dict)
+    # service → names of the nodes that serve it: one, or none
     services: dict[str, frozenset[str]] = field(default_factory=dict)
-    nodes: frozenset[str] = frozenset()
+    nodes: frozenset[str] = frozenset()  # the names of all nodes
+    # topic → type as ROS 1 writes it; ``*`` where nobody has said
     types: dict[str, str] = field(default_factory=dict)
 
 

@@ -105,16 +105,13 @@ class _Queue:
 
 
 class Outgoing(Topic):
-    """One topic that the node sends.
-
-    Attributes:
-        strangers: Nodes that were refused: when (monotonic ns), code and words.
-    """
+    """One topic that the node sends."""
 
     direction = "out"
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
+        # nodes that were refused: when (monotonic ns), code and words
         self.strangers: dict[str, tuple[int, tuple[str, str]]] = {}
         self._queues: tuple[_Queue, ...] = ()
         self._latched: bytes | None = None

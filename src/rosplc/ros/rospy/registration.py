@@ -30,16 +30,11 @@ Registered = Incoming | Outgoing | RospyServer
 
 
 class Registration:
-    """A thread that keeps the master's knowledge of one node right.
-
-    Attributes:
-        trouble: Why the master cannot be reached, in words; empty if it can.
-        state: What the master knew when it was last asked.
-    """
+    """A thread that keeps the master's knowledge of one node right."""
 
     def __init__(self, node: Any, master: str) -> None:
-        self.trouble = ""
-        self.state = SystemState()
+        self.trouble = ""  # why the master cannot be reached, in words; empty if it can
+        self.state = SystemState()  # what the master knew when it was last asked
         self._node, self._clock = node, node.clock
         self._master = Master(master, node.node, clock=node.clock)
         self._registered: dict[Key, Registered] = {}

@@ -206,15 +206,11 @@ class _Link:
 
 
 class RospyClient(_Service, BaseClient):
-    """A service that is called; see :class:`rosplc.ros.backend.ServiceClient`.
-
-    Attributes:
-        problem: Code and words for what keeps it from being called.
-    """
+    """A service that is called; see :class:`rosplc.ros.backend.ServiceClient`."""
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
-        self.problem: Problem = ("", "")
+        self.problem: Problem = ("", "")  # code and words for what keeps it from being called
         self._place: tuple[str, int] | None = None  # where the server was last reached
         self._servers: frozenset[str] = frozenset()  # as the master knew them when it was looked for
         self._looking = False

@@ -155,11 +155,7 @@ class _Listener:
 
 
 class Servers:
-    """Both servers of one node, running. Raises OSError: There is no such address here.
-
-    Attributes:
-        uri: The URI of the node's XML-RPC interface, as the master is told.
-    """
+    """Both servers of one node, running. Raises OSError: There is no such address here."""
 
     def __init__(self, address: Address, node: Any, clock: Clock = SYSTEM) -> None:
         self._node, self._clock = node, clock
@@ -169,6 +165,7 @@ class Servers:
         except OSError:
             self.data.close()
             raise
+        # the URI of the node's XML-RPC interface, as the master is told
         self.uri = f"http://{address.host}:{self.rpc.port}/"
         self._api: Any = _Dispatcher()
         self._api.register_multicall_functions()

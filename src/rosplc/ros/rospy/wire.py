@@ -27,25 +27,15 @@ _PAUSE_NS = 200_000_000
 
 @dataclass(frozen=True, slots=True)
 class WireDefinition:
-    """What a publisher says of its topic.
+    """What a publisher says of its topic."""
 
-    Attributes:
-        topic: The topic's full name.
-        node: The publisher's name.
-        type_name: ``package/msg/Name``.
-        md5: The type's MD5 sum, as stated and as computed.
-        text: The definition as it came, with every type it needs.
-        latching: Whether the publisher latches.
-        store: The types of ROS 1 noetic and those of the definition.
-    """
-
-    topic: str
-    node: str
-    type_name: str
-    md5: str
-    text: str
-    latching: bool
-    store: TypeStore
+    topic: str  # the topic's full name
+    node: str  # the publisher's name
+    type_name: str  # ``package/msg/Name``
+    md5: str  # the type's MD5 sum, as stated and as computed
+    text: str  # the definition as it came, with every type it needs
+    latching: bool  # whether the publisher latches
+    store: TypeStore  # the types of ROS 1 noetic and those of the definition
 
 
 def definition_on_wire(
