@@ -249,6 +249,7 @@ def test_calls_at_each_step(tmp_path: Path, shm_namespace: Namespace, domain: in
     assert not any(line[0] == "late" for line in cell.lines("executed-by-plc"))
 
 
+@pytest.mark.verify(minutes=2)
 def test_goals_at_each_step(tmp_path: Path, shm_namespace: Namespace, domain: int) -> None:
     """As calls: what was accepted is executed once, and what was rejected is not."""
     chance = random.Random(1)
@@ -268,7 +269,10 @@ def test_goals_at_each_step(tmp_path: Path, shm_namespace: Namespace, domain: in
         ("republish", "bridge: answer taken", "executed 2 times"),
         ("last := 0", "", "executed 2 times"),
         ("no count", "", "in no counter"),
-        ("duplicate", "bridge: goal sent", "called safe to repeat, and executed"),
+        pytest.param(
+            *("duplicate", "bridge: goal sent", "called safe to repeat, and executed"),
+            marks=pytest.mark.verify(minutes=2),
+        ),
     ],
 )
 def test_the_check_sees_a_sabotage(
@@ -290,7 +294,13 @@ def test_the_check_sees_a_sabotage(
         raise AssertionError(f"not found: {words}")
 
 
-@pytest.mark.parametrize("roles", [ROLES, GOAL_ROLES], ids=["calls", "goals"])
+@pytest.mark.parametrize(
+    "roles",
+    [
+        pytest.param(ROLES, id="calls"),
+        pytest.param(GOAL_ROLES, id="goals", marks=pytest.mark.verify(minutes=2)),
+    ],
+)
 def test_the_check_sees_that_nothing_expires(
     tmp_path: Path, shm_namespace: Namespace, domain: int, roles: tuple[str, ...]
 ) -> None:
