@@ -1,8 +1,4 @@
-"""A topic's object inside a user's own ROS node: the loop is the user's, no backend is needed.
-
-This is what the node classes of shared-memory bridges for CODESYS do: the node owns the
-object, decides when to write and when to read, and publishes or subscribes itself.
-"""
+"""A topic's object inside a user's own ROS node, whose loop writes and reads; without a backend."""
 
 from __future__ import annotations
 
@@ -26,8 +22,7 @@ from rosplc.shm import Description, Direction, Namespace, OwnedChannel
 
 _log = logging.getLogger("rosplc.bind")
 _LOOK_NS = 1_000_000_000
-BEAT_MS = 100
-"""The beat that is promised and kept, in milliseconds."""
+BEAT_MS = 100  # the beat that is promised and kept, in milliseconds
 _DIRECTIONS = {"to_plc": Direction.TO_PLC, "to_ros": Direction.TO_ROS}
 
 
@@ -306,11 +301,7 @@ def definition_of(message_class: type | None) -> str | None:
 
 
 def type_name_of(message_class: type) -> str:
-    """Return the type name of a message class of rospy, rosbags or rclpy.
-
-    Raises:
-        MessageTypeError: TYP001, it is no message class.
-    """
+    """Return the type name of a message class of rospy, rosbags or rclpy; raises TYP001 if it is none."""
     for attribute in ("_type", "__msgtype__"):
         if isinstance(name := getattr(message_class, attribute, None), str):
             return name

@@ -21,8 +21,7 @@ from rosplc.config.calls import CallPlan
 from rosplc.errors import ChannelError
 from rosplc.shm import Group
 
-_LAZY_TICK_NS = 10_000_000
-"""The tick while no PLC is there: the wake-ups are what an idle bridge costs."""
+_LAZY_TICK_NS = 10_000_000  # the tick while no PLC is there: the wake-ups are what an idle bridge costs
 
 
 _USES: dict[tuple[str, str], Callable[..., Use]] = {

@@ -24,8 +24,7 @@ from rosplc.shm import Direction
 _HANGS = "the ROS side does not return from publishing; the bridge leaves it behind"
 _PATIENCE_S = 5.0
 
-Carried: TypeAlias = "Stream | Use"
-"""What a carrier's thread serves."""
+Carried: TypeAlias = "Stream | Use"  # what a carrier's thread serves
 
 
 class Carrier:
@@ -74,10 +73,10 @@ class Carrier:
             self.ports.wake()
 
     def replace(self, leaving: Collection[Carried], coming: Collection[Carried]) -> bool:
-        """Carry other streams from now on; from any thread but its own.
+        """Carry other streams from now on; return False, with nothing changed, if the ROS side hangs.
 
-        The leaving ones get a last look at what is new, and may be closed then; the coming ones are
-        connected. Return False if the thread hangs in the ROS side; nothing has changed then.
+        From any thread but its own. The leaving ones get a last look at what is new, and may be closed then;
+        the coming ones are connected.
         """
         if self._thread is None:
             self._replace(leaving, coming)
@@ -217,10 +216,7 @@ class Carriers:
         self.of(stream.plan).reopen(stream)
 
     def replace(self, leaving: Collection[Carried], coming: Collection[Carried]) -> bool:
-        """Carry other streams from now on; what the leaving ones still held has been passed on.
-
-        The endpoints and ports of all are open. Return False if the ROS side hangs; nothing has changed then.
-        """
+        """Carry other, open streams; pass on what the leaving ones held. False: ROS hangs, no change."""
         now = self._context.clock.monotonic_ns()
         for stream in coming:
             stream.begin(now)

@@ -1,7 +1,6 @@
 """Ports over classic memory, a bare record guarded by a named semaphore: spec/classic-mode.md.
 
-One thread per direction serves all of them and never waits for a lock: a port whose lock is taken is tried
-again a moment later, so that one that is held delays no other.
+One thread per direction serves all and never waits for a lock: it tries a taken one again, delaying no other.
 """
 
 from __future__ import annotations
@@ -21,12 +20,9 @@ from rosplc.shm import Direction
 from rosplc.shm.classic import ClassicObject
 from rosplc.shm.classic_lock import Entry
 
-LOOK_NS = 50_000_000
-"""How often names and lock are looked at while nothing else leads there."""
-_AGAIN_NS = 100_000
-"""Time between two attempts within ``wait``."""
-_PERIOD_NS = 1_000_000
-"""Time between two attempts to write once ``wait`` is over."""
+LOOK_NS = 50_000_000  # how often names and lock are looked at while nothing else leads there
+_AGAIN_NS = 100_000  # time between two attempts within ``wait``
+_PERIOD_NS = 1_000_000  # time between two attempts to write once ``wait`` is over
 _RETURN_NS = 10_000_000_000
 """How long after a recovery the lock is looked at often: a holder that was only slow leaves it again."""
 _SETTLING_NS = 300_000_000
@@ -77,9 +73,8 @@ class ClassicPort(Port):
     def open(self) -> None:
         """Keep other bridges away, and attach if that is possible already.
 
-        Raises:
-            ChannelError: SHM116 if another bridge has the memory; and what keeps a lock file from
-                being made. That the memory itself cannot be used is a problem of the stream alone.
+        Raises ChannelError SHM116 if another bridge has the memory, or whatever keeps a lock file from being
+        made. That the memory itself cannot be used is a problem of the stream alone.
         """
         self._object.claim()
         self._attach(self._clock.monotonic_ns())

@@ -1,7 +1,6 @@
 """What the bridge publishes on ``/diagnostics``: one status for itself and one per topic, service or action.
 
-The message is built like any other: packed into a record of a generous layout, then encoded.
-Statuses are packed one by one, so that those that have not changed are packed once.
+Each status is packed into a record of a generous layout, only if it has changed; the message is then encoded.
 """
 
 from __future__ import annotations

@@ -39,13 +39,8 @@ _FOREIGN = ("SHM103", "SHM104", "SHM119", "SHM121")
 class Bridge:
     """A bridge between ROS and the objects of one prefix; a context manager that starts and stops it.
 
-    Args:
-        config: A configuration, or one that is resolved already.
-        backend: The ROS side; by default the configuration's is opened, and closed again at the end.
-        arguments: ROS arguments of the command line, for a backend that is opened.
-
-    Raises:
-        ConfigErrors: The configuration is wrong.
+    ``backend`` is the ROS side; by default the configuration's is opened, with ``arguments`` of the command
+    line, and closed again at the end. Raises ConfigErrors if the configuration is wrong.
     """
 
     def __init__(
@@ -84,10 +79,8 @@ class Bridge:
     def start(self) -> None:
         """Take the names, open objects and ROS, and begin to carry.
 
-        Raises:
-            RosplcError: Something is in the way (SHM116: another bridge holds a name; SHM117: no
-                room; ROS001 …); everything that was opened is closed again, and nothing was replaced
-                if a name was taken.
+        Raises RosplcError if something is in the way (SHM116: another bridge holds a name; SHM117: no room;
+        ROS001 …); everything opened is closed again, and nothing was replaced if a name was taken.
         """
         if self._started_ns:
             raise RuntimeError("this bridge is started already")
@@ -192,23 +185,13 @@ class Bridge:
             log.info("bridge %s stopped", self.settings.bridge)
 
     def reload(self, config: Config | Project | None = None) -> Changes:
-        """Carry another configuration from now on: all of it, or nothing of it.
+        """Carry another configuration from now on (None: its file, read again): all of it, or nothing of it.
 
-        Topics that are the same in both are not disturbed. An object that can stay as it is stays; one
-        with another layout takes the place of the old, which is retired, and so is that of a topic that
-        is no more. A changed topic's counters begin again.
-
-        Args:
-            config: The configuration; None reads the file of the present one again.
-
-        Returns:
-            What has changed.
-
-        Raises:
-            ConfigErrors: The configuration is wrong, or a key differs that cannot change while the
-                bridge runs (CFG012).
-            RosplcError: Something is in the way (SHM116, SHM117, ROS002 …).
-            RuntimeError: The bridge is not started, or there is no file to read.
+        Topics that are the same in both are not disturbed. An object that can stay as it is stays; one with
+        another layout replaces the old, which is retired, as is that of a removed topic. A changed topic's
+        counters begin again. Raises ConfigErrors if the configuration is wrong or a key differs that cannot
+        change while the bridge runs (CFG012), RosplcError if something is in the way (SHM116, SHM117, ROS002
+        …), and RuntimeError if the bridge is not started or there is no file to read.
         """
         if not self._started_ns or self.backend is None or self._carriers is None:
             raise RuntimeError("this bridge is not started")
@@ -298,11 +281,7 @@ class Bridge:
         )
 
     def stuck(self, longest_ns: int) -> str:
-        """Return what stands still although the bridge runs; empty if all that carries and beats goes round.
-
-        Args:
-            longest_ns: How long a round may take; several seconds.
-        """
+        """Return what has hung for ``longest_ns`` (some seconds) of all that carries and beats."""
         carriers, heartbeat, now = self._carriers, self._heartbeat, self._clock.monotonic_ns()
         if not self._started_ns or carriers is None or heartbeat is None:
             return "it is not started"

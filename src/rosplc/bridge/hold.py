@@ -10,29 +10,22 @@ import threading
 from collections import deque
 from collections.abc import Callable, Sequence
 
-Item = tuple[bytes, int]
-"""A message's wire bytes and its stamp, ns since 1970."""
+Item = tuple[bytes, int]  # a message's wire bytes and its stamp, ns since 1970
 
-GRACE_NS = 1_000_000_000
-"""How long after the start messages towards ROS may wait for the first subscriber."""
+GRACE_NS = 1_000_000_000  # how long after the start messages towards ROS may wait for the first subscriber
 
 _LOOK_NS = 5_000_000
 _RETRY_NS = 500_000_000
 
 
 class Silence:
-    """Since when a source has been silent, and whether that is to be reported.
-
-    Args:
-        limit_ns: Age at which the last message counts as stale; 0 for never.
-        debounce_ns: How long silence must last beyond that before it is reported, and how long its end.
-    """
+    """Since when a source has been silent, and whether that is to be reported."""
 
     def __init__(self, limit_ns: int, debounce_ns: int, now_ns: int) -> None:
         self.last_ns: int | None = None
         self._since_ns = now_ns
-        self._limit_ns = limit_ns
-        self._debounce_ns = debounce_ns
+        self._limit_ns = limit_ns  # age at which the last message counts as stale; 0 for never
+        self._debounce_ns = debounce_ns  # how much longer silence must last, and how long its end
         self._settled_ns = 0  # when a silence that was reported counts as over
 
     def heard(self, now_ns: int) -> bool:
@@ -193,19 +186,14 @@ class Grace(Stage):
     """The first moment of a topic towards ROS: what comes before any subscriber is there waits, briefly.
 
     A PLC writes while the bridge is down; the bridge starts and finds the message at once, but its
-    subscribers need some hundred milliseconds to find the bridge. A volatile subscriber would miss
-    what was sent before that.
-
-    Args:
-        most: How many messages may wait; with 1 the newest alone.
-        matched: Whether there is a subscriber; asked only while something waits.
+    subscribers need some hundred milliseconds to find the bridge. A volatile one would miss the message.
     """
 
     def __init__(self, until_ns: int, most: int, matched: Callable[[], bool]) -> None:
         self.due_ns = until_ns
         self._until_ns = until_ns
-        self._most = most
-        self._matched = matched
+        self._most = most  # how many messages may wait; with 1 the newest alone
+        self._matched = matched  # whether there is a subscriber; asked only while something waits
         self._held: deque[Item] = deque()
 
     def offer(self, item: Item, now_ns: int) -> Sequence[Item]:
@@ -262,11 +250,7 @@ class Unsent(Stage):
 
 
 class Substitute(Stage):
-    """Publishes a message of the configuration's at a steady rate while the PLC is silent.
-
-    Args:
-        changed: Called when substitutes begin (True) or end, before the first of the others is sent.
-    """
+    """Publishes a message of the configuration's at a steady rate while the PLC is silent."""
 
     clears = True
 
@@ -280,6 +264,7 @@ class Substitute(Stage):
         self.active = False
         self._silence = silence
         self._period_ns = period_ns
+        # ``changed`` is called when substitutes begin (True) or end, before the first of the others is sent.
         self._publish, self._changed = publish, changed
         self._next_ns = 0
 

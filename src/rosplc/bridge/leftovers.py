@@ -13,8 +13,7 @@ from rosplc.errors import ChannelError
 from rosplc.shm import Direction, OwnedChannel, Part, attach
 from rosplc.shm.lock import NameLock
 
-_Name = tuple[str, Part, str]
-"""An object: topic, service or action, what it carries, and the client."""
+_Name = tuple[str, Part, str]  # an object: topic, service or action, what it carries, and the client
 
 
 def check_names(project: Project) -> None:
@@ -34,10 +33,7 @@ def check_names(project: Project) -> None:
 
 
 def retire_leftovers(project: Project) -> None:
-    """Retire objects of what has left this bridge's configuration (spec, section 8.7).
-
-    Objects of other bridges, by the name in their self-description, are left alone.
-    """
+    """Retire what left the configuration (spec, section 8.7), but not other bridges' by their description."""
     namespace = project.namespace
     kept = {namespace.object_name(*name) for name in _objects(project)}
     for name, part in namespace.objects():

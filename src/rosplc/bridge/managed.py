@@ -26,13 +26,9 @@ _logger = logging.getLogger("rosplc.bridge")
 class ManagedBridge:
     """Carries the topics of a configuration over a node that somebody else manages.
 
-    The methods are called one at a time, in the order that the states allow.
-
-    Args:
-        connect: Makes the backend on the node; called at each :meth:`configure`, with the
-            configuration's types.
-        check: Tells whether a type can be carried, by raising if not; given the backend and the
-            type's name.
+    The methods are called one at a time, in the order that the states allow. ``connect`` makes the backend on
+    the node at each :meth:`configure`, with the configuration's types; ``check`` is given the backend and a
+    type's name, and raises if the type cannot be carried.
     """
 
     def __init__(
@@ -52,12 +48,7 @@ class ManagedBridge:
         return self._lifecycle is not None and self._lifecycle.active
 
     def configure(self, path: Path | str) -> Project:
-        """Read a configuration, and open its objects.
-
-        Raises:
-            RosplcError: The configuration is wrong, a type is not installed, or something is in the
-                way of the objects; nothing stays open.
-        """
+        """Read a configuration, and open its objects; nothing stays open after a RosplcError."""
         self.cleanup()
         project = load_project(path)
         backend = self._connect(project.store)

@@ -24,16 +24,12 @@ from rosplc.shm.files import USUAL, Rights
 
 log = logging.getLogger("rosplc.bridge")
 
-QUIET_NS = 10_000_000_000
-"""Time between two log lines of one kind."""
+QUIET_NS = 10_000_000_000  # time between two log lines of one kind
 _MOST_KINDS = 1000
 
 
 class RepeatedWarnings:
-    """Logs the first warning of a kind at once, then one every ten seconds with a count.
-
-    Kinds are hashable, such as ``(topic, code)``.
-    """
+    """Logs the first warning of a kind, such as ``(topic, code)``, then one in ten seconds, with a count."""
 
     def __init__(self, logger: logging.Logger) -> None:
         self._logger = logger
@@ -166,10 +162,7 @@ class Port(Protocol):
         return
 
     def check(self, now_ns: int) -> bool:
-        """Look after object and peer, about once a second; return whether it must be opened again.
-
-        Raises ChannelError: The object cannot be used any more.
-        """
+        """Look after object and peer each second. True: open it again; ChannelError: it is unusable."""
         return not self.owned()
 
     def put(self, data: bytes, stamp_ns: int, flags: int, now_ns: int) -> None:
@@ -221,9 +214,7 @@ class Ports(Protocol[_P]):
     def take(self, now_ns: int) -> tuple[int | None, list[_P]]:
         """Take what is new from all ports, and pass it on; write what waits.
 
-        Returns:
-            When the next call is due at the latest, None if nothing waits; and ports that must be opened
-            again.
+        Return when the next call is due at the latest (None: nothing waits), and the ports to open again.
         """
         return None, []
 

@@ -41,8 +41,7 @@ def contention(config: Config) -> list[str]:
 class Realtime:
     """The settings of one configuration, in force while it is entered.
 
-    The thread that enters has priority and processors until :meth:`rest`. Memory and garbage collection
-    are the process's; they are put back at the end.
+    The entering thread has priority and processors until :meth:`rest`, the process the others to the end.
     """
 
     def __init__(self, config: Config) -> None:
@@ -86,10 +85,8 @@ class Realtime:
         self._tidies = self._wanted.gc == "off"
 
     def tidy(self) -> None:
-        """Collect young garbage in place of the collector that is off; to be called once a second.
-
-        What was there at the start is frozen, so the full collection once a minute is short too.
-        """
+        """Collect young garbage in place of the collector that is off; to be called once a second."""
+        # What was there at the start is frozen, so the full collection once a minute is short too.
         if not self._tidies:
             return
         self._since_full_s = (self._since_full_s + 1) % _FULL_COLLECTION_S

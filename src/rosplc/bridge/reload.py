@@ -108,10 +108,7 @@ def _refuse_redefined(new: Project, used: Mapping[str, str], problems: Problems)
 
 @dataclass
 class Exchange:
-    """Carry other streams; those that are kept are not touched.
-
-    ``show`` takes the streams that are open at each moment, so that they beat.
-    """
+    """Carry other streams, without touching kept ones; ``show`` takes those open at each moment, to beat."""
 
     changes: Changes
     running: tuple[Carried, ...]
@@ -135,12 +132,7 @@ class Exchange:
         self._kept = tuple(stream for stream in self.running if stream.plan.name not in left)
 
     def run(self) -> tuple[Carried, ...]:
-        """Return the streams that are carried now.
-
-        Raises:
-            RosplcError: Something is in the way (SHM116, SHM117, ROS002 …); the streams from before are
-                carried again.
-        """
+        """Return the streams carried now; RosplcError (SHM116, SHM117, ROS002 …): those from before."""
         taken = {self._name(stream.plan) for stream in self._leaving}
         first = [plan for plan in self.changes.added if self._name(plan) not in taken]
         rest = [plan for plan in self.changes.added if self._name(plan) in taken]

@@ -1,7 +1,4 @@
-"""The bridge's way into ROS: which backend, under which names, with which settings.
-
-Command line before configuration before environment, as everywhere in ROS.
-"""
+"""The way into ROS: backend, names, settings. Command line before configuration before environment."""
 
 from __future__ import annotations
 

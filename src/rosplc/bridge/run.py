@@ -35,13 +35,10 @@ _LOOK_AGAIN_S = 0.1  # a signal's handler does not end a select early
 def stop_on_signals(tell: Callable[[int], None] | None = None) -> Iterator[threading.Event]:
     """Give an event that SIGTERM, SIGINT and a closed terminal (SIGHUP) set; for the main thread.
 
-    A second one ends the process at once, unless it follows within a fifth of a second: timeout(1)
-    and launch tools send each signal to the process and to its group. SIGHUP stays ignored where the
-    parent process ignores it (nohup); without a terminal it is passed to ``tell``, as SIGUSR1 always is.
-
-    Args:
-        tell: Called, from the signal's handler, with the number of each signal; without it SIGUSR1, and
-            SIGHUP without a terminal, are logged and otherwise ignored.
+    A second one ends the process at once, unless it follows within a fifth of a second: timeout(1) and launch
+    tools send each signal to the process and to its group. SIGHUP stays ignored where the parent process
+    ignores it (nohup). ``tell`` is called with each signal's number, in its handler, also for SIGUSR1, and
+    SIGHUP without a terminal, which set nothing; without ``tell`` these two are logged and otherwise ignored.
     """
     event = threading.Event()
 
@@ -91,11 +88,9 @@ def on_terminal() -> bool:
 
 
 def pause(stop: threading.Event, seconds: float, clock: Clock = SYSTEM) -> bool:
-    """Wait until ``stop`` is set, for ``seconds`` at most; return whether it is.
-
-    For the main thread, where a signal's handler sets the event: in ``Event.wait`` it could interrupt the
-    moment in which that holds the event's lock, and wait for the lock in ``Event.set`` for ever.
-    """
+    """Wait until ``stop`` is set, for ``seconds`` at most; return whether it is. For the main thread."""
+    # A signal's handler sets the event there: in ``Event.wait`` it could interrupt the moment in which that
+    # holds the event's lock, and wait for the lock in ``Event.set`` for ever.
     end = clock.monotonic_ns() + round(seconds * 1e9)
     while not stop.is_set() and (rest := (end - clock.monotonic_ns()) / 1e9) > 0:
         select.select([], [], [], min(rest, _LOOK_AGAIN_S))
@@ -108,12 +103,8 @@ def run_until_signal(
     """Run a bridge until SIGTERM or SIGINT comes (:func:`stop_on_signals`); SIGUSR1 reloads its file.
 
     Without a terminal SIGHUP reloads it, too, as service managers expect; with one it ends the bridge.
-    ``report`` takes the bridge's status every ``seconds``.
-
-    Raises:
-        RosplcError: As :meth:`Bridge.start`.
-        BackendError: ROS015, the ROS side has ended for good; whoever started this program may start
-            it again.
+    ``report`` takes the bridge's status every ``seconds``. Raises as :meth:`Bridge.start`, and BackendError
+    ROS015 if the ROS side has ended for good; the program may be started again.
     """
     with News() as news:
         bridge.on_ended = news.put
@@ -196,17 +187,10 @@ def run_bridge(
 ) -> None:
     """Run a bridge until SIGINT or SIGTERM; a second one ends the process at once, SIGUSR1 reloads the file.
 
-    Args:
-        config: The configuration file.
-        status_seconds: Time between two status lines in the log; None for none.
-        level: The lowest level that is logged.
-        arguments: ROS arguments of the command line.
-        supervised: What stands around the bridge while it runs, such as a service manager's watchdog.
-
-    Raises:
-        RosplcError: The configuration is wrong, the bridge cannot start, or the ROS side has ended for
-            good (ROS015).
-        SetupError: SYS015, under a service manager: something that may come by itself is not there.
+    The log has a status line every ``status_seconds`` (None: never). ``supervised`` surrounds the running
+    bridge, such as a service manager's watchdog. Raises RosplcError if the configuration is wrong, the bridge
+    cannot start or the ROS side has ended for good (ROS015); under a service manager SetupError SYS015 if
+    something is missing that may come by itself.
     """
     log_to_stderr(level)
     _allow_many_files()

@@ -22,8 +22,7 @@ from rosplc.shm import Direction
 from rosplc.shm.constants import FLAG_FIRST, STAMP_SYSTEM
 
 _EXPLAINED_NS = 2_000_000_000
-_NO_TIME = 2**63 - 1
-"""DDS and ROS count ns since 1970 in signed 64 bits; the largest number means none."""
+_NO_TIME = 2**63 - 1  # DDS and ROS count ns since 1970 in signed 64 bits; the largest number means none
 _BOOL = "std_msgs/msg/Bool"
 _FLAG_QOS = Qos(reliability="reliable", durability="transient_local", depth=1)
 
@@ -95,10 +94,8 @@ class Stream(Notes, ABC):
     # -- housekeeping, about once a second
 
     def check(self, now_ns: int) -> bool:
-        """Look after port and rate; return whether the port must be opened again.
-
-        Never calls the ROS side, which may hang while the beats continue.
-        """
+        """Look after port and rate; return whether the port must be opened again."""
+        # Never calls the ROS side, which may hang while the beats continue.
         since, count = self._rate_from
         if now_ns - since >= 500_000_000:
             self._rate = (self.counters.received - count) * 1e9 / (now_ns - since)
@@ -305,11 +302,9 @@ class ToRos(Stream):
             flag.close()
 
     def fail(self, now_ns: int, error: Exception) -> None:
-        """Remember an error; while another bridge carries the topic, withdraw what the publisher retains.
-
-        DDS sends that to subscribers that it discovers, again where this bridge was stopped for longer than
-        the lease: behind what the other bridge has sent.
-        """
+        """Remember an error; while another bridge carries the topic, withdraw what the publisher retains."""
+        # DDS sends that to subscribers that it discovers, again where this bridge was stopped for longer than
+        # the lease: behind what the other bridge has sent.
         super().fail(now_ns, error)
         if isinstance(error, RosplcError) and error.code == "SHM116":
             self.disconnect()
