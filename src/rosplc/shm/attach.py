@@ -1,7 +1,7 @@
 """Opening an object that a bridge made: the state machine of spec/shm-format.md, section 9.
 
-await the file → plain and readable → identity agrees → map → (claim) → use, until it is
-retired; then the caller opens the name again.
+await the file → plain and readable → identity agrees → map → (claim) → use, until it is retired; then the
+caller opens the name again.
 """
 
 from __future__ import annotations
@@ -39,21 +39,12 @@ def attach(
     part: Part = Part.TOPIC,
     client: str = "",
 ) -> Attached:
-    """Open an object.
+    """Open an object; None accepts any layout id (16 hexadecimal digits), record size (bytes) and direction.
 
-    Args:
-        namespace: Where the object lies.
-        topic: The topic as ROS writes it; a service's or action's name.
-        layout_id: The layout id expected, 16 hexadecimal digits; None accepts any.
-        record_size: The record size expected, in bytes; None accepts any.
-        direction: The direction expected; None accepts both.
-        write: Map it writable, to publish or to claim a reader line.
-        part: What the object carries.
-        client: The name of one of several uses of a service or action.
-
-    Raises:
-        ChannelError: The first check of section 9 that fails, SHM101 to SHM112 or SHM121; SHM118
-            if the topic is not valid; SHM123 if the directory cannot be used.
+    ``topic`` is as ROS writes it, ``client`` one of several uses of a service or action; ``write`` maps it
+    writable, to publish or to claim a reader line. Raises ChannelError: the first check of section 9 that
+    fails, SHM101 to SHM112 or SHM121; SHM118 if the topic is not valid; SHM123 if the directory cannot be
+    used.
     """
     path = namespace.path(topic, part, client)
     fd = open_plain_file(path, os.O_RDWR if write else os.O_RDONLY)
@@ -144,15 +135,11 @@ class Attached(Mapped):
     ) -> Reader:
         """Return a new reader, which has taken nothing and starts with the next message (M14).
 
-        Args:
-            task: The reader's name, shown to people; 15 bytes are kept.
-            latched: Start with what the object holds already.
-            observe: Use no reader line. Otherwise a line is claimed where one is free, or silent
-                within its time; where none is, the reader observes all the same (M9).
-            beat_ms: The longest time between two beats, or takings, that the reader promises.
-
-        Raises:
-            ChannelError: SHM122 if a line is wanted and the object is mapped read-only; SHM111.
+        ``task`` is its name, shown to people; 15 bytes are kept. ``latched`` starts with what the object
+        holds already. With ``observe`` it uses no reader line; otherwise it claims one that is free, or
+        silent within its time, and observes where there is none (M9). ``beat_ms`` is the longest time between
+        two beats, or takings, that it promises. Raises SHM122 if a line is wanted and the object is mapped
+        read-only; SHM111.
         """
         self.valid()
         reader = Reader(self.region, start_of(self.region, latched=latched))
@@ -191,8 +178,8 @@ class Attached(Mapped):
     def writer_claim(self, beat_ms: int = 1000) -> WriterClaim:
         """Return an attempt to become the writer, for callers that must not wait.
 
-        Raises ChannelError: SHM110 if the direction is towards the PLC, where only the bridge writes;
-        SHM122 if the object is mapped read-only; SHM111.
+        Raises ChannelError: SHM110 if the direction is towards the PLC, where only the bridge writes; SHM122
+        if the object is mapped read-only; SHM111.
         """
         if self.identity.direction is not Direction.TO_ROS:
             raise channel_error(110, "only the bridge writes towards the PLC", self.path)
@@ -203,11 +190,8 @@ class Attached(Mapped):
     def writer(self, beat_ms: int = 1000) -> Writer:
         """Claim the channel and return its writer, waiting until a silent holder has lost its claim.
 
-        Args:
-            beat_ms: The longest time between two beats, or messages, that the writer promises.
-
-        Raises:
-            ChannelError: SHM114 if another writer lives; and as :meth:`writer_claim`.
+        ``beat_ms`` is the longest time between two beats, or messages, that the writer promises. Raises
+        SHM114 if another writer lives; else as :meth:`writer_claim`.
         """
         claim = self.writer_claim(beat_ms)
         before = self.snapshot().writer

@@ -1,6 +1,6 @@
 """The two sides of a call: spec/shm-format.md, section 11 (M25 to M29).
 
-No class here waits, or knows what a record means. Messages are sent by a function that is called with
+Neither waits, or knows what a record means. Messages are sent by a function that is called with
 ``correlation``, ``status`` and ``client``: ``partial(writer.publish, record)``, or
 ``partial(writer.publish_wire, plan, data)``.
 """
@@ -44,13 +44,10 @@ _LINE_0 = spec.reader_line(0)
 
 
 class Caller:
-    """The caller's side of one request or goal object: one call at a time (M25).
+    """The caller's side of one request or goal object, mapped writable: one call at a time (M25).
 
-    Args:
-        asks: The request or goal object, mapped writable.
-        writer: Its writer.
-        follows_claim: Whether a call ends when the answerer's claim changes: in a bridge, which calls
-            the PLC, but not in a PLC, whose call is answered by the bridge that comes back (M27).
+    With ``follows_claim`` a call ends when the answerer's claim changes: in a bridge, which calls the PLC,
+    but not in a PLC, whose call is answered by the bridge that comes back (M27).
     """
 
     def __init__(self, asks: Mapped, writer: Writer, *, follows_claim: bool) -> None:
@@ -129,7 +126,7 @@ class Caller:
         return outcome
 
     def resume(self, info: SlotInfo, claim: int = 0) -> None:
-        """Take over the call in the newest message, not answered, of the writer before.
+        """Take over the unanswered call in the newest message of the writer before.
 
         ``claim`` is the answerer's when the call was handed out; 0: not known, so its present one.
         """
@@ -146,18 +143,12 @@ class Caller:
 
 
 class Answerer:
-    """The answerer's side of one request or goal object; its reader has just claimed line 0.
-
-    Args:
-        asks: The request or goal object.
-        reader: Its reader.
-        answers: The response or result object.
-    """
+    """The answerer's side of one request or goal object; its reader has just claimed line 0."""
 
     def __init__(self, asks: Mapped, reader: Reader, answers: Mapped) -> None:
         self.correlation = 0  # the number of the call that is being carried out; 0 while there is none
         before = asks.slot(reader.last)
-        newest = answers.slot(answers.region.word(spec.WRITER_LINE["head"]))
+        newest = answers.slot(answers.region.word(spec.WRITER_LINE["head"]))  # response or result
         # a call that an earlier answerer may have begun and has not answered; 0 if there is none. A
         # bridge answers it at once (``BRIDGE_RESTARTED``); in a PLC the caller ends it.
         self.unanswered = before.correlation if before else 0

@@ -1,8 +1,7 @@
 """Who lives, and claiming the lines of who does not: spec/shm-format.md, M6, M7, M9, M14 and M21.
 
-A claim that is not free may be replaced once its holder has been silent for long enough, by
-the clock of whoever wants it. The classes here take one look per call, so that a scan cycle
-can use them; :mod:`rosplc.shm.attach` loops over them for everybody else.
+A claim may be replaced once its holder has been silent for long enough, by the clock of whoever wants it. The
+classes here take one look per call, for scan cycles; :mod:`rosplc.shm.attach` loops over them.
 """
 
 from __future__ import annotations
@@ -30,13 +29,9 @@ def silence_ns(beat_ms: int, factor: int = 3) -> int:
 class Liveness:
     """Judge one peer from its beat and head, both 32-bit words.
 
-    A peer is alive from the first change that is seen until nothing has changed for ``factor``
-    periods. What stands still since the first look has shown no life.
-
-    Args:
-        period_ms: The period that the peer promises; 0 counts as a third of a second, more than
-            10 s as 10 s (a damaged word must not keep a dead peer alive for months).
-        factor: How many periods it may miss.
+    A peer is alive from the first change that is seen until nothing has changed for ``factor`` periods. What
+    has not changed since the first look has shown no life. ``period_ms`` 0 counts as a third of a second,
+    more than 10 s as 10 s (a damaged word must not keep a dead peer alive for months).
     """
 
     def __init__(self, period_ms: int, factor: int = 3) -> None:

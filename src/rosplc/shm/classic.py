@@ -1,8 +1,8 @@
 """A classic topic's memory, and memory and lock as one thing that comes and goes: spec/classic-mode.md.
 
-The memory is one bare record at offset 0. It is read and written through its descriptor, not through a
-mapping: peers of this kind call ftruncate on an object that others use, and a mapping would answer that with
-SIGBUS, whatever was checked before. A copy by system call comes back short instead.
+The memory is one bare record at offset 0. It is read and written through its descriptor: peers of this kind
+call ftruncate on an object that others use, and a mapping would answer that with SIGBUS, whatever was checked
+before. A copy by system call comes back short instead.
 
 Programs of this kind remove and make their objects whenever they start. What is held here is therefore
 compared with what the names lead to before and after every use, and attached again.
@@ -28,19 +28,11 @@ _TEMPORARY = re.compile(r"rosplc\.new\.[0-9a-f]{8,16}")
 
 
 class ClassicMemory:
-    """An object that either side may have made, opened or created.
+    """An object that either side may have made, opened or created; read rights suffice without ``write``.
 
-    Args:
-        write: Whether it is written too; without it rights to read are enough.
-
-    Attributes:
-        identity: Device and inode of its file.
-        size: Bytes that it had when it was opened.
-
-    Raises:
-        ChannelError: SHM129 if it is smaller than the record, SHM102 without the rights, SHM117 without
-            room for a new one, SHM121 if the name leads to no plain file or to a hard link, SHM123 without
-            a directory.
+    Raises ChannelError SHM129 if it is smaller than the record, SHM102 without the rights, SHM117 without
+    room for a new one, SHM121 if the name leads to no plain file or to a hard link, SHM123 without a
+    directory.
     """
 
     def __init__(self, path: Path, record_size: int, *, write: bool = True, rights: Rights = USUAL) -> None:
@@ -66,7 +58,7 @@ class ClassicMemory:
         try:
             found = os.fstat(self._fd)
             self.identity = found.st_dev, found.st_ino
-            self.size = found.st_size
+            self.size = found.st_size  # bytes when it was opened
             if found.st_nlink > 1:
                 _remove_own_leftover(path.parent, self.identity)
             files.refuse_second_name(self._fd, path)
@@ -138,11 +130,7 @@ def _denied(path: Path) -> ChannelError:
 
 
 class ClassicObject:
-    """The memory of one classic topic with its lock; used by one thread.
-
-    Args:
-        semaphore: The semaphore's, without ``sem.``; empty if nothing guards the memory.
-    """
+    """The memory of one classic topic with its lock; used by one thread."""
 
     def __init__(
         self,
@@ -155,6 +143,7 @@ class ClassicObject:
         rights: Rights = USUAL,
         directory: Path | str = "/dev/shm",
     ) -> None:
+        # the semaphore's name is without ``sem.``, and empty if nothing guards the memory
         self.name, self.semaphore, self.record_size = name, semaphore, record_size
         self.memory: ClassicMemory | None = None
         self.lock: ClassicLock | None = None  # None while it is not attached, and without a semaphore
@@ -225,10 +214,7 @@ class ClassicObject:
             self.lock.leave()
 
     def read(self) -> bytes | None:
-        """Return the record; None where somebody was seen writing it at the same time.
-
-        To be called inside the lock. Where that is in doubt, the record is read twice.
-        """
+        """Return the record, read inside the lock, twice if that is in doubt; None if a writer was seen."""
         assert self.memory is not None
         image = self.memory.read()
         return None if self.doubtful and self.memory.read() != image else image

@@ -1,14 +1,11 @@
-"""The lock of a classic topic: a named semaphore that nobody can be trusted to leave.
+"""The lock of a classic topic, a named semaphore: spec/classic-mode.md, section 2.
 
-It is described in spec/classic-mode.md, section 2.
+Nothing here ever waits: a caller tries, and comes back. A semaphore does not know who holds it, so a holder's
+death can only be inferred: it was taken at every look for a long time, and nothing moved. Time is passed in.
 
-Nothing here ever waits: who wants the lock tries, and comes back. A semaphore does not know who
-holds it, so a holder's death can only be inferred: it was taken at every look for a long time, and
-nothing moved. Time is passed in.
-
-Calls of the C library let no other thread in between. Whoever holds the lock of a classic memory keeps a PLC
-waiting, and a call that gives up the interpreter's lock, as those of ``os`` and of posix_ipc do, gets it back
-up to 5 ms later for each other busy thread. ``ctypes.PyDLL`` keeps it. None of these calls waits.
+Calls of the C library let no other thread in between: a holder of the lock keeps a PLC waiting, and a call
+that gives up the interpreter's lock, as those of ``os`` and of posix_ipc do, gets it back up to 5 ms later
+for each other busy thread. ``ctypes.PyDLL`` keeps it; none of these calls waits.
 """
 
 from __future__ import annotations
@@ -47,10 +44,7 @@ _lseek.argtypes = [ctypes.c_int, ctypes.c_int64, ctypes.c_int]
 
 
 class Semaphore:
-    """A named semaphore, ``/dev/shm/sem.NAME`` on Linux; ``create`` makes one with the value 1.
-
-    Raises OSError as sem_open says: FileNotFoundError, FileExistsError, PermissionError, …
-    """
+    """The named semaphore ``/dev/shm/sem.NAME``; ``create`` makes one of value 1. OSError as of sem_open."""
 
     def __init__(self, name: str, *, create: bool = False, mode: int = 0o600) -> None:
         self._at: int | None = None
@@ -144,18 +138,9 @@ class Entry(enum.Enum):
 class ClassicLock:
     """A semaphore that either side may have made, opened or created with the value 1.
 
-    Args:
-        recover_after_ns: See :class:`rosplc.config.plans.ClassicPlan`.
-
-    Attributes:
-        held_since_ns: Since when it was taken at every look without a sign of life; None if it was free.
-        recovered: How often it was freed for a holder that counted as dead.
-        mended: How often it would have let in more than one.
-        doubtful: Whether somebody may be inside without the lock: after either of the two.
-
-    Raises:
-        ChannelError: SHM128 if it cannot be opened, SHM133 if programs of another word size made it,
-            SHM102 if a new one cannot be given to its group, SHM121 if the name leads to no plain file.
+    ``recover_after_ns`` is as in :class:`rosplc.config.plans.ClassicPlan`. Raises ChannelError SHM128 if it
+    cannot be opened, SHM133 if programs of another word size made it, SHM102 if a new one cannot be given to
+    its group, SHM121 if the name leads to no plain file.
     """
 
     def __init__(
@@ -164,9 +149,11 @@ class ClassicLock:
         self.name = name
         self.path = Path(directory) / f"sem.{name}"
         self.created = False
+        # since when it was taken at every look without a sign of life; None if it was free
         self.held_since_ns: int | None = None
+        # how often it was freed for a holder that counted as dead; how often it would have let in several
         self.recovered = self.mended = 0
-        self.doubtful = False
+        self.doubtful = False  # whether somebody may be inside without the lock: after either of the two
         self._recover_after_ns = recover_after_ns
         self._looked_ns = 0
         self._looks = 0

@@ -65,10 +65,7 @@ class Description:
 
     @classmethod
     def from_json(cls, text: bytes, where: str = "", part: Part = Part.TOPIC) -> Description:
-        """Read the self-description of an object with this part; SHM113 if it cannot be read.
-
-        Members beyond the known ones are ignored.
-        """
+        """Read the self-description of an object with this part, ignoring unknown members. Raises SHM113."""
         try:
             members = json.loads(text.decode("utf-8"))
         except (ValueError, RecursionError) as error:

@@ -51,8 +51,8 @@ USUAL = Rights()
 def open_plain_file(path: Path, flags: int, *, denied: int = 102, mode: int = 0o600) -> int:
     """Open a plain file, never a link, a device or a pipe, and return its descriptor.
 
-    Raises ChannelError: SHM101 if there is none, SHM121 if it is no plain file, SHM123 if the directory
-    cannot be used, SHM117 if there is no room for a new one, or ``denied``.
+    Raises SHM101 if there is none, SHM121 if it is no plain file, SHM123 if the directory cannot be used,
+    SHM117 without room for a new one, or ``denied``.
     """
     try:
         # Without O_NONBLOCK a pipe of this name would stop the caller for ever.
@@ -111,12 +111,9 @@ def create_complete(
 ) -> int:
     """Make a file of ``size`` bytes that begins with ``head`` visible, complete or not at all (M1).
 
-    Return its descriptor, open for reading and writing.
-
-    Raises:
-        ChannelError: SHM117 if there is no room, SHM102 if owner or group cannot be set, SHM119 if
-            another user's file stands at the name, SHM123 if the directory cannot be used.
-        FileExistsError: Without ``replace``, something is at the name.
+    Return its descriptor, open for reading and writing. Raises ChannelError SHM117 without room, SHM102 if
+    owner or group cannot be set, SHM119 if another user's file is at the name, SHM123 if the directory cannot
+    be used; FileExistsError if anything is at the name, without ``replace``.
     """
     temporary, fd = _new_file(path.parent, temporary_prefix)
     try:

@@ -142,9 +142,8 @@ class Identity:
         """Check and return the identity in ``first``, a private copy of the first 512 of ``size`` bytes.
 
         Without ``direction`` both are accepted, with ``kind`` 0 all; ``where`` is the path, for messages.
-        ``accept_retired`` returns a retired object's identity too, instead of raising SHM111.
-
-        Raises ChannelError: SHM103 to SHM111, the first of section 9 that fails.
+        Raises ChannelError SHM103 to SHM111, the first of section 9 that fails; no SHM111 with
+        ``accept_retired``.
         """
         available = size if len(first) >= spec.HEADER_SIZE else len(first)
         number = check_identity(first, available, direction or 0, kind)

@@ -15,19 +15,15 @@ from rosplc.shm.header import channel_error
 class NameLock:
     """An exclusive flock on a name's lock file, held until :meth:`release`.
 
-    The kernel drops it when the process dies, however that happens. The file itself stays: a
-    removed lock file would let two bridges hold "the" lock. Its size is one bit of memory: 1 once an
-    object of a bridge has stood at the name, 0 before and after that was retired. Its time of change is
-    when a holder was last seen.
+    The kernel drops it when the process dies, however that happens. The file itself stays: a removed lock
+    file would let two bridges hold "the" lock. Its size is one bit of memory: 1 once an object of a bridge
+    has been at the name, 0 before and after that was retired. Its time of change is when a holder was last
+    seen. The file gets the object's mode and group; ``rights.uid``, this process's user and root may own an
+    older one.
 
-    Args:
-        rights: The object's: the lock file gets its mode and group, and its owner, as this process's user and
-            root, may own an older lock file.
-
-    Raises:
-        ChannelError: SHM116 if another bridge holds it, SHM119 if the file is another user's,
-            SHM102 if it cannot be given to the group, SHM121 if it is no plain file or a hard link,
-            SHM123 if the directory cannot be used.
+    Raises ChannelError SHM116 if another bridge holds it, SHM119 if the file is another user's, SHM102 if it
+    cannot be given to the group, SHM121 if it is no plain file or a hard link, SHM123 if the directory cannot
+    be used.
     """
 
     def __init__(self, path: Path, rights: Rights) -> None:

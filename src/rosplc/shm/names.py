@@ -55,11 +55,7 @@ def fnv1a(text: str) -> int:
 
 @dataclass(frozen=True)
 class Namespace:
-    """The names of one bridge: a prefix in a directory.
-
-    Raises:
-        ChannelError: SHM118 if the prefix is not valid.
-    """
+    """The names of one bridge: a prefix in a directory. Raises SHM118 if the prefix is not valid."""
 
     prefix: str = "rosplc"  # keeps several bridges of one machine apart
     directory: Path | str = "/dev/shm"  # where the objects lie; anything but ``/dev/shm`` is for tests
@@ -69,15 +65,9 @@ class Namespace:
             raise channel_error(118, f"prefix {self.prefix!r} does not match {_PREFIX.pattern}")
 
     def object_name(self, topic: str, part: Part = Part.TOPIC, client: str = "") -> str:
-        """Return the name of an object.
+        """Return the name of an object. Raises SHM118 if a name is not valid.
 
-        Args:
-            topic: The topic, service or action.
-            part: Which of its objects.
-            client: The name of one of several uses of a service or action in the PLC; empty for none.
-
-        Raises:
-            ChannelError: SHM118 if a name is not valid.
+        ``client`` names one of several uses of a service or action in the PLC; empty for none.
         """
         if not _TOPIC.fullmatch(topic):
             raise channel_error(118, f"{part.kind} {topic!r} does not match {_TOPIC.pattern}")
@@ -101,10 +91,7 @@ class Namespace:
         return self._beside("n", topic, part, client) + "."
 
     def topics(self) -> list[str]:
-        """Return the names of the topics' objects that are present, sorted.
-
-        Raises ChannelError: SHM123 if the directory cannot be listed.
-        """
+        """Return the sorted names of the topics' objects. Raises SHM123 if the directory cannot be listed."""
         return [name for name, part in self.objects() if part is Part.TOPIC]
 
     def objects(self) -> list[tuple[str, Part]]:
@@ -122,10 +109,7 @@ class Namespace:
         return _LETTERS.get(letters) if dot and prefix == self.prefix else None
 
     def name_of(self, object_name: str) -> tuple[str, str] | None:
-        """Return the topic, service or action of an object's name, and the client.
-
-        None if it was shortened or is no such name.
-        """
+        """Return the topic, service or action of a name, and the client; None if shortened or not a name."""
         part = self.part_of(object_name)
         if part is None:
             return None

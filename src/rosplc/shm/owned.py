@@ -37,16 +37,6 @@ class OwnedChannel(Mapped):
     """An object that this process created or adopted, and whose name it holds; a context manager.
 
     Use :meth:`open`. In a process that is forked off, the parent's channels are closed.
-
-    Attributes:
-        identity: The validated private copy of lines 0 and 1.
-        description: The self-description.
-        region: The mapping.
-        path: The object's path.
-        adopted: Whether an object was found and kept.
-        generation: The object's generation.
-        replaced_reason: Why an object that was found was not kept; empty if there was none, or it was.
-        unowned_ns: For how long no process held the name before this one, ns, as far as the lock file tells.
     """
 
     def __init__(self, found: _Found) -> None:
@@ -54,9 +44,10 @@ class OwnedChannel(Mapped):
         description = found.description
         super().__init__(found.fd, str(self.path), description.direction, True, description.part)
         self.description = description
-        self.adopted = found.difference is None
-        self.replaced_reason = found.difference or ""
+        self.adopted = found.difference is None  # whether an object was found and kept
+        self.replaced_reason = found.difference or ""  # why an object found was not kept; else empty
         self.generation = self.identity.generation
+        # for how long no process held the name before this one, ns, as far as the lock file tells
         self.unowned_ns = found.lock.unheld_ns
         self._lock = found.lock
         _owned.add(self)
@@ -76,22 +67,14 @@ class OwnedChannel(Mapped):
     ) -> OwnedChannel:
         """Lock the name, then adopt the object found there if it agrees in everything, or replace it.
 
-        Args:
-            namespace: Where the object lies.
-            description: What it carries; its layout id is the object's.
-            record_size: Bytes of a record.
-            slots: A power of two, 4 to 65536; one less messages can wait.
-            mode: Permission bits of the object.
-            uid: Its owner; None for this process's user.
-            gid: Its group; None for this process's group.
-            bridge_id: 16 random bytes drawn when the bridge started; None draws them now.
+        ``record_size`` is in bytes; ``slots`` is a power of two, 4 to 65536, and one less messages can wait.
+        ``mode`` is the object's permission bits; without ``uid`` or ``gid`` it gets this process's user or
+        group. ``bridge_id`` is 16 random bytes drawn when the bridge started; None draws them now.
 
-        Raises:
-            ChannelError: SHM116 another bridge holds the name; SHM117 no room; SHM118 name not valid;
-                SHM119 another user's object; SHM121 no plain file, or a hard link; SHM104 or SHM103 a
-                file that no bridge has made; SHM123 directory cannot be used; SHM102 owner or group
-                cannot be set.
-            ValueError: If slots or record_size are outside the format's limits.
+        Raises ChannelError SHM116 if another bridge holds the name, SHM117 without room, SHM118 if the name
+        is not valid, SHM119 for another user's object, SHM121 for no plain file or a hard link, SHM104 or
+        SHM103 for a file that no bridge has made, SHM123 if the directory cannot be used, SHM102 if owner or
+        group cannot be set; ValueError if slots or record_size are outside the format's limits.
         """
         rights = Rights(mode, uid, gid)
         return cls._open(namespace, [(description, record_size)], slots, rights, bridge_id)[0]
@@ -109,10 +92,9 @@ class OwnedChannel(Mapped):
     ) -> tuple[OwnedChannel, ...]:
         """Open all objects of one use of a service or action; adopt all of them or none (section 11.1).
 
-        If one of them is no longer :meth:`still_there`, close or retire all and open them together again.
-
-        ``parts`` are the description and record size, in bytes, of each; ``partners`` is filled in here. The
-        rest is as of :meth:`open`, which says what is raised; then none of them is owned.
+        ``parts`` are the description and record size, in bytes, of each; ``partners`` is filled in here.
+        Raises as :meth:`open`; then none is owned. If one is no longer :meth:`still_there`, close or retire
+        all and open them together again.
         """
         complete = zip(partnered([one for one, _ in parts]), (size for _, size in parts), strict=True)
         return cls._open(namespace, complete, spec.MIN_SLOTS, Rights(mode, uid, gid), bridge_id)
@@ -156,7 +138,7 @@ class OwnedChannel(Mapped):
         """Claim the channel towards the PLC; the lock makes any other claim an old one.
 
         ``beat_ms`` is the longest time between two beats, or messages, that the writer promises. Raises
-        ChannelError SHM110 if the direction is towards ROS.
+        SHM110 if the direction is towards ROS.
         """
         if self.identity.direction is not Direction.TO_PLC:
             raise channel_error(110, "only the PLC writes towards ROS", str(self.path))
@@ -167,9 +149,9 @@ class OwnedChannel(Mapped):
     def reader(self, beat_ms: int = 1000, *, latched: bool = False) -> Reader:
         """Claim line 0 of a channel towards ROS, and go on after what the bridge before had taken (M14).
 
-        ``beat_ms`` is the longest time between two beats, or takings, that the reader promises. Where there
-        is no record of the one before, ``latched`` starts with what the object holds. Raises ChannelError
-        SHM110 if the direction is towards the PLC.
+        ``beat_ms`` is the longest time between two beats, or takings, that the reader promises. Without a
+        record of the one before, ``latched`` starts with what the object holds. Raises SHM110 if the
+        direction is towards the PLC.
         """
         if self.identity.direction is not Direction.TO_ROS:
             raise channel_error(110, "the bridge does not read what it writes", str(self.path))
@@ -181,8 +163,8 @@ class OwnedChannel(Mapped):
     def still_there(self) -> bool:
         """Return whether names lead to this object and its lock, and its identity is undamaged.
 
-        If not, close this one and open the name again: the object is then created again. To be called
-        about once a second: it also notes, for the next owner, that the name is held.
+        If not, close this one and open the name again. To be called about once a second: it also notes, for
+        the next owner, that the name is held.
         """
         self._lock.show()
         return (
