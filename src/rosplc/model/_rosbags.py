@@ -1,9 +1,8 @@
 """The one place that knows rosbags: bundled definitions, and the grammar of a field's type.
 
-rosbags 0.x may change between minor versions, so it is pinned and adapted here to the
-model's dataclasses. Its ``register()`` is never called, because it executes generated
-code; its line parser is not used either, because it drops the text of constants (which
-ROS 1 hashes) and reads unquoted defaults loosely.
+rosbags 0.x may change between minor versions, so it is pinned and adapted here to the model's dataclasses.
+Its ``register()`` is never called, because it executes generated code; its line parser neither, because it
+drops the text of constants (which ROS 1 hashes) and reads unquoted defaults loosely.
 """
 
 from __future__ import annotations

@@ -59,10 +59,7 @@ def _texts(distro: str) -> dict[str, str]:
 def with_defaults(
     types: dict[str, MessageType], defaults: dict[str, dict[str, Value]]
 ) -> dict[str, MessageType]:
-    """Return ``types`` with default values.
-
-    Raises LookupError: The table names a type or a field that the distribution lacks.
-    """
+    """Return ``types`` with default values. LookupError for a type or field that the distribution lacks."""
     result = dict(types)
     for name, values in defaults.items():
         message = result[name]

@@ -27,18 +27,13 @@ _SUFFIXES = {".msg": "message", ".srv": "service", ".action": "action"}
 def parse_paths(
     paths: Iterable[Path], ros_version: int
 ) -> tuple[list[ParsedType], dict[str, list[Path]], dict[str, MessageTypeError], list[MessageTypeError]]:
-    """Parse every ``.msg`` file below some folders, in the order of folders and paths.
+    """Parse every ``.msg`` file below some folders, or single files, in the order of folders and paths.
 
     A file's package is the folder above ``msg/``, ``srv/`` or ``action/`` (or the file's own folder), or the
-    name in the ``package.xml`` there. One file instead of a folder is accepted too. What is wrong with one
-    file concerns its type alone: a workspace has types that are not carried.
-
-    Returns:
-        The types; service or action → its files, which are not read yet; type → error of those that cannot
-        be parsed; errors of files that give no type's name.
-
-    Raises:
-        MessageTypeError: TYP008 if there is nothing to read, or too much.
+    name in the ``package.xml`` there. What is wrong with one file concerns its type alone: a workspace has
+    types that are not carried. Returns the types; service or action → its files, which are not read yet; type
+    → error of those that cannot be parsed; errors of files that give no type's name. Raises MessageTypeError
+    TYP008 if there is nothing to read, or too much.
     """
     names: dict[Path, str] = {}
     nameless: list[MessageTypeError] = []
@@ -82,8 +77,7 @@ def _files(path: Path) -> list[Path]:
 def _below(path: Path) -> list[Path]:
     """Return the files with definitions below a folder.
 
-    Links to folders are not followed, and no pipe is opened. Folders that are
-    hidden, or that colcon and catkin are told to ignore, are left out.
+    Links to folders, hidden folders, those that colcon and catkin are told to ignore, and pipes are left out.
     """
     files: list[Path] = []
     number = 0
@@ -108,10 +102,7 @@ def _ignored(folder: Path) -> bool:
 
 
 def read(file: Path) -> str:
-    """Return a file's text.
-
-    Raises MessageTypeError: TYP002, TYP007 or TYP008, with the file's name.
-    """
+    """Return a file's text. Raises MessageTypeError TYP002, TYP007 or TYP008, with the file's name."""
     try:
         with file.open("rb") as stream:
             data = stream.read(MAX_TEXT + 1)
@@ -166,12 +157,10 @@ def split_definition(type_name: str, text: str) -> dict[str, str]:
 
 
 def save_definitions(texts: Mapping[str, str], folder: Path) -> tuple[Path, ...]:
-    """Write ``package/msg/Name.msg`` below a folder for each text; return the files.
+    """Write ``package/msg/Name.msg`` below a folder, which is made, for each text; return the files.
 
-    A file that has the same text already is left as it is; the folder is made if it does not exist.
-
-    Raises MessageTypeError: TYP001 if a name is none; TYP009 if a file of that name has another text, or
-    cannot be written. Nothing is written in the first two cases.
+    A file that has the same text already is left as it is. Raises MessageTypeError TYP001 if a name is none,
+    TYP009 if a file has another text (nothing is written in these cases) or cannot be written.
     """
     wanted = {}
     for name, text in texts.items():

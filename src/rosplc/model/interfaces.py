@@ -58,18 +58,11 @@ def owners_of(name: str, ros_version: int) -> list[str]:
 def parse_interface(
     name: str, text: str, *, where: str, ros_version: int, siblings: Collection[str] = ()
 ) -> list[ParsedType]:
-    """Parse the text of a service or an action; return its parts.
+    """Parse the text of a service or an action by its full name; return its parts.
 
-    Args:
-        name: Full name, ``package/srv/Name`` or ``package/action/Name``.
-        text: The parts, with lines of ``---`` between them.
-        where: What errors name as the place, usually a file.
-        ros_version: 1 or 2; in ROS 1 a line that begins with ``---`` separates, and a service without one
-            has an empty response.
-        siblings: See :func:`~rosplc.model.parse.parse_definition`.
-
-    Raises:
-        MessageTypeError: TYP002, TYP004, TYP007.
+    Lines of ``---`` separate them; in ROS 1 any line that begins so does, and a service without one has an
+    empty response. ``where`` and ``siblings`` are as of :func:`~rosplc.model.parse.parse_definition`. Raises
+    MessageTypeError TYP002, TYP004 or TYP007.
     """
     parts = PARTS[kind_of(name)]
     lines = text.split("\n")

@@ -51,10 +51,7 @@ def strip_comment(text: str) -> str:
 
 
 def parse_value(text: str, kind: FieldType) -> Value:
-    """Read the literal of a default value or a constant, without a comment.
-
-    Raises LiteralError: The text is no literal of that type, or out of its range.
-    """
+    """Read the literal of a default value or constant, without a comment; LiteralError if it does not fit."""
     if isinstance(kind, NamedType):
         raise LiteralError(f"a field of type {kind} cannot have a default value")
     if not isinstance(kind, ArrayType | SequenceType):

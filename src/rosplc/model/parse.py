@@ -1,8 +1,7 @@
 """``.msg`` text → message types, with the line of every error.
 
-A text holds one definition, or several as ROS tools concatenate them
-(spec/type-mapping.md, section 6). It may come from a shared-memory object or a recording
-and is not trusted: sizes are limited and nothing in it is executed.
+A text holds one definition, or several as ROS tools concatenate them (spec/type-mapping.md, section 6). It
+may come from an object or a recording and is not trusted: sizes are limited and nothing in it is executed.
 """
 
 from __future__ import annotations
@@ -55,11 +54,9 @@ def full_name(name: str, kind: str = "msg") -> str:
 
 
 def check_names(message: MessageType) -> None:
-    """Make sure that a type that no text was parsed for has names that one could have.
+    """Check the names of a type that was not parsed: they become identifiers of generated code.
 
-    They become identifiers of generated code, and that is no place for anything else.
-
-    Raises MessageTypeError: TYP001 for the type's name, TYP002 for a field's or constant's.
+    Raises MessageTypeError TYP001 for the type's name, TYP002 for a field's or constant's.
     """
     if full_name(message.name) != message.name:
         raise MessageTypeError("TYP001", f"{message.name!r} is no full name such as geometry_msgs/msg/Twist")
@@ -75,19 +72,14 @@ def check_names(message: MessageType) -> None:
 def parse_definition(
     type_name: str, text: str, *, where: str = "", ros_version: int = 2, siblings: Collection[str] = ()
 ) -> list[ParsedType]:
-    """Parse a definition text.
+    """Parse a definition text: the type ``type_name``, then others after lines of 80 ``=``.
 
-    Args:
-        type_name: Name of the first type in the text.
-        text: The ``.msg`` text, other types after lines of 80 ``=``.
-        where: What errors name as the place, usually a file; default the type's name.
-        ros_version: 1 or 2; string constants are read differently, and so is a field of type
-            ``Header``: ROS 1 always means std_msgs' one, ROS 2 the package's own if it has one.
-        siblings: Full names of types that stand outside of the text.
+    ``where`` is the place that errors name, usually a file; by default the type's name. ``siblings`` are full
+    names of types outside of the text. In ROS 1 string constants are read differently, and ``Header`` is
+    always std_msgs' one; in ROS 2 it is the package's own if it has one.
 
-    Raises:
-        MessageTypeError: TYP002 syntax, TYP004 unsupported type, TYP005 a type twice with
-            different content, TYP007 limits.
+    Raises MessageTypeError TYP002 (syntax), TYP004 (unsupported type), TYP005 (a type twice with different
+    content) or TYP007 (limits).
     """
     where = where or type_name
     if len(text) > MAX_TEXT or len(text.encode("utf-8", "surrogatepass")) > MAX_TEXT:

@@ -1,8 +1,7 @@
 """A message type as data: frozen dataclasses, no behaviour beyond printing itself.
 
-Names follow the ROS 2 interface definition (https://docs.ros.org, "About ROS 2
-interfaces"): a type is ``package/msg/Name`` in both ROS versions, a field's type is a
-primitive, a string, another message, or an array or sequence of one of these.
+Names follow the ROS 2 interface definition (https://docs.ros.org, "About ROS 2 interfaces"): a type is
+``package/msg/Name`` in both ROS versions.
 """
 
 from __future__ import annotations
