@@ -1,7 +1,7 @@
-"""Layouts → a C header whose structs are the records.
+"""Layouts → a C header (valid C11 and C++11) whose structs are the records.
 
-Every padding byte is a member, so the structs need no packing attribute, and static
-assertions let the compiler confirm each size and offset. The header is valid C11 and C++11.
+Every padding byte is a member, so no packing attribute is needed; static assertions confirm sizes and
+offsets.
 """
 
 from __future__ import annotations
@@ -58,12 +58,10 @@ ROSPLC_ASSERT(sizeof(float) == 4 && sizeof(double) == 8);
 
 
 def c_header(layouts: Iterable[Layout], guard: str = "ROSPLC_RECORDS_H") -> str:
-    """Return one header with the structs of all layouts.
+    """Return one header with the structs of all layouts, equal ones once; ``guard`` is its include guard.
 
-    A type's struct is ``package__Name``; where one type is needed with several limits, the
-    later ones get a number. A sequence ``x`` has the members ``x_count`` and ``x``.
-
-    Equal layouts are written once; ``guard`` is the macro that keeps the header from being read twice.
+    A type's struct is ``package__Name``; where one type is needed with several limits, the later ones get a
+    number. A sequence ``x`` has the members ``x_count`` and ``x``.
     """
     unique = list(dict.fromkeys(layouts))
     names = _Names()

@@ -31,10 +31,7 @@ _COUNT = ScalarNode("uint32", 4)
 
 
 def compute_struct(store: TypeStore, type_name: str, limits: Limits) -> StructNode:
-    """Return where everything lies in a record of a type.
-
-    Raises as :func:`~rosplc.layout.compute_layout`; MessageTypeError TYP002, a field's name is none.
-    """
+    """Return where everything lies in a record. Raises as ``compute_layout``; TYP002 for a bad field name."""
     return _Builder(store, type_name, limits).struct(store[type_name].name, dict(limits.fields), "")[0]
 
 

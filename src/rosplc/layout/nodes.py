@@ -1,8 +1,7 @@
 """A layout as data: where each part of a record lies.
 
-Offsets are bytes from the start of the enclosing struct, sizes are bytes. The rules that
-produce these numbers are spec/type-mapping.md, section 3; the numbers of every bundled
-type are compared with gcc's for x86-64, armhf and arm64.
+Offsets are bytes from the start of the enclosing struct, sizes are bytes. The rules are spec/type-mapping.md,
+section 3; the numbers of every bundled type are compared with gcc's for x86-64, armhf and arm64.
 """
 
 from __future__ import annotations
@@ -84,11 +83,7 @@ class ArrayNode(_Elements):
 
 @dataclass(frozen=True, slots=True)
 class SequenceNode(_Elements):
-    """An array of ``capacity`` elements whose number in use is a member of its own.
-
-    The enclosing struct holds two members for a sequence: the count, a ``uint32`` scalar
-    with ``count_of`` set, and this node.
-    """
+    """``capacity`` elements; a ``uint32`` member of the struct with ``count_of`` has the number in use."""
 
     element: ScalarNode | StringNode | StructNode
     capacity: int
@@ -111,8 +106,8 @@ class Member:
 class StructNode:
     """A message type with its limits applied; ``size`` is a multiple of ``align``.
 
-    A message without fields has one member, padding of one byte: nothing of it reaches a
-    ROS 1 wire, and one zero byte a ROS 2 wire.
+    A message without fields has one member, a padding byte: a ROS 1 wire has nothing of it, a ROS 2 wire one
+    zero byte.
     """
 
     type_name: str

@@ -1,7 +1,6 @@
 """Numbers → record bytes, one by one and in bulk.
 
-Bulk goes through :mod:`struct` or, if the numbers already lie in memory as the record wants
-them (bytes, array, numpy), is copied as it is.
+Bulk that lies in memory as the record wants it (bytes, array, numpy) is copied, else it goes through struct.
 """
 
 from __future__ import annotations

@@ -1,8 +1,4 @@
-"""Values → record bytes.
-
-Each node becomes a function once per layout; a record is then written by calling them, not
-by looking at nodes again.
-"""
+"""Values → record bytes: each node becomes a function once per layout, and is not looked at again."""
 
 from __future__ import annotations
 
@@ -49,10 +45,7 @@ class StructPacker:
         self.initial = bytes(image)
 
     def __call__(self, buffer: bytearray, offset: int, value: Any) -> None:
-        """Write ``value``'s fields; those that it lacks keep what ``buffer`` has.
-
-        Raises Misfit: A value does not fit its field.
-        """
+        """Write ``value``'s fields; those that it lacks keep what ``buffer`` has. Raises Misfit."""
         if isinstance(value, Mapping):
             self._from_mapping(buffer, offset, value)
         else:
@@ -97,7 +90,7 @@ class StructPacker:
 
 
 def _packer(node: Node, count: int, store: TypeStore) -> tuple[Pack, bytes]:
-    """Return how to write a member, and its initial bytes without its own default value.
+    """Return how to write a member, and its initial bytes but for its own default value.
 
     ``count`` is where the count of a sequence lies, from the sequence's own place.
     """

@@ -39,10 +39,7 @@ def layout_text(root: StructNode) -> str:
 
 
 def layout_difference(one: str, other: str, limit: int = 5) -> str:
-    """Say in words how this side's layout text and the other's differ; empty if they do not.
-
-    At most ``limit`` fields are named.
-    """
+    """Say how this side's layout text differs from the other's, in up to ``limit`` fields; empty if equal."""
     if one == other:
         return ""
     mine, theirs = _by_path(one), _by_path(other)

@@ -28,10 +28,7 @@ class Excerpt(list[Any]):
 
 
 class StructReader:
-    """Knows how to read each field of a struct; made once per layout.
-
-    Of an array at most ``most`` elements are read; longer ones become an :class:`Excerpt`.
-    """
+    """How to read each field of a struct; arrays longer than ``most`` become an :class:`Excerpt`."""
 
     def __init__(self, node: StructNode, most: int | None = None) -> None:
         self.type_name = node.type_name
