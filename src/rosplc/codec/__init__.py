@@ -1,7 +1,4 @@
-"""A type's plan: wire bytes to record and back, for CDR (ROS 2) and ROS 1.
-
-The plan is compiled here, once per layout and wire, and executed by the C core.
-"""
+"""A type's plan, CDR or ROS 1 to record and back: compiled once per layout and wire, run by the C core."""
 
 from rosplc._core import Fault
 from rosplc.codec.codec import TRUNCATED, Codec

@@ -1,9 +1,8 @@
-"""Compile a layout into a plan: the lists of ops that the C core executes.
+"""Compile a layout into a plan: the lists of ops that the C core executes, see ``_core/plan_ops.h``.
 
-Neighbouring numbers become one COPY wherever their record offsets adjoin and the wire
-provably has no gap between them. In CDR that takes knowledge of the wire position: it is
-tracked modulo the largest alignment since the last string or sequence, whose length is not
-known before a message comes. The op table heads ``_core/plan_ops.h``.
+Neighbouring numbers become one COPY wherever their record offsets adjoin and the wire provably has no gap
+between them. For CDR the wire position is tracked modulo the largest alignment since the last string or
+sequence, whose length is not known before a message comes.
 """
 
 from __future__ import annotations
@@ -28,8 +27,7 @@ class Flat:
 def flat_form(node: Node) -> Flat | None:
     """Return how ``node`` is flat, or None if anything but numbers is in it.
 
-    Bools are not flat: their values are checked. Neither are structs with padding, since CDR
-    has none at a struct's end.
+    Not flat: bools, whose values are checked, and structs with padding, which CDR lacks at a struct's end.
     """
     if isinstance(node, ScalarNode):
         return None if node.kind == "bool" else Flat(node.size, node.size, True)
@@ -58,10 +56,7 @@ class CompiledPlan:
 
 
 def compile_plan(root: StructNode, wire: Wire) -> CompiledPlan:
-    """Compile the plan that turns ``wire`` messages into records of ``root`` and back.
-
-    Raises MessageTypeError: TYP007 if sequences and arrays are nested deeper than the executor goes.
-    """
+    """Compile the plan for ``wire`` and ``root``, both ways. TYP007 if sequences and arrays nest too deep."""
     native = _OpList(wire, swapped=False)
     native.struct(root, 0, "")
     swapped = _OpList(wire, swapped=True)
