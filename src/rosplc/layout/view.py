@@ -28,7 +28,7 @@ class Excerpt(list[Any]):
 
 
 class StructReader:
-    """How to read each field of a struct; arrays longer than ``most`` become an :class:`Excerpt`."""
+    """How to read each field, made once per layout; arrays above ``most`` become an :class:`Excerpt`."""
 
     def __init__(self, node: StructNode, most: int | None = None) -> None:
         self.type_name = node.type_name
