@@ -143,10 +143,8 @@ def describe(peer: EndpointInfo, name: str = "") -> str:
 def explain(
     peer: EndpointInfo, ours: BaseEndpoint | EndpointInfo, name: str = "", *, matched: bool = False
 ) -> Problem | None:
-    """Return what is wrong between a peer and our endpoint of the other direction; None if nothing is known.
-
-    The peer is called ``name``, or by its node. What the middleware has ``matched`` has settings that fit.
-    """
+    """Return what is wrong between a peer and our endpoint of the other direction; None if not known."""
+    # The peer is called ``name``, or by its node. What the middleware has ``matched`` has settings that fit.
     does = describe(peer, name)
     if peer.type_name != ours.type_name:
         return "ROS003", f"{does}, here it is {ours.type_name}"
@@ -165,10 +163,8 @@ def _short(type_hash: str) -> str:
 
 
 def queue_of(qos: Qos) -> Qos:
-    """Return a service's settings with room for what arrives between two looks of the receive thread.
-
-    The profile's depth of 10 would lose the rest of a burst without a trace; peers do not see the depth.
-    """
+    """Return a service's settings with room for what arrives between two looks of the receive thread."""
+    # The profile's depth of 10 would lose the rest of a burst without a trace; peers do not see the depth.
     return replace(qos, depth=max(qos.depth, 1000))
 
 
@@ -184,11 +180,9 @@ class BaseEndpoint:
     """An endpoint's counts and its end; ``type_hash`` is empty if there is none to compare."""
 
     direction: Literal["in", "out"]
-    peer_does: str
-    """What a node does that this endpoint exchanges messages with."""
+    peer_does: str  # what a node does that this endpoint exchanges messages with
     kind: str
-    serves = False
-    """Whether it belongs to a service."""
+    serves = False  # whether it belongs to a service
 
     def __init__(self, node: Any, topic: str, type_name: str, qos: Qos, type_hash: str = "") -> None:
         self.topic, self.type_name, self.qos, self.type_hash = topic, type_name, qos, type_hash
@@ -349,10 +343,7 @@ class BasePublisher(BaseEndpoint):
 
 
 class KeepingServer(BaseEndpoint):
-    """A service being provided; see :class:`rosplc.ros.backend.ServiceServer`.
-
-    It keeps what the backend needs to know of a caller until that is answered or refused.
-    """
+    """A service being provided; keeps what the backend needs of a caller until it answers or refuses."""
 
     direction: Literal["in"] = "in"
     peer_does = "calls"
@@ -432,10 +423,7 @@ SERVER_GONE = Reply(None, "fate unknown", Reason.SERVER_GONE, "the server has go
 
 
 class BaseClient(BaseEndpoint):
-    """A service being called; see :class:`rosplc.ros.backend.ServiceClient`.
-
-    What a backend needs to know of a call is in ``calls`` under its number, beside its ``on_reply``.
-    """
+    """A service being called; what a backend needs of a call is in ``calls``, beside its ``on_reply``."""
 
     direction: Literal["out"] = "out"
     peer_does = "serves"
@@ -529,8 +517,7 @@ class BaseClient(BaseEndpoint):
 class Opener:
     """A backend's methods that open endpoints."""
 
-    _kinds: tuple[Any, ...]
-    """The classes of its subscriptions, publishers, servers and clients."""
+    _kinds: tuple[Any, ...]  # the classes of its subscriptions, publishers, servers and clients
 
     def _open(self, kind: Any, topic: str, type_name: str, qos: Qos, *receiver: Any) -> Any:
         """Open an endpoint of one of these classes, and keep it."""
@@ -556,15 +543,13 @@ class Opener:
 class BaseNode(Opener):
     """A node's names, types, endpoints and receive thread; its full name is ``node``.
 
-    Raises:
-        BackendError: ROS001 if the types are those of the other ROS, ROS005 for a bad name.
+    Raises BackendError ROS001 if the types are those of the other ROS, ROS005 for a bad name.
     """
 
     name: str
     capabilities = frozenset({"topics", "services"})
     logger = logging.getLogger("rosplc.ros")
-    ros1: bool | None = False
-    """Whether it is a backend of ROS 1; None: it takes the types of both."""
+    ros1: bool | None = False  # whether it is a backend of ROS 1; None: it takes the types of both
 
     def __init__(self, context: Context) -> None:
         if self.ros1 is not None:
@@ -582,12 +567,7 @@ class BaseNode(Opener):
         self._since: dict[Hashable, int] = {}
 
     def _resolve(self, topic: str, type_name: str) -> tuple[str, str]:
-        """Return the full names of topic and type.
-
-        Raises:
-            BackendError: ROS009 after :meth:`close`, ROS005 for a bad name.
-            MessageTypeError: TYP001 for an unknown type.
-        """
+        """Return the full names of topic and type; raises ROS009 after close, ROS005 (name), TYP001 (type)."""
         self._usable()
         full = resolve_topic(topic, namespace=self._namespace, node_name=self._node_name, remap=self._remap)
         if not is_service(type_name):

@@ -103,10 +103,7 @@ PRESETS: dict[str, Qos] = {"default": DEFAULT, "sensor_data": SENSOR_DATA, "latc
 
 
 def incompatibility(offered: Qos, requested: Qos) -> str | None:
-    """Return in words why a publisher and a subscriber do not match, or None if they do.
-
-    The rules are DDS's "requested versus offered" (DDS 1.4, 2.2.3).
-    """
+    """Return in words why an offered and a requested Qos do not match, else None (DDS 1.4, 2.2.3)."""
     problems = []
     if offered.reliability == "best_effort" and requested.reliability == "reliable":
         problems.append("the publisher is best_effort, the subscriber wants reliable")
@@ -167,42 +164,26 @@ class EndpointStatus:
 
 @dataclass(frozen=True, slots=True)
 class EndpointInfo:
-    """A peer's endpoint as discovery shows it.
+    """A peer's endpoint as discovery shows it."""
 
-    Attributes:
-        topic: The absolute topic name.
-        type_name: ``package/msg/Name``.
-        direction: ``in`` if the peer subscribes, ``out`` if it publishes.
-        node: The full name of its node; empty if the peer does not say.
-        qos: Its settings; ``depth`` is not announced and stands at 1.
-        type_hash: The type hash it announces; empty if none.
-        obstacles: Its other settings that keep a plain ROS endpoint from matching, in words.
-    """
-
-    topic: str
-    type_name: str
-    direction: Literal["in", "out"]
-    node: str
-    qos: Qos
-    type_hash: str = ""
-    obstacles: tuple[str, ...] = ()
+    topic: str  # the absolute topic name
+    type_name: str  # ``package/msg/Name``
+    direction: Literal["in", "out"]  # ``in`` if the peer subscribes, ``out`` if it publishes
+    node: str  # the full name of its node; empty if it is not announced
+    qos: Qos  # its settings; ``depth`` is not announced and is 1
+    type_hash: str = ""  # the type hash that it announces; empty if none
+    obstacles: tuple[str, ...] = ()  # in words, other settings that keep a plain ROS endpoint from matching
 
 
 @dataclass(frozen=True, slots=True)
 class GraphInfo:
-    """What the backend sees of the ROS graph, its own endpoints left out.
+    """What the backend sees of the ROS graph, its own endpoints left out."""
 
-    Attributes:
-        nodes: Full names of the other nodes, sorted.
-        endpoints: The other nodes' endpoints.
-        topics: Topic name → types seen on it, sorted.
-        services: The other nodes' ends of services, with the service's name and type: ``in`` for a server,
-            ``out`` for a client. ROS 1 knows no clients, and no types.
-    """
-
-    nodes: tuple[str, ...] = ()
-    endpoints: tuple[EndpointInfo, ...] = ()
-    topics: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    nodes: tuple[str, ...] = ()  # full names of the other nodes, sorted
+    endpoints: tuple[EndpointInfo, ...] = ()  # the other nodes' endpoints
+    topics: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # topic → types seen, sorted
+    # The other nodes' ends, with the service's name and type: ``in`` for a server, ``out`` for a client.
+    # ROS 1 knows no clients, and no types.
     services: tuple[EndpointInfo, ...] = ()
 
 
@@ -252,20 +233,14 @@ class Publisher(Endpoint, Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """How a call to a ROS server ended.
+    """How a call to a ROS server ended."""
 
-    Attributes:
-        payload: The serialized response; None if there is none.
-        outcome: Without a response: ``not executed`` if the server never began, so that it is safe to call
-            again; ``fate unknown`` if it may have executed the request.
-        reason: Why there is no response.
-        text: More about that, for the log; in ROS 1 the server's own words.
-    """
-
-    payload: bytes | None = None
+    payload: bytes | None = None  # the serialized response; None if there is none
+    # Without a response: ``not executed`` if the server never began, so that it is safe to call again;
+    # ``fate unknown`` if it may have executed the request.
     outcome: Literal["not executed", "fate unknown"] = "fate unknown"
-    reason: Reason = Reason.NONE
-    text: str = ""
+    reason: Reason = Reason.NONE  # why there is no response
+    text: str = ""  # more about that, for the log; in ROS 1 the server's own words
 
 
 OnReply = Callable[[Reply], None]
@@ -280,24 +255,14 @@ class ServiceServer(Endpoint, Protocol):
         """Whether another server of this service, in another process, can answer a caller by its 16 bytes."""
 
     def reply(self, caller: bytes, payload: bytes) -> bool:
-        """Send a response; never blocks.
+        """Send a response to what ``on_request`` was called with, once; never blocks.
 
-        Args:
-            caller: What ``on_request`` was called with; it can be answered once.
-            payload: The serialized response, its encapsulation header included.
-
-        Returns:
-            False if the caller has gone, or was answered or refused before.
-
-        Raises:
-            BackendError: ROS008 if the payload is no response of the type, ROS009 after close.
+        Return False if the caller has gone, or was answered or refused before. Raises BackendError ROS008 if
+        the payload, its encapsulation header included, is no response of the type, ROS009 after close.
         """
 
     def refuse(self, caller: bytes, text: str) -> bool:
-        """End a call without a response; returns as :meth:`reply`.
-
-        A client of ROS 1 gets the text. In ROS 2 a client gets nothing; the caller is forgotten.
-        """
+        """End a call without a response, as :meth:`reply`. ROS 1's clients get the text, ROS 2's nothing."""
 
     def present(self, caller: bytes) -> bool:
         """Return whether a caller still waits, as far as the middleware knows; True where it does not."""
@@ -311,19 +276,12 @@ class ServiceClient(Endpoint, Protocol):
         """Whether a matching server is known now whose responses can be read."""
 
     def call(self, payload: bytes, on_reply: OnReply) -> int:
-        """Send a request; never blocks.
+        """Send a request with its encapsulation header; never blocks. Return its number for :meth:`forget`.
 
-        Args:
-            payload: The serialized request, its encapsulation header included.
-            on_reply: Called exactly once unless the call is forgotten, and perhaps before this returns:
-                with the response, ``not executed`` (such as reason ``NO_SERVER``: nothing was sent), or
-                ``fate unknown`` (the server has gone; :meth:`close`). There is no time limit here.
-
-        Returns:
-            The number of the call, for :meth:`forget`.
-
-        Raises:
-            BackendError: ROS008 if the payload is no request of the type, ROS009 after close.
+        ``on_reply`` is called exactly once unless the call is forgotten, and perhaps before this returns:
+        with the response, ``not executed`` (such as reason ``NO_SERVER``: nothing was sent), or
+        ``fate unknown`` (the server has gone; :meth:`close`). There is no time limit here. Raises
+        BackendError ROS008 if the payload is no request of the type, ROS009 after close.
         """
 
     def forget(self, number: int) -> None:
@@ -386,10 +344,8 @@ def ended_for_good(backend: Backend | None) -> str:
 def settled_graph(
     graph: Callable[[], GraphInfo], seconds: float, needed: Collection[str] = (), *, clock: Clock = SYSTEM
 ) -> GraphInfo:
-    """Return the graph once it has not changed for a second and has the topics ``needed``, or at the end.
-
-    Discovery takes a moment, and nothing shows when it is over.
-    """
+    """Return the graph once it has not changed for a second and has the topics ``needed``, or at the end."""
+    # Discovery takes a moment, and nothing shows when it is over.
     start = changed = clock.monotonic_ns()
     seen = graph()
     while (now := clock.monotonic_ns()) - start < seconds * 1e9:

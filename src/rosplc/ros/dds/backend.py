@@ -39,11 +39,9 @@ _FOREIGN = "over another DDS than Cyclone's, which exchanges no calls with this 
 
 
 def dds_qos(qos: Qos, type_hash: str, service_id: str = "") -> DdsQos:
-    """Return the wheel's QoS for an endpoint, as ``rmw_cyclonedds_cpp`` would set it.
-
-    One difference: a reliable writer waits for no peer. The wheel holds the GIL while it
-    writes, so one slow peer would stop every topic of the bridge.
-    """
+    """Return the wheel's QoS for an endpoint, as ``rmw_cyclonedds_cpp`` would set it."""
+    # One difference: a reliable writer waits for no peer. The wheel holds the GIL while it writes, so one
+    # slow peer would stop every topic of the bridge.
     transient = qos.durability == "transient_local"
     policies = [
         Policy.Reliability.Reliable(0) if qos.reliability == "reliable" else Policy.Reliability.BestEffort,
@@ -290,12 +288,10 @@ class DdsBackend(BaseNode):
         return f"node {node}" if node else f"a DDS participant without a ROS node ({peer.guid[:12].hex()})"
 
     def _explain(self, endpoint: Endpoint, peer: Peer, matched: bool) -> Problem | None:
-        """Judge a peer.
-
-        If one does not match that should by all that is announced, the definitions differ; but discovery and
-        matching lag a moment behind each other when a peer comes or goes, so this is reported only once it
-        has lasted.
-        """
+        """Judge a peer."""
+        # If one does not match that should by all that is announced, the definitions differ; but discovery
+        # and matching lag a moment behind each other when a peer comes or goes: reported only once it has
+        # lasted.
         name = self._name(peer)
         if endpoint.serves and not peer.has_header:
             does = _base.describe(peer.info, name)

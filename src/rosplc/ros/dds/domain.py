@@ -78,12 +78,10 @@ def _peers(addresses: list[str]) -> str:
 
 
 def _interfaces(environment: Mapping[str, str], *, beyond: bool) -> str:
-    """Return the interfaces of a node that looks for others on this machine.
-
-    Peers on older releases of Cyclone, and on Fast DDS, announce themselves to 127.0.0.1 alone, and
-    this release takes no announcement from an interface that it does not use. Lists of interfaces
-    add up, so one in the user's configuration stands alone.
-    """
+    """Return the interfaces of a node that looks for others on this machine."""
+    # Peers on older releases of Cyclone, and on Fast DDS, announce themselves to 127.0.0.1 alone, and this
+    # release takes no announcement from an interface that it does not use. Lists of interfaces add up, so one
+    # in the user's configuration must be the only one.
     if "NetworkInterface" in environment.get("CYCLONEDDS_URI", ""):
         return ""
     others = '<NetworkInterface autodetermine="true"/>' if beyond else ""
@@ -91,11 +89,8 @@ def _interfaces(environment: Mapping[str, str], *, beyond: bool) -> str:
 
 
 def domain_config(environment: Mapping[str, str], distro: str, extra: str = "") -> str:
-    """Return the configuration for ``dds_create_domain``: XML fragments, separated by commas.
-
-    Humble does not look at the newer variables; a value that ROS does not know is ROS010. ``extra`` is more
-    XML for the domain.
-    """
+    """Return the configuration for ``dds_create_domain``: XML fragments (``extra`` too) with commas."""
+    # Humble does not look at the newer variables; a value that ROS does not know is ROS010.
     humble = distro == "humble"
     if humble:
         environment = {key: value for key, value in environment.items() if key not in _NOT_HUMBLE}

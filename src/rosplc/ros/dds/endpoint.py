@@ -1,7 +1,4 @@
-"""The bridge's own DDS endpoints: bytes in, bytes out, and how they fare.
-
-The hot paths are :meth:`DdsSubscription.take` and :meth:`DdsPublisher.write`.
-"""
+"""The bridge's own DDS endpoints: bytes in, bytes out, state; ``take`` and ``write`` are the hot paths."""
 
 from __future__ import annotations
 
@@ -81,11 +78,9 @@ class DdsSubscription(BaseSubscription, Endpoint):
         return matched
 
     def take(self) -> None:
-        """Deliver what has arrived; called by the receive thread alone.
-
-        DDS matches a publisher that announces another definition of the type. Its messages may
-        decode, with values in the wrong fields, so they are refused and counted.
-        """
+        """Deliver what has arrived; called by the receive thread alone."""
+        # DDS matches a publisher that announces another definition of the type. Its messages may decode, with
+        # values in the wrong fields, so they are refused and counted.
         with self._lock:
             if self.closed:
                 return

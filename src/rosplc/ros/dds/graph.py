@@ -141,12 +141,7 @@ Gid[] writer_gid_seq
 
 
 class Announcer:
-    """One node's place in the graph.
-
-    Args:
-        guid: Its 16-byte id.
-        qos_of: Makes the wheel's QoS from a :class:`Qos` and a type hash.
-    """
+    """One node's place in the graph; ``qos_of`` makes the wheel's QoS from a :class:`Qos` and a type hash."""
 
     def __init__(
         self,
@@ -158,7 +153,7 @@ class Announcer:
         distro: str,
         qos_of: Callable[[Qos, str], Any],
     ) -> None:
-        self._guid = guid
+        self._guid = guid  # 16 bytes
         self._node = (namespace, name)
         self._size = gid_size(distro)
         self._lock = threading.Lock()

@@ -1,9 +1,8 @@
 """Cyclone DDS's own warnings, and what they tell about bad bytes.
 
-A message whose bytes do not fit its type is dropped inside the C library; the only trace is a
-warning. The library's trace output goes into a file in memory, which costs it no more than a
-write and can neither block it nor need the GIL, as a callback would. The same warnings stand on
-stderr, as with every program on Cyclone DDS.
+A message whose bytes do not fit its type is dropped inside the C library; the only trace is a warning. The
+library's trace goes into a file in memory, which costs no more than a write and can neither block it nor need
+the GIL, as a callback would. The same warnings are on stderr, as with every program on Cyclone DDS.
 """
 
 from __future__ import annotations
@@ -21,11 +20,7 @@ _PAGE = 4096
 
 
 class LibraryLog:
-    """The reading side of the library's trace output; one per process.
-
-    Attributes:
-        path: Where the library shall write to.
-    """
+    """The reading side of the library's trace output, which it writes to ``path``; one per process."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()

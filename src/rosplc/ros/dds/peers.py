@@ -46,19 +46,13 @@ _AUTOMATIC = 0
 
 @dataclass(frozen=True, slots=True)
 class Peer:
-    """An endpoint of another participant.
-
-    Attributes:
-        handle: Its instance handle, by which DDS lists matched peers.
-        info: The endpoint in ROS's words, without its node; the topic is DDS's if it is none of ROS.
-        service_id: By which the two endpoints of a service's client or server are known to belong together.
-    """
+    """An endpoint of another participant."""
 
     guid: bytes
-    handle: int
+    handle: int  # its instance handle, by which DDS lists matched peers
     dds_topic: str
-    info: EndpointInfo
-    service_id: str = ""
+    info: EndpointInfo  # in ROS's words, without its node; the topic is DDS's if it is none of ROS
+    service_id: str = ""  # by which the two endpoints of a service's client or server belong together
 
     @property
     def has_header(self) -> bool:
@@ -67,21 +61,15 @@ class Peer:
 
 
 class PeerTable:
-    """What the builtin topics have shown so far; updated by the receive thread.
-
-    Args:
-        own: Its 16-byte id; its own endpoints are left out, but those of services: a node may call itself.
-
-    Attributes:
-        left: Ids of endpoints that have gone; they are kept until :meth:`forget`.
-    """
+    """What the builtin topics have shown so far; updated by the receive thread."""
 
     def __init__(self, participant: Any, own: bytes) -> None:
+        # Our 16-byte id: our endpoints are left out, but those of services, since a node may call itself.
         self._own = own
         self._lock = threading.Lock()
         self._peers: dict[bytes, Peer] = {}
         self._by_topic: dict[tuple[str, str], dict[bytes, Peer]] = {}
-        self.left: set[bytes] = set()
+        self.left: set[bytes] = set()  # ids of endpoints that have gone; they are kept until :meth:`forget`
         self.readers = (
             BuiltinDataReader(participant, BuiltinTopicDcpsPublication),
             BuiltinDataReader(participant, BuiltinTopicDcpsSubscription),

@@ -54,10 +54,7 @@ def split_header(data: bytes) -> tuple[bytes, int, int]:
 
 
 class _Service(Endpoint):
-    """What both ends have in common: a reader, a writer, and the peers on the two topics.
-
-    The entity is the one on the request's topic, the type hash that of the request.
-    """
+    """Both ends' reader, writer and peers on the two topics; entity and type hash are the request's."""
 
     def __init__(self, reader: Any, writer: Any, response_hash: str, *arguments: Any) -> None:
         asks = self.direction == "out"
@@ -146,10 +143,7 @@ class _Pending(NamedTuple):
 
 
 class DdsServer(KeepingServer, _Service):
-    """A service that is served; see :class:`rosplc.ros.backend.ServiceServer`.
-
-    A caller is the client's id and the number of the call, as little-endian words.
-    """
+    """A service that is served; a caller: the client's id and the call's number, little-endian words."""
 
     remembers = True
 

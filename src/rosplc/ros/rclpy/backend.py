@@ -31,11 +31,7 @@ RclpyEndpoint = RclpySubscription | RclpyPublisher | RclpyServer | RclpyClient
 
 
 class RclpyBackend(BaseNode):
-    """One node of rclpy; see :class:`rosplc.ros.backend.Backend`.
-
-    Made by :func:`open_backend`, with a node and a thread of its own, or by :func:`from_node`, on a
-    node that the caller spins.
-    """
+    """One node of rclpy, with a thread (:func:`open_backend`) or spun by the caller (:func:`from_node`)."""
 
     name = "rclpy"
     _kinds = (RclpySubscription, RclpyPublisher, RclpyServer, RclpyClient)
@@ -255,15 +251,9 @@ def refusal(what: str, error: Exception) -> BackendError:
 
 
 def from_node(node: Any, store: TypeStore, *, remap: Mapping[str, str] | None = None) -> RclpyBackend:
-    """Carry topics on a node that the caller owns and spins, such as a lifecycle node.
+    """Carry topics on a node that the caller owns, spins and closes, such as a lifecycle node.
 
-    Args:
-        node: An ``rclpy.node.Node``; :meth:`RclpyBackend.close` leaves it alone.
-        store: Where message types come from.
-        remap: Topic → topic, besides the node's own rules.
-
-    Raises:
-        BackendError: ROS001 if the types are ROS 1's.
+    ``remap`` maps topics besides the node's own rules. Raises BackendError ROS001 if the types are ROS 1's.
     """
     return RclpyBackend(node, store, remap or {})
 

@@ -149,11 +149,9 @@ class RclpySubscription(BaseSubscription, RclpyEndpointBase):
         self._receive(payload, 0, stamped=False)
 
     def _receive(self, payload: bytes, stamp_ns: int, *, stamped: bool) -> None:
-        """Deliver a message and those that wait behind it.
-
-        The executor builds a wait set over all entities of the node for each message it takes. What
-        else has arrived is taken here at once, as the executor's own ``_take_subscription`` does.
-        """
+        """Deliver a message and those that wait behind it."""
+        # The executor builds a wait set over all entities of the node for each message it takes. What else
+        # has arrived is taken here at once, as the executor's own ``_take_subscription`` does.
         with self._lock:
             self._deliver(payload, stamp_ns)
             for _ in range(_BATCH):
@@ -193,12 +191,7 @@ class RclpyPublisher(BasePublisher, RclpyEndpointBase):
         return int(entity.get_subscription_count())
 
     def write(self, payload: bytes, stamp_ns: int | None = None) -> bool:
-        """Send one message; rclpy stamps it itself, with the present time.
-
-        Raises:
-            BackendError: As :meth:`rosplc.ros.backend.Publisher.write`, and ROS002 if the middleware
-                refuses.
-        """
+        """Send one message, stamped by rclpy with the present time; ROS002 if the middleware refuses it."""
         data = self._checked(payload)  # the middleware would send anything
         with self._lock:
             if self.closed:
@@ -219,10 +212,8 @@ Endpoint = RclpySubscription | RclpyPublisher
 
 
 def create(make: Callable[..., Any], endpoint: Endpoint, look: Callable[[Endpoint], None]) -> Any:
-    """Create an entity with as many events as the middleware supports; raises what rclpy raises.
-
-    ``make`` takes ``event_callbacks`` alone; ``look`` is called when a peer does not fit.
-    """
+    """Create an entity with as many events as the middleware supports; raises what rclpy raises."""
+    # ``make`` takes ``event_callbacks`` alone; ``look`` is called when a peer does not fit.
     for callbacks in _callbacks(endpoint, look):
         try:
             return make(event_callbacks=callbacks)

@@ -1,7 +1,6 @@
 """Classes of the ROS installation: found by a type's name, and compared with the bridge's definition.
 
-The bridge carries bytes by its own definition of a type; the middleware finds its type support by
-the class. Were the two of different definitions, values would stand in the wrong fields.
+The middleware's type support is the class's: were the definitions different, values would be in wrong fields.
 """
 
 from __future__ import annotations
@@ -29,10 +28,7 @@ _WORDS = {"msg": "message", "srv": "service", "action": "action"}
 
 
 def message_class(type_name: str) -> Any:
-    """Import the class of a message or service; ROS011 if the ROS installation has no such type.
-
-    ``package/srv/Name_Request`` is ``Name.Request``; likewise an action's parts.
-    """
+    """Import a message's or service's class, or a part's (``…/Name_Request``); ROS011: not installed."""
     package, kind, name = type_name.split("/")
     try:
         module = importlib.import_module(f"{package}.{kind}")

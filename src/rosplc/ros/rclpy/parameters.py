@@ -14,11 +14,9 @@ _WORDS = "shown only; set by rosplc"
 
 
 def show(node: Any, values: Mapping[str, str | list[str]]) -> None:
-    """Declare read-only parameters; ``version`` always, and those given.
-
-    An override from outside (``-p name:=value``) does not change a value, and an empty list is left out:
-    rclpy cannot tell its type.
-    """
+    """Declare read-only parameters; ``version`` always, and those given."""
+    # An override from outside (``-p name:=value``) does not change a value, and an empty list is left out:
+    # rclpy cannot tell its type.
     for name, value in {"version": __version__, **values}.items():
         if value != [] and not node.has_parameter(name):
             descriptor = ParameterDescriptor(read_only=True, description=_WORDS)
@@ -26,10 +24,9 @@ def show(node: Any, values: Mapping[str, str | list[str]]) -> None:
 
 
 class Shown:
-    """Parameters that change with the bridge's configuration, and that nobody else can set.
+    """Parameters that change with the configuration, ``version`` at once, and that nothing else can set.
 
-    rclpy lets nobody change a read-only parameter, its own node included; so these are guarded by a
-    callback. ``version`` is declared at once.
+    rclpy lets no one change a read-only parameter, its own node included; so a callback guards these.
     """
 
     def __init__(self, node: Any) -> None:

@@ -22,15 +22,10 @@ from rosplc.errors import BackendError
 
 
 def read_options(options: Mapping[str, object]) -> tuple[list[str], Mapping[str, str | list[str]]]:
-    """Read the backend's own keys.
+    """Return ROS arguments for the bridge's node, and name → value of read-only parameters that it shows.
 
-    Returns:
-        ROS arguments for the bridge's node, as after ``--ros-args`` on a command line:
-        ``["-r", "cmd_vel:=base/cmd_vel", "--enclave", "/cell1"]``; and name → value of parameters that the
-        node shows, and nobody can set.
-
-    Raises:
-        BackendError: ROS013, a key is unknown or its value is not of its kind.
+    The arguments are as after ``--ros-args`` on a command line: ``["-r", "cmd_vel:=base/cmd_vel",
+    "--enclave", "/cell1"]``. Raises BackendError ROS013 if a key is unknown or its value is not of its kind.
     """
     for key in options:
         if key not in ("ros_args", "parameters"):
@@ -53,11 +48,9 @@ _logger = logging.getLogger("rosplc.ros.rclpy")
 
 
 def guard_takes(executor: Any, refused: Callable[[Any, Exception], None]) -> None:
-    """Keep a message that cannot be taken from ending all deliveries.
-
-    An empty serialized message makes the middleware's take raise (rmw_cyclonedds). rclpy's executors then
-    never release the entity and its callback group, which is that of all our endpoints.
-    """
+    """Keep a message that cannot be taken from ending all deliveries."""
+    # An empty serialized message makes the middleware's take raise (rmw_cyclonedds). rclpy's executors then
+    # never release the entity and its callback group, which is that of all our endpoints.
     known = getattr(executor._take_subscription, "refused", None)
     if known is not None:
         known.append(refused)
@@ -84,19 +77,14 @@ def _guarded(take: Callable[[Any], Any], nothing: Any, refused: list[Any]) -> Ca
 
 
 class OwnNode:
-    """One node that a thread of its own serves until :meth:`close`; raises what rclpy raises.
-
-    Args:
-        domain: The ROS domain; None leaves it to ``ROS_DOMAIN_ID``.
-        ros_args: ROS arguments, as after ``--ros-args``; they apply to this node alone.
-    """
+    """One node that a thread of its own serves until :meth:`close`; raises what rclpy raises."""
 
     def __init__(
         self, name: str, namespace: str, domain: int | None, ros_args: Sequence[str], clock: Clock
     ) -> None:
         self.context = Context()
         self._clock = clock
-        # Never None: rclpy would take the arguments of the whole program.
+        # Args are never None: rclpy would take those of the whole program. The domain is ROS_DOMAIN_ID if None.
         self.context.init(args=["--ros-args", *ros_args] if ros_args else [], domain_id=domain)
         try:
             self.node: Any = Node(name, context=self.context, namespace=namespace)

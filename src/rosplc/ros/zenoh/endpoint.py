@@ -1,8 +1,4 @@
-"""The bridge's own endpoints on Zenoh: bytes in, bytes out, and how they fare.
-
-The hot paths are :meth:`ZenohSubscription.arrived`, :meth:`ZenohSubscription.deliver_next` and
-:meth:`ZenohPublisher.write`.
-"""
+"""The bridge's own endpoints on Zenoh; ``arrived``, ``deliver_next`` and ``write`` are the hot paths."""
 
 from __future__ import annotations
 
@@ -114,8 +110,7 @@ class Sender(Endpoint):
 class ZenohSubscription(QueuedSubscription, Endpoint):
     """A topic being received; see :class:`rosplc.ros.backend.Subscription`.
 
-    Threads of the library put messages into a queue of ``depth``, where the oldest give way; the
-    backend's receive thread hands them over.
+    Threads of the library fill a queue of ``depth``, the oldest give way; the receive thread empties it.
     """
 
     def __init__(self, on_message: OnMessage, node: Any, entity: Entity) -> None:

@@ -1,15 +1,13 @@
-"""What ``rmw_zenoh_cpp`` writes into keys, liveliness tokens and attachments.
-
-The conventions are those of its ``docs/design.md`` and ``liveliness_utils``.
+"""What ``rmw_zenoh_cpp`` writes into keys, liveliness tokens, attachments; see its design.md, liveliness_utils.
 
 A token is a key: ``@ros2_lv/domain/session/node/entity/kind/enclave/namespace/name``, and for an endpoint
 ``/topic/type/hash/qos`` behind it. Zenoh reports to all when one appears, and when its session is gone. What
 others write is not trusted: a token that ROS could not have written is refused here.
 
-Quality of service is ``reliability:durability:history,depth:deadline:lifespan:liveliness``, where the
-last three are ``seconds,nanoseconds`` (liveliness: ``kind,seconds,nanoseconds``). Numbers are
-those of ``rmw/types.h``; what equals rmw_zenoh's default is left empty. Early releases wrote
-the first three parts only, with every number.
+Quality of service is ``reliability:durability:history,depth:deadline:lifespan:liveliness``, where the last
+three are ``seconds,nanoseconds`` (liveliness: ``kind,seconds,nanoseconds``). Numbers are those of
+``rmw/types.h``; rmw_zenoh's defaults are left empty. Early releases wrote the first three parts only, with
+every number.
 
 An attachment has 33 bytes in Zenoh's serialization format: ``int64`` sequence, ``int64`` nanoseconds since
 1970, the length 16, and 16 bytes of id, all little-endian.
@@ -129,27 +127,19 @@ def unpack(data: bytes) -> Attachment:
 
 @dataclass(frozen=True, slots=True)
 class Entity:
-    """What one token announces.
-
-    Attributes:
-        node_id: Number of the node in its session.
-        entity_id: Number of the entity in its session; a node's own number if it is a node.
-        topic: The absolute topic name; empty for a node.
-        type_hash: The type hash as the key has it (:data:`NO_TYPE_HASH` on Humble).
-        qos: The settings; None for a node.
-    """
+    """What one token announces."""
 
     domain: int
     session: str
-    node_id: str
-    entity_id: str
+    node_id: str  # number of the node in its session
+    entity_id: str  # number of the entity in its session; a node's own number if it is a node
     kind: Kind
     namespace: str
     node: str
-    topic: str = ""
+    topic: str = ""  # the absolute topic name; empty for a node
     type_name: str = ""
-    type_hash: str = NO_TYPE_HASH
-    qos: Qos | None = None
+    type_hash: str = NO_TYPE_HASH  # as the key has it (:data:`NO_TYPE_HASH` on Humble)
+    qos: Qos | None = None  # None for a node
 
     @property
     def full_name(self) -> str:
@@ -224,17 +214,13 @@ def parse_token(token: str) -> Entity:
 
 
 class TokenTable:
-    """Every token that is alive; updated by threads of the library, read by any.
-
-    Attributes:
-        malformed: Tokens that were refused, those beyond :data:`MOST_TOKENS` too.
-    """
+    """Every token that is alive; updated by threads of the library, read by any."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._entities: dict[str, Entity] = {}
         self._by_topic: dict[tuple[str, Kind], dict[str, Entity]] = {}
-        self.malformed = 0
+        self.malformed = 0  # tokens that were refused, those beyond :data:`MOST_TOKENS` too
 
     def appeared(self, token: str) -> str | None:
         """Take in a token; return the topic concerned, if any."""
@@ -303,11 +289,9 @@ def fits(ours: Entity, theirs: Entity) -> bool:
 
 
 def explain(ours: Entity, theirs: Entity) -> _base.Problem | None:
-    """Return code and words for what is wrong or doubtful between two endpoints on one topic.
-
-    Reliability and durability keep no endpoints apart, as with ``rmw_zenoh_cpp``; but a subscriber may be
-    promised less than it asks for: the code is empty then. None if all is well.
-    """
+    """Return what is wrong or doubtful between two endpoints on one topic; None if all is well."""
+    # Reliability and durability keep no endpoints apart, as with ``rmw_zenoh_cpp``; but a subscriber may be
+    # promised less than it asks for: the code is empty then.
     problem = _base.explain(theirs.info, ours.info)
     if problem is None or problem[0] != "ROS004":
         return problem

@@ -1,8 +1,7 @@
 """The session with Zenoh: opened as soon as it can be, and whether a router is reached.
 
-A peer's session opens at once, and the library connects in the background, again and again. A
-client's opens only where a router answers; so that the bridge starts in any order, a thread
-tries until one does.
+A peer's session opens at once, and the library connects in the background, again and again. A client's opens
+only where a router answers; so that the bridge starts in any order, a thread tries until one does.
 
 Of its settings, what comes later wins: rmw_zenoh's defaults or a file in their place (``ros.zenoh.config``,
 else ``ZENOH_SESSION_CONFIG_URI``), then ``ros.zenoh``'s other keys, then ``ZENOH_CONFIG_OVERRIDE``.
@@ -59,25 +58,15 @@ _DEFAULTS: tuple[tuple[str, object], ...] = (
 
 @dataclass(frozen=True)
 class SessionConfig:
-    """What a session is opened with.
-
-    Attributes:
-        mode: ``peer`` or ``client`` (or ``router``, if a file says so).
-        endpoints: Where it connects to.
-    """
+    """What a session is opened with."""
 
     config: Any
-    mode: str
-    endpoints: tuple[str, ...]
+    mode: str  # ``peer`` or ``client`` (or ``router``, if a file has it)
+    endpoints: tuple[str, ...]  # where it connects to
 
 
 def session_config(options: Mapping[str, object], environment: Mapping[str, str]) -> SessionConfig:
-    """Return the session's configuration; ``options`` are ``ros.zenoh`` (:data:`OPTIONS`).
-
-    Raises:
-        BackendError: ROS013 if a key or value of the options is not valid, ROS010 if a variable's
-            is not.
-    """
+    """Return a session's configuration; ROS013 for a bad option of ``ros.zenoh``, ROS010 for a variable."""
     for key in options:
         if key not in OPTIONS:
             raise _bad(key, f"there is no key {key!r}; there are: {', '.join(OPTIONS)}")
@@ -178,16 +167,10 @@ _PATIENCE_NS = 2_000_000_000  # a router on this machine or next to it answers s
 
 
 class Link:
-    """Opens the session, once.
-
-    Args:
-        on_open: Called with the session, from :meth:`start` or from a thread of its own.
-
-    Attributes:
-        trouble: In words, why no other node can be reached; empty if some can.
-    """
+    """Opens the session, once."""
 
     def __init__(self, config: SessionConfig, on_open: Callable[[Any], None], clock: Clock) -> None:
+        # ``on_open`` is called with the session, from :meth:`start` or from a thread of its own.
         self._config, self._on_open, self._clock = config, on_open, clock
         self._lock = threading.Lock()
         self._ended = threading.Event()
@@ -196,7 +179,7 @@ class Link:
         self._session: Any = None
         self._seen = False  # whether there has been a router
         self._refusal = ""
-        self.trouble = ""
+        self.trouble = ""  # in words, why no other node can be reached; empty if some can
 
     def start(self) -> None:
         """Open the session, or begin to try; ROS002 if the library refuses for more than an absent router."""
