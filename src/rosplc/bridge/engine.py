@@ -281,7 +281,7 @@ class Bridge:
         )
 
     def stuck(self, longest_ns: int) -> str:
-        """Return what has hung for ``longest_ns`` (some seconds) of all that carries and beats."""
+        """Return what has hung for ``longest_ns``, several seconds, of what carries and beats; else empty."""
         carriers, heartbeat, now = self._carriers, self._heartbeat, self._clock.monotonic_ns()
         if not self._started_ns or carriers is None or heartbeat is None:
             return "it is not started"

@@ -108,7 +108,7 @@ def _refuse_redefined(new: Project, used: Mapping[str, str], problems: Problems)
 
 @dataclass
 class Exchange:
-    """Carry other streams, without touching kept ones; ``show`` takes those open at each moment, to beat."""
+    """Carries other streams, never touching kept ones; ``show`` takes those open at each moment, to beat."""
 
     changes: Changes
     running: tuple[Carried, ...]
@@ -132,7 +132,7 @@ class Exchange:
         self._kept = tuple(stream for stream in self.running if stream.plan.name not in left)
 
     def run(self) -> tuple[Carried, ...]:
-        """Return the streams carried now; RosplcError (SHM116, SHM117, ROS002 …): those from before."""
+        """Return the streams carried now; after RosplcError (SHM116, SHM117 …) the former ones are."""
         taken = {self._name(stream.plan) for stream in self._leaving}
         first = [plan for plan in self.changes.added if self._name(plan) not in taken]
         rest = [plan for plan in self.changes.added if self._name(plan) in taken]
