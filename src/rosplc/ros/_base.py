@@ -567,7 +567,7 @@ class BaseNode(Opener):
         self._since: dict[Hashable, int] = {}
 
     def _resolve(self, topic: str, type_name: str) -> tuple[str, str]:
-        """Return the full names of topic and type; raises ROS009 after close, ROS005 (name), TYP001 (type)."""
+        """Return the full names of topic, type; raises ROS009 after close, ROS005 (name), TYP001 (type)."""
         self._usable()
         full = resolve_topic(topic, namespace=self._namespace, node_name=self._node_name, remap=self._remap)
         if not is_service(type_name):

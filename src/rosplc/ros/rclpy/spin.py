@@ -84,7 +84,7 @@ class OwnNode:
     ) -> None:
         self.context = Context()
         self._clock = clock
-        # Args are never None: rclpy would take those of the whole program. The domain is ROS_DOMAIN_ID if None.
+        # Never None: rclpy would take the whole program's arguments. Without a domain it is ROS_DOMAIN_ID's.
         self.context.init(args=["--ros-args", *ros_args] if ros_args else [], domain_id=domain)
         try:
             self.node: Any = Node(name, context=self.context, namespace=namespace)

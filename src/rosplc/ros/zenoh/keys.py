@@ -1,4 +1,4 @@
-"""What ``rmw_zenoh_cpp`` writes into keys, liveliness tokens, attachments; see its design.md, liveliness_utils.
+"""What ``rmw_zenoh_cpp`` writes into keys, liveliness tokens, attachments: design.md, liveliness_utils.
 
 A token is a key: ``@ros2_lv/domain/session/node/entity/kind/enclave/namespace/name``, and for an endpoint
 ``/topic/type/hash/qos`` behind it. Zenoh reports to all when one appears, and when its session is gone. What
