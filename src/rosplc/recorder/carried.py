@@ -27,11 +27,9 @@ from rosplc.shm import SERVICE, Description, Direction, Group, Namespace, Part, 
 from rosplc.shm.attach import belong_together
 from rosplc.shm.constants import ANSWER_DONE, ANSWER_MASK, ASK_WITHDRAWN, STAMP_SYSTEM, WRITER_LINE
 
-EVENTS = "/_service_event"
-"""What the name of a topic with a service's events ends with."""
+EVENTS = "/_service_event"  # what the name of a topic with a service's events ends with
 _IN_ORDER, _REPORT_NEWS = 1, 2
-_NO_STAMP = 2**31 * 10**9
-"""A time of ROS has 31 bits of seconds."""
+_NO_STAMP = 2**31 * 10**9  # a time of ROS has 31 bits of seconds
 _IDL = {"bool": "boolean", "byte": "octet", "char": "uint8", "float32": "float", "float64": "double"}
 
 
@@ -41,26 +39,15 @@ def service_of(topic: str, type_name: str) -> str:
     return topic.removesuffix(EVENTS) if events and "/_action/" not in topic else ""
 
 
-_NO_COUNT = 1 << 24
-"""A distance beyond this is that to a head which somebody scribbled."""
+_NO_COUNT = 1 << 24  # a distance beyond this means that the head is corrupt
 
 
 class CarriedChannel:
     """An object, attached read-only: recording it disturbs no one.
 
-    Args:
-        path: The object's file.
-        since_ns: When the recording began (ns since 1970), if it has: then what the object holds already is
-            taken. None: what comes after :meth:`begin` is.
-
-    Attributes:
-        slots: Its slots; one message less can wait.
-        codec: Record to CDR.
-        reader: Takes every message in order, and counts what it missed.
-        since_creation: Whether the object was made while recording, so that its first message is one to take.
-
-    Raises:
-        ChannelError: As :func:`rosplc.shm.attach`; SHM113 if it does not describe itself.
+    ``since_ns`` is when the recording began (ns since 1970), if it has: then what the object holds already is
+    taken; if None, what comes after :meth:`join` is. Raises ChannelError as :func:`rosplc.shm.attach`; SHM113
+    if the object does not describe itself.
     """
 
     def __init__(self, path: Path, *, since_ns: int | None) -> None:
@@ -71,14 +58,16 @@ class CarriedChannel:
             # Also of a ROS 1 channel: its store is one of ROS 2, as the description gives no version.
             self.codec, self.limits = Codec(layout, Wire.CDR), dict(self.description.limits)
             self._plan = self.codec.plan
+            # takes every message in order, and counts what it missed
             self.reader: Reader = self._attached.reader(latched=since_ns is not None)
             self._begun = since_ns is not None
         except BaseException:
             self._attached.close()
             raise
         self.topic = self.description.topic
+        # whether it was made while recording, so that its first message is one to take
         self.since_creation = since_ns is not None and self._attached.identity.created_ns >= since_ns
-        self.slots = self._attached.identity.slot_count
+        self.slots = self._attached.identity.slot_count  # one message less can wait
 
     def join(self, group: Group, mode: int = _IN_ORDER) -> list[int]:
         """Have a group take what comes from now on; return the indices.
@@ -128,16 +117,11 @@ class Event(NamedTuple):
 
 
 class CarriedService(CarriedChannel):
-    """Both objects of one use of a service.
+    """Both objects of one use of a service; ``path`` is the file of its requests.
 
     Of a call's messages the first is a request, unless it is withdrawn already; of its answers a response is
-    one, and all others say that there is none.
-
-    Args:
-        path: The file of its requests.
-
-    Raises:
-        ChannelError: As :class:`CarriedChannel`; SHM112 if the two objects do not belong together.
+    one, and all others report that there is none. Raises ChannelError as :class:`CarriedChannel`; SHM112 if
+    the two objects do not belong together.
     """
 
     def __init__(self, namespace: Namespace, path: Path, *, since_ns: int | None) -> None:

@@ -1,7 +1,6 @@
 """Messages of one definition as messages of another: fields are matched by name, never by position.
 
-A recording of unknown origin may be converted: nothing of a definition is executed, and lengths in a message
-are compared with what is there before anything is read.
+Recordings may be of unknown origin: no definition is executed, and lengths are checked before reading.
 """
 
 from __future__ import annotations
@@ -47,18 +46,11 @@ def renamed(type_name: str, store: TypeStore) -> str:
 
 
 class Conversion:
-    """Turns messages of one definition into messages of another.
+    """Turns messages of one definition into messages of another, in CDR or ROS 1's serialization.
 
     A field that only the source has is dropped, one that only the target has stays zero; both are noted.
-
-    Args:
-        source: Has the recorded type ``source_type``.
-        target: Has the wanted type ``target_type``.
-        from_ros1: Whether messages come in ROS 1's serialization; else in CDR. ``to_ros1`` likewise.
-        where: The topic, for errors.
-
-    Raises:
-        RecordingError: REC007, a field has two types that do not agree, or the two have no field in common.
+    ``where`` is the topic, for errors. Raises RecordingError REC007 if a field has two types that do not
+    agree, or the two definitions have no field in common.
     """
 
     def __init__(
@@ -247,14 +239,7 @@ class Requests(Conversion):
     """Takes the requests out of a service's events.
 
     An event that is no request is nothing; nor is what another event, of the other side, has told already.
-
-    Args:
-        source: Has the recorded ``service``.
-        target: Has the same.
-        to_ros1: As of :class:`Conversion`, like ``where``.
-
-    Raises:
-        RecordingError: REC007, the definitions of the request or response do not agree.
+    Raises RecordingError REC007 if the definitions of the request or response do not agree.
     """
 
     def __init__(

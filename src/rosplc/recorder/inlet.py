@@ -25,12 +25,9 @@ from rosplc.shm.constants import STAMP_SYSTEM
 
 @dataclass(frozen=True)
 class Selection:
-    """Names or patterns of topics, such as ``/robot1/*``; without ``topics`` all but those of ``exclude``.
+    """Names or patterns of topics, such as ``/robot1/*``; without ``topics`` all but those of ``exclude``."""
 
-    A ``*`` also matches slashes. A service's name means its events.
-    """
-
-    topics: tuple[str, ...] = ()
+    topics: tuple[str, ...] = ()  # a * also matches slashes; a service's name means its events
     exclude: tuple[str, ...] = ()
 
     def __contains__(self, topic: str) -> bool:
@@ -55,21 +52,17 @@ _TICK_NS = 1_000_000
 _LONGEST_WAIT_NS = 200_000_000
 _RETRY_NS = 1_000_000_000
 _NO_TIME = 2**63 - 1
-_LOSS = 1 << 24
-"""A first sequence beyond this is no count of messages, but something that a writer made up."""
+_LOSS = 1 << 24  # a first sequence beyond this is no count of messages, but something that a writer made up
 
 
 @dataclass
 class TopicCount:
-    """Messages of a topic: taken and kept, missed, and taken but not encodable.
-
-    ``lost`` were overwritten before they were read, or dropped because the disk did not keep up.
-    """
+    """Messages of a topic."""
 
     type_name: str
-    received: int = 0
-    lost: int = 0
-    refused: int = 0
+    received: int = 0  # taken and kept
+    lost: int = 0  # overwritten before they were read, or dropped because the disk did not keep up
+    refused: int = 0  # taken, but not encodable
 
 
 @dataclass(eq=False)
@@ -95,15 +88,9 @@ class _Entry:
 class Inlet:
     """Reads the channels of one prefix; :meth:`start` begins, :meth:`stop` ends.
 
-    Args:
-        namespace: The objects' prefix and directory.
-        selection: Which topics are taken.
-        put: Given each full batch, by the taking thread.
-        chunk_bytes: How many bytes make a batch full.
-        flush_ns: After how long it is full in any case.
-        qos: Topic → QoS, as far as a configuration says it.
-        watch: Given a channel that is being attached, returns what its messages are shown to, or None.
-        clock: What messages are stamped with, and when a batch is full.
+    The taking thread gives each batch to ``put`` when it has ``chunk_bytes``, or after ``flush_ns``. ``qos``
+    is topic → QoS, as far as it is configured; ``watch`` is given a channel that is being attached, and
+    returns what its messages are shown to, or None. ``clock`` also stamps the messages.
     """
 
     def __init__(
@@ -374,8 +361,7 @@ class Ring:
         self._chunks: deque[tuple[int, int, SealedChunk]] = deque()
         self._lock = threading.Lock()
         self.size = 0
-        self.cut_short = False
-        """Whether the size made a chunk give way before its time."""
+        self.cut_short = False  # whether the size made a chunk give way before its time
 
     def take(self, chunk: SealedChunk) -> None:
         """Add a chunk."""

@@ -1,15 +1,12 @@
 """MCAP files: written chunk by chunk, and read although they may be cut off, damaged or hostile.
 
-The library's records are used, its ``Writer`` is not: a ring buffer keeps compressed chunks, and puts them
-into a file when something has happened; the ``Writer`` takes messages only, and costs seven times as much per
-message, which at 20 topics × 1 kHz decides whether the reader keeps up.
-
-A file is good at every moment: what is written is whole records, and one that the disk has no room for is
-taken back. Only :meth:`McapFile.finish` adds the summary, so a file without one was cut off.
-
-:func:`survey` finds chunks and topics: from the summary, or, where that is missing or does not add up, by
-going through the file from the front. Nothing in a file is believed: lengths are compared with what is there
-before memory is asked for, chunks are decompressed with a bound, and checksums are compared.
+The library's records are used, its ``Writer`` is not: it takes messages only, while a ring buffer keeps
+compressed chunks until something has happened; and it costs seven times as much per message, which at 20
+topics × 1 kHz decides whether the reader keeps up. A file is good at every moment: what is written is whole
+records, and one that the disk has no room for is taken back. Only :meth:`McapFile.finish` adds the summary,
+so a file without one was cut off. :func:`survey` uses the summary or, where it is missing or wrong, goes
+through the file. Nothing in a file is believed: lengths are checked before memory is asked for, chunks are
+decompressed with a bound, and checksums are compared.
 """
 
 from __future__ import annotations
@@ -53,29 +50,23 @@ _FIXED = 22  # bytes of a message record before its data: channel id, sequence, 
 
 
 class Batch:
-    """The messages of one chunk to be.
-
-    Attributes:
-        data: Message records.
-        index: Channel id → log time and offset in ``data`` of each of its messages, alternating.
-        start_ns: The earliest log time; ``end_ns`` the latest.
-    """
+    """The messages of one chunk to be."""
 
     __slots__ = ("data", "end_ns", "index", "start_ns")
 
     def __init__(self) -> None:
-        self.data = bytearray()
+        self.data = bytearray()  # message records
+        # channel id → log time and offset in data of each of its messages, alternating
         self.index: dict[int, list[int]] = {}
-        self.start_ns = self.end_ns = 0
+        self.start_ns = self.end_ns = 0  # the earliest and the latest log time
 
     def __bool__(self) -> bool:
         return bool(self.data)
 
     def add(self, channel: int, sequence: int, log_ns: int, publish_ns: int, payload: bytes) -> None:
-        """Add a message.
+        """Add a message; ``channel`` is from 1 to 65535, ``sequence`` has 32 bits.
 
-        ``channel`` is from 1 to 65535, ``sequence`` has 32 bits; ``log_ns`` is when it was taken and
-        ``publish_ns`` when its source sent it (ns since 1970).
+        ``log_ns`` is when it was taken and ``publish_ns`` when its source sent it (ns since 1970).
         """
         data = self.data
         places = self.index.get(channel)
@@ -148,11 +139,7 @@ def seal(batch: Batch, compression: Compression) -> SealedChunk:
 
 
 class McapFile:
-    """A file that is being written; nothing may have its name yet.
-
-    Raises:
-        OSError: It cannot be created, or written; also from the other methods.
-    """
+    """A file that is being written; nothing may have its name yet. It and its methods raise OSError."""
 
     def __init__(self, path: Path, profile: str = "ros2") -> None:
         self.path = path
@@ -317,8 +304,7 @@ def _ended(builder: RecordBuilder) -> bytes:
     return bytes(builder.end())  # type: ignore[no-untyped-call]
 
 
-MAX_CHUNK = 256 << 20
-"""Bytes of the largest chunk, uncompressed; writers make chunks of about a megabyte."""
+MAX_CHUNK = 256 << 20  # bytes of the largest chunk, uncompressed; writers make chunks of about a megabyte
 
 _DAMAGE = (
     McapError, EOFError, struct.error, ValueError, KeyError, IndexError, OverflowError, TypeError,
@@ -391,11 +377,10 @@ class _Bounded:
 
 
 def survey(path: Path, *, count: bool = False) -> Survey:
-    """Return what a file holds.
+    """Return what a file holds; one cut off or damaged behind its beginning is not ``complete``.
 
     ``count`` looks into every chunk, also where a summary gives its content: that finds damage. Raises
-    RecordingError REC003 if it is no MCAP file or cannot be opened. A file that is cut off or damaged behind
-    its beginning is no error: ``complete`` is False.
+    RecordingError REC003 if it is no MCAP file or cannot be opened.
     """
     what, remedy = unreadable_kind(path, folder=False)
     if what:

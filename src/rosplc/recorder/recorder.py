@@ -64,18 +64,14 @@ class Progress:
 
 @dataclass(frozen=True)
 class Result:
-    """What became of a recording.
-
-    ``saves`` has why a ring buffer was saved, each time; ``unsaved`` counts the triggers after the last save;
-    ``cut_short``: memory held less than it was to keep.
-    """
+    """What became of a recording."""
 
     files: tuple[Written, ...]
     topics: Mapping[str, TopicCount]
     seconds: float
-    saves: tuple[str, ...] = ()
-    unsaved: int = 0
-    cut_short: bool = False
+    saves: tuple[str, ...] = ()  # why a ring buffer was saved, each time
+    unsaved: int = 0  # triggers after the last save
+    cut_short: bool = False  # whether memory held less than it was to keep
 
     @property
     def received(self) -> int:
@@ -164,10 +160,7 @@ class Recorder:
         self._looked_ns = self._clock.monotonic_ns()
 
     def look_after(self) -> None:
-        """Look for channels that came or went, for triggers, and for what went wrong.
-
-        Raises RecordingError REC001 or REC002: it cannot continue; :meth:`stop` finishes what there is.
-        """
+        """Look for channels, triggers, failures; after REC001 or REC002, :meth:`stop` finishes the files."""
         now = self._clock.monotonic_ns()
         if now - self._looked_ns >= _LOOK_NS:
             self._looked_ns = now
@@ -215,8 +208,7 @@ class Recorder:
     def stop(self) -> Result:
         """Take what is there, finish the files, and return what became of it.
 
-        Without a message no file is left, except those of a ring buffer. Raises RecordingError REC001 or
-        REC002 if the last file could not be finished, and has no summary.
+        Without a message only a ring buffer's files stay. Raises REC001 or REC002 if the last has no summary.
         """
         seconds = self._seconds()
         self.inlet.stop()

@@ -1,7 +1,4 @@
-"""Playing a recording's messages, in their order and at their pace, into channels or ROS topics.
-
-Requests of services are sent where a service is named; what was answered is not compared.
-"""
+"""Playing a recording in order and at its pace, into channels, topics or services (answers not compared)."""
 
 from __future__ import annotations
 
@@ -58,8 +55,7 @@ class SentCount:
     refused: int = 0
     lost: int = 0
     reason: str = ""
-    asked: int = 0
-    """Requests of a service, answered or not."""
+    asked: int = 0  # requests of a service, answered or not
 
     @property
     def open(self) -> int:
@@ -151,10 +147,8 @@ def wait_for_readers(
     return missing
 
 
-_NO_TIME = 2**63 - 1
-"""DDS and ROS count ns since 1970 in signed 64 bits; the largest number means none."""
-_NAP_S = 0.2
-"""How long at most before it is looked whether to stop."""
+_NO_TIME = 2**63 - 1  # DDS and ROS count ns since 1970 in signed 64 bits; the largest number means none
+_NAP_S = 0.2  # the longest wait before checking whether to stop
 
 
 @dataclass(frozen=True)
@@ -229,11 +223,10 @@ class Player:
     disordered: int = 0  # messages whose time lies before that of the one sent before
 
     def play(self, stopped: Callable[[float], bool], look: Callable[[], None] = lambda: None) -> None:
-        """Play until the end, or until told to stop.
+        """Play until the end, or until ``stopped``, which waits so many seconds, returns True.
 
-        ``stopped`` waits for so many seconds, and returns True if it is to stop; ``look`` is called a few
-        times a second, for progress. Raises RecordingError REC003 if the file is damaged; what lies before
-        has been sent.
+        ``look`` is called a few times a second, for progress. REC003: the file is damaged; all before was
+        sent.
         """
         while not stopped(0.0):
             self.rounds += 1
@@ -277,8 +270,7 @@ class Player:
         return base >= 0
 
 
-_SLOTS = 64
-"""Of a channel that neither a configuration nor a recording nor an object describes."""
+_SLOTS = 64  # of a channel that neither a configuration nor a recording nor an object describes
 
 
 class PlcTarget(Target):
@@ -286,11 +278,9 @@ class PlcTarget(Target):
 
     A channel's limits and depth are those of the configuration (``project``), else of the object that is
     there, else of the recording: so the code in the PLC still fits. ``topics`` is name in shared memory →
-    topic, ``distro`` names whose definitions hold where the recording has none.
-
-    Raises:
-        ChannelError: SHM116, a bridge or another program writes the channel; SHM117 and others.
-        RecordingError: REC007, the channel belongs to a topic that the PLC writes, or to another type.
+    topic, ``distro`` names whose definitions hold where the recording has none. Raises ChannelError SHM116 if
+    a bridge or another program writes the channel, SHM117 and others; REC007 if the PLC writes its topic, or
+    its type is another.
     """
 
     def __init__(
@@ -382,10 +372,7 @@ class PlcTarget(Target):
     def _convert(
         self, name: str, topic: SourceTopic, own: TypeStore, layout: Layout, direction: Direction, who: str
     ) -> None:
-        """Note how a topic's messages become those of a channel.
-
-        Raises RecordingError REC007 if the PLC writes the channel, or it has messages of another type.
-        """
+        """Note how messages become a channel's; REC007 if the PLC writes it, or its type is another."""
         if direction is not Direction.TO_PLC:
             raise RecordingError(
                 "REC007",
@@ -538,11 +525,8 @@ class RosTarget(Target):
     """Publishers on ROS topics, and clients of services, over any backend.
 
     ``topics`` is name in ROS → topic, ``distro`` names whose definitions hold on the wire, ``join`` opens the
-    backend.
-
-    Raises:
-        RecordingError: REC007, the recording's definition of a type does not agree with the distribution's.
-        BackendError: ROS001, ROS002 …
+    backend. Raises RecordingError REC007 if the recording's definition of a type does not agree with the
+    distribution's; BackendError ROS001, ROS002 …
     """
 
     linger_s = 1.0  # a middleware may still be sending, or repeating what got lost

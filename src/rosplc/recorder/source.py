@@ -90,20 +90,15 @@ class Source(ABC):
     """A recording that is open."""
 
     start_ns = end_ns = 0
-    notes: tuple[str, ...] = ()
-    """Remarks on the file as a whole."""
+    notes: tuple[str, ...] = ()  # remarks on the file as a whole
 
     def __init__(self) -> None:
         self.topics: dict[str, SourceTopic] = {}
-        self.unusable: dict[str, str] = {}
-        """Topic → why it cannot be replayed."""
+        self.unusable: dict[str, str] = {}  # topic → why it cannot be replayed
 
     @abstractmethod
     def messages(self, topics: Collection[str], start_ns: int, end_ns: int) -> Iterator[SourceMessage]:
-        """Yield the messages of these topics with start_ns ≤ log time ≤ end_ns, in order of log time.
-
-        Raises RecordingError REC003 if the file is damaged; everything before was given.
-        """
+        """Yield the messages with start_ns ≤ log time ≤ end_ns, in its order; REC003 where damage begins."""
 
     def close(self) -> None:  # noqa: B027
         """Close the file, if it is open between two reads."""

@@ -110,8 +110,7 @@ def file_name(base: Path, part: int | None = None) -> Path:
     return base.with_name(f"{base.name}{'' if part is None else f'_{part}'}{SUFFIX}")
 
 
-METADATA = "rosplc"
-"""Name of the metadata record that tells what was lost."""
+METADATA = "rosplc"  # name of the metadata record that tells what was lost
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
@@ -126,17 +125,14 @@ class Split:
 
 @dataclass(frozen=True)
 class Written:
-    """A finished file: its bytes, earliest and latest log time (0 without messages), topic → messages.
-
-    ``complete``: it has its summary.
-    """
+    """A finished file."""
 
     path: Path
-    size: int
-    start_ns: int
+    size: int  # bytes
+    start_ns: int  # the earliest log time, ``end_ns`` the latest; 0 without messages
     end_ns: int
-    counts: Mapping[str, int]
-    complete: bool
+    counts: Mapping[str, int]  # topic → messages
+    complete: bool  # whether it has its summary
 
     @property
     def messages(self) -> int:
@@ -159,17 +155,11 @@ class Written:
 class FileStore:
     """Writes chunks into files; used by one thread at a time.
 
-    Args:
-        base: The file's path without ``.mcap``, or the folder's.
-        channels: Channel id → how files name it; it may grow.
-        facts: Returns the contents of the metadata record; asked often, and written when they changed.
-        split: When a new file begins.
-        bag: Write a folder with a ``metadata.yaml``, as `ros2 bag record` does.
-        distro: The ROS distribution that ``metadata.yaml`` names.
-
-    Raises:
-        RecordingError: REC001, the first file cannot be created; REC002, the disk is full. Also from
-            the other methods; the files that there are stay readable.
+    ``base`` is the file's path without ``.mcap``, or the folder's; ``bag`` makes it a folder with
+    ``metadata.yaml`` (of ``distro``), as `ros2 bag record` does. ``channels``, channel id → how files name
+    it, may grow; ``facts`` returns the metadata record: asked often, written when it changed. It and its
+    methods raise RecordingError REC001 if a file cannot be created, REC002 if the disk is full; the files
+    that there are stay readable.
     """
 
     def __init__(
@@ -331,10 +321,7 @@ class FileStore:
 
 
 def try_place(base: Path) -> None:
-    """Make the folder of a file that is written later, and try to create a file in it.
-
-    Raises RecordingError REC001 or REC002, as the write would.
-    """
+    """Make the folder of a later file, and try to create a file in it; REC001 or REC002 as its write."""
     with _writing(base.parent):
         base.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=base.parent):
@@ -360,16 +347,13 @@ _REPAIR = "rosplc.repair"
 
 @dataclass(frozen=True)
 class Repaired:
-    """What was saved: the new file, its messages per topic, and what was wrong with the old one (or nothing).
+    """What was saved of a file."""
 
-    ``damaged`` counts the parts of it that could not be read.
-    """
-
-    path: Path
+    path: Path  # the new file
     messages: int
-    topics: dict[str, int]
-    problem: str
-    damaged: int
+    topics: dict[str, int]  # topic → messages
+    problem: str  # what was wrong with the old file; empty if nothing
+    damaged: int  # parts of it that could not be read
 
 
 def repair(source: Path, target: Path, look: Callable[[int], None] = lambda _: None) -> Repaired:

@@ -116,10 +116,7 @@ class Fired(NamedTuple):
 
 
 class Triggers:
-    """All triggers of a recording; fed by the taking thread and by the one that watches the channels.
-
-    Raises RecordingError REC005 if a text, as on the command line, is not understood.
-    """
+    """All triggers of a recording; fed by the taking and by the watching thread. REC005: a text is wrong."""
 
     def __init__(self, texts: Iterable[str]) -> None:
         texts = list(texts)
