@@ -102,11 +102,7 @@ def read_objects(templates: str, names: Iterable[str], folder: str) -> tuple[Ite
 
 
 def parse_object(text: str, name: str, folder: str = "") -> Item:
-    """Return the object of a text.
-
-    Raises:
-        ValueError: The text is not of the form that the templates keep to.
-    """
+    """Return the object of a text; ValueError if it is not of the form that the templates keep to."""
     comment, attributes, rest = _preamble([line.rstrip() for line in text.rstrip().splitlines()])
     if rest[0] == f"TYPE {name} :" and rest[-1] == "END_TYPE":
         if (rest[1], rest[-2]) == ("STRUCT", "END_STRUCT"):
@@ -227,13 +223,7 @@ HELPER_NAMES = (*_GENERAL, *_TIMES, *_DURATIONS, *_ANGLES)
 
 
 def helper_objects(store: TypeStore, builder: DutBuilder, folder: str) -> tuple[Item, ...]:
-    """Return the helpers, and have the message types built that they use.
-
-    Args:
-        store: The types; a helper whose message type is missing is left out.
-        builder: Builds the DUTs.
-        folder: The helpers' folder in the PLC project.
-    """
+    """Return the helpers whose message types ``store`` has, and have ``builder`` build these types."""
     names: list[str] = list(_GENERAL)
     for type_name, helpers in _HELPERS.items():
         if type_name in store:

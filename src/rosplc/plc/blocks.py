@@ -49,16 +49,10 @@ def block(
     pins: bool = False,
     part: bool = False,
 ) -> Pou:
-    """Return a function block of a message type.
+    """Return a ``Read``, ``Write``, ``ClassicRead`` or ``ClassicWrite`` block of a message type.
 
-    Args:
-        kind: ``"Read"``, ``"Write"``, ``"ClassicRead"`` or ``"ClassicWrite"``.
-        layout: The message's layout.
-        builder: Has built, or builds, the DUTs.
-        name: The block's name.
-        folder: The object's folder in the project.
-        pins: Add a pin for each top-level field, for Ladder and Function Block Diagram.
-        part: The message is a part of a service or action.
+    ``builder`` has built, or builds, the DUTs; ``pins`` adds a pin for each top-level field, for Ladder and
+    Function Block Diagram; ``part`` is for a message that is a part of a service or action.
     """
     low, high = layout.layout_id_words
     steps = tuple(_mend(layout.root, "stShadow", builder, 0))
@@ -83,15 +77,7 @@ def block(
 def call_block(
     role: str, type_name: str, parts: Mapping[str, tuple[str, str]], name: str, folder: str
 ) -> Pou:
-    """Return the function block of a service or action.
-
-    Args:
-        role: What the PLC is, as ``"Client"``.
-        type_name: The service's or action's type.
-        parts: DUT and block of each part.
-        name: The block's name.
-        folder: The object's folder in the project.
-    """
+    """Return a service's or action's block; ``role`` is as "Client", ``parts`` has DUT and block of each."""
     named = {part: {"dut": dut, "block": inner} for part, (dut, inner) in parts.items()}
     found = parse_object(render(f"blocks/{role}.st", type_name=type_name, name=name, **named), name, folder)
     assert isinstance(found, Pou)

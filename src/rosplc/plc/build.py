@@ -1,7 +1,6 @@
 """From topics, or a configuration, to a PLC project: everything the technician finds after the import.
 
-The order of the output depends on names alone, never on the order of a file or a set, so
-that a second generation from the same input gives the same bytes.
+The output's order depends on names alone, so that the same input gives the same bytes again.
 """
 
 from __future__ import annotations
@@ -46,12 +45,10 @@ from rosplc.plc.project import Dut, Enumeration, Gvl, PlcProject, Pou, Task, Var
 from rosplc.plc.types import DutBuilder, Renaming, initial_value
 from rosplc.shm import Direction
 
-READ_GVL, WRITE_GVL = "ROS_Read", "ROS_Write"
-"""The lists that hold the instances."""
+READ_GVL, WRITE_GVL = "ROS_Read", "ROS_Write"  # the lists that hold the instances
 SERVICE_GVL, ACTION_GVL = "ROS_Services", "ROS_Actions"
 """The lists that hold the instances of services and actions."""
-SAFE_GVL = "ROS_Safe"
-"""The list that holds what a message becomes when its source is silent."""
+SAFE_GVL = "ROS_Safe"  # the list that holds what a message becomes when its source is silent
 _PROGRAMS = {
     "read": "Takes what came from ROS; call it first",
     "write": "Sends to ROS; call it last",
@@ -60,14 +57,7 @@ _ON_STALE = {"hold": 0, "zero": 1, "value": 2}
 
 
 def call(name: str, topic: PlcTopic, task: int, cycle_ns: int) -> str:
-    """Return the call of a topic's instance, with what the configuration says.
-
-    Args:
-        name: The instance's.
-        topic: What it carries.
-        task: The task's index.
-        cycle_ns: The task's interval; 0 if it has none.
-    """
+    """Return the call of a topic's instance, as configured; ``cycle_ns`` is 0 if the task has no interval."""
     gvl = READ_GVL if topic.direction == "read" else WRITE_GVL
     arguments = [f"uiTask := {task}", f"udiMapSize := {topic.object_size}"]
     if topic.classic is not None:
@@ -186,21 +176,12 @@ def build_project(
     layouts: Sequence[Layout] = (),
     calls: Sequence[CallPlan] = (),
 ) -> PlcProject:
-    """Return the project for a set of topics, services and actions.
+    """Return the project for a set of topics, services and actions, each given once.
 
-    Args:
-        store: The types.
-        topics: Every topic once.
-        tasks: Every task that a topic names; at most 16.
-        options: See :class:`ProjectOptions`.
-        layouts: Layouts that get both blocks, whether or not a topic has them.
-        calls: Every use of a service or action once.
-
-    Raises:
-        GenerationError: PLC003, there are more tasks than the blocks serve; PLC005, two tasks have
-            names that are one to CODESYS; PLC006, a topic's name is longer than the blocks take; PLC007, the
-            name of a classic topic's memory or semaphore is none; PLC008, a topic, task or prefix has
-            a name that is none.
+    ``tasks`` has every task that a topic names, at most 16; ``layouts`` get both blocks, whether or not a
+    topic has them. Raises GenerationError PLC003 if there are more tasks than the blocks serve, PLC005 if two
+    tasks have names that are one to CODESYS, PLC006 if a topic's name is longer than the blocks take, PLC007
+    if a classic topic's memory or semaphore has an invalid name, PLC008 if a topic, task or prefix has one.
     """
     options = options or ProjectOptions()
     _check_name(_PREFIX, options.prefix, "prefix")
@@ -419,11 +400,7 @@ def _notes(
 
 
 def plc_project(project: Project, options: ProjectOptions) -> PlcProject:
-    """Return the PLC project of a configuration.
-
-    Raises:
-        GenerationError: PLC003, more tasks are used than the blocks serve.
-    """
+    """Return the PLC project of a configuration; PLC003 if more tasks are used than the blocks serve."""
     topics, tasks = _topics(project), _tasks(project)
     settings = project.config.settings
     options = replace(options, prefix=settings.prefix)

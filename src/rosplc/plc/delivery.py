@@ -23,8 +23,7 @@ from rosplc.plc.project import PlcProject, object_text
 from rosplc.plc.script import import_script
 
 MANIFEST = ".rosplc-manifest.json"
-LARGEST_MANIFEST = 16 << 20
-"""Bytes of the list of generated files; one of ten thousand files has two million."""
+LARGEST_MANIFEST = 16 << 20  # bytes of the list of generated files; one of ten thousand files has two million
 _LONGEST_STEM = 120  # with the folders still within the 260 characters of a path on Windows
 
 
@@ -46,13 +45,7 @@ class Delivery:
 
 
 def project_files(project: PlcProject, layouts: list[Layout], name: str) -> dict[str, bytes]:
-    """Return every file of a project by its path below the output folder.
-
-    Args:
-        project: What to write.
-        layouts: The layouts of the C header.
-        name: The stem of the files' names, ``rosplc``.
-    """
+    """Return path below the output folder → file; ``layouts`` are the C header's, ``name`` is the stem."""
     result = {
         f"st/{_folder(item.folder, project.name)}{_stem(item.name)}.st": object_text(item).encode("ascii")
         for item in project.items
@@ -78,16 +71,10 @@ def _template(name: str) -> str:
 
 
 def write_files(folder: Path, files: dict[str, bytes], *, force: bool = False) -> Delivery:
-    """Write files below a folder.
+    """Write files, path below ``folder`` → content; ``force`` overwrites and removes what was edited, too.
 
-    Args:
-        folder: The output folder; created where it is missing.
-        files: Path below the folder → content.
-        force: Overwrite and remove what was edited, too.
-
-    Raises:
-        GenerationError: PLC001, a file was edited since it was generated, or was there before;
-            PLC002, the folder cannot be written.
+    The folder is created where it is missing. Raises GenerationError PLC001 if a file was edited since it was
+    generated, or was there before; PLC002 if the folder cannot be written.
     """
     try:
         known = _manifest(folder, force=force)

@@ -1,8 +1,7 @@
 """Identifiers and literals that every Structured Text compiler accepts.
 
-IEC 61131-3 identifiers are letters, digits and single underscores, not ending with one, and
-case does not tell two apart. A name that is a keyword, or collides with another in the same
-scope, is renamed by a fixed rule, and every renaming is kept for the table in the output.
+IEC 61131-3 identifiers are letters, digits and single underscores, not ending with one; case is ignored. A
+name that is a keyword, or collides within its scope, is renamed by a fixed rule and listed in the output.
 """
 
 from __future__ import annotations
@@ -37,10 +36,7 @@ def is_reserved(name: str) -> bool:
 
 
 def legal(name: str) -> str:
-    """Return the name with what no identifier may hold replaced; reserved words get a ``_`` before.
-
-    ``type`` → ``_type``, ``a__b`` → ``a_b``, ``data_`` → ``data``.
-    """
+    """Return a legal name: ``type`` (reserved) → ``_type``, ``a__b`` → ``a_b``, ``data_`` → ``data``."""
     text = re.sub(r"[^A-Za-z0-9_]", "_", name)
     text = re.sub(r"_+", "_", text).rstrip("_") or "unnamed"
     if text[0].isdigit() or is_reserved(text):
@@ -55,11 +51,7 @@ def type_prefix(type_name: str) -> str:
 
 
 class Scope:
-    """Names of one scope: hands out each only once, whatever the case.
-
-    Args:
-        taken: Names that exist already.
-    """
+    """Names of one scope, ``taken`` ones included: hands out each only once, whatever the case."""
 
     def __init__(self, taken: Iterable[str] = ()) -> None:
         self._taken = {name.upper() for name in taken}
@@ -133,15 +125,7 @@ def string_literal(text: str) -> str:
 
 
 def literal(kind: str, value: Any) -> str | None:
-    """Return a primitive's or string's literal.
-
-    Args:
-        kind: A ROS primitive, or ``"string"``.
-        value: The value; lists give an array initialiser.
-
-    Returns:
-        The text; None where no literal exists (infinity, NaN).
-    """
+    """Return the literal of a primitive or "string", lists as array initialisers; None for infinity, NaN."""
     if isinstance(value, (list, tuple)):
         parts = [literal(kind, item) for item in value]
         return None if None in parts or not parts else "[" + ", ".join(str(p) for p in parts) + "]"

@@ -24,12 +24,7 @@ def check_classic(topic: str, classic: ClassicPlan) -> None:
 
 
 def classic_wait(classic: ClassicPlan, cycle_ns: int) -> int:
-    """Return how long a block may wait for the lock, in ms: never more than half of its task's cycle.
-
-    Args:
-        classic: The topic.
-        cycle_ns: The task's interval; 0 if it has none.
-    """
+    """Return the ms to wait for the lock: at most half of the task's cycle; ``cycle_ns`` 0 if it has none."""
     wait = -(-classic.wait_ns // 1_000_000)
     return min(wait, cycle_ns // 2_000_000) if cycle_ns else wait
 
@@ -84,23 +79,18 @@ class ProjectOptions:
 
 
 def target_of(machine: str) -> Literal["x86", "arm"]:
-    """Return a machine's target, as :func:`platform.machine` names it: what is not known to be x86 is ARM.
-
-    The delayed rule, which ARM falls back to, is right everywhere.
-    """
+    """Return a :func:`platform.machine`'s target: ARM if not x86, as its delayed rule is right everywhere."""
     return "x86" if machine.lower() in ("x86", "x86_64", "amd64", "i386", "i486", "i586", "i686") else "arm"
 
 
-UNKNOWN_BEAT_MS = 1000
-"""Promised where nobody knows how often a block is called."""
+UNKNOWN_BEAT_MS = 1000  # promised where it is unknown how often a block is called
 _SCANS, _LEAST_BEAT_MS = 10, 250
 
 
 def beat_ms(task: PlcTask) -> int:
     """Return the longest time between two beats that the blocks of a task promise, in ms.
 
-    Ten of its cycles, since a task may be late or be stopped for a moment. A writer that dies keeps its claim
-    for three such times.
+    Ten cycles, as a task may be late or pause; the claim of a writer that dies holds for three such times.
     """
     if task.kind != "cyclic":
         return UNKNOWN_BEAT_MS

@@ -34,8 +34,7 @@ _XHTML = "http://www.w3.org/1999/xhtml"
 _DATA = "http://www.3s-software.com/plcopenxml"
 _WHEN = "2000-01-01T00:00:00"  # the file depends on its input alone, not on the day
 
-LIBRARY_NAMESPACES = {"SysTypes2 Interfaces": "SysTypes"}
-"""Namespaces that are not the library's name."""
+LIBRARY_NAMESPACES = {"SysTypes2 Interfaces": "SysTypes"}  # namespaces that are not the library's name
 _ELEMENTARY = frozenset({*IEC_TYPES.values(), "WORD", "DWORD", "LWORD", "TIME", "DATE", "DT", "TOD"})
 _NOT_SET = (
     "HideWhenReferencedAsDependency", "PublishSymbolsInContainer", "SystemLibrary", "LinkAllContent",

@@ -104,8 +104,7 @@ class Pou:
     folder: str = ""
 
 
-Item: TypeAlias = "Dut | Enumeration | Gvl | Pou"
-"""An object of the project."""
+Item: TypeAlias = "Dut | Enumeration | Gvl | Pou"  # an object of the project
 
 
 class Task(NamedTuple):

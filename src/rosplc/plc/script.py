@@ -1,7 +1,6 @@
-"""Write the script that builds the project inside the CODESYS IDE.
+"""Write the script (IronPython 2.7, so plain ASCII Python 2.7) that builds the project in the CODESYS IDE.
 
-The IDE runs IronPython 2.7, so the script is plain ASCII Python 2.7: a hand-written program
-(``templates/import_script.py.txt``) and the project's objects as literals behind it.
+It is a hand-written program, ``templates/import_script.py.txt``, with the project's objects as literals.
 """
 
 from __future__ import annotations

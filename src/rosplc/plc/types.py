@@ -197,16 +197,7 @@ def _element(node: Node) -> Node:
 
 
 def initial_value(node: StructNode, value: Mapping[str, Any], builder: DutBuilder) -> str | None:
-    """Return the initial value that gives a message these fields, and all others their own initial value.
-
-    Args:
-        node: The message's struct.
-        value: Fields as :meth:`Layout.pack` takes them from a mapping; it has accepted them.
-        builder: Knows the identifiers.
-
-    Returns:
-        The text; None if ``value`` names no field.
-    """
+    """Return the initial value with these fields, which ``Layout.pack`` accepted; None if there are none."""
     names = builder.struct(node)
     parts = []
     for member in node.members:
