@@ -36,8 +36,7 @@ class CallPlan:
 
     kind: ClassVar[Literal["service", "action"]]
     parts: ClassVar[tuple[Part, ...]]
-    only: ClassVar[dict[str, frozenset[str]]]
-    """Settings that only one value of ``server`` has."""
+    only: ClassVar[dict[str, frozenset[str]]]  # settings that only one value of ``server`` has
     port: ClassVar[Literal["channel"]] = "channel"
 
     @property

@@ -41,26 +41,17 @@ class Config:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], *, base: Path | None = None) -> Config:
-        """Return the configuration that a YAML file with this content would give.
-
-        Raises ConfigErrors: As :func:`read_config`; places are key paths.
-        """
+        """Return what a file with this content gives; ConfigErrors as :func:`read_config`, at key paths."""
         return _validate(YamlSource("<settings>", dict(data)), base or Path(), Problems())
 
 
 def read_config(path: Path | str) -> Config:
-    """Read and validate a file, without looking at message types (:func:`load_config` does).
-
-    Raises ConfigErrors: CFG001 … CFG006, CFG009, CFG010; all that was found.
-    """
+    """Read and validate a file, except its types. Raises ConfigErrors CFG001 … CFG006, CFG009, CFG010."""
     return _parse(Path(path), None, Path(path).parent)
 
 
 def parse_config(text: str, *, name: str = "<text>", base: Path | None = None) -> Config:
-    """Validate YAML text; ``base`` is the folder that its relative paths refer to.
-
-    Raises ConfigErrors: As :func:`read_config`.
-    """
+    """Validate YAML text as :func:`read_config` does; ``base`` is the folder that relative paths refer to."""
     return _parse(Path(name), text, base or Path())
 
 
@@ -166,10 +157,7 @@ def _with_new_names(data: dict[str, Any], source: YamlSource, problems: Problems
 
 
 def rename_keys(text: str, *, name: str = "<text>") -> tuple[str, list[str]]:
-    """Give keys of a configuration their present names; everything else in the text stays as it is.
-
-    Return the text, and what was changed, each with its line. Raises ConfigErrors: It is no YAML.
-    """
+    """Return the text with keys' present names, and changes with their lines; ConfigErrors: it is no YAML."""
     problems = Problems()
     source = read_yaml(Path(name), problems, text=text)
     done = []

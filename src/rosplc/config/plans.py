@@ -46,10 +46,7 @@ def passes_changes_only(entry: TopicSettings) -> bool:
 
 
 def classic_plan(config: Config, topic: str, entry: TopicSettings, task: str) -> ClassicPlan | None:
-    """Return what a topic's entry says about classic mode; None if it is carried over a channel.
-
-    Raises ConfigError: CFG004 for a name that cannot be had, or another directory than /dev/shm.
-    """
+    """Return a topic's classic mode, None if it has a channel; CFG004: an invalid name, or not /dev/shm."""
     asked, settings = entry.classic, config.settings
     if asked is None:
         return None
@@ -94,10 +91,7 @@ def flag_topic(topic: str) -> str:
 
 
 def stale_plan(config: Config, topic: str, entry: TopicSettings, layout: Layout, stale_ns: int) -> StalePlan:
-    """Return what a topic's entry says about its silent source, silent after ``stale_ns`` (0: never).
-
-    Raises ConfigError CFG004 at the line of what is wrong.
-    """
+    """Return what a source's silence of ``stale_ns`` (0: never) causes; CFG004 at the line that is wrong."""
     asked = entry.on_stale
     if asked is None:
         return StalePlan("hold" if entry.to == "plc" else "stop")
@@ -193,20 +187,15 @@ def _leaves(value: Any, path: tuple[str | int, ...]) -> Iterator[tuple[tuple[str
 _PREEMPTION_NS = 1_000_000
 """A PLC task or another process in between; a board without a real-time kernel has more."""
 
-_COPY_NS_PER_BYTE = 5
-"""A 1 GHz Cortex-A8 copies 1 MiB in 4.7 ms; everything else is faster."""
+_COPY_NS_PER_BYTE = 5  # a 1 GHz Cortex-A8 copies 1 MiB in 4.7 ms; everything else is faster
 
-_PAUSE_NS = 20_000_000
-"""How long a reader may be kept from running, for the usual number."""
+_PAUSE_NS = 20_000_000  # how long a reader may be kept from running, for the usual number
 
-_BRIDGE_PAUSE_NS = 200_000_000
-"""The same for the bridge, on a loaded machine without a real-time kernel."""
+_BRIDGE_PAUSE_NS = 200_000_000  # the same for the bridge, on a loaded machine without a real-time kernel
 
-_MOST_BYTES = 1 << 20
-"""Records beyond this are not worth the bridge's longer pause."""
+_MOST_BYTES = 1 << 20  # records beyond this are not worth the bridge's longer pause
 
-_BURST = 16
-"""Slots where every message counts and nobody said how fast they come."""
+_BURST = 16  # slots where every message counts and their rate is unknown
 
 _MOST = 65536
 

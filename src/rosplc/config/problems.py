@@ -1,8 +1,4 @@
-"""Everything that is wrong with a configuration, reported together.
-
-Whoever writes a configuration corrects it in one go: the readers of this package collect
-what they find in a :class:`Problems` and raise once.
-"""
+"""Everything that is wrong with a configuration, reported together, so that it is corrected in one go."""
 
 from __future__ import annotations
 

@@ -30,10 +30,7 @@ def _split(value: Any, example: str, units: Iterable[str]) -> tuple[Fraction, st
 
 
 def parse_duration(value: Any) -> int:
-    """Return the nanoseconds of ``"200ms"``, ``"1s"``, ``"10us"``; up to a day.
-
-    A ValueError of this and the other functions here has a text that says what would be right.
-    """
+    """Return the ns of "200ms", "1s", "10us"; up to a day. ValueErrors of this module tell what is right."""
     number, unit = _split(value, "10ms, 1s or 500us", _UNITS)
     ns = number * _UNITS[unit]
     if ns.denominator != 1 or not 0 < ns <= _LONGEST:

@@ -1,8 +1,4 @@
-"""From settings to what the bridge, the PLC generator and the tools need: types, layouts, sizes.
-
-Everything that can be found out before anything is opened is checked here, so that a wrong
-configuration disturbs no running system.
-"""
+"""From settings to types, layouts and sizes: checks before anything is opened disturb no running system."""
 
 from __future__ import annotations
 
@@ -40,8 +36,7 @@ from rosplc.shm.constants import HEADER_SIZE, LINE_SIZE, MAX_DESCRIPTION_SIZE, M
 from rosplc.shm.description import partnered
 from rosplc.shm.files import Rights
 
-OWN_SETTINGS = ("zenoh", "rclpy")
-"""Backends with a section of their own."""
+OWN_SETTINGS = ("zenoh", "rclpy")  # backends that have a section
 _ROS2 = ("dds", "rclpy", "zenoh")
 _LARGEST_ID = 2**32 - 2
 _TO_PLC = Qos(reliability="reliable", durability="volatile", depth=1000)
@@ -88,8 +83,7 @@ class TopicPlan:
         return "channel" if self.classic is None else "classic"
 
 
-Plan: TypeAlias = "TopicPlan | CallPlan"
-"""What a bridge carries: a topic, or one use of a service or action."""
+Plan: TypeAlias = "TopicPlan | CallPlan"  # what a bridge carries: a topic, or one use of a service or action
 
 
 @dataclass(frozen=True)
@@ -147,10 +141,7 @@ def object_name(namespace: Namespace, plan: Plan) -> str:
 
 
 def load_config(path: Path | str) -> Config:
-    """Read a file and check all of it, types and sizes included.
-
-    Raises ConfigErrors: Everything that is wrong, each with file, line and key.
-    """
+    """Read a file and check it, types and sizes included; ConfigErrors have file, line and key each."""
     return load_project(path).config
 
 
@@ -165,8 +156,7 @@ def load_project(path: Path | str) -> Project:
 def resolve(config: Config) -> Project:
     """Find types, compute layouts and sizes.
 
-    Raises ConfigErrors: CFG001 for folders, CFG004, CFG007, CFG008, SHM118, and the type and layout errors
-    TYP001 … TYP008, LAY001 … LAY006 at the line of the topic.
+    ConfigErrors: CFG001 (folders), CFG004, CFG007, CFG008, SHM118; TYP001 … 008, LAY001 … 006 at the topic.
     """
     problems = Problems()
     settings = config.settings

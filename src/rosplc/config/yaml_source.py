@@ -21,11 +21,9 @@ from rosplc.harmless import one_line
 
 __all__ = ["DEEPEST", "LARGEST_FILE", "KeyPath", "YamlSource", "read_text", "read_yaml"]
 
-LARGEST_FILE = 1 << 20
-"""Bytes that a configuration may have; one with 10,000 topics stays below."""
+LARGEST_FILE = 1 << 20  # bytes that a configuration may have; one with 10,000 topics stays below
 
-DEEPEST = 32
-"""Levels of keys and lists within each other."""
+DEEPEST = 32  # levels of keys and lists within each other
 _Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _PLAIN_TAGS = frozenset(
     {"!"} | {f"tag:yaml.org,2002:{name}" for name in ("map", "seq", "str", "int", "float", "bool", "null")}
@@ -76,10 +74,9 @@ class YamlSource:
 
 
 def read_yaml(path: Path, problems: Problems, *, text: str | None = None) -> YamlSource:
-    """Read a file; what is wrong in a way that lets reading go on goes into ``problems``.
+    """Read a file; aliases and tags (CFG009) and repeated keys (CFG006, CFG010) go into ``problems``.
 
-    That is aliases and tags (CFG009) and keys written twice (CFG006, CFG010). ``text`` is the content, where
-    it does not come from the file. Raises ConfigError CFG001 if the file cannot be read, CFG002 if it is not
+    ``text`` is its content, if known. Raises ConfigError CFG001 if it cannot be read, CFG002 if it is not
     YAML.
     """
     name = str(path)
