@@ -1,7 +1,4 @@
-"""A bridge as a service of systemd: its unit, its user, and what it tells the service manager.
-
-``rosplc service`` is the command; nothing else imports this package.
-"""
+"""A bridge as a service of systemd: its unit, its user, and what it reports to the service manager."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Installing and removing a bridge's service: its plan, a list of steps, and their execution.
-
-The list is what ``--dry-run`` shows. Nothing is done that is not in it.
-"""
+"""Installing and removing a service: plan, steps, execution; nothing is done that is not in the steps."""
 
 from __future__ import annotations
 
@@ -56,10 +53,7 @@ Step = Write | Remove | Run
 
 
 def install_steps(plan: Plan, root: Path) -> list[Step]:
-    """Return what is to be done for a bridge to run as a service; ``root`` contains ``etc``.
-
-    Raises SetupError SYS011 if somebody else's file has one of the names.
-    """
+    """Return what installs a service; ``root`` has ``etc``. SYS011 if a file there is somebody else's."""
     steps: list[Step] = [
         Write(_at(root, _sysusers_file(plan.name)), sysusers(plan)),
         Write(_at(root, _TEMPLATE), template(plan)),
@@ -207,10 +201,7 @@ def _drop_in_file(name: str) -> Path:
 
 
 def service_states(root: Path, name: str | None = None) -> list[dict[str, object]]:
-    """Return a dictionary for each installed bridge: name, unit, enabled, active, restarts, status.
-
-    Raises SetupError SYS011 if the only one that is wanted is not installed.
-    """
+    """Return name, unit, enabled, active, restarts, status of each; SYS011 if ``name`` is not installed."""
     return [_state(each, root) for each in _installed(root, name) if name in (None, each)]
 
 
@@ -250,9 +241,8 @@ def plan_service(
 ) -> tuple[Plan, tuple[str, ...]]:
     """Return the service of a configuration, and what a person should know about it.
 
-    ``name`` None takes the file's, ``config`` None is ``/etc/rosplc/NAME.yaml``, looked for below ``root``,
-    too. Raises SetupError SYS011 if the name or a path is not usable, or neither was given; ConfigErrors if
-    the configuration is wrong.
+    ``name`` None takes the file's, ``config`` None ``/etc/rosplc/NAME.yaml``, also below ``root``. Raises
+    SetupError SYS011 if neither was given, or a name or path is not usable; ConfigErrors.
     """
     if config is None:
         if name is None:

@@ -136,10 +136,7 @@ class Supervisor:
 
 @contextmanager
 def supervised(bridge: Bridge, environment: Mapping[str, str] | None = None) -> Iterator[None]:
-    """Report a bridge's state to the service manager, where one has started this process.
-
-    The bridge may be started and stopped inside; without ``environment`` it is the process's.
-    """
+    """Report a bridge's state to the service manager, if any; it may be started and stopped inside."""
     notifier = Notifier.of(environment)
     if not notifier.wanted:
         yield

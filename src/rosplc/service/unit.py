@@ -23,23 +23,18 @@ _BACKOFF = 254  # systemd's version that knows RestartSteps=
 
 @dataclass(frozen=True)
 class Plan:
-    """One bridge as a service, ``rosplc@NAME.service``; SYS011 if a name or path cannot be in a unit.
-
-    ``config`` and ``program``, the rosplc command, are absolute; ``group`` is that of the objects, empty for
-    the user's own, ``directory`` their folder. ``priority`` is for SCHED_FIFO, 0 for none; ``affinity``:
-    threads are to be kept on processors; ``systemd`` the version that will read the files, 0 if unknown.
-    """
+    """One bridge as a service, ``rosplc@NAME.service``; SYS011 if a name or path cannot be in a unit."""
 
     name: str
     user: str
-    config: Path
-    program: Path
-    group: str = ""
-    directory: str = "/dev/shm"
-    priority: int = 0
+    config: Path  # absolute
+    program: Path  # the rosplc command, absolute
+    group: str = ""  # of the objects; empty for the user's own
+    directory: str = "/dev/shm"  # of the objects
+    priority: int = 0  # of SCHED_FIFO; 0 for none
     lock_memory: bool = False
-    affinity: bool = False
-    systemd: int = 0
+    affinity: bool = False  # whether threads are to be kept on processors
+    systemd: int = 0  # the version that will read the files; 0 if unknown
 
     def __post_init__(self) -> None:
         _valid("name", self.name, _NAME)
