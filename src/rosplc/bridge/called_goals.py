@@ -22,6 +22,7 @@ from rosplc.shm.constants import (
     ANSWER_CANCEL_ACCEPTED,
     ANSWER_CANCEL_REJECTED,
     ANSWER_CANCELED,
+    ANSWER_FATE_UNKNOWN,
     ANSWER_MASK,
     ANSWER_NO_RESULT,
     ANSWER_SUCCEEDED,
@@ -263,16 +264,23 @@ class CalledGoals(Asked):
         for goal in tuple(self._goals.values()):
             if goal.number != number and not goal.cancel:
                 self._leave(goal)  # it went with its objects
-        if not number or (not lives and self.plan.when_plc_down == "keep"):
+        answered, cancels = self._newest(Part.RESULT), self.plan.when_plc_down == "cancel"
+        number *= lives or cancels
+        if not number and answered is not None and answered[1].status == ANSWER_FATE_UNKNOWN:
+            # Given up by the bridge before, which may not have reached the server to cancel it.
+            wanted = {Reason.CALLER_GONE, Reason.PLC_DOWN if cancels else Reason.CALLER_GONE}
+            number = answered[1].correlation * (answered[1].reason in wanted)
+        if not number:
             return
         uuid = self._uuid(number)
-        goal = self._goals.setdefault(uuid, _Goal(uuid, number, decided=True, cancel=not lives, lost=True))
+        goal = self._goals.setdefault(uuid, _Goal(uuid, number, decided=True, lost=True))
         if not lives:
-            self.note(now_ns, "a goal of a program of the PLC's that has ended is canceled")
+            goal.cancel = True
+            self.note(now_ns, "a goal that the PLC does not wait for any more is canceled")
             return
         assert self._answerer is not None
         self._answerer.correlation, self._client = number, uuid  # what else comes of it is more
-        (_, asked), answered = self._newest(Part.GOAL) or (b"", None), self._newest(Part.RESULT)
+        _, asked = self._newest(Part.GOAL) or (b"", None)
         if asked is not None and asked.correlation == number:
             goal.cancel = goal.cancel or bool(asked.status & (ASK_CANCEL | ASK_WITHDRAWN))
         if answered is not None and answered[1].correlation == number:

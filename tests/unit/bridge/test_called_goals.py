@@ -638,6 +638,45 @@ def test_objects_that_are_opened_again(make: Make, replaced: bool) -> None:
     assert (cell.status.received, cell.status.succeeded) == (1, 1)
 
 
+@pytest.mark.parametrize("stops", [True, False])
+@pytest.mark.parametrize("how", ["silent", "withdrawn"])
+def test_a_cancel_that_did_not_reach_the_server_is_left_to_the_next_bridge(
+    make: Make, how: str, stops: bool
+) -> None:
+    """The PLC has its answer; without this the robot would move on."""
+    cell = make("when_plc_down: cancel" if how == "silent" else "when_plc_down: keep")
+    server, plc, uuid = begun(cell) if how == "silent" else asked(cell)
+    client: Any = cell.use._endpoint
+    client.cancel = lambda _: None  # and no byte leaves
+    if how == "silent":
+        plc.beats = False
+    else:
+        assert plc.withdraw()
+    cell.until(lambda: cell.use._open_call is None, "the end of the call")
+    if how == "withdrawn":
+        server.begin(uuid)
+    if stops:
+        cell.use.finish(cell.clock.monotonic_ns())
+        cell.use.disconnect()
+        cell.use.close()
+        cell.node.close()
+    else:
+        cell.kill()
+    assert server.cancels == []
+    cell.bridge()
+    cell.until(lambda: server.cancels == [uuid], "the request to cancel")
+
+
+def test_a_program_that_starts_again_while_the_objects_are_opened_again(make: Make) -> None:
+    cell = make()
+    server, plc, uuid = begun(cell)
+    plc.leave()
+    cell.plc = Plc(cell)
+    cell.use._channels[Part.RESULT].region.store(WRITER_LINE["writer_epoch"], 12345)
+    cell.until(lambda: server.cancels == [uuid], "the request to cancel")
+    assert cell.status.fate_unknown == {"bridge_restarted": 1}
+
+
 # -- the server goes, or says what it must not
 
 
