@@ -156,6 +156,7 @@ class ActionlibServer(ActionServer):
             over = self._over.get(uuid)
             if uuid in self._goals or (over and over[0] != _RECALLING):
                 return  # as actionlib: it has come before
+            self._make_room()
             goal = self._goals[uuid] = Goal(text, stamp_ns)
             if over or stamp_ns <= self._canceled_ns:
                 goal.cancels.append(actions.Cancel(b"", {uuid}))

@@ -209,6 +209,7 @@ class ActionServer(_Action):
             except BackendError as error:
                 self._send.refuse(caller, str(error))
                 return
+            self._make_room()
             new = uuid not in self._goals and len(self._goals) < MOST_GOALS
             if new:
                 self._goals[uuid] = Goal(caller)
@@ -216,6 +217,12 @@ class ActionServer(_Action):
                 self._answer(self._send, caller, wire.pack_accepted(False, 0))
         if new:
             self._on_goal(uuid, goal)
+
+    def _make_room(self) -> None:
+        """Forget the oldest goal that has ended, if there are too many."""
+        if len(self._goals) >= MOST_GOALS:
+            ended = (one for one, goal in self._goals.items() if goal.status.ended)
+            self._goals.pop(next(ended, b""), None)
 
     def _on_get(self, payload: bytes, caller: bytes, _stamp_ns: int) -> None:
         with self._lock:
@@ -347,11 +354,12 @@ class ActionServer(_Action):
         return self._step(uuid, GoalStep.EXECUTE)
 
     def feedback(self, uuid: bytes, payload: bytes) -> bool:
-        """Publish feedback of a goal that is executed."""
-        with self._lock:
-            if (goal := self._known(uuid)) is None or goal.status.ended:
-                return False
-            return self._feedback.write(self._feed(uuid, goal, payload))
+        """Publish feedback of a goal that is executed; False, too, if the middleware refuses it."""
+        with self._lock, contextlib.suppress(BackendError):
+            goal = self._known(uuid)
+            if goal is not None and not goal.status.ended:
+                return self._feedback.write(self._feed(uuid, goal, payload))
+        return False
 
     def accept_cancel(self, uuid: bytes) -> bool:
         """Agree to cancel a goal: it is canceling until it ends in one of three ways."""

@@ -12,6 +12,7 @@ from rosplc.bridge.port import Context
 from rosplc.bridge.served_goals import ServedGoals
 from rosplc.bridge.status import ActionStatus
 from rosplc.config import parse_config, resolve
+from rosplc.errors import BackendError
 from rosplc.reasons import Reason
 from rosplc.ros import EndpointStatus, action_wire
 from rosplc.ros.actions import CancelCode, GoalStatus
@@ -504,6 +505,24 @@ def test_a_client_that_has_gone(make: Make) -> None:
 
 
 # -- canceling
+
+
+def test_feedback_that_cannot_be_sent_holds_no_request_up(make: Make) -> None:
+    """As of a node that is inactive, while the PLC's program sends feedback in each scan."""
+    cell = make()
+    plc = cell.attach()
+    info = accepted(cell)
+
+    def refuse(*_: Any) -> bool:
+        raise BackendError("ROS009", "the node is not active")
+
+    cell.ros.ends["feedback"].write = refuse  # type: ignore[method-assign]
+    cell.ros.cancel(A)
+    for number in range(5):
+        plc.feed(info, number)
+        cell.turn(0.1)
+    assert plc.asked() == ASK_CANCEL
+    assert (cell.status.feedback, cell.status.reason) == (0, "")
 
 
 def test_a_goal_is_canceled(make: Make) -> None:

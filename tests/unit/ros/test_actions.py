@@ -161,11 +161,15 @@ def test_a_goal_that_is_known_is_not_accepted_again(graph: Any, server: Server, 
 def test_more_goals_than_there_is_room_for(
     server: Server, client: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """They are rejected."""
+    """They are rejected, but what has ended makes room: its result may be kept for an hour."""
     monkeypatch.setattr(actions, "MOST_GOALS", 1)
     begin(server, client)
     client.send(TWO, GOAL)
     client.wait(TWO, "rejected")
+    server.succeed(ONE, SEQUENCE)
+    client.wait(ONE, "result")
+    begin(server, client, TWO)
+    assert server.status(ONE) is GoalStatus.UNKNOWN
 
 
 def test_a_result_is_kept(server: Server, client: Client, clock: SteppedClock, graph: Any) -> None:
