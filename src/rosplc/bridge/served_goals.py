@@ -118,21 +118,21 @@ class ServedGoals(Calling):
             record, reason, text = self._read(Part.GOAL, payload[0])
             goal = _Goal(uuid, record)
             if text:
-                self._reject(goal, "not executed", reason or Reason.REJECTED, now_ns, text)
+                self._end(goal, "not executed", reason or Reason.REJECTED, now_ns, text)
             else:
                 self._enqueue(goal, now_ns)
 
     def _enqueue(self, goal: _Goal, now_ns: int) -> None:
         replaces, busy = self.plan.on_new_goal == "abort", self._open_goal is not None
         if self._down:
-            self._reject(goal, "not executed", Reason.PLC_DOWN, now_ns)
+            self._end(goal, "not executed", Reason.PLC_DOWN, now_ns)
         elif self._waiting and replaces:
-            self._reject(self._waiting.popleft(), "not executed", Reason.QUEUE_FULL, now_ns)
+            self._end(self._waiting.popleft(), "not executed", Reason.QUEUE_FULL, now_ns)
             self._waiting.append(goal)
         elif len(self._waiting) < max(self.plan.queue, replaces) + (not busy):
             self._waiting.append(goal)
         else:
-            self._reject(goal, "not executed", Reason.QUEUE_FULL, now_ns)
+            self._end(goal, "not executed", Reason.QUEUE_FULL, now_ns)
 
     def _wish_away(self, uuid: bytes, now_ns: int) -> None:
         goal = self._open_goal
@@ -140,14 +140,14 @@ class ServedGoals(Calling):
             goal.cancel, goal.unwanted = goal.accepted, not goal.accepted
         for waits in [one for one in self._waiting if one.uuid == uuid]:
             self._waiting.remove(waits)
-            self._reject(waits, "not executed", Reason.CALLER_GONE, now_ns)
+            self._end(waits, "not executed", Reason.CALLER_GONE, now_ns)
 
     def _hand_out(self, server: ActionServer, now_ns: int) -> None:
         for goal in tuple(self._waiting):
             reason = Reason.PLC_DOWN if self._down else Reason.NONE
             if reason or not server.present(goal.uuid):
                 self._waiting.remove(goal)
-                self._reject(goal, "not executed", reason or Reason.CALLER_GONE, now_ns)
+                self._end(goal, "not executed", reason or Reason.CALLER_GONE, now_ns)
         if not self._waiting or self._open_goal is not None or not self._peer.alive:
             return
         goal, caller = self._waiting[0], self._caller
@@ -186,22 +186,18 @@ class ServedGoals(Calling):
         goal.withdrawn = True  # only now: what could not be withdrawn may still begin
         return begun
 
-    def _reject(self, goal: _Goal, outcome: Outcome, reason: Reason, now_ns: int, text: str = "") -> None:
-        """Count a goal that was not accepted, and tell its client."""
+    def _end(self, goal: _Goal, outcome: Outcome, reason: Reason, now_ns: int, text: str = "") -> None:
+        """Count a goal that the PLC will not end, and tell its client: it is aborted if it was accepted."""
+        server = self._endpoint
         if goal is self._open_goal:
             self._open_goal = None
-        self._count(outcome, reason, now_ns, text)
-        if self._endpoint is not None:
-            self._endpoint.reject(goal.uuid)
-
-    def _abort(self, goal: _Goal, reason: Reason, now_ns: int, text: str = "") -> None:
-        """End a goal that the PLC has accepted, and will not end itself any more."""
-        server = self._endpoint
-        self._open_goal = None
-        self._count("aborted", reason, now_ns)
-        self.note(now_ns, f"an accepted goal was aborted: {text or WORDS[reason]}", "SHM141")
+        if goal.accepted:
+            self._count("aborted", reason, now_ns)
+            self.note(now_ns, f"an accepted goal was aborted: {text or WORDS[reason]}", "SHM141")
+        else:
+            self._count(outcome, reason, now_ns, text)
         if server is not None:
-            server.abort(goal.uuid)
+            (server.abort if goal.accepted else server.reject)(goal.uuid)
 
     # -- the open goal
 
@@ -216,10 +212,7 @@ class ServedGoals(Calling):
             return
         # Behind a claim that has changed, what was answered before has been looked for.
         if caller.claim() == claim and (outcome := caller.lost(self._sends(goal))):
-            if goal.accepted:
-                self._abort(goal, Reason.PLC_DOWN, now_ns)
-            else:
-                self._reject(goal, _ENDS[outcome], Reason.PLC_DOWN, now_ns)
+            self._end(goal, _ENDS[outcome], Reason.PLC_DOWN, now_ns)
         elif not goal.accepted and not goal.withdrawn:
             self._judge(server, goal, now_ns)
 
@@ -233,7 +226,7 @@ class ServedGoals(Calling):
         elif goal.unwanted or not server.present(goal.uuid):
             reason = Reason.CALLER_GONE
         if reason and not self._withdraw(goal):
-            self._reject(goal, "not executed", reason, now_ns)
+            self._end(goal, "not executed", reason, now_ns)
 
     def _answered(self, payload: bytes, info: SlotInfo, now_ns: int) -> None:
         goal, caller, server = self._open_goal, self._caller, self._endpoint
@@ -248,10 +241,7 @@ class ServedGoals(Calling):
             self.strays += 1  # nothing that a goal can be answered with
         else:
             reason = Reason(info.reason) if info.reason in list(Reason) else Reason.NONE
-            if goal.accepted:
-                self._abort(goal, reason, now_ns)
-            else:
-                self._reject(goal, _ENDS.get(answer, "fate unknown"), reason, now_ns)
+            self._end(goal, _ENDS.get(answer, "fate unknown"), reason, now_ns)
 
     def _follow(self, server: ActionServer, goal: _Goal, payload: bytes, status: int, now_ns: int) -> None:
         """Bring a goal in ROS to where the PLC has it, through all steps between."""
@@ -306,7 +296,7 @@ class ServedGoals(Calling):
             if goal is not None and found is not None and found[1].correlation == goal.number:
                 caller.resume(found[1], goal.claim)
             elif goal is not None:
-                self._abort(goal, Reason.BRIDGE_RESTARTED, now, _GONE)
+                self._end(goal, "fate unknown", Reason.BRIDGE_RESTARTED, now, _GONE)
             return
         if found is None or not found[1].status & spec.ASK_CALL:
             return
@@ -324,7 +314,7 @@ class ServedGoals(Calling):
         # Accepted without a word to its client, it is to be canceled.
         goal.cancel = answer is None or bool(info.status & spec.ASK_WITHDRAWN)
         if answer is None and not self._withdraw(goal):
-            self._reject(goal, "not executed", Reason.BRIDGE_RESTARTED, now)
+            self._end(goal, "not executed", Reason.BRIDGE_RESTARTED, now)
 
     # -- leaving
 
@@ -332,19 +322,15 @@ class ServedGoals(Calling):
         goal, server = self._open_goal, self._endpoint
         if goal is None or server is None:
             return
-        begun = True
         with suppress(RosplcError, OSError, ValueError, AssertionError, KeyError):
             self._take_answers(now_ns)
         if self._open_goal is None or goal.accepted:
-            return  # what the PLC has accepted goes on, if its objects remain
-        with suppress(RosplcError, OSError, ValueError, AssertionError):
-            begun = self._withdraw(goal)
-        if begun:
-            self._reject(goal, "fate unknown", Reason.BRIDGE_RESTARTED, now_ns)
             return
-        # It goes to the next objects.
-        self._open_goal, goal.withdrawn = None, False
-        self._waiting.appendleft(goal)
+        with suppress(RosplcError, OSError, ValueError, AssertionError):
+            if not self._withdraw(goal):
+                # It goes to the next objects; what the PLC has begun goes on, if its objects remain.
+                self._open_goal, goal.withdrawn = None, False
+                self._waiting.appendleft(goal)
 
     def finish(self, now_ns: int) -> None:
         """Reject what the PLC has not accepted; an accepted goal is left to the next bridge."""
@@ -354,8 +340,10 @@ class ServedGoals(Calling):
         with suppress(RosplcError, ValueError, OSError):
             self._receive(server, now_ns)
         self._let_go(now_ns)
+        if (goal := self._open_goal) is not None and not goal.accepted:
+            self._end(goal, "fate unknown", Reason.BRIDGE_RESTARTED, now_ns)
         while self._waiting:
-            self._reject(self._waiting.popleft(), "not executed", Reason.BRIDGE_RESTARTED, now_ns)
+            self._end(self._waiting.popleft(), "not executed", Reason.BRIDGE_RESTARTED, now_ns)
 
     def give_up(self, now_ns: int) -> None:
         """End all goals: the objects are about to be retired."""
@@ -363,4 +351,4 @@ class ServedGoals(Calling):
         if (goal := self._open_goal) is not None and self._caller is not None:
             with suppress(RosplcError, OSError, ValueError, AssertionError):
                 self._caller.again(self._sends(goal), goal.asked | spec.ASK_CANCEL)
-            self._abort(goal, Reason.BRIDGE_RESTARTED, now_ns, _GONE)
+            self._end(goal, "fate unknown", Reason.BRIDGE_RESTARTED, now_ns, _GONE)

@@ -12,7 +12,7 @@ from rosplc.bridge.port import Context
 from rosplc.bridge.served_goals import ServedGoals
 from rosplc.bridge.status import ActionStatus
 from rosplc.config import parse_config, resolve
-from rosplc.errors import BackendError
+from rosplc.errors import BackendError, ChannelError
 from rosplc.reasons import Reason
 from rosplc.ros import EndpointStatus, action_wire
 from rosplc.ros.actions import CancelCode, GoalStatus
@@ -848,6 +848,33 @@ def test_objects_that_are_opened_again(make: Make, gone: bool) -> None:
         return
     assert plc.asked() == ASK_CANCEL
     plc.say(info, ANSWER_SUCCEEDED, 1)
+    cell.turn()
+    assert cell.status.succeeded == 1
+
+
+@pytest.mark.parametrize("how", ["told", "not told", "gone"])
+def test_objects_that_are_opened_again_before_the_decision(make: Make, how: str) -> None:
+    """The PLC may accept the goal yet: its client hears that, and not before that it is rejected."""
+    cell = make()
+    plc = cell.attach()
+    info = begun(cell)
+    part = Part.GOAL if how == "not told" else Part.FEEDBACK
+    cell.use._channels[part].region.store(WRITER_LINE["writer_epoch"], 12345)
+    if how == "gone":
+        for one in ACTION:
+            cell.namespace.path("/a", one).unlink()
+    now = cell.clock.monotonic_ns()
+    cell.use.fail(now, ChannelError("SHM116", "another bridge has taken the action over"))
+    cell.ports.remove(cell.use)
+    assert cell.use.reopen(now)
+    cell.ports.add(cell.use)
+    if how == "gone":
+        assert (cell.ros.decisions, cell.status.fate_unknown) == ([(A, REJECTED)], {"bridge_restarted": 1})
+        return
+    plc.say(info, ANSWER_ACCEPTED)
+    cell.turn(times=3)
+    assert cell.ros.decisions == [(A, ACCEPTED)]
+    plc.say(info, ANSWER_SUCCEEDED)
     cell.turn()
     assert cell.status.succeeded == 1
 
