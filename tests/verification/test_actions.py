@@ -443,6 +443,18 @@ def test_stop_and_run_forgets_the_goal(cell: CallCell, accepted: bool) -> None:
     assert caller.get("goal.data") == 12
 
 
+def test_a_program_is_told_that_its_objects_were_retired(cell: CallCell) -> None:
+    """As of an action that has left the configuration: its client was told that the goal is aborted."""
+    caller, _ = offered(cell)
+    caller.ask(CALL + CANCEL)
+    caller.retire()
+    cell.until(lambda: caller.get("xCallerGone"), 100)
+    assert caller.get("xActive")
+    caller.set(xAbort=True)
+    cell.until(lambda: not caller.get("xActive"))
+    assert not caller.get("xCallerGone")
+
+
 @pytest.mark.parametrize("accepted", [False, True])
 def test_replaced_objects_orphan_the_goal(cell: CallCell, accepted: bool) -> None:
     """An accepted goal is still the program's to end; one that was only shown is taken back."""
