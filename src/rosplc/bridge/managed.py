@@ -53,6 +53,7 @@ class ManagedBridge:
         project = load_project(path)
         backend = self._connect(project.store)
         latched = {plan.topic for plan in project.topics if plan.latched}
+        latched |= {f"{plan.action}/_action/status" for plan in project.actions}
         flags = {flag_topic(plan.topic) for plan in project.topics}
         lifecycle = LifecycleBackend(
             backend, lambda type_name: self._check(backend, type_name), latched=latched | flags

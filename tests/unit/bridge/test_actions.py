@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from rosplc.bridge import Bridge
 from rosplc.bridge.diagnostics import diagnostic_statuses
+from rosplc.bridge.managed import ManagedBridge
 from rosplc.config import parse_config as parse
-from rosplc.ros.actions import ActionClient, GoalEvent, GoalStatus
+from rosplc.ros import action_wire
+from rosplc.ros.actions import STATUS_QOS, ActionClient, GoalEvent, GoalStatus
+from rosplc.ros.memory import open_backend
 from rosplc.shm import Namespace
 from rosplc.virtual_plc import ActionServer
 from tests.lib.waiting import repeat_until, wait_for
-from tests.unit.bridge.conftest import STORE, Cell, unwire, wire
+from tests.unit.bridge.conftest import DOMAIN, STORE, Cell, unwire, wire
 
 TYPE = "example_interfaces/action/Fibonacci"
 SERVED = f"  /count: {{type: {TYPE}, server: plc}}\n"
@@ -123,6 +127,23 @@ def test_a_bridge_that_is_restarted_goes_on_with_the_goal(
     plc.result.sequence = [1]
     step(plc, "xSucceed", lambda: "result" in client.kinds(uuid), "the result")
     assert client.result(uuid) == (GoalStatus.SUCCEEDED, [1])
+
+
+def test_a_node_that_becomes_active_publishes_the_statuses(cell: Cell, tmp_path: Path) -> None:
+    """Those of goals that were accepted before: a client that comes later waits for them."""
+    path = tmp_path / "rosplc.yaml"
+    path.write_text(cell.config("", more=f"actions:\n{SERVED}"))
+    managed = ManagedBridge(lambda store: open_backend(store, "managed", domain=DOMAIN))
+    managed.configure(path)
+    try:
+        managed.activate()
+        told: list[bytes] = []
+        names = "/count/_action/status", "action_msgs/msg/GoalStatusArray"
+        cell.peer.subscribe(*names, STATUS_QOS, lambda payload, _: told.append(payload))
+        wait_for(lambda: told)
+        assert action_wire.read_statuses(told[0]) == []
+    finally:
+        managed.cleanup()
 
 
 def test_actions_come_and_go(cell: Cell, plc: ActionServer, client: Client) -> None:
