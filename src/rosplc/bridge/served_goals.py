@@ -39,7 +39,6 @@ class _Goal:
     uuid: bytes
     record: bytes
     stamp_ns: int = 0  # when it was handed out, in ns since 1970
-    claim: int = 0  # who acted on goals then; each message says so, for a bridge that comes later
     number: int = 0  # its correlation
     handed_ns: int = 0  # when it was handed out, on the monotonic clock
     asked: int = 0  # what the PLC was asked besides
@@ -152,14 +151,17 @@ class ServedGoals(Calling):
             return
         goal, caller = self._waiting[0], self._caller
         assert caller is not None
-        goal.claim, goal.stamp_ns = caller.claim(), self.context.clock.time_ns()
+        goal.stamp_ns = self.context.clock.time_ns()
         goal.number = caller.call(self._sends(goal), client=goal.uuid)
         goal.handed_ns = now_ns
         self._open_goal = self._waiting.popleft()
 
     def _sends(self, goal: _Goal) -> Callable[..., None]:
         """Return what publishes a message of a goal."""
-        return partial(self._send, goal.record, reason=goal.claim, stamp_ns=goal.stamp_ns)
+        caller, send = self._caller, partial(self._send, goal.record, stamp_ns=goal.stamp_ns)
+        assert caller is not None
+        # Each says who acted on goals when it was handed out, for a bridge that comes later.
+        return lambda **words: send(**words, reason=caller.claimed)
 
     def _inform(self) -> None:
         """Tell the PLC what is asked of the goal that it has accepted.
@@ -294,7 +296,7 @@ class ServedGoals(Calling):
         known, self._known, goal, now = self._known, True, self._open_goal, self._now()
         if known:
             if goal is not None and found is not None and found[1].correlation == goal.number:
-                caller.resume(found[1], goal.claim)
+                caller.resume(found[1])
             elif goal is not None:
                 self._end(goal, "fate unknown", Reason.BRIDGE_RESTARTED, now, _GONE)
             return
@@ -306,10 +308,10 @@ class ServedGoals(Calling):
         ended = answer is not None and answer[1].status & spec.ANSWER_MASK != spec.ANSWER_ACCEPTED
         if ended and answer is not None and answer[1].sequence == reader.last:
             return  # it was passed on
-        goal = self._open_goal = _Goal(info.client, record, info.stamp_ns, info.reason, info.correlation, now)
+        goal = self._open_goal = _Goal(info.client, record, info.stamp_ns, info.correlation, now)
         goal.inherited, goal.asked = True, info.status & (spec.ASK_CANCEL | spec.ASK_PREEMPT)
         self.received += 1
-        caller.resume(info, goal.claim)
+        caller.resume(info)
         self._again = answer is not None
         # Accepted without a word to its client, it is to be canceled.
         goal.cancel = answer is None or bool(info.status & spec.ASK_WITHDRAWN)

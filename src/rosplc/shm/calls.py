@@ -58,7 +58,7 @@ class Caller:
         self._follows_claim = follows_claim
         self._counter = 0
         self._client = b""
-        self._claim = 0
+        self.claimed = 0
         self._first = 0
         self._begun = False  # what was taken stays so, whatever the line says later
 
@@ -72,7 +72,7 @@ class Caller:
             raise RuntimeError("a call is open")
         counter = self._counter + 1 & 0xFFFFFFFF or 1
         correlation = self._writer.epoch << 32 | counter
-        self._claim = self.claim()
+        self.claimed = self.claim()
         send(correlation=correlation, status=spec.ASK_CALL, client=client)
         self.correlation, self._counter = correlation, counter
         self._client = client
@@ -101,7 +101,7 @@ class Caller:
 
     def lost(self, send: Send) -> int:
         """Return how the open call has ended since the answerer's claim has changed (M27); 0 if not."""
-        if not (self.correlation and self._follows_claim) or self.claim() == self._claim:
+        if not (self.correlation and self._follows_claim) or self.claim() == self.claimed:
             return 0
         try:
             begun = self.withdraw(send)
@@ -119,23 +119,20 @@ class Caller:
             self.late += 1
             return 0
         outcome = info.status & spec.ANSWER_MASK
-        if outcome == spec.ANSWER_NOT_EXECUTED and self._follows_claim and self.claim() != self._claim:
+        if outcome == spec.ANSWER_NOT_EXECUTED and self._follows_claim and self.claim() != self.claimed:
             return 0  # said by one who cannot know; lost() does
         if outcome in ENDS:
             self.correlation = 0
         return outcome
 
-    def resume(self, info: SlotInfo, claim: int = 0) -> None:
-        """Take over the unanswered call in the newest message of the writer before.
-
-        ``claim`` is the answerer's when the call was handed out; 0: not known, so its present one.
-        """
+    def resume(self, info: SlotInfo) -> None:
+        """Take over the call in the newest message, not answered, of the writer before."""
         taken = self._asks.region.word(_LINE_0 + READER_LINE["taken"])
         last = self._asks.slot(taken)
         of_this_call = last is None or last.correlation == info.correlation
         self.correlation, self._client = info.correlation, info.client
         self._first = taken if taken and of_this_call else info.sequence
-        self._claim, self._begun = claim or self.claim(), False
+        self.claimed, self._begun = info.reason or self.claim(), False
 
     def _end(self, begun: bool) -> int:
         self.correlation = 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -619,6 +620,21 @@ def test_the_plc_stops_or_starts_again(make: Make, how: str, again: bool) -> Non
         assert found is not None
         assert found[0] in ("withdrawn", "unknown")  # never "begin"
         begun(cell, B)
+
+
+def test_a_program_that_starts_while_a_goal_is_handed_out(make: Make, monkeypatch: Any) -> None:
+    """What the message says of the claim is what this bridge goes by, and not an earlier look."""
+    cell = make()
+    cell.attach()
+    caller = cell.use._caller
+    assert caller is not None
+    monkeypatch.setattr(caller, "claim", itertools.count(7).__next__)  # another one at each look
+    cell.ros.send(A)
+    cell.turn()
+    assert cell.plc is not None
+    found = cell.plc.take()
+    assert found is not None
+    assert found[1].reason == caller.claimed
 
 
 def test_what_the_plc_said_before_it_stopped_counts(make: Make) -> None:

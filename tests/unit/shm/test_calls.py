@@ -446,7 +446,7 @@ def test_a_call_published_as_the_claim_changed_is_executed_by_nobody(
     server.crash()
     second = Server(shm_namespace, stack)
     bridge.caller.call(bridge.send)
-    bridge.caller._claim = seen
+    bridge.caller.claimed = seen
     assert bridge.caller.lost(bridge.send) == spec.ANSWER_NOT_EXECUTED
     assert second.look() == "withdrawn"
     assert second.executed == []
