@@ -305,6 +305,7 @@ class VirtualPlc:
 
     def __init__(self) -> None:
         self.tasks: list[Task] = []
+        self._stopped = threading.Event()
 
     def task(
         self,
@@ -325,11 +326,13 @@ class VirtualPlc:
 
     def start(self) -> None:
         """Start all tasks, the highest priority first."""
+        self._stopped.clear()
         for task in sorted(self.tasks, key=lambda task: task.priority):
             task.start()
 
     def stop(self) -> None:
-        """Stop all tasks, each after the scan in progress."""
+        """Stop all tasks, each after the scan in progress; a program may call it, and ends :meth:`run`."""
+        self._stopped.set()
         for task in self.tasks:
             task.stop()
 
@@ -346,7 +349,7 @@ class VirtualPlc:
                 raise TimeoutError(f"task {task.name}: the scan in progress exceeds the watchdog")
 
     def run(self, duration: float | None = None) -> None:
-        """Start, run for ``duration`` seconds (None: until Ctrl-C, or a task halts), and stop.
+        """Start, run for ``duration`` seconds (None: until Ctrl-C, or a task halts), or until :meth:`stop`.
 
         Raises:
             BaseException: What halted a task; with a duration KeyboardInterrupt, too.
@@ -354,10 +357,10 @@ class VirtualPlc:
         end = None if duration is None else time.monotonic() + duration
         self.start()
         try:
-            while end is None or time.monotonic() < end:
+            while not self._stopped.is_set() and (end is None or time.monotonic() < end):
                 self.check()
                 rest = 0.05 if end is None else min(0.05, end - time.monotonic())
-                time.sleep(max(0.0, rest))
+                self._stopped.wait(max(0.0, rest))
         except KeyboardInterrupt:
             if duration is not None:
                 raise

@@ -69,6 +69,18 @@ def test_an_exception_halts_the_task_and_is_kept():
         task.start()
 
 
+def test_a_program_may_stop_its_plc():
+    """The PLC's run ends then, after this scan, although it was to run until Ctrl-C."""
+    plc = VirtualPlc()
+    task = plc.task("T", 0.001, priority=1)
+    task.program(lambda: plc.stop())
+    plc.run()
+    assert task.state is TaskState.STOPPED
+    assert task.stats.scans == 1
+    plc.run()
+    assert task.stats.scans == 2
+
+
 def test_the_watchdog_halts_after_its_sensitivity():
     """Only as many long scans in a row as the sensitivity allows halt the task."""
     task = Task("T", 0.001, watchdog=0.005, watchdog_sensitivity=2)
