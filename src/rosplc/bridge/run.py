@@ -214,7 +214,7 @@ def _allow_many_files() -> None:
 
 
 class _Reporter:
-    """Writes the status line, and each topic whose judgement changed."""
+    """Writes the status line, and each topic, service and action whose judgement changed."""
 
     def __init__(self) -> None:
         self._before: dict[str, str] = {}
@@ -223,13 +223,18 @@ class _Reporter:
         topics = status.topics
         fine = sum(topic.judgement[0] == 0 for topic in topics)
         sums = [sum(getattr(topic, name) for topic in topics) for name in _SUMMED]
-        text = "status: %d of %d topics fine; in %d, out %d, lost %d, refused %d"
-        _log.info(text, fine, len(topics), *sums)
-        for topic in topics:
-            level, message = topic.judgement
+        uses = (*status.services, *status.actions)
+        well = sum(use.judgement[0] == 0 for use in uses)
+        calls = f"; {well} of {len(uses)} services and actions fine" if uses else ""
+        text = "status: %d of %d topics fine; in %d, out %d, lost %d, refused %d%s"
+        _log.info(text, fine, len(topics), *sums, calls)
+        judged = {topic.topic: topic.judgement for topic in topics} | {
+            use.name: use.judgement for use in uses
+        }
+        for name, (level, message) in judged.items():
             # Rates and ages differ each time and are no news; a change of level is, and so is its reason.
             same = level.name if level in (Level.OK, Level.STALE) else f"{level.name}: {message}"
-            if self._before.get(topic.topic, "OK") != same:
+            if self._before.get(name, "OK") != same:
                 text = level.name if level == Level.OK else f"{level.name}: {message}"
-                _log.log(logging.INFO if level == Level.OK else logging.WARNING, "%s: %s", topic.topic, text)
-            self._before[topic.topic] = same
+                _log.log(logging.INFO if level == Level.OK else logging.WARNING, "%s: %s", name, text)
+            self._before[name] = same

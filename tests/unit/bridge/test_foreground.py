@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 
 import pytest
 
 from rosplc.bridge.run import _Reporter
-from rosplc.bridge.status import BridgeStatus, TopicStatus
+from rosplc.bridge.status import BridgeStatus, ServiceStatus, TopicStatus
 from rosplc.shm import Direction
 
 
@@ -29,3 +30,21 @@ def test_only_news_is_logged(caplog: pytest.LogCaptureFixture) -> None:
     assert len(lines) == 2
     assert lines[0].startswith("/in: STALE: last message 2")
     assert lines[1] == "/in: OK"
+
+
+def test_services_are_counted_and_named(caplog: pytest.LogCaptureFixture) -> None:
+    """A bridge without topics says how its services are."""
+    reporter = _Reporter()
+    state = ServiceStatus(service="/start", type_name="std_srvs/srv/Trigger", server="plc")
+    with caplog.at_level(logging.INFO, "rosplc.run"):
+        reporter.report(replace(status(), topics=(), services=(state,)))
+        reporter.report(replace(status(), topics=(), services=(replace(state, peer_alive=True),)))
+    lines = [record.getMessage() for record in caplog.records]
+    assert [line.rpartition("; ")[2] for line in lines if line.startswith("status: ")] == [
+        "0 of 1 services and actions fine",
+        "1 of 1 services and actions fine",
+    ]
+    assert [line for line in lines if line.startswith("service /start")] == [
+        "service /start: WARN: no PLC task serves it",
+        "service /start: OK",
+    ]
