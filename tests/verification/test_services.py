@@ -578,6 +578,7 @@ def test_replaced_objects_orphan_the_call(cell: CallCell) -> None:
     caller.retire()
     again = Caller(cell)
     cell.until(lambda: again.get("xCallerGone"))
+    cell.until(lambda: again.get("xAttached"))  # to the next object: what waits there before is not shown
     assert again.get("xRequest")
     again.call(2)
     cell.scan(20)
