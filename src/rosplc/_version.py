@@ -1,3 +1,4 @@
-"""The package's version; the shared-memory format has its own (spec/CHANGES.md)."""
+"""The versions of the package, and of the shared-memory format (spec/CHANGES.md)."""
 
 __version__ = "0.1.0"
+FORMAT = "1.1"

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from rosplc._version import __version__
+from rosplc._version import FORMAT, __version__
 from rosplc.cli import (
     bench,
     check,
@@ -95,4 +95,4 @@ def _options(
 @app.command("version", rich_help_panel="Diagnose")
 def _version() -> None:
     """Print the version of rosplc and of the shared-memory format."""
-    typer.echo(f"rosplc {__version__}, shared-memory format 1.0")
+    typer.echo(f"rosplc {__version__}, shared-memory format {FORMAT}")

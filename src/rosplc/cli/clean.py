@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from rosplc.cli.options import ConfigFile, Directory, default_config
+from rosplc.cli.options import ConfigFile, Directory, bridge_namespace
 from rosplc.cli.text import print_json, say
 from rosplc.cli.verb import EXIT_FAILURE, verb
 from rosplc.errors import ChannelError
@@ -46,14 +46,7 @@ def command(
         topic TOPIC: Only this topic, service or action; may be repeated.
         dry_run: Show what would be removed.
     """
-    from rosplc.shm import Namespace
-
-    if prefix is None and (file := config or default_config()) is not None:
-        from rosplc.config.file import read_config
-
-        settings = read_config(file).settings
-        prefix, directory = settings.prefix, settings.shm.directory
-    namespace = Namespace(prefix or "rosplc", directory)
+    namespace = bridge_namespace(prefix, directory, config)
     removed, kept = _clean(namespace, topic or [], dry_run=dry_run)
     if as_json:
         print_json({"removed": removed, "kept": kept, "done": not dry_run})

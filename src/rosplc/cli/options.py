@@ -15,6 +15,7 @@ from rosplc.errors import ConfigError, SetupError
 
 if TYPE_CHECKING:
     from rosplc.monitor import Picture, Watch
+    from rosplc.shm import Namespace
 
 _DEFAULT = Path("rosplc.yaml")
 _NAMED = 4
@@ -55,6 +56,18 @@ def default_config() -> Path | None:
 def observed_config(given: Path | None, prefix: str | None) -> Path | None:
     """Return the configuration of a verb that only looks: ./rosplc.yaml unless one or a prefix is given."""
     return given or (default_config() if prefix is None else None)
+
+
+def bridge_namespace(prefix: str | None, directory: str, config: Path | None = None) -> Namespace:
+    """Return the names of a bridge's objects: of ``prefix``, else of the configuration, else of `rosplc`."""
+    from rosplc.shm import Namespace
+
+    if prefix is None and (file := config or default_config()) is not None:
+        from rosplc.config.file import read_config
+
+        settings = read_config(file).settings
+        return Namespace(settings.prefix, settings.shm.directory)
+    return Namespace(prefix or "rosplc", directory)
 
 
 def config_file(given: Path | None) -> Path:

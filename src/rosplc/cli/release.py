@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from rosplc.cli.options import Directory
+from rosplc.cli.options import Directory, bridge_namespace
 from rosplc.cli.text import say
 from rosplc.cli.verb import verb
 from rosplc.errors import ChannelError
@@ -38,12 +38,12 @@ def command(
 
     Options:
         topic: The topic, as ROS writes it.
-        prefix NAME: The bridge's `prefix:`; by default rosplc.
+        prefix NAME: The bridge's `prefix:`; by default that of rosplc.yaml in this folder, else rosplc.
         yes: Ask nothing.
     """
-    from rosplc.shm import Direction, Namespace, attach
+    from rosplc.shm import Direction, attach
 
-    namespace = Namespace(prefix or "rosplc", directory)
+    namespace = bridge_namespace(prefix, directory)
     with attach(namespace, topic, write=True) as attached:
         if not attached.snapshot().writer.epoch:
             say(f"{topic} is free: no program holds its claim")

@@ -9,7 +9,7 @@ again and again until Ctrl-C
 
 rosplc replay robot.bag --to ros --topic /odom --rename /odom:=/test/odom  —  onto a ROS topic
 
-rosplc replay shift.mcap --to plc --config rosplc.yaml --service /cell/start  —  requests of a service as well
+rosplc replay shift.mcap --to plc --config cell1.yaml --service /cell/start  —  requests of a service as well
 
 It plays MCAP files and folders of ROS 2, and ROS 1 bags, also those that were cut off. Towards the PLC it
 takes the bridge's place, so that no bridge may carry these topics meanwhile. Messages are stamped with the
@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Literal
 
 import typer
 
-from rosplc.cli.options import Directory, duration
+from rosplc.cli.options import Directory, duration, observed_config
 from rosplc.cli.text import ProgressLine, print_json, say, table, warn
 from rosplc.cli.verb import EXIT_FAILURE, verb
 from rosplc.harmless import plural
@@ -79,8 +79,9 @@ def command(
         end TIME: End so long after the recording's beginning.
         stamps now|original: What messages are stamped with.
         wait TIME: Wait so long for a reader of each topic, then begin all the same.
-        prefix NAME: With --to plc: the channels' prefix; by default rosplc.
-        config FILE: With --to plc: a configuration that says prefix, limits and depth.
+        prefix NAME: With --to plc: the channels' prefix, in place of the configuration's.
+        config FILE: With --to plc: a configuration with prefix, limits and slots; without --prefix,
+            rosplc.yaml in this folder by default.
         backend NAME: With --to ros: the way into ROS, as `ros.backend`.
         distro NAME: The ROS distribution; by default the recording's, else ROS_DISTRO.
         quiet: Print no progress.
@@ -180,7 +181,8 @@ def _target(
         if backend not in known:
             raise typer.BadParameter(f"{backend!r} is none of {', '.join(known)}", param_hint="--backend")
         return RosTarget(topics, backend=backend, distro=distro)
-    project = None if config is None else load_project(config)
+    file = observed_config(config, prefix)
+    project = None if file is None else load_project(file)
     own = Namespace(prefix or "rosplc", directory)
     if project is not None and prefix is None:
         own = project.namespace

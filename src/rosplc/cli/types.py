@@ -1,6 +1,6 @@
 """``rosplc types``: which messages, services and actions there are, and how one looks in the PLC.
 
-rosplc types  —  all types of the default distribution
+rosplc types  —  all types of rosplc.yaml in this folder, else of the distribution jazzy
 
 rosplc types sensor_msgs  —  the types of a package
 
@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from rosplc.cli.options import default_config
 from rosplc.cli.text import print_json, say, table, warn
 from rosplc.cli.verb import verb
 from rosplc.errors import BackendError
@@ -41,7 +42,7 @@ def command(
     name: str | None = None,
     /,
     *,
-    distro: str = "jazzy",
+    distro: str | None = None,
     path: list[Path] | None = None,
     limits: list[str] | None = None,
     from_topic: str | None = None,
@@ -55,7 +56,8 @@ def command(
     Options:
         name [TYPE]: A type, `package/Name` or `package/msg/Name` (`srv`, `action`), or a package; all
             types without it.
-        distro NAME: The ROS distribution whose definitions hold; `noetic` is ROS 1.
+        distro NAME: The ROS distribution whose definitions hold, `noetic` is ROS 1; by default that of
+            rosplc.yaml in this folder, with its `types.paths`, else jazzy.
         path FOLDER: A folder with custom .msg, .srv and .action files; may be given several times.
         limits FIELD=N: A capacity: `string=40`, `sequence=8`, or a field's path (`request.FIELD` of a
             service); may be repeated.
@@ -65,6 +67,7 @@ def command(
         timeout SECONDS: With --from-topic: how long to wait for a publisher.
         distros: List the bundled distributions.
     """
+    from rosplc.config import read_config
     from rosplc.layout import compute_layout
     from rosplc.model import DISTROS, TypeStore
 
@@ -86,9 +89,12 @@ def command(
     elif save is not None:
         raise typer.BadParameter("needs --from-topic", param_hint="--save")
     else:
-        store = TypeStore.bundled(distro)
-    if path:
-        store = store.with_paths(path)
+        folders = list(path or ())
+        if distro is None and (file := default_config()) is not None:
+            config = read_config(file)
+            distro = config.settings.ros.distro
+            folders += [config.base / folder for folder in config.settings.types.paths]
+        store = TypeStore.bundled(distro or "jazzy").with_paths(folders)
     every = sorted((*store.names(), *store.services(), *store.actions()))
     package = [each for each in every if each.startswith(f"{name}/")]
     if name is None or package:

@@ -1,4 +1,4 @@
-"""``rosplc top`` and ``rosplc web`` watch the bridge of the folder's rosplc.yaml."""
+"""Verbs take the folder's rosplc.yaml where no configuration is named."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from typing import Any
 
 import pytest
 
+from rosplc.shm import Direction, Namespace
+from tests.channels import Side, layout_of
 from tests.command import rosplc
 
 
@@ -41,3 +43,24 @@ def test_the_folders_configuration_is_the_default(
     monkeypatch.setattr("rosplc.web.serve", lambda settings, watch, **_: watched.append(watch))
     rosplc(verb, *options)
     assert set(watched[0].prefixes) == expected
+
+
+def test_release_and_types_take_the_folders_configuration(
+    tmp_path: Path, shm_namespace: Namespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its prefix, distribution and custom types; what is named on the command line comes first."""
+    folder = tmp_path / "msg/cell_msgs/msg"
+    folder.mkdir(parents=True)
+    (folder / "Fan.msg").write_text("int32 speed\n")
+    (tmp_path / "rosplc.yaml").write_text(
+        f"prefix: {shm_namespace.prefix}\nros: {{distro: humble}}\ntypes: {{paths: [./msg]}}\ntopics: {{}}\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    assert "cell_msgs/msg/Fan (humble)" in rosplc("types", "cell_msgs/Fan").output
+    assert "TYP001" in rosplc("types", "cell_msgs/Fan", "--distro", "jazzy", code=1).stderr
+    side = Side(shm_namespace, "/n", layout_of("std_msgs/msg/Float64"), Direction.TO_ROS)
+    try:
+        assert "/n is free" in rosplc("release", "/n").output
+        assert "SHM101" in rosplc("release", "/n", "--prefix", f"{shm_namespace.prefix}x", code=1).stderr
+    finally:
+        side.channel.retire()

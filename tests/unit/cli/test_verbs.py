@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shlex
 import sys
 from pathlib import Path
@@ -75,9 +76,11 @@ def test_help_names_every_verb_with_examples():
 
 
 def test_version():
-    """--version and version say the same version."""
+    """--version and version print the package's version, and the specification's newest."""
     assert rosplc("--version").output == f"rosplc {__version__}\n"
-    assert __version__ in rosplc("version").output
+    changes = Path(__file__).parents[3] / "spec/CHANGES.md"
+    newest = re.findall(r"(?m)^## (\S+)$", changes.read_text("utf-8"))[0]
+    assert rosplc("version").output == f"rosplc {__version__}, shared-memory format {newest}\n"
 
 
 def test_types_lists_all():

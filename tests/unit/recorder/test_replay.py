@@ -35,6 +35,7 @@ from rosplc.recorder.store import repair
 from rosplc.ros import ROS1, Qos, open_backend
 from rosplc.ros.bag import Bag
 from rosplc.shm import Direction, Namespace, attach
+from tests.command import rosplc
 from tests.e2e.turtle_recording import write_recording
 from tests.lib.clock import SteppedClock
 from tests.unit.recorder.making import Feed, received, recording, until
@@ -234,8 +235,10 @@ def test_an_object_that_is_there_is_used_as_it_is(shm_namespace: Namespace, tmp_
         assert attached.identity.generation == generation
 
 
-def test_a_configuration_says_what_the_channel_is(shm_namespace: Namespace, tmp_path: Path) -> None:
-    """With a configuration the channel is exactly the one that its bridge would make."""
+def test_a_configuration_says_what_the_channel_is(
+    shm_namespace: Namespace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By default the folder's configuration holds: the channel is the one that its bridge would make."""
     config = tmp_path / "rosplc.yaml"
     config.write_text(
         f"bridge: b\nprefix: {shm_namespace.prefix}\n"
@@ -244,8 +247,8 @@ def test_a_configuration_says_what_the_channel_is(shm_namespace: Namespace, tmp_
     )
     project = load_project(config)
     source = open_source(made(tmp_path / "a.mcap", [[(1, 0, 1), (2, 0, 2)]]))
-    target = PlcTarget({"/t1": source.topics["/t1"]}, shm_namespace, project=project)
-    target.close()
+    monkeypatch.chdir(tmp_path)
+    rosplc("replay", "a.mcap", "--to", "plc", "--topic", "/t1", "--wait", "0", "--speed", "max")
     with attach(shm_namespace, "/t1") as attached:
         assert (attached.identity.slot_count, attached.description.bridge) == (32, "b")
     with pytest.raises(RecordingError, match="the PLC writes it"):
