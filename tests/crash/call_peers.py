@@ -1,13 +1,14 @@
-"""Bridge, PLC and robot as processes of their own, which kill themselves at a named step of a call.
+"""Bridge, PLC and robot as processes that kill themselves at a named step of a call or goal.
 
-``call_peers.py FOLDER [SABOTAGE]`` forks them when it is told to on its standard input. Who carries a call
-out appends the request's token to a file of its own before it acts; who calls appends the token before, and
-how the call ended after it. The bridge notes for each call when it came and in which counter it went, so that
-the counters can be compared with those files.
+``call_peers.py FOLDER [SABOTAGE]`` forks them when it is told to on its standard input. Each executor appends
+the request's token to a file before it acts; each caller appends the token before it calls, and how the call
+ended after it. The bridge notes when each call came and in which counter it went, so that the counters can be
+compared with those files. SIGUSR1 makes each process write to standard error what its threads are doing.
 """
 
 from __future__ import annotations
 
+import faulthandler
 import functools
 import importlib
 import itertools
@@ -18,7 +19,7 @@ import sys
 import threading
 import time
 import uuid
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -36,6 +37,7 @@ from rosplc.model import TypeStore
 from rosplc.ros import SERVICES, GoalEvent, GoalStatus, Reply, action_classes, actions, open_backend
 from rosplc.shm import Attached, Part, Reader, SlotInfo
 from rosplc.shm.claims import ReaderClaim
+from rosplc.shm.constants import ANSWER_ACCEPTED, ANSWER_MASK
 from rosplc.virtual_plc import ActionClient, ActionServer, ServiceClient, ServiceServer, Task
 from rosplc.virtual_plc.call_blocks import _In, _Out
 from tests.lib.waiting import wait_for
@@ -43,64 +45,104 @@ from tests.lib.waiting import wait_for
 TYPE, ACTION = "cell_msgs/srv/Do", "cell_msgs/action/Work"
 PATIENCE_S = 0.3
 """How long a caller in ROS waits for an answer."""
-SLOW_S = 2.5
-"""How long the PLC takes for a call whose token begins with ``slow``."""
+GOAL_S = 1.5
+"""How long one waits for the end of a goal."""
+SLOW_S = 5.0
+"""How long the PLC takes for a call whose token begins with ``slow``, and to decide on a goal ``late``."""
+FEEDBACKS, FEEDBACK_S = 3, 0.005
+"""How many messages of feedback the robot sends for a goal, and the time between them."""
 RESTART_EVERY = 200
 """Of so many calls, the PLC's program executes one and goes to STOP and RUN before it answers."""
 BEAT_MS = 30
 
-STEPS: dict[str, list[tuple[Any, str, str, Callable[..., bool]]]] = {}
-"""Step → where it is: class, method, ``before`` or ``after``, and whether a pass counts."""
+Counts = Callable[..., bool]
+Place = tuple[Any, str, str, Counts] | None
 
 
 def always(*_: Any) -> bool:
     return True
 
 
+def _waits(use: Any, *_: Any) -> bool:
+    return bool(use._waiting)
+
+
 def _answers(_use: Any, _caller: bytes, payload: bytes | None, *_: Any) -> bool:
     return payload is not None
 
 
-def _step(name: str, owner: Any, method: str, when: str, counts: Callable[..., bool] = always) -> None:
-    STEPS.setdefault(name, []).append((owner, method, when, counts))
+def _undecided(use: Any, *_: Any) -> bool:
+    return use._open_goal is not None and not use._open_goal.accepted
 
 
-_step("bridge: taken from ROS", Served, "_hand_out", "before", lambda use, *_: bool(use._waiting))
-_step("bridge: request written", Served, "_publish", "after")
-_step("bridge: answer taken", Served, "_reply", "before", _answers)
-_step("bridge: answer sent", Served, "_reply", "after", _answers)
-_step("bridge: request taken", Called, "_begin", "before")
-_step("bridge: sent to ROS", Called, "_begin", "after")
-_step("bridge: answered by ROS", Called, "_pass_on", "before")
-_step("bridge: answer written", Called, "_answer", "after")
-_step("bridge: goal taken from ROS", ServedGoals, "_hand_out", "before", lambda use, *_: bool(use._waiting))
-_step("bridge: goal taken", CalledGoals, "_begin", "before")
-_step("bridge: goal sent", CalledGoals, "_begin", "after")
-_step("bridge: result taken", ServedGoals, "_answered", "before")
-_step("bridge: result passed on", ServedGoals, "_answered", "after")
-_step("bridge: result written", CalledGoals, "_answer", "after")
-_step("plc: taken stored", _In, "begin", "after")
-_step("plc: answer taken", _In, "take", "after")
-_step("plc: request written", _Out, "publish", "after", lambda out, *_: out._part is Part.REQUEST)
-_step("plc: answer written", _Out, "publish", "after", lambda out, *_: out._part is Part.RESPONSE)
-ALL = (
-    *(step for step in STEPS if "goal" not in step and "result" not in step),
-    *("plc: shown", "robot: asked", "robot: sent", "robot: answer taken", "robot: shown", "robot: answered"),
-)
-GOALS = (
-    *(step for step in STEPS if "goal" in step or "result" in step),
-    *("goal-plc: shown", "goal-robot: sent", "goal-robot: shown", "goal-robot: ended"),
-)
-"""All steps, of calls and of goals; those that are not in ``STEPS`` call :meth:`Fuse.burn`."""
+def _ends(_use: Any, _server: Any, _goal: Any, _payload: bytes, status: int, *_: Any) -> bool:
+    return status & ANSWER_MASK != ANSWER_ACCEPTED
+
+
+def _of(part: Part) -> Counts:
+    return lambda block, *_: block._part is part
+
+
+CALLS: dict[str, Place] = {
+    "bridge: taken from ROS": (Served, "_hand_out", "before", _waits),
+    "bridge: request written": (Served, "_publish", "after", always),
+    "bridge: answer taken": (Served, "_reply", "before", _answers),
+    "bridge: answer sent": (Served, "_reply", "after", _answers),
+    "bridge: request taken": (Called, "_begin", "before", always),
+    "bridge: sent to ROS": (Called, "_begin", "after", always),
+    "bridge: answered by ROS": (Called, "_pass_on", "before", always),
+    "bridge: answer written": (Called, "_answer", "after", always),
+    "plc: taken stored": (_In, "begin", "after", always),
+    "plc: answer taken": (_In, "take", "after", always),
+    "plc: request written": (_Out, "publish", "after", _of(Part.REQUEST)),
+    "plc: answer written": (_Out, "publish", "after", _of(Part.RESPONSE)),
+    "plc: shown": None,
+    "robot: asked": None,
+    "robot: sent": None,
+    "robot: answer taken": None,
+    "robot: shown": None,
+    "robot: answered": None,
+}
+"""The steps of calls; where each is: class, method, ``before`` or ``after`` it, and whether a pass counts.
+
+Those that are in no method of rosplc's call :meth:`Fuse.burn`.
+"""
+GOALS_FROM_ROS: dict[str, Place] = {
+    "bridge: goal taken from ROS": (ServedGoals, "_hand_out", "before", _waits),
+    "bridge: goal written": (ServedGoals, "_hand_out", "after", _undecided),
+    "bridge: acceptance taken": (ServedGoals, "_accept", "before", _undecided),
+    "bridge: acceptance told": (ServedGoals, "_accept", "after", always),
+    "bridge: end taken": (ServedGoals, "_follow", "before", _ends),
+    "bridge: end told": (ServedGoals, "_follow", "after", _ends),
+    "goal-plc: taken stored": (_In, "begin", "after", always),
+    "goal-plc: answer written": (_Out, "publish", "after", _of(Part.RESULT)),
+    "goal-plc: shown": None,
+    "goal-plc: begun": None,
+    "goal-robot: sent": None,
+}
+GOALS_OF_PLC: dict[str, Place] = {
+    "bridge: goal taken": (CalledGoals, "_begin", "before", always),
+    "bridge: goal sent": (CalledGoals, "_begin", "after", always),
+    "bridge: goal answered by ROS": (CalledGoals, "_learn", "before", always),
+    "bridge: state written": (CalledGoals, "_report", "after", always),
+    "bridge: feedback written": (CalledGoals, "_pass_on", "after", always),
+    "bridge: result taken": (CalledGoals, "_result", "before", always),
+    "bridge: result written": (CalledGoals, "_answer", "after", always),
+    "goal-plc: answer taken": (_In, "take", "after", always),
+    "goal-plc: goal written": (_Out, "publish", "after", _of(Part.GOAL)),
+    "goal-robot: shown": None,
+    "goal-robot: ended": None,
+}
+STEPS = {**CALLS, **GOALS_FROM_ROS, **GOALS_OF_PLC}
 
 
 class Fuse:
     """Kills this process at a pass of its step; ``burn`` is the pass of a step that has no method."""
 
-    def __init__(self, step: str, passes: int, steps: Mapping[str, Sequence[Any]] = STEPS) -> None:
+    def __init__(self, step: str, passes: int) -> None:
         self.step, self.left = step, passes
-        for owner, name, when, counts in steps.get(step, []):
-            self._instrument(owner, name, when, counts)
+        if (place := STEPS.get(step)) is not None:
+            self._instrument(*place)
 
     def burn(self, step: str) -> None:
         if step == self.step:
@@ -108,7 +150,7 @@ class Fuse:
             if self.left <= 0:
                 os.kill(os.getpid(), signal.SIGKILL)
 
-    def _instrument(self, owner: Any, name: str, when: str, counts: Callable[..., bool]) -> None:
+    def _instrument(self, owner: Any, name: str, when: str, counts: Counts) -> None:
         method = getattr(owner, name)
 
         @functools.wraps(method)
@@ -133,8 +175,9 @@ def append(path: Path, *words: object) -> None:
 
 
 def _sabotage(what: str, folder: Path) -> None:
+    """Take a rule away from this process: the bridge, or with ``last := 0`` the PLC."""
     if what == "republish":
-        claimed = Served._claimed
+        claimed, goal_claimed = Served._claimed, ServedGoals._claimed
 
         def hand_out_again(self: Any, *arguments: Any) -> None:
             claimed(self, *arguments)
@@ -143,7 +186,16 @@ def _sabotage(what: str, folder: Path) -> None:
                 self._caller.correlation, call.inherited = 0, False
                 self._waiting.append(call)
 
+        def hand_goal_out_again(self: Any) -> None:
+            goal_claimed(self)
+            goal, self._open_goal = self._open_goal, None
+            if goal is not None:
+                self._caller.correlation, goal.accepted, self._again = 0, False, False
+                self._waiting.append(goal)
+
         Served._claimed = hand_out_again  # type: ignore[method-assign]
+        ServedGoals._claimed = hand_goal_out_again  # type: ignore[method-assign]
+        actions.ActionServer.present = always  # type: ignore[method-assign]
     elif what == "no expiry":
         begin = Use.begin
 
@@ -161,11 +213,8 @@ def _sabotage(what: str, folder: Path) -> None:
 
         actions.ActionClient.adopt = send_again  # type: ignore[method-assign]
     elif what == "no count":
-        Served._count = lambda *_: None  # type: ignore[method-assign]
-
-
-def _sabotage_plc(what: str) -> None:
-    if what == "last := 0":
+        Use._count = lambda *_: None  # type: ignore[method-assign]
+    elif what == "last := 0":
         Attached.reader = lambda self, **_: Reader(self.region, 0)  # type: ignore[assignment,method-assign]
         claim = ReaderClaim.__init__
         ReaderClaim.__init__ = lambda *a, answer, **k: claim(*a, **k)  # type: ignore[method-assign]
@@ -192,8 +241,8 @@ class Tokens:
 
 
 def _note_counts(folder: Path) -> None:
-    """Note for each call when it came, and in which counter it went: ``pid service call came|outcome``."""
-    tokens, now = Tokens(folder), {Served: "", Called: ""}
+    """Note when each call came, and in which counter it went: ``pid server call came|counted word``."""
+    tokens, now = Tokens(folder), dict[type, str]()
 
     def around(owner: Any, name: str, before: Callable[..., None]) -> None:
         method = getattr(owner, name)
@@ -211,29 +260,48 @@ def _note_counts(folder: Path) -> None:
     def came(use: Any, payload: bytes, caller: bytes, _: int) -> None:
         note(use, caller.hex(), "came", tokens.get("Request", payload))
 
-    def begun(use: Any, what: str, payload: bytes, info: SlotInfo, _: int) -> None:
-        note(use, f"{info.correlation:x}", "came", tokens.get("Request", payload))
+    def goal_came(use: Any, what: str, name: bytes, *payload: bytes) -> None:
+        if what == "goal":
+            note(use, name.hex(), "came", tokens.get("Goal", *payload))
 
-    def of(owner: Any, key: Callable[..., str]) -> Callable[..., None]:
-        return lambda use, *arguments: now.update({owner: key(use, *arguments)})
+    def begun(use: Any, what: str, payload: bytes, info: SlotInfo, _: int) -> None:
+        part = "Request" if isinstance(use, Called) else "Goal"
+        note(use, f"{info.correlation:x}", "came", tokens.get(part, payload))
+
+    def of(key: Callable[..., str]) -> Callable[..., None]:
+        return lambda use, *arguments: now.update({type(use): key(use, *arguments)})
 
     def counted(use: Any, outcome: str, *_: Any) -> None:
-        note(use, now[type(use)], "counted", outcome.replace(" ", "_"))
+        word = "done" if outcome == "succeeded" else outcome.replace(" ", "_")
+        note(use, now[type(use)], "counted", word)
 
     around(Served, "tell", came)
-    around(Served, "_end", of(Served, lambda _, call, *__: call.caller.hex()))
-    around(Served, "_reply", of(Served, lambda _, caller, *__: caller.hex()))
-    around(Called, "_begin", begun)
-    around(Called, "_answer", of(Called, lambda use, *_: f"{use._open_call:x}"))
-    around(Served, "_count", counted)
-    around(Called, "_count", counted)
+    around(Served, "_end", of(lambda _, call, *__: call.caller.hex()))
+    around(Served, "_reply", of(lambda _, caller, *__: caller.hex()))
+    around(ServedGoals, "tell", goal_came)
+    around(ServedGoals, "_end", of(lambda _, goal, *__: goal.uuid.hex()))
+    around(ServedGoals, "_follow", of(lambda _, __, goal, *___: goal.uuid.hex()))
+    for asked in (Called, CalledGoals):
+        around(asked, "_begin", begun)
+        around(asked, "_answer", of(lambda use, *_: f"{use._open_call:x}"))
+    around(Use, "_count", counted)
 
 
 def bridge(folder: Path) -> None:
     """Carry the calls until SIGTERM."""
     with Bridge(read_config(folder / "rosplc.yaml")):
-        _say_ready()
+        _say("ready", os.getpid())
         signal.sigwait({signal.SIGTERM})
+
+
+def _scan(task: Task) -> None:
+    """Run a PLC's task until SIGTERM; fail with what halted it."""
+    task.start()
+    _say("ready", os.getpid())
+    while not signal.sigtimedwait({signal.SIGTERM}, 1.0):
+        if task.error is not None:
+            raise task.error
+    task.stop()
 
 
 def plc(folder: Path, fuse: Fuse) -> None:
@@ -291,10 +359,7 @@ def plc(folder: Path, fuse: Fuse) -> None:
             client.xExecute, client.tTimeout = True, 0.5
 
     run()
-    task.start()
-    _say_ready()
-    signal.sigwait({signal.SIGTERM})
-    task.stop()
+    _scan(task)
     stop()
 
 
@@ -332,7 +397,7 @@ def robot(folder: Path, fuse: Fuse, *, late: bool) -> None:
     server = ros.serve("/move", TYPE, SERVICES, on_request)
     known.set()
     client = ros.client("/do", TYPE, SERVICES)
-    _say_ready()
+    _say("ready", os.getpid())
     name = (f"r{os.getpid()}-{number}" for number in itertools.count(1))
     if late:
         wait_for(lambda: client.ready and call(next(name), 1.0), "an answer")
@@ -353,23 +418,26 @@ def goal_plc(folder: Path, fuse: Fuse) -> None:
     task = Task("Cell", 0.002)
     server = ActionServer("/work", prefix=prefix, beat_ms=BEAT_MS)
     client = ActionClient("/arm", prefix=prefix, beat_ms=BEAT_MS)
-    number, executing, slow = 0, "", 0.0
+    number, shown, begun, until = 0, "", "", 0.0
 
     @task.program
     def serve() -> None:
-        nonlocal executing, slow
-        if not server.xGoal or not server.goal.token.startswith("late"):
-            slow = time.monotonic() + SLOW_S
-        server.xAccept = server.xGoal and (time.monotonic() > slow or server.goal.token[:4] != "late")
-        server.xSucceed = bool(executing)
+        nonlocal shown, begun, until
         server()
-        if server.xActive and not executing:
-            executing = server.goal.token
-            append(folder / "executed-by-plc", executing)
+        token = server.goal.token if server.xGoal or server.xActive else ""
+        if not token:
+            shown = begun = ""
+        elif server.xGoal and shown != token:
+            shown, until = token, time.monotonic() + SLOW_S * token.startswith("late")
             fuse.burn("goal-plc: shown")
-            server.result.token = executing
-        elif not server.xActive:
-            executing = ""
+        elif server.xActive and begun != token:
+            begun = server.result.token = token
+            append(folder / "executed-by-plc", token)
+            fuse.burn("goal-plc: begun")
+        server.xAccept = server.xGoal and time.monotonic() >= until
+        server.xAcceptCancel = server.xCancelRequested
+        server.xCanceled = server.xCanceling
+        server.xSucceed = server.xActive and not server.xCancelRequested and not server.xCanceling
 
     @task.program
     def send() -> None:
@@ -384,12 +452,9 @@ def goal_plc(folder: Path, fuse: Fuse) -> None:
             number += 1
             client.goal.token = f"p{os.getpid()}-{number}"
             append(folder / "asked-by-plc", client.goal.token)
-            client.xExecute, client.tTimeout = True, 1.0
+            client.xExecute, client.tTimeout = True, float((folder / "impatient").exists())
 
-    task.start()
-    _say_ready()
-    signal.sigwait({signal.SIGTERM})
-    task.stop()
+    _scan(task)
     if client.xExecute:
         append(folder / "ended-at-plc", client.goal.token, "forgotten", "-", "-")
     server.close()
@@ -397,11 +462,12 @@ def goal_plc(folder: Path, fuse: Fuse) -> None:
 
 
 def goal_robot(folder: Path, fuse: Fuse, *, late: bool) -> None:
-    """As :func:`robot`, with goals."""
+    """As :func:`robot`, with goals; a result that does not come is asked for again."""
     tokens, known = Tokens(folder), threading.Event()
     ros = open_backend("dds", tokens.store, "peer", domain=int((folder / "where").read_text().split()[1]))
     servers, clients = action_classes(tokens.store)
     events: queue.SimpleQueue[GoalEvent] = queue.SimpleQueue()
+    accepted: queue.SimpleQueue[tuple[bytes, str]] = queue.SimpleQueue()
 
     def on_goal(name: bytes, payload: bytes) -> None:
         known.wait()
@@ -410,32 +476,57 @@ def goal_robot(folder: Path, fuse: Fuse, *, late: bool) -> None:
         fuse.burn("goal-robot: shown")
         server.accept(name)
         server.execute(name)
-        server.succeed(name, tokens.put("Result", token))
-        fuse.burn("goal-robot: ended")
+        accepted.put((name, token))
 
-    def send(token: str, seconds: float = 1.0) -> bool:
-        name, ends = uuid.uuid4().bytes, time.monotonic() + seconds
+    def execute() -> None:
+        while True:
+            name, token = accepted.get()
+            for _ in range(FEEDBACKS):
+                server.feedback(name, tokens.put("Feedback", token))
+                time.sleep(FEEDBACK_S)
+            server.succeed(name, tokens.put("Result", token))
+            fuse.burn("goal-robot: ended")
+
+    def follow(name: bytes, ends: float) -> tuple[str, str]:
+        ask = ends
+        while (now := time.monotonic()) < ends:
+            if now >= ask:
+                client.adopt(name)
+                ask = now + PATIENCE_S
+            with suppress(queue.Empty):
+                event = events.get(timeout=min(ask, ends) - now)
+                if event.uuid != name:
+                    continue
+                if event.kind == "accepted":
+                    ask = now + PATIENCE_S
+                elif event.kind == "rejected":
+                    return "NOT_EXECUTED", "-"
+                elif event.kind == "result" and event.payload is not None:
+                    outcome = "done" if event.status is GoalStatus.SUCCEEDED else event.status.name
+                    return outcome, tokens.get("Result", event.payload) or "-"
+        return "", ""
+
+    def send(token: str, seconds: float = GOAL_S) -> bool:
+        name = uuid.uuid4().bytes
         append(folder / "asked-by-ros", token)
         client.send(name, tokens.put("Goal", token))
         fuse.burn("goal-robot: sent")
-        while (left := ends - time.monotonic()) > 0:
-            with suppress(queue.Empty):
-                event = events.get(timeout=left)
-                if event.uuid == name and event.kind == "rejected":
-                    append(folder / "ended-at-ros", token, "NOT_EXECUTED", "-", "-")
-                    return False
-                if event.uuid == name and event.kind == "result" and event.payload is not None:
-                    outcome = "done" if event.status is GoalStatus.SUCCEEDED else event.status.name
-                    answer = tokens.get("Result", event.payload) or "-"
-                    append(folder / "ended-at-ros", token, outcome, answer, "-")
-                    return outcome == "done"
+        outcome, answer = follow(name, time.monotonic() + seconds)
         client.forget(name)
-        return False
+        if outcome:
+            append(folder / "ended-at-ros", token, outcome, answer, "-")
+        return outcome == "done"
 
-    server = servers(ros, tokens.store, "/arm", ACTION, on_goal=on_goal, on_cancel=lambda _: None)
+    server = servers(
+        *(ros, tokens.store, "/arm", ACTION),
+        on_goal=on_goal,
+        on_cancel=lambda name: server.accept_cancel(name),
+        keep_result_ns=10**12,
+    )
     known.set()
+    threading.Thread(target=execute, daemon=True).start()
     client = clients(ros, tokens.store, "/work", ACTION, events.put)
-    _say_ready()
+    _say("ready", os.getpid())
     name = (f"r{os.getpid()}-{number}" for number in itertools.count(1))
     if late:
         wait_for(lambda: client.ready and send(next(name)), "a result")
@@ -446,42 +537,41 @@ def goal_robot(folder: Path, fuse: Fuse, *, late: bool) -> None:
             send(next(name))
 
 
-def _say_ready() -> None:
-    os.write(1, f"ready {os.getpid()}\n".encode())
+def _say(*words: object) -> None:
+    os.write(1, (" ".join(map(str, words)) + "\n").encode())
 
 
 def _play(folder: Path, sabotage: str, role: str, step: str, passes: int) -> None:
     fuse = Fuse(step, passes)
     if role == "bridge":
         _note_counts(folder)
+    if role.endswith("plc" if sabotage == "last := 0" else "bridge"):
         _sabotage(sabotage, folder)
+    if role == "bridge":
         bridge(folder)
-    elif role == "plc":
-        _sabotage_plc(sabotage)
-        plc(folder, fuse)
-    elif role == "robot":
-        robot(folder, fuse, late=step == "late")
-    elif role == "goal-plc":
-        goal_plc(folder, fuse)
+    elif role.endswith("plc"):
+        (goal_plc if role == "goal-plc" else plc)(folder, fuse)
     else:
-        goal_robot(folder, fuse, late=step == "late")
+        (goal_robot if role == "goal-robot" else robot)(folder, fuse, late=step == "late")
 
 
 def main(folder: str, sabotage: str = "") -> None:
     """Start processes, and wait for their ends, as standard input says, until it ends."""
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
+    faulthandler.register(signal.SIGUSR1)
     Tokens(Path(folder)).get("Request", Tokens(Path(folder)).put("Request", "warm"))
     importlib.import_module("rosplc.ros.dds.backend")  # once for all of them
     children = set()
     for line in sys.stdin:
         order, *words = line.rstrip("\n").split("|")
         if order == "wait":
-            status = os.waitpid(int(words[0]), 0)[1]
-            children.discard(int(words[0]))
-            os.write(1, f"ended {os.waitstatus_to_exitcode(status)}\n".encode())
+            child = int(words[0])
+            status = os.waitpid(child, 0)[1]
+            children.discard(child)
+            _say("ended", child, os.waitstatus_to_exitcode(status))
         elif child := os.fork():
             children.add(child)
-            os.write(1, f"started {child}\n".encode())
+            _say("started", child)
         else:
             try:
                 _play(Path(folder), sabotage, words[0], words[1], int(words[2]))
