@@ -22,7 +22,7 @@ _ALL_WELL = """() => {
 
 
 def channel(y: float, topic: str, what: str, *, to_plc: bool) -> list[str]:
-    """Return a topic's channel between bridge and PLC, with its arrows."""
+    """Return a topic's channel, or an action's, between bridge and PLC, with its arrows."""
     ends = ((506, 540), (728, 766)) if to_plc else ((540, 506), (766, 728))
     return [
         box(542, y, 184, 44, "shm"),
@@ -37,8 +37,8 @@ def image() -> str:
     parts = [
         box(20, 40, 210, 196) + text(125, 66, "robot", "bold") + text(125, 86, "a ROS 2 node", "small"),
         box(38, 104, 174, 50, "good")
-        + text(125, 125, "takes a job once,")
-        + text(125, 143, "tells its number back", "small"),
+        + text(125, 125, "serves the action")
+        + text(125, 143, "feedback, then a result", "small"),
         box(38, 168, 174, 50, "good")
         + text(125, 189, "knows what it has done")
         + text(125, 207, "by serial numbers", "small"),
@@ -48,12 +48,12 @@ def image() -> str:
         text(420, 140, "may be killed at any", "small") + text(420, 156, "moment, and comes back", "small"),
         text(634, 66, "/dev/shm", "bold"),
         *channel(88, "/robot/state", "phase, done, placed …", to_plc=True),
-        *channel(140, "/robot/job", "number, what, serial", to_plc=False),
+        *channel(140, "/robot/hand_over", "place or remove, serial", to_plc=False),
         *channel(192, "/press/state", "stage, occupied …", to_plc=False),
         box(768, 40, 172, 196) + text(854, 66, "PLC", "bold") + text(854, 86, "Structured Text", "small"),
         box(784, 104, 140, 50, "busy")
-        + text(854, 125, "RosPlc_Handshake")
-        + text(854, 143, "asks once", "small"),
+        + text(854, 125, "ActionClient")
+        + text(854, 143, "sends each goal once", "small"),
         box(784, 168, 140, 50, "busy")
         + text(854, 189, "looks, then acts")
         + text(854, 207, "remembers nothing", "small"),
@@ -73,7 +73,7 @@ def image() -> str:
         stroke("M125 238V330") + text(166, 262, "its arm", "small"),
         stroke("M854 238V262H684V330") + text(770, 256, "wires: sensors, cylinder", "small"),
     ]
-    title = "A robot and a PLC share the nest of a press; jobs and states go through the bridge's channels."
+    title = "A robot and a PLC share the nest of a press; the PLC's goals and both states go through shared memory."
     return picture(title, 20, WIDTH, BOTTOM, parts)
 
 

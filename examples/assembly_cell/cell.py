@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import rosplc
 from examples.assembly_cell.world import PLACING, REMOVING
 from rosplc.demo.domain import FreeDomain
 from rosplc.demo.processes import Child, remove_objects
@@ -278,16 +279,10 @@ class Cell:
 
 def generate(config: Path, folder: Path) -> Path:
     """Write the PLC project of a configuration with the cell's programs; return what was translated."""
-    from rosplc.config.resolve import load_project
     from rosplc.demo.st.checkout import find_translator
-    from rosplc.plc.build import plc_project
-    from rosplc.plc.delivery import project_files, write_files
-    from rosplc.plc.plan import ProjectOptions
 
     translator = find_translator()
-    project = load_project(config)
-    made = plc_project(project, ProjectOptions())
-    write_files(folder, project_files(made, [plan.layout for plan in project.topics], "assembly"))
+    rosplc.generate(config, folder)
     shutil.copytree(HERE / "st", folder / "st" / "Programs")
     from rosplc_st.run_project import load_texts
 

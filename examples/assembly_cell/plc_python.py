@@ -6,55 +6,55 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from examples.assembly_cell.handshake import Handshake
 from examples.assembly_cell.image import PlcSide
+from examples.assembly_cell.world import PLACE, REMOVE
 from rosplc.demo.processes import Commands
 from rosplc.demo.task import serve
-from rosplc.virtual_plc import ReadBlock, WriteBlock
+from rosplc.virtual_plc import ActionClient, ReadBlock, WriteBlock
 
 __all__ = ["Press", "Program", "run"]
 
 
 class Press:
-    """PROGRAM PLC_PRG: what stands in ``st/PLC_PRG.st``, without the blocks around it.
+    """PROGRAM PLC_PRG: what is in ``st/PLC_PRG.st``, without the blocks around it.
 
     Attributes:
         uiStage: 0 looking, 10 waiting for the robot, 20 pressing, 30 rising.
-        usiWhat: The job: 1 place, 2 remove.
-        udiSerial: Its handle.
+        usiRobot: Phase of the hand-over, as the robot reported it last.
         udiPressed: Handles pressed since the start.
+        udiHandedOver: Hand-overs since the start in which the robot moved.
         xPressDown: The output.
     """
 
     def __init__(self) -> None:
-        self.uiStage = self.usiWhat = self.udiSerial = self.udiPressed = 0
+        self.uiStage = self.usiRobot = self.udiPressed = self.udiHandedOver = 0
         self.xPressDown = False
-        self.fbRobot = Handshake()
-        self._execute = False
         self._heard = False
 
-    def __call__(self, io: dict[str, bool], robot: Any, *, xNew: bool, xAlive: bool) -> None:
+    def __call__(self, io: dict[str, bool], robot: Any, hand_over: Any, *, xNew: bool, xAlive: bool) -> None:
         """Run one scan.
 
         Args:
             io: The inputs.
             robot: The robot's latest message; None before the first.
-            xNew: It is new.
+            hand_over: The action's block, which was called before.
+            xNew: The message is new.
             xAlive: The bridge lives and the message is not stale.
         """
         self._heard = self._heard or xNew
-        alive = self._heard and xAlive and robot is not None
-        ready = alive and not robot.stopped and robot.phase == 0
+        ready = self._heard and xAlive and robot is not None and not robot.stopped and robot.phase == 0
+        ready = ready and hand_over.xServer and not hand_over.xBusy
         self.xPressDown = False
         if self.uiStage == 0:
-            self._execute = False
-            if ready and io["xPressUp"] and not self.fbRobot.xBusy:
-                self._look(io, robot)
+            if ready and io["xPressUp"]:
+                self._look(io, robot, hand_over.goal)
         elif self.uiStage == 10:
-            self._execute = True
-            if self.fbRobot.xDone or self.fbRobot.xError:
-                self._execute = False
-                self.uiStage = 0
+            if hand_over.xNewFeedback:
+                self.usiRobot = hand_over.feedback.phase
+            if hand_over.xDone and hand_over.result.moved:
+                self.udiHandedOver += 1
+            if hand_over.xDone or hand_over.xError or hand_over.xAborted:
+                self.usiRobot = self.uiStage = 0
         elif self.uiStage == 20:
             if io["xPinIn"]:
                 self.udiPressed += 1
@@ -65,15 +65,15 @@ class Press:
                 self.uiStage = 0
         elif io["xPressUp"]:
             self.uiStage = 0
-        self.fbRobot(xExecute=self._execute, udiDone=robot.done if robot is not None else 0, xPeerAlive=alive)
+        hand_over.xExecute = self.uiStage == 10
 
-    def _look(self, io: dict[str, bool], robot: Any) -> None:
+    def _look(self, io: dict[str, bool], robot: Any, goal: Any) -> None:
         """Choose what is next from what is there."""
         if not io["xOccupied"]:
             if robot.tray > 0:
-                self.usiWhat, self.udiSerial, self.uiStage = 1, robot.placed + 1, 10
+                goal.what, goal.serial, self.uiStage = PLACE, robot.placed + 1, 10
         elif io["xPinIn"]:
-            self.usiWhat, self.udiSerial, self.uiStage = 2, robot.placed, 10
+            goal.what, goal.serial, self.uiStage = REMOVE, robot.placed, 10
         elif io["xZoneFree"]:
             self.uiStage = 20
 
@@ -84,7 +84,7 @@ class Program:
     def __init__(self, folder: Path, prefix: str) -> None:
         self._wires = PlcSide(folder / "wires")
         self._robot = ReadBlock("/robot/state", prefix=prefix, stale_after=0.5)
-        self._job = WriteBlock("/robot/job", prefix=prefix)
+        self._hand_over = ActionClient("/robot/hand_over", prefix=prefix)
         self._state = WriteBlock("/press/state", prefix=prefix)
         self._press = Press()
 
@@ -92,17 +92,15 @@ class Program:
         """Run one scan."""
         robot, press, io = self._robot, self._press, self._wires.inputs()
         robot()
+        self._hand_over()
         press(
             io,
             robot.msg if robot.xValid else None,
+            self._hand_over,
             xNew=robot.xNew,
             xAlive=robot.xPeerAlive and not robot.xStale,
         )
         self._wires.output(press.xPressDown)
-        if self._job.msg is not None:
-            self._job.msg.update(
-                {"number": press.fbRobot.udiJob, "what": press.usiWhat, "serial": press.udiSerial}
-            )
         if self._state.msg is not None:
             self._state.msg.update(
                 {
@@ -110,26 +108,28 @@ class Program:
                     "occupied": io["xOccupied"],
                     "pin_in": io["xPinIn"],
                     "zone_free": io["xZoneFree"],
+                    "robot": press.usiRobot,
                     "pressed": press.udiPressed,
+                    "handed_over": press.udiHandedOver,
                 }
             )
-        for block in (self._job, self._state):
-            block.xEnable = block.msg is not None
-            block()
+        self._state.xEnable = self._state.msg is not None
+        self._state()
 
     def facts(self) -> dict[str, Any]:
         """Return what the cell shows of the program."""
         return {
             "stage": self._press.uiStage,
-            "job": self._press.fbRobot.udiJob,
+            "busy": self._hand_over.xBusy,
             "pressed": self._press.udiPressed,
+            "handed_over": self._press.udiHandedOver,
             "alive": self._robot.xPeerAlive,
             "stale": self._robot.xStale,
         }
 
     def close(self) -> None:
         """Let go of the channels."""
-        for block in (self._robot, self._job, self._state):
+        for block in (self._robot, self._hand_over, self._state):
             block.close()
 
 

@@ -50,8 +50,9 @@ class Program:
         get = self._machine.get
         return {
             "stage": get("PLC_PRG.uiStage"),
-            "job": get("PLC_PRG.fbRobot.udiJob"),
+            "busy": bool(get("ROS_Actions.robot_hand_over.xBusy")),
             "pressed": get("PLC_PRG.udiPressed"),
+            "handed_over": get("PLC_PRG.udiHandedOver"),
             "alive": bool(get("ROS_Read.robot_state.xPeerAlive")),
             "stale": bool(get("ROS_Read.robot_state.xStale")),
         }

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from examples.assembly_cell.handshake import HandshakeReply
-
 __all__ = ["ASSEMBLING", "IDLE", "PLACE", "PLACING", "REMOVE", "REMOVING", "Handle", "World"]
 
 IDLE, ASSEMBLING, PLACING, REMOVING = range(4)
 PLACE, REMOVE = 1, 2
 
 _ASSEMBLE_S, _REACH_S, _STROKE_S = 0.3, 0.2, 0.15
+_LASTS = {IDLE: 1.0, ASSEMBLING: _ASSEMBLE_S, PLACING: 2 * _REACH_S, REMOVING: 2 * _REACH_S}  # seconds
 
 
 @dataclass
@@ -40,6 +39,8 @@ class World:
         phase: What the robot does.
         stopped: The robot's protective stop.
         placed: Serial number of the handle that was placed last.
+        ended: How many jobs the robot has ended.
+        moved: Whether it moved for the last of them.
         cylinder: 0 is up, 1 is down.
         mishaps: What must never have happened.
     """
@@ -53,19 +54,38 @@ class World:
     placed: int = 0
     cylinder: float = 0.0
     mishaps: list[str] = field(default_factory=list)
-    reply: HandshakeReply = field(default_factory=HandshakeReply)
-    _way: float = 0.0
-    _wish: tuple[int, int] = (0, 0)
+    ended: int = 0
+    moved: bool = False
+    _since: float = 0.0
+    _job: tuple[int, int] | None = None
 
     @property
     def zone_free(self) -> bool:
         """The light barrier: whether the arm is out of the machine."""
         return self.phase not in (PLACING, REMOVING)
 
-    def wish(self, number: int, what: int, serial: int) -> None:
-        """Take over what the PLC wants of the robot."""
-        self.reply.wish(number)
-        self._wish = what, serial
+    @property
+    def way(self) -> float:
+        """How much of the robot's phase is done, 0 to 1."""
+        return min(1.0, self._since / _LASTS[self.phase])
+
+    def take(self, what: int, serial: int) -> bool:
+        """Take a job in hand; False if it cannot be done, or while there is another."""
+        if self._job is not None:
+            return False
+        next_one = self.placed + bool(self.tray) if what == PLACE else min(len(self.box) + 1, self.placed)
+        if what not in (PLACE, REMOVE) or serial > next_one:
+            self.mishaps.append(f"a job that cannot be done: {what}, handle {serial}")
+            return False
+        self._job = what, serial
+        return True
+
+    def drop(self) -> bool:
+        """Give the job in hand back; False once the arm is in the machine, where it finishes its way."""
+        if self._job is None or not self.zone_free:
+            return False
+        self.phase, self._since, self._job = IDLE, 0.0, None
+        return True
 
     def step(self, seconds: float, *, press_down: bool) -> None:
         """Let time pass, with the press's output as it is."""
@@ -88,35 +108,32 @@ class World:
 
     def _robot(self, seconds: float) -> None:
         if self.phase == IDLE:
-            if self.reply.start():
-                self._begin()
+            if self._job is not None:
+                self._begin(*self._job)
             return
-        before, self._way = self._way, self._way + seconds
-        if self.phase == ASSEMBLING and self._way >= _ASSEMBLE_S:
+        before, self._since = self._since, self._since + seconds
+        if self.phase == ASSEMBLING and self._since >= _ASSEMBLE_S:
             self.tray -= 1
             self.gripper = Handle(self.placed + 1)
-            self.phase, self._way = PLACING, 0.0
-        elif self.phase in (PLACING, REMOVING):
-            if before < _REACH_S <= self._way:
+            self.phase, self._since = PLACING, 0.0
+        elif not self.zone_free:
+            if before < _REACH_S <= self._since:
                 self._put_down() if self.phase == PLACING else self._take()
-            if self._way >= 2 * _REACH_S:
+            if self._since >= 2 * _REACH_S:
                 if self.phase == REMOVING and self.gripper is not None:
                     self.box.append(self.gripper.serial)
                     self.gripper = None
-                self.phase = IDLE
-                self.reply.finish()
+                self._end(moved=True)
 
-    def _begin(self) -> None:
-        what, serial = self._wish
-        self._way = 0.0
-        if what == PLACE and serial == self.placed + 1 and self.tray:
-            self.phase = ASSEMBLING
-        elif what == REMOVE and serial == len(self.box) + 1 and serial == self.placed:
-            self.phase = REMOVING
+    def _begin(self, what: int, serial: int) -> None:
+        if serial <= (len(self.box) if what == REMOVE else self.placed):
+            self._end(moved=False)  # it was done before: the PLC has asked twice
         else:
-            if serial > self.placed:
-                self.mishaps.append(f"a job that cannot be done: {what}, handle {serial}")
-            self.reply.finish()  # was done before: the wish came twice
+            self.phase, self._since = (REMOVING if what == REMOVE else ASSEMBLING), 0.0
+
+    def _end(self, *, moved: bool) -> None:
+        self.phase, self._since, self._job = IDLE, 0.0, None
+        self.ended, self.moved = self.ended + 1, moved
 
     def _put_down(self) -> None:
         if self.nest is not None:

@@ -17,7 +17,6 @@ from types import SimpleNamespace
 import pytest
 
 from examples.assembly_cell.cell import HERE, generate
-from examples.assembly_cell.handshake import Handshake, HandshakeReply
 from examples.assembly_cell.plc_python import Press
 from examples.assembly_cell.view import picture
 from examples.assembly_cell.world import World
@@ -28,18 +27,59 @@ ROOT = Path(__file__).resolve().parents[2]
 STEP_S = 0.01
 
 
+class HandOver:
+    """The pins of the action's block."""
+
+    def __init__(self) -> None:
+        self.xServer = True
+        self.xBusy = self.xDone = self.xError = self.xAborted = self.xNewFeedback = self.xExecute = False
+        self.goal = SimpleNamespace(what=0, serial=0)
+        self.feedback = SimpleNamespace(phase=0)
+        self.result = SimpleNamespace(moved=False)
+        self.number = 0
+        self.ended: tuple[str, bool] | None = None  # for the next scan
+        self.unsent: tuple[int, int] | None = None
+        self._before = False
+
+    def __call__(self) -> None:
+        rose, self._before = self.xExecute and not self._before, self.xExecute
+        if self.ended is not None:
+            pin, self.result.moved = self.ended
+            setattr(self, pin, True)
+            self.xBusy, self.ended = False, None
+        elif rose or not self.xExecute:
+            self.xDone = self.xError = self.xAborted = False
+        if rose and not self.xBusy:
+            self.xBusy, self.unsent = True, (self.goal.what, self.goal.serial)
+            self.number += 1
+
+    def end(self, number: int, pin: str, moved: bool) -> None:
+        """Take an answer of ROS, unless it is to another goal, or the second one."""
+        if number == self.number and self.xBusy and self.ended is None:
+            self.ended = pin, moved
+
+
 class Simulated:
     """World and PLC program in one thread, with messages that are late, and parts that die, by a seed."""
 
     def __init__(self, seed: int, handles: int) -> None:
         self.chance = random.Random(seed)
         self.world = World(tray=handles)
-        self.press = Press()
         self.up: deque[tuple[int, SimpleNamespace]] = deque()
-        self.down: deque[tuple[int, tuple[int, int, int]]] = deque()
-        self.robot: SimpleNamespace | None = None
+        # On their way to the robot, and back: each with the block and the number of its goal.
+        self.goals: list[tuple[int, HandOver, int, tuple[int, int]]] = []
+        self.ends: list[tuple[int, HandOver, int, str, bool]] = []
+        self.doing: tuple[HandOver, int] | None = None  # what the robot has in hand
         self.heard_at = self.bridge_back = self.plc_back = self.stopped_until = 0
-        self.now = 0
+        self.now = self.ended = self.cancel_at = 0
+        self.restart_plc()
+
+    def restart_plc(self) -> None:
+        self.press, self.hand_over = Press(), HandOver()
+        self.robot: SimpleNamespace | None = None
+
+    def later(self) -> int:
+        return self.now + self.chance.randint(0, 30)
 
     def step(self) -> None:
         self.now += 1
@@ -47,36 +87,65 @@ class Simulated:
         if chance.random() < 0.004:
             self.bridge_back = self.now + chance.randint(5, 200)
         if chance.random() < 0.004:
-            self.plc_back, self.press, self.robot = self.now + chance.randint(1, 100), Press(), None
+            self.plc_back = self.now + chance.randint(1, 100)
+            self.cancel_at = self.later() if chance.random() < 0.7 else 0  # it does not always get there
+            self.restart_plc()
         if chance.random() < 0.002:
             self.stopped_until = self.now + chance.randint(1, 200)
         bridge, plc = self.now >= self.bridge_back, self.now >= self.plc_back
         world.stopped = self.now < self.stopped_until
         if self.now % 5 == 0 and bridge:  # what is sent into a dead bridge is lost; the rest comes late
             state = SimpleNamespace(
-                phase=world.phase, stopped=world.stopped, done=world.reply.udiDone,
-                placed=world.placed, delivered=len(world.box), tray=world.tray,
+                phase=world.phase, stopped=world.stopped, placed=world.placed, delivered=len(world.box),
+                tray=world.tray,
             )  # fmt: skip
-            self.up.append((self.now + chance.randint(0, 30), state))
+            self.up.append((self.later(), state))
         fresh = False
         while self.up and self.up[0][0] <= self.now:
             self.robot, self.heard_at, fresh = self.up.popleft()[1], self.now, True
         if plc:
-            nest = world.nest
-            io = {
-                "xOccupied": nest is not None,
-                "xPinIn": nest is not None and nest.pins > 0,
-                "xZoneFree": world.zone_free,
-                "xPressUp": world.cylinder == 0.0,
-            }
-            alive = bridge and self.now - self.heard_at < 50
-            self.press(io, self.robot, xNew=fresh, xAlive=alive)
-            if bridge:
-                wish = (self.press.fbRobot.udiJob, self.press.usiWhat, self.press.udiSerial)
-                self.down.append((self.now + chance.randint(0, 30), wish))
-        while self.down and self.down[0][0] <= self.now:
-            world.wish(*self.down.popleft()[1])
+            self.scan(bridge, fresh)
+        self.carry(bridge)
         world.step(STEP_S, press_down=plc and self.press.xPressDown)
+        if world.ended != self.ended:
+            self.ended = world.ended
+            if self.doing is not None:
+                self.ends.append((self.later(), *self.doing, "xDone", world.moved))
+            self.doing = None
+
+    def scan(self, bridge: bool, fresh: bool) -> None:
+        nest = self.world.nest
+        io = {
+            "xOccupied": nest is not None,
+            "xPinIn": nest is not None and nest.pins > 0,
+            "xZoneFree": self.world.zone_free,
+            "xPressUp": self.world.cylinder == 0.0,
+        }
+        block = self.hand_over
+        block()
+        alive = bridge and self.now - self.heard_at < 50
+        self.press(io, self.robot, block, xNew=fresh, xAlive=alive)
+        if bridge and block.unsent is not None:
+            self.goals.append((self.later(), block, block.number, block.unsent))
+            block.unsent = None
+            if self.chance.random() < 0.1:  # its fate is unknown, and it arrives nevertheless
+                self.ends.append((self.later(), block, block.number, "xError", False))
+
+    def carry(self, bridge: bool) -> None:
+        """Goals, requests to cancel and ends arrive, in any order."""
+        for one in [one for one in self.goals if one[0] <= self.now]:
+            self.goals.remove(one)
+            _, block, number, goal = one
+            if self.world.take(*goal):
+                self.doing = block, number
+            else:
+                self.ends.append((self.later(), block, number, "xError", False))
+        forgotten = self.doing is not None and self.doing[0] is not self.hand_over
+        if forgotten and self.now == self.cancel_at and self.world.drop():
+            self.doing = None
+        for end in [end for end in self.ends if end[0] <= self.now and bridge]:
+            self.ends.remove(end)
+            end[1].end(*end[2:])
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -95,12 +164,12 @@ def test_the_world_notices_what_must_not_happen() -> None:
     world = World(tray=2)
     world.step(1.0, press_down=True)
     world.step(1.0, press_down=False)
-    world.wish(1, 1, 1)
+    assert world.take(1, 1)
     for _ in range(100):
         world.step(STEP_S, press_down=False)
     for down in (True, False, True, False):
         world.step(1.0, press_down=down)
-    world.wish(2, 2, 1)
+    assert world.take(2, 1)
     for _ in range(25):
         world.step(STEP_S, press_down=True)
     text = "; ".join(world.mishaps)
@@ -108,33 +177,30 @@ def test_the_world_notices_what_must_not_happen() -> None:
         assert words in text, text
 
 
-def test_a_wish_that_comes_twice_is_done_once() -> None:
-    """A PLC that has forgotten its wish may wish again, under another number; nothing is placed twice."""
+def test_a_goal_that_comes_twice_is_reached_once() -> None:
+    """A PLC that has forgotten its goal may send it again: nothing is placed twice, and it is told so."""
     world = World(tray=3)
-    world.wish(7, 1, 1)
-    for _ in range(30):
-        world.step(STEP_S, press_down=False)
-    world.wish(1234, 1, 1)  # amid the job
-    for _ in range(300):
-        world.step(STEP_S, press_down=False)
-    assert (world.placed, world.reply.udiDone, world.mishaps) == (1, 1234, [])
+    assert world.take(1, 1)
+    assert not world.take(1, 1)  # amid the job
+    for ended in (1, 2):
+        while world.ended < ended:
+            world.step(STEP_S, press_down=False)
+        assert (world.placed, world.moved, world.mishaps) == (1, ended == 1, [])
+        assert world.take(1, 1)
+    assert not world.take(2, 2) or world.mishaps
 
 
-def test_the_handshake_asks_once() -> None:
-    """The Python twins agree: one rising edge, one job, begun once, also when numbers begin anew."""
-    reply, begun, done = HandshakeReply(), 0, 0
-    for _ in range(5):  # the asking side starts anew
-        ask = Handshake()
-        for _ in range(3):
-            for execute in (True, True, True, False):
-                ask(xExecute=execute, udiDone=reply.udiDone, xPeerAlive=True)
-                reply.wish(ask.udiJob)
-                begun += reply.start()
-                done += ask.xDone and execute
-                if reply.xBusy:
-                    reply.finish()
-    assert begun == 15
-    assert done >= 15
+def test_a_job_is_given_back_before_the_arm_is_in_the_machine() -> None:
+    """A canceled goal leaves no trace; once the arm is in the machine, it finishes its way."""
+    world = World(tray=1)
+    for phase, dropped in ((0, True), (1, True), (2, False)):
+        assert world.take(1, 1)
+        while world.phase != phase:
+            world.step(STEP_S, press_down=False)
+        assert world.drop() is dropped
+    assert (world.tray, world.phase, world.mishaps) == (0, 2, [])
+    for what, serial in ((1, 2), (2, 1)):
+        assert not World(tray=0).take(what, serial)
 
 
 def test_the_picture_is_as_wide_as_a_small_terminal() -> None:
@@ -227,8 +293,8 @@ def machine(tmp_path_factory: pytest.TempPathFactory):
 def test_both_programs_decide_alike(machine) -> None:
     """Structured Text and Python: from the same inputs and messages the same stage, job and output."""
     chance, press = random.Random(3), Press()
-    robot = SimpleNamespace(phase=0, stopped=False, done=0, placed=0, delivered=0, tray=5)
-    read = "ROS_Read.robot_state"
+    robot = SimpleNamespace(phase=0, stopped=False, placed=0, delivered=0, tray=5)
+    read, action, block = "ROS_Read.robot_state", "ROS_Actions.robot_hand_over", HandOver()
     io = dict.fromkeys(("xOccupied", "xPinIn", "xZoneFree", "xPressUp"), False)
     stages = set()
     for _ in range(3000):
@@ -240,27 +306,31 @@ def test_both_programs_decide_alike(machine) -> None:
             robot.phase, robot.stopped = chance.choice((0, 0, 0, 1, 2, 3)), chance.random() < 0.1
             robot.placed, robot.tray = chance.randrange(5), chance.randrange(3)
         fresh, alive = chance.random() < 0.5, chance.random() < 0.97
-        job = machine.get("PLC_PRG.fbRobot.udiJob")
-        finish = bool(job) and chance.random() < 0.3
+        block()
+        if block.xBusy and chance.random() < 0.3:
+            end = chance.choice(("xDone", "xDone", "xError", "xAborted"))
+            block.end(block.number, end, chance.random() < 0.5)
+        block.xServer, block.xNewFeedback = chance.random() < 0.9, block.xBusy and chance.random() < 0.5
+        block.feedback.phase = chance.randrange(4)
         for name in ("phase", "stopped", "placed", "tray"):
             machine.set(f"{read}.msg.{name}", getattr(robot, name))
-        machine.set(f"{read}.msg.done", job if finish else 0)
         for name, value in (("xNew", fresh), ("xPeerAlive", alive), ("xStale", False)):
             machine.set(f"{read}.{name}", value)
+        for name in ("xServer", "xBusy", "xDone", "xError", "xAborted", "xNewFeedback"):
+            machine.set(f"{action}.{name}", getattr(block, name))
+        machine.set(f"{action}.feedback.phase", block.feedback.phase)
+        machine.set(f"{action}.result.moved", block.result.moved)
         machine.scan("PLC_PRG", step=0)
-        robot.done = press.fbRobot.udiJob if finish else 0
-        press(io, robot, xNew=fresh, xAlive=alive)
-        ours = (press.uiStage, press.xPressDown, press.fbRobot.udiJob != 0, press.udiPressed)
+        press(io, robot, block, xNew=fresh, xAlive=alive)
         get = machine.get
-        theirs = (
-            get("PLC_PRG.uiStage"), bool(get("IO.xPressDown")), get("PLC_PRG.fbRobot.udiJob") != 0,
-            get("PLC_PRG.udiPressed"),
-        )  # fmt: skip
-        assert ours == theirs
-        if press.fbRobot.udiJob:
-            assert (press.usiWhat, press.udiSerial) == (get("PLC_PRG.usiWhat"), get("PLC_PRG.udiSerial"))
+        ours = [press.uiStage, press.usiRobot, press.udiPressed, press.udiHandedOver, press.xPressDown]
+        ours += [block.xExecute, block.goal.what, block.goal.serial]
+        names = ("uiStage", "usiRobot", "udiPressed", "udiHandedOver")
+        pins = ("IO.xPressDown", *(f"{action}.{pin}" for pin in ("xExecute", "goal.what", "goal.serial")))
+        assert ours == [get(path) for path in (*(f"PLC_PRG.{name}" for name in names), *pins)]
         stages.add(press.uiStage)
     assert stages == {0, 10, 20, 30}
+    assert press.udiHandedOver
 
 
 @needs_translator

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from rosplc.errors import SetupError
+from rosplc.shm.names import file_name
 
 _lock = threading.Lock()
 
@@ -129,22 +130,21 @@ class Child:
         self._reader.join(1.0)
 
     def close(self) -> None:
-        """Let go of its pipes and its log."""
-        assert self._process.stdout is not None
-        self._process.stdout.close()
+        """Let go of its log; its pipe is closed once all of it was read."""
         self._log.close()
 
     def _read(self) -> None:
         assert self._process.stdout is not None
-        for line in self._process.stdout:
-            try:
-                facts = json.loads(line)
-            except ValueError:
-                continue
-            if facts.pop("is", "") == "error":
-                self._error = facts
-            else:
-                self.status = facts
+        with self._process.stdout as lines:
+            for line in lines:
+                try:
+                    facts = json.loads(line)
+                except ValueError:
+                    continue
+                if facts.pop("is", "") == "error":
+                    self._error = facts
+                else:
+                    self.status = facts
 
 
 def remove_objects(prefix: str, directory: str = "/dev/shm") -> int:
@@ -154,8 +154,9 @@ def remove_objects(prefix: str, directory: str = "/dev/shm") -> int:
     others (spec/shm-format.md, M5).
     """
     removed = 0
-    for path in Path(directory).glob(f"{prefix}.[tln].*"):
-        with contextlib.suppress(FileNotFoundError):
-            path.unlink()
-            removed += 1
+    for path in Path(directory).glob(f"{prefix}.*"):
+        if file_name(path.name) is not None:
+            with contextlib.suppress(FileNotFoundError):
+                path.unlink()
+                removed += 1
     return removed

@@ -196,12 +196,14 @@ def test_cleanup_touches_its_own_prefix_only(tmp_path):
         "demo-1.t.a",
         "demo-1.l.a",
         "demo-1.n.a.00000000",
+        "demo-1.ag.a",
+        "demo-1.lag.a",
         "demo-12.t.a",
         "rosplc.t.a",
         "demo-1.x.a",
     ):
         (tmp_path / name).write_bytes(b"")
-    assert remove_objects("demo-1", str(tmp_path)) == 3
+    assert remove_objects("demo-1", str(tmp_path)) == 5
     assert sorted(path.name for path in tmp_path.iterdir()) == ["demo-1.x.a", "demo-12.t.a", "rosplc.t.a"]
 
 
