@@ -73,7 +73,7 @@ def image() -> str:
         stroke("M125 238V330") + text(166, 262, "its arm", "small"),
         stroke("M854 238V262H684V330") + text(770, 256, "wires: sensors, cylinder", "small"),
     ]
-    title = "A robot and a PLC share the nest of a press; the PLC's goals and both states go through shared memory."
+    title = "A robot and a PLC share the nest of a press; goals and states go through shared memory."
     return picture(title, 20, WIDTH, BOTTOM, parts)
 
 
