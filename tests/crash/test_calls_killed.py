@@ -91,13 +91,14 @@ class Cell:
 
     def _fail(self, what: str) -> NoReturn:
         """Fail with what all processes are doing, and the end of what they wrote."""
-        log, count = self.folder / "peers.log", 0
-        for number in self.running.values():
-            with suppress(ProcessLookupError):
+        log = self.folder / "peers.log"
+        for number in self.running.values():  # one after the other, or their lines are mixed
+            count = log.read_text().count("Current thread")
+            with suppress(ProcessLookupError, AssertionError):
                 os.kill(number, signal.SIGUSR1)
-                count += 1
-        with suppress(AssertionError):
-            wait_for(lambda: log.read_text().count("Current thread") >= count, seconds=5.0)
+                wait_for(
+                    partial(lambda least: log.read_text().count("Current thread") > least, count), seconds=2
+                )
         newest = [f"{path.name}: {self.lines(path.name)[-3:]}" for path in sorted(self.folder.glob("*-*"))]
         raise AssertionError(
             "\n".join([f"{what}; running: {self.running}", *newest, log.read_text()[-20_000:]])

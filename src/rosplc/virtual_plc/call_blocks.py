@@ -121,11 +121,14 @@ class _Out(WriteBlock):
         return attached, writer
 
     def publish(self, message: Any, **words: Any) -> None:
-        """Send a message; ``words`` are what its slot says of the call. Raises ChannelError: Not sent."""
+        """Send a message, None for an initial one; ``words`` are what its slot says of the call.
+
+        Raises ChannelError: Not sent.
+        """
         found, layout = self.open, self.layout
         if found is None or layout is None:
             raise ChannelError("SHM111", "the object is not open", where=self.topic)
-        record = layout.pack(message)
+        record = layout.initial() if message is None else layout.pack(message)
         found[1].publish(record, stamp_ns=time.monotonic_ns(), stamp_clock=spec.STAMP_PLC, **words)
 
     def _detach(self) -> None:
@@ -322,8 +325,8 @@ class _Answerer(_CallBlock):
     ) -> None:
         layout = self._out.layout
         assert info is not None
-        if layout is not None:
-            answer = layout.view(layout.initial() if answer is None else bytes(layout.pack(answer)))
+        if answer is not None and layout is not None:
+            answer = layout.view(bytes(layout.pack(answer)))
         words = {"correlation": info.correlation, "client": info.client, "status": status, "reason": reason}
         self._answer = partial(self._out.publish, answer, **words)
 
@@ -563,14 +566,12 @@ class _Caller(_CallBlock):
 
     def _open(self, over: bool, ready: bool) -> None:
         """Send the call in hand, or end it."""
-        caller, layout = self._caller, self._out.layout
+        caller = self._caller
         if getattr(self, self._stop):
             self._conclude(ErrorNumber.NOT_EXECUTED, stopped=True)
         elif over:
             self._conclude(ErrorNumber.NOT_EXECUTED, Reason.TIME_OUT)
         elif ready and caller is not None and not caller.correlation and self._out.open and caller.claim():
-            if self._asked is None and layout is not None:
-                self._asked = layout.view(layout.initial())
             with suppress(ChannelError):  # in a later scan
                 caller.call(self._send)
                 self._sent = True

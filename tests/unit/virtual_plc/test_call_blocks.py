@@ -152,6 +152,29 @@ def test_nothing_that_waited_is_executed(sides: Sides, shm_namespace: Namespace)
     again.close()
 
 
+def test_a_call_that_is_withdrawn_before_the_other_object_is_open(
+    sides: Sides, shm_namespace: Namespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A new program without layouts refuses it, though it does not know yet what it answers with."""
+    side, block = sides("plc")
+    side.call()
+    block.close()
+    again = ServiceServer("/s", prefix=shm_namespace.prefix, beat_ms=100)
+    look = again._in.look
+
+    def withdrawn_behind(scan: Scan) -> None:
+        look(scan)
+        if side.caller.correlation and again._in.xReady:
+            assert not again._out.xReady
+            side.withdraw()
+            side.caller.correlation = 0
+
+    monkeypatch.setattr(again._in, "look", withdrawn_behind)
+    side.scan(again, 3)
+    assert side.took().status == ANSWER_FATE_UNKNOWN
+    again.close()
+
+
 def test_a_call_withdrawn_while_another_is_in_hand_is_never_shown(sides: Sides) -> None:
     """Its caller was told that it is safe to call again."""
     side, block = sides("plc")
