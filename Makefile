@@ -66,7 +66,7 @@ test: $(VENV)/.installed $(VENV)/.core ## lint, types and the first tier of test
 	@$(RUN) lint types tests
 
 .PHONY: test-foreign
-test-foreign: $(VENV)/.installed $(VENV)/.core ros2-env ## tests with ROS 2 from wheels and with Debian's programs (about 20 minutes)
+test-foreign: $(VENV)/.installed $(VENV)/.core ros2-env ## tests with ROS 2 from wheels, with Debian's programs, and longer ones (about 20 minutes)
 	@$(RUN) foreign --minutes "$(FOREIGN_MINUTES)"
 
 .PHONY: ros2-env

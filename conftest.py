@@ -6,7 +6,7 @@ Three tiers (tests/README.md), told apart by markers: ``make test`` has neither 
 * ``needs("chromium")`` names Debian packages, ``needs(variable="ROSPLC_GENMC")`` a variable that names an
   installation, ``needs(when=…, why="…")`` anything else. A check whose need is not met is deselected and
   listed at the end, never skipped. In CI, which can install packages, a missing one is a failure.
-* What needs a package or a variable, and whatever lies in a folder of ``FOREIGN``, is ``foreign``.
+* What needs a package or a variable, is ``serial``, or lies in a folder of ``FOREIGN``, is ``foreign``.
 * A test that failed and passed when it was repeated (CI asks for that with ``ROSPLC_RERUNS``) is listed.
 * ``ROSPLC_DEADLINE`` (seconds since 1970) ends a run: a check that no longer fits is not started, and listed.
 
@@ -30,7 +30,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent
 if importlib.util.find_spec("rclpy"):  # a real one: its traffic stays on this machine
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-FOREIGN = ("tests/deploy", "tests/interop/classic", "tests/interop/ros1", "tests/interop/ros2")
+FOREIGN = ("tests/deploy", "tests/interop")
 MISSING_PACKAGE = "Debian package "
 DEFAULT_MINUTES = 2.0
 
@@ -90,7 +90,8 @@ def lacking(item: pytest.Item) -> str:
 def pytest_itemcollected(item: pytest.Item) -> None:
     needs = item.iter_markers("needs")
     place = item.path.relative_to(ROOT).as_posix() if item.path.is_relative_to(ROOT) else ""
-    if place.startswith(FOREIGN) or any(marker.args or "variable" in marker.kwargs for marker in needs):
+    elsewhere = place.startswith(FOREIGN) or item.get_closest_marker("serial")
+    if elsewhere or any(marker.args or "variable" in marker.kwargs for marker in needs):
         item.add_marker("foreign")
 
 

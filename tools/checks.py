@@ -137,9 +137,8 @@ def types(outcome: Outcome) -> None:
 
 
 def tests(outcome: Outcome) -> None:
-    """Run the first tier, tests marked serial alone and first: the workers find all files compiled by it."""
-    run_pytest(outcome, "tests, one at a time", "serial and not verify and not foreign", may_be_empty=True)
-    run_pytest(outcome, "tests", "not verify and not foreign and not serial", workers=WORKERS)
+    """Run the first tier."""
+    run_pytest(outcome, "tests", "not verify and not foreign", workers=WORKERS)
 
 
 def foreign(outcome: Outcome) -> None:

@@ -21,6 +21,7 @@ def name(scenario: Scenario) -> str:
     return scenario.name
 
 
+@pytest.mark.foreign
 @pytest.mark.parametrize("scenario", HOLDS, ids=name)
 def test_every_property_holds_in_every_interleaving(scenario: Scenario) -> None:
     """No interleaving of the specified steps breaks a property."""
@@ -44,6 +45,7 @@ def test_a_second_net_is_one(scenario: Scenario) -> None:
     assert as_expected(scenario, scenario.search())
 
 
+@pytest.mark.foreign
 @pytest.mark.parametrize("scenario", LIMITS, ids=name)
 def test_a_documented_limit_is_real(scenario: Scenario) -> None:
     """What the documentation says is not promised does happen in the model."""

@@ -123,6 +123,7 @@ def dds_domain() -> Iterator[int]:
     domain.close()
 
 
+@pytest.mark.foreign
 def test_a_resumed_bridge_carries_nothing_more(
     tmp_path: Path, shm_namespace: Namespace, dds_domain: int
 ) -> None:
@@ -167,6 +168,7 @@ def test_a_resumed_bridge_carries_nothing_more(
             first = second
 
 
+@pytest.mark.foreign
 def test_a_bridge_stopped_beyond_the_lease_repeats_nothing_it_retains(
     tmp_path: Path, shm_namespace: Namespace, dds_domain: int
 ) -> None:

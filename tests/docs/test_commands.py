@@ -19,6 +19,7 @@ from tests.interop.graphs import free_domain
 from tests.lib import isolated
 
 ROOT = Path(__file__).resolve().parents[2]
+FIRST = ROOT / "README.md"  # the one page that the first tier runs
 PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")])
 SHARED_MEMORY = Path("/dev/shm")
 
@@ -39,7 +40,11 @@ def place(page: Path) -> str:
 
 def page_parameters() -> list[object]:
     return [
-        pytest.param(page, id=place(page), marks=pytest.mark.needs(*needed(page)))
+        pytest.param(
+            page,
+            id=place(page),
+            marks=[pytest.mark.needs(*needed(page)), *([] if page == FIRST else [pytest.mark.foreign])],
+        )
         for page in PAGES
         if any(runs(block) or "file" in block.directives for block in blocks(page))
     ]

@@ -227,6 +227,7 @@ def run(*arguments: str) -> dict[str, object]:
 pytest.importorskip("cyclonedds", reason="no cyclonedds wheel for this machine")
 
 
+@pytest.mark.foreign
 def test_the_cell_runs_and_outlives_its_faults() -> None:
     """Bridge, robot and PLC fail in the middle of hand-overs, in processes of their own, over DDS."""
     result = run("--handles", "3")
@@ -240,6 +241,7 @@ def test_the_cell_outlives_a_storm_of_faults() -> None:
     assert len(run("--handles", "5", "--seed", "4")["faults"]) >= 3  # type: ignore[arg-type]
 
 
+@pytest.mark.foreign
 def test_ending_it_leaves_nothing_behind() -> None:
     """SIGTERM ends every process and removes every object."""
     command = [sys.executable, "-m", "examples.assembly_cell", "--no-faults", "--handles", "1000"]

@@ -102,6 +102,7 @@ def test_everything_arrives_in_both_directions():
     assert not any(alive(pid) for pid in pids.values())
 
 
+@pytest.mark.foreign
 def test_the_summary_line_says_it_in_words():
     """Without --json a table and one summary line are printed."""
     with demo("--duration", "1s", "--rate", "50", "--topics", "1") as child:
@@ -118,6 +119,7 @@ def test_the_summary_line_says_it_in_words():
     assert numbers[3] == numbers[4] != "0"
 
 
+@pytest.mark.foreign
 @pytest.mark.parametrize("victim", ["robot", "bridge", "plc"])
 def test_a_killed_process_ends_it_with_a_clear_message(victim):
     """A process that dies is named, the status is not 0, and nothing is left behind."""
@@ -149,6 +151,7 @@ def test_a_killed_bridge_is_survived():
     assert objects(prefix) == []
 
 
+@pytest.mark.foreign
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_all_processes(number):
     """Ctrl-C and SIGTERM end the three processes and remove the objects."""
@@ -164,6 +167,7 @@ def test_a_signal_ends_all_processes(number):
     assert not any(alive(pid) for pid in pids.values())
 
 
+@pytest.mark.foreign
 def test_nothing_outlives_a_killed_demo():
     """Even after SIGKILL the processes notice that their parent is gone, and clean up."""
     with demo("--duration", "600s") as child:

@@ -60,6 +60,7 @@ def finish(child):
     return child.communicate(timeout=300)
 
 
+@pytest.mark.foreign
 def test_everything_arrives_in_both_directions():
     """What one side counts as sent the Structured Text took, whole and once, and the status is 0."""
     with demo("--plc", "st", "--duration", "3s", "--json") as child:
@@ -76,6 +77,7 @@ def test_everything_arrives_in_both_directions():
     assert not any(alive(pid) for pid in pids.values())
 
 
+@pytest.mark.foreign
 def test_many_messages_in_one_scan_are_all_taken():
     """Several messages per scan and topic come out of the blocks in order, through Next()."""
     with demo("--plc", "st", "--duration", "3s", "--rate", "500", "--topics", "4", "--json") as child:
@@ -86,6 +88,7 @@ def test_many_messages_in_one_scan_are_all_taken():
     assert result["to_plc"]["received"] > 4 * result["cycle"]["scans"], "one per scan would have done"
 
 
+@pytest.mark.foreign
 def test_a_killed_plc_ends_it_with_a_clear_message():
     """The process that runs the Structured Text is named when it dies, and nothing is left behind."""
     with demo("--plc", "st", "--duration", "600s") as child:
@@ -104,6 +107,7 @@ def test_a_killed_plc_ends_it_with_a_clear_message():
     assert not any(alive(pid) for pid in pids.values())
 
 
+@pytest.mark.foreign
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_it_and_nothing_is_left(number, tmp_path):
     """Ctrl-C and SIGTERM end it while it still prepares the PLC, and the project's folder goes."""
@@ -120,6 +124,7 @@ def test_a_signal_ends_it_and_nothing_is_left(number, tmp_path):
     assert list(tmp_path.glob("rosplc-*")) == []
 
 
+@pytest.mark.foreign
 def test_a_killed_bridge_is_survived():
     """The Structured Text outlives its bridge: one piece is missing, nothing is torn, both ways go on."""
     with demo("--plc", "st", "--duration", "3s", "--kill", "--json") as child:

@@ -120,6 +120,7 @@ class Plc(threading.Thread):
             time.sleep(0.002)
 
 
+@pytest.mark.foreign
 def test_bridges_change_places_under_an_old_project(tmp_path: Path) -> None:
     """0.1.0, today's, and 0.1.0 again: the PLC's side sees a pause; nothing is torn, repeated or invented."""
     pytest.importorskip("blark")
