@@ -288,9 +288,12 @@ def _cell(
 GROUPS = {"calls": CALLS, "goals from ROS": GOALS_FROM_ROS, "goals of the PLC": GOALS_OF_PLC}
 
 
+@pytest.mark.parametrize(
+    "share", [slice(1, None, 4), pytest.param(slice(None), marks=pytest.mark.foreign)], ids=["some", "all"]
+)
 @pytest.mark.parametrize("steps", GROUPS.values(), ids=GROUPS)
 def test_each_step(
-    tmp_path: Path, shm_namespace: Namespace, domain: int, steps: Mapping[str, object]
+    tmp_path: Path, shm_namespace: Namespace, domain: int, steps: Mapping[str, object], share: slice
 ) -> None:
     """Each step kills once, and a few kills come at any time; what was answered stays true.
 
@@ -299,7 +302,7 @@ def test_each_step(
     """
     chance = random.Random(1)
     with _cell(tmp_path, shm_namespace, domain, steps) as cell:
-        for step in steps:
+        for step in list(steps)[share]:
             cell.kill_at(step, chance.randint(1, 4))
         cell.kill_at_random(4, chance)
         cell.until_more()
@@ -308,6 +311,7 @@ def test_each_step(
     assert not any(line[0] == "late" for line in cell.lines("executed-by-plc"))
 
 
+@pytest.mark.foreign
 @pytest.mark.parametrize(
     ("sabotage", "steps", "step", "words"),
     [
@@ -344,6 +348,7 @@ def test_the_check_sees_a_sabotage(
         raise AssertionError(f"not found: {words}")
 
 
+@pytest.mark.foreign
 @pytest.mark.parametrize("steps", [CALLS, GOALS_FROM_ROS], ids=["calls", "goals"])
 def test_the_check_sees_that_nothing_expires(
     tmp_path: Path, shm_namespace: Namespace, domain: int, steps: Mapping[str, object]
