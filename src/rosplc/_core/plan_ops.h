@@ -50,7 +50,7 @@ typedef struct {
     uint32_t least; /* LOOP, ARRAY: fewest wire bytes of one element; computed at load */
 } rp_op;
 
-_Static_assert(sizeof(rp_op) == 36, "rosplc/codec/ops.py packs 36 bytes");
+_Static_assert(sizeof(rp_op) == 36, "rosplc/codec/compile.py packs 36 bytes");
 
 typedef struct {
     uint32_t magic, wire, record_size, native_count, swapped_count, reserved;

@@ -253,7 +253,7 @@ def _names(node: Node) -> tuple[str, str]:
         ros, iec = _names(node.element)
         ros, iec = ros.partition(" ")[0], f"ARRAY[0..{node.capacity - 1}] OF {iec}"
         if isinstance(node, ArrayNode):
-            return f"{ros}[{node.length}]", iec
+            return f"{ros}[{node.capacity}]", iec
         return f"{ros}[] (up to {node.capacity})", f"UDINT, {iec}"
     if isinstance(node, StructNode):
         return node.type_name, type_prefix(node.type_name)

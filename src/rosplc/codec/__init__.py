@@ -2,7 +2,6 @@
 
 from rosplc._core import Fault
 from rosplc.codec.codec import TRUNCATED, Codec
-from rosplc.codec.compile import CompiledPlan, compile_plan
-from rosplc.codec.wire import Wire
+from rosplc.codec.compile import CompiledPlan, Wire, compile_plan
 
 __all__ = ["TRUNCATED", "Codec", "CompiledPlan", "Fault", "Wire", "compile_plan"]

@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rosplc._core import Fault, Plan
-from rosplc.codec.compile import compile_plan
-from rosplc.codec.wire import Wire
+from rosplc.codec.compile import Wire, compile_plan
 from rosplc.errors import CodecError
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""Compile a layout into a plan: the lists of ops that the C core executes, see ``_core/plan_ops.h``.
+"""Compile a layout into a plan: the lists of ops of the C core (``_core/plan_ops.h`` has their table).
 
 Neighbouring numbers become one COPY wherever their record offsets adjoin and the wire provably has no gap
 between them. For CDR the wire position is tracked modulo the largest alignment since the last string or
@@ -7,12 +7,81 @@ sequence, whose length is not known before a message comes.
 
 from __future__ import annotations
 
+import enum
+import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from rosplc.codec.ops import MAX_LOOPS, SEQ_OF_BOOL, Op, OpCode, pack_plan
-from rosplc.codec.wire import Wire
 from rosplc.errors import MessageTypeError
 from rosplc.layout.nodes import ArrayNode, Node, PaddingNode, ScalarNode, SequenceNode, StringNode, StructNode
+
+
+class Wire(enum.Enum):
+    """How a message is laid out on the wire; the values are those in a plan's head.
+
+    ``CDR`` is ROS 2: plain CDR version 1 behind a 4-byte encapsulation header, either byte
+    order read, little-endian written (OMG DDS-XTypes 1.3, section 7.4.1). ``ROS1`` is what
+    ROS 1 sends: little-endian without any alignment.
+    """
+
+    CDR = 0
+    ROS1 = 1
+
+
+MAX_LOOPS = 32  # Loops inside loops that the executor runs (`RP_MAX_DEPTH`).
+
+SEQ_OF_BOOL = 1  # Flag of SEQ: the elements are bools.
+
+_HEAD = struct.Struct("<6I")
+_OP = struct.Struct("<4B8I")
+_MAGIC = int.from_bytes(b"RPLN", "little")
+
+
+class OpCode(enum.IntEnum):
+    """What an op does."""
+
+    COPY = 1
+    SWAP = 2
+    BOOLS = 3
+    ZERO = 4
+    SKIP = 5
+    STRING = 6
+    SEQ = 7
+    LOOP = 8
+    ARRAY = 9
+
+
+@dataclass(slots=True)
+class Op:
+    """One op."""
+
+    code: OpCode  # what it does
+    path: str  # the field that it is about, for error messages; not part of the binary form
+    at: int = 0  # record offset in bytes, from the start of the record or of the enclosing loop's element
+    n: int = 0  # bytes, elements, or capacity, depending on the code
+    align: int = 1  # alignment on the wire in bytes
+    width: int = 1  # bytes of one number whose bytes are swapped; 1 for none
+    flags: int = 0  # ``SEQ_OF_BOOL``
+    count_at: int = 0  # record offset of a sequence's count
+    stride: int = 0  # bytes from one element to the next
+    room: int = 0  # bytes from ``at`` that the op fills, the padding behind it included
+    bound: int = 0  # the definition's own bound; 0 for none
+    # for loops the number of ops that follow and belong to it; for BOOLS how many bytes before the
+    # wire position they begin
+    body: int = 0
+
+    def pack(self) -> bytes:
+        """Return the op as the C core reads it."""
+        return _OP.pack(
+            self.code, self.align, self.width, self.flags,
+            self.at, self.n, self.count_at, self.stride, self.room, self.bound, self.body, 0,
+        )  # fmt: skip
+
+
+def pack_plan(wire: Wire, record_size: int, native: Sequence[Op], swapped: Sequence[Op]) -> bytes:
+    """Return the blob that ``_native.Plan`` loads."""
+    head = _HEAD.pack(_MAGIC, wire.value, record_size, len(native), len(swapped), 0)
+    return head + b"".join(op.pack() for op in (*native, *swapped))
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +101,7 @@ def flat_form(node: Node) -> Flat | None:
     if isinstance(node, ScalarNode):
         return None if node.kind == "bool" else Flat(node.size, node.size, True)
     if isinstance(node, ArrayNode):
-        return flat_form(node.element) if node.length else None
+        return flat_form(node.element) if node.capacity else None
     if not isinstance(node, StructNode) or not node.members:
         return None
     parts = [flat_form(member.node) for member in node.members]
@@ -128,7 +197,7 @@ class _OpList:
         elif flat is not None:
             self._numbers(False, flat, at, node.size, path)
         else:
-            op = Op(OpCode.ARRAY, path, at, node.length, stride=node.stride, room=node.size)
+            op = Op(OpCode.ARRAY, path, at, node.capacity, stride=node.stride, room=node.size)
             self._loop(op, element, path)
 
     def _sequence(self, node: SequenceNode, at: int, count_at: int, path: str) -> None:

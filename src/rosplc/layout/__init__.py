@@ -1,7 +1,7 @@
 """Where each part of a message lies in its record, and typed access to records."""
 
+from rosplc.layout.compute import MAX_SEQUENCE, MAX_STRING, Limits
 from rosplc.layout.layout import Layout, compute_layout
-from rosplc.layout.limits import MAX_SEQUENCE, MAX_STRING, Limits
 from rosplc.layout.nodes import (
     ArrayNode,
     Member,

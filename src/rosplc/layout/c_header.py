@@ -7,16 +7,10 @@ offsets.
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
+from collections.abc import Iterable
 
-from rosplc.layout.nodes import ArrayNode, PaddingNode, ScalarNode, SequenceNode, StringNode, StructNode
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from rosplc.layout.layout import Layout
-    from rosplc.layout.nodes import Node
-
+from rosplc.layout.layout import Layout
+from rosplc.layout.nodes import ArrayNode, Node, PaddingNode, ScalarNode, SequenceNode, StringNode, StructNode
 
 _WORDS = """
 alignas alignof and and_eq asm auto bitand bitor bool break case catch char char16_t char32_t

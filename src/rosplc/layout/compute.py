@@ -1,12 +1,13 @@
-"""Type and limits → struct nodes (spec/type-mapping.md, sections 2 and 3)."""
+"""Type and limits (how much room strings and sequences get) → struct nodes: spec/type-mapping.md, 2 and 3."""
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import Any
 
 from rosplc.errors import LayoutError
-from rosplc.layout.limits import MAX_SEQUENCE, MAX_STRING, Limits
 from rosplc.layout.nodes import (
     ArrayNode,
     Member,
@@ -17,11 +18,71 @@ from rosplc.layout.nodes import (
     StringNode,
     StructNode,
 )
-from rosplc.model import PRIMITIVES, ArrayType, NamedType, PrimitiveType, SequenceType, StringType
+from rosplc.model import (
+    PRIMITIVES,
+    ArrayType,
+    Field,
+    FieldType,
+    NamedType,
+    PrimitiveType,
+    SequenceType,
+    StringType,
+    TypeStore,
+)
 from rosplc.model.parse import check_names
 
-if TYPE_CHECKING:
-    from rosplc.model import Field, FieldType, TypeStore
+MAX_STRING = 65534  # Largest capacity of a string in bytes.
+MAX_SEQUENCE = 1 << 24  # Largest capacity of a sequence in elements.
+
+
+@dataclasses.dataclass(frozen=True)
+class Limits:
+    """Capacities of one topic's strings and sequences (spec/type-mapping.md, section 2).
+
+    Attributes:
+        string: Bytes of every string that ``fields`` does not name.
+        sequence: Elements of every sequence that ``fields`` does not name.
+        fields: Capacity by field path, such as ``{"name": 6, "name[]": 20}``.
+
+    Raises:
+        LayoutError: LAY001, a capacity is no whole number or out of range.
+    """
+
+    string: int = 80
+    sequence: int = 16
+    fields: Mapping[str, int] = dataclasses.field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        _check(self.string, MAX_STRING, "string")
+        _check(self.sequence, MAX_SEQUENCE, "sequence")
+        for path, capacity in self.fields.items():
+            _check(capacity, MAX_SEQUENCE, path)
+        object.__setattr__(self, "fields", dict(sorted(self.fields.items())))
+
+    def __hash__(self) -> int:
+        return hash((self.string, self.sequence, tuple(self.fields.items())))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data, as a self-description stores it."""
+        return {"string": self.string, "sequence": self.sequence, "fields": dict(self.fields)}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Limits:
+        """Return the limits that :meth:`to_dict` wrote; the data is not trusted.
+
+        Raises LayoutError: LAY001, the data has another form or a capacity is not valid.
+        """
+        fields = data.get("fields", {})
+        unknown = set(data) - {"string", "sequence", "fields"}
+        if unknown or not isinstance(fields, dict) or not all(isinstance(path, str) for path in fields):
+            raise LayoutError("LAY001", "limits are not of the form {string, sequence, fields}")
+        return cls(data.get("string", 80), data.get("sequence", 16), fields)
+
+
+def _check(capacity: object, largest: int, where: str) -> None:
+    # bool is an int to Python, and `yes` in a configuration is a mistake, not a 1.
+    if not isinstance(capacity, int) or isinstance(capacity, bool) or not 1 <= capacity <= largest:
+        raise LayoutError("LAY001", f"capacity {capacity!r} is not within 1 … {largest}", where=where)
 
 
 MAX_RECORD = 1 << 30  # Largest record in bytes.
@@ -97,8 +158,9 @@ class _Builder:
         if isinstance(kind, StringType):
             capacity = self._capacity(limits.pop("", None), kind.bound, self._limits.string, MAX_STRING, path)
             self._none_left(limits, path)
-            longest = max((len(_bytes(text)) for text in _texts(field.default)), default=0)
-            _default_fits(longest, capacity, path)
+            values = field.default if isinstance(field.default, tuple) else (field.default,)
+            texts = (value.encode("utf-8", "surrogateescape") for value in values if isinstance(value, str))
+            _default_fits(max(map(len, texts), default=0), capacity, path)
             return StringNode(capacity, kind.bound), 1
         if isinstance(kind, NamedType):
             inner = _strip(limits, ".")
@@ -107,17 +169,16 @@ class _Builder:
         own = limits.pop("", None)
         below = _strip(limits, "[]")
         self._none_left(limits, path)
-        if isinstance(kind, ArrayType):
-            if own is not None:
-                raise self._unknown_limit(path)
-            element, lines = self._node(field, kind.element, below, f"{path}[]")
-            assert isinstance(element, ScalarNode | StringNode | StructNode)
-            return ArrayNode(element, kind.length), lines + 1
-        assert isinstance(kind, SequenceType)
-        capacity = self._capacity(own, kind.bound, self._limits.sequence, MAX_SEQUENCE, path)
-        _default_fits(len(field.default) if isinstance(field.default, tuple) else 0, capacity, path)
+        capacity = 0
+        if isinstance(kind, SequenceType):
+            capacity = self._capacity(own, kind.bound, self._limits.sequence, MAX_SEQUENCE, path)
+            _default_fits(len(field.default) if isinstance(field.default, tuple) else 0, capacity, path)
+        elif own is not None:
+            raise self._unknown_limit(path)
         element, lines = self._node(field, kind.element, below, f"{path}[]")
         assert isinstance(element, ScalarNode | StringNode | StructNode)
+        if isinstance(kind, ArrayType):
+            return ArrayNode(element, kind.length), lines + 1
         return SequenceNode(element, capacity, kind.bound), lines + 1
 
     def _capacity(self, own: int | None, bound: int | None, default: int, largest: int, path: str) -> int:
@@ -176,15 +237,6 @@ def _strip(limits: dict[str, int], prefix: str) -> dict[str, int]:
     """Remove the paths with ``prefix`` from ``limits``; return them without it."""
     mine = [path for path in limits if path.startswith(prefix)]
     return {path[len(prefix) :]: limits.pop(path) for path in mine}
-
-
-def _texts(default: object) -> tuple[str, ...]:
-    values = default if isinstance(default, tuple) else (default,)
-    return tuple(value for value in values if isinstance(value, str))
-
-
-def _bytes(text: str) -> bytes:
-    return text.encode("utf-8", "surrogateescape")
 
 
 def _default_fits(size: int, capacity: int, path: str) -> None:

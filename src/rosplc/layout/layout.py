@@ -3,25 +3,18 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator, Mapping
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any, TypeAlias
 
 from rosplc.errors import LayoutError
-from rosplc.layout.compute import compute_struct
-from rosplc.layout.limits import Limits
-from rosplc.layout.numbers import Misfit
-from rosplc.layout.pack import StructPacker
-from rosplc.layout.text import layout_difference, layout_text, walk
+from rosplc.layout.compute import Limits, compute_struct
+from rosplc.layout.nodes import Node, StructNode, layout_difference, layout_text, walk
+from rosplc.layout.pack import Misfit, StructPacker
 from rosplc.layout.view import RecordView, StructReader, plain
+from rosplc.model import TypeStore
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-    from typing import TypeAlias
-
-    from rosplc.layout.nodes import Node, StructNode
-    from rosplc.model import TypeStore
-
-    Buffer: TypeAlias = bytes | bytearray | memoryview
+Buffer: TypeAlias = "bytes | bytearray | memoryview"
 
 
 def compute_layout(store: TypeStore, type_name: str, limits: Limits | None = None) -> Layout:

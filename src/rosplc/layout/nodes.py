@@ -1,11 +1,13 @@
 """A layout as data: where each part of a record lies.
 
 Offsets are bytes from the start of the enclosing struct, sizes are bytes. The rules are spec/type-mapping.md,
-section 3; the numbers of every bundled type are compared with gcc's for x86-64, armhf and arm64.
+section 3; the numbers of every bundled type are compared with gcc's for x86-64, armhf and arm64. The layout
+text, from which the layout id follows, is that of section 5.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar, TypeAlias
 
@@ -45,10 +47,10 @@ class PaddingNode:
     align: ClassVar[int] = 1
 
 
+@dataclass(frozen=True, slots=True)
 class _Elements:
     """Elements ``stride`` bytes apart: ``capacity`` of them have room."""
 
-    __slots__ = ()
     element: ScalarNode | StringNode | StructNode
     capacity: int
 
@@ -68,25 +70,16 @@ class _Elements:
         return self.element.align
 
 
-@dataclass(frozen=True, slots=True)
 class ArrayNode(_Elements):
-    """``length`` elements."""
+    """``capacity`` elements, all of them in use."""
 
-    element: ScalarNode | StringNode | StructNode
-    length: int
-
-    @property
-    def capacity(self) -> int:  # type: ignore[override]
-        """The same as ``length``."""
-        return self.length
+    __slots__ = ()
 
 
 @dataclass(frozen=True, slots=True)
 class SequenceNode(_Elements):
-    """``capacity`` elements; a ``uint32`` member of the struct with ``count_of`` has the number in use."""
+    """Up to ``capacity`` elements; a ``uint32`` member of the struct with ``count_of`` has their number."""
 
-    element: ScalarNode | StringNode | StructNode
-    capacity: int
     bound: int | None = None
 
 
@@ -122,3 +115,86 @@ class StructNode:
 
 
 Node: TypeAlias = "ScalarNode | StringNode | PaddingNode | ArrayNode | SequenceNode | StructNode"
+
+
+def walk(node: Node, offset: int = 0, path: str = "") -> Iterator[tuple[str, int, Node]]:
+    """Yield path, offset and node of everything below a struct that has bytes of its own.
+
+    Arrays and sequences come before their element (the first one's offset). Structs
+    themselves, padding and counts are left out.
+    """
+    for item_path, item_offset, item, member in _items(node, offset, path):
+        if not isinstance(item, PaddingNode) and (member is None or member.count_of is None):
+            yield item_path, item_offset, item
+
+
+def layout_text(root: StructNode) -> str:
+    """Return the layout text of a record."""
+    lines = ["rosplc-layout 1", f"{root.type_name} size {root.size} align {root.align}"]
+    capacities: dict[str, int] = {
+        path: node.capacity for path, _, node in walk(root) if isinstance(node, SequenceNode)
+    }
+    for path, offset, node, member in _items(root, 0, ""):
+        counts = member is not None and member.count_of is not None
+        what = f"count({capacities[path]})" if counts else _what(node)
+        lines.append(f"{offset} {path or '-'} {what}")
+    return "".join(f"{line}\n" for line in lines)
+
+
+def layout_difference(one: str, other: str, limit: int = 5) -> str:
+    """Say how this side's layout text differs from the other's, in up to ``limit`` fields; empty if equal."""
+    if one == other:
+        return ""
+    mine, theirs = _by_path(one), _by_path(other)
+    found: list[str] = []
+    for path in dict.fromkeys((*mine, *theirs)):
+        if path not in theirs:
+            found.append(f"{path} is here only")
+        elif path not in mine:
+            found.append(f"{path} is there only")
+        elif mine[path] != theirs[path]:
+            found.append(f"{path} is {mine[path]} here and {theirs[path]} there")
+    if not found:
+        found.append("the fields stand in another order")
+    more = f", and {len(found) - limit} more" if len(found) > limit else ""
+    return "; ".join(found[:limit]) + more
+
+
+def _items(
+    node: Node, offset: int, path: str, member: Member | None = None
+) -> Iterator[tuple[str, int, Node, Member | None]]:
+    """Yield everything that has a line, in the text's order; padding's path is empty."""
+    if isinstance(node, StructNode):
+        for inner in node.members:
+            below = f"{path}.{inner.name}" if path else inner.name
+            below = "" if isinstance(inner.node, PaddingNode) else below
+            yield from _items(inner.node, offset + inner.offset, below, inner)
+        return
+    yield path, offset, node, member
+    if isinstance(node, ArrayNode | SequenceNode):
+        yield from _items(node.element, offset, f"{path}[]")
+
+
+def _what(node: Node) -> str:
+    if isinstance(node, ScalarNode):
+        return node.kind
+    if isinstance(node, StringNode):
+        return f"string({node.capacity})"
+    if isinstance(node, PaddingNode):
+        return f"padding({node.size})"
+    if isinstance(node, ArrayNode):
+        return f"array({node.capacity},{node.stride})"
+    assert isinstance(node, SequenceNode)
+    return f"sequence({node.capacity},{node.stride})"
+
+
+def _by_path(text: str) -> dict[str, str]:
+    """Return what stands at each path, without the offsets that follow from it."""
+    lines = text.splitlines()
+    found = {"type": lines[1].split(" ", 1)[0]} if len(lines) > 1 else {}
+    for line in lines[2:]:
+        _, path, what = line.split(" ", 2)
+        if path != "-" and not what.startswith("sequence("):
+            # An array's stride follows from its element: only the length is news.
+            found[path] = what.split(",")[0] + ")" if what.startswith("array(") else what
+    return found

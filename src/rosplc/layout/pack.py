@@ -1,18 +1,140 @@
-"""Values → record bytes: each node becomes a function once per layout, and is not looked at again."""
+"""Values → record bytes: each node becomes a function once per layout, and is not looked at again.
+
+Bulk that lies in memory as the record wants it (bytes, array, numpy) is copied, else it goes through struct.
+"""
 
 from __future__ import annotations
 
 import keyword
+import operator
 import struct
-from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any, TypeAlias
 
-from rosplc.layout.nodes import ArrayNode, PaddingNode, ScalarNode, SequenceNode, StringNode, StructNode
-from rosplc.layout.numbers import Misfit, Pack, describe, each_packer, numbers_packer, scalar_packer
+from rosplc.layout.nodes import ArrayNode, Node, PaddingNode, ScalarNode, SequenceNode, StringNode, StructNode
+from rosplc.model import TypeStore
 
-if TYPE_CHECKING:
-    from rosplc.layout.nodes import Node
-    from rosplc.model import TypeStore
+# Primitive → `struct` format character.
+FORMATS = {
+    "bool": "?", "byte": "B", "char": "B", "uint8": "B", "int8": "b", "uint16": "H", "int16": "h",
+    "uint32": "I", "int32": "i", "uint64": "Q", "int64": "q", "float32": "f", "float64": "d",
+}  # fmt: skip
+
+Pack: TypeAlias = "Callable[[bytearray, int, Any], None]"  # Writes a value at an offset.
+
+
+class Misfit(Exception):
+    """A value does not fit; ``path`` grows from the inside out while this travels up."""
+
+    def __init__(self, what: str) -> None:
+        super().__init__(what)
+        self.what = what
+        self.path: list[str] = []
+
+    def where(self) -> str:
+        """Return the field path, such as ``points[3].x``."""
+        text = ""
+        for part in reversed(self.path):
+            text += part if part.startswith("[") or not text else f".{part}"
+        return text
+
+
+def scalar_packer(kind: str) -> Pack:
+    """Return how to write one value of a primitive."""
+    pack_into = struct.Struct("<" + FORMATS[kind]).pack_into
+    convert = _CONVERTERS.get(kind, operator.index)
+
+    def pack(buffer: bytearray, offset: int, value: Any) -> None:
+        try:
+            pack_into(buffer, offset, convert(value))
+        except (TypeError, ValueError, OverflowError, struct.error):
+            raise Misfit(f"{describe(value)} is no {kind}") from None
+
+    return pack
+
+
+def _to_bool(value: Any) -> bool:
+    # numpy's bool has neither __index__ nor bool as its base.
+    if isinstance(value, bool) or type(value).__name__ in ("bool_", "bool"):
+        return bool(value)
+    number = operator.index(value)
+    if number not in (0, 1):
+        raise ValueError
+    return number == 1
+
+
+def _to_float(value: Any) -> float:
+    if isinstance(value, str | bytes | bytearray):
+        raise TypeError
+    return float(value)
+
+
+def _to_octet(value: Any) -> int:
+    if isinstance(value, bytes) and len(value) == 1:  # rclpy's form of a byte
+        return value[0]
+    number = operator.index(value)
+    return number + 256 if -128 <= number < 0 else number  # rospy's byte is signed
+
+
+_CONVERTERS: dict[str, Callable[[Any], Any]] = {
+    "bool": _to_bool, "byte": _to_octet, "char": _to_octet, "float32": _to_float, "float64": _to_float,
+}  # fmt: skip
+
+
+def each_packer(pack: Pack, stride: int) -> Callable[[bytearray, int, Any], None]:
+    """Return how to write elements one after the other, naming the first that does not fit."""
+
+    def fill(buffer: bytearray, offset: int, items: Any) -> None:
+        for index, item in enumerate(items):
+            try:
+                pack(buffer, offset + index * stride, item)
+            except Misfit as misfit:
+                misfit.path.append(f"[{index}]")
+                raise
+
+    return fill
+
+
+def numbers_packer(node: ScalarNode) -> Callable[[bytearray, int, Any], None]:
+    """Return how to write a list, or a one-dimensional memoryview, of numbers."""
+    one_by_one = each_packer(scalar_packer(node.kind), node.size)
+    code = FORMATS[node.kind]
+    same = _buffer_formats(code, node.size)
+
+    def fill(buffer: bytearray, offset: int, items: Any) -> None:
+        if isinstance(items, memoryview):
+            if items.format in same and items.itemsize == node.size:
+                native = items.c_contiguous and len(items.format) == 1
+                data = items.cast("B") if native else items.tobytes()
+                buffer[offset : offset + items.nbytes] = data
+                return
+            items = items.tolist()
+        if code != "?":  # struct takes the truth of anything as a bool
+            try:
+                struct.pack_into(f"<{len(items)}{code}", buffer, offset, *items)
+            except (TypeError, ValueError, OverflowError, struct.error):
+                pass  # some element needs conversion, or does not fit: find out which
+            else:
+                return
+        one_by_one(buffer, offset, items)
+
+    return fill
+
+
+def _buffer_formats(code: str, size: int) -> frozenset[str]:
+    """Return the buffer formats whose bytes are the record's bytes already."""
+    if sys.byteorder != "little":  # pragma: no cover - no big-endian machine at hand
+        return frozenset()
+    classes = ("bhilq", "BHILQ", "fd", "?")
+    letters = next(letters for letters in classes if code in letters) if size > 1 else code
+    return frozenset(prefix + letter for letter in letters for prefix in ("", "<", "=", "@"))
+
+
+def describe(value: Any) -> str:
+    """Return a value and its type for an error, shortened."""
+    text = repr(value)
+    return f"{text if len(text) <= 60 else text[:57] + '...'} ({type(value).__name__})"
 
 
 _MISSING = object()
@@ -46,15 +168,8 @@ class StructPacker:
 
     def __call__(self, buffer: bytearray, offset: int, value: Any) -> None:
         """Write ``value``'s fields; those that it lacks keep what ``buffer`` has. Raises Misfit."""
-        if isinstance(value, Mapping):
-            self._from_mapping(buffer, offset, value)
-        else:
-            self._from_object(buffer, offset, value)
-
-    def _from_mapping(self, buffer: bytearray, offset: int, value: Mapping[Any, Any]) -> None:
-        for name, item in value.items():
-            known = self._fields.get(name)
-            if known is None:
+        for name, item in value.items() if isinstance(value, Mapping) else self._attributes(value):
+            if (known := self._fields.get(name)) is None:
                 raise Misfit(f"{self._type_name} has no field {name!r}")
             start, pack = known
             try:
@@ -63,20 +178,16 @@ class StructPacker:
                 misfit.path.append(name)
                 raise
 
-    def _from_object(self, buffer: bytearray, offset: int, value: Any) -> None:
+    def _attributes(self, value: Any) -> Iterator[tuple[str, Any]]:
+        """Yield the fields that an object has as attributes; Misfit if there is none."""
         found = not self._fields
-        for name, (start, pack) in self._fields.items():
+        for name in self._fields:
             item = getattr(value, name, _MISSING)
             if item is _MISSING:
                 item = self._by_other_name(value, name)
-                if item is _MISSING:
-                    continue
-            found = True
-            try:
-                pack(buffer, offset + start, item)
-            except Misfit as misfit:
-                misfit.path.append(name)
-                raise
+            if item is not _MISSING:
+                found = True
+                yield name, item
         if not found:
             raise Misfit(f"{describe(value)} is no {self._type_name}")
 
@@ -109,7 +220,7 @@ def _packer(node: Node, count: int, store: TypeStore) -> tuple[Pack, bytes]:
         fill = each_packer(one, node.stride)
     if isinstance(node, SequenceNode):
         return _sequence(node, count, fill, initial), b""
-    return _array(node.length, fill), initial * node.length
+    return _array(node.capacity, fill), initial * node.capacity
 
 
 def _string(capacity: int) -> Pack:

@@ -5,14 +5,19 @@ from __future__ import annotations
 import keyword
 import struct
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
+from typing import Any, NoReturn, TypeAlias
 
-from rosplc.layout.nodes import ArrayNode, PaddingNode, ScalarNode, SequenceNode, StringNode, StructNode
-from rosplc.layout.numbers import FORMATS
-
-if TYPE_CHECKING:
-    from rosplc.layout.nodes import Member, Node
-
+from rosplc.layout.nodes import (
+    ArrayNode,
+    Member,
+    Node,
+    PaddingNode,
+    ScalarNode,
+    SequenceNode,
+    StringNode,
+    StructNode,
+)
+from rosplc.layout.pack import FORMATS
 
 _Read: TypeAlias = "Callable[[memoryview, int], Any]"
 _COUNT = struct.Struct("<I")

@@ -70,7 +70,7 @@ def _node(node: Node, store: TypeStore) -> dict[str, Any]:
     if isinstance(node, ArrayNode | SequenceNode):
         element = _node(node.element, store)
         fixed = isinstance(node, ArrayNode)
-        capacity = node.length if isinstance(node, ArrayNode) else node.capacity
+        capacity = node.capacity
         text = f"{element['type']}[{capacity if fixed else ''}]"
         return {"kind": "list", "type": text, "capacity": capacity, "fixed": fixed, "element": element}
     if isinstance(node, StringNode):

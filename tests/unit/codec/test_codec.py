@@ -11,7 +11,7 @@ import pytest
 
 from rosplc._core import Fault, Plan
 from rosplc.codec import Codec, Wire, compile_plan
-from rosplc.codec.ops import OpCode
+from rosplc.codec.compile import OpCode
 from rosplc.errors import CODES, CodecError
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore

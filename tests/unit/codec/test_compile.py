@@ -6,7 +6,7 @@ import pytest
 
 from rosplc._core import Plan
 from rosplc.codec import Wire, compile_plan
-from rosplc.codec.ops import MAX_LOOPS, Op, OpCode
+from rosplc.codec.compile import MAX_LOOPS, Op, OpCode
 from rosplc.errors import MessageTypeError
 from rosplc.layout import Limits, compute_layout
 from rosplc.layout.nodes import Member, PaddingNode, ScalarNode, SequenceNode, StructNode

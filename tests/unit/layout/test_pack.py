@@ -30,7 +30,7 @@ from rosplc.layout import (
     compute_layout,
 )
 from rosplc.model import TypeStore
-from rosplc.model.literals import INTEGER_RANGES
+from rosplc.model.parse import INTEGER_RANGES
 
 JAZZY = TypeStore.bundled("jazzy")
 POSES = compute_layout(JAZZY, "geometry_msgs/PoseArray", Limits(sequence=3, string=8))
@@ -46,7 +46,7 @@ def values(node: Node) -> st.SearchStrategy[Any]:
         fields = {m.name: values(m.node) for m in node.members if m.name and m.count_of is None}
         return st.fixed_dictionaries(fields)
     if isinstance(node, ArrayNode):
-        return st.lists(values(node.element), min_size=node.length, max_size=node.length)
+        return st.lists(values(node.element), min_size=node.capacity, max_size=node.capacity)
     if isinstance(node, SequenceNode):
         return st.lists(values(node.element), max_size=node.capacity)
     if isinstance(node, StringNode):
