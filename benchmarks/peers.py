@@ -28,8 +28,7 @@ from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.ros import ROS1, SERVICES, Backend, Qos, open_backend
 from rosplc.shm import Direction, Namespace, OwnedChannel, attach
-from rosplc.shm.classic import ClassicObject
-from rosplc.shm.classic_lock import Entry
+from rosplc.shm.classic import ClassicObject, Entry
 from rosplc.virtual_plc import ServiceServer, Task
 from rosplc_bench.process import reply
 

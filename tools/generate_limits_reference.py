@@ -38,7 +38,7 @@ TABLE = """\
 Configuration:
     size of the file | config.yaml_source.LARGEST_FILE | bytes | CFG001
     levels of nesting | config.yaml_source.DEEPEST | levels | CFG002
-    errors reported at once | config.problems.MOST_ERRORS | errors | the first of them
+    errors reported at once | config.yaml_source.MOST_ERRORS | errors | the first of them
     topics | config.settings.MOST_TOPICS | topics | CFG004
     tasks | config.settings.MOST_TASKS | tasks | CFG004
     folders of messages, addresses of Zenoh | config.settings.MOST_PATHS | each | CFG004
@@ -46,8 +46,8 @@ Configuration:
     name of a topic or namespace | config.settings.LONGEST_NAME | characters | CFG004
     name of a message type | config.settings.LONGEST_TYPE | characters | CFG004
     path or address | config.settings.LONGEST_TEXT | characters | CFG004
-    capacity of a string | layout.limits.MAX_STRING | bytes | LAY001
-    capacity of a sequence | layout.limits.MAX_SEQUENCE | elements | LAY001
+    capacity of a string | layout.compute.MAX_STRING | bytes | LAY001
+    capacity of a sequence | layout.compute.MAX_SEQUENCE | elements | LAY001
 Message definitions:
     text of one definition, with the types that it needs | model.parse.MAX_TEXT | bytes | TYP007
     fields and constants in it | model.parse.MAX_FIELDS | fields | TYP007
@@ -57,7 +57,7 @@ Message definitions:
     files of any kind below it | model.folders.MAX_ENTRIES | files | TYP008
     fields of one record, those of inner types counted | layout.compute.MAX_ITEMS | fields | LAY003
     size of one record | layout.compute.MAX_RECORD | bytes | LAY003
-    sequences within sequences | codec.ops.MAX_LOOPS | levels | TYP007
+    sequences within sequences | codec.compile.MAX_LOOPS | levels | TYP007
 Objects in shared memory:
     name of an object | shm.constants.MAX_NAME | characters | shortened with a hash
     size of an object | shm.constants.MAX_OBJECT_SIZE | bytes | SHM108

@@ -14,8 +14,7 @@ from typing import Any, Literal
 
 from rosplc.bridge.realtime import contention
 from rosplc.bridge.ros_side import choose_backend
-from rosplc.config.calls import ActionPlan, CallPlan, ServicePlan
-from rosplc.config.plans import ClassicPlan, flag_topic
+from rosplc.config.plans import ActionPlan, CallPlan, ClassicPlan, ServicePlan, flag_topic
 from rosplc.config.quantities import format_duration
 from rosplc.config.resolve import (
     Project,

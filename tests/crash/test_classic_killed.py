@@ -66,7 +66,7 @@ def test_a_lock_that_nobody_uses_is_freed_too(tmp_path: Path) -> None:
 
 _BRIDGE = """
 import sys, threading
-from rosplc.shm.classic_lock import ClassicLock
+from rosplc.shm.classic import ClassicLock
 lock = ClassicLock(sys.argv[1], 10**9)
 lock.enter(0)
 print("inside", flush=True)

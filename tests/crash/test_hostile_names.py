@@ -18,10 +18,8 @@ import pytest
 
 from rosplc.errors import ChannelError
 from rosplc.shm import Namespace, OwnedChannel, attach
-from rosplc.shm.classic import ClassicMemory, ClassicObject
-from rosplc.shm.classic_lock import SEMAPHORE_SIZE, ClassicLock
-from rosplc.shm.files import Rights
-from rosplc.shm.lock import NameLock
+from rosplc.shm.classic import SEMAPHORE_SIZE, ClassicLock, ClassicMemory, ClassicObject
+from rosplc.shm.files import NameLock, Rights
 from tests.classic_cell import remove, unique_name
 from tests.lib.channels import describe, open_channel
 

@@ -13,8 +13,7 @@ from rosplc.config import load_project
 from rosplc.errors import RosplcError
 from rosplc.init import Topic, Wish, draft, save, select
 from rosplc.init.definitions import Definitions
-from rosplc.init.found import Found
-from rosplc.init.meter import Length, Seen
+from rosplc.init.found import Found, Length, Seen
 from rosplc.layout.compute import limit_paths
 from rosplc.model import DISTROS
 from rosplc.project import check

@@ -18,7 +18,7 @@ from functools import partial
 from pathlib import Path
 
 from rosplc import attach
-from rosplc.shm.classic_lock import Semaphore
+from rosplc.shm.classic import Semaphore
 from tests.soak.cell import SHM, Cell
 from tests.soak.messages import CAPACITY, CLASSIC, IN, OUT, TOPICS
 from tests.soak.processes import proc_status

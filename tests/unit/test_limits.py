@@ -16,16 +16,15 @@ from typing import Any
 import pytest
 
 from rosplc.codec import Wire
-from rosplc.codec.compile import compile_plan
-from rosplc.codec.ops import MAX_LOOPS
-from rosplc.config import problems, settings, yaml_source
+from rosplc.codec.compile import MAX_LOOPS, compile_plan
+from rosplc.config import settings, yaml_source
 from rosplc.config.file import Config, parse_config
 from rosplc.config.plans import ClassicPlan
-from rosplc.config.problems import ConfigErrors, Problems
+from rosplc.config.yaml_source import ConfigErrors, Problems
 from rosplc.errors import LONGEST_TEXT, RosplcError
 from rosplc.layout import Limits, compute_layout
 from rosplc.layout import compute as layout_compute
-from rosplc.layout.limits import MAX_SEQUENCE, MAX_STRING
+from rosplc.layout.compute import MAX_SEQUENCE, MAX_STRING
 from rosplc.model import TypeStore, folders, parse, store
 from rosplc.plc import build, delivery
 from rosplc.plc.plan import LONGEST_NAME
@@ -91,11 +90,11 @@ def files_and_nesting(patch: pytest.MonkeyPatch, folder: Path) -> None:
     refused("CFG002", yaml("[" * (yaml_source.DEEPEST + 1)), str(yaml_source.DEEPEST))
 
 
-@beyond("config.problems.MOST_ERRORS")
+@beyond("config.yaml_source.MOST_ERRORS")
 def errors_at_once(patch: pytest.MonkeyPatch, folder: Path) -> None:
     with pytest.raises(ConfigErrors) as caught:
-        parse_config("".join(f"wrong{number}: 1\n" for number in range(2 * problems.MOST_ERRORS)))
-    assert len(caught.value.errors) == problems.MOST_ERRORS
+        parse_config("".join(f"wrong{number}: 1\n" for number in range(2 * yaml_source.MOST_ERRORS)))
+    assert len(caught.value.errors) == yaml_source.MOST_ERRORS
 
 
 @beyond(

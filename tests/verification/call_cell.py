@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from rosplc import virtual_plc
-from rosplc.config.calls import ActionPlan, CallPlan, ServicePlan
+from rosplc.config.plans import ActionPlan, CallPlan, ServicePlan
 from rosplc.described import description_of
 from rosplc.plc.build import build_project
 from rosplc.plc.plan import PlcTask, ProjectOptions

@@ -9,7 +9,7 @@ from typing import Any
 
 from rosplc.bridge.port import Context, log
 from rosplc.bridge.use import ENDINGS, IDLE_NS, LOOK_NS, Outcome, Use
-from rosplc.config.calls import ServicePlan
+from rosplc.config.plans import ServicePlan
 from rosplc.errors import RosplcError
 from rosplc.reasons import Reason
 from rosplc.ros import Backend, Reply, ServiceClient

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from rosplc.bridge.called import Asked
 from rosplc.bridge.port import Context
 from rosplc.bridge.use import Outcome, Use
-from rosplc.config.calls import ActionPlan
+from rosplc.config.plans import ActionPlan
 from rosplc.errors import RosplcError
 from rosplc.reasons import Reason
 from rosplc.ros import ActionClient, Backend, GoalEvent, GoalStatus, Reply, action_classes

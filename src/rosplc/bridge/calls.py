@@ -17,7 +17,7 @@ from rosplc.bridge.port import Context, Ports, log
 from rosplc.bridge.served import Served
 from rosplc.bridge.served_goals import ServedGoals
 from rosplc.bridge.use import IDLE_NS, Use
-from rosplc.config.calls import CallPlan
+from rosplc.config.plans import CallPlan
 from rosplc.errors import ChannelError
 from rosplc.shm import Group
 

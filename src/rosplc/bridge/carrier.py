@@ -16,7 +16,7 @@ from rosplc.bridge.port import Context, Ports, log
 from rosplc.bridge.stream import Stream, ToPlc, ToRos
 from rosplc.bridge.use import Use
 from rosplc.clock import Clock
-from rosplc.config.calls import CallPlan
+from rosplc.config.plans import CallPlan
 from rosplc.config.resolve import Plan
 from rosplc.errors import RosplcError
 from rosplc.shm import Direction

@@ -15,7 +15,7 @@ from rosplc.config.resolve import describe
 from rosplc.errors import ChannelError
 from rosplc.shm import Group, Liveness, OwnedChannel, Reader, Writer, distance
 from rosplc.shm.constants import LINE_SIZE, READER_LINES, READER_LINES_OFFSET, WRITER_LINE
-from rosplc.shm.snapshot import task_name
+from rosplc.shm.header import task_name
 
 _U = TypeVar("_U", Writer, Reader)
 

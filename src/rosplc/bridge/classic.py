@@ -17,8 +17,7 @@ from rosplc.codec import Fault
 from rosplc.config.quantities import format_duration
 from rosplc.errors import ChannelError
 from rosplc.shm import Direction
-from rosplc.shm.classic import ClassicObject
-from rosplc.shm.classic_lock import Entry
+from rosplc.shm.classic import ClassicObject, Entry
 
 LOOK_NS = 50_000_000  # how often names and lock are looked at while nothing else leads there
 _AGAIN_NS = 100_000  # time between two attempts within ``wait``

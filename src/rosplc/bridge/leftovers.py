@@ -7,11 +7,11 @@ from contextlib import suppress
 from pathlib import Path
 
 from rosplc.bridge.port import log
-from rosplc.config.calls import CallPlan
+from rosplc.config.plans import CallPlan
 from rosplc.config.resolve import Project, rights
 from rosplc.errors import ChannelError
 from rosplc.shm import Direction, OwnedChannel, Part, attach
-from rosplc.shm.lock import NameLock
+from rosplc.shm.files import NameLock
 
 _Name = tuple[str, Part, str]  # an object: topic, service or action, what it carries, and the client
 

@@ -15,9 +15,9 @@ from rosplc.bridge.carrier import Carried, Carriers
 from rosplc.bridge.port import log
 from rosplc.bridge.use import Use
 from rosplc.clock import Clock
-from rosplc.config.calls import CallPlan
-from rosplc.config.problems import Problems
+from rosplc.config.plans import CallPlan
 from rosplc.config.resolve import Plan, Project, object_name
+from rosplc.config.yaml_source import Problems
 from rosplc.errors import BackendError, RosplcError
 from rosplc.ros import Backend
 from rosplc.shm import Namespace

@@ -18,8 +18,8 @@ from rosplc.bridge.engine import Bridge
 from rosplc.bridge.port import log
 from rosplc.bridge.status import BridgeStatus, Level
 from rosplc.clock import SYSTEM, Clock
-from rosplc.config.problems import may_pass
 from rosplc.config.resolve import load_project
+from rosplc.config.yaml_source import may_pass
 from rosplc.errors import BackendError, ConfigError, RosplcError, SetupError
 from rosplc.harmless import log_to_stderr
 from rosplc.ros import RosArguments

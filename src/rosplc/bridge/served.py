@@ -11,7 +11,7 @@ from functools import partial
 
 from rosplc.bridge.port import Context
 from rosplc.bridge.use import ENDINGS, IDLE_NS, LOOK_NS, Outcome, Use
-from rosplc.config.calls import ServicePlan
+from rosplc.config.plans import ServicePlan
 from rosplc.errors import ChannelError, RosplcError
 from rosplc.reasons import Reason
 from rosplc.ros import Backend, ServiceServer

@@ -15,7 +15,7 @@ from functools import partial
 from rosplc.bridge.port import Context
 from rosplc.bridge.served import Calling
 from rosplc.bridge.use import IDLE_NS, LOOK_NS, Outcome, Use
-from rosplc.config.calls import ActionPlan
+from rosplc.config.plans import ActionPlan
 from rosplc.errors import RosplcError
 from rosplc.reasons import Reason
 from rosplc.ros import ActionServer, Backend, GoalStatus, action_classes

@@ -14,7 +14,7 @@ from rosplc.bridge.hold import Hold
 from rosplc.bridge.port import Context, Notes, log
 from rosplc.bridge.status import ActionStatus, ServiceStatus
 from rosplc.codec import Codec, Fault, Wire
-from rosplc.config.calls import CallPlan
+from rosplc.config.plans import CallPlan
 from rosplc.config.resolve import describe_call
 from rosplc.errors import BackendError, ChannelError, RosplcError
 from rosplc.reasons import Reason

@@ -25,8 +25,7 @@ from rosplc.errors import RosplcError
 from rosplc.harmless import plural
 
 if TYPE_CHECKING:
-    from rosplc.config.calls import ActionPlan, CallPlan, ServicePlan
-    from rosplc.config.plans import ClassicPlan
+    from rosplc.config.plans import ActionPlan, CallPlan, ClassicPlan, ServicePlan
     from rosplc.config.resolve import Project, TopicPlan
     from rosplc.layout import Layout
 
@@ -169,7 +168,7 @@ def _calls(project: Project) -> Iterator[str]:
 
 
 def _queue(plan: ServicePlan | ActionPlan) -> str:
-    from rosplc.config.calls import ServicePlan
+    from rosplc.config.plans import ServicePlan
 
     if plan.server == "ros":
         return "-"

@@ -94,8 +94,7 @@ def _remove(item: Path, lock_file: Path, paths: list[Path], *, dry_run: bool) ->
     Raises ChannelError SHM116 while a bridge holds it; SHM104, SHM119, SHM121 for what is somebody else's.
     """
     from rosplc.monitor.watch import open_object
-    from rosplc.shm.files import Rights
-    from rosplc.shm.lock import NameLock
+    from rosplc.shm.files import NameLock, Rights
 
     existed = lock_file.exists()
     lock = NameLock(lock_file, Rights(lock_file.stat().st_mode if existed else 0o600))

@@ -267,7 +267,7 @@ def _ask_topics(topics: Mapping[str, Topic]) -> list[Wish]:
     """Ask what to carry, and which way; the answers are wishes as from the command line."""
     from rosplc.errors import RosplcError
     from rosplc.init import direction, is_of_ros_itself
-    from rosplc.init.select import Wish
+    from rosplc.init.propose import Wish
     from rosplc.model.parse import full_name
 
     def names(answer: str) -> list[str]:

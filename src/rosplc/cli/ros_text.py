@@ -11,7 +11,7 @@ import yaml
 
 from rosplc.codec import Codec, Wire
 from rosplc.errors import LayoutError
-from rosplc.init.meter import Meter
+from rosplc.init.found import Meter
 from rosplc.layout import Limits, compute_layout
 from rosplc.layout.compute import limit_paths
 from rosplc.model import ArrayType, NamedType, PrimitiveType, SequenceType, TypeStore

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from rosplc.config.file import Config, json_schema, parse_config, read_config
-from rosplc.config.problems import ConfigErrors
 from rosplc.config.resolve import Project, TopicPlan, load_config, load_project, resolve
+from rosplc.config.yaml_source import ConfigErrors
 
 __all__ = [
     "Config",

@@ -11,9 +11,8 @@ from typing import Any, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
-from rosplc.config.problems import Problems, did_you_mean
 from rosplc.config.settings import MOST_CLIENTS, Settings
-from rosplc.config.yaml_source import KeyPath, YamlSource, read_yaml
+from rosplc.config.yaml_source import KeyPath, Problems, YamlSource, did_you_mean, read_yaml
 from rosplc.errors import ConfigError
 
 __all__ = ["RENAMED", "Config", "json_schema", "parse_config", "read_config", "rename_keys"]

@@ -10,22 +10,26 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, TypeAlias
 
-from rosplc.config.calls import ActionPlan, CallPlan, ServicePlan, action_plans, service_plans
 from rosplc.config.file import Config, read_config
 from rosplc.config.plans import (
+    ActionPlan,
+    CallPlan,
     ClassicPlan,
     Demand,
+    ServicePlan,
     StalePlan,
+    action_plans,
     classic_name,
     classic_plan,
     least_slots,
     passes_changes_only,
+    service_plans,
     stale_plan,
     usual_slots,
 )
-from rosplc.config.problems import Absent, Problems, relocated
 from rosplc.config.quantities import format_duration
 from rosplc.config.settings import TaskSettings, TopicSettings
+from rosplc.config.yaml_source import Absent, Problems, relocated
 from rosplc.described import description_of
 from rosplc.errors import ConfigError, LayoutError, RosplcError
 from rosplc.layout import Layout, Limits, compute_layout
@@ -33,8 +37,8 @@ from rosplc.model import TypeStore
 from rosplc.ros import PRESETS, ROS1, Qos
 from rosplc.shm import Description, Direction, Identity, Namespace, Part
 from rosplc.shm.constants import HEADER_SIZE, LINE_SIZE, MAX_DESCRIPTION_SIZE, MAX_OBJECT_SIZE
-from rosplc.shm.description import partnered
 from rosplc.shm.files import Rights
+from rosplc.shm.names import partnered
 
 OWN_SETTINGS = ("zenoh", "rclpy")  # backends that have a section
 _ROS2 = ("dds", "rclpy", "zenoh")

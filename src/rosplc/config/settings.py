@@ -22,8 +22,8 @@ from pydantic import (
     model_validator,
 )
 
-from rosplc.config.problems import did_you_mean
 from rosplc.config.quantities import Duration, FileMode, Interval, StaleAfter, between
+from rosplc.config.yaml_source import did_you_mean
 from rosplc.model import DISTROS
 from rosplc.ros import BACKENDS
 

@@ -16,8 +16,7 @@ from pathlib import Path
 from rosplc._version import __version__
 from rosplc.bridge.ros_side import choose_backend
 from rosplc.config import ConfigErrors, Project, TopicPlan, load_project
-from rosplc.config.calls import CallPlan
-from rosplc.config.plans import ClassicPlan
+from rosplc.config.plans import CallPlan, ClassicPlan
 from rosplc.config.resolve import object_plan
 from rosplc.config.resolve import rights as rights_of
 from rosplc.doctor import (

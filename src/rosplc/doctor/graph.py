@@ -11,12 +11,12 @@ import difflib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
-from rosplc.config.calls import CallPlan
+from rosplc.config.plans import CallPlan
 from rosplc.config.resolve import TopicPlan
 from rosplc.doctor.finding import Finding, Level, listed
 from rosplc.doctor.kinds import fine, found, judged
 from rosplc.harmless import plural
-from rosplc.init.domains import elsewhere
+from rosplc.init.live import elsewhere
 from rosplc.ros import EndpointInfo, GraphInfo, incompatibility
 from rosplc.shm import Direction
 

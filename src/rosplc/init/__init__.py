@@ -2,9 +2,8 @@
 
 from rosplc.init.found import Source, Topic
 from rosplc.init.live import LiveRobot
-from rosplc.init.propose import direction, is_of_ros_itself
+from rosplc.init.propose import Wish, direction, is_of_ros_itself, parse_wish, select
 from rosplc.init.recorded import RecordedRobot
-from rosplc.init.select import Wish, parse_wish, select
 from rosplc.init.write import Draft, draft, refuse_to_overwrite, save
 
 __all__ = [

@@ -1,14 +1,222 @@
-"""What a robot, or a recording of one, shows of itself: the topics, and what their messages were like."""
+"""What a robot, or a recording of one, shows of itself: the topics, and what their messages were like.
+
+No message is decoded. Its bytes come from other programs and are not trusted: every length is checked against
+what is left of the message, and the work for one message is bounded.
+"""
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
 from rosplc.init.definitions import Definitions
-from rosplc.init.meter import Seen
+from rosplc.model import (
+    PRIMITIVES,
+    ArrayType,
+    FieldType,
+    NamedType,
+    PrimitiveType,
+    SequenceType,
+    StringType,
+    TypeStore,
+)
 from rosplc.ros import Qos
+
+_MOST_VISITS = 100_000
+"""Values looked at in one message; a point cloud's bytes are one, its fields another ten."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What the messages of one topic were like.
+
+    ``unreadable`` did not fit the type. ``seconds`` is how long was listened, or how long the recording is;
+    ``rate_hz`` from the first to the last message, without what was delivered at once when the subscription
+    began, 0 with fewer than two; ``lengths`` of strings and sequences by field path; ``trouble`` why nothing
+    could be received, in words.
+    """
+
+    messages: int = 0
+    unreadable: int = 0
+    seconds: float = 0.0
+    rate_hz: float = 0.0
+    longest_gap_s: float = 0.0
+    lengths: Mapping[str, Length] = field(default_factory=dict)
+    trouble: str = ""
+
+
+@dataclass(slots=True)
+class Length:
+    """The lengths of one string (bytes) or sequence (elements), over all messages and elements above it."""
+
+    least: int
+    most: int
+
+    def add(self, length: int) -> None:
+        """Take one more into account."""
+        self.least = min(self.least, length)
+        self.most = max(self.most, length)
+
+
+@dataclass
+class Meter:
+    """Measures the messages of one type: ROS 1's serialization for ``ros_version`` 1, else CDR.
+
+    It counts those measured, ``unreadable`` ones that do not fit the type, and ``cut_short`` ones with more
+    values than are looked at: what came first is in ``lengths``, by field path as a configuration's
+    ``limits`` write it.
+    """
+
+    store: TypeStore
+    type_name: str
+    ros_version: int
+    messages: int = 0
+    unreadable: int = 0
+    cut_short: int = 0
+    lengths: dict[str, Length] = field(default_factory=dict)
+
+    def measure(self, data: bytes) -> None:
+        """Take one message into account; one that does not fit the type is counted, and that is all."""
+        lengths: dict[str, Length] = {}
+        try:
+            _Walk(self.store, data, lengths, cdr=self.ros_version == 2).message(self.type_name)
+        except _TooMuchError:
+            self.cut_short += 1
+        except ValueError:
+            self.unreadable += 1
+            return
+        self.messages += 1
+        for path, seen in lengths.items():
+            known = self.lengths.setdefault(path, Length(seen.least, seen.most))
+            known.add(seen.least)
+            known.add(seen.most)
+
+
+class _TooMuchError(Exception):
+    """The message has more values than are looked at."""
+
+
+class _Walk:
+    """One way through one message."""
+
+    def __init__(self, store: TypeStore, data: bytes, lengths: dict[str, Length], *, cdr: bool) -> None:
+        self._lengths = lengths
+        self._store = store
+        self._cdr = cdr
+        self._at = 0
+        self._visits = 0
+        self._order = "<"
+        self._data = memoryview(data)
+        if cdr:
+            if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
+                raise ValueError("no plain CDR")
+            self._order = "<" if data[1] else ">"
+            self._data = self._data[4:]
+
+    def message(self, type_name: str, path: str = "") -> None:
+        """Walk through a message of a type, nested ones included."""
+        fields = self._store[type_name].fields
+        if not fields and self._cdr:
+            self._skip(1, 1)  # rosidl gives a message without fields one dummy byte
+        for each in fields:
+            self._value(each.type, f"{path}{each.name}")
+
+    def _value(self, kind: FieldType, path: str) -> None:
+        self._visits += 1
+        if self._visits > _MOST_VISITS:
+            raise _TooMuchError
+        if isinstance(kind, PrimitiveType):
+            self._skip(PRIMITIVES[kind.name], 1)
+        elif isinstance(kind, StringType):
+            self._note(path, self._string())
+        elif isinstance(kind, NamedType):
+            self.message(kind.name, f"{path}.")
+        elif isinstance(kind, ArrayType):
+            self._elements(kind.element, kind.length, path)
+        elif isinstance(kind, SequenceType):
+            count = self._count()
+            # An element may take no byte at all: ROS 1's std_msgs/Empty.
+            may_be_empty = not self._cdr and isinstance(kind.element, NamedType)
+            if count > len(self._data) - self._at and not may_be_empty:
+                raise ValueError("a sequence is longer than the message")
+            self._note(path, count)
+            self._elements(kind.element, count, path)
+
+    def _elements(self, kind: FieldType, count: int, path: str) -> None:
+        if isinstance(kind, PrimitiveType):
+            if count:
+                self._skip(PRIMITIVES[kind.name], count)
+            return
+        for _ in range(count):
+            self._value(kind, f"{path}[]")
+
+    def _string(self) -> int:
+        length = self._count()
+        if self._cdr and length == 0:  # some peers send an empty string without its NUL
+            return 0
+        self._skip(1, length)
+        return length - self._cdr
+
+    def _count(self) -> int:
+        self._skip(4, 1)
+        (number,) = struct.unpack_from(f"{self._order}I", self._data, self._at - 4)
+        return int(number)
+
+    def _skip(self, size: int, count: int) -> None:
+        if self._cdr:
+            self._at += -self._at % size
+        self._at += size * count
+        if self._at > len(self._data):
+            raise ValueError("the message ends too early")
+
+    def _note(self, path: str, length: int) -> None:
+        self._lengths.setdefault(path, Length(length, length)).add(length)
+
+
+@dataclass
+class Sample:
+    """Counts, times and measures messages; used by one thread at a time.
+
+    For ``settle_ns`` from the first message on none counts for the rate: publishers that keep messages for
+    those who come later deliver all of them at once.
+    """
+
+    meter: Meter
+    settle_ns: int = 0
+    _first_ns: int = 0
+    _last_ns: int = 0
+    _gap_ns: int = 0
+    _count: int = 0
+    _regular_from_ns: int = 0
+    _regular: int = 0
+
+    def take(self, data: bytes, time_ns: int) -> None:
+        """Take a message that came at ``time_ns`` of any one clock."""
+        if self._count:
+            self._gap_ns = max(self._gap_ns, time_ns - self._last_ns)
+        else:
+            self._first_ns = time_ns
+        self._last_ns = max(time_ns, self._last_ns)
+        self._count += 1
+        if not self.settle_ns or time_ns - self._first_ns >= self.settle_ns:
+            self._regular_from_ns = self._regular_from_ns if self._regular else time_ns
+            self._regular += 1
+        self.meter.measure(data)
+
+    def seen(self, seconds: float, trouble: str = "") -> Seen:
+        """Return what it was like, of ``seconds`` of listening."""
+        lasted = (self._last_ns - self._regular_from_ns) / 1e9
+        return Seen(
+            messages=self.meter.messages,
+            unreadable=self.meter.unreadable,
+            seconds=seconds,
+            rate_hz=(self._regular - 1) / lasted if self._regular > 1 and lasted > 0 else 0.0,
+            longest_gap_s=self._gap_ns / 1e9,
+            lengths=dict(self.meter.lengths),
+            trouble="" if self._count else trouble,
+        )
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,7 @@ from typing import Literal
 
 from rosplc.errors import BackendError, MessageTypeError, RosplcError
 from rosplc.init.definitions import Definitions
-from rosplc.init.found import Found, Topic
-from rosplc.init.meter import Meter, Sample, Seen
+from rosplc.init.found import Found, Meter, Sample, Seen, Topic
 from rosplc.model import DISTROS, TypeStore
 from rosplc.model.parse import full_name
 from rosplc.recorder.mcap_file import survey

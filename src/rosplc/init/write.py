@@ -16,10 +16,8 @@ from rosplc._version import __version__
 from rosplc.config import json_schema, parse_config, resolve
 from rosplc.errors import ConfigError, RosplcError
 from rosplc.harmless import one_line
-from rosplc.init.found import Found, Source
-from rosplc.init.meter import Seen
-from rosplc.init.propose import RULES, Entry, propose
-from rosplc.init.select import Chosen
+from rosplc.init.found import Found, Seen, Source
+from rosplc.init.propose import RULES, Chosen, Entry, propose
 from rosplc.model import save_definitions
 
 _WIDTH = 108

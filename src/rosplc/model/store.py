@@ -22,8 +22,7 @@ from rosplc.model.interfaces import (
     owners_of,
     parse_interface,
 )
-from rosplc.model.literals import format_value
-from rosplc.model.parse import ParsedType, full_name, parse_definition
+from rosplc.model.parse import ParsedType, format_value, full_name, parse_definition
 from rosplc.model.types import (
     ActionType,
     Constant,

@@ -15,9 +15,8 @@ from rosplc.monitor.expected import Expectation
 from rosplc.monitor.picture import ChannelView, ReaderView, judge
 from rosplc.shm import Attached, Direction, Liveness, Part, ReaderState, Snapshot, distance
 from rosplc.shm.constants import SLOT_HEADER, STAMP_SYSTEM, UNKNOWN
-from rosplc.shm.header import channel_error
+from rosplc.shm.header import WriterState, channel_error
 from rosplc.shm.names import Namespace
-from rosplc.shm.snapshot import WriterState
 
 _LEAST_MS = 334
 """Beats are taken for at least so long: views look seldom, and must not flicker on a busy machine."""

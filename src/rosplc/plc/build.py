@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from rosplc._version import __version__
-from rosplc.config.calls import CallPlan
+from rosplc.config.plans import CallPlan
 from rosplc.config.resolve import Project, object_plan
 from rosplc.errors import GenerationError
 from rosplc.layout import Layout

@@ -17,7 +17,7 @@ from rosplc.bridge.carrier import Carrier, Duty, Rounds
 from rosplc.bridge.port import Context
 from rosplc.clock import SYSTEM, Clock
 from rosplc.codec import Codec, Wire
-from rosplc.config.calls import ServicePlan
+from rosplc.config.plans import ServicePlan
 from rosplc.config.resolve import Project, describe, rights
 from rosplc.described import description_of, layout_of
 from rosplc.errors import ChannelError, RecordingError, RosplcError

@@ -11,11 +11,9 @@ from rosplc.shm.attach import Attached, attach
 from rosplc.shm.calls import Answerer, Caller
 from rosplc.shm.claims import Liveness, Peer, ReaderClaim, WriterClaim
 from rosplc.shm.constants import Direction
-from rosplc.shm.description import Description
-from rosplc.shm.header import Identity
-from rosplc.shm.names import ACTION, SERVICE, Namespace, Part
+from rosplc.shm.header import Identity, ReaderState, Snapshot, WriterState
+from rosplc.shm.names import ACTION, SERVICE, Description, Namespace, Part
 from rosplc.shm.owned import OwnedChannel
-from rosplc.shm.snapshot import ReaderState, Snapshot, WriterState
 
 __all__ = [
     "ACTION",

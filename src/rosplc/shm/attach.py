@@ -18,11 +18,9 @@ from rosplc._core import Reader, Region, Writer
 from rosplc.shm import constants as spec
 from rosplc.shm.claims import ReaderClaim, WriterClaim, WriterProcess, start_of
 from rosplc.shm.constants import READER_LINES, Direction
-from rosplc.shm.description import Description
 from rosplc.shm.files import open_plain_file, read_header, refuse_second_name, same_file
-from rosplc.shm.header import Identity, channel_error
-from rosplc.shm.names import Namespace, Part
-from rosplc.shm.snapshot import SlotState, Snapshot
+from rosplc.shm.header import Identity, SlotState, Snapshot, channel_error
+from rosplc.shm.names import Description, Namespace, Part
 
 _LOOK_NS = 5_000_000
 _M = TypeVar("_M", bound="Mapped")

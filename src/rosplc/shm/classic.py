@@ -1,8 +1,16 @@
-"""A classic topic's memory, and memory and lock as one thing that comes and goes: spec/classic-mode.md.
+"""A classic topic: its lock, its memory, and both as one thing that comes and goes (spec/classic-mode.md).
+
+The lock (section 2) is a named semaphore. Nothing here ever waits: a caller tries, and comes back. A
+semaphore does not know who holds it, so a holder's death can only be inferred: it was taken at every look for
+a long time, and nothing moved. Time is passed in.
 
 The memory is one bare record at offset 0. It is read and written through its descriptor: peers of this kind
 call ftruncate on an object that others use, and a mapping would answer that with SIGBUS, whatever was checked
 before. A copy by system call comes back short instead.
+
+Calls of the C library let no other thread in between: a holder of the lock keeps a PLC waiting, and a call
+that gives up the interpreter's lock, as those of ``os`` and of posix_ipc do, gets it back up to 5 ms later
+for each other busy thread. ``ctypes.PyDLL`` keeps it; none of these calls waits.
 
 Programs of this kind remove and make their objects whenever they start. What is held here is therefore
 compared with what the names lead to before and after every use, and attached again.
@@ -11,18 +19,326 @@ compared with what the names lead to before and after every use, and attached ag
 from __future__ import annotations
 
 import ctypes
+import enum
+import errno
 import mmap
 import os
 import re
+import stat
+import struct
 from contextlib import suppress
 from pathlib import Path
 
 from rosplc.errors import ChannelError
 from rosplc.shm import files
-from rosplc.shm.classic_lock import ClassicLock, Entry, read_at, size_of, write_at
-from rosplc.shm.files import USUAL, Rights, create_complete, open_plain_file, same_file
+from rosplc.shm.files import (
+    USUAL,
+    NameLock,
+    Rights,
+    create_complete,
+    describe_owner,
+    open_plain_file,
+    same_file,
+)
 from rosplc.shm.header import channel_error
-from rosplc.shm.lock import NameLock
+
+_C = ctypes.PyDLL(None, use_errno=True)
+_sem_open = _C.sem_open
+_sem_open.restype = ctypes.c_void_p
+_sem_open.argtypes = [ctypes.c_char_p, ctypes.c_int, ctypes.c_uint, ctypes.c_uint]
+_sem_close, _sem_trywait, _sem_post = _C.sem_close, _C.sem_trywait, _C.sem_post
+for _function in (_sem_close, _sem_trywait, _sem_post):
+    _function.argtypes = [ctypes.c_void_p]
+_sem_getvalue = _C.sem_getvalue
+_sem_getvalue.argtypes = [ctypes.c_void_p, ctypes.POINTER(ctypes.c_int)]
+# Of 32-bit C libraries the plain names take 32-bit offsets.
+_pread, _pwrite = _C.pread64, _C.pwrite64
+for _function in (_pread, _pwrite):
+    _function.restype = ctypes.c_ssize_t
+    _function.argtypes = [ctypes.c_int, ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int64]
+
+_lseek = _C.lseek64
+_lseek.restype = ctypes.c_int64
+_lseek.argtypes = [ctypes.c_int, ctypes.c_int64, ctypes.c_int]
+
+
+class Semaphore:
+    """The named semaphore ``/dev/shm/sem.NAME``; ``create`` makes one of value 1. OSError as of sem_open."""
+
+    def __init__(self, name: str, *, create: bool = False, mode: int = 0o600) -> None:
+        self._at: int | None = None
+        flags = os.O_CREAT | os.O_EXCL if create else 0
+        self._at = _sem_open(b"/" + os.fsencode(name), flags, mode, 1)
+        if self._at is None:
+            raise _error(name)
+
+    @property
+    def value(self) -> int:
+        """How many could enter now."""
+        found = ctypes.c_int()
+        _done(_sem_getvalue(self._address(), ctypes.byref(found)))
+        return found.value
+
+    def enter(self) -> bool:
+        """Take one if there is one, at once; return whether there was."""
+        if _sem_trywait(self._address()) == 0:
+            return True
+        if ctypes.get_errno() in (errno.EAGAIN, errno.EINTR):
+            return False
+        raise _error("")
+
+    def leave(self) -> None:
+        """Give one back. Raises OSError (EOVERFLOW) if there are too many."""
+        _done(_sem_post(self._address()))
+
+    def close(self) -> None:
+        """Let go of it; it stays. A second call does nothing."""
+        at, self._at = self._at, None
+        if at is not None:
+            _sem_close(at)
+
+    def __del__(self) -> None:
+        self.close()
+
+    def _address(self) -> int:
+        if self._at is None:
+            raise ValueError("the semaphore is closed")
+        return self._at
+
+
+def read_at(fd: int, buffer: ctypes.Array[ctypes.c_char]) -> int:
+    """Copy from the beginning of a file into a buffer; return how many bytes there were."""
+    return _done(_pread(fd, buffer, len(buffer), 0))
+
+
+def size_of(fd: int) -> int:
+    """Return a file's size."""
+    return _done(_lseek(fd, 0, os.SEEK_END))
+
+
+def write_at(fd: int, content: bytes) -> int:
+    """Copy bytes to the beginning of a file; return how many were written."""
+    return _done(_pwrite(fd, content, len(content), 0))
+
+
+def _done(result: int) -> int:
+    """Return what a function of the C library has returned, unless it failed."""
+    if result < 0:
+        raise _error("")
+    return result
+
+
+def _error(name: str) -> OSError:
+    number = ctypes.get_errno()
+    return OSError(number, os.strerror(number), name or None)
+
+
+SEMAPHORE_SIZE = 32 if struct.calcsize("P") == 8 else 16
+"""Bytes of glibc's sem_t for programs of this word size."""
+
+_SHARED = 128
+"""What sem_open of glibc leaves in ``private``: waiters may be in other processes."""
+_LARGEST = 2**31 - 1
+_LEAST_LOOKS = 20
+_MOST_EXTRA = 64
+_LONGEST_GAP = 4
+"""Looks further apart than this part of the time say nothing: this process itself stood still."""
+
+
+class Entry(enum.Enum):
+    """What came of an attempt to take the lock."""
+
+    ENTERED = enum.auto()
+    BUSY = enum.auto()
+    RECOVERED = enum.auto()
+    """It was held by nobody alive and is free now; what it guarded may be half written."""
+
+
+class ClassicLock:
+    """A semaphore that either side may have made, opened or created with the value 1.
+
+    ``recover_after_ns`` is as in :class:`rosplc.config.plans.ClassicPlan`. Raises ChannelError SHM128 if it
+    cannot be opened, SHM133 if programs of another word size made it, SHM102 if a new one cannot be given to
+    its group, SHM121 if the name leads to no plain file.
+    """
+
+    def __init__(
+        self, name: str, recover_after_ns: int, *, rights: Rights = USUAL, directory: Path | str = "/dev/shm"
+    ) -> None:
+        self.name = name
+        self.path = Path(directory) / f"sem.{name}"
+        self.created = False
+        # since when it was taken at every look without a sign of life; None if it was free
+        self.held_since_ns: int | None = None
+        # how often it was freed for a holder that counted as dead; how often it would have let in several
+        self.recovered = self.mended = 0
+        self.doubtful = False  # whether somebody may be inside without the lock: after either of the two
+        self._recover_after_ns = recover_after_ns
+        self._looked_ns = 0
+        self._looks = 0
+        self._semaphore, self._identity = self._open(rights)
+
+    @property
+    def value(self) -> int:
+        """How many could enter now: 1 if it is free, 0 if it is taken."""
+        return self._semaphore.value
+
+    def enter(self, now_ns: int, *, alive: bool = False) -> Entry:
+        """Try to take the lock; ``alive`` says that the holder showed life since the last attempt."""
+        if not self._semaphore.enter():
+            return self._taken(now_ns, alive)
+        self.held_since_ns = None
+        extra = 0
+        # Nobody but this process should be able to enter now.
+        while extra < _MOST_EXTRA and self._semaphore.value > 0 and self._semaphore.enter():
+            extra += 1
+        if extra:
+            # Whoever else got in is perhaps still there; this attempt has no lock to speak of.
+            self.mended += 1
+            self.doubtful = True
+            self.leave()
+            return Entry.BUSY
+        return Entry.ENTERED
+
+    def leave(self) -> None:
+        """Give the lock back. Raises SHM128 if the semaphore does not take it."""
+        try:
+            self._semaphore.leave()
+        except (OSError, ValueError) as error:
+            raise channel_error(128, f"cannot be left: {error}", str(self.path)) from error
+
+    def look(self, now_ns: int, *, alive: bool = False) -> Entry:
+        """Judge the lock without using it; ``ENTERED`` means that it is free."""
+        value = self._semaphore.value
+        if value == 0:
+            return self._taken(now_ns, alive)
+        self.held_since_ns = None
+        if value > 1 and self.enter(now_ns, alive=alive) is Entry.ENTERED:
+            self.leave()
+        return Entry.ENTERED
+
+    def in_place(self) -> bool:
+        """Return whether the name still leads to this semaphore."""
+        return same_file(self.path, *self._identity)
+
+    def close(self) -> None:
+        """Let go of it; the semaphore stays. A second call does nothing."""
+        self._semaphore.close()
+
+    def _taken(self, now_ns: int, alive: bool) -> Entry:
+        gap = now_ns - self._looked_ns
+        self._looked_ns = now_ns
+        if self.held_since_ns is None or alive or gap * _LONGEST_GAP > self._recover_after_ns:
+            self.held_since_ns, self._looks = now_ns, 0
+        self._looks += 1
+        if now_ns - self.held_since_ns < self._recover_after_ns or self._looks < _LEAST_LOOKS:
+            return Entry.BUSY
+        if self._semaphore.value != 0:
+            return Entry.BUSY
+        # Between the look and the post the holder may leave after all. Then two could enter, which the
+        # next attempt finds and mends.
+        self.leave()
+        self.held_since_ns = None
+        self.recovered += 1
+        self.doubtful = True
+        return Entry.RECOVERED
+
+    def _open(self, rights: Rights) -> tuple[Semaphore, tuple[int, int]]:
+        while True:
+            try:
+                found = self.path.lstat()
+            except FileNotFoundError:
+                self._create(rights)
+                continue
+            except OSError as error:
+                raise channel_error(123, error.strerror or "", str(self.path)) from error
+            if not stat.S_ISREG(found.st_mode):
+                # A pipe would stop whoever looks into it; the C library refuses links alone.
+                raise channel_error(121, where=str(self.path))
+            if found.st_size != SEMAPHORE_SIZE:
+                raise _other_kind(self.path, found.st_size)
+            self._refuse_nonsense()
+            try:
+                semaphore = Semaphore(self.name)
+            except FileNotFoundError:
+                continue
+            except PermissionError as error:
+                if found.st_uid == os.geteuid() and found.st_mode & 0o600 != 0o600:
+                    # Made by this very user, who passed O_RDWR for the mode and so gave it no rights at all.
+                    _open_up(self.path, found, rights.mode)
+                    continue
+                raise _semaphore_denied(self.path) from error
+            except OSError as error:
+                raise channel_error(128, f"cannot be opened: {error.strerror}", str(self.path)) from error
+            # The library does not tell which file it opened; a name that stood still tells it.
+            if same_file(self.path, found.st_dev, found.st_ino):
+                return semaphore, (found.st_dev, found.st_ino)
+            semaphore.close()
+
+    def _refuse_nonsense(self) -> None:
+        """Refuse a file that no C library made: glibc ends the process over a semaphore full of nonsense."""
+        try:
+            fd = open_plain_file(self.path, os.O_RDONLY)
+        except ChannelError:
+            return  # gone, or not readable: opening it says so
+        try:
+            content = os.pread(fd, SEMAPHORE_SIZE + 1, 0)
+        finally:
+            os.close(fd)
+        if len(content) != SEMAPHORE_SIZE:
+            raise _other_kind(self.path, len(content))
+        value, shared = struct.unpack_from("=IxxxxI" if SEMAPHORE_SIZE == 32 else "=II", content)
+        if shared != _SHARED or value > _LARGEST:
+            raise channel_error(128, "its content is none of a semaphore", str(self.path))
+
+    def _create(self, rights: Rights) -> None:
+        try:
+            made = Semaphore(self.name, create=True, mode=rights.mode)
+        except FileExistsError:
+            return
+        except OSError as error:
+            raise channel_error(128, f"cannot be created: {error.strerror}", str(self.path)) from error
+        made.close()
+        self.created = True
+        try:
+            fd = open_plain_file(self.path, os.O_RDWR)
+        except ChannelError:
+            return  # replaced at this moment: the other side's is as good, or opening it says why not
+        try:
+            if os.fstat(fd).st_uid == os.geteuid():
+                rights.give(fd, self.path)
+        finally:
+            os.close(fd)
+
+
+def _open_up(path: Path, found: os.stat_result, mode: int) -> None:
+    """Set the mode of a file that may not be opened, and of no other that takes its name meanwhile."""
+    with suppress(FileNotFoundError):
+        fd = os.open(path, os.O_PATH | os.O_NOFOLLOW | os.O_CLOEXEC)
+        try:
+            if os.path.samestat(os.fstat(fd), found):
+                Path(f"/proc/self/fd/{fd}").chmod(mode)
+        finally:
+            os.close(fd)
+
+
+def _other_kind(path: Path, size: int) -> ChannelError:
+    if size in (16, 32):
+        bits, here = size * 2, SEMAPHORE_SIZE * 2
+        what = f"a {bits}-bit program made it ({size} bytes), and this process has {here} bits"
+        return channel_error(133, what, str(path))
+    return channel_error(128, f"it has {size} bytes, a semaphore has {SEMAPHORE_SIZE}", str(path))
+
+
+def _semaphore_denied(path: Path) -> ChannelError:
+    return ChannelError(
+        "SHM128",
+        f"the semaphore is {describe_owner(path)}, and this process is user {os.geteuid()}",
+        where=str(path),
+        remedy="Run the bridge as the user that made it, or start the bridge first and give the semaphore to "
+        "a common group with shm.group.",
+    )
+
 
 _TEMPORARY = re.compile(r"rosplc\.new\.[0-9a-f]{8,16}")
 

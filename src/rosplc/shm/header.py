@@ -1,4 +1,4 @@
-"""The identity of an object: lines 0 and 1 of spec/shm-format.md, section 2.
+"""An object's identity, lines 0 and 1 of spec/shm-format.md, section 2; and a look at its other lines.
 
 ```
 offset 0   magic version header_size state │ features ×2 kind direction
@@ -16,13 +16,22 @@ from __future__ import annotations
 
 import struct
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
-from rosplc._core import check_identity
+from rosplc._core import Region, check_identity
 from rosplc.errors import CODES, ChannelError
 from rosplc.shm import constants as spec
-from rosplc.shm.constants import Direction, ErrorNumber
+from rosplc.shm.constants import (
+    CHANGING_WORDS,
+    IDENTITY,
+    IDENTITY_SIZE,
+    LINE_SIZE,
+    READER_LINES,
+    Direction,
+    ErrorNumber,
+)
 
 _FORMAT = struct.Struct("<19I16s5I16x")
 _NAMES = [name for name in spec.IDENTITY if name != "reserved"]
@@ -187,3 +196,90 @@ def _crc(image: bytes) -> int:
 
 if _FORMAT.size != spec.IDENTITY_SIZE:  # pragma: no cover - found at import
     raise AssertionError("the identity has 128 bytes")
+
+
+_WORDS = LINE_SIZE // 4
+
+
+@dataclass(frozen=True)
+class WriterState:
+    """The writer's line (section 3); ``epoch`` 0 means that nobody writes."""
+
+    head: int
+    epoch: int
+    beat: int
+    beat_ms: int
+    refused: int
+    truncated: int
+    rule: int
+    sources: int
+    pid: int
+    error: int
+
+
+@dataclass(frozen=True)
+class ReaderState:
+    """A reader line (section 4); ``claim`` 0 means that it is free."""
+
+    index: int
+    claim: int
+    beat: int
+    beat_ms: int
+    taken: int
+    layout_id: str
+    lost: int
+    retries: int
+    generation: int
+    error: int
+    sinks: int
+    pid: int
+    task: str
+
+
+@dataclass(frozen=True)
+class SlotState:
+    """What tells a call's message apart (section 11.2)."""
+
+    sequence: int
+    status: int
+    correlation: int
+    reason: int = 0
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """Every counter of an object; each word was loaded with one access, all of them not at once."""
+
+    state: int
+    writer: WriterState
+    readers: tuple[ReaderState, ...]
+
+    @classmethod
+    def of(cls, region: Region, *, free: bool = True) -> Snapshot:
+        """Look at a mapped object; ``free`` reader lines can be left out, where hundreds are looked at."""
+        words = region.words(IDENTITY_SIZE, CHANGING_WORDS)
+        lines = [words[at : at + _WORDS] for at in range(0, len(words), _WORDS)]
+        readers = tuple(
+            _reader(index, lines[1 + index]) for index in range(READER_LINES) if free or lines[1 + index][0]
+        )
+        return cls(region.word(IDENTITY["state"]), WriterState(*lines[0][:10]), readers)
+
+    def bridge(self, direction: Direction) -> WriterState | ReaderState | None:
+        """Return the bridge's line of an object whose messages go this way; None if it has no claim."""
+        if direction is Direction.TO_PLC:
+            return self.writer if self.writer.epoch else None
+        return next((line for line in self.readers if line.index == 0 and line.claim), None)
+
+
+def task_name(words: Sequence[int]) -> str:
+    """Return the name in the last words of a reader line."""
+    name = b"".join(word.to_bytes(4, "little") for word in words).split(b"\0")[0]
+    return name.decode("utf-8", "replace")
+
+
+def _reader(index: int, words: tuple[int, ...]) -> ReaderState:
+    claim, beat, beat_ms, taken, low, high, lost, retries, generation, error, sinks, pid = words[:12]
+    layout, task = layout_id_text(low, high), task_name(words[12:16])
+    return ReaderState(
+        index, claim, beat, beat_ms, taken, layout, lost, retries, generation, error, sinks, pid, task
+    )

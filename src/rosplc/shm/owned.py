@@ -24,11 +24,9 @@ from rosplc.shm import files
 from rosplc.shm.attach import Mapped
 from rosplc.shm.claims import start_of, take_over_line, take_over_writer
 from rosplc.shm.constants import Direction
-from rosplc.shm.description import Description, partnered
-from rosplc.shm.files import Rights, create_complete, open_plain_file
+from rosplc.shm.files import NameLock, Rights, create_complete, open_plain_file
 from rosplc.shm.header import Identity, channel_error
-from rosplc.shm.lock import NameLock
-from rosplc.shm.names import Namespace
+from rosplc.shm.names import Description, Namespace, partnered
 
 _LOOKS = 100
 

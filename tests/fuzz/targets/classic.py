@@ -13,8 +13,7 @@ from rosplc.errors import ChannelError
 from rosplc.layout import Limits, compute_layout
 from rosplc.layout.view import plain
 from rosplc.model import TypeStore
-from rosplc.shm.classic import ClassicMemory
-from rosplc.shm.classic_lock import ClassicLock, Entry
+from rosplc.shm.classic import ClassicLock, ClassicMemory, Entry
 from tests.fuzz.choices import Choices
 from tests.fuzz.oracle import refusals
 from tests.fuzz.scratch import emptied

@@ -16,8 +16,7 @@ from rosplc.errors import BackendError, ChannelError
 from rosplc.ros import Qos
 from rosplc.ros.memory import MemoryBackend, open_backend
 from rosplc.shm import Namespace
-from rosplc.shm.files import Rights
-from rosplc.shm.lock import NameLock
+from rosplc.shm.files import NameLock, Rights
 from tests.lib.waiting import wait_for
 from tests.unit.bridge.conftest import BOTH, DOMAIN, INT, STORE, STRING, Cell, numbers, wire
 

@@ -15,8 +15,7 @@ from hypothesis import strategies as st
 
 from rosplc.config import yaml_source
 from rosplc.config.file import Config, json_schema, parse_config, read_config
-from rosplc.config.problems import ConfigErrors
-from rosplc.config.yaml_source import LARGEST_FILE
+from rosplc.config.yaml_source import LARGEST_FILE, ConfigErrors
 from rosplc.errors import ConfigError
 
 ROOT = Path(__file__).parents[3]

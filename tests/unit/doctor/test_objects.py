@@ -14,7 +14,7 @@ from rosplc.doctor.leftovers import soundness
 from rosplc.doctor.objects import Objects, held_files, look_at_objects
 from rosplc.errors import ChannelError
 from rosplc.shm import Direction, Namespace, attach
-from rosplc.shm.classic_lock import Semaphore
+from rosplc.shm.classic import Semaphore
 from tests.lib.channels import open_channel, start_child, until
 from tests.unit.doctor.stage import problems
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 import threading
 
-from rosplc.init.domains import _GROUP, domains_in_use, elsewhere
+from rosplc.init.live import _GROUP, domains_in_use, elsewhere
 
 
 def test_a_program_of_this_machine_is_seen_by_its_socket(tmp_path) -> None:
@@ -43,6 +43,6 @@ def test_a_packet_of_another_machine_is_heard(tmp_path) -> None:
 
 def test_the_hint_names_other_domains_only(monkeypatch) -> None:
     """The domain that was looked at is no hint, and a ROS master has no domain."""
-    monkeypatch.setattr("rosplc.init.domains.domains_in_use", lambda seconds: {0, 42})
+    monkeypatch.setattr("rosplc.init.live.domains_in_use", lambda seconds: {0, 42})
     assert "domain 42:" in elsewhere("domain 0, over dds")
     assert elsewhere("the graph of http://localhost:11311") == ""

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rosplc.init.meter import Meter
+from rosplc.init.found import Meter
 from rosplc.model import ArrayType, FieldType, NamedType, SequenceType, StringType, TypeStore
 from tests.codec_oracle import Oracle, random_value
 from tests.codec_types import HARD_TYPES, hard_store

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from rosplc.init import LiveRobot
-from rosplc.init.meter import Meter, Sample
+from rosplc.init.found import Meter, Sample
 from rosplc.model import TypeStore
 from rosplc.ros import Qos, open_backend
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rosplc.model import ArrayType, FieldType, NamedType, PrimitiveType, SequenceType, StringType, Value
-from rosplc.model.literals import INTEGER_RANGES, LiteralError, format_value, parse_value, strip_comment
+from rosplc.model.parse import INTEGER_RANGES, LiteralError, format_value, parse_value, strip_comment
 from rosplc.model.types import ROS1_BYTE
 
 INT32 = PrimitiveType("int32")

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from rosplc.config import Project, parse_config, resolve
-from rosplc.config.calls import ActionPlan, CallPlan, ServicePlan
+from rosplc.config.plans import ActionPlan, CallPlan, ServicePlan
 from rosplc.errors import GenerationError
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore

@@ -13,8 +13,7 @@ from pathlib import Path
 import pytest
 
 from rosplc.errors import SetupError
-from rosplc.service.install import Run, Step, Write, execute
-from rosplc.service.unit import MARK, Plan
+from rosplc.service.install import MARK, Plan, Run, Step, Write, execute
 
 EXPOSURE = 2.0
 """The highest exposure that docs/howto/run-as-a-service.md promises; systemd's scale goes from 0 to 10."""

@@ -14,7 +14,7 @@ import pytest
 
 from rosplc.errors import ChannelError
 from rosplc.ros import Qos
-from rosplc.service.unit import Plan, drop_in, template
+from rosplc.service.install import Plan, drop_in, template
 from rosplc.shm import Namespace, attach
 from tests.interop.graphs import LOCAL, Graph, free_domain
 from tests.lib.waiting import wait_for

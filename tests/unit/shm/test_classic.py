@@ -11,8 +11,7 @@ import posix_ipc
 import pytest
 
 from rosplc.errors import ChannelError
-from rosplc.shm.classic import ClassicMemory, ClassicObject
-from rosplc.shm.classic_lock import SEMAPHORE_SIZE, ClassicLock, Entry
+from rosplc.shm.classic import SEMAPHORE_SIZE, ClassicLock, ClassicMemory, ClassicObject, Entry
 from rosplc.shm.files import Rights
 from tests.classic_cell import remove, unique_name
 
