@@ -247,9 +247,9 @@ def _facts(
             entry.topic: {
                 "type": entry.type_name,
                 "to": entry.to,
-                "about": list(entry.about),
-                "limits": {limit.path: limit.capacity for limit in entry.limits},
-                "settings": {setting.key: setting.value for setting in entry.settings},
+                "about": entry.about,
+                "limits": {path: capacity for path, (capacity, _) in entry.limits.items()},
+                "settings": {key: value for key, (value, _) in entry.settings.items()},
                 "record_bytes": entry.record_bytes,
                 "seen": asdict(made.seen[entry.topic]) if entry.topic in made.seen else None,
             }

@@ -32,7 +32,7 @@ class Reader:
 
     def __init__(self, store: TypeStore, type_name: str) -> None:
         self._store, self._type_name = store, type_name
-        self._meter = Meter(store, type_name, store.ros_version)
+        self._meter = Meter(store, type_name)
         self._codec: Codec | None = None
         self._capacities: dict[str, int] = {}
 
@@ -42,8 +42,8 @@ class Reader:
         Raises CodecError, the bytes are no message of the type; LayoutError LAY003, it is too large to be
         shown.
         """
-        self._meter.measure(data)
-        capacities = {path: max(1, length.most) for path, length in self._meter.lengths.items()}
+        self._meter.take(data, 0)
+        capacities = {path: max(1, length.most) for path, length in self._meter.seen.lengths.items()}
         if self._codec is None or capacities != self._capacities:
             layout = compute_layout(
                 self._store, self._type_name, Limits(string=1, sequence=1, fields=capacities)

@@ -18,7 +18,6 @@ from rosplc.model import (
     FieldType,
     NamedType,
     PrimitiveType,
-    SequenceType,
     StringType,
     TypeStore,
 )
@@ -28,7 +27,7 @@ _MOST_VISITS = 100_000
 """Values looked at in one message; a point cloud's bytes are one, its fields another ten."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class Seen:
     """What the messages of one topic were like.
 
@@ -43,7 +42,7 @@ class Seen:
     seconds: float = 0.0
     rate_hz: float = 0.0
     longest_gap_s: float = 0.0
-    lengths: Mapping[str, Length] = field(default_factory=dict)
+    lengths: dict[str, Length] = field(default_factory=dict)
     trouble: str = ""
 
 
@@ -60,38 +59,55 @@ class Length:
         self.most = max(self.most, length)
 
 
-@dataclass
 class Meter:
-    """Measures the messages of one type: ROS 1's serialization for ``ros_version`` 1, else CDR.
+    """Counts, times and measures the messages of one topic: ``seen``; used by one thread at a time.
 
-    It counts those measured, ``unreadable`` ones that do not fit the type, and ``cut_short`` ones with more
-    values than are looked at: what came first is in ``lengths``, by field path as a configuration's
-    ``limits`` write it.
+    For ``settle_ns`` from the first message on none counts for the rate: publishers that keep messages for
+    those who come later deliver all of them at once. Of a message with more values than are looked at, those
+    that came first are in ``lengths``, by field path as a configuration's ``limits`` write it.
     """
 
-    store: TypeStore
-    type_name: str
-    ros_version: int
-    messages: int = 0
-    unreadable: int = 0
-    cut_short: int = 0
-    lengths: dict[str, Length] = field(default_factory=dict)
+    def __init__(self, store: TypeStore, type_name: str, settle_ns: int = 0) -> None:
+        self.seen = Seen()
+        self._store = store
+        self._type_name = type_name
+        self._settle_ns = settle_ns
+        self._first_ns: int | None = None
+        self._last_ns = 0
+        self._regular_from_ns = 0
+        self._regular = 0
 
-    def measure(self, data: bytes) -> None:
-        """Take one message into account; one that does not fit the type is counted, and that is all."""
+    def take(self, data: bytes, time_ns: int) -> None:
+        """Take a message that came at ``time_ns`` of any one clock; one that does not fit is counted."""
+        seen, first_ns = self.seen, self._first_ns
+        if first_ns is None:
+            self._first_ns = first_ns = self._last_ns = time_ns
+        seen.longest_gap_s = max(seen.longest_gap_s, (time_ns - self._last_ns) / 1e9)
+        self._last_ns = max(time_ns, self._last_ns)
+        if not self._settle_ns or time_ns - first_ns >= self._settle_ns:
+            self._regular_from_ns = self._regular_from_ns if self._regular else time_ns
+            self._regular += 1
+            lasted = (self._last_ns - self._regular_from_ns) / 1e9
+            seen.rate_hz = (self._regular - 1) / lasted if lasted > 0 else 0.0
         lengths: dict[str, Length] = {}
         try:
-            _Walk(self.store, data, lengths, cdr=self.ros_version == 2).message(self.type_name)
+            _Walk(self._store, data, lengths).message(self._type_name)
         except _TooMuchError:
-            self.cut_short += 1
+            pass
         except ValueError:
-            self.unreadable += 1
+            seen.unreadable += 1
             return
-        self.messages += 1
-        for path, seen in lengths.items():
-            known = self.lengths.setdefault(path, Length(seen.least, seen.most))
-            known.add(seen.least)
-            known.add(seen.most)
+        seen.messages += 1
+        for path, length in lengths.items():
+            known = seen.lengths.setdefault(path, length)
+            known.add(length.least)
+            known.add(length.most)
+
+    def finish(self, seconds: float, trouble: str = "") -> Seen:
+        """Return what was seen in ``seconds`` of listening; ``trouble`` counts if that was nothing."""
+        self.seen.seconds = seconds
+        self.seen.trouble = "" if self.seen.messages + self.seen.unreadable else trouble
+        return self.seen
 
 
 class _TooMuchError(Exception):
@@ -101,10 +117,10 @@ class _TooMuchError(Exception):
 class _Walk:
     """One way through one message."""
 
-    def __init__(self, store: TypeStore, data: bytes, lengths: dict[str, Length], *, cdr: bool) -> None:
+    def __init__(self, store: TypeStore, data: bytes, lengths: dict[str, Length]) -> None:
         self._lengths = lengths
         self._store = store
-        self._cdr = cdr
+        self._cdr = cdr = store.ros_version == 2
         self._at = 0
         self._visits = 0
         self._order = "<"
@@ -129,13 +145,14 @@ class _Walk:
             raise _TooMuchError
         if isinstance(kind, PrimitiveType):
             self._skip(PRIMITIVES[kind.name], 1)
-        elif isinstance(kind, StringType):
-            self._note(path, self._string())
         elif isinstance(kind, NamedType):
             self.message(kind.name, f"{path}.")
         elif isinstance(kind, ArrayType):
             self._elements(kind.element, kind.length, path)
-        elif isinstance(kind, SequenceType):
+        elif isinstance(kind, StringType):
+            self._skip(1, length := self._count())
+            self._note(path, max(0, length - self._cdr))  # some peers send an empty one without its NUL
+        else:
             count = self._count()
             # An element may take no byte at all: ROS 1's std_msgs/Empty.
             may_be_empty = not self._cdr and isinstance(kind.element, NamedType)
@@ -152,13 +169,6 @@ class _Walk:
         for _ in range(count):
             self._value(kind, f"{path}[]")
 
-    def _string(self) -> int:
-        length = self._count()
-        if self._cdr and length == 0:  # some peers send an empty string without its NUL
-            return 0
-        self._skip(1, length)
-        return length - self._cdr
-
     def _count(self) -> int:
         self._skip(4, 1)
         (number,) = struct.unpack_from(f"{self._order}I", self._data, self._at - 4)
@@ -173,50 +183,6 @@ class _Walk:
 
     def _note(self, path: str, length: int) -> None:
         self._lengths.setdefault(path, Length(length, length)).add(length)
-
-
-@dataclass
-class Sample:
-    """Counts, times and measures messages; used by one thread at a time.
-
-    For ``settle_ns`` from the first message on none counts for the rate: publishers that keep messages for
-    those who come later deliver all of them at once.
-    """
-
-    meter: Meter
-    settle_ns: int = 0
-    _first_ns: int = 0
-    _last_ns: int = 0
-    _gap_ns: int = 0
-    _count: int = 0
-    _regular_from_ns: int = 0
-    _regular: int = 0
-
-    def take(self, data: bytes, time_ns: int) -> None:
-        """Take a message that came at ``time_ns`` of any one clock."""
-        if self._count:
-            self._gap_ns = max(self._gap_ns, time_ns - self._last_ns)
-        else:
-            self._first_ns = time_ns
-        self._last_ns = max(time_ns, self._last_ns)
-        self._count += 1
-        if not self.settle_ns or time_ns - self._first_ns >= self.settle_ns:
-            self._regular_from_ns = self._regular_from_ns if self._regular else time_ns
-            self._regular += 1
-        self.meter.measure(data)
-
-    def seen(self, seconds: float, trouble: str = "") -> Seen:
-        """Return what it was like, of ``seconds`` of listening."""
-        lasted = (self._last_ns - self._regular_from_ns) / 1e9
-        return Seen(
-            messages=self.meter.messages,
-            unreadable=self.meter.unreadable,
-            seconds=seconds,
-            rate_hz=(self._regular - 1) / lasted if self._regular > 1 and lasted > 0 else 0.0,
-            longest_gap_s=self._gap_ns / 1e9,
-            lengths=dict(self.meter.lengths),
-            trouble="" if self._count else trouble,
-        )
 
 
 @dataclass(frozen=True)

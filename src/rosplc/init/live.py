@@ -20,7 +20,7 @@ from rosplc.config import Config
 from rosplc.errors import BackendError, RosplcError
 from rosplc.harmless import plural
 from rosplc.init.definitions import Definitions
-from rosplc.init.found import Call, Found, Meter, Sample, Seen, Topic
+from rosplc.init.found import Call, Found, Meter, Seen, Topic
 from rosplc.init.propose import is_of_ros_itself
 from rosplc.model import DISTROS, TypeStore
 from rosplc.ros import ROS1, Backend, Choice, EndpointInfo, GraphInfo, Qos, choose, settled_graph
@@ -148,8 +148,7 @@ class LiveRobot:
         self, wanted: Mapping[str, str], seconds: float, progress: Callable[[str], None]
     ) -> dict[str, Seen]:
         """Subscribe for a while; see :class:`~rosplc.init.found.Source`."""
-        version = self.definitions.store.ros_version
-        samples: dict[str, Sample] = {}
+        meters: dict[str, Meter] = {}
         trouble: dict[str, str] = {}
         with contextlib.ExitStack() as stack:
             subscriptions: dict[str, Any] = {}
@@ -157,10 +156,9 @@ class LiveRobot:
                 known = self.found.topics.get(topic)
                 qos = matching(known.offered if known else (), depth=1000)
                 settle_s = min(_SETTLE_S, seconds / 4) if qos.durability == "transient_local" else 0.0
-                meter = Meter(self.definitions.store, type_name, version)
-                sample = samples[topic] = Sample(meter, int(settle_s * 1e9))
+                meter = meters[topic] = Meter(self.definitions.store, type_name, int(settle_s * 1e9))
                 try:
-                    made = self._backend.subscribe(topic, type_name, qos, partial(_take, sample))
+                    made = self._backend.subscribe(topic, type_name, qos, partial(_take, meter))
                 except RosplcError as error:
                     trouble[topic] = f"{error.what} [{error.code}]"
                     continue
@@ -176,7 +174,7 @@ class LiveRobot:
                 trouble[topic] = subscription.status().reason
             # ROS 1 tells who latches only to those who are connected.
             self.found = replace(self.found, topics={**self.found.topics, **self._offers(subscriptions)})
-        return {topic: sample.seen(seconds, trouble.get(topic, "")) for topic, sample in samples.items()}
+        return {topic: meter.finish(seconds, trouble.get(topic, "")) for topic, meter in meters.items()}
 
     def _offers(self, wanted: Iterable[str]) -> dict[str, Topic]:
         """Return these topics with what their publishers offer now."""
@@ -221,9 +219,9 @@ def _chosen_without_environment(distro: str) -> str:
         return ""
 
 
-def _take(sample: Sample, data: bytes, _: int) -> None:
+def _take(meter: Meter, data: bytes, _: int) -> None:
     # By our own clock: how regular a topic is where the bridge would be, whatever the sender's clock shows.
-    sample.take(data, time.monotonic_ns())
+    meter.take(data, time.monotonic_ns())
 
 
 def _hash(distro: str, type_name: str) -> str:

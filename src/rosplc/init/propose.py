@@ -16,7 +16,6 @@ from rosplc.errors import LayoutError, RosplcError
 from rosplc.harmless import nearest, plural
 from rosplc.init.found import Seen, Topic
 from rosplc.layout import MAX_SEQUENCE, MAX_STRING, Layout, Limits, compute_layout
-from rosplc.layout.compute import limit_paths
 from rosplc.layout.nodes import SequenceNode, StringNode
 from rosplc.model import TypeStore
 from rosplc.model.parse import full_name
@@ -46,46 +45,22 @@ _OF_ROS = frozenset(
 )
 
 
-@dataclass(frozen=True)
-class Limit:
-    """A capacity, with the reason."""
-
-    path: str
-    capacity: int
-    why: str
-
-
-@dataclass(frozen=True)
-class Setting:
-    """A key of a topic with its value as YAML, and the reason."""
-
-    key: str
-    value: str
-    why: str
-
-
-@dataclass(frozen=True)
+@dataclass
 class Entry:
     """One topic of the configuration.
 
-    ``about`` is what was found of it, in sentences; ``limits`` are capacities that differ from the defaults,
-    ``settings`` other keys; ``record_bytes`` the size of a record with these limits.
+    ``about`` is what was found of it, in sentences; ``limits`` are capacities that differ from the defaults
+    by path, ``settings`` other keys' values as YAML, both with the reason; ``record_bytes`` is the size of a
+    record with these limits.
     """
 
     topic: str
     type_name: str
     to: Literal["plc", "ros"]
-    about: tuple[str, ...] = ()
-    limits: tuple[Limit, ...] = ()
-    settings: tuple[Setting, ...] = ()
-    record_bytes: int = 0
-
-
-@dataclass
-class _Draft:
     about: list[str] = field(default_factory=list)
-    limits: list[Limit] = field(default_factory=list)
-    settings: list[Setting] = field(default_factory=list)
+    limits: dict[str, tuple[int, str]] = field(default_factory=dict)
+    settings: dict[str, tuple[str, str]] = field(default_factory=dict)
+    record_bytes: int = 0
 
 
 def is_of_ros_itself(topic: str) -> bool:
@@ -121,9 +96,10 @@ def propose(
 
     Raises LayoutError LAY…: a record of the type cannot be made, whatever the limits.
     """
-    draft = _Draft()
-    _tell(draft, topic, to, seen)
-    layout = _limits(draft, type_name, store, seen)
+    entry = Entry(topic.name, store[type_name].name, to)
+    _tell(entry, topic, seen)
+    layout = _limits(entry, store, seen)
+    entry.record_bytes = layout.size
     if layout.size > _LARGEST:
         raise LayoutError(
             "LAY003",
@@ -132,115 +108,107 @@ def propose(
             remedy="Carry a smaller topic of the robot, or write its entry and limits by hand.",
         )
     if to == "plc":
-        _quality(draft, topic)
-        _times(draft, topic, seen, fast=layout.size <= _LARGE)
+        _quality(entry, topic)
+        _times(entry, topic, seen)
     if layout.size > _LARGE:
-        draft.about.append(
+        entry.about.append(
             f"A record has {layout.size} bytes: copying it takes part of a scan. "
             "Lower its largest limits if you can."
         )
-    said = (tuple(draft.about), tuple(draft.limits), tuple(draft.settings))
-    return Entry(topic.name, layout.type_name, to, *said, layout.size)
+    return entry
 
 
-def _tell(draft: _Draft, topic: Topic, to: str, seen: Seen | None) -> None:
-    proposed, why = direction(topic)
-    draft.about.append(f"{why[0].upper()}{why[1:]}.")
+def _tell(entry: Entry, topic: Topic, seen: Seen | None) -> None:
+    to, (proposed, why) = entry.to, direction(topic)
+    entry.about.append(f"{why[0].upper()}{why[1:]}.")
     if proposed != to:
-        draft.about.append(f"Taken {'towards the PLC' if to == 'plc' else 'from the PLC'} as asked for.")
+        entry.about.append(f"Taken {'towards the PLC' if to == 'plc' else 'from the PLC'} as asked for.")
     if len(topic.types) > 1:
-        draft.about.append(f"It was seen with several types: {', '.join(topic.types)}.")
+        entry.about.append(f"It was seen with several types: {', '.join(topic.types)}.")
     if to == "ros" and topic.publishers:
-        draft.about.append("Its publishers and the PLC will both be heard.")
+        entry.about.append("Its publishers and the PLC will both be heard.")
     if seen is None or (to == "ros" and not seen.messages):
         return
     if not seen.messages:
         why = f": {seen.trouble}" if seen.trouble else ""
-        draft.about.append(f"No message was seen in {seen.seconds:.3g} s{why}.")
+        entry.about.append(f"No message was seen in {seen.seconds:.3g} s{why}.")
         return
     rate = f", {seen.rate_hz:.3g} Hz" if seen.rate_hz else ""
-    draft.about.append(f"{plural(seen.messages, 'message')} seen in {seen.seconds:.3g} s{rate}.")
+    entry.about.append(f"{plural(seen.messages, 'message')} seen in {seen.seconds:.3g} s{rate}.")
     if seen.unreadable:
-        draft.about.append(
+        entry.about.append(
             f"{plural(seen.unreadable, 'message')} did not fit the type: the robot may have another "
             "definition of it."
         )
 
 
-def _limits(draft: _Draft, type_name: str, store: TypeStore, seen: Seen | None) -> Layout:
+def _limits(entry: Entry, store: TypeStore, seen: Seen | None) -> Layout:
     """Add what was learnt of the lengths, and return the layout that it leads to."""
-    variable = limit_paths(store, type_name)
-    if not variable:
-        return compute_layout(store, type_name)
-    wanted = _wanted(store, type_name, seen) if seen is not None and seen.messages else {}
+    fields = compute_layout(store, entry.type_name).fields()
+    variable = {path: node for path, _, node in fields if isinstance(node, StringNode | SequenceNode)}
+    wanted = _wanted(variable, seen) if seen is not None and seen.messages else {}
     while True:
-        capacities = {path: limit.capacity for path, limit in wanted.items()}
+        capacities = {path: capacity for path, (capacity, _) in wanted.items()}
         try:
-            layout = compute_layout(store, type_name, Limits(fields=capacities))
+            layout = compute_layout(store, entry.type_name, Limits(fields=capacities))
             break
         except LayoutError as error:
             # A default value of the definition may need more than was seen; its default capacity then holds.
             if error.where not in wanted:
                 raise
             del wanted[error.where]
-    plain = {path: node for path, _, node in compute_layout(store, type_name).fields()}
-    defaults = {path: getattr(node, "capacity", None) for path, node in plain.items()}
-    draft.limits += [limit for path, limit in wanted.items() if defaults.get(path) != limit.capacity]
+    entry.limits |= {path: item for path, item in wanted.items() if variable[path].capacity != item[0]}
     unseen = [path for path in variable if path not in wanted]
     if unseen:
         shown = ", ".join(unseen[:6]) + (f" and {len(unseen) - 6} more" if len(unseen) > 6 else "")
         nothing = "Empty in all of them" if wanted or (seen is not None and seen.messages) else "Not seen yet"
-        draft.about.append(f"{nothing}: {shown}; the defaults at the top hold.")
+        entry.about.append(f"{nothing}: {shown}; the defaults at the top hold.")
     return layout
 
 
-def _wanted(store: TypeStore, type_name: str, seen: Seen) -> dict[str, Limit]:
-    nodes = {path: node for path, _, node in compute_layout(store, type_name).fields()}
+def _wanted(variable: Mapping[str, StringNode | SequenceNode], seen: Seen) -> dict[str, tuple[int, str]]:
+    """Return the capacities that what was seen asks for, each with the reason."""
     found = {}
     for path, length in seen.lengths.items():
-        node = nodes.get(path)
-        if length.most == 0 or not isinstance(node, StringNode | SequenceNode):
+        if length.most == 0 or (node := variable.get(path)) is None:
             continue
         if isinstance(node, StringNode):
             capacity = min(max(_STRING_LEAST, _up(length.most * _STRING_HEADROOM, _STRING_STEP)), MAX_STRING)
-            limit = Limit(path, capacity, f"longest seen: {plural(length.most, 'byte')}")
+            why = f"longest seen: {plural(length.most, 'byte')}"
         elif length.least == length.most and seen.messages >= _SURE:
+            capacity = min(length.most, MAX_SEQUENCE)
             why = f"always {length.most} in {seen.messages} messages"
-            limit = Limit(path, min(length.most, MAX_SEQUENCE), why)
         else:
             capacity = min(_up(length.most * _SEQUENCE_HEADROOM, _SEQUENCE_STEP), MAX_SEQUENCE)
-            limit = Limit(path, capacity, f"most seen: {length.most}")
-        if seen.messages < _SURE and limit.capacity < node.capacity:
-            limit = Limit(path, node.capacity, limit.why)
-        if node.bound is not None and limit.capacity > node.bound:
-            limit = Limit(path, node.bound, f"{limit.why}; the type allows {node.bound}")
-        found[path] = limit
+            why = f"most seen: {length.most}"
+        if seen.messages < _SURE:
+            capacity = max(capacity, node.capacity)
+        if node.bound is not None and capacity > node.bound:
+            capacity, why = node.bound, f"{why}; the type allows {node.bound}"
+        found[path] = capacity, why
     return found
 
 
-def _quality(draft: _Draft, topic: Topic) -> None:
+def _quality(entry: Entry, topic: Topic) -> None:
     if any(qos.reliability == "best_effort" for qos in topic.offered):
         why = "a publisher is best effort: asking for reliable would get nothing of it"
-        draft.settings.append(Setting("qos", "{reliability: best_effort}", why))
+        entry.settings["qos"] = "{reliability: best_effort}", why
     if _retained(topic):
-        why = "its publishers keep the last message for those who come later"
-        draft.settings.append(Setting("latched", "true", why))
+        entry.settings["latched"] = "true", "its publishers keep the last message for those who come later"
 
 
-def _times(draft: _Draft, topic: Topic, seen: Seen | None, *, fast: bool) -> None:
+def _times(entry: Entry, topic: Topic, seen: Seen | None) -> None:
     if seen is None:
         return
     if _retained(topic) and seen.messages < 2:
-        draft.settings.append(Setting("stale_after", "never", "it is sent once, not regularly"))
+        entry.settings["stale_after"] = "never", "it is sent once, not regularly"
     elif seen.longest_gap_s * _STALE_GAPS > _STALE_S:
         seconds = min(math.ceil(seen.longest_gap_s * _STALE_GAPS), 24 * 3600)
         why = f"three times the longest pause seen, {seen.longest_gap_s:.3g} s"
-        draft.settings.append(Setting("stale_after", f"{seconds}s", why))
-    if fast and seen.rate_hz > _FAST_HZ:
+        entry.settings["stale_after"] = f"{seconds}s", why
+    if entry.record_bytes <= _LARGE and seen.rate_hz > _FAST_HZ:
         rate = min(_up(seen.rate_hz * _RATE_HEADROOM, _RATE_STEP), 1_000_000)
-        draft.settings.append(
-            Setting("expected_rate", f"{rate}Hz", f"{seen.rate_hz:.4g} Hz seen; for sizing the slots")
-        )
+        entry.settings["expected_rate"] = f"{rate}Hz", f"{seen.rate_hz:.4g} Hz seen; for sizing the slots"
 
 
 def _retained(topic: Topic) -> bool:

@@ -10,7 +10,7 @@ from typing import Literal
 
 from rosplc.errors import BackendError, MessageTypeError, RosplcError
 from rosplc.init.definitions import Definitions
-from rosplc.init.found import Found, Meter, Sample, Seen, Topic
+from rosplc.init.found import Found, Meter, Seen, Topic
 from rosplc.model import DISTROS, TypeStore
 from rosplc.model.parse import full_name
 from rosplc.recorder.mcap_file import survey
@@ -102,21 +102,14 @@ class RecordedRobot:
             # Also where the type is known: a recording of another definition must not be measured by ours.
             self.definitions.learn(type_name, carried[0], f"the recording {self._bag.path}")
         elif not self.definitions.find_installed(type_name):
-            raise MessageTypeError(
-                "TYP001",
-                f"{type_name} is unknown in {self.definitions.store.distro}, and the recording lacks it",
-                remedy="Name the folder of its package with --types.",
-            )
+            raise self.definitions.unknown(type_name, ", and the recording lacks it")
 
     def listen(
         self, wanted: Mapping[str, str], seconds: float, progress: Callable[[str], None]
     ) -> dict[str, Seen]:
         """Read the recording to its end; see :class:`~rosplc.init.found.Source`."""
-        version = self.definitions.store.ros_version
-        samples = {
-            (topic, kind): Sample(Meter(self.definitions.store, kind, version))
-            for topic, kind in wanted.items()
-        }
+        store = self.definitions.store
+        meters = {(topic, kind): Meter(store, kind) for topic, kind in wanted.items()}
         first = last = count = 0
         total = sum(each.count for each in self._recorded)
         trouble, shown = "", time.monotonic()
@@ -125,8 +118,8 @@ class RecordedRobot:
                 count += 1
                 first = first or time_ns
                 last = max(last, time_ns)
-                if (sample := samples.get((_absolute(topic), _full(kind)))) is not None:
-                    sample.take(data, time_ns)
+                if (meter := meters.get((_absolute(topic), _full(kind)))) is not None:
+                    meter.take(data, time_ns)
                 if (now := time.monotonic()) - shown > 1.0:
                     shown = now
                     progress(f"{count} of {total} messages read")
@@ -135,7 +128,7 @@ class RecordedRobot:
             note = f"The recording was read up to its damage: {error.what}."
             self.found = replace(self.found, notes=(*self.found.notes, note))
         lasted = (last - first) / 1e9
-        return {topic: sample.seen(lasted, trouble) for (topic, _), sample in samples.items()}
+        return {topic: meter.finish(lasted, trouble) for (topic, _), meter in meters.items()}
 
     def close(self) -> None:
         """Close the file."""

@@ -131,11 +131,11 @@ def _topic(entry: Entry) -> Iterator[str]:
     yield f"  {entry.topic}:"
     yield f"    type: {entry.type_name}"
     yield f"    to: {entry.to}"
-    yield from _with_reasons([(f"    {each.key}: {each.value}", each.why) for each in entry.settings])
+    yield from _with_reasons([(f"    {key}: {value}", why) for key, (value, why) in entry.settings.items()])
     if entry.limits:
         yield "    limits:"
-        rows = [(f"      {_key(each.path)}: {each.capacity}", each.why) for each in entry.limits]
-        yield from _with_reasons(rows)
+        limits = entry.limits.items()
+        yield from _with_reasons([(f"      {_key(path)}: {most}", why) for path, (most, why) in limits])
 
 
 def _key(path: str) -> str:

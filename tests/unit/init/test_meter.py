@@ -52,31 +52,31 @@ def test_every_length_is_found_on_every_wire(name: str, seed: int) -> None:
         if version == 2:
             wires = [oracle.cdr(name, value), oracle.cdr(name, value, little=False)]
         for wire in wires:
-            meter = Meter(store, name, version)
-            meter.measure(wire)
-            assert (meter.messages, meter.unreadable) == (1, 0)
-            found = {path: (length.least, length.most) for path, length in meter.lengths.items()}
+            meter = Meter(store, name)
+            meter.take(wire, 1)
+            assert (meter.seen.messages, meter.seen.unreadable) == (1, 0)
+            found = {path: (length.least, length.most) for path, length in meter.seen.lengths.items()}
             assert found == {path: (min(seen), max(seen)) for path, seen in wanted.items()}
 
 
 def test_messages_add_up() -> None:
     """The shortest and the longest of all messages are kept."""
     oracle = Oracle(STORE)
-    meter = Meter(STORE, "std_msgs/msg/String", 2)
+    meter = Meter(STORE, "std_msgs/msg/String")
     for text in ("four", "", "seven!!"):
-        meter.measure(oracle.cdr("std_msgs/msg/String", {"data": text}))
-    assert meter.messages == 3
-    assert (meter.lengths["data"].least, meter.lengths["data"].most) == (0, 7)
+        meter.take(oracle.cdr("std_msgs/msg/String", {"data": text}), 1)
+    assert meter.seen.messages == 3
+    assert (meter.seen.lengths["data"].least, meter.seen.lengths["data"].most) == (0, 7)
 
 
 @settings(deadline=None, max_examples=200)
 @given(data=st.binary(max_size=200))
 def test_any_bytes_are_survived(data: bytes) -> None:
     """Bytes that are no message are counted as such, or measured; nothing else happens."""
-    meter = Meter(STORE, TREE, 2)
-    meter.measure(b"\0\1\0\0" + data)
-    meter.measure(data)
-    assert meter.messages + meter.unreadable == 2
+    meter = Meter(STORE, TREE)
+    meter.take(b"\0\1\0\0" + data, 1)
+    meter.take(data, 2)
+    assert meter.seen.messages + meter.seen.unreadable == 2
 
 
 @pytest.mark.parametrize(
@@ -90,9 +90,9 @@ def test_any_bytes_are_survived(data: bytes) -> None:
 )
 def test_message_that_does_not_fit_is_counted(wire: bytes) -> None:
     """What cannot be a message of the type adds to no length."""
-    meter = Meter(STORE, "std_msgs/msg/String", 2)
-    meter.measure(wire)
-    assert (meter.messages, meter.unreadable, meter.lengths) == (0, 1, {})
+    meter = Meter(STORE, "std_msgs/msg/String")
+    meter.take(wire, 1)
+    assert (meter.seen.messages, meter.seen.unreadable, meter.seen.lengths) == (0, 1, {})
 
 
 def test_work_for_one_message_is_bounded() -> None:
@@ -100,7 +100,7 @@ def test_work_for_one_message_is_bounded() -> None:
     store = TypeStore.bundled("noetic").with_definition(
         "t_msgs/msg/M", "std_msgs/Empty[] items\nstring end\n"
     )
-    meter = Meter(store, "t_msgs/msg/M", 1)
-    meter.measure(b"\xff\xff\xff\xff\0\0\0\0")
-    assert (meter.messages, meter.cut_short) == (1, 1)
-    assert meter.lengths["items"].most == 0xFFFFFFFF
+    meter = Meter(store, "t_msgs/msg/M")
+    meter.take(b"\xff\xff\xff\xff\0\0\0\0", 1)
+    assert (meter.seen.messages, meter.seen.unreadable) == (1, 0)
+    assert meter.seen.lengths["items"].most == 0xFFFFFFFF

@@ -37,7 +37,7 @@ def test_ros2_recording_gives_types_sizes_and_definitions(tmp_path: Path, storag
         "/joint_states": JOINTS,
         "/parts": PART,
     }
-    capacities = {limit.path: limit.capacity for entry in made.entries for limit in entry.limits}
+    capacities = {path: most for entry in made.entries for path, (most, _) in entry.limits.items()}
     assert capacities["name"] == 6
     assert capacities["name[]"] == 64
     assert capacities["sizes"] == 4
