@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from rosplc.demo.domain import FreeDomain
+from rosplc.demo.plan import FreeDomain
 from rosplc.demo.processes import remove_objects
 from rosplc_bench.process import Side
 

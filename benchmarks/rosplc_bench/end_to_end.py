@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rosplc.demo.domain import FreeDomain
+from rosplc.demo.plan import FreeDomain
 from rosplc.errors import SetupError
 from rosplc_bench.draw import Cell, Figure, Series
 from rosplc_bench.end_to_end_sides import DISTRO, KINDS, LIMITS, register_count, topics

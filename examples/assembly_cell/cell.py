@@ -15,7 +15,7 @@ from typing import Any
 
 import rosplc
 from examples.assembly_cell.world import PLACING, REMOVING
-from rosplc.demo.domain import FreeDomain
+from rosplc.demo.plan import FreeDomain
 from rosplc.demo.processes import Child, remove_objects
 from rosplc.errors import SetupError
 

@@ -8,8 +8,8 @@ from typing import Any
 
 from examples.assembly_cell.image import PlcSide
 from examples.assembly_cell.world import PLACE, REMOVE
+from rosplc.demo.plc import serve
 from rosplc.demo.processes import Commands
-from rosplc.demo.task import serve
 from rosplc.virtual_plc import ActionClient, ReadBlock, WriteBlock
 
 __all__ = ["Press", "Program", "run"]

@@ -17,7 +17,7 @@ import pytest
 pytest.importorskip("cyclonedds", exc_type=ImportError)
 
 from rosplc.codec import Codec, Wire
-from rosplc.demo.domain import FreeDomain
+from rosplc.demo.plan import FreeDomain
 from rosplc.ros import DEFAULT, LATCHED, open_backend
 from rosplc.shm import Namespace, attach
 from tests.channels import STORE, layout_of

@@ -24,7 +24,7 @@ from typing import NoReturn
 
 import pytest
 
-from rosplc.demo.domain import FreeDomain
+from rosplc.demo.plan import FreeDomain
 from rosplc.shm import Namespace
 from tests.crash.call_peers import ACTION, CALLS, GOALS_FROM_ROS, GOALS_OF_PLC, TYPE
 from tests.lib.waiting import WATCHDOG_S, wait_for

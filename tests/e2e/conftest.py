@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from rosplc.demo.domain import FreeDomain
+from rosplc.demo.plan import FreeDomain
 from rosplc.shm import Namespace
 
 

@@ -24,7 +24,7 @@ from rosplc.config.resolve import load_project
 from rosplc.demo.messages import COMMAND, command, open_command, steer
 from rosplc.demo.plan import Plan
 from rosplc.demo.st.checkout import find_translator
-from rosplc.demo.st.sources import CONFIGURATION, MAIN, read_texts, write_configuration, write_texts
+from rosplc.demo.st.process import CONFIGURATION, MAIN, read_texts, write_configuration, write_texts
 from rosplc.demo.supervisor import Demo
 from rosplc.errors import GenerationError
 from rosplc.layout import compute_layout

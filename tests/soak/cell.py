@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from rosplc.demo.domain import FreeDomain
+from rosplc.demo.plan import FreeDomain
 from rosplc.shm import Namespace
 from rosplc_bench.process import free_port
 from tests.soak.messages import (

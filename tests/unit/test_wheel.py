@@ -16,7 +16,7 @@ from packaging.metadata import Metadata
 
 import rosplc
 from deploy.wheel import PIP, copy_source
-from rosplc.demo.domain import FreeDomain
+from rosplc.demo.plan import FreeDomain
 from rosplc.shm import Namespace
 
 ROOT = Path(__file__).resolve().parents[2]

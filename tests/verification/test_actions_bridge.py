@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from rosplc.demo.domain import FreeDomain
+from rosplc.demo.plan import FreeDomain
 from rosplc.reasons import Reason
 from rosplc.ros import ActionClient, ActionServer, GoalEvent, GoalStatus
 from rosplc.shm.constants import ErrorNumber

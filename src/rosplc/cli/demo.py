@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from rosplc.demo.plan import Plan
-    from rosplc.demo.result import Outage, Result
+    from rosplc.demo.supervisor import Outage, Result
 
 
 _UNATTENDED = 20.0
@@ -67,8 +67,7 @@ def command(
         kill: Kill the bridge (SIGKILL) after a third of the time, and start it again.
         as_json: Print the result as JSON.
     """
-    from rosplc.demo.domain import FreeDomain
-    from rosplc.demo.plan import Plan
+    from rosplc.demo.plan import FreeDomain, Plan
 
     seconds = None if duration is None else parse_duration(duration)
     if seconds is None and not sys.stdout.isatty():
@@ -98,7 +97,7 @@ def _structured_text(plan: Plan) -> Iterator[Path]:
     """Give a folder with the PLC project in Structured Text, compiled by the time it is given."""
     from rosplc.config.resolve import load_project
     from rosplc.demo.st.checkout import find_translator
-    from rosplc.demo.st.sources import CONFIGURATION, read_texts, write_configuration, write_texts
+    from rosplc.demo.st.process import CONFIGURATION, read_texts, write_configuration, write_texts
     from rosplc.plc.build import plc_project
     from rosplc.plc.plan import ProjectOptions
 

@@ -11,7 +11,7 @@ import math
 import zlib
 from array import array
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 SECOND_NS = 1_000_000_000
@@ -221,7 +221,3 @@ class Tally:
             self.gaps += number > self.newest + 1
             self.newest = number
             self.received += 1
-
-    def to_dict(self) -> dict[str, int]:
-        """Return the counters as plain data."""
-        return asdict(self)

@@ -1,4 +1,7 @@
-"""The virtual PLC's process: takes the robot's messages, steers it, knows nothing of ROS."""
+"""The virtual PLC's process: takes the robot's messages, steers it, knows nothing of ROS.
+
+The task, and what is kept of messages, it shares with the process that runs Structured Text.
+"""
 
 from __future__ import annotations
 
@@ -6,45 +9,143 @@ import math
 import sys
 import threading
 import time
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict
+from statistics import median, quantiles
 from typing import Any
 
-from rosplc.demo.messages import COMMAND, command, robot_topics, steer
+from rosplc.demo.messages import COMMAND, Opened, Tally, command, robot_topics, steer
 from rosplc.demo.plan import Plan
-from rosplc.demo.processes import Commands
-from rosplc.demo.task import Arrivals, serve_demo
-from rosplc.virtual_plc import ReadBlock, WriteBlock
+from rosplc.demo.processes import Commands, report
+from rosplc.virtual_plc import CycleStats, ReadBlock, VirtualPlc, WriteBlock
+
+_STATUS_SECONDS = 0.1
+_AGES_KEPT = 200_000
 
 
-class Program:
+class Arrivals:
+    """What came, per topic: counted in ``tallies``, and how old it was."""
+
+    def __init__(self, topics: Iterable[str]) -> None:
+        self.tallies = {topic: Tally() for topic in topics}
+        self._ages: dict[str, deque[int]] = {topic: deque(maxlen=_AGES_KEPT) for topic in self.tallies}
+
+    def add(self, topic: str, opened: Opened, now_ns: int) -> None:
+        """Count a message that the program had in hand at ``now_ns`` (ns since 1970)."""
+        self.tallies[topic].add(opened.number, whole=opened.whole)
+        if opened.whole:
+            self._ages[topic].append(now_ns - opened.stamp_ns)
+
+    def summary(self) -> dict[str, dict[str, float]]:
+        """Return median and p99 age in milliseconds, per topic and over all (``""``)."""
+        ages = {topic: list(values) for topic, values in self._ages.items()}
+        ages[""] = [age for values in list(ages.values()) for age in values]
+        return {topic: _percentiles(values) for topic, values in ages.items() if values}
+
+    def recent(self) -> dict[str, float]:
+        """Return the age in milliseconds of each topic's last message."""
+        return {topic: values[-1] / 1e6 for topic, values in self._ages.items() if values}
+
+
+def _percentiles(values: list[int]) -> dict[str, float]:
+    p99 = quantiles(values, n=100, method="inclusive")[98] if len(values) > 1 else values[0]
+    return {"median_ms": median(values) / 1e6, "p99_ms": p99 / 1e6}
+
+
+def serve(
+    program: Callable[[], None],
+    interval: float,
+    commands: Commands,
+    facts: Callable[[CycleStats], dict[str, Any]],
+) -> CycleStats:
+    """Run ``program`` every ``interval`` seconds and report until told to stop; return the statistics.
+
+    Raises what the program raised.
+    """
+    plc = VirtualPlc()
+    task = plc.task("RosTask", interval, priority=4)
+    task.program(program)
+    with plc:
+        while not commands.stop.wait(_STATUS_SECONDS):
+            plc.check()
+            report("status", **facts(task.stats))
+    return task.stats
+
+
+class Program(ABC):
+    """A PLC program of the demonstration; ``state`` is what it last knew, guarded by ``lock``.
+
+    Outputs of blocks are attributes, and so is ``reason``, why a block waits.
+    """
+
+    def __init__(self, reads: Mapping[str, Any], write: Any) -> None:
+        self.reads = reads  # the blocks by topic
+        self.write = write  # the command's
+        self.arrivals = Arrivals(reads)
+        self.lock = threading.Lock()
+        self.state: dict[str, Any] = {}
+
+    @abstractmethod
+    def __call__(self) -> None:
+        """Run one scan."""
+
+    def note(self, sent: int, **more: Any) -> None:
+        """Keep what a scan has left behind; so many commands have been sent."""
+        blocks = {**self.reads, COMMAND[0]: self.write}
+        waiting = {
+            topic: block.reason or "the bridge does not beat"
+            for topic, block in blocks.items()
+            if block.udiError or not block.xPeerAlive
+        }
+        counters = {"sequence": "udiSequence", "lost": "udiLost", "error": "udiError"}
+        state = {
+            "ready": not waiting and bool(self.write.xReady),
+            "waiting": waiting,
+            "sent": {COMMAND[0]: sent},
+            "received": {topic: asdict(tally) for topic, tally in self.arrivals.tallies.items()},
+            "counters": {
+                topic: {key: getattr(read, output) for key, output in counters.items()}
+                for topic, read in self.reads.items()
+            },
+        }
+        with self.lock:
+            self.state = state | more
+
+
+def serve_demo(program: Program, interval: float, commands: Commands) -> None:
+    """Run a program of the demonstration; its last report has the ages of all messages."""
+
+    def facts(stats: CycleStats) -> dict[str, Any]:
+        with program.lock:
+            state = program.state
+        age, drained = program.arrivals.recent(), commands.drain.is_set()
+        return {"drained": drained, "cycle": stats.to_dict(), "age": age, **state}
+
+    stats = serve(program, interval, commands, facts)
+    report("status", cycle=stats.to_dict(), ages=program.arrivals.summary(), **program.state)
+
+
+class PythonProgram(Program):
     """The PLC program: reads every topic, computes the command from the pose."""
 
     def __init__(self, plan: Plan, commands: Commands) -> None:
         self._commands = commands
         self._kinds = robot_topics(plan.topics)
-        self.reads = {
-            topic: ReadBlock(
-                topic, prefix=plan.prefix, mode="every", max_per_cycle=plan.per_scan, stale_after=0.5
-            )
-            for topic in self._kinds
-        }
-        self.write = WriteBlock(COMMAND[0], prefix=plan.prefix)
-        self.blocks: list[ReadBlock | WriteBlock] = [*self.reads.values(), self.write]
-        self.arrivals = Arrivals(self._kinds)
-        self.sent = 0
-        self.lock = threading.Lock()
-        self.state: dict[str, Any] = {}
+        how: dict[str, Any] = {"mode": "every", "max_per_cycle": plan.per_scan, "stale_after": 0.5}
+        reads = {topic: ReadBlock(topic, prefix=plan.prefix, **how) for topic in self._kinds}
+        super().__init__(reads, WriteBlock(COMMAND[0], prefix=plan.prefix))
+        self._sent = 0
         self._corner = 0
 
     def __call__(self) -> None:
         """Run one scan."""
         for topic, read in self.reads.items():
-            kind = self._kinds[topic]
             for message in read.each():
-                opened = kind.open(message)
-                self.arrivals.add(topic, opened, time.time_ns())
+                self.arrivals.add(topic, self._kinds[topic].open(message), time.time_ns())
         self._steer()
-        with self.lock:
-            self.state = self._state()
+        self.note(self._sent)
 
     def _steer(self) -> None:
         pose = self.reads["/turtle/pose"]
@@ -55,36 +156,18 @@ class Program:
             p, q = pose.msg.pose.position, pose.msg.pose.orientation
             heading = 2 * math.atan2(q.z, q.w)
             forward, turn, self._corner = steer(p.x, p.y, heading, self._corner)
-            write.msg.update(command(self.sent + 1, forward, turn))
+            write.msg.update(command(self._sent + 1, forward, turn))
         if write():
-            self.sent += 1
-
-    def _state(self) -> dict[str, Any]:
-        reads, write = self.reads, self.write
-        counters = {"sequence": "udiSequence", "lost": "udiLost", "error": "udiError"}
-        return {
-            "ready": all(block.xPeerAlive for block in self.blocks) and write.xReady,
-            "waiting": {
-                block.topic: block.reason or "the bridge does not beat"
-                for block in self.blocks
-                if block.udiError or not block.xPeerAlive
-            },
-            "sent": {COMMAND[0]: self.sent},
-            "received": {topic: tally.to_dict() for topic, tally in self.arrivals.tallies.items()},
-            "counters": {
-                topic: {key: getattr(read, output) for key, output in counters.items()}
-                for topic, read in reads.items()
-            },
-        }
+            self._sent += 1
 
 
 def main() -> None:
     """Run the virtual PLC until told to stop."""
     commands = Commands()
     plan = Plan.from_json(sys.argv[1])
-    program = Program(plan, commands)
+    program = PythonProgram(plan, commands)
     serve_demo(program, plan.interval, commands)
-    for block in program.blocks:
+    for block in (*program.reads.values(), program.write):
         block.close()
 
 

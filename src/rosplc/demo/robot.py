@@ -9,6 +9,7 @@ import random
 import sys
 import threading
 import time
+from dataclasses import asdict
 
 from rosplc.codec import Codec, Wire
 from rosplc.demo.messages import COMMAND, SECOND_NS, Tally, Turtle, open_command, robot_topics
@@ -85,7 +86,7 @@ class Robot:
         with self._lock:
             return {
                 "sent": dict(self._sent),
-                "received": {COMMAND[0]: self._tally.to_dict()},
+                "received": {COMMAND[0]: asdict(self._tally)},
                 "metres": self._turtle.way,
                 "unmatched": self.unmatched(),
             }
@@ -98,13 +99,14 @@ class Robot:
 def main() -> None:
     """Run the robot until told to stop."""
     commands = Commands()
+    plan = Plan.from_json(sys.argv[1])
     try:
-        robot = Robot(Plan.from_json(sys.argv[1]))
+        robot = Robot(plan)
     except RosplcError as error:
         report("error", **error.to_dict())
         sys.exit(1)
     try:
-        _drive(robot, Plan.from_json(sys.argv[1]), commands)
+        _drive(robot, plan, commands)
         report("status", **robot.status())
     finally:
         robot.close()

@@ -18,6 +18,8 @@ from rosplc.monitor.tracked import Rate
 # show topics and numbers whole, so it does without the types and what the counts tell anyway.
 _WIDE = 104
 
+_COLUMNS = ("topic", "type", "way", "sent", "received", "per s", "under way", "lost", "torn", "age at PLC")
+
 
 class LiveView:
     """Draws a :class:`Demo`; a context manager that owns the terminal meanwhile."""
@@ -48,21 +50,9 @@ class LiveView:
         robot, plc = demo.robot, demo.plc
         wide = self._live.console.width >= _WIDE
         table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, show_edge=False)
-        names = (
-            "topic",
-            "type",
-            "way",
-            "sent",
-            "received",
-            "per s",
-            "under way",
-            "lost",
-            "torn",
-            "age at PLC",
-        )
-        shown = [number for number, name in enumerate(names) if wide or name not in ("type", "under way")]
+        shown = [number for number, name in enumerate(_COLUMNS) if wide or name not in ("type", "under way")]
         for number in shown:
-            table.add_column(names[number], no_wrap=True, justify="right" if number > 2 else "left")
+            table.add_column(_COLUMNS[number], no_wrap=True, justify="right" if number > 2 else "left")
         command, type_name = COMMAND
         rows = [(topic, kind.type_name, "→ PLC") for topic, kind in robot_topics(demo.plan.topics).items()]
         for topic, type_, way in (*rows, (command, type_name, "→ ROS")):

@@ -5,16 +5,15 @@ from __future__ import annotations
 import json
 import math
 import signal
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import pytest
 
 from rosplc.codec import Codec, Wire
-from rosplc.demo.domain import FreeDomain
 from rosplc.demo.messages import COMMAND, Tally, Turtle, command, open_command, robot_topics, steer
-from rosplc.demo.plan import Plan
+from rosplc.demo.plan import FreeDomain, Plan
 from rosplc.demo.processes import Child, remove_objects
-from rosplc.demo.result import Outage, collect
+from rosplc.demo.supervisor import Outage, collect
 from rosplc.errors import SetupError
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
@@ -69,7 +68,7 @@ def test_a_tally_counts_each_fault_apart():
     tally = Tally()
     for number, whole in ((1, True), (2, True), (5, True), (5, True), (0, False), (6, True)):
         tally.add(number, whole=whole)
-    assert tally.to_dict() == {"received": 4, "missing": 2, "gaps": 1, "torn": 1, "repeated": 1, "newest": 6}
+    assert asdict(tally) == {"received": 4, "missing": 2, "gaps": 1, "torn": 1, "repeated": 1, "newest": 6}
 
 
 def run_of(

@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 
 from rosplc.cli.app import app
 from rosplc.config import load_project
-from rosplc.demo.domain import FreeDomain
+from rosplc.demo.plan import FreeDomain
 from rosplc.project import check
 from rosplc.ros import SERVICES, open_backend
 from tests.unit.init.robots import PART, PART_TEXTS, STORE, Robot, record

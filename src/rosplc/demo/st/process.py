@@ -3,12 +3,16 @@
 All that a PLC would do, the Structured Text does: open, check, take, steer, send. This host calls
 its programs in the task's order, works the operator's switch, and looks at memory after the
 scan, to count and check what came, with the very code that the Python program is counted with.
+
+The texts are what the generator writes, the PLC program, and a recorder, which keeps every message of a scan,
+so that each is counted and checked and not only the one that ``msg`` holds in the end. It uses the blocks as
+any program does.
 """
 
 from __future__ import annotations
 
+import json
 import sys
-import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -16,13 +20,84 @@ from typing import Any
 from rosplc.config.resolve import load_project
 from rosplc.demo.messages import COMMAND, robot_topics
 from rosplc.demo.plan import Plan
+from rosplc.demo.plc import Program, serve_demo
 from rosplc.demo.processes import Commands, report
 from rosplc.demo.st.checkout import find_translator
-from rosplc.demo.st.sources import CONFIGURATION, INBOX, MAIN, READ, RECORDER, WRITE, read_texts
-from rosplc.demo.task import Arrivals, serve_demo
 from rosplc.errors import CODES, RosplcError, SetupError
 from rosplc.layout import Layout
 from rosplc.plc.names import instance_names
+from rosplc.plc.project import PlcProject, project_texts
+
+CONFIGURATION = "rosplc.yaml"
+# The task's programs in the order of their calls.
+READ, RECORDER, MAIN, WRITE = "SharedMemory_Read", "Demo_Recorder", "PLC_PRG", "SharedMemory_Write"
+INBOX = "Demo_Inbox"
+
+
+def write_configuration(folder: Path, plan: Plan) -> None:
+    """Write the run's configuration, of which the generator makes the PLC project."""
+    (folder / CONFIGURATION).write_text(json.dumps(plan.configuration(), indent=2), encoding="utf-8")
+
+
+def write_texts(folder: Path, plan: Plan, project: PlcProject, programs: Path) -> None:
+    """Write the whole PLC project into an empty folder, one ``.st`` file per object.
+
+    ``project`` is what the generator makes of the run's configuration, ``programs`` the folder of the
+    demonstration's own Structured Text.
+    """
+    texts = project_texts(project)
+    texts |= {path.stem: path.read_text(encoding="utf-8") for path in sorted(programs.glob("*.st"))}
+    texts |= _recorder(plan, project)
+    for name, text in texts.items():
+        (folder / f"{name}.st").write_text(text, encoding="utf-8")
+    # The order in which objects depend on each other is the generator's.
+    (folder / "objects.json").write_text(json.dumps(list(texts)), encoding="utf-8")
+
+
+def read_texts(folder: Path) -> dict[str, str]:
+    """Return what :func:`write_texts` wrote: text by object name."""
+    names = json.loads((folder / "objects.json").read_text(encoding="utf-8"))
+    return {name: (folder / f"{name}.st").read_text(encoding="utf-8") for name in names}
+
+
+def _recorder(plan: Plan, project: PlcProject) -> dict[str, str]:
+    names = instance_names(list(robot_topics(plan.topics)))
+    duts = _message_types(project)
+    inbox, body = [], []
+    for name in names.values():
+        inbox.append(f"    udi_{name} : UDINT; // messages of this scan")
+        inbox.append(f"    ast_{name} : ARRAY[0..{plan.per_scan - 1}] OF {duts[name]};")
+        body.append(
+            f"""ROS_Read.{name}.uiMaxPerScan := {plan.per_scan};
+{INBOX}.udi_{name} := 0;
+xMore := ROS_Read.{name}.xNew;
+WHILE xMore DO
+    {INBOX}.ast_{name}[{INBOX}.udi_{name}] := ROS_Read.{name}.msg;
+    {INBOX}.udi_{name} := {INBOX}.udi_{name} + 1;
+    xMore := ROS_Read.{name}.Next();
+END_WHILE;"""
+        )
+    gvl = ["// What came in this scan.", "{attribute 'qualified_only'}", "VAR_GLOBAL", *inbox, "END_VAR"]
+    program = [
+        "// Keeps every message of the scan for whoever counts and checks them.",
+        f"PROGRAM {RECORDER}",
+        "VAR",
+        "    xMore : BOOL;",
+        "END_VAR",
+        *body,
+        "END_PROGRAM",
+    ]
+    return {INBOX: "\n".join(gvl) + "\n", RECORDER: "\n".join(program) + "\n"}
+
+
+def _message_types(project: PlcProject) -> dict[str, str]:
+    """Return the type of ``msg`` of each instance in ROS_Read."""
+    types = {
+        pou.name: {each.name: each.type for block in pou.blocks for each in block.variables}
+        for pou in project.pous
+    }
+    (reads,) = (gvl for gvl in project.gvls if gvl.name == "ROS_Read")
+    return {each.name: types[each.type]["msg"] for block in reads.blocks for each in block.variables}
 
 
 class Word:
@@ -65,14 +140,23 @@ class Inbox:
         ]
 
 
-def _reason(block: dict[str, Word]) -> str:
-    """Return why a block waits; empty if it does not."""
-    if error := block["udiError"].get():
-        return CODES[f"SHM{error}"].title
-    return "" if block["xPeerAlive"].get() else "the bridge does not beat"
+class Outputs:
+    """The outputs of a block in the PLC's memory."""
+
+    def __init__(self, machine: Any, path: str, *more: str) -> None:
+        names = ("xPeerAlive", "udiError", *more)
+        self._words = {name: Word(machine, f"{path}.{name}") for name in names}
+
+    def __getattr__(self, name: str) -> int:
+        return self._words[name].get()
+
+    @property
+    def reason(self) -> str:
+        """Its error in words."""
+        return CODES[f"SHM{error}"].title if (error := self.udiError) else ""
 
 
-class Program:
+class StructuredText(Program):
     """The Structured Text as a program of the virtual PLC's task."""
 
     def __init__(self, plan: Plan, commands: Commands, folder: Path) -> None:
@@ -84,19 +168,15 @@ class Program:
         layouts = {topic.topic: topic.layout for topic in load_project(folder / CONFIGURATION).topics}
         names = instance_names(list(self._kinds))
         self._inboxes = {topic: Inbox(machine, names[topic], layouts[topic]) for topic in self._kinds}
-
-        def outputs(path: str, *more: str) -> dict[str, Word]:
-            return {name: Word(machine, f"{path}.{name}") for name in ("xPeerAlive", "udiError", *more)}
-
-        self._reads = {
-            topic: outputs(f"ROS_Read.{names[topic]}", "udiSequence", "udiLost") for topic in self._kinds
-        }
         write = instance_names([COMMAND[0]])[COMMAND[0]]
-        self._write = outputs(f"ROS_Write.{write}", "xReady", "udiPublished")
+        super().__init__(
+            {
+                topic: Outputs(machine, f"ROS_Read.{names[topic]}", "udiSequence", "udiLost")
+                for topic in names
+            },
+            Outputs(machine, f"ROS_Write.{write}", "xReady", "udiPublished"),
+        )
         self._drive = Word(machine, f"{MAIN}.xDrive")
-        self.arrivals = Arrivals(self._kinds)
-        self.lock = threading.Lock()
-        self.state: dict[str, Any] = {}
         self._scans = 0
         self._sum_ns = 0
         self._longest_ns = 0
@@ -110,42 +190,21 @@ class Program:
         taken_ns = time.time_ns()
         self._run(MAIN)
         self._run(WRITE)
-        self._note(time.perf_counter_ns() - began)
+        lasted_ns = time.perf_counter_ns() - began
+        self._scans += 1
+        self._sum_ns += lasted_ns
+        self._longest_ns = max(self._longest_ns, lasted_ns)
         for topic, inbox in self._inboxes.items():
             for message in inbox.messages():
                 self.arrivals.add(topic, self._kinds[topic].open(message), taken_ns)
-        with self.lock:
-            self.state = self._state()
+        alone = {"mean_us": self._sum_ns / self._scans / 1000, "max_us": self._longest_ns / 1000}
+        self.note(self.write.udiPublished, program=alone)
 
     def _run(self, program: str) -> None:
         try:
             self._machine.scan(program)
         except AssertionError as error:
             raise SetupError("SYS002", f"the Structured Text went wrong: {error}") from error
-
-    def _note(self, duration_ns: int) -> None:
-        self._scans += 1
-        self._sum_ns += duration_ns
-        self._longest_ns = max(self._longest_ns, duration_ns)
-
-    def _state(self) -> dict[str, Any]:
-        blocks = {**self._reads, COMMAND[0]: self._write}
-        waiting = {topic: reason for topic, block in blocks.items() if (reason := _reason(block))}
-        keys = {"sequence": "udiSequence", "lost": "udiLost", "error": "udiError"}
-        return {
-            "ready": not waiting and bool(self._write["xReady"].get()),
-            "waiting": waiting,
-            "sent": {COMMAND[0]: self._write["udiPublished"].get()},
-            "received": {topic: tally.to_dict() for topic, tally in self.arrivals.tallies.items()},
-            "counters": {
-                topic: {key: read[output].get() for key, output in keys.items()}
-                for topic, read in self._reads.items()
-            },
-            "program": {
-                "mean_us": self._sum_ns / max(1, self._scans) / 1000,
-                "max_us": self._longest_ns / 1000,
-            },
-        }
 
     def stop(self) -> None:
         """End the program as a PLC's stop does; its claims are given back."""
@@ -157,7 +216,7 @@ def main() -> None:
     commands = Commands()
     plan = Plan.from_json(sys.argv[1])
     try:
-        program = Program(plan, commands, Path(sys.argv[2]))
+        program = StructuredText(plan, commands, Path(sys.argv[2]))
         serve_demo(program, plan.interval, commands)
     except RosplcError as error:
         report("error", **error.to_dict())
