@@ -134,7 +134,7 @@ def long_names(patch: pytest.MonkeyPatch, folder: Path) -> None:
         refused("CFG004", yaml(text), str(settings.LONGEST_TEXT))
 
 
-@beyond("layout.limits.MAX_STRING", "layout.limits.MAX_SEQUENCE")
+@beyond("layout.compute.MAX_STRING", "layout.compute.MAX_SEQUENCE")
 def capacities(patch: pytest.MonkeyPatch, folder: Path) -> None:
     refused("LAY001", lambda: Limits(string=MAX_STRING + 1))
     refused("LAY001", lambda: Limits(sequence=MAX_SEQUENCE + 1))
@@ -168,7 +168,7 @@ def folders_of_messages(patch: pytest.MonkeyPatch, folder: Path) -> None:
         refused("TYP008", lambda: TypeStore.bundled("jazzy").with_paths([folder]), "more than 3 files")
 
 
-@beyond("layout.compute.MAX_ITEMS", "layout.compute.MAX_RECORD", "codec.ops.MAX_LOOPS")
+@beyond("layout.compute.MAX_ITEMS", "layout.compute.MAX_RECORD", "codec.compile.MAX_LOOPS")
 def records(patch: pytest.MonkeyPatch, folder: Path) -> None:
     wide = "".join(f"Inner i{n}\n" for n in range(300)) + "=" * 80 + "\nMSG: a/Inner\n"
     wide += "".join(f"bool b{n}\n" for n in range(300))
