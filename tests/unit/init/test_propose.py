@@ -62,7 +62,7 @@ def test_what_was_always_empty_keeps_the_default_and_is_named() -> None:
 def test_without_a_message_the_defaults_hold_and_it_says_so() -> None:
     """A silent topic gets no limit, and a remark."""
     made = entry(JOINTS, 0)
-    assert made.limits == ()
+    assert not made.limits
     assert any("No message was seen in 5 s" in text for text in made.about)
     assert any("Not seen yet" in text for text in made.about)
 
