@@ -50,13 +50,15 @@ class Cell:
             definition.parent.mkdir(parents=True)
             definition.write_text("---\n".join(["string token\n"] * parts))
         (folder / "where").write_text(f"{namespace.prefix} {domain}")
+        uses = (
+            f"services:\n  /do: {{type: {TYPE}, server: plc, expire_after: {EXPIRE_S:g}s}}\n"
+            f"  /move: {{type: {TYPE}, server: ros}}\n",
+            f"actions:\n  /work: {{type: {ACTION}, server: plc, accept_within: {EXPIRE_S:g}s}}\n"
+            f"  /arm: {{type: {ACTION}, server: ros}}\n",
+        )
         (folder / "rosplc.yaml").write_text(
             f"prefix: {namespace.prefix}\nros: {{backend: dds, domain: {domain}}}\nbeat: 20ms\n"
-            "types: {paths: [types]}\ndiagnostics: {enabled: false}\nservices:\n"
-            f"  /do: {{type: {TYPE}, server: plc, expire_after: {EXPIRE_S:g}s}}\n"
-            f"  /move: {{type: {TYPE}, server: ros}}\n"
-            f"actions:\n  /work: {{type: {ACTION}, server: plc, accept_within: {EXPIRE_S:g}s}}\n"
-            f"  /arm: {{type: {ACTION}, server: ros}}\n"
+            "types: {paths: [types]}\ndiagnostics: {enabled: false}\n" + uses[goals]
         )
         self.running: dict[str, int] = {}
         self._losses = 0.0  # goals of the PLC's whose fate may be unknown

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from rosplc.bridge.called import Called
 from rosplc.bridge.calls import CallPorts
 from rosplc.bridge.port import Context
 from rosplc.bridge.status import ServiceStatus
@@ -899,6 +900,87 @@ def test_a_plc_that_starts_again_while_a_server_carries_out_its_call(make: Make)
     again.call(False)
     cell.turn()
     assert cell.ros.said[2:] == [("call", False)]
+
+
+_COUNTER = 0xFFFFFFFF
+
+
+def _compare_counters_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sabotage: what is compared of two numbers leaves out who has made them."""
+    answer, hear = Caller.answer, Called._hear
+
+    def same_counter(self: Caller, info: SlotInfo) -> int:
+        if not (self.correlation ^ info.correlation) & _COUNTER:
+            self.correlation = info.correlation
+        return answer(self, info)
+
+    def same_number(self: Called, now_ns: int) -> None:
+        for number, reply in tuple(self.events):
+            if self._open_call is not None and not (self._open_call ^ number) & _COUNTER:
+                self.events.remove((number, reply))
+                self.events.append((self._open_call, reply))
+        hear(self, now_ns)
+
+    monkeypatch.setattr(Caller, "answer", same_counter)
+    monkeypatch.setattr(Called, "_hear", same_number)
+
+
+@pytest.mark.parametrize("sabotaged", [False, True])
+def test_an_answer_to_a_call_of_an_earlier_bridge(
+    make: Make, monkeypatch: pytest.MonkeyPatch, sabotaged: bool
+) -> None:
+    """It never ends a new call, though the two have the same counter; without the epoch it would."""
+    if sabotaged:
+        _compare_counters_alone(monkeypatch)
+    cell = make("plc")
+    plc = cell.attach()
+    first = begun(cell)
+    plc.answer(first, success=True)
+    cell.turn()
+    cell.restart()
+    cell.turn(0.05, 4)
+    second = begun(cell, B)
+    assert second.correlation & _COUNTER == first.correlation & _COUNTER
+    plc.answer(first, message="for the earlier call")
+    cell.turn()
+    wrong = [answered for word, who, answered in cell.ros.said if who == B]
+    assert bool(wrong) is sabotaged, wrong
+    if not sabotaged:
+        assert (cell.status.strays, cell.status.outstanding) == (1, 1)
+        plc.answer(second, success=True)
+        cell.turn()
+        assert cell.ros.said[-1] == ("reply", B, {"success": True, "message": ""})
+
+
+@pytest.mark.parametrize("sabotaged", [False, True])
+def test_an_answer_to_a_call_of_an_earlier_program(
+    make: Make, monkeypatch: pytest.MonkeyPatch, sabotaged: bool
+) -> None:
+    """As above, with the PLC as the caller: the server had answered before it was to forget the call."""
+    if sabotaged:
+        _compare_counters_alone(monkeypatch)
+    cell = make("ros")
+    plc = cell.attach()
+    first = plc.call()
+    cell.turn()
+    answer_first = cell.ros.on_reply
+    plc.leave()
+    cell.plcs.clear()
+    again = cell.attach()
+    second = again.call(False)
+    cell.turn()
+    assert second & _COUNTER == first & _COUNTER
+    again.take()
+    answer_first(Reply(wire(Part.RESPONSE, message="for the earlier call")))
+    cell.turn()
+    wrong = again.take()
+    assert (wrong is not None) is sabotaged
+    if not sabotaged:
+        cell.ros.on_reply(Reply(wire(Part.RESPONSE, success=True)))
+        cell.turn()
+        found = again.take()
+        assert found is not None
+        assert (found[1].correlation, found[2]["success"]) == (second, True)
 
 
 def test_a_bridge_that_stops_ends_the_call_of_the_plc(make: Make) -> None:
