@@ -1,12 +1,7 @@
-"""Services of the dds backend and a peer that does what rmw_cyclonedds' sources do, in plain Cyclone DDS.
-
-The peer is written from ``rmw_node.cpp`` and ``serdata.hpp``: the header before the fields, the ids in the
-user data, how a client finds a server, and how a server waits for a client's reader.
-"""
+"""Services of the dds backend and a peer that does what rmw_cyclonedds' sources do (``rmw_cyclone.py``)."""
 
 from __future__ import annotations
 
-import itertools
 import struct
 import threading
 from collections.abc import Iterator
@@ -16,18 +11,11 @@ import pytest
 
 pytest.importorskip("cyclonedds", reason="no wheel of cyclonedds for this machine")
 
-from cyclonedds.core import Policy
-from cyclonedds.core import Qos as DdsQos
-from cyclonedds.domain import DomainParticipant
-from cyclonedds.idl import make_idl_struct
-from cyclonedds.idl.types import int64, uint64
-from cyclonedds.pub import DataWriter
-from cyclonedds.sub import DataReader
-
 from rosplc.model import TypeStore
 from rosplc.ros import SERVICES, Qos, Reply, open_backend
 from rosplc.ros.dds.domain import TYPES, Topics
 from tests.interop.graphs import LOCAL, STRING, free_domain, string, text_of
+from tests.interop.rmw_cyclone import HEADER, RmwClient, RmwNode, RmwServer, message_class
 from tests.lib.clock import SteppedClock
 from tests.lib.waiting import repeat_until, wait_for
 
@@ -36,109 +24,26 @@ pytestmark = pytest.mark.timeout(120)
 ADD = "diagnostic_msgs/srv/AddDiagnostics"
 
 
-HEADER: dict[str, Any] = {"rmw_client_id": uint64, "rmw_call_number": int64}
-NAME = "diagnostic_msgs.srv.dds_.AddDiagnostics_{}_"
-Request: Any = make_idl_struct("Request_", NAME.format("Request"), {**HEADER, "load_namespace": str})
-Response: Any = make_idl_struct(
-    "Response_", NAME.format("Response"), {**HEADER, "success": bool, "message": str}
-)
-for kind in (Request, Response):
-    kind.__idl_annotations__["extensibility"] = "final"
+NAME = "diagnostic_msgs/srv/AddDiagnostics_{}"
+Request = message_class(NAME.format("Request"), **HEADER, load_namespace=str)
+Response = message_class(NAME.format("Response"), **HEADER, success=bool, message=str)
 
 
-class RmwNode:
-    """A participant of rmw_cyclonedds."""
+class Node(RmwNode):
+    """A participant in this process, where the backend's topics come and go."""
 
     def __init__(self, domain: int) -> None:
-        self.participant = DomainParticipant(domain)
-        self._topics = Topics(self.participant)
-        self._numbers = itertools.count(1)
-
-    def ids(self, role: str) -> DdsQos:
-        """Return the settings of the two endpoints of a client or server."""
-        octets = self.participant.guid.bytes[:12] + next(self._numbers).to_bytes(4, "big")
-        text = f"{octets[0]:2x}" + "".join(f".{octet:x}" for octet in octets[1:])
-        return DdsQos(
-            Policy.Reliability.Reliable(10**9),
-            Policy.History.KeepLast(10),
-            Policy.DataRepresentation(use_cdrv0_representation=True),
-            Policy.Userdata(f"{role}={text};".encode()),
-        )
-
-    def writer(self, topic: str, kind: Any, qos: DdsQos) -> DataWriter[Any]:
-        return DataWriter(self.participant, self._topics(topic, kind), qos)
-
-    def reader(self, topic: str, kind: Any, qos: DdsQos) -> DataReader[Any]:
-        return DataReader(self.participant, self._topics(topic, kind), qos)
+        super().__init__(domain, Topics)
 
     def close(self) -> None:
         with TYPES:
-            self._topics.close()
+            self.topics.close()
 
+    def client(self, service: str, *, complete: bool = True) -> RmwClient:
+        return RmwClient(self, service, (Request, Response), complete=complete)
 
-def user_data(endpoint: Any) -> dict[str, str]:
-    """Return what an endpoint announces beside its settings."""
-    text = "" if endpoint is None else bytes(endpoint.qos[Policy.Userdata].data).decode()
-    return dict(part.split("=", 1) for part in text.split(";") if "=" in part)
-
-
-class RmwClient:
-    """What rmw_create_client makes; the reply reader may come later, to see what a server does then."""
-
-    def __init__(self, node: RmwNode, service: str, *, complete: bool = True) -> None:
-        self._node, self._service, self._qos = node, service, node.ids("clientid")
-        self.writer = node.writer(f"rq{service}Request", Request, self._qos)
-        self.guid = self.writer.get_instance_handle() % 2**64
-        self._sequence = itertools.count(1)
-        if complete:
-            self.complete()
-
-    def complete(self) -> None:
-        self.reader = self._node.reader(f"rr{self._service}Reply", Response, self._qos)
-
-    def available(self) -> bool:
-        """Return what rmw_service_server_is_available does (check_for_service_reader_writer)."""
-        readers = map(self.writer.get_matched_subscription_data, self.writer.get_matched_subscriptions())
-        wanted = {user_data(one)["serviceid"] for one in readers if "serviceid" in user_data(one)}
-        writers = map(self.reader.get_matched_publication_data, self.reader.get_matched_publications())
-        return any(user_data(one).get("serviceid") in wanted for one in writers)
-
-    def send(self, text: str) -> int:
-        number = next(self._sequence)
-        self.writer.write(Request(self.guid, number, text))
-        return number
-
-    def take(self) -> list[tuple[int, str]]:
-        """Return number and text of the responses to this client (rmw_take_response)."""
-        return [
-            (one.rmw_call_number, one.message)
-            for one in self.reader.take(100)
-            if one.rmw_client_id == self.guid
-        ]
-
-
-class RmwServer:
-    """What rmw_create_service makes."""
-
-    def __init__(self, node: RmwNode, service: str) -> None:
-        qos = node.ids("serviceid")
-        self.writer = node.writer(f"rr{service}Reply", Response, qos)
-        self.reader = node.reader(f"rq{service}Request", Request, qos)
-
-    def take(self) -> list[Any]:
-        return list(self.reader.take(100))
-
-    def reached(self, request: Any) -> bool:
-        """Return whether the client's reader is matched (check_for_response_reader)."""
-        client = self.reader.get_matched_publication_data(request.sample_info.publication_handle)
-        readers = map(self.writer.get_matched_subscription_data, self.writer.get_matched_subscriptions())
-        return user_data(client)["clientid"] in [user_data(one).get("clientid") for one in readers]
-
-    def answer(self, request: Any) -> None:
-        wait_for(lambda: self.reached(request))
-        self.writer.write(
-            Response(request.rmw_client_id, request.rmw_call_number, True, request.load_namespace)
-        )
+    def server(self, service: str) -> RmwServer:
+        return RmwServer(self, service, (Request, Response))
 
 
 class Cell:
@@ -174,8 +79,8 @@ def cell() -> Iterator[Cell]:
 
 
 @pytest.fixture
-def node(cell: Cell) -> Iterator[RmwNode]:
-    node = RmwNode(cell.backend.domain)
+def node(cell: Cell) -> Iterator[Node]:
+    node = Node(cell.backend.domain)
     yield node
     node.close()
 
@@ -188,13 +93,15 @@ def response(text: str) -> bytes:
 def receive(client: RmwClient, count: int = 1) -> list[tuple[int, str]]:
     """Return responses once there are as many."""
     got: list[tuple[int, str]] = []
-    wait_for(lambda: got.extend(client.take()) or len(got) >= count)
+    wait_for(
+        lambda: got.extend((one.rmw_call_number, one.message) for one in client.take()) or len(got) >= count
+    )
     return got
 
 
-def test_a_client_calls(cell: Cell, node: RmwNode) -> None:
+def test_a_client_calls(cell: Cell, node: Node) -> None:
     """It finds the server by its id; a caller is the client's handle and the call's number."""
-    server, client = cell.serve(), RmwClient(node, "/cell/add")
+    server, client = cell.serve(), node.client("/cell/add")
     wait_for(client.available)
     numbers = [client.send(f"text {number}") for number in range(8)]
     wait_for(lambda: len(cell.asked) == 8)
@@ -205,10 +112,10 @@ def test_a_client_calls(cell: Cell, node: RmwNode) -> None:
     assert sorted(receive(client, 8)) == [(n, f"text {n - 1}") for n in numbers]
 
 
-def test_other_clients_are_left_alone(cell: Cell, node: RmwNode) -> None:
+def test_other_clients_are_left_alone(cell: Cell, node: Node) -> None:
     """A response reaches the client whose handle it has, and no other."""
     server = cell.serve()
-    one, other = RmwClient(node, "/cell/add"), RmwClient(node, "/cell/add")
+    one, other = node.client("/cell/add"), node.client("/cell/add")
     wait_for(lambda: one.available() and other.available() and server.matched == 2)
     one.send("one")
     other.send("other")
@@ -218,9 +125,9 @@ def test_other_clients_are_left_alone(cell: Cell, node: RmwNode) -> None:
     assert (receive(one), receive(other)) == ([(1, "one")], [(1, "other")])
 
 
-def test_a_server_is_called(cell: Cell, node: RmwNode) -> None:
+def test_a_server_is_called(cell: Cell, node: Node) -> None:
     """It is ready when both of its endpoints are matched; it gets the header, and its answers their calls."""
-    server = RmwServer(node, "/cell/add")
+    server = node.server("/cell/add")
     client = cell.backend.client("/cell/add", ADD, SERVICES)
     wait_for(lambda: client.ready)
     replies: dict[str, Reply] = {}
@@ -230,12 +137,12 @@ def test_a_server_is_called(cell: Cell, node: RmwNode) -> None:
     wait_for(lambda: requests.extend(server.take()) or len(requests) == 8)
     assert len({request.rmw_client_id for request in requests}) == 1
     for request in reversed(requests):
-        server.answer(request)
+        server.answer(request, True, request.load_namespace)
     wait_for(lambda: len(replies) == 8)
     assert all(reply.payload == response(text) for text, reply in replies.items())
 
 
-def test_half_a_server_is_not_called(cell: Cell, node: RmwNode) -> None:
+def test_half_a_server_is_not_called(cell: Cell, node: Node) -> None:
     """A reader without the writer that belongs to it is not ready: nobody would answer."""
     reader = node.reader("rq/cell/addRequest", Request, node.ids("serviceid"))
     writer = node.writer("rr/cell/addReply", Response, node.ids("serviceid"))
@@ -249,16 +156,16 @@ def test_half_a_server_is_not_called(cell: Cell, node: RmwNode) -> None:
     assert writer.get_matched_subscriptions()
 
 
-def test_a_response_waits_for_its_reader(cell: Cell, node: RmwNode) -> None:
+def test_a_response_waits_for_its_reader(cell: Cell, node: Node) -> None:
     """A client's reader that is found after the request gets the response, up to 100 ms later."""
     server: Any = cell.serve()
-    client = RmwClient(node, "/cell/add", complete=False)
+    client = node.client("/cell/add", complete=False)
     repeat_until(lambda: client.send("early"), lambda: cell.asked)
     assert server.reply(cell.asked[0][1], response("early"))
     client.complete()
     assert receive(client)[0][1] == "early"
 
-    late = RmwClient(node, "/cell/add", complete=False)
+    late = node.client("/cell/add", complete=False)
     before = len(cell.asked)
     repeat_until(lambda: late.send("late"), lambda: len(cell.asked) > before)
     assert server.reply(cell.asked[before][1], response("late"))
@@ -267,9 +174,9 @@ def test_a_response_waits_for_its_reader(cell: Cell, node: RmwNode) -> None:
     wait_for(lambda: server.status().dropped == 1)
 
 
-def test_a_client_that_has_gone(cell: Cell, node: RmwNode) -> None:
+def test_a_client_that_has_gone(cell: Cell, node: Node) -> None:
     """Its request has nobody who waits, and is not answered."""
-    server, client = cell.serve(), RmwClient(node, "/cell/add")
+    server, client = cell.serve(), node.client("/cell/add")
     wait_for(client.available)
     client.send("text")
     wait_for(lambda: cell.asked)
@@ -279,10 +186,10 @@ def test_a_client_that_has_gone(cell: Cell, node: RmwNode) -> None:
     assert not server.reply(cell.asked[0][1], response("text"))
 
 
-def test_a_server_that_was_restarted_answers(cell: Cell, node: RmwNode) -> None:
+def test_a_server_that_was_restarted_answers(cell: Cell, node: Node) -> None:
     """The 16 bytes are enough for another process; what this one has answered it answers once."""
     cell.serve()
-    client = RmwClient(node, "/cell/add")
+    client = node.client("/cell/add")
     wait_for(client.available)
     client.send("before")
     wait_for(lambda: cell.asked)
@@ -300,10 +207,10 @@ def test_a_server_that_was_restarted_answers(cell: Cell, node: RmwNode) -> None:
     assert receive(client) == [(2, "next")]
 
 
-def test_a_server_that_has_gone(cell: Cell, node: RmwNode) -> None:
+def test_a_server_that_has_gone(cell: Cell, node: Node) -> None:
     """The fate of what it was asked is unknown; with another server there, that one may still answer."""
     client = cell.backend.client("/cell/add", ADD, SERVICES)
-    one, other = RmwServer(node, "/cell/add"), RmwServer(node, "/cell/add")
+    one, other = node.server("/cell/add"), node.server("/cell/add")
     wait_for(lambda: client.status().matched == 2)
     replies: list[Reply] = []
     client.call(string("text"), replies.append)
@@ -311,7 +218,7 @@ def test_a_server_that_has_gone(cell: Cell, node: RmwNode) -> None:
     del one.writer, one.reader
     wait_for(lambda: client.status().matched == 1)
     assert not replies
-    other.answer(requests[0])
+    other.answer(requests[0], True, requests[0].load_namespace)
     wait_for(lambda: replies)
     assert replies[0].payload == response("text")
     client.call(string("text"), replies.append)
@@ -321,7 +228,7 @@ def test_a_server_that_has_gone(cell: Cell, node: RmwNode) -> None:
     assert (replies[1].payload, replies[1].outcome) == (None, "fate unknown")
 
 
-def test_a_server_that_answers_and_goes(cell: Cell, node: RmwNode) -> None:
+def test_a_server_that_answers_and_goes(cell: Cell, node: Node) -> None:
     """Its response counts, although it has gone before the response is looked at."""
     held, go_on = threading.Event(), threading.Event()
 
@@ -332,7 +239,7 @@ def test_a_server_that_answers_and_goes(cell: Cell, node: RmwNode) -> None:
     client: Any = cell.backend.client("/cell/add", ADD, SERVICES)
     cell.backend.subscribe("/hold", STRING, Qos(), hold)
     publisher = cell.backend.advertise("/hold", STRING, Qos())
-    server = RmwServer(node, "/cell/add")
+    server = node.server("/cell/add")
     wait_for(lambda: client.ready and publisher.matched)
     replies: list[Reply] = []
     client.call(string("text"), replies.append)
@@ -340,7 +247,7 @@ def test_a_server_that_answers_and_goes(cell: Cell, node: RmwNode) -> None:
     publisher.write(string("now"))
     held.wait()
     try:
-        server.answer(requests[0])
+        server.answer(requests[0], True, requests[0].load_namespace)
         del server.writer, server.reader
         wait_for(lambda: not client.matched_handles())
     finally:

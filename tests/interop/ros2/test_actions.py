@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import itertools
-import json
 import os
 import struct
-import subprocess
 import sys
-import threading
 import uuid
 from collections.abc import Iterator
 from functools import cache
@@ -20,13 +17,11 @@ import pytest
 from rosplc.model import TypeStore
 from rosplc.ros import Backend, open_backend
 from rosplc.ros.actions import STEPS, ActionClient, ActionServer, GoalEvent, GoalStatus, GoalStep
+from tests.interop.actions.cell import FIBONACCI, Peer
 from tests.interop.graphs import LOCAL
-from tests.interop.ros2.conftest import end
 from tests.lib.waiting import wait_for
 
 pytestmark = [pytest.mark.ros2, pytest.mark.timeout(120)]
-
-FIBONACCI = "test_msgs/action/Fibonacci"
 
 
 @cache
@@ -47,41 +42,10 @@ def goal(order: int) -> bytes:
     return b"\0\1\0\0" + struct.pack("<i", order)
 
 
-class Peer:
-    """A process of ``action_peer.py``; ``said`` has what it has printed of goals."""
-
-    def __init__(self, domain: int, **order: str) -> None:
-        self.process = subprocess.Popen(
-            [sys.executable, str(Path(__file__).with_name("action_peer.py")), str(domain), "peer"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            env={**os.environ, **LOCAL},
-        )
-        self.said: list[dict[str, Any]] = []
-        self._reader = threading.Thread(target=self._read, daemon=True)
-        self._reader.start()
-        self.tell(**order)
-        wait_for(lambda: self.said, "the peer")
-
-    def _read(self) -> None:
-        assert self.process.stdout is not None
-        self.said.extend(json.loads(line) for line in self.process.stdout)
-
-    def tell(self, **order: object) -> None:
-        assert self.process.stdin is not None
-        self.process.stdin.write(json.dumps(order) + "\n")
-        self.process.stdin.flush()
-
-    def wait(self, order: int, what: str) -> Any:
-        """Return what it has printed last about something of a goal."""
-        return wait_for(lambda: [w for w in self.said if w.get("goal") == order and what in w], what)[-1]
-
-    def close(self) -> None:
-        assert self.process.stdin is not None
-        self.process.stdin.close()
-        end(self.process)
-        self._reader.join()
+def start(domain: int, **order: str) -> Peer:
+    """Start a process of ``action_peer.py``."""
+    command = [sys.executable, str(Path(__file__).with_name("action_peer.py")), str(domain), "peer"]
+    return Peer(command, {**os.environ, **LOCAL}, **order)
 
 
 @pytest.fixture
@@ -100,7 +64,7 @@ def test_a_client_of_rclpy(cell: Backend, domain: int) -> None:
         goals[struct.unpack_from("<i", payload, 4)[0]] = one
 
     server = ActionServer(cell, store(), "/fibonacci", FIBONACCI, on_goal=on_goal, on_cancel=cancels.append)
-    peer = Peer(domain, use="/fibonacci")
+    peer = start(domain, use="/fibonacci")
     for order in (1, 2, 3, 4):
         peer.tell(send=order)
         wait_for(lambda o=order: o in goals)
@@ -131,7 +95,7 @@ def test_a_client_of_rclpy(cell: Backend, domain: int) -> None:
 
 def test_a_server_of_rclpy(cell: Backend, domain: int) -> None:
     """Its decisions, feedback, states and results arrive; so they do at another client that adopts a goal."""
-    peer = Peer(domain, serve="/fibonacci")
+    peer = start(domain, serve="/fibonacci")
     events: list[GoalEvent] = []
     client = ActionClient(cell, store(), "/fibonacci", FIBONACCI, events.append)
     wait_for(lambda: client.ready)
