@@ -1,9 +1,8 @@
-"""A newer bridge takes the place of an older one, and back, while PLC and ROS nodes go on."""
+"""This bridge takes the place of the last release's, and back, while PLC and ROS nodes go on."""
 
 from __future__ import annotations
 
 import signal
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,24 +11,23 @@ import pytest
 
 from deploy.wheel import PIP, build_wheel, project_version, run
 from rosplc.shm import attach
+from tests.peers.release import OLD, old_release
 from tests.soak.cell import Cell
 from tests.soak.messages import OUT, TOPICS
 
-NEWER = "99.0"
 WATCHDOG_S = 120.0
 
 
 @pytest.fixture(scope="module")
 def versions(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Give two versions of rosplc, each installed from its wheel into a folder of its own."""
+    """Give the last release and this checkout, each installed from its wheel into a folder of its own."""
     folder = tmp_path_factory.mktemp("versions")
-    found = {}
-    for version in (project_version(), NEWER):
-        wheel = build_wheel(folder / f"wheel-{version}", version=version)
-        found[version] = folder / version
+    sources = {OLD: old_release().parent, project_version(): build_wheel(folder / "wheel")}
+    for version, source in sources.items():
         # What they stand on is this environment's.
-        run([*PIP, "install", "--quiet", "--no-deps", "--target", found[version], wheel])
-    return found
+        options = ["--quiet", "--no-deps", "--no-build-isolation", "--target", folder / version]
+        run([*PIP, "install", *options, source])
+    return {version: folder / version for version in sources}
 
 
 @pytest.fixture(params=["python", "st"])
@@ -38,13 +36,16 @@ def cell(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Cell]:
     if request.param == "st":
         pytest.importorskip("blark")
     cell = Cell(tmp_path, "dds", private=False, plc=request.param)
+    cell.slots_key = "depth"
     yield cell
     cell.close()
 
 
-def become(cell: Cell, place: Path) -> None:
-    """Let the cell's bridge be the version in a folder, from its next start on."""
-    cell.parts["bridge"].environment["PYTHONPATH"] = str(place)
+def become(cell: Cell, place: Path, *arguments: str) -> str:
+    """Let the cell's bridge be the version in a folder, from its next start on; return what it prints."""
+    environment = cell.parts["bridge"].environment
+    environment["PYTHONPATH"] = str(place)
+    return run([sys.executable, "-m", "rosplc", *arguments], cwd=Path("/"), environment=environment)
 
 
 def generations(cell: Cell) -> list[int]:
@@ -86,20 +87,21 @@ def account(cell: Cell, taken_before: int) -> int:
 @pytest.mark.verify(minutes=1)
 @pytest.mark.timeout(1800)
 def test_bridges_change_places_under_load(cell: Cell, versions: dict[str, Path]) -> None:
-    """Forth and back: objects stay, the PLC goes on, nothing is torn or invented, and losses are counted."""
-    become(cell, versions[project_version()])
+    """0.1.0, today's, 0.1.0: objects stay, the PLC goes on, nothing is torn or invented, losses counted."""
+    become(cell, versions[OLD], "version")
     cell.start()
     objects, plc = generations(cell), cell.parts["plc"].pid
     bridge = cell.parts["bridge"]
-    for swaps, version in enumerate((NEWER, project_version()), 1):
+    before = cell.config.read_text()
+    for swaps, version in enumerate((project_version(), OLD), 1):
         assert bridge.terminate(WATCHDOG_S) and bridge.status == 0
         taken, _ = waiting(cell)
-        become(cell, versions[version])
-        said = subprocess.run(
-            [sys.executable, "-m", "rosplc", "--version"],
-            env=bridge.environment, cwd="/", capture_output=True, text=True, check=True,
-        )  # fmt: skip
-        assert version in said.stdout
+        assert version in become(cell, versions[version], "--version")
+        if version == OLD:
+            cell.config.write_text(before)  # which knows the former keys alone
+        else:
+            become(cell, versions[version], "check", "--fix", str(cell.config))
+            assert "slots: 64" in cell.config.read_text()
         cell.ensure()
         cell.await_flow(cell.marks())
         assert beside(bridge.pid).startswith(str(versions[version]))

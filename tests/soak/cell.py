@@ -54,6 +54,7 @@ class Cell:
         counters: What was sent and received.
         extra: Topics that reloading adds, changes and removes: name → entry of the configuration.
         options: More keys for the four topics' entries.
+        slots_key: What the configuration calls a topic's slots; 0.1.0 has another word.
     """
 
     def __init__(self, folder: Path, backend: str, *, private: bool, plc: str = "python") -> None:
@@ -67,6 +68,7 @@ class Cell:
         self.counters = Counters(folder / "counters", create=True)
         self.extra: dict[str, str] = {}
         self.options = dict.fromkeys(ALL, "")
+        self.slots_key = "slots"
         self.config = folder / "soak.yaml"
         self._plc_config, self._plc_built = folder / "plc.yaml", folder / "plc.built"
         self._generations = 0
@@ -169,7 +171,7 @@ class Cell:
             if topic in CLASSIC:
                 how = f"classic: {{name: {self.classic_name(topic)}, recover_after: {RECOVER_AFTER_S}s}}"
             else:
-                how = f"every: {'true' if topic.endswith(('/in', '/out')) else 'false'}, slots: 64"
+                how = f"every: {'true' if topic.endswith(('/in', '/out')) else 'false'}, {self.slots_key}: 64"
             if "qos" not in self.options[topic]:
                 how += f", qos: {{{self._qos(topic)}}}"
             rest = f"{how}{limits}{self.options[topic]}"
