@@ -40,10 +40,10 @@ help: ## list the targets
 _ := $(shell [ "$$(cat $(VENV)/.place 2>&1)" = "$$PWD" ] || rm -f $(addprefix $(VENV)/,.base .installed .core))
 
 # To run rosplc takes a third of the packages that its tests take.
-$(VENV)/.base: pyproject.toml setup.py tools/setup.sh
+$(VENV)/.base: pyproject.toml src/rosplc/_version.py setup.py tools/setup.sh
 	@tools/setup.sh base
 
-$(VENV)/.installed: pyproject.toml tests/st/pyproject.toml benchmarks/pyproject.toml setup.py tools/setup.sh
+$(VENV)/.installed: pyproject.toml src/rosplc/_version.py tests/st/pyproject.toml benchmarks/pyproject.toml setup.py tools/setup.sh
 	@tools/setup.sh install
 
 $(VENV)/.core: $(VENV)/.base $(CORE_SOURCES)

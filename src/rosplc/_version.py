@@ -1,4 +1,4 @@
 """The versions of the package, and of the shared-memory format (spec/CHANGES.md)."""
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 FORMAT = "1.1"

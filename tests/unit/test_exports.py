@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import importlib
+import re
 from importlib import resources
 from importlib.util import find_spec
 from pathlib import Path
@@ -16,6 +17,7 @@ import rosplc
 from tests.doubles.ros2 import double
 
 PACKAGE = Path(rosplc.__file__).parent
+ROOT = Path(__file__).parents[2]
 PUBLIC = sorted(
     ".".join(("rosplc", *path.parent.relative_to(PACKAGE).parts))
     for path in PACKAGE.rglob("__init__.py")
@@ -107,6 +109,29 @@ def test_version_is_a_release_number() -> None:
 
     assert len(rosplc.__version__.split(".")) == 3
     assert version("rosplc") == rosplc.__version__
+
+
+@pytest.mark.parametrize(
+    ("places", "pattern"),
+    [
+        ("CITATION.cff", r"(?m)^version: (.+)$"),
+        ("benchmarks/pyproject.toml", r'(?m)(?:^version = |rosplc==)"?([^"]+)"'),
+        ("tests/st/pyproject.toml", r'(?m)^version = "([^"]+)"'),
+        ("packaging/ros2/rosplc_bridge/package.xml", r"<version>(.+)</version>"),
+        ("docs/howto/deploy-*.md", r"rosplc[-_](\d[^-_]*)[-_]"),
+    ],
+)
+def test_every_place_has_the_version(places: str, pattern: str) -> None:
+    """What is released together carries one version."""
+    found = [re.findall(pattern, path.read_text("utf-8")) for path in ROOT.glob(places)]
+    assert {each for several in found for each in several} == {rosplc.__version__}
+
+
+def test_the_newest_section_of_the_change_log_is_this_release() -> None:
+    """And its date is that of CITATION.cff."""
+    (date,) = re.findall(r"(?m)^date-released: (.+)$", (ROOT / "CITATION.cff").read_text("utf-8"))
+    log = (ROOT / "CHANGELOG.md").read_text("utf-8")
+    assert re.findall(r"(?m)^## \[(\d.*)\] - (.+)$", log)[0] == (rosplc.__version__, date)
 
 
 def imports(path: Path) -> set[str]:
