@@ -69,7 +69,7 @@ def command(
     """Record channels into MCAP files, which Foxglove, PlotJuggler and `ros2 bag` read.
 
     Options:
-        topics: Topics and services, or patterns such as '/robot1/*'; without, all of both.
+        topics: Topics, services and actions, or patterns such as '/robot1/*'; without, all of them.
         output PATH: The file, or the folder of a bag; by default rosplc_DATE.
         bag: Write a folder with a metadata.yaml, as `ros2 bag record` does.
         prefix NAME: The bridge's `prefix:`; by default the configuration's, else rosplc.

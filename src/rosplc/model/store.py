@@ -103,11 +103,11 @@ class TypeStore:
         """
         return self._with(parse_definition(type_name, text, ros_version=self.ros_version))
 
-    def with_events(self, service: str) -> TypeStore:
-        """Return a store that knows a service, and its events, as well; it has both parts' messages."""
+    def with_events(self, name: str) -> TypeStore:
+        """Return a store that knows a service or action as well; it has the messages of the parts."""
         merged = self._copy()
-        text = "---\n".join(self._text(self[f"{service}_{part}"]) for part in PARTS["srv"])
-        merged._interfaces.setdefault(service, (text,))
+        text = "---\n".join(self._text(self[f"{name}_{part}"]) for part in PARTS[kind_of(name)])
+        merged._interfaces.setdefault(name, (text,))
         merged._types |= {name: kind for name, kind in _BUILTIN.items() if name not in merged._types}
         return merged
 

@@ -1,241 +1,448 @@
-"""What is recorded: a topic's channel, or a service's two objects; and how files name it.
+"""What is recorded: a topic's channel, or the objects of a service or action; and how files name it.
 
 Calls are recorded as ROS 2 does, by the events of its service introspection: those of ``/cell/start`` are
 messages ``pkg/srv/Name_Event`` on ``/cell/start/_service_event``. An event repeats a request or response;
-client and number (``info``) tell which call it belongs to.
+client and number (``info``) tell which call it belongs to. An action is recorded by the events of its three
+services, its feedback and its status, below ``/cell/move/_action``.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from rosplc.codec import Codec, Wire
 from rosplc.described import layout_of
 from rosplc.errors import ChannelError, RosplcError
 from rosplc.layout import Layout, Limits, SequenceNode, StringNode, compute_layout
-from rosplc.model import ArrayType, MessageType, NamedType, SequenceType, StringType, TypeStore
+from rosplc.model import ArrayType, Field, MessageType, NamedType, SequenceType, StringType, TypeStore
 from rosplc.model._rosbags import EMPTY_MEMBER
 from rosplc.monitor.watch import open_object
+from rosplc.reasons import Reason
 from rosplc.recorder.mcap_file import ChannelInfo
 from rosplc.recorder.store import qos_text
-from rosplc.ros import DEFAULT, LATCHED, Qos
-from rosplc.shm import SERVICE, Description, Direction, Group, Namespace, Part, Reader, SlotInfo, distance
+from rosplc.ros import DEFAULT, LATCHED, GoalStatus, Qos
+from rosplc.ros.actions import STATUS_QOS, CancelCode
+from rosplc.shm import (
+    ACTION,
+    SERVICE,
+    Description,
+    Direction,
+    Group,
+    Namespace,
+    Part,
+    Reader,
+    SlotInfo,
+    distance,
+)
+from rosplc.shm import constants as spec
 from rosplc.shm.attach import belong_together
-from rosplc.shm.constants import ANSWER_DONE, ANSWER_MASK, ASK_WITHDRAWN, STAMP_SYSTEM, WRITER_LINE
 
 EVENTS = "/_service_event"  # what the name of a topic with a service's events ends with
+_ACTION = "/_action/"
+GOALS = f"{_ACTION}send_goal{EVENTS}"  # what the name of a topic with an action's goals ends with
+_SERVICES = {
+    "send_goal": "{}_SendGoal",
+    "cancel_goal": "action_msgs/srv/CancelGoal",
+    "get_result": "{}_GetResult",
+}
+_MESSAGES = {"feedback": "{}_FeedbackMessage", "status": "action_msgs/msg/GoalStatusArray"}
+_TOPICS = {
+    **{f"{_ACTION}{name}{EVENTS}": f"{kind}_Event" for name, kind in _SERVICES.items()},
+    **{f"{_ACTION}{name}": kind for name, kind in _MESSAGES.items()},
+}
+"""What the topics of an action are called, and the types of their messages."""
+_COMMON = (
+    "unique_identifier_msgs/msg/UUID", "action_msgs/msg/GoalStatusArray",
+    "action_msgs/srv/CancelGoal_Request", "action_msgs/srv/CancelGoal_Response",
+)  # fmt: skip
 _IN_ORDER, _REPORT_NEWS = 1, 2
 _NO_STAMP = 2**31 * 10**9  # a time of ROS has 31 bits of seconds
 _IDL = {"bool": "boolean", "byte": "octet", "char": "uint8", "float32": "float", "float64": "double"}
+_MOST_GOALS = 8  # of one use that are remembered
+_NO_COUNT = 1 << 24  # a distance beyond this means that the head is corrupt
+_ENDS = {
+    spec.ANSWER_SUCCEEDED: GoalStatus.SUCCEEDED,
+    spec.ANSWER_CANCELED: GoalStatus.CANCELED,
+    spec.ANSWER_ABORTED: GoalStatus.ABORTED,
+}
 
 
 def service_of(topic: str, type_name: str) -> str:
     """Return the service whose events a topic has; empty if it has none. As rosbag2 does."""
     events = topic.endswith(EVENTS) and "/srv/" in type_name and type_name.endswith("_Event")
-    return topic.removesuffix(EVENTS) if events and "/_action/" not in topic else ""
+    return topic.removesuffix(EVENTS) if events and _ACTION not in topic else ""
 
 
-_NO_COUNT = 1 << 24  # a distance beyond this means that the head is corrupt
+def action_of(topic: str, type_name: str) -> str:
+    """Return the action whose goals a topic has; empty if it has none."""
+    events = "/action/" in type_name and type_name.endswith("_SendGoal_Event")
+    return topic.removesuffix(GOALS) if events and topic.endswith(GOALS) else ""
 
 
-class CarriedChannel:
-    """An object, attached read-only: recording it disturbs no one.
+def recorded_name(topic: str) -> str:
+    """Return the topic, service or action that a topic of a recording has."""
+    ending = next((one for one in (*_TOPICS, EVENTS) if topic.endswith(one)), "")
+    return topic.removesuffix(ending)
+
+
+def topics_of(name: str, part: Part) -> list[str]:
+    """Return the topics that files have of a topic, service or action."""
+    endings = {Part.TOPIC: [""], Part.REQUEST: [EVENTS], Part.GOAL: [*_TOPICS]}
+    return [name + ending for ending in endings.get(part, ())]
+
+
+class _Object:
+    """An object, attached read-only; arguments and errors as :class:`Carried`."""
+
+    def __init__(self, path: Path, *, since_ns: int | None) -> None:
+        self.attached = open_object(str(path))
+        try:
+            layout = layout_of(self.attached)
+            # Also of a ROS 1 channel: its store is one of ROS 2, as the description gives no version.
+            self.codec, self.limits = Codec(layout, Wire.CDR), dict(self.attached.description.limits)
+            self._plan = self.codec.plan
+            # takes every message in order, and counts what it missed
+            self.reader: Reader = self.attached.reader(latched=since_ns is not None)
+            self._begun = since_ns is not None
+        except BaseException:
+            self.attached.close()
+            raise
+        self.record = bytearray(layout.size)
+        self.slots = self.attached.identity.slot_count  # one message less can wait
+
+    def begin(self) -> None:
+        if not self._begun:
+            self._begun = True
+            self.reader = self.attached.reader()
+
+    def join(self, group: Group, mode: int) -> int:
+        return group.add_reader(self.reader, self._plan, mode, self.slots)
+
+    def next(self) -> SlotInfo | None:
+        """Take a message into ``record``."""
+        return self.reader.next(self.record)
+
+    @property
+    def view(self) -> Any:
+        """The message that was taken last."""
+        return self.codec.layout.view(self.record)
+
+    def untaken(self, since_creation: bool) -> int:
+        head = self.attached.region.word(spec.WRITER_LINE["head"])
+        if not head or not (self.reader.last or since_creation):
+            return 0
+        count = distance(self.reader.last, head, self.slots)
+        return count if count < _NO_COUNT else 0
+
+
+@dataclass(frozen=True)
+class Stream:
+    """A topic of a recording; ``objects`` are those whose losses count as its own."""
+
+    topic: str
+    codec: Codec
+    limits: Mapping[str, Any]
+    objects: tuple[_Object, ...] = ()
+    qos: Qos = DEFAULT  # the bridge's default
+
+    @property
+    def lost(self) -> int:
+        """Messages that were overwritten before they were taken."""
+        return sum(one.reader.lost for one in self.objects)
+
+
+class Event(NamedTuple):
+    """What has happened: which stream has it, a number, a time (ns since 1970), and its CDR."""
+
+    stream: int
+    number: int
+    time_ns: int
+    data: bytes
+
+
+class Carried:
+    """A topic's channel, attached read-only: recording it disturbs no one.
 
     ``since_ns`` is when the recording began (ns since 1970), if it has: then what the object holds already is
     taken; if None, what comes after :meth:`join` is. Raises ChannelError as :func:`rosplc.shm.attach`; SHM113
     if the object does not describe itself.
     """
 
+    mode = _IN_ORDER
+
     def __init__(self, path: Path, *, since_ns: int | None) -> None:
-        self._attached = open_object(str(path))
-        try:
-            self.description: Description = self._attached.description
-            layout = layout_of(self._attached)
-            # Also of a ROS 1 channel: its store is one of ROS 2, as the description gives no version.
-            self.codec, self.limits = Codec(layout, Wire.CDR), dict(self.description.limits)
-            self._plan = self.codec.plan
-            # takes every message in order, and counts what it missed
-            self.reader: Reader = self._attached.reader(latched=since_ns is not None)
-            self._begun = since_ns is not None
-        except BaseException:
-            self._attached.close()
-            raise
-        self.topic = self.description.topic
+        first = _Object(path, since_ns=since_ns)
+        self._objects = [first]
+        self.description: Description = first.attached.description
         # whether it was made while recording, so that its first message is one to take
-        self.since_creation = since_ns is not None and self._attached.identity.created_ns >= since_ns
-        self.slots = self._attached.identity.slot_count  # one message less can wait
+        self.since_creation = since_ns is not None and first.attached.identity.created_ns >= since_ns
+        self.slots = first.slots
+        # Which QoS the bridge uses is in its configuration alone; these are its defaults.
+        qos = LATCHED if self.description.direction is Direction.TO_ROS else DEFAULT
+        self.streams: tuple[Stream, ...] = (
+            Stream(self.description.topic, first.codec, first.limits, (first,), qos),
+        )
 
-    def join(self, group: Group, mode: int = _IN_ORDER) -> list[int]:
-        """Have a group take what comes from now on; return the indices.
+    def join(self, group: Group) -> list[int]:
+        """Have a group take what comes from now on, or report that something has; return the indices.
 
-        What came while the object was opened is no loss. Raises ChannelError SHM111 if it has been retired.
+        What came while the objects were opened is no loss. Raises SHM111 if one has been retired.
         """
-        self._begin()
-        return [group.add_reader(self.reader, self._plan, mode, self.slots)]
-
-    def _begin(self) -> None:
-        if not self._begun:
-            self._begun = True
-            self.reader = self._attached.reader()
-
-    @property
-    def lost(self) -> int:
-        """Messages that were overwritten before they were taken."""
-        return self.reader.lost
+        for one in self._objects:
+            one.begin()
+        return [one.join(group, self.mode) for one in self._objects]
 
     def events(self, now_ns: int) -> Iterator[Event]:
         """Yield what happened, where a group only reports that something has."""
         yield from ()
 
     def still_there(self) -> bool:
-        """Return whether the name still leads to this object."""
-        return self._attached.still_there()
+        """Return whether the names still lead to these objects."""
+        return all(one.attached.still_there() for one in self._objects)
 
-    def untaken(self) -> int:
-        """Return how many messages the object holds that the reader has not taken."""
-        head = self._attached.region.word(WRITER_LINE["head"])
-        if not head or not (self.reader.last or self.since_creation):
-            return 0
-        count = distance(self.reader.last, head, self.slots)
-        return count if count < _NO_COUNT else 0
+    def untaken(self, stream: Stream) -> int:
+        """Return how many messages of a stream the objects hold that were not taken."""
+        return sum(one.untaken(self.since_creation) for one in stream.objects)
 
     def close(self) -> None:
-        """Unmap the object."""
-        self._attached.close()
+        """Unmap the objects."""
+        for one in self._objects:
+            one.attached.close()
 
 
-class Event(NamedTuple):
-    """An event of a service: its call's number, its time (ns since 1970), and its CDR."""
-
-    number: int
-    time_ns: int
-    data: bytes
-
-
-class CarriedService(CarriedChannel):
-    """Both objects of one use of a service; ``path`` is the file of its requests.
+class CarriedService(Carried):
+    """The objects of one use of a service; ``path`` is the file of its requests.
 
     Of a call's messages the first is a request, unless it is withdrawn already; of its answers a response is
-    one, and all others report that there is none. Raises ChannelError as :class:`CarriedChannel`; SHM112 if
-    the two objects do not belong together.
+    one, and all others report that there is none. Raises ChannelError as :class:`Carried`; SHM112 if
+    the objects do not belong together.
     """
+
+    mode = _REPORT_NEWS
+    parts: tuple[Part, ...] = SERVICE
 
     def __init__(self, namespace: Namespace, path: Path, *, since_ns: int | None) -> None:
         super().__init__(path, since_ns=since_ns)
         about = self.description
         try:
-            other = namespace.path(about.topic, Part.RESPONSE, about.client)
-            self._answers = CarriedChannel(other, since_ns=since_ns)
-        except BaseException:
-            super().close()
-            raise
-        both = dict(zip(SERVICE, (self, self._answers), strict=True))
-        try:
-            belong_together({part: one._attached for part, one in both.items()})
-            layout = _event_layout(*(one.codec.layout for one in both.values()))
-        except RosplcError as error:
+            for part in self.parts[1:]:
+                other = namespace.path(about.topic, part, about.client)
+                self._objects.append(_Object(other, since_ns=since_ns))
+            both = dict(zip(self.parts, self._objects, strict=True))
+            belong_together({part: one.attached for part, one in both.items()})
+            self.streams = self._streams(both)
+        except BaseException as error:
             self.close()
-            if isinstance(error, ChannelError):
+            if not isinstance(error, RosplcError) or isinstance(error, ChannelError):
                 raise
             what = f"its events have no layout: {error.what} [{error.code}]"
             raise ChannelError("SHM113", what, where=str(path)) from error
-        self.limits = {part.word: one.limits for part, one in both.items()}
-        self._records = [bytearray(one.codec.layout.size) for one in both.values()]
-        self._places = {one.name: one.offset for one in layout.root.members if one.count_of is None}
-        self.codec = Codec(layout, Wire.CDR)
-        self.topic = about.topic + EVENTS
         self.since_creation = False
         self._call = 0
+        self._served = about.direction is Direction.TO_PLC
         own = f"{namespace.prefix}{about.topic} {about.client}".encode()
         self._client = hashlib.md5(own, usedforsecurity=False).digest()  # a PLC has no number
 
-    def join(self, group: Group, mode: int = _REPORT_NEWS) -> list[int]:
-        """Have a group report what comes."""
-        self._begin()
-        self._answers._begin()
-        return [*super().join(group, mode), *self._answers.join(group, mode)]
+    def _streams(self, both: Mapping[Part, _Object]) -> tuple[Stream, ...]:
+        limits = {part.word: one.limits for part, one in both.items()}
+        layouts = {f"{part.word}[].": one.codec.layout for part, one in both.items()}
+        service = both[Part.REQUEST].codec.layout.type_name.removesuffix("_Request")
+        codec = _codec(with_interface(_merged(*layouts.values()), service), f"{service}_Event", layouts)
+        return (Stream(self.description.topic + EVENTS, codec, limits, tuple(self._objects)),)
 
     def events(self, now_ns: int) -> Iterator[Event]:
         """Yield what has happened; a response never comes before its request."""
-        response = self._records[1]
-        while (answer := self._answers.reader.next(response)) is not None:
+        while (answer := self._objects[1].next()) is not None:
             yield from self._asked(now_ns)
-            if answer.status & ANSWER_MASK == ANSWER_DONE:
-                yield self._event("response", answer, now_ns)
+            yield from self._answered(answer, now_ns)
         yield from self._asked(now_ns)
 
     def _asked(self, now_ns: int) -> Iterator[Event]:
-        while (info := self.reader.next(self._records[0])) is not None:
+        while (info := self._objects[0].next()) is not None:
             before, self._call = self._call, info.correlation
-            if before != info.correlation and not info.status & ASK_WITHDRAWN:
-                yield self._event("request", info, now_ns)
+            if before != info.correlation and not info.status & spec.ASK_WITHDRAWN:
+                yield self._event(0, info, now_ns, request=self._objects[0].view)
 
-    def _event(self, part: str, info: SlotInfo, now_ns: int) -> Event:
-        answers, served = part == "response", self.description.direction is Direction.TO_PLC
-        time_ns = now_ns
-        if info.stamp_clock == STAMP_SYSTEM and 0 < info.stamp_ns < _NO_STAMP:
-            time_ns = info.stamp_ns
+    def _answered(self, info: SlotInfo, now_ns: int) -> Iterator[Event]:
+        if info.status & spec.ANSWER_MASK == spec.ANSWER_DONE:
+            yield self._event(0, info, now_ns, response=self._objects[1].view)
+
+    def _event(self, stream: int, info: SlotInfo, now_ns: int, **part: Any) -> Event:
+        """Return an event that has a request or a response."""
+        answers, time_ns = "response" in part, _time_of(info, now_ns)
         about = {
             # REQUEST_SENT, REQUEST_RECEIVED, RESPONSE_SENT, RESPONSE_RECEIVED: as the PLC sees it.
-            "event_type": (2 if served else 3) if answers else int(served),
-            "stamp": {"sec": time_ns // 10**9 & 0x7FFFFFFF, "nanosec": time_ns % 10**9},
+            "event_type": (2 if self._served else 3) if answers else int(self._served),
+            "stamp": _stamp(time_ns),
             "client_gid": info.client if any(info.client) else self._client,
             "sequence_number": int.from_bytes(info.correlation.to_bytes(8, "little"), "little", signed=True),
         }
-        record = self.codec.layout.pack({"info": about, part: [{}]})
-        at, content = self._places[part], self._records[answers]
-        record[at : at + len(content)] = content
-        return Event(info.correlation & 0xFFFFFFFF, time_ns, self.codec.encode(record))
+        content = {name: [value] for name, value in part.items()}
+        return self._message(stream, info, now_ns, {"info": about, **content})
 
-    @property
-    def lost(self) -> int:
-        """Messages of both objects that were overwritten before they were taken."""
-        return super().lost + self._answers.lost
-
-    def still_there(self) -> bool:
-        """Return whether the names still lead to these objects."""
-        return super().still_there() and self._answers.still_there()
-
-    def untaken(self) -> int:
-        """Return how many messages the objects hold that were not taken."""
-        return super().untaken() + self._answers.untaken()
-
-    def close(self) -> None:
-        """Unmap both objects."""
-        self._answers.close()
-        super().close()
+    def _message(self, stream: int, info: SlotInfo, now_ns: int, content: Mapping[str, Any]) -> Event:
+        codec = self.streams[stream].codec
+        data = codec.encode(codec.layout.pack(content))
+        return Event(stream, info.correlation & 0xFFFFFFFF, _time_of(info, now_ns), data)
 
 
-def _event_layout(request: Layout, response: Layout) -> Layout:
-    """Return the layout of a service's events, in which the records of both parts have their places."""
-    service = request.type_name.removesuffix("_Request")
+@dataclass
+class _Goal:
+    """What was told of a goal."""
+
+    id: dict[str, Any]
+    accepted_ns: int = 0
+    asks: bool = False  # its caller asks for it to be canceled
+    agreed: bool = False
+    status: GoalStatus = GoalStatus.UNKNOWN
+
+
+class CarriedAction(CarriedService):
+    """The objects of one use of an action; ``path`` is the file of its goals.
+
+    What they tell is given as a client and a server of ROS exchange it: a goal that was accepted is asked for
+    its result; what led to a newer state is told with it.
+    """
+
+    parts = ACTION
+
+    def __init__(self, namespace: Namespace, path: Path, *, since_ns: int | None) -> None:
+        super().__init__(namespace, path, since_ns=since_ns)
+        self._goals: dict[int, _Goal] = {}  # the newest, by their calls
+
+    def _streams(self, both: Mapping[Part, _Object]) -> tuple[Stream, ...]:
+        goal, result, feedback = (one.codec.layout for one in both.values())
+        action = goal.type_name.removesuffix("_Goal")
+        store = with_interface(_merged(goal, result, feedback), action)
+        name, own = self.description.topic, self._objects
+        inner = [{"request[].goal.": goal}, {}, {"response[].result.": result}, {"feedback.": feedback}, {}]
+        limits = {part.word: one.limits for part, one in both.items()}
+        objects: list[tuple[_Object, ...]] = [(own[0],), (), (own[1],), (own[2],), ()]
+        return tuple(
+            Stream(
+                name + ending,
+                _codec(store, kind.format(action), parts, sequence=1),
+                limits,
+                of,
+                STATUS_QOS if ending.endswith("status") else DEFAULT,
+            )
+            for (ending, kind), parts, of in zip(_TOPICS.items(), inner, objects, strict=True)
+        )
+
+    def events(self, now_ns: int) -> Iterator[Event]:
+        """Yield what has happened, in the order of a goal's life."""
+        yield from super().events(now_ns)
+        yield from self._fed(now_ns)
+
+    def _asked(self, now_ns: int) -> Iterator[Event]:
+        while (info := self._objects[0].next()) is not None:
+            goal, withdrawn = self._goals.get(info.correlation), info.status & spec.ASK_WITHDRAWN
+            if goal is None:
+                goal = self._add(info)
+                if not withdrawn:
+                    request = {**goal.id, "goal": self._objects[0].view}
+                    yield self._event(_SEND, info, now_ns, request=request)
+            asks = bool(info.status & spec.ASK_CANCEL) and not withdrawn
+            if asks and not goal.asks:
+                yield self._event(_CANCEL, info, now_ns, request={"goal_info": goal.id})
+            goal.asks = asks
+
+    def _add(self, info: SlotInfo) -> _Goal:
+        if len(self._goals) >= _MOST_GOALS:
+            del self._goals[next(iter(self._goals))]
+        goal = self._goals[info.correlation] = _Goal({"goal_id": {"uuid": bytes(info.client)}})
+        return goal
+
+    def _answered(self, info: SlotInfo, now_ns: int) -> Iterator[Event]:
+        status, goal = info.status & spec.ANSWER_MASK, self._goals.get(info.correlation)
+        if goal is None:  # it was accepted before the recording began, for all that is known
+            goal = self._add(info)
+            goal.accepted_ns = _time_of(info, now_ns)
+        end = _ENDS.get(status)
+        if status == spec.ANSWER_NOT_EXECUTED and (self._served or info.reason == Reason.REJECTED):
+            yield self._event(_SEND, info, now_ns, response={"accepted": False})
+        if end is None and status != spec.ANSWER_ACCEPTED:
+            return
+        if not goal.accepted_ns:
+            goal.accepted_ns = _time_of(info, now_ns)
+            accepted = {"accepted": True, "stamp": _stamp(goal.accepted_ns)}
+            yield self._event(_SEND, info, now_ns, response=accepted)
+            yield self._event(_GET, info, now_ns, request=goal.id)
+        known = {**goal.id, "stamp": _stamp(goal.accepted_ns)}
+        agreed = bool(info.status & spec.ANSWER_CANCEL_ACCEPTED) or end is GoalStatus.CANCELED
+        if agreed and not goal.agreed:
+            goal.agreed = True
+            yield self._event(_CANCEL, info, now_ns, response={"goals_canceling": [known]})
+        elif info.status & spec.ANSWER_CANCEL_REJECTED and goal.asks:
+            goal.asks = False  # the caller may ask again
+            yield self._event(_CANCEL, info, now_ns, response={"return_code": CancelCode.REJECTED})
+        if end is not None:
+            yield from self._fed(now_ns)
+        before, goal.status = goal.status, end or (GoalStatus.EXECUTING, GoalStatus.CANCELING)[goal.agreed]
+        if goal.status is not before:
+            content = {"status_list": [{"goal_info": known, "status": goal.status}]}
+            yield self._message(_STATUS, info, now_ns, content)
+        if end is not None and not info.status & spec.ANSWER_NO_RESULT:
+            response = {"status": end, "result": self._objects[1].view}
+            yield self._event(_GET, info, now_ns, response=response)
+
+    def _fed(self, now_ns: int) -> Iterator[Event]:
+        while (info := self._objects[2].next()) is not None:
+            message = {"goal_id": {"uuid": bytes(info.client)}, "feedback": self._objects[2].view}
+            yield self._message(_FEEDBACK, info, now_ns, message)
+
+
+_SEND, _CANCEL, _GET, _FEEDBACK, _STATUS = range(len(_TOPICS))
+
+
+def _time_of(info: SlotInfo, now_ns: int) -> int:
+    usable = info.stamp_clock == spec.STAMP_SYSTEM and 0 < info.stamp_ns < _NO_STAMP
+    return info.stamp_ns if usable else now_ns
+
+
+def _stamp(time_ns: int) -> dict[str, int]:
+    return {"sec": time_ns // 10**9 & 0x7FFFFFFF, "nanosec": time_ns % 10**9}
+
+
+def with_interface(store: TypeStore, name: str) -> TypeStore:
+    """Return a store that knows a service or action, of whose parts it has the messages, as well."""
+    if "/action/" in name:
+        store = store.with_types_of(TypeStore.bundled("jazzy"), *_COMMON)
+    return store.with_events(name)
+
+
+def _merged(*layouts: Layout) -> TypeStore:
     types: dict[str, MessageType] = {}
+    for one in layouts:
+        types |= {each: one.store[each] for each in one.store.dependencies(one.type_name)}
+    return TypeStore("", types)
+
+
+def _codec(store: TypeStore, type_name: str, parts: Mapping[str, Layout], **limits: int) -> Codec:
+    """Return the codec of a message that repeats others, each with the capacities of its own layout."""
     capacities: dict[str, int] = {}
-    for name, part in (("request", request), ("response", response)):
-        types |= {each: part.store[each] for each in part.store.dependencies(part.type_name)}
+    for name, part in parts.items():
         for path, _, node in part.fields():
             if isinstance(node, StringNode | SequenceNode):
-                capacities[f"{name}[].{path}"] = node.capacity
-    store = TypeStore("", types).with_events(service)
-    return compute_layout(store, f"{service}_Event", Limits(fields=capacities))
+                capacities[name + path] = node.capacity
+    return Codec(compute_layout(store, type_name, Limits(fields=capacities, **limits)), Wire.CDR)
 
 
-def channel_info(carried: CarriedChannel, number: int, prefix: str, qos: Qos | None) -> ChannelInfo:
-    """Return how a file names a channel; ``qos`` None where no configuration says it."""
-    description, layout = carried.description, carried.codec.layout
-    topic, definition = description.part is Part.TOPIC, layout.store.definition_text(layout.type_name)
-    # Which QoS the bridge uses is in its configuration alone; these are its defaults.
-    qos = qos or (LATCHED if topic and description.direction is Direction.TO_ROS else DEFAULT)
+def channel_info(carried: Carried, stream: Stream, number: int, prefix: str, qos: Qos | None) -> ChannelInfo:
+    """Return how a file names a stream; ``qos`` None where no configuration says it."""
+    description, layout = carried.description, stream.codec.layout
+    definition = layout.store.definition_text(layout.type_name)
     metadata = {
-        "offered_qos_profiles": qos_text(qos),
+        "offered_qos_profiles": qos_text(qos or stream.qos),
         "topic_type_hash": layout.store.type_hash(layout.type_name),
         # What a replay needs to make the same channel again.
         "rosplc.direction": description.direction.word,
-        "rosplc.limits": json.dumps(carried.limits),
+        "rosplc.limits": json.dumps(stream.limits),
         "rosplc.layout_id": layout.layout_id,
         "rosplc.slots": str(carried.slots),
         "rosplc.distro": description.distro,
@@ -243,11 +450,23 @@ def channel_info(carried: CarriedChannel, number: int, prefix: str, qos: Qos | N
         "rosplc.prefix": prefix,
     }
     schema = definition.encode(), "ros2msg"
-    if not topic:
+    if description.part is not Part.TOPIC:
         # In .msg text, readers do not find the parts of services by their names.
-        metadata["rosplc.definition"] = definition
+        action = action_of(stream.topic, layout.type_name) and layout.type_name.removesuffix(
+            "_SendGoal_Event"
+        )
+        metadata["rosplc.definition"] = _action_text(layout.store, action) if action else definition
         schema = _idl(layout.store, layout.type_name).encode(), "ros2idl"
-    return ChannelInfo(number, carried.topic, layout.type_name, schema[1], schema[0], "cdr", metadata)
+    return ChannelInfo(number, stream.topic, layout.type_name, schema[1], schema[0], "cdr", metadata)
+
+
+def _action_text(store: TypeStore, action: str) -> str:
+    """Return the definition of a message that has an action's parts, for a replay to know them all."""
+    parts = store.action(action)
+    fields = {"goal": parts.goal, "result": parts.result, "feedback": parts.feedback}
+    own = MessageType(action, tuple(Field(name, NamedType(part.name)) for name, part in fields.items()))
+    needed = (each for part in fields.values() for each in store.dependencies(part.name))
+    return TypeStore("", {action: own, **{each: store[each] for each in needed}}).definition_text(action)
 
 
 def _idl(store: TypeStore, name: str) -> str:

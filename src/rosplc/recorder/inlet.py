@@ -16,7 +16,16 @@ from pathlib import Path
 
 from rosplc.clock import SYSTEM, Clock
 from rosplc.errors import ChannelError
-from rosplc.recorder.carried import EVENTS, CarriedChannel, CarriedService, Event, channel_info
+from rosplc.recorder.carried import (
+    Carried,
+    CarriedAction,
+    CarriedService,
+    Event,
+    Stream,
+    channel_info,
+    recorded_name,
+    topics_of,
+)
 from rosplc.recorder.mcap_file import Batch, ChannelInfo, Compression, SealedChunk, seal
 from rosplc.ros import Qos
 from rosplc.shm import Group, Namespace, Part
@@ -27,7 +36,9 @@ from rosplc.shm.constants import STAMP_SYSTEM
 class Selection:
     """Names or patterns of topics, such as ``/robot1/*``; without ``topics`` all but those of ``exclude``."""
 
-    topics: tuple[str, ...] = ()  # a * also matches slashes; a service's name means its events
+    topics: tuple[
+        str, ...
+    ] = ()  # a * also matches slashes; a service's or action's name means all topics of it
     exclude: tuple[str, ...] = ()
 
     def __contains__(self, topic: str) -> bool:
@@ -42,11 +53,11 @@ class Selection:
 
 def _matches(topic: str, patterns: Iterable[str]) -> bool:
     absolute = (one if one.startswith(("/", "*")) else f"/{one}" for one in patterns)
-    return any(fnmatchcase(topic.removesuffix(EVENTS), one.removesuffix(EVENTS)) for one in absolute)
+    return any(fnmatchcase(topic, one) or fnmatchcase(recorded_name(topic), one) for one in absolute)
 
 
-OnMessage = Callable[[CarriedChannel, bytes, int], None]
-"""Called by the taking thread with a channel, a message's CDR and the time; it must be quick."""
+OnMessage = Callable[[Stream, bytes, int], None]
+"""Called by the taking thread with a stream, a message's CDR and the time; it must be quick."""
 
 _TICK_NS = 1_000_000
 _LONGEST_WAIT_NS = 200_000_000
@@ -66,30 +77,44 @@ class TopicCount:
 
 
 @dataclass(eq=False)
-class _Entry:
-    """A channel in the taking thread's hands."""
+class _Line:
+    """A stream, and the channel of the file that has it."""
 
-    carried: CarriedChannel
+    stream: Stream
     number: int
-    name: str
     count: TopicCount
     on_message: OnMessage | None
-    indices: list[int] = field(default_factory=list)
-    broken: bool = False
     lost: int = 0
-    first: bool = True
 
     def note_losses(self) -> None:
-        lost = self.carried.lost
+        lost = self.stream.lost
         self.count.lost += lost - self.lost
         self.lost = lost
+
+
+@dataclass(eq=False)
+class _Entry:
+    """What the taking thread has in hand; ``lines`` are None for streams that are not selected."""
+
+    carried: Carried
+    lines: list[_Line | None]
+    indices: list[int] = field(default_factory=list)
+    broken: bool = False
+    first: bool = True
+
+    def chosen(self) -> list[_Line]:
+        return [line for line in self.lines if line is not None]
+
+    def note_losses(self) -> None:
+        for line in self.chosen():
+            line.note_losses()
 
 
 class Inlet:
     """Reads the channels of one prefix; :meth:`start` begins, :meth:`stop` ends.
 
     The taking thread gives each batch to ``put`` when it has ``chunk_bytes``, or after ``flush_ns``. ``qos``
-    is topic → QoS, as far as it is configured; ``watch`` is given a channel that is being attached, and
+    is topic → QoS, as far as it is configured; ``watch`` is given a stream that is being attached, and
     returns what its messages are shown to, or None. ``clock`` also stamps the messages.
     """
 
@@ -102,7 +127,7 @@ class Inlet:
         chunk_bytes: int,
         flush_ns: int,
         qos: Mapping[str, Qos] | None = None,
-        watch: Callable[[CarriedChannel], OnMessage | None] = lambda _: None,
+        watch: Callable[[Stream], OnMessage | None] = lambda _: None,
         clock: Clock = SYSTEM,
     ) -> None:
         self._clock = clock
@@ -159,44 +184,48 @@ class Inlet:
                 self._jobs.append(lambda entry=entry: self._drop(entry))  # type: ignore[misc]
         now = self._clock.monotonic_ns()
         for name, part in self._namespace.objects():
-            if part not in (Part.TOPIC, Part.REQUEST):
-                continue
             if name in self._entries or name in self._skipped or now < self._retry_at.get(name, 0):
                 continue
-            self._open(name, part, now)
+            if part in (Part.TOPIC, Part.REQUEST, Part.GOAL):
+                self._open(name, part, now)
         self._group.wake()
 
     def _open(self, name: str, part: Part, now: int) -> None:
         found = self._namespace.name_of(name)
-        if found is not None and found[0] not in self._selection:
+        if found is not None and not any(topic in self._selection for topic in topics_of(found[0], part)):
             self._skipped.add(name)
             return
         path, since = Path(self._namespace.directory) / name, self._began_ns if self._started else None
         try:
-            carried: CarriedChannel
             if part is Part.TOPIC:
-                carried = CarriedChannel(path, since_ns=since)
+                carried = Carried(path, since_ns=since)
             else:
-                carried = CarriedService(self._namespace, path, since_ns=since)
+                kind = CarriedAction if part is Part.GOAL else CarriedService
+                carried = kind(self._namespace, path, since_ns=since)
         except ChannelError as error:
             self._retry_at[name] = now + _RETRY_NS
             if error.code not in ("SHM101", "SHM111"):  # those are about to be replaced, or gone
                 self.failures[name] = error
             return
         self.failures.pop(name, None)
-        if carried.topic not in self._selection:
+        lines = [
+            self._line(carried, one) if one.topic in self._selection else None for one in carried.streams
+        ]
+        if not any(lines):
             carried.close()
             self._skipped.add(name)
             return
-        count = self.counts.setdefault(carried.topic, TopicCount(carried.codec.layout.type_name))
-        entry = _Entry(carried, self._number(carried), name, count, self._watch(carried))
-        self._entries[name] = entry
+        entry = self._entries[name] = _Entry(carried, lines)
         self._jobs.append(lambda: self._add(entry))
 
-    def _number(self, carried: CarriedChannel) -> int:
+    def _line(self, carried: Carried, stream: Stream) -> _Line:
+        count = self.counts.setdefault(stream.topic, TopicCount(stream.codec.layout.type_name))
+        return _Line(stream, self._number(carried, stream), count, self._watch(stream))
+
+    def _number(self, carried: Carried, stream: Stream) -> int:
         """Return the channel's id: the same again after a restart, another one for another layout."""
-        prefix, qos = self._namespace.prefix, self._qos.get(carried.topic)
-        info = channel_info(carried, len(self.channels) + 1, prefix, qos)
+        prefix, qos = self._namespace.prefix, self._qos.get(stream.topic)
+        info = channel_info(carried, stream, len(self.channels) + 1, prefix, qos)
         key = (info.topic, info.schema, info.metadata["rosplc.layout_id"])
         number = self._numbers.setdefault(key, info.id)
         self.channels.setdefault(number, info)
@@ -217,8 +246,9 @@ class Inlet:
             self._group.remove(index)
             del self._by_index[index]
         entry.note_losses()
-        # A retired object gives nothing out any more, also what was not taken yet.
-        entry.count.lost += entry.carried.untaken()
+        for line in entry.chosen():
+            # A retired object gives nothing out any more, also what was not taken yet.
+            line.count.lost += entry.carried.untaken(line.stream)
         entry.carried.close()
 
     def _run(self) -> None:
@@ -247,7 +277,7 @@ class Inlet:
                 if isinstance(fault, ChannelError):
                     entry.broken = True  # retired or damaged: look_after opens the name again
                 else:
-                    entry.count.refused += 1
+                    entry.chosen()[0].count.refused += 1
             # Behind the taking: what an object that is let go of still held has been taken.
             while self._jobs:
                 self._jobs.popleft()()
@@ -268,15 +298,18 @@ class Inlet:
             if message and entry.first:
                 entry.first = False
                 if entry.carried.since_creation and sequence < _LOSS:
-                    entry.count.lost += sequence - 1  # overwritten before the new object was found
+                    # overwritten before the new object was found
+                    entry.chosen()[0].count.lost += sequence - 1
             # A stamp by the PLC's own clock would look like one by this clock.
             usable = stamp_clock == STAMP_SYSTEM and 0 < stamp_ns < _NO_TIME
-            own = ((sequence, stamp_ns if usable else now, message),)
-            for number, sent_ns, data in own if message else self._events(entry, now):
-                entry.count.received += 1
-                add(entry.number, number, now, sent_ns, data)
-                if entry.on_message is not None:
-                    entry.on_message(entry.carried, data, now)
+            own = ((0, sequence, stamp_ns if usable else now, message),)
+            for stream, number, sent_ns, data in own if message else self._events(entry, now):
+                if (line := entry.lines[stream]) is None:
+                    continue
+                line.count.received += 1
+                add(line.number, number, now, sent_ns, data)
+                if line.on_message is not None:
+                    line.on_message(line.stream, data, now)
         return len(batch.data) > before
 
     def _events(self, entry: _Entry, now: int) -> list[Event]:

@@ -25,7 +25,7 @@ from rosplc.errors import RecordingError
 from rosplc.layout import Layout, RecordView
 from rosplc.layout.nodes import ArrayNode, SequenceNode, StringNode
 from rosplc.monitor import Event
-from rosplc.recorder.carried import CarriedChannel
+from rosplc.recorder.carried import Stream
 from rosplc.recorder.inlet import OnMessage
 
 _KINDS = {"stale": ("stale",), "error": ("refused", "lost", "plc-gone", "bridge-gone", "unreadable")}
@@ -144,13 +144,13 @@ class Triggers:
         """Return what has fired since the last call."""
         return [self._fired.popleft() for _ in range(len(self._fired))]
 
-    def watch(self, carried: CarriedChannel) -> OnMessage | None:
-        """Return what a channel's messages are to be shown to, or None; a wrong field is a problem."""
+    def watch(self, stream: Stream) -> OnMessage | None:
+        """Return what a stream's messages are to be shown to, or None; a wrong field is a problem."""
         mine = []
         for condition in self.conditions:
-            if condition.topic == carried.topic:
+            if condition.topic == stream.topic:
                 try:
-                    condition.check(carried.codec.layout)
+                    condition.check(stream.codec.layout)
                 except RecordingError as error:
                     self.problems.append(error)
                 else:
@@ -159,8 +159,8 @@ class Triggers:
             return None
         held = [True] * len(mine)  # what holds from the first message on has not become true
 
-        def look(channel: CarriedChannel, data: bytes, time_ns: int) -> None:
-            message = channel.codec.layout.view(channel.codec.decode(data))
+        def look(stream: Stream, data: bytes, time_ns: int) -> None:
+            message = stream.codec.layout.view(stream.codec.decode(data))
             for at, condition in enumerate(mine):
                 before, held[at] = held[at], condition.holds(message)
                 if held[at] and not before:
