@@ -21,8 +21,25 @@ WARNINGS = ["-O2", "-Wall", "-Wextra", "-Wshadow", "-Wconversion", "-pedantic", 
 TWIST = "geometry_msgs/msg/Twist"
 
 
+SANITIZE = ["-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+BLOCKS = rosplc.include_dir() / "rosplc" / "plc.c"
+# What plc.c may ask of the C library: to open and to close, and to copy.
+NEEDED = {
+    "open",
+    "fstat",
+    "pread",
+    "mmap",
+    "munmap",
+    "close",
+    "getrandom",
+    "memcpy",
+    "memset",
+    "__errno_location",
+}
+
+
 def compile_with(language: str, source: Path, program: Path, *options: str) -> None:
-    command = [*COMPILERS[language], *WARNINGS, f"-I{rosplc.include_dir()}", *options, str(source)]
+    command = [*COMPILERS[language], *WARNINGS, f"-I{rosplc.include_dir()}", str(source), *options]
     done = subprocess.run([*command, "-o", str(program)], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
 
@@ -38,8 +55,8 @@ def test_every_header_compiles_alone(language: str, tmp_path: Path) -> None:
 
 
 @contextmanager
-def running(program: Path, prefix: str) -> Iterator[subprocess.Popen[str]]:
-    child = subprocess.Popen([str(program), prefix], stdout=subprocess.PIPE, text=True)
+def running(command: list[str]) -> Iterator[subprocess.Popen[str]]:
+    child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
         yield child
     finally:
@@ -47,15 +64,57 @@ def running(program: Path, prefix: str) -> Iterator[subprocess.Popen[str]]:
         child.communicate()
 
 
+def compile_example(name: str, language: str, folder: Path, *options: str) -> None:
+    rosplc.generate(EXAMPLE / "rosplc.yaml", folder / "plc")
+    sources = [str(BLOCKS)] if name == "blocks.c" else []
+    compile_with(language, EXAMPLE / name, folder / "echo", f"-I{folder / 'plc'}", *sources, *options)
+
+
 @pytest.mark.parametrize("language", COMPILERS)
+def test_the_blocks_allocate_nothing(language: str, tmp_path: Path) -> None:
+    """What plc.c calls is what opens, closes and copies; no allocator, lock or clock is among it."""
+    compile_with(language, BLOCKS, tmp_path / "plc.o", "-c", "-fno-stack-protector", "-U_FORTIFY_SOURCE")
+    done = subprocess.run(["nm", "-u", tmp_path / "plc.o"], capture_output=True, text=True, check=True)
+    called = {line.split()[-1].partition("@")[0] for line in done.stdout.splitlines()}
+    assert called - {"_GLOBAL_OFFSET_TABLE_"} == NEEDED
+
+
+def test_the_blocks_make_no_system_call_once_open(tmp_path: Path, shm_namespace: Namespace) -> None:
+    """The kernel kills this program for any system call behind opening, and it reads and writes on."""
+    rosplc.generate(EXAMPLE / "rosplc.yaml", tmp_path / "plc")
+    source = Path(__file__).with_name("no_system_call.c")
+    compile_with("C11", source, tmp_path / "silent", f"-I{tmp_path / 'plc'}", str(BLOCKS))
+    prefix = shm_namespace.prefix
+    with (
+        rosplc.bind("/cmd_vel", TWIST, prefix=prefix) as to_plc,
+        rosplc.bind("/cmd_vel_echo", TWIST, "to_ros", prefix=prefix) as to_ros,
+        running([str(tmp_path / "silent"), prefix]) as child,
+    ):
+        answers: list[Any] = []
+        repeat_until(
+            lambda: to_plc.write({"linear": {"x": 3.0}}),
+            lambda: answers.append(to_ros.read()) or child.poll() is not None,
+            "the program's end",
+            every=0.01,
+        )
+        assert child.returncode == 0
+        assert any(answers)
+
+
+@pytest.mark.parametrize(
+    ("name", "language", "options"),
+    [
+        *(("echo.c", language, []) for language in COMPILERS),
+        *(("blocks.c", language, SANITIZE) for language in COMPILERS),
+    ],
+)
 def test_the_example_answers_and_outlives_its_channels(
-    language: str, tmp_path: Path, shm_namespace: Namespace
+    name: str, language: str, options: list[str], tmp_path: Path, shm_namespace: Namespace
 ) -> None:
     """It starts before the bridge, answers each message, and follows both channels when they are replaced."""
-    rosplc.generate(EXAMPLE / "rosplc.yaml", tmp_path / "plc")
-    compile_with(language, EXAMPLE / "echo.c", tmp_path / "echo", f"-I{tmp_path / 'plc'}")
+    compile_example(name, language, tmp_path, *options)
     prefix = shm_namespace.prefix
-    with running(tmp_path / "echo", prefix) as child:
+    with running([str(tmp_path / "echo"), prefix]) as child:
         for slots in (4, 8):  # another geometry: the object is replaced
             with (
                 rosplc.bind("/cmd_vel", TWIST, prefix=prefix, slots=slots) as to_plc,

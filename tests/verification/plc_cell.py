@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import struct
 import tempfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import lru_cache
 from pathlib import Path
 from types import TracebackType
@@ -160,14 +160,21 @@ class Blocks:
 class Cell(Blocks):
     """A folder of shared memory, the bridge's channels in it, and a PLC; a context manager."""
 
-    def __init__(self, machine_of: Build | None = None, machine: Machine | None = None) -> None:
+    def __init__(
+        self, machine_of: Build | None = None, machine: Machine | Callable[[str], Any] | None = None
+    ) -> None:
         self.folder = Path(tempfile.mkdtemp(prefix="T", dir="/dev/shm"))
         self.namespace = Namespace("rosplc", str(self.folder))
         self.channels: list[OwnedChannel] = []
-        built = machine_of or cell_build()
-        kind = ProcessMachine if built.toolchain.runner else LibraryMachine
-        self.machine = machine or kind(built, str(self.folder))
-        if machine is None:
+        if isinstance(machine, Machine):
+            self.machine = machine
+        elif machine is not None:
+            self.machine = machine(str(self.folder))
+        else:
+            built = machine_of or cell_build()
+            kind = ProcessMachine if built.toolchain.runner else LibraryMachine
+            self.machine = kind(built, str(self.folder))
+        if not isinstance(machine, Machine):
             self.machine.start()
             for topic in ("/out", "/out2"):
                 self.set(topic, "xEnable", True)

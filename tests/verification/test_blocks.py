@@ -103,7 +103,7 @@ def test_a_second_caller_shows_for_ten_seconds(cell: Cell) -> None:
 def test_an_error_has_number_name_and_text(cell: Cell) -> None:
     """The three agree; the version and the layout are visible beside them."""
     cell.until("/plain", "udiError", 101)
-    assert cell.get("/plain", "xError", "eError") == (True, ErrorNumber.NO_OBJECT)
+    assert cell.get("/plain", "xError", "eError", "udiResult") == (True, ErrorNumber.NO_OBJECT, 16)
     assert cell.get("/plain", "sState") == "101 object does not exist"
     assert cell.machine.get("RosPlc_Settings.sVersion") == __version__
     writer = cell.channel("/plain").writer()
