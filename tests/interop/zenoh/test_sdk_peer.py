@@ -224,5 +224,6 @@ def test_the_sdk_is_called(node: Backend, sdk: SdkPeer) -> None:
     wait_for(lambda: len(replies) == 5)
     answers = {number: text_of(b"\0\1\0\0" + (reply.payload or b"")[8:]) for number, reply in replies.items()}
     assert answers == {number: str(number) for number in range(5)}
+    wait_for(lambda: len(inbox.messages) >= 5, "the server's own words")
     assert sorted(message["load_namespace"] for message in inbox.messages) == list("01234")
     client.close()
