@@ -30,7 +30,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent
 if importlib.util.find_spec("rclpy"):  # a real one: its traffic stays on this machine
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-FOREIGN = ("tests/deploy", "tests/interop")
+FOREIGN = ("tests/deploy", "tests/interop", "tests/unit/bench", "tests/unit/benchmarks")
 MISSING_PACKAGE = "Debian package "
 DEFAULT_MINUTES = 2.0
 

@@ -193,6 +193,7 @@ def test_name_that_is_taken(
     assert bridge.stop() == 0
 
 
+@pytest.mark.foreign
 def test_name_that_another_bridge_holds(config: Callable[..., Path], run: Callable[..., Bridge]) -> None:
     """A second bridge says who holds the name, and the first goes on."""
     path = config()
@@ -240,6 +241,7 @@ def test_directory_that_cannot_take_an_object(config: Callable[..., Path], optio
     assert (done.returncode, done.stderr.count(f"rosplc: error {code}")) == (1, 1), done.stderr
 
 
+@pytest.mark.foreign
 def test_objects_removed_under_a_running_bridge(
     config: Callable[..., Path], run: Callable[..., Bridge], shm_namespace: Namespace
 ) -> None:
@@ -254,6 +256,7 @@ def test_objects_removed_under_a_running_bridge(
     assert bridge.stop() == 0
 
 
+@pytest.mark.foreign
 def test_more_topics_than_files(config: Callable[..., Path]) -> None:
     """A limit on open files is asked to be lifted, and named where it cannot be."""
     topics = "".join(f"  /t{index}: {{type: std_msgs/Bool, to: plc}}\n" for index in range(80))
@@ -272,6 +275,7 @@ def test_more_topics_than_files(config: Callable[..., Path]) -> None:
 # -- the ROS side
 
 
+@pytest.mark.foreign
 def test_peers_that_do_not_fit(
     config: Callable[..., Path],
     run: Callable[..., Bridge],
@@ -336,6 +340,7 @@ def test_peers_that_do_not_fit(
     assert bridge.stop() == 0
 
 
+@pytest.mark.foreign
 def test_garbage_on_the_wire(
     config: Callable[..., Path],
     run: Callable[..., Bridge],
@@ -365,6 +370,7 @@ def test_garbage_on_the_wire(
     assert bridge.stop() == 0
 
 
+@pytest.mark.foreign
 @pytest.mark.parametrize(
     ("name", "value"),
     [("ROS_DOMAIN_ID", "abc"), ("ROS_DOMAIN_ID", "233"), ("ROS_STATIC_PEERS", "host.invalid")],
@@ -381,6 +387,7 @@ def test_environment(config: Callable[..., Path], run: Callable[..., Bridge], na
 # -- signals
 
 
+@pytest.mark.foreign
 @pytest.mark.parametrize("numbers", [(signal.SIGTERM,), (signal.SIGINT, signal.SIGINT)])
 def test_signals(config: Callable[..., Path], run: Callable[..., Bridge], numbers: tuple[int, ...]) -> None:
     """A signal, also one that comes to the process and to its group, is a clean stop."""

@@ -119,6 +119,7 @@ def image(namespace: Namespace) -> dict[str, tuple[bytes, int, int]]:
     return result
 
 
+@pytest.mark.foreign
 def test_a_machine_alone() -> None:
     """Without a configuration the machine is examined, and the exit status says whether there is an error."""
     done = rosplc("doctor", "--json")
@@ -164,6 +165,7 @@ def test_a_killed_bridge(
     wait_for(lambda: shown(doctor(path), fine) == fine, "the next bridge to beat")
 
 
+@pytest.mark.foreign
 def test_a_bridge_that_stands_still(
     config: Callable[..., Path], bridges: list[Bridge], shm_namespace: Namespace
 ) -> None:
@@ -184,6 +186,7 @@ def test_a_bridge_that_stands_still(
     wait_for(lambda: levels(doctor(path), "DOC601") == ["ok"], "the bridge to beat")
 
 
+@pytest.mark.foreign
 def test_an_older_configuration_runs(
     config: Callable[..., Path], bridges: list[Bridge], shm_namespace: Namespace
 ) -> None:
@@ -195,6 +198,7 @@ def test_an_older_configuration_runs(
     assert f"{INT} there, {LONG} here" in finding["seen"]
 
 
+@pytest.mark.foreign
 def test_a_classic_topic(
     config: Callable[..., Path], bridges: list[Bridge], shm_namespace: Namespace
 ) -> None:
@@ -216,6 +220,7 @@ def test_a_classic_topic(
             (Path(shm_namespace.directory) / left).unlink(missing_ok=True)
 
 
+@pytest.mark.foreign
 def test_generated_code(config: Callable[..., Path], bridges: list[Bridge], shm_namespace: Namespace) -> None:
     """Generated code is compared with configuration and running bridge; a changed limit is named."""
     text = "  /in: {type: std_msgs/msg/String, to: plc, limits: {data: 40}}\n"
@@ -258,6 +263,7 @@ class Plc:
             block.close()
 
 
+@pytest.mark.foreign
 def test_everything_runs(
     config: Callable[..., Path], bridges: list[Bridge], shm_namespace: Namespace
 ) -> None:

@@ -33,6 +33,7 @@ def carry(folder: Path, text: str, order: dict[str, Any]) -> tuple[dict[str, Any
     return ros, plc
 
 
+@pytest.mark.foreign
 @pytest.mark.timeout(240)
 @pytest.mark.parametrize(
     ("rate", "seconds"),
@@ -62,6 +63,7 @@ def test_nothing_is_lost_where_depth_allows_it(
     assert ros["refused"] == 0
 
 
+@pytest.mark.foreign
 @pytest.mark.timeout(240)
 @pytest.mark.parametrize(
     ("rate", "seconds"),

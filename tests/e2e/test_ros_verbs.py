@@ -60,6 +60,7 @@ def published(command: Command) -> Iterator[None]:
     assert process.returncode == 130
 
 
+@pytest.mark.foreign
 @pytest.mark.usefixtures("published")
 def test_a_published_topic_is_listed_echoed_and_timed(command: Command) -> None:
     """The type is taken from the graph."""

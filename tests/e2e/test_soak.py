@@ -33,6 +33,7 @@ def campaign(folder: Path, *options: str) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.foreign
 def test_a_few_rounds(tmp_path: Path) -> None:
     """Kills, stops, removed objects and reloads leave nothing torn, invented, uncounted or behind."""
     words = ("kill -9 bridge", "stop bridge", "reloaded", "refused", "all files", "full", "flood")

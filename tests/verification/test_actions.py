@@ -12,19 +12,19 @@ from rosplc.shm import constants as spec
 from rosplc.shm.constants import READER_LINE, ErrorNumber, reader_line
 from tests.verification.call_cell import ActionCaller, ActionServer, CallCell, made_cell
 from tests.verification.plc_cell import needs_armhf
-from tests.verification.test_services import ABORTED, BUSY, CALL, DONE, ENDS, ERROR, IDLE
+from tests.verification.test_services import ABORTED, BUSY, CALL, DELAYED, DONE, ENDS, ERROR, IDLE
 
 CANCEL, PREEMPT, WITHDRAWN = spec.ASK_CANCEL, spec.ASK_PREEMPT, spec.ASK_WITHDRAWN
 UNKNOWN, EXECUTING, CANCELING, SUCCEEDED, CANCELED, ABORTED_GOAL = 0, 2, 3, 4, 5, 6
 
 
-@pytest.fixture(params=["fences", "delayed", "virtual", pytest.param("armhf", marks=needs_armhf)])
+@pytest.fixture(params=["fences", DELAYED, "virtual", pytest.param("armhf", marks=needs_armhf)])
 def cell(request: pytest.FixtureRequest) -> Iterator[CallCell]:
     with made_cell(request.param) as made:
         yield made
 
 
-@pytest.fixture(params=["fences", "delayed"])
+@pytest.fixture(params=["fences", DELAYED])
 def plc(request: pytest.FixtureRequest) -> Iterator[CallCell]:
     """A cell that only a PLC makes: with online changes."""
     with made_cell(request.param) as made:

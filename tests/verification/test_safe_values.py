@@ -68,6 +68,7 @@ def machine(request: pytest.FixtureRequest) -> Iterator[Machine]:
     shutil.rmtree(folder)
 
 
+@pytest.mark.foreign
 def test_the_safe_message_is_what_the_configuration_says(machine: Machine) -> None:
     """Each message has exactly the record that the configuration's value gives, from the first scan on."""
     machine.scan(READ, step=10)

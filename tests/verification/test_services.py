@@ -13,6 +13,7 @@ from rosplc.shm.constants import ErrorNumber
 from tests.verification.call_cell import CallCell, Caller, Server, made_cell
 from tests.verification.plc_cell import needs_armhf
 
+DELAYED = pytest.param("delayed", marks=pytest.mark.foreign)
 ENDS = ("xDone", "xBusy", "xError", "xAborted")
 DONE, BUSY, ERROR, ABORTED, IDLE = (
     tuple(name == one for name in ENDS) for one in ("xDone", "xBusy", "xError", "xAborted", "")
@@ -20,13 +21,13 @@ DONE, BUSY, ERROR, ABORTED, IDLE = (
 CALL, WITHDRAWN = spec.ASK_CALL, spec.ASK_CALL + spec.ASK_WITHDRAWN
 
 
-@pytest.fixture(params=["fences", "delayed", "virtual", pytest.param("armhf", marks=needs_armhf)])
+@pytest.fixture(params=["fences", DELAYED, "virtual", pytest.param("armhf", marks=needs_armhf)])
 def cell(request: pytest.FixtureRequest) -> Iterator[CallCell]:
     with made_cell(request.param) as made:
         yield made
 
 
-@pytest.fixture(params=["fences", "delayed"])
+@pytest.fixture(params=["fences", DELAYED])
 def plc(request: pytest.FixtureRequest) -> Iterator[CallCell]:
     """A cell that only a PLC makes: with online changes."""
     with made_cell(request.param) as made:

@@ -263,7 +263,7 @@ def campaign(
 
 @pytest.mark.parametrize("kind", [Calling, Serving])
 @pytest.mark.parametrize("rule", ["32-bit-with-barrier", "delayed"])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(n, marks=pytest.mark.foreign) for n in (1, 2))])
 def test_at_most_once(folder: Path, kind: type[Calling | Serving], rule: str, seed: int) -> None:
     """Whatever is stopped, killed or replaced, at whichever fence."""
     ledger = campaign(folder, kind, rule, seed)
@@ -302,6 +302,7 @@ SABOTAGES = {
 }
 
 
+@pytest.mark.foreign
 @pytest.mark.parametrize("name", SABOTAGES)
 def test_a_rule_that_is_left_out_is_found(folder: Path, name: str) -> None:
     """The checker fails where the blocks leave a rule out."""

@@ -25,7 +25,6 @@ def bench(*arguments: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-@pytest.mark.foreign
 def test_a_quick_run_is_measured_checked_and_shown_again(tmp_path: Path) -> None:
     """One contender is measured and its values checked; the report alone is enough for the verdict."""
     done = bench(*QUICK, "rosplc-python", "--json")
@@ -44,7 +43,6 @@ def test_a_quick_run_is_measured_checked_and_shown_again(tmp_path: Path) -> None
     assert "rosplc takes" in again.stdout
 
 
-@pytest.mark.foreign
 def test_the_files_of_a_run(tmp_path: Path) -> None:
     """A folder gets the report, a page whose tables all say how one waited, and the figures it shows."""
     if shutil.which("gcc") is None:
@@ -60,7 +58,6 @@ def test_the_files_of_a_run(tmp_path: Path) -> None:
     assert json.loads((folder / "report.json").read_text())["schema"] == SCHEMA
 
 
-@pytest.mark.foreign
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -75,7 +72,6 @@ def test_wrong_names_are_refused_with_the_right_ones(arguments: tuple[str, ...],
     assert done.returncode == 2 and words in done.stderr
 
 
-@pytest.mark.foreign
 def test_a_report_that_is_none(tmp_path: Path) -> None:
     """A file that is missing or no report is SYS007."""
     (tmp_path / "x.json").write_text("[]")
@@ -84,7 +80,6 @@ def test_a_report_that_is_none(tmp_path: Path) -> None:
         assert done.returncode == 1 and "SYS007" in done.stderr
 
 
-@pytest.mark.foreign
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["Ctrl-C", "SIGTERM"])
 def test_an_interrupted_run_leaves_nothing(number: int) -> None:
     """Ended in the middle, the command ends its processes and removes what they shared."""
@@ -154,7 +149,6 @@ def test_sections_have_names_of_their_own() -> None:
     assert all(section.title and section.question for section in SECTIONS.values())
 
 
-@pytest.mark.foreign
 def test_the_old_verb_names_the_new_command() -> None:
     """`rosplc bench` with any of its options ends with status 2 and tells how to get the comparison."""
     command = [sys.executable, "-m", "rosplc", "bench", "--quick", "--only", "bare", "--json"]

@@ -49,7 +49,6 @@ def test_statistics_of_known_values() -> None:
     assert measure.median_ratio([2.0, 9.0, 4.0], [1.0, 3.0, 1.0]) == 3.0
 
 
-@pytest.mark.foreign
 def test_the_structured_text_benchmark() -> None:
     """Both blocks move every message of the loop, and so does the core beside them."""
     pytest.importorskip("blark")
@@ -79,7 +78,6 @@ def test_the_classic_benchmark() -> None:
         assert set(table) == (names if title.startswith("CPU") else {*names, *(f"{n}, held" for n in names)})
 
 
-@pytest.mark.foreign
 def test_the_benchmark_of_services() -> None:
     """A bare server and both blocks answer each call, and ratios have their spread."""
     pytest.importorskip("cyclonedds", reason="no wheel of cyclonedds for this machine")
@@ -105,7 +103,6 @@ def check_backends(titles: tuple[str, ...] | None) -> dict[str, object]:
     return report
 
 
-@pytest.mark.foreign
 def test_the_benchmark_of_the_backends() -> None:
     """Bare and bridged messages are measured in both directions, with rates and CPU."""
     pytest.importorskip("cyclonedds", reason="no wheel of cyclonedds for this machine")

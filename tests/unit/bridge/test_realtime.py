@@ -163,6 +163,7 @@ def _without_rights(code: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.foreign
 @pytest.mark.parametrize(
     ("section", "key", "help_"),
     [

@@ -76,6 +76,7 @@ def run(config: Path, shm_namespace: Namespace) -> Iterator[object]:
         process.communicate()
 
 
+@pytest.mark.foreign
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_signal_stops_cleanly(run: object, number: int, shm_namespace: Namespace) -> None:
     """SIGTERM and SIGINT give back the claims, leave the objects and end with 0."""
@@ -87,6 +88,7 @@ def test_a_signal_stops_cleanly(run: object, number: int, shm_namespace: Namespa
         assert found.snapshot().writer.epoch == 0
 
 
+@pytest.mark.foreign
 def test_a_repeated_signal_is_one(run: object) -> None:
     """What timeout(1) and launch tools do, signal to process and group at once, is still a clean stop."""
     process = run()  # type: ignore[operator]
@@ -97,6 +99,7 @@ def test_a_repeated_signal_is_one(run: object) -> None:
     assert (process.returncode, out) == (0, "left cleanly\n"), err
 
 
+@pytest.mark.foreign
 def test_a_closing_terminal_stops_nothing(run: object, shm_namespace: Namespace) -> None:
     """SIGHUP reads the file again, and the beats go on."""
     process = run()  # type: ignore[operator]

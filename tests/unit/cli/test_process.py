@@ -71,6 +71,7 @@ def test_follow_prints_messages_in_order(talker):
     assert numbers == list(range(numbers[0], numbers[0] + 20))
 
 
+@pytest.mark.foreign
 def test_a_reader_that_goes_away_ends_it_quietly(talker):
     """`rosplc show --follow | head` ends without a message about the pipe."""
     with process("show", "/n", "--prefix", talker.prefix, "--follow") as child:
@@ -80,6 +81,7 @@ def test_a_reader_that_goes_away_ends_it_quietly(talker):
         assert child.stderr.read() == ""
 
 
+@pytest.mark.foreign
 def test_ctrl_c_ends_it_quietly(talker):
     """Ctrl-C gives status 130 and no traceback."""
     with process("show", "/n", "--prefix", talker.prefix, "--follow") as child:
@@ -117,6 +119,7 @@ app()
 """
 
 
+@pytest.mark.foreign
 def test_no_permission_is_an_error(talker):
     """An object that this user may not open is SHM102, with the remedy."""
     os.chmod(talker.path("/n"), 0o600 if os.geteuid() == 0 else 0)
@@ -163,6 +166,7 @@ def test_run_carries_until_a_signal(tmp_path, shm_namespace, number):
     assert not any(state.writer_alive for state in rosplc.topics(shm_namespace.prefix))
 
 
+@pytest.mark.foreign
 def test_a_second_bridge_is_refused(tmp_path, shm_namespace):
     """Two bridges on one name: the second ends with SHM116 and the first goes on."""
     path = run_config(tmp_path, shm_namespace.prefix)
@@ -176,6 +180,7 @@ def test_a_second_bridge_is_refused(tmp_path, shm_namespace):
         started(shm_namespace.prefix)
 
 
+@pytest.mark.foreign
 def test_run_takes_ros_arguments(tmp_path, shm_namespace):
     """ROS arguments stand among the command's own; a bad one ends it with status 2 and is named."""
     path = run_config(tmp_path, shm_namespace.prefix)
@@ -216,6 +221,7 @@ def test_a_verb_without_a_configuration_starts_without_pydantic():
     assert done.stdout.splitlines()[-1] == "IMPORTED False"
 
 
+@pytest.mark.foreign
 def test_help_and_completion_need_the_command_alone():
     """They list every verb without importing what the verbs do."""
     code = (

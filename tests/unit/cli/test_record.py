@@ -88,6 +88,7 @@ def test_record_list_and_replay(shm_namespace: Namespace, tmp_path: Path) -> Non
     assert f"{count} messages of 1 topic sent" in rosplc(*replay).stdout
 
 
+@pytest.mark.foreign
 def test_ctrl_c_ends_a_recording(shm_namespace: Namespace, tmp_path: Path) -> None:
     """SIGINT ends it in order: with status 0, a report, and a file that is complete."""
     out = tmp_path / "r"
@@ -115,6 +116,7 @@ def test_a_signal_saves_a_ring_buffer(shm_namespace: Namespace, tmp_path: Path) 
     assert child.returncode == 0 and document["saves"] == ["SIGUSR1"] and len(document["files"]) == 1
 
 
+@pytest.mark.foreign
 @pytest.mark.parametrize("keep", [(), ("--keep", "1min")])
 def test_a_closed_terminal_ends_a_recording_in_order(
     keep: tuple[str, ...], shm_namespace: Namespace, tmp_path: Path

@@ -44,6 +44,7 @@ def test_closed_streams_catch_no_other_file(tmp_path):
     assert victim.read_bytes() == b"untouched"
 
 
+@pytest.mark.foreign
 @pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])
 def test_closed_streams_are_no_error(config, closed):
     """A verb does its work without a stream to say it on."""
@@ -51,6 +52,7 @@ def test_closed_streams_are_no_error(config, closed):
     assert (done.returncode, done.stderr) == (0, b"")
 
 
+@pytest.mark.foreign
 @pytest.mark.parametrize("as_json", ["", "--json"])
 def test_full_output_is_an_error(config, as_json):
     """Output that cannot be written ends with SYS005."""
@@ -60,6 +62,7 @@ def test_full_output_is_an_error(config, as_json):
     assert b"Exception" not in done.stderr
 
 
+@pytest.mark.foreign
 def test_a_narrow_character_set_is_no_error(config):
     """What the terminal cannot show is written as an escape."""
     done = shell('exec "$1" -m rosplc check "$2"', config, PYTHONIOENCODING="latin-1")

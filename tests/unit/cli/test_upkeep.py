@@ -69,6 +69,7 @@ def test_reload_without_a_bridge_is_an_error(config) -> None:
     assert "no bridge with the prefix" in rosplc("reload", config, code=1).stderr
 
 
+@pytest.mark.foreign
 def test_reload_leaves_a_program_alone_that_has_bound_a_topic(shm_namespace) -> None:
     """It holds a name as a bridge does, but SIGUSR1 would end it."""
     bound = f"rosplc.bind('/a', {INT!r}, prefix={shm_namespace.prefix!r})"
@@ -83,6 +84,7 @@ def test_reload_leaves_a_program_alone_that_has_bound_a_topic(shm_namespace) -> 
     assert child.returncode == 0
 
 
+@pytest.mark.foreign
 def test_a_closed_terminal_ends_the_bridge(config, shm_namespace, tmp_path) -> None:
     """On a terminal SIGHUP is its end, and the claims are given back."""
     pid, terminal = pty.fork()
@@ -104,6 +106,7 @@ def test_without_a_terminal_sighup_reloads(bridge, config, shm_namespace) -> Non
     wait_for(lambda: shm_namespace.path("/b").exists(), "the topic is carried")
 
 
+@pytest.mark.foreign
 def test_an_ignored_interrupt_is_heeded(bridge) -> None:
     """A shell script ignores SIGINT for what it starts with &; kill -INT ends the bridge anyway."""
     child = bridge(preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN))

@@ -12,7 +12,7 @@ import pytest
 _SOURCE = Path(__file__).with_name("channel_test.c")
 _INCLUDE = Path(__file__).resolve().parents[3] / "src/rosplc/include"
 _WARNINGS = ["-std=gnu11", "-O2", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Werror"]
-_SANITIZE = ["-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+_SANITIZE = ["-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 
 
 def _build(folder: Path, compiler: str, *options: str) -> str:

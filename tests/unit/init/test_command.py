@@ -227,6 +227,7 @@ def read_until(stream: int, words: str) -> str:
     return text
 
 
+@pytest.mark.foreign
 def test_questions_on_a_terminal(domain: int, here: Path) -> None:
     """Over DDS, in front of a terminal: the list, which topics, which way, and the file."""
     with Robot("dds", domain):
@@ -256,6 +257,7 @@ def test_questions_on_a_terminal(domain: int, here: Path) -> None:
     assert project.config.settings.ros.domain == domain
 
 
+@pytest.mark.foreign
 def test_interrupt_writes_nothing(domain: int, here: Path) -> None:
     """Ctrl-C while it listens ends it with status 130 and says that nothing was written."""
     with Robot("dds", domain):
