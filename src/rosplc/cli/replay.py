@@ -48,6 +48,7 @@ def command(
     topic: list[str] | None = None,
     exclude: list[str] | None = None,
     service: list[str] | None = None,
+    action: list[str] | None = None,
     rename: list[str] | None = None,
     speed: str = "1",
     loop: bool = False,
@@ -72,6 +73,7 @@ def command(
         topic TOPIC: Only these topics or patterns, several times.
         exclude TOPIC: Topics or patterns to leave out.
         service SERVICE: Send the recorded requests of this service as well, several times; never without.
+        action ACTION: Send the recorded goals of this action as well, several times; never without.
         rename OLD:=NEW: Play a topic under another name.
         speed FACTOR: 0.5 for half as fast, 2 for twice, or `max`.
         loop: Begin again at the end, until Ctrl-C.
@@ -102,8 +104,9 @@ def command(
             _list(file, source, as_json=as_json)
             return
         selection = Selection(tuple(topic or ()), tuple(exclude or ()))
-        services = service or ()
-        topics, remarks = chosen_topics(source, selection, renames, to_plc=to == "plc", services=services)
+        topics, remarks = chosen_topics(
+            source, selection, renames, to_plc=to == "plc", services=service or (), actions=action or ()
+        )
         if not quiet:
             for text in (*source.notes, *remarks):
                 warn(text)

@@ -236,23 +236,26 @@ class Conversion:
 
 
 class Requests(Conversion):
-    """Takes the requests out of a service's events.
+    """Takes the requests out of a service's events, or the goals out of an action's.
 
     An event that is no request is nothing; nor is what another event, of the other side, has told already.
-    Raises RecordingError REC007 if the definitions of the request or response do not agree.
+    Raises RecordingError REC007 if the definitions of the parts do not agree.
     """
 
     def __init__(
-        self, source: TypeStore, service: str, target: TypeStore, *, to_ros1: bool = False, where: str = ""
+        self, source: TypeStore, name: str, target: TypeStore, *, to_ros1: bool = False, where: str = ""
     ) -> None:
-        own, answer = f"{service}_Request", f"{service}_Response"
-        Conversion(source, answer, target, answer, to_ros1=to_ros1, where=where)
+        self._is_goal = "/action/" in name
+        asked, *answers = ("Goal", "Result", "Feedback") if self._is_goal else ("Request", "Response")
+        for part in (f"{name}_{answer}" for answer in answers):
+            Conversion(source, part, target, part, to_ros1=to_ros1, where=where)
+        own = f"{name}_{asked}"
         super().__init__(source, own, target, own, to_ros1=to_ros1, where=where)
-        self._event = self._reader(NamedType(f"{service}_Event"))
+        self._event = self._reader(NamedType(f"{name}{'_SendGoal' * self._is_goal}_Event"))
         self._seen: dict[bytes, bytes] = {}
 
     def __call__(self, data: bytes) -> bytes | None:
-        """Return the request; CodecError too if the recording has none of its content."""
+        """Return the request or goal; CodecError too if the recording has none of its content."""
         given = _In(data, cdr=True)
         event = self._event(given)
         given.end()
@@ -266,8 +269,9 @@ class Requests(Conversion):
             return None
         if not event["request"]:
             raise CodecError("COD001", "the recording has only the fact of the request", where=self._where)
+        [request] = event["request"]
         out = _Out(cdr=not self._to_ros1)
-        self._write(out, event["request"][0])
+        self._write(out, request["goal"] if self._is_goal else request)
         return out.finished()
 
 

@@ -1,7 +1,11 @@
-"""Playing a recording in order and at its pace, into channels, topics or services (answers not compared)."""
+"""Playing a recording in order and at its pace, into channels, topics, services or actions.
+
+Answers, feedback and results are not compared.
+"""
 
 from __future__ import annotations
 
+import itertools
 import secrets
 import stat
 from abc import ABC, abstractmethod
@@ -23,7 +27,8 @@ from rosplc.described import description_of, layout_of
 from rosplc.errors import ChannelError, RecordingError, RosplcError
 from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
-from rosplc.recorder.carried import EVENTS
+from rosplc.model.interfaces import PARTS
+from rosplc.recorder.carried import recorded_name
 from rosplc.recorder.convert import Conversion, Requests, renamed
 from rosplc.recorder.inlet import Selection
 from rosplc.recorder.source import Source, SourceTopic
@@ -32,10 +37,13 @@ from rosplc.ros import (
     SERVICES,
     Backend,
     EndpointStatus,
+    GoalEvent,
     Publisher,
     Qos,
     Reply,
     ServiceClient,
+    action_classes,
+    memory,
     open_backend,
 )
 from rosplc.ros.backend import OnReply, OnRequest
@@ -44,18 +52,20 @@ from rosplc.shm.calls import WORDS
 
 _LOOK_S = 0.05
 _ANSWER_NS = 10_000_000_000
+_ASKED = {"service": "requests", "action": "goals"}
+_domains = itertools.count(1 << 21)
 _TICK_NS = 1_000_000
 
 
 @dataclass
 class SentCount:
-    """What became of one topic's messages; requests are sent when they are answered, and lost without."""
+    """What became of one topic's messages; requests are sent when answered, goals when ended, else lost."""
 
     sent: int = 0
     refused: int = 0
     lost: int = 0
     reason: str = ""
-    asked: int = 0  # requests of a service, answered or not
+    asked: int = 0  # requests of a service or goals, answered or not
 
     @property
     def open(self) -> int:
@@ -80,7 +90,7 @@ class Target(ABC):
         self.counts = {name: SentCount() for name in topics}  # topic → what became of its messages
         self.notes: list[str] = []  # what is converted, dropped or left zero on the way
         self._conversions: dict[str, Conversion] = {}
-        self._clients: dict[str, ServiceClient | PlcService] = {}
+        self._clients: dict[str, ServiceClient | PlcService | Goals] = {}
 
     @abstractmethod
     def write(self, topic: str, data: bytes, stamp_ns: int) -> str:
@@ -97,6 +107,11 @@ class Target(ABC):
     def _convert_by(self, name: str, conversion: Conversion) -> None:
         self._conversions[name] = conversion
         self.notes += [f"{name}: {note}" for note in conversion.notes]
+
+    @property
+    def executing(self) -> bool:
+        """Whether a goal is being executed: however long that takes."""
+        return any(isinstance(one, Goals) and one.accepted for one in self._clients.values())
 
     def send(self, topic: str, data: bytes, stamp_ns: int) -> None:
         """Convert a message and pass it on; what is refused or lost is counted and never raised."""
@@ -128,6 +143,8 @@ def wait_for_answers(target: Target, stopped: Callable[[float], bool], clock: Cl
     while any(one.open for one in target.counts.values()) and clock.monotonic_ns() < end:
         if stopped(_LOOK_S):
             break
+        if target.executing:
+            end = clock.monotonic_ns() + _ANSWER_NS
     for one in target.counts.values():
         if one.open:
             one.lost, one.reason = one.lost + one.open, "no answer came"
@@ -170,39 +187,46 @@ def chosen_topics(
     *,
     to_plc: bool,
     services: Collection[str] = (),
+    actions: Collection[str] = (),
 ) -> tuple[dict[str, SourceTopic], list[str]]:
     """Return new name → topic of what is to be replayed, and sentences on what was left out.
 
     Without names, towards the PLC the topics that the PLC wrote are left out; ``rename`` is topic → new name.
-    Requests are sent to ``services`` only, whose events are what is chosen. Raises RecordingError REC006 if
-    nothing is left, REC007 if two topics would have one name.
+    Requests are sent to ``services`` and goals to ``actions`` only, whose events are what is chosen; actions'
+    other topics are left out unless each is named. Raises RecordingError REC006 if nothing is left, REC007 if
+    two topics would have one name.
     """
     remarks = [f"{name} is left out: {why}" for name, why in source.unusable.items() if name in selection]
     chosen: dict[str, SourceTopic] = {}
-    unknown = set(services)
+    unknown = {*services, *actions}
     for name, topic in sorted(source.topics.items()):
-        if service := topic.service:
-            unknown.discard(service)
-        if name in source.unusable or (name not in selection and service not in services):
+        call, named = topic.service or topic.action, actions if topic.action else services
+        if call in named:
+            unknown.discard(call)
+        if name in source.unusable or (name not in selection and call not in named):
             continue
-        if service and service not in services:
-            remarks.append(f"{service} is left out: requests are sent with --service {service} only")
+        if call and call not in named:
+            what = "goals are" if topic.action else "requests are"
+            flag = "--action" if topic.action else "--service"
+            remarks.append(f"{call} is left out: {what} sent with {flag} {call} only")
             continue
-        if not service and to_plc and topic.direction == "to_ros" and not selection.topics:
+        if not call and recorded_name(name) != name and name not in selection.topics:
+            continue
+        if not call and to_plc and topic.direction == "to_ros" and not selection.topics:
             remarks.append(f"{name} is left out: the PLC wrote it; name it to replay it")
             continue
-        new = rename.get(service, service) + EVENTS if service else rename.get(name, name)
+        new = name.replace(call, rename.get(call, call), 1) if call else rename.get(name, name)
         if new in chosen:
             raise RecordingError("REC007", f"{new} would get two topics' messages", where=name)
         chosen[new] = topic
     if unknown:
-        raise RecordingError("REC006", "the recording has no calls of it", where=min(unknown))
-    names = {one.service or one.name for one in source.topics.values()}
+        raise RecordingError("REC006", "the recording has no calls or goals of it", where=min(unknown))
+    names = {one.service or one.action or one.name for one in source.topics.values()}
     remarks += (f"{wrong} is not in the recording, and not renamed" for wrong in rename if wrong not in names)
     if not chosen:
         known = ", ".join(sorted(source.topics)) or "none"
-        calls = any(one.service for one in source.topics.values())
-        remedy = "Requests are sent to the services that --service names." if calls else ""
+        calls = any(one.service or one.action for one in source.topics.values())
+        remedy = "--service and --action name what requests and goals are sent to." if calls else ""
         what = f"no topic is left to replay; the recording has {known}"
         raise RecordingError("REC006", what, remedy=remedy)
     return chosen, remarks
@@ -297,12 +321,12 @@ class PlcTarget(Target):
         self._before: dict[str, tuple[tuple[int, int], ...]] = {}
         try:
             for name, topic in topics.items():
-                if topic.service:
-                    self._clients[name] = self._service(name, topic, project, distro)
+                if topic.service or topic.action:
+                    self._clients[name] = self._call(name, topic, project, distro)
             plans = [
                 (name, self._plan(name, topic, project, distro))
                 for name, topic in topics.items()
-                if not topic.service
+                if name not in self._clients
             ]
             for name, plan in plans:
                 try:
@@ -387,23 +411,30 @@ class PlcTarget(Target):
         conversion = Conversion(own, topic.type_name, layout.store, wanted, from_ros1=topic.ros1, where=name)
         self._convert_by(name, conversion)
 
-    def _service(self, name: str, topic: SourceTopic, project: Project | None, distro: str) -> PlcService:
-        """Return a service of the PLC, as the configuration has it; REC007 as :meth:`_convert`."""
-        service, own = name.removesuffix(EVENTS), topic.types(distro)
-        plans = () if project is None else project.services
-        plan = next((one for one in plans if one.service == service and one.server == "plc"), None)
+    def _call(
+        self, name: str, topic: SourceTopic, project: Project | None, distro: str
+    ) -> PlcService | Goals:
+        """Return a service or action of the PLC, as the configuration has it; REC007 as :meth:`_convert`."""
+        called, own = recorded_name(name), topic.types(distro)
+        plans = () if project is None else project.calls
+        kind = "action" if topic.action else "service"
+        found = (one for one in plans if (one.kind, one.called, one.server) == (kind, called, "plc"))
+        plan = next(found, None)
         if plan is None or project is None:
-            what = "the configuration has no such service of the PLC"
-            remedy = "Give the bridge's with --config, or send the requests to ROS: --to ros."
-            raise RecordingError("REC007", what, where=service, remedy=remedy)
-        if plan.type_name != topic.service_type:
-            what = f"the configuration has {plan.type_name}, and it was recorded as {topic.service_type}"
-            raise RecordingError("REC007", what, where=service)
+            what = f"the configuration has no such {kind} of the PLC"
+            remedy = f"Give the bridge's with --config, or send the {_ASKED[kind]} to ROS: --to ros."
+            raise RecordingError("REC007", what, where=called, remedy=remedy)
+        if plan.type_name != topic.call_type:
+            what = f"the configuration has {plan.type_name}, and it was recorded as {topic.call_type}"
+            raise RecordingError("REC007", what, where=called)
         to_ros1 = project.store.ros_version == 1
-        self._convert_by(name, Requests(own, plan.type_name, project.store, to_ros1=to_ros1, where=service))
+        self._convert_by(name, Requests(own, plan.type_name, project.store, to_ros1=to_ros1, where=called))
         settings = project.config.settings
         names = settings.bridge, secrets.token_bytes(16), settings.ros.distro
-        return PlcService(plan, Context(self._namespace, *names, rights(project.config)))
+        context = Context(self._namespace, *names, rights(project.config))
+        if isinstance(plan, ServicePlan):
+            return PlcService(plan, context)
+        return Goals(project.store, called, plan.type_name, plan=plan, context=context)
 
     def _there(self, name: str) -> _Plan | None:
         """Return the channel that a bridge left; None if there is none, or one that is to be replaced."""
@@ -417,21 +448,15 @@ class PlcTarget(Target):
             return None
 
 
-class PlcService:
-    """A service of the PLC, called as a bridge calls it: all of ROS that its use of the service sees."""
+class PlcPart:
+    """A service or action of the PLC, looked after as a bridge does; ``backend`` is what it has for ROS."""
 
-    capabilities = frozenset({"services"})
-    remembers = False
-
-    def __init__(self, plan: ServicePlan, context: Context) -> None:
-        self._waiting: dict[bytes, OnReply] = {}
-        self._status = EndpointStatus(plan.service, plan.type_name, "in", matched=1)
+    def __init__(self, plan: Any, context: Context, backend: Backend) -> None:
         self._clock = context.clock
         ports = CallPorts(context, _TICK_NS)
-        # A response of the configuration's own says nothing of the PLC.
-        self._use = use = ports.make(replace(plan, fallback=None))
+        self._use = use = ports.make(plan)
         use.open()
-        use.connect(cast("Backend", self))
+        use.connect(backend)
         use.begin(self._clock.monotonic_ns())
         self._carrier = Carrier("rosplc-calls", ports, self._clock)
         self._carrier.replace((), (use,))
@@ -442,6 +467,88 @@ class PlcService:
     def ready(self) -> bool:
         """Whether the PLC's block lives."""
         return self._use.status(self._clock.monotonic_ns()).peer_alive
+
+    def close(self) -> None:
+        """Withdraw what has not begun, and leave the objects."""
+        self._carrier.stop()
+        self._beats.stop()
+        self._use.close()
+
+
+class Goals:
+    """Sends goals to an action: the reply to one tells how it has ended.
+
+    With ``plan`` and ``context`` it is one of the PLC, else one of ``backend``.
+    """
+
+    def __init__(
+        self,
+        store: TypeStore,
+        action: str,
+        type_name: str,
+        backend: Backend | None = None,
+        **plc: Any,
+    ) -> None:
+        self.accepted: set[bytes] = set()
+        self._waiting: dict[bytes, OnReply] = {}
+        self._part: PlcPart | None = None
+        self._nodes: list[Backend] = []
+        domain = next(_domains)
+        for name in ("bridge", "replay") if backend is None else ():
+            self._nodes.append(memory.open_backend(store, name, domain=domain))
+        try:
+            if backend is None:
+                backend = self._nodes[1]
+                self._part = PlcPart(backend=self._nodes[0], **plc)
+            self._client = action_classes(store)[1](backend, store, action, type_name, self._hear)
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def ready(self) -> bool:
+        """Whether the action's server is there."""
+        return self._client.ready and (self._part is None or self._part.ready)
+
+    def call(self, goal: bytes, on_reply: OnReply) -> None:
+        """Send a goal, with a UUID of its own; ``on_reply`` is called once, by another thread."""
+        uuid = secrets.token_bytes(16)
+        self._waiting[uuid] = on_reply
+        self._client.send(uuid, goal)
+
+    def _hear(self, event: GoalEvent) -> None:
+        if event.kind == "accepted":
+            self.accepted.add(event.uuid)
+        if event.kind not in ("rejected", "failed", "result", "lost"):
+            return
+        reply = event.reply or Reply(event.payload)
+        if event.kind == "rejected":
+            reply = Reply(text="the goal was rejected")
+        elif reply.payload is None and not reply.text:
+            reply = Reply(text="the goal's end is not known")
+        self.accepted.discard(event.uuid)
+        if (on_reply := self._waiting.pop(event.uuid, None)) is not None:
+            on_reply(reply)
+
+    def close(self) -> None:
+        """Leave the PLC's objects."""
+        if self._part is not None:
+            self._part.close()
+        for node in self._nodes:
+            node.close()
+
+
+class PlcService(PlcPart):
+    """A service of the PLC: all of ROS that its use sees, and the client that calls it."""
+
+    capabilities = frozenset({"services"})
+    remembers = False
+
+    def __init__(self, plan: ServicePlan, context: Context) -> None:
+        self._waiting: dict[bytes, OnReply] = {}
+        self._status = EndpointStatus(plan.service, plan.type_name, "in", matched=1)
+        # A response of the configuration's own says nothing of the PLC.
+        super().__init__(replace(plan, fallback=None), context, cast("Backend", self))
 
     def call(self, payload: bytes, on_reply: OnReply) -> None:
         """Send a request; ``on_reply`` is called once, by another thread."""
@@ -475,12 +582,6 @@ class PlcService:
     def status(self) -> EndpointStatus:
         """There is one client."""
         return self._status
-
-    def close(self) -> None:
-        """Withdraw what has not begun, and leave the objects."""
-        self._carrier.stop()
-        self._beats.stop()
-        self._use.close()
 
 
 @dataclass(frozen=True)
@@ -544,9 +645,10 @@ class RosTarget(Target):
         store = TypeStore.bundled(distro)
         for name, topic in topics.items():
             own = topic.types(distro)
-            if kind := topic.service and topic.service_type:
-                store = store.with_types_of(own, f"{kind}_Request", f"{kind}_Response")
-                requests = Requests(own, kind, store, to_ros1=distro == ROS1, where=topic.service)
+            if call := topic.service or topic.action:
+                kind, words = topic.call_type, PARTS["action" if topic.action else "srv"]
+                store = store.with_types_of(own, *(f"{kind}_{part}" for part in words))
+                requests = Requests(own, kind, store, to_ros1=distro == ROS1, where=call)
                 self._convert_by(name, requests)
                 continue
             store = _with(store, own, topic.type_name)
@@ -559,9 +661,12 @@ class RosTarget(Target):
         self._publishers: dict[str, Publisher] = {}
         try:
             for name, topic in topics.items():
+                called, kind = recorded_name(name), topic.call_type
                 if topic.service:
-                    service = name.removesuffix(EVENTS)
-                    self._clients[name] = self.backend.client(service, topic.service_type, SERVICES)
+                    self._clients[name] = self.backend.client(called, kind, SERVICES)
+                    continue
+                if topic.action:
+                    self._clients[name] = Goals(store, called, kind, self.backend)
                     continue
                 self._publishers[name] = self.backend.advertise(
                     name, renamed(topic.type_name, store), topic.qos

@@ -13,7 +13,7 @@ from typing import Any
 
 from rosplc.errors import RecordingError, RosplcError
 from rosplc.model import DISTROS, TypeStore
-from rosplc.recorder.carried import service_of
+from rosplc.recorder.carried import action_of, recorded_name, service_of, with_interface
 from rosplc.recorder.mcap_file import Channel, Message, Part, Schema, Survey, read_part, survey
 from rosplc.recorder.store import qos_of_text
 from rosplc.ros import DEFAULT, ROS1, Qos
@@ -48,9 +48,14 @@ class SourceTopic:
         return service_of(self.name, self.type_name)
 
     @property
-    def service_type(self) -> str:
-        """The type of that service."""
-        return self.type_name.removesuffix("_Event")
+    def action(self) -> str:
+        """The action whose goals it has; empty if it has none."""
+        return action_of(self.name, self.type_name)
+
+    @property
+    def call_type(self) -> str:
+        """The type of that service or action."""
+        return self.type_name.removesuffix("_SendGoal_Event" if self.action else "_Event")
 
     def types(self, distro: str = "jazzy") -> TypeStore:
         """Return a store that has the topic's type, as it was recorded.
@@ -60,10 +65,10 @@ class SourceTopic:
         """
         try:
             if self.definition is not None:
-                store = TypeStore.from_definition(
-                    self.type_name, self.definition, distro=self.distro or distro
-                )
-                return store.with_events(self.service_type) if self.service else store
+                calls = self.service or self.action
+                defined = self.call_type if self.action else self.type_name
+                store = TypeStore.from_definition(defined, self.definition, distro=self.distro or distro)
+                return with_interface(store, self.call_type) if calls else store
             store = TypeStore.bundled(self.distro or distro)
             same = self.type_hash in ("", store.type_hash(self.type_name))
         except RosplcError as error:
@@ -182,7 +187,7 @@ class McapSource(Source):
         names = {}
         for number, channel in found.channels.items():
             name, schema = channel.topic, found.schemas.get(channel.schema_id)
-            events = schema is not None and service_of(name, schema.name)
+            events = recorded_name(name) != name
             if (
                 channel.message_encoding != "cdr"
                 or schema is None
@@ -219,7 +224,7 @@ def _topic(channel: Channel, schema: Schema, count: int) -> SourceTopic:
         type_name=schema.name,
         # Whatever a writer takes for a service's schema, no two agree on it.
         definition=metadata.get("rosplc.definition")
-        if service_of(channel.topic, schema.name)
+        if schema.encoding != "ros2msg" or schema.name.endswith("_Event")
         else schema.data.decode("utf-8", "replace"),
         count=count,
         qos=qos_of_text(metadata.get("offered_qos_profiles", "")),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -11,14 +13,34 @@ from typing import Any
 import pytest
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
+from typer.testing import CliRunner
 
+from rosplc.cli.app import app
+from rosplc.codec import Codec, Wire
+from rosplc.config import parse_config, resolve
 from rosplc.described import description_of
+from rosplc.errors import RecordingError
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.reasons import Reason
 from rosplc.recorder import Selection
+from rosplc.recorder.replay import (
+    Player,
+    PlcTarget,
+    ReplayOptions,
+    RosTarget,
+    Target,
+    chosen_topics,
+    wait_for_answers,
+    wait_for_readers,
+)
+from rosplc.recorder.source import open_source
+from rosplc.ros import ActionServer, open_backend
 from rosplc.shm import ACTION, Caller, Namespace, OwnedChannel, Part, attach
 from rosplc.shm import constants as spec
+from rosplc.virtual_plc import ActionServer as VirtualServer
+from rosplc.virtual_plc import Task
+from tests.lib.waiting import wait_for
 from tests.unit.recorder.making import Feed, received, recording, until
 
 FIBONACCI = "example_interfaces/action/Fibonacci"
@@ -250,3 +272,136 @@ def test_actions_are_selected_by_name(
         assert list(recorder.stop().topics) == sorted(topics)
     action.close()
     other.close()
+
+
+DOMAIN = 4713  # of this process alone
+STORE = TypeStore.bundled("jazzy")
+GOALS, RESULTS = (
+    Codec(compute_layout(STORE, f"{FIBONACCI}_{part}", Limits(sequence=8)), Wire.CDR)
+    for part in ("Goal", "Result")
+)
+
+
+@pytest.fixture
+def shift(shm_namespace: Namespace, tmp_path: Path) -> Path:
+    """A recording with the goals 3, 5 and 4."""
+    action, feed = Action(shm_namespace, "ros"), Feed(shm_namespace, "/a")
+    with recording(shm_namespace, tmp_path / "shift") as recorder:
+        feed.number(1)
+        for count, order in ((8, 3), (15, 5), (22, 4)):
+            action.ask(order=order)
+            action.tell(spec.ANSWER_ACCEPTED)
+            action.feed(0)
+            action.tell(spec.ANSWER_ABORTED, sequence=[0])
+            until(lambda n=count: received(recorder) == n, recorder)
+    action.close()
+    feed.close()
+    return tmp_path / "shift.mcap"
+
+
+@contextmanager
+def arm(name: str, goals: list[int]) -> Iterator[None]:
+    """Serve an action in ROS; a goal of 5 is rejected."""
+    node = open_backend("memory", STORE, "robot", domain=DOMAIN)
+
+    def on_goal(uuid: bytes, payload: bytes) -> None:
+        goals.append(GOALS.layout.to_dict(GOALS.decode(payload))["order"])
+        if goals[-1] == 5:
+            server.reject(uuid)
+            return
+        server.accept(uuid)
+        server.execute(uuid)
+        server.succeed(uuid, RESULTS.encode(RESULTS.layout.pack({"sequence": [goals[-1]]})))
+
+    server = ActionServer(node, STORE, name, FIBONACCI, on_goal=on_goal, on_cancel=lambda _: None)
+    try:
+        yield
+    finally:
+        server.close()
+        node.close()
+
+
+def test_goals_are_sent_only_where_the_action_is_named(shift: Path) -> None:
+    """Neither all topics nor those of the action send one; feedback and status are left out as well."""
+    source = open_source(shift)
+    for to_plc in (True, False):
+        chosen, remarks = chosen_topics(source, Selection(), {}, to_plc=to_plc)
+        assert list(chosen) == ["/a"]
+        assert [one for one in remarks if "--action /cell/count" in one] == remarks
+        for name in (NAME, SEND):
+            with pytest.raises(RecordingError, match="REC006"):
+                chosen_topics(source, Selection((name,)), {}, to_plc=to_plc)
+        with pytest.raises(RecordingError, match=r"/other.*REC006"):
+            chosen_topics(source, Selection(), {}, to_plc=to_plc, actions=["/other"])
+        with pytest.raises(RecordingError, match=r"/cell/count.*REC006"):
+            chosen_topics(source, Selection(), {}, to_plc=to_plc, services=[NAME])
+    chosen, _ = chosen_topics(source, Selection(), {}, to_plc=True, actions=[NAME])
+    assert list(chosen) == ["/a", SEND]
+    assert list(chosen_topics(source, Selection((FEEDBACK,)), {}, to_plc=False)[0]) == [FEEDBACK]
+
+
+@pytest.mark.parametrize("renamed", [False, True])
+def test_recorded_goals_are_sent_to_ros(shift: Path, renamed: bool) -> None:
+    """Each is sent once, and has been sent when it has ended; one that is rejected is lost."""
+    source, goals, name = open_source(shift), [], "/other" if renamed else NAME
+    chosen, _ = chosen_topics(source, Selection((SEND,)), {NAME: name}, to_plc=False, actions=[NAME])
+    with arm(name, goals):
+        target = RosTarget(chosen, backend="memory", domain=DOMAIN)
+        count = play(source, target, chosen)
+    assert goals == [3, 5, 4]
+    assert (count.sent, count.lost, count.reason) == (2, 1, "the goal was rejected")
+
+
+def play(source: Any, target: Target, topics: dict[str, Any]) -> Any:
+    stopped = threading.Event()
+    try:
+        assert wait_for_readers(target, 30, stopped.wait) == []
+        Player(source, target, topics, ReplayOptions(speed=0)).play(stopped.wait)
+        wait_for_answers(target, stopped.wait)
+    finally:
+        target.close()
+    [count] = target.counts.values()
+    return count
+
+
+def test_recorded_goals_are_sent_to_the_plc(shm_namespace: Namespace, shift: Path, tmp_path: Path) -> None:
+    """The PLC carries each out once, as if a bridge had sent it; what waits for its turn is not lost."""
+    text = f"""
+prefix: {shm_namespace.prefix}
+actions:
+  {NAME}: {{type: {FIBONACCI}, server: plc, on_new_goal: buffer, queue: 4, limits: {{result.sequence: 8}}}}
+"""
+    config = tmp_path / "rosplc.yaml"
+    config.write_text(text)
+    project = resolve(parse_config(text))
+    source = open_source(shift)
+    chosen, _ = chosen_topics(source, Selection((SEND,)), {}, to_plc=True, actions=[NAME])
+    with pytest.raises(RecordingError, match="REC007"):
+        PlcTarget(chosen, shm_namespace)
+    target = PlcTarget(chosen, shm_namespace, project=project)
+    server, got = VirtualServer(NAME, prefix=shm_namespace.prefix, beat_ms=10_000), []
+
+    def scan() -> None:
+        server()
+        if server.xGoal and not server.xAccept and not server.xReject:
+            got.append(server.goal.order)
+        server.xReject = server.xGoal and server.goal.order == 5
+        server.xAccept, server.xSucceed = server.xGoal and not server.xReject, server.xActive
+
+    task = Task("RosTask", 0.002, programs=[scan])
+    task.start()
+    try:
+        wait_for(lambda: not target.missing())
+        count = play(source, target, chosen)
+        assert got == [3, 5, 4]
+        assert (count.sent, count.lost, count.reason) == (2, 1, "the goal was rejected")
+        command = ["replay", str(shift), "--to", "plc", "--config", str(config), "--wait", "30s", "--json"]
+        command += ["--exclude", "/a"]
+        refused = CliRunner().invoke(app, command)
+        assert refused.exit_code == 1 and "REC006" in refused.output and "--action" in refused.output
+        sent = CliRunner().invoke(app, [*command, "--action", NAME, "--quiet"])
+        assert json.loads(sent.stdout)["topics"][SEND]["sent"] == 2
+        assert got == [3, 5, 4] * 2
+    finally:
+        task.stop()
+        server.close()
