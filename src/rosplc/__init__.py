@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     )
     from rosplc.layout import RecordView
     from rosplc.monitor import ObjectState
-    from rosplc.project import Delivery, check, generate
+    from rosplc.plc.delivery import Delivery
+    from rosplc.project import check, generate
     from rosplc.shm import Direction, SlotInfo
 
 __all__ = [
@@ -74,7 +75,8 @@ _HOME = {
         "MessageTypeError RecordingError RosplcError SetupError WebError",
         "rosplc.layout": "RecordView",
         "rosplc.monitor": "ObjectState",
-        "rosplc.project": "Delivery check generate",
+        "rosplc.plc.delivery": "Delivery",
+        "rosplc.project": "check generate",
         "rosplc.shm": "Direction SlotInfo",
     }.items()
     for name in names.split()

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import grp
 import json
 import os
 import platform
-import pwd
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -19,9 +17,8 @@ from rosplc.config.quantities import format_duration
 from rosplc.config.resolve import (
     Project,
     TopicPlan,
-    call_object_plans,
     load_project,
-    object_plan,
+    object_plans,
     open_doors,
 )
 from rosplc.errors import GenerationError, RosplcError
@@ -43,23 +40,8 @@ from rosplc.plc.plan import ProjectOptions, target_of
 from rosplc.plc.project import PlcProject
 from rosplc.ros import INSTALL, Choice
 from rosplc.ros.choice import why_not_installed
-
-__all__ = [
-    "Delivery",
-    "access",
-    "call_memory",
-    "capacities",
-    "check",
-    "chosen_backend",
-    "expected_files",
-    "generate",
-    "generate_types",
-    "memory",
-    "plc_names",
-    "total_memory",
-    "warnings",
-    "when_silent",
-]
+from rosplc.shm import Part
+from rosplc.shm.files import group_name, user_name
 
 _SEMAPHORE = 32
 _LARGE_RECORD = 64 * 1024
@@ -94,8 +76,8 @@ def check(config: Path | str | Project) -> dict[str, Any]:
             for name, task in settings.tasks.items()
         },
         "topics": {plan.topic: _topic_facts(project, plan, names) for plan in project.topics},
-        "services": [_service_facts(project, plan, names) for plan in project.services],
-        "actions": [_action_facts(project, plan, names) for plan in project.actions],
+        "services": [_call_facts(project, plan, names) | _service_facts(plan) for plan in project.services],
+        "actions": [_call_facts(project, plan, names) | _action_facts(plan) for plan in project.actions],
         "memory_bytes": total_memory(project),
         "unusable_types": [error.to_dict() for error in project.store.problems()],
         "warnings": warnings(project),
@@ -204,18 +186,9 @@ def access(project: Project) -> dict[str, Any]:
     shm = project.config.settings.shm
     return {
         "mode": f"{shm.mode:04o}",
-        "owner": _name(shm.owner, lambda number: pwd.getpwuid(number).pw_name),
-        "group": _name(shm.group, lambda number: grp.getgrgid(number).gr_name),
+        "owner": user_name(shm.owner) if isinstance(shm.owner, int) else shm.owner,
+        "group": group_name(shm.group) if isinstance(shm.group, int) else shm.group,
     }
-
-
-def _name(given: str | int | None, look_up: Callable[[int], str]) -> str | None:
-    if not isinstance(given, int):
-        return given
-    try:
-        return look_up(given)
-    except KeyError:
-        return str(given)
 
 
 def memory(project: Project, plan: TopicPlan) -> dict[str, int]:
@@ -231,7 +204,7 @@ def memory(project: Project, plan: TopicPlan) -> dict[str, int]:
             "object_bytes": plan.layout.size,
             "semaphore_bytes": lock,
         }
-    made = object_plan(project, plan)
+    made = object_plans(project, plan)[Part.TOPIC]
     return {
         "memory_bytes": _pages(made.object_size),
         "object_bytes": made.object_size,
@@ -244,7 +217,7 @@ def memory(project: Project, plan: TopicPlan) -> dict[str, int]:
 
 def call_memory(project: Project, plan: CallPlan) -> int:
     """Return the shared memory that one use of a service or action takes, in bytes and whole pages."""
-    return sum(_pages(made.object_size) for made in call_object_plans(project, plan).values())
+    return sum(_pages(made.object_size) for made in object_plans(project, plan).values())
 
 
 def total_memory(project: Project) -> int:
@@ -317,9 +290,9 @@ def _call_facts(project: Project, plan: CallPlan, names: dict[str, tuple[str, st
     }
 
 
-def _service_facts(project: Project, plan: ServicePlan, names: dict[str, tuple[str, str]]) -> dict[str, Any]:
+def _service_facts(plan: ServicePlan) -> dict[str, Any]:
     at_plc = plan.server == "plc"
-    return _call_facts(project, plan, names) | {
+    return {
         "depth": plan.depth if at_plc else None,
         "per_client": plan.per_client if at_plc else None,
         "min_interval_ms": plan.min_interval_ns / 1e6,
@@ -328,9 +301,9 @@ def _service_facts(project: Project, plan: ServicePlan, names: dict[str, tuple[s
     }
 
 
-def _action_facts(project: Project, plan: ActionPlan, names: dict[str, tuple[str, str]]) -> dict[str, Any]:
+def _action_facts(plan: ActionPlan) -> dict[str, Any]:
     at_plc = plan.server == "plc"
-    return _call_facts(project, plan, names) | {
+    return {
         "on_new_goal": plan.on_new_goal if at_plc else None,
         "queue": plan.queue if at_plc else None,
         "accept_within_ms": plan.accept_ns / 1e6 if at_plc else None,

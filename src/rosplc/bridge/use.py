@@ -15,7 +15,7 @@ from rosplc.bridge.port import Context, Notes, log
 from rosplc.bridge.status import ActionStatus, ServiceStatus
 from rosplc.codec import Codec, Fault, Wire
 from rosplc.config.plans import CallPlan
-from rosplc.config.resolve import describe_call
+from rosplc.config.resolve import describe
 from rosplc.errors import BackendError, ChannelError, RosplcError
 from rosplc.reasons import Reason
 from rosplc.ros import Backend, EndpointStatus
@@ -123,7 +123,7 @@ class Use(Notes, ABC):
         """Create or adopt all objects, or none. Raises as :meth:`OwnedChannel.open`."""
         context = self.context
         parts = [
-            (describe_call(self.plan, part, context.distro, context.bridge), codec.layout.size)
+            (describe(self.plan, part, distro=context.distro, bridge=context.bridge), codec.layout.size)
             for part, codec in self._codecs.items()
         ]
         opened = OwnedChannel.open_together(

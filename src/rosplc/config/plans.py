@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Literal, TypeVar
 from rosplc.config.file import Config
 from rosplc.config.quantities import format_duration, parse_duration
 from rosplc.config.settings import ActionSettings, ServiceSettings, TopicSettings
-from rosplc.config.yaml_source import KeyPath, Problems, relocated
+from rosplc.config.yaml_source import KeyPath, Problems
 from rosplc.errors import ConfigError, LayoutError, RosplcError
 from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
@@ -225,26 +225,19 @@ def usual_slots(demand: Demand) -> int:
     usual = _slots(demand, _PAUSE_NS)
     if not (demand.every and demand.by_bridge):
         return usual
-    return max(usual, min(_slots(demand, _BRIDGE_PAUSE_NS), _power(_MOST_BYTES // demand.record_size)))
+    most = _MOST_BYTES // demand.record_size
+    power = 1 << (most.bit_length() - 1) if most else 0  # the largest that is not above
+    return max(usual, min(_slots(demand, _BRIDGE_PAUSE_NS), power))
 
 
 def _slots(demand: Demand, pause_ns: int) -> int:
     if not demand.period_ns:
         return 4
     copy_ns = demand.record_size * _COPY_NS_PER_BYTE + _PREEMPTION_NS
-    needed = 2 + _ceil(copy_ns, demand.period_ns)
+    needed = 2 - -copy_ns // demand.period_ns
     if demand.every:
-        needed = max(needed, 1 + _ceil(demand.visit_ns + pause_ns, demand.period_ns))
+        needed = max(needed, 1 - -(demand.visit_ns + pause_ns) // demand.period_ns)
     return min(_MOST, max(4, 1 << (needed - 1).bit_length()))
-
-
-def _power(number: int) -> int:
-    """Return the largest power of two that is not above a number."""
-    return 1 << (number.bit_length() - 1) if number else 0
-
-
-def _ceil(value: int, unit: int) -> int:
-    return -(-value // unit)
 
 
 _Settings = ServiceSettings | ActionSettings
@@ -337,30 +330,19 @@ class ActionPlan(CallPlan):
 _C = TypeVar("_C", bound=CallPlan)
 
 
-def service_plans(config: Config, store: TypeStore, problems: Problems) -> tuple[ServicePlan, ...]:
-    """Return the plans of all services that can be used, in the order of the file; note what is wrong."""
-    return tuple(_plans(config, ServicePlan, store, problems))
-
-
-def action_plans(config: Config, store: TypeStore, problems: Problems) -> tuple[ActionPlan, ...]:
-    """Return the plans of all actions, as :func:`service_plans` does."""
-    return tuple(_plans(config, ActionPlan, store, problems))
-
-
-def _plans(config: Config, plan: type[_C], store: TypeStore, problems: Problems) -> Iterator[_C]:
+def call_plans(config: Config, plan: type[_C], store: TypeStore, problems: Problems) -> Iterator[_C]:
+    """Yield the plans of services or actions that can be used, in the file's order; note what is wrong."""
     tasks = config.settings.tasks
     entries: Mapping[str, _Settings] = getattr(config.settings, f"{plan.kind}s")
     for name, entry in entries.items():
         path, found = (f"{plan.kind}s", name), len(problems)
-        for key, error in _contradictions(config, plan, entry, path):
-            problems.add(error, config.source.line(key))
+        _contradictions(config, plan, entry, path, problems)
         if len(problems) > found:
             continue
         try:
             kind = getattr(store, plan.kind)(entry.type)
         except RosplcError as error:
-            key = (*path, "type")
-            problems.add(relocated(error, config.source.place(key)), config.source.line(key))
+            problems.move(error, config.source, (*path, "type"))
             continue
         messages = {part.word: getattr(kind, part.word).name for part in plan.parts}
         layouts = _layouts(config, store, messages, entry, path, problems)
@@ -385,38 +367,38 @@ def _plans(config: Config, plan: type[_C], store: TypeStore, problems: Problems)
 
 
 def _contradictions(
-    config: Config, plan: type[CallPlan], entry: _Settings, path: KeyPath
-) -> Iterator[tuple[KeyPath, ConfigError]]:
+    config: Config, plan: type[CallPlan], entry: _Settings, path: KeyPath, problems: Problems
+) -> None:
     tasks, other = config.settings.tasks, "ros" if entry.server == "plc" else "plc"
 
-    def wrong(key: KeyPath, what: str, remedy: str = "", code: str = "CFG004") -> tuple[KeyPath, ConfigError]:
-        return (*path, *key), config.source.wrong((*path, *key), what, remedy, code)
+    def wrong(key: KeyPath, *what: str) -> None:
+        problems.wrong(config.source, (*path, *key), *what)
 
     if any(part in _RESERVED for part in str(path[1]).split("/")):
         what = f"names with {' or '.join(_RESERVED)} are ROS' own"
-        yield wrong((), what, "Choose another name.")
+        wrong((), what, "Choose another name.")
     uses: dict[KeyPath, str | None] = {("task",): entry.task}
     uses |= {("clients", client, "task"): use.task for client, use in entry.clients.items()}
     for key, task in uses.items():
         if task is not None and task not in tasks:
-            yield wrong(key, f"there is no task {task!r}; tasks has: {', '.join(tasks)}")
+            wrong(key, f"there is no task {task!r}; tasks has: {', '.join(tasks)}")
     if entry.server == "plc" and entry.clients:
         what = "what the PLC carries out has its clients in ROS"
-        yield wrong(("clients",), what, "Remove it, or write `server: ros`.")
+        wrong(("clients",), what, "Remove it, or write `server: ros`.")
     for name in sorted(plan.only[other] & entry.model_fields_set):
         name = name.removesuffix("_ns")
-        yield wrong((name,), f"{name} is for `server: {other}`", "Remove it.")
+        wrong((name,), f"{name} is for `server: {other}`", "Remove it.")
     if isinstance(entry, ServiceSettings):
         if entry.per_client is not None and entry.per_client > entry.depth:
-            yield wrong(("per_client",), f"{entry.per_client} is more than depth, {entry.depth}")
+            wrong(("per_client",), f"{entry.per_client} is more than depth, {entry.depth}")
     elif entry.queue is not None and entry.server == "plc" and entry.on_new_goal != "buffer":
         what = f"no goal waits with `on_new_goal: {entry.on_new_goal}`"
-        yield wrong(("queue",), what, "Remove it, or write `on_new_goal: buffer`.")
+        wrong(("queue",), what, "Remove it, or write `on_new_goal: buffer`.")
     seen: dict[str, str] = {}
     for client in entry.clients:
         if (before := seen.setdefault(client.lower(), client)) != client:
             what = f"{client} and {before} are one name in the PLC, where capitals do not count"
-            yield wrong(("clients", client), what, code="CFG007")
+            wrong(("clients", client), what, "", "CFG007")
 
 
 def _layouts(
@@ -435,28 +417,31 @@ def _layouts(
         if word in own and inner:
             own[word][inner] = capacity
         elif name not in ("string", "sequence"):
-            key = (*path, "limits", name)
             what = f"{name!r} is no field of a {' or '.join(words)}"
             remedy = f"Write {' or '.join(f'{word}.FIELD' for word in words)}, or string or sequence."
-            problems.add(config.source.wrong(key, what, remedy), config.source.line(key))
+            problems.wrong(config.source, (*path, "limits", name), what, remedy)
     found = {}
     for word, message in messages.items():
+        string, sequence = (
+            entry.limits.get(name, getattr(defaults, name)) for name in ("string", "sequence")
+        )
         try:
-            limits = Limits(
-                entry.limits.get("string", defaults.string),
-                entry.limits.get("sequence", defaults.sequence),
-                own[word],
-            )
-            found[word] = compute_layout(store, message, limits)
+            found[word] = compute_layout(store, message, Limits(string, sequence, own[word]))
         except RosplcError as error:
-            key = (*path, "limits" if isinstance(error, LayoutError) else "type")
-            for field in (f"{word}.{error.where}", error.where):
-                if (*key, field) in config.source.lines:
-                    key = (*key, field)
-                    error = LayoutError(error.code, error.what, remedy=error.remedy)
-            problems.add(relocated(error, config.source.place(key)), config.source.line(key))
+            note_layout_error(error, config, path, problems, f"{word}.")
             break
     return found
+
+
+def note_layout_error(
+    error: RosplcError, config: Config, path: KeyPath, problems: Problems, prefix: str = ""
+) -> None:
+    """Note why an entry's layout cannot be computed, at its type or at the limit that is wrong."""
+    key = (*path, "limits" if isinstance(error, LayoutError) else "type")
+    for name in (prefix + error.where, error.where):
+        if isinstance(error, LayoutError) and (*key, name) in config.source.lines:
+            key, error = (*key, name), LayoutError(error.code, error.what, remedy=error.remedy)
+    problems.move(error, config.source, key)
 
 
 def _values(config: Config, entry: _Settings, layouts: Mapping[str, Layout], path: KeyPath) -> dict[str, Any]:

@@ -7,6 +7,7 @@ import pwd
 import stat
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Literal, TypeAlias
 
@@ -18,25 +19,25 @@ from rosplc.config.plans import (
     Demand,
     ServicePlan,
     StalePlan,
-    action_plans,
+    call_plans,
     classic_name,
     classic_plan,
     least_slots,
+    note_layout_error,
     passes_changes_only,
-    service_plans,
     stale_plan,
     usual_slots,
 )
 from rosplc.config.quantities import format_duration
 from rosplc.config.settings import TaskSettings, TopicSettings
-from rosplc.config.yaml_source import Absent, Problems, relocated
+from rosplc.config.yaml_source import Absent, Problems
 from rosplc.described import description_of
 from rosplc.errors import ConfigError, LayoutError, RosplcError
 from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.ros import PRESETS, ROS1, Qos
 from rosplc.shm import Description, Direction, Identity, Namespace, Part
-from rosplc.shm.constants import HEADER_SIZE, LINE_SIZE, MAX_DESCRIPTION_SIZE, MAX_OBJECT_SIZE
+from rosplc.shm.constants import HEADER_SIZE, LINE_SIZE, MAX_DESCRIPTION_SIZE, MAX_OBJECT_SIZE, MIN_SLOTS
 from rosplc.shm.files import Rights
 from rosplc.shm.names import partnered
 
@@ -177,13 +178,12 @@ def resolve(config: Config) -> Project:
             name = entry.classic.name or classic_name(topic)
         if name in names:
             what = f"{topic} and {names[name]} both become {name}"
-            problems.add(config.source.wrong(where, what, code="CFG007"), config.source.line(where))
+            problems.wrong(config.source, where, what, "", "CFG007")
         names[name] = topic
         task = entry.task or next(iter(settings.tasks))
         if task not in settings.tasks:
-            key = (*where, "task")
             what = f"there is no task {task!r}; tasks has: {', '.join(settings.tasks)}"
-            problems.add(config.source.wrong(key, what), config.source.line(key))
+            problems.wrong(config.source, (*where, "task"), what)
             continue
         layout = _layout(config, store, topic, entry, problems)
         if layout is None:
@@ -193,8 +193,8 @@ def resolve(config: Config) -> Project:
         except (ConfigError, LayoutError) as error:
             wrong = "slots" if entry.classic is None else "classic"
             problems.add(error, config.source.line((*where, wrong)))
-    services = service_plans(config, store, problems)
-    actions = action_plans(config, store, problems)
+    services = tuple(call_plans(config, ServicePlan, store, problems))
+    actions = tuple(call_plans(config, ActionPlan, store, problems))
     problems.check()
     return Project(config, store, namespace, tuple(plans), services, actions)
 
@@ -211,33 +211,25 @@ def _store(config: Config, problems: Problems) -> TypeStore:
                 problems.add(error)
                 return store
             key = ("types", "paths", paths.pop(wrong))
-            where = config.source.place(key)
-            if not wrong.exists():
-                error = Absent("CFG001", f"{wrong} does not exist", where=where)
+            if wrong.exists():
+                problems.move(error, config.source, key)
             else:
-                error = relocated(error, where)
-            problems.add(error, config.source.line(key))
+                absent = Absent("CFG001", f"{wrong} does not exist", where=config.source.place(key))
+                problems.add(absent, config.source.line(key))
 
 
 def _layout(
     config: Config, store: TypeStore, topic: str, entry: TopicSettings, problems: Problems
 ) -> Layout | None:
-    defaults = config.settings.limits
-    fields = dict(entry.limits)
-    key: tuple[str, ...] = ("topics", topic, "type")
+    defaults, fields = config.settings.limits, dict(entry.limits)
     try:
         own = {field.name for field in store[entry.type].fields}
         # A type's own field `string` or `sequence` wins over the topic's default of that name.
         string = fields.pop("string", defaults.string) if "string" not in own else defaults.string
         sequence = fields.pop("sequence", defaults.sequence) if "sequence" not in own else defaults.sequence
-        key = ("topics", topic, "limits")
         return compute_layout(store, entry.type, Limits(string, sequence, fields))
     except RosplcError as error:
-        path = ("topics", topic, "limits", error.where)
-        if isinstance(error, LayoutError) and path in config.source.lines:
-            error = LayoutError(error.code, error.what, remedy=error.remedy)
-            key = path
-        problems.add(relocated(error, config.source.place(key)), config.source.line(key))
+        note_layout_error(error, config, ("topics", topic), problems)
         return None
 
 
@@ -326,11 +318,7 @@ def _slots(config: Config, topic: str, entry: TopicSettings, task: str, record_s
 
 def check_ros(config: Config, problems: Problems) -> None:
     """Note what contradicts itself in the section ``ros``."""
-    ros, source = config.settings.ros, config.source
-
-    def refuse(key: tuple[str, ...], what: str, remedy: str = "", code: str = "CFG004") -> None:
-        problems.add(source.wrong(key, what, remedy, code), source.line(key))
-
+    ros, refuse = config.settings.ros, partial(problems.wrong, config.source)
     if ros.backend in _ROS2 and ros.distro == ROS1:
         what = f"the {ros.backend} backend speaks ROS 2, and {ROS1} is ROS 1"
         refuse(("ros", "backend"), what, "Write `backend: rospy` (or auto), or a distro of ROS 2.")
@@ -353,30 +341,23 @@ def check_ros(config: Config, problems: Problems) -> None:
             refuse(("ros", "zenoh", "config"), f"{path} is no file", "Correct the path.", "CFG001")
 
 
-def describe(plan: TopicPlan, *, distro: str, bridge: str) -> Description:
-    """Return the self-description of a topic's object (spec/shm-format.md, section 6)."""
-    return description_of(plan.layout, plan.topic, plan.direction, bridge=bridge, distro=distro)
-
-
-def describe_call(plan: CallPlan, part: Part, distro: str, bridge: str) -> Description:
-    """Return the self-description of one of the objects of a service or action, but for its partners."""
-    way = part.direction(plan.server)
-    names = {"bridge": bridge, "distro": distro, "client": plan.client}
+def describe(plan: Plan, part: Part = Part.TOPIC, *, distro: str, bridge: str) -> Description:
+    """Return an object's self-description (spec/shm-format.md, section 6), without a call's partners."""
+    if isinstance(plan, TopicPlan):
+        return description_of(plan.layout, plan.topic, plan.direction, bridge=bridge, distro=distro)
+    names, way = {"bridge": bridge, "distro": distro, "client": plan.client}, part.direction(plan.server)
     return description_of(plan.layout(part), plan.called, way, part=part, **names)
 
 
-def object_plan(project: Project, plan: TopicPlan) -> Identity:
-    """Return the geometry that the bridge's object for a topic will have; who made it is left open."""
+def object_plans(project: Project, plan: Plan) -> dict[Part, Identity]:
+    """Return the geometry of the objects that the bridge will make; who made them is left open."""
     settings = project.config.settings
-    about = describe(plan, distro=settings.ros.distro, bridge=settings.bridge)
-    return about.plan(plan.layout.size, plan.slots)
-
-
-def call_object_plans(project: Project, plan: CallPlan) -> dict[Part, Identity]:
-    """Return the geometry of the objects of a service or action, as :func:`object_plan` does."""
-    settings = project.config.settings
-    about = [describe_call(plan, part, settings.ros.distro, settings.bridge) for part in plan.parts]
-    return {one.part: one.plan(plan.layout(one.part).size) for one in partnered(about)}
+    parts, sizes = (Part.TOPIC,) if isinstance(plan, TopicPlan) else plan.parts, plan.layouts
+    about = [describe(plan, each, distro=settings.ros.distro, bridge=settings.bridge) for each in parts]
+    slots = plan.slots if isinstance(plan, TopicPlan) else MIN_SLOTS
+    return {
+        each.part: each.plan(size.size, slots) for each, size in zip(partnered(about), sizes, strict=True)
+    }
 
 
 def open_doors(config: Config) -> list[str]:

@@ -74,17 +74,21 @@ class Problems:
         if len(self._errors) < MOST_ERRORS:
             self._errors.append((line, error))
 
+    def wrong(self, source: YamlSource, key: KeyPath, *what: str) -> None:
+        """Take the error that :meth:`YamlSource.wrong` makes of these texts."""
+        self.add(source.wrong(key, *what), source.line(key))
+
+    def move(self, error: RosplcError, source: YamlSource, key: KeyPath) -> None:
+        """Take an error as one at a key path; the place it had itself moves into its text."""
+        inner = f"{error.where}: " if error.where else ""
+        moved = type(error)(error.code, inner + error.what, where=source.place(key), remedy=error.remedy)
+        self.add(moved, source.line(key))
+
     def check(self) -> None:
         """Raise what was collected. Raises ConfigErrors: Unless nothing was."""
         if self._errors:
             self._errors.sort(key=lambda item: item[0])
             raise ConfigErrors(error for _, error in self._errors)
-
-
-def relocated(error: RosplcError, place: str) -> RosplcError:
-    """Return the error as one at ``place``; the place it had itself moves into its text."""
-    inner = f"{error.where}: " if error.where else ""
-    return type(error)(error.code, inner + error.what, where=place, remedy=error.remedy)
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:

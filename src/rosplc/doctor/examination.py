@@ -17,7 +17,7 @@ from rosplc._version import __version__
 from rosplc.bridge.ros_side import choose_backend
 from rosplc.config import ConfigErrors, Project, TopicPlan, load_project
 from rosplc.config.plans import CallPlan, ClassicPlan
-from rosplc.config.resolve import object_plan
+from rosplc.config.resolve import object_plans
 from rosplc.config.resolve import rights as rights_of
 from rosplc.doctor import (
     classic,
@@ -42,6 +42,7 @@ from rosplc.errors import RosplcError
 from rosplc.plc.plan import ProjectOptions
 from rosplc.project import call_memory, expected_files
 from rosplc.ros import ROS1
+from rosplc.shm import Part
 
 _LOOK_S = 3.5
 """How long to watch objects for beats, at most: who beats ends it sooner."""
@@ -244,7 +245,7 @@ class _Examination:
         for plan in self._topics:
             assert self._project is not None
             path = self._directory / self._project.object_name(plan)
-            own = object_plan(self._project, plan).object_size if plan.port == "channel" else 0
+            own = object_plans(self._project, plan)[Part.TOPIC].object_size if plan.port == "channel" else 0
             size = own or plan.layout.size
             needed += size
             if path.is_file():

@@ -13,7 +13,7 @@ from typing import Literal
 
 from rosplc._version import __version__
 from rosplc.config.plans import CallPlan
-from rosplc.config.resolve import Project, object_plan
+from rosplc.config.resolve import Project, object_plans
 from rosplc.errors import GenerationError
 from rosplc.layout import Layout
 from rosplc.model import TypeStore
@@ -43,7 +43,7 @@ from rosplc.plc.plan import (
 )
 from rosplc.plc.project import Dut, Enumeration, Gvl, PlcProject, Pou, Task, VarBlock, Variable
 from rosplc.plc.types import DutBuilder, Renaming, initial_value
-from rosplc.shm import Direction
+from rosplc.shm import Direction, Part
 
 READ_GVL, WRITE_GVL = "ROS_Read", "ROS_Write"  # the lists that hold the instances
 SERVICE_GVL, ACTION_GVL = "ROS_Services", "ROS_Actions"
@@ -414,7 +414,7 @@ def _topics(project: Project) -> list[PlcTopic]:
             layout=plan.layout,
             direction="read" if plan.direction == Direction.TO_PLC else "write",
             task=plan.task,
-            object_size=object_plan(project, plan).object_size if plan.port == "channel" else 0,
+            object_size=object_plans(project, plan)[Part.TOPIC].object_size if plan.port == "channel" else 0,
             stale_after_ns=plan.stale_after_ns,
             on_stale=plan.on_stale.action if plan.on_stale.action in ("zero", "value") else "hold",
             safe=plan.on_stale.value if plan.on_stale.action == "value" else None,

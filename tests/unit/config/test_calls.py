@@ -8,7 +8,7 @@ import jsonschema
 import pytest
 
 from rosplc.config import ConfigErrors, json_schema, parse_config, resolve
-from rosplc.config.resolve import Project, call_object_plans
+from rosplc.config.resolve import Project, object_plans
 from rosplc.ros import SERVICES
 
 TRIGGER = "std_srvs/srv/Trigger"
@@ -101,7 +101,7 @@ def test_actions() -> None:
     assert capacities == [{"sequence": 5}, {"sequence": 3}]
     assert [plan.name for plan in both] == ["action /c x", "action /c y"]
     assert {plan.when_plc_down for plan in both} == {"keep"}
-    names = {plan.name: call_object_plans(made, plan) for plan in made.calls}
+    names = {plan.name: object_plans(made, plan) for plan in made.calls}
     assert [identity.kind for identity in names["action /b"].values()] == [0x0103, 0x0203, 0x0303]
     assert [identity.direction for identity in names["action /b"].values()] == [1, 2, 2]
     assert [identity.direction for identity in names["action /c x"].values()] == [2, 1, 1]

@@ -7,7 +7,7 @@ import json
 import pytest
 import yaml
 
-from rosplc.config.resolve import load_project, object_plan
+from rosplc.config.resolve import load_project, object_plans
 from rosplc.model import TypeStore
 from rosplc.plc.delivery import MANIFEST
 from rosplc.shm import Description, Direction, Namespace, OwnedChannel, attach
@@ -71,7 +71,8 @@ def test_the_map_size_is_the_size_of_the_bridges_object(config, tmp_path, shm_na
         limits=plan.layout.limits.to_dict(), layout_id=plan.layout.layout_id, bridge="rosplc",
         definition=plan.layout.store.definition_text(plan.type_name),
     )  # fmt: skip
-    size = object_plan(load_project(path), plan).object_size
+    (made,) = object_plans(load_project(path), plan).values()
+    size = made.object_size
     with OwnedChannel.open(shm_namespace, description, record_size=plan.layout.size, slots=plan.slots):
         channel = attach(shm_namespace, "/joints")
         assert abs(channel.identity.object_size - size) <= 64  # the bridge's own name is in the text

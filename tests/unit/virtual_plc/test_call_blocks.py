@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from rosplc.config import parse_config, resolve
-from rosplc.config.resolve import describe_call
+from rosplc.config.resolve import describe
 from rosplc.errors import LayoutError
 from rosplc.reasons import Reason
 from rosplc.shm import SERVICE, Answerer, Caller, Namespace, OwnedChannel, Part, SlotInfo
@@ -39,7 +39,8 @@ class Side:
 
     def open(self) -> None:
         parts = [
-            (describe_call(self.plan, part, "jazzy", "b"), each.size) for part, each in self.layouts.items()
+            (describe(self.plan, part, distro="jazzy", bridge="b"), each.size)
+            for part, each in self.layouts.items()
         ]
         request, response = self.channels = OwnedChannel.open_together(self.namespace, parts)
         mine, theirs = (request, response) if self.server == "plc" else (response, request)
