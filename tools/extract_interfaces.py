@@ -26,8 +26,9 @@ from pathlib import Path
 
 import yaml
 
-from rosplc.model import TypeStore, split_definition
+from rosplc.model import TypeStore
 from rosplc.model.bundled import bundled
+from rosplc.model.folders import split_definition
 from rosplc.model.interfaces import PARTS, kind_of
 
 PLAN = Path(__file__).with_name("interfaces.yaml")

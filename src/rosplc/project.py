@@ -23,7 +23,8 @@ from rosplc.config.resolve import (
 )
 from rosplc.errors import GenerationError, RosplcError
 from rosplc.harmless import in_bytes
-from rosplc.layout import Layout, SequenceNode, StringNode, compute_layout
+from rosplc.layout import Layout, compute_layout
+from rosplc.layout.nodes import SequenceNode, StringNode
 from rosplc.model import TypeStore
 from rosplc.plc.build import (
     ACTION_GVL,

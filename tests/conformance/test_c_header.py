@@ -10,18 +10,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from rosplc.layout import (
-    ArrayNode,
-    Layout,
-    Limits,
-    PaddingNode,
-    ScalarNode,
-    SequenceNode,
-    StringNode,
-    StructNode,
-    compute_layout,
-)
+from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.layout.c_header import c_header
+from rosplc.layout.nodes import ArrayNode, PaddingNode, ScalarNode, SequenceNode, StringNode, StructNode
 from rosplc.model import DISTROS, TypeStore
 
 COMPILERS = [

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from rosplc.layout import plain
+from rosplc.layout.view import plain
 from rosplc.virtual_plc import ReadBlock, WriteBlock
 
 __all__ = ["Bridge", "Plc"]

@@ -14,7 +14,7 @@ import sys
 import threading
 from pathlib import Path
 
-from rosplc.layout import plain
+from rosplc.layout.view import plain
 from rosplc.virtual_plc import ReadBlock, VirtualPlc, WriteBlock
 
 

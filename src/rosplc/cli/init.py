@@ -35,7 +35,9 @@ from rosplc.cli.verb import verb
 from rosplc.harmless import plural
 
 if TYPE_CHECKING:
-    from rosplc.init import Draft, Source, Topic, Wish
+    from rosplc.init.found import Source, Topic
+    from rosplc.init.propose import Wish
+    from rosplc.init.write import Draft
 
 _LONGEST = 40
 
@@ -88,7 +90,10 @@ def command(
         as_json: Print JSON; nothing is asked.
     """
     from rosplc.config import Config
-    from rosplc.init import LiveRobot, RecordedRobot, draft, refuse_to_overwrite, save, select
+    from rosplc.init.live import LiveRobot
+    from rosplc.init.propose import select
+    from rosplc.init.recorded import RecordedRobot
+    from rosplc.init.write import draft, refuse_to_overwrite, save
 
     # What the backends warn of is part of the outcome, or of the error that ends this.
     logging.getLogger("rosplc").addHandler(logging.NullHandler())
@@ -141,7 +146,7 @@ def command(
 
 
 def _wishes(*given: list[str] | None) -> list[Wish]:
-    from rosplc.init import parse_wish
+    from rosplc.init.propose import parse_wish
 
     options: tuple[tuple[str, Literal["plc", "ros"] | None], ...]
     options = (("--topics", None), ("--to-plc", "plc"), ("--to-ros", "ros"))
@@ -177,7 +182,7 @@ def _progress(*, quiet: bool) -> Callable[[str], None]:
 
 
 def _list(source: Source) -> None:
-    from rosplc.init import direction, is_of_ros_itself
+    from rosplc.init.propose import direction, is_of_ros_itself
 
     def short(names: tuple[str, ...]) -> str:
         text = ", ".join(names) or "-"
@@ -266,8 +271,7 @@ def _facts(
 def _ask_topics(topics: Mapping[str, Topic]) -> list[Wish]:
     """Ask what to carry, and which way; the answers are wishes as from the command line."""
     from rosplc.errors import RosplcError
-    from rosplc.init import direction, is_of_ros_itself
-    from rosplc.init.propose import Wish
+    from rosplc.init.propose import Wish, direction, is_of_ros_itself
     from rosplc.model.parse import full_name
 
     def names(answer: str) -> list[str]:

@@ -33,7 +33,8 @@ from rosplc.errors import BackendError
 from rosplc.harmless import plural
 
 if TYPE_CHECKING:
-    from rosplc.layout import Layout, Limits, Node
+    from rosplc.layout import Layout, Limits
+    from rosplc.layout.nodes import Node
     from rosplc.model import MessageType, TypeStore
 
 
@@ -242,7 +243,7 @@ def _describe(store: TypeStore, layout: Layout) -> None:
 
 def _names(node: Node) -> tuple[str, str]:
     """Return a node's type in ROS's words, with its capacity, and in IEC 61131-3."""
-    from rosplc.layout import ArrayNode, ScalarNode, SequenceNode, StringNode, StructNode
+    from rosplc.layout.nodes import ArrayNode, ScalarNode, SequenceNode, StringNode, StructNode
     from rosplc.plc.names import IEC_TYPES, type_prefix
 
     if isinstance(node, ScalarNode):

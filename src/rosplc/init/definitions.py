@@ -11,7 +11,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from rosplc.errors import MessageTypeError, RosplcError
-from rosplc.model import TypeStore, split_definition
+from rosplc.model import TypeStore
+from rosplc.model.folders import split_definition
 from rosplc.model.parse import MAX_TEXT, full_name, parse_definition
 
 _MOST_TYPES = 500  # one type's definition has a handful

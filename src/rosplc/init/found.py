@@ -12,15 +12,8 @@ from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
 from rosplc.init.definitions import Definitions
-from rosplc.model import (
-    PRIMITIVES,
-    ArrayType,
-    FieldType,
-    NamedType,
-    PrimitiveType,
-    StringType,
-    TypeStore,
-)
+from rosplc.model import ArrayType, FieldType, NamedType, PrimitiveType, StringType, TypeStore
+from rosplc.model.types import PRIMITIVES
 from rosplc.ros import Qos
 
 _MOST_VISITS = 100_000

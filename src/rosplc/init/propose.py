@@ -15,7 +15,8 @@ from typing import Literal
 from rosplc.errors import LayoutError, RosplcError
 from rosplc.harmless import nearest, plural
 from rosplc.init.found import Seen, Topic
-from rosplc.layout import MAX_SEQUENCE, MAX_STRING, Layout, Limits, compute_layout
+from rosplc.layout import Layout, Limits, compute_layout
+from rosplc.layout.compute import MAX_SEQUENCE, MAX_STRING
 from rosplc.layout.nodes import SequenceNode, StringNode
 from rosplc.model import TypeStore
 from rosplc.model.parse import full_name

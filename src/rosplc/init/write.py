@@ -18,7 +18,7 @@ from rosplc.errors import ConfigError, RosplcError
 from rosplc.harmless import one_line
 from rosplc.init.found import Found, Seen, Source
 from rosplc.init.propose import RULES, Chosen, Entry, propose
-from rosplc.model import save_definitions
+from rosplc.model.folders import save_definitions
 
 _WIDTH = 108
 _PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")

@@ -18,18 +18,9 @@ from rosplc.layout.nodes import (
     StringNode,
     StructNode,
 )
-from rosplc.model import (
-    PRIMITIVES,
-    ArrayType,
-    Field,
-    FieldType,
-    NamedType,
-    PrimitiveType,
-    SequenceType,
-    StringType,
-    TypeStore,
-)
+from rosplc.model import ArrayType, FieldType, NamedType, PrimitiveType, SequenceType, StringType, TypeStore
 from rosplc.model.parse import check_names
+from rosplc.model.types import PRIMITIVES, Field
 
 MAX_STRING = 65534  # Largest capacity of a string in bytes.
 MAX_SEQUENCE = 1 << 24  # Largest capacity of a sequence in elements.

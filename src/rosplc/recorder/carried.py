@@ -18,9 +18,11 @@ from typing import Any, NamedTuple
 from rosplc.codec import Codec, Wire
 from rosplc.described import layout_of
 from rosplc.errors import ChannelError, RosplcError
-from rosplc.layout import Layout, Limits, SequenceNode, StringNode, compute_layout
-from rosplc.model import ArrayType, Field, MessageType, NamedType, SequenceType, StringType, TypeStore
+from rosplc.layout import Layout, Limits, compute_layout
+from rosplc.layout.nodes import SequenceNode, StringNode
+from rosplc.model import ArrayType, MessageType, NamedType, SequenceType, StringType, TypeStore
 from rosplc.model._rosbags import EMPTY_MEMBER
+from rosplc.model.types import Field
 from rosplc.monitor.watch import open_object
 from rosplc.reasons import Reason
 from rosplc.recorder.mcap_file import ChannelInfo

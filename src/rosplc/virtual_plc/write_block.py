@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from typing import Any, NoReturn
 
 from rosplc.errors import ChannelError
-from rosplc.layout import Layout, RecordView, StructNode
+from rosplc.layout import Layout, RecordView
+from rosplc.layout.nodes import StructNode
 from rosplc.shm import Attached, Direction, Namespace, Writer, WriterClaim
 from rosplc.shm.constants import STAMP_PLC, UNKNOWN, ErrorNumber
 from rosplc.virtual_plc.block import Block, Peer, error_number

@@ -18,16 +18,8 @@ from typing import Any
 from rosplc.clock import SYSTEM, Clock
 from rosplc.described import layout_of
 from rosplc.errors import ChannelError, LayoutError, WebError
-from rosplc.layout import (
-    ArrayNode,
-    Layout,
-    Node,
-    PaddingNode,
-    ScalarNode,
-    SequenceNode,
-    StringNode,
-    StructNode,
-)  # fmt: skip
+from rosplc.layout import Layout
+from rosplc.layout.nodes import ArrayNode, Node, PaddingNode, ScalarNode, SequenceNode, StringNode, StructNode
 from rosplc.model import TypeStore
 from rosplc.shm import Attached, Direction, Namespace, OwnedChannel, Region, Writer
 from rosplc.shm import attach as attach_object

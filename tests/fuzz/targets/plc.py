@@ -9,16 +9,8 @@ from typing import Any, cast
 from rosplc.config.plans import ClassicPlan
 from rosplc.errors import GenerationError, LayoutError, MessageTypeError
 from rosplc.layout import Limits, compute_layout
-from rosplc.model import (
-    ArrayType,
-    Constant,
-    Field,
-    MessageType,
-    PrimitiveType,
-    SequenceType,
-    StringType,
-    TypeStore,
-)
+from rosplc.model import ArrayType, MessageType, PrimitiveType, SequenceType, StringType, TypeStore
+from rosplc.model.types import Constant, Field
 from rosplc.plc import base
 from rosplc.plc.build import build_project
 from rosplc.plc.plan import PlcTask, PlcTopic, ProjectOptions

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rosplc.init import Topic
-from rosplc.init.found import Length, Seen
+from rosplc.init.found import Length, Seen, Topic
 from rosplc.init.propose import propose
 from rosplc.model import TypeStore
 from rosplc.ros import LATCHED, SENSOR_DATA, Qos

@@ -9,7 +9,9 @@ from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_typestore
 
 from rosplc.errors import RosplcError
-from rosplc.init import RecordedRobot, draft, parse_wish, save, select
+from rosplc.init.propose import parse_wish, select
+from rosplc.init.recorded import RecordedRobot
+from rosplc.init.write import draft, save
 from rosplc.model import TypeStore
 from rosplc.shm import Direction, Namespace
 from tests.e2e.turtle_recording import write_recording

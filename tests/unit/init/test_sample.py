@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from rosplc.init import LiveRobot
 from rosplc.init.found import Meter
+from rosplc.init.live import LiveRobot
 from rosplc.model import TypeStore
 from rosplc.ros import Qos, open_backend
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from rosplc.init import Topic, direction, parse_wish, select
+from rosplc.init.found import Topic
+from rosplc.init.propose import direction, parse_wish, select
 
 TWIST, STRING = "geometry_msgs/msg/Twist", "std_msgs/msg/String"
 TOPICS = {

@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 
 from rosplc.errors import LayoutError, MessageTypeError
-from rosplc.layout import Limits, ScalarNode, SequenceNode, StringNode, StructNode, compute_layout
+from rosplc.layout import Limits, compute_layout
 from rosplc.layout.compute import MAX_ITEMS
+from rosplc.layout.nodes import ScalarNode, SequenceNode, StringNode, StructNode
 from rosplc.model import TypeStore
 
 JAZZY = TypeStore.bundled("jazzy")

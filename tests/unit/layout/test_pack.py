@@ -16,19 +16,8 @@ from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_typestore
 
 from rosplc.errors import LayoutError
-from rosplc.layout import (
-    ArrayNode,
-    Layout,
-    Limits,
-    Node,
-    PaddingNode,
-    RecordView,
-    ScalarNode,
-    SequenceNode,
-    StringNode,
-    StructNode,
-    compute_layout,
-)
+from rosplc.layout import Layout, Limits, RecordView, compute_layout
+from rosplc.layout.nodes import ArrayNode, Node, PaddingNode, ScalarNode, SequenceNode, StringNode, StructNode
 from rosplc.model import TypeStore
 from rosplc.model.parse import INTEGER_RANGES
 

@@ -9,7 +9,8 @@ import pytest
 import rosplc.model.store
 from rosplc.errors import MessageTypeError
 from rosplc.layout import Limits, compute_layout
-from rosplc.model import DISTROS, ActionType, ServiceType, TypeStore
+from rosplc.model import DISTROS, TypeStore
+from rosplc.model.types import ActionType, ServiceType
 
 # As Kilted's packages publish them in share/PACKAGE/{srv,action}/*.json; the action and its messages are
 # test_msgs', read from the text below. The first 16 digits; the foreign tier compares all.

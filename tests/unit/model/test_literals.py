@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rosplc.model import ArrayType, FieldType, NamedType, PrimitiveType, SequenceType, StringType, Value
+from rosplc.model import ArrayType, FieldType, NamedType, PrimitiveType, SequenceType, StringType
 from rosplc.model.parse import INTEGER_RANGES, LiteralError, format_value, parse_value, strip_comment
-from rosplc.model.types import ROS1_BYTE
+from rosplc.model.types import ROS1_BYTE, Value
 
 INT32 = PrimitiveType("int32")
 STRING = StringType()

@@ -8,17 +8,9 @@ from hypothesis import strategies as st
 
 from rosplc.errors import MessageTypeError
 from rosplc.layout import compute_layout
-from rosplc.model import (
-    ArrayType,
-    Constant,
-    Field,
-    NamedType,
-    PrimitiveType,
-    SequenceType,
-    StringType,
-    TypeStore,
-)
+from rosplc.model import ArrayType, NamedType, PrimitiveType, SequenceType, StringType, TypeStore
 from rosplc.model.parse import MAX_FIELDS, MAX_TEXT, parse_definition
+from rosplc.model.types import Constant, Field
 
 SEPARATOR = "=" * 80 + "\n"
 

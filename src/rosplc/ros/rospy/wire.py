@@ -15,7 +15,8 @@ from pathlib import Path
 
 from rosplc.clock import SYSTEM, Clock
 from rosplc.errors import BackendError
-from rosplc.model import TypeStore, save_definitions, split_definition
+from rosplc.model import TypeStore
+from rosplc.model.folders import save_definitions, split_definition
 from rosplc.ros.names import resolve_topic
 from rosplc.ros.rospy.handshake import HandshakeError
 from rosplc.ros.rospy.inbound import ANY_TYPE, handshake, request
