@@ -11,6 +11,7 @@ This module stands at the bottom of the dependency order and imports nothing of 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar
 
 __all__ = [
@@ -88,7 +89,7 @@ class RosplcError(Exception):
 
     def __reduce__(self) -> tuple[object, ...]:
         # Exceptions with keyword arguments do not survive pickling by default.
-        return (_rebuild, (type(self), self.code, self.what, self.where, self.remedy))
+        return partial(type(self), where=self.where, remedy=self.remedy), (self.code, self.what)
 
     def to_dict(self) -> dict[str, str]:
         """Return the error as plain data, for ``--json`` output."""
@@ -100,10 +101,6 @@ def _bounded(text: str) -> str:
     if len(text) <= LONGEST_TEXT:
         return text
     return f"{text[: LONGEST_TEXT - 300]} … {text[-200:]}"
-
-
-def _rebuild(cls: type[RosplcError], code: str, what: str, where: str, remedy: str) -> RosplcError:
-    return cls(code, what, where=where, remedy=remedy)
 
 
 class MessageTypeError(RosplcError):

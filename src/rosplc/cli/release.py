@@ -13,7 +13,6 @@ from __future__ import annotations
 import sys
 import time
 from contextlib import ExitStack
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
@@ -79,7 +78,7 @@ def _release(namespace: Namespace, attached: Attached, *, towards_plc: bool) -> 
     with ExitStack() as stack:
         if towards_plc:
             # Only a bridge writes there: its lock shows whether one is running.
-            status = Path(attached.path).stat()
+            status = attached.path.stat()
             stack.enter_context(
                 OwnedChannel.open(
                     namespace,

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import enum
 import struct
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from rosplc.errors import MessageTypeError
@@ -78,12 +77,6 @@ class Op:
         )  # fmt: skip
 
 
-def pack_plan(wire: Wire, record_size: int, native: Sequence[Op], swapped: Sequence[Op]) -> bytes:
-    """Return the blob that ``_native.Plan`` loads."""
-    head = _HEAD.pack(_MAGIC, wire.value, record_size, len(native), len(swapped), 0)
-    return head + b"".join(op.pack() for op in (*native, *swapped))
-
-
 @dataclass(frozen=True, slots=True)
 class Flat:
     """A struct or number without gaps, whose wire bytes are its record bytes."""
@@ -131,12 +124,9 @@ def compile_plan(root: StructNode, wire: Wire) -> CompiledPlan:
     swapped = _OpList(wire, swapped=True)
     if wire is Wire.CDR:  # ROS 1 is little-endian only
         swapped.struct(root, 0, "")
-    blob = pack_plan(wire, root.size, native.ops, swapped.ops)
-    return CompiledPlan(blob, (*native.ops, *swapped.ops), len(native.ops))
-
-
-def _is_empty(node: StructNode) -> bool:
-    return all(isinstance(member.node, PaddingNode) for member in node.members)
+    ops = (*native.ops, *swapped.ops)
+    head = _HEAD.pack(_MAGIC, wire.value, root.size, len(native.ops), len(swapped.ops), 0)
+    return CompiledPlan(head + b"".join(op.pack() for op in ops), ops, len(native.ops))
 
 
 class _OpList:
@@ -155,7 +145,7 @@ class _OpList:
 
     def struct(self, node: StructNode, base: int, path: str) -> None:
         """Add the members of a struct that starts at record offset ``base``."""
-        if _is_empty(node):
+        if node.empty:
             if self._cdr:
                 # rosidl gives a message without fields one dummy byte; ROS 1 sends nothing
                 self._add(Op(OpCode.SKIP, path, n=1))

@@ -12,6 +12,7 @@ import zlib
 from array import array
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any
 
 SECOND_NS = 1_000_000_000
@@ -83,22 +84,14 @@ def _crc(number: int, stamp_ns: int, numbers: Iterable[float]) -> int:
     return zlib.crc32(array("d", numbers).tobytes(), zlib.crc32(head))
 
 
-def _pose_numbers(message: Any) -> list[float]:
-    p, q = message.pose.position, message.pose.orientation
-    return [p.x, p.y, p.z, q.x, q.y, q.z, q.w]
-
-
-def _joint_numbers(message: Any) -> list[float]:
-    return [*message.position, *message.velocity, *message.effort]
-
-
-def _scan_numbers(message: Any) -> list[float]:
-    return [message.angle_min, message.angle_max, message.range_max, *message.ranges]
-
-
-_POSE = Kind("pose", "geometry_msgs/msg/PoseStamped", "odom", _pose_numbers)
-_JOINT = Kind("joint_states", "sensor_msgs/msg/JointState", "base", _joint_numbers)
-_SCAN = Kind("scan", "sensor_msgs/msg/LaserScan", "laser", _scan_numbers)
+_pose = ("position.x", "position.y", "position.z", *(f"orientation.{axis}" for axis in "xyzw"))
+_POSE = Kind("pose", "geometry_msgs/msg/PoseStamped", "odom", attrgetter(*(f"pose.{part}" for part in _pose)))
+_JOINT = Kind(
+    "joint_states", "sensor_msgs/msg/JointState", "base", lambda m: [*m.position, *m.velocity, *m.effort]
+)
+_SCAN = Kind(
+    "scan", "sensor_msgs/msg/LaserScan", "laser", lambda m: [m.angle_min, m.angle_max, m.range_max, *m.ranges]
+)
 
 COMMAND = ("/turtle/cmd_vel", "geometry_msgs/msg/Twist")
 """Topic and type of what the PLC sends back."""

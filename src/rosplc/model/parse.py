@@ -254,8 +254,9 @@ def parse_definition(
     own_headers = {*siblings, *(name for name, _, _ in sections)} if ros_version == 2 else set()
     for name, place, lines in sections:
         own = name.partition("/")[0] + "/msg/Header"
-        numbered = [(n, _own_header(line, own) if own in own_headers else line) for n, line in lines]
-        parsed = _parse_section(name, place, numbered, where, ros_version, budget)
+        if own in own_headers:  # a field type `Header` is that of the package
+            lines = [(n, re.sub(r"^(\s*)Header(?=[\s\[])", rf"\1{own}", line)) for n, line in lines]
+        parsed = _parse_section(name, place, lines, where, ros_version, budget)
         budget -= len(parsed.message.fields) + len(parsed.message.constants)
         known = found.setdefault(name, parsed)
         if known.message != parsed.message:
@@ -284,11 +285,6 @@ def _sections(name: str, text: str, where: str) -> Iterator[tuple[str, str, list
     if wants_header:
         raise _syntax("the definition ends after a separator", where, text.count("\n") + 1)
     yield name, place, lines
-
-
-def _own_header(line: str, name: str) -> str:
-    """Qualify a field type ``Header`` with the package that has one."""
-    return re.sub(r"^(\s*)Header(?=[\s\[])", rf"\1{name}", line)
 
 
 def _parse_section(
@@ -328,21 +324,15 @@ def _parse_line(line: str, package: str, ros_version: int) -> Field | Constant:
     type_text, name, rest = parts.groups()
     if len(name) > MAX_NAME or len(type_text) > 2 * MAX_NAME:
         raise LiteralError(f"a name has more than {MAX_NAME} characters")
-    kind = _parse_type(type_text, package, ros_version)
+    if (found := parse_field_type(type_text, package, ros1=ros_version == 1)) is None:
+        raise LiteralError(f"{type_text[:80]!r} is no type")
+    kind, valid = found
+    if not valid:
+        raise LiteralError(f"{type_text[:80]!r}: lengths and bounds are within 1 … 4294967295")
     if rest.startswith("="):
         return _parse_constant(name, kind, rest[1:], ros_version)
     literal = strip_comment(rest)
     return Field(name, kind, parse_value(literal, kind) if literal else None)
-
-
-def _parse_type(text: str, package: str, ros_version: int) -> FieldType:
-    result = parse_field_type(text, package, ros1=ros_version == 1)
-    if result is None:
-        raise LiteralError(f"{text[:80]!r} is no type")
-    kind, valid = result
-    if not valid:
-        raise LiteralError(f"{text[:80]!r}: lengths and bounds are within 1 … 4294967295")
-    return kind
 
 
 def _parse_constant(name: str, kind: FieldType, text: str, ros_version: int) -> Constant:

@@ -25,7 +25,6 @@ from rosplc.model.interfaces import (
 from rosplc.model.parse import ParsedType, format_value, full_name, parse_definition
 from rosplc.model.types import (
     ActionType,
-    Constant,
     Field,
     MessageType,
     NamedType,
@@ -101,7 +100,12 @@ class TypeStore:
 
         Raises MessageTypeError: See :meth:`from_definition`.
         """
-        return self._with(parse_definition(type_name, text, ros_version=self.ros_version))
+        merged, found = self._copy(), parse_definition(type_name, text, ros_version=self.ros_version)
+        for parsed in found:
+            merged._merge(parsed)
+        for parsed in found:
+            merged._visit(parsed.message.name, merged._heights, (), parsed.where)
+        return merged
 
     def with_events(self, name: str) -> TypeStore:
         """Return a store that knows a service or action as well; it has the messages of the parts."""
@@ -282,14 +286,6 @@ class TypeStore:
         copy._nameless, copy._interfaces = list(self._nameless), dict(self._interfaces)
         return copy
 
-    def _with(self, found: list[ParsedType]) -> TypeStore:
-        merged = self._copy()
-        for parsed in found:
-            merged._merge(parsed)
-        for parsed in found:
-            merged._visit(parsed.message.name, merged._heights, (), parsed.where)
-        return merged
-
     def _merge(self, parsed: ParsedType) -> None:
         """Add a definition; TYP005 if it differs from the one known."""
         new = parsed.message
@@ -349,32 +345,33 @@ class TypeStore:
         if kind == "srv" and kind_of(full) == "action" and self.ros_version == 2:
             owner = full.removesuffix("_SendGoal").removesuffix("_GetResult")
         if owner not in self._interfaces or (kind_of(full) != kind and owner == full):
-            raise MessageTypeError("TYP001", self._unknown(full, kind), remedy=self._remedy(full))
+            raise self._unknown(full, kind)
         return full
 
-    def _unknown(self, name: str, kind: str = "msg") -> str:
+    def _unknown(self, name: str, kind: str = "msg", where: str = "") -> MessageTypeError:
+        package, every, hint = name.partition("/")[0], [*self._types, *self._interfaces], ""
         if name in self._types:
-            return f"{name} is a message, not {_WORDS[kind]}"
-        if name in self._interfaces:
-            what, known = _WORDS[kind_of(name)], PARTS[kind_of(name)]
-            return f"{name} is {what}, not {_WORDS[kind]}; its messages end with _{', _'.join(known)}"
-        base = name.rsplit("/", 1)[-1].lower()
-        every = [*self._types, *self._interfaces]
-        same = [other for other in every if other.rsplit("/", 1)[1].lower() == base]
-        near = difflib.get_close_matches(name, same, 1, 0) or difflib.get_close_matches(name, every, 1)
-        hint = f"; did you mean {near[0]}?" if near else ""
-        if self._nameless and not near:
-            hint = f"; {self._nameless[0].where} was not read: {self._nameless[0].what}"
-        return f"{name} is unknown{f' in {self.distro}' if self.distro else ''}{hint}"
-
-    def _remedy(self, name: str) -> str:
-        package = name.partition("/")[0]
-        if any(other.startswith(f"{package}/") for other in (*self._types, *self._interfaces)):
-            return f"`rosplc types {package}` lists the package's types; add others' folder to types.paths."
-        return (
-            f"Check the spelling with `rosplc types`. Package {package} is not bundled: add its folder to "
-            f"types.paths (`--path` of `rosplc types`); ROS installs it as /opt/ros/DISTRO/share/{package}."
-        )
+            what = f"{name} is a message, not {_WORDS[kind]}"
+        elif name in self._interfaces:
+            own, known = _WORDS[kind_of(name)], PARTS[kind_of(name)]
+            what = f"{name} is {own}, not {_WORDS[kind]}; its messages end with _{', _'.join(known)}"
+        else:
+            base = name.rsplit("/", 1)[-1].lower()
+            same = [other for other in every if other.rsplit("/", 1)[1].lower() == base]
+            near = difflib.get_close_matches(name, same, 1, 0) or difflib.get_close_matches(name, every, 1)
+            if near:
+                hint = f"; did you mean {near[0]}?"
+            elif self._nameless:
+                hint = f"; {self._nameless[0].where} was not read: {self._nameless[0].what}"
+            what = f"{name} is unknown{f' in {self.distro}' if self.distro else ''}{hint}"
+        remedy = f"`rosplc types {package}` lists the package's types; add others' folder to types.paths."
+        if not any(other.startswith(f"{package}/") for other in every):
+            remedy = (
+                f"Check the spelling with `rosplc types`. Package {package} is not bundled: add its folder "
+                "to types.paths (`--path` of `rosplc types`); ROS installs it as "
+                f"/opt/ros/DISTRO/share/{package}."
+            )
+        return MessageTypeError("TYP001", what, where=where, remedy=remedy)
 
     def _visit(self, name: str, heights: dict[str, int], above: tuple[str, ...], where: str) -> int:
         """Return how deep a type is nested; ``heights`` fills in order of dependency."""
@@ -383,8 +380,7 @@ class TypeStore:
         if name in self._broken:
             raise self._broken[name]
         if (message := self._find(name)) is None:
-            short = name[:80]
-            raise MessageTypeError("TYP001", self._unknown(short), where=where, remedy=self._remedy(short))
+            raise self._unknown(name[:80], where=where)
         if name in above:
             cycle = " → ".join((*above[above.index(name) :], name))
             raise MessageTypeError("TYP003", cycle, where=where)
@@ -412,7 +408,10 @@ class TypeStore:
                 self._collect(other, order)
 
     def _text(self, message: MessageType) -> str:
-        lines = [f"{c.type} {c.name}={self._constant_text(c)}" for c in message.constants]
+        lines = []
+        for each in message.constants:
+            quoted = self.ros_version == 2 and isinstance(each.value, str)
+            lines.append(f"{each.type} {each.name}={format_value(each.value) if quoted else each.text}")
         for field in message.fields:
             kind, text = field.type.inner, str(field.type)
             if isinstance(kind, NamedType):
@@ -421,11 +420,6 @@ class TypeStore:
             default = "" if field.default is None else f" {format_value(field.default)}"
             lines.append(f"{text} {field.name}{default}")
         return "".join(f"{line}\n" for line in lines)
-
-    def _constant_text(self, constant: Constant) -> str:
-        if self.ros_version == 1:
-            return constant.text
-        return format_value(constant.value) if isinstance(constant.value, str) else constant.text
 
 
 def _md5(text: str) -> str:

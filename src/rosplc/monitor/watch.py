@@ -38,7 +38,7 @@ def open_object(path: str) -> Attached:
     part = Namespace(name.partition(".")[0]).part_of(name) or Part.TOPIC
     fd = open_plain_file(Path(path), os.O_RDONLY)
     try:
-        return Attached(fd, path, None, False, part)
+        return Attached(fd, Path(path), None, False, part)
     finally:
         os.close(fd)
 

@@ -12,7 +12,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any, Literal, cast
 
 from rosplc.bridge.bind import Binding
@@ -440,7 +439,7 @@ class PlcTarget(Target):
         """Return the channel that a bridge left; None if there is none, or one that is to be replaced."""
         try:
             with attach(self._namespace, name) as attached:
-                status = Path(attached.path).stat()
+                status = attached.path.stat()
                 owner = {"mode": stat.S_IMODE(status.st_mode), "uid": status.st_uid, "gid": status.st_gid}
                 slots = attached.identity.slot_count
                 return _Plan(attached.description, layout_of(attached), slots, owner=owner)

@@ -49,7 +49,7 @@ def attach(
     try:
         if write:
             refuse_second_name(fd, path)
-        attached = Attached(fd, str(path), direction, write, part)
+        attached = Attached(fd, path, direction, write, part)
     finally:
         os.close(fd)
     found = attached.identity
@@ -78,12 +78,15 @@ class Mapped(ABC):
     """A mapped object; a context manager that closes it."""
 
     def __init__(
-        self, fd: int, path: str, direction: Direction | None, write: bool, part: Part = Part.TOPIC
+        self, fd: int, path: Path, direction: Direction | None, write: bool, part: Part = Part.TOPIC
     ) -> None:
+        self.path = path
         self._first, size = read_header(fd)
         # the validated private copy of lines 0 and 1
-        self.identity = Identity.parse(self._first, size, direction=direction, kind=part.value, where=path)
-        self.region = Region(fd, self._first, write, path)  # the mapping
+        self.identity = Identity.parse(
+            self._first, size, direction=direction, kind=part.value, where=str(path)
+        )
+        self.region = Region(fd, self._first, write, str(path))  # the mapping
         status = os.fstat(fd)
         self._file = (status.st_dev, status.st_ino)
         self.process = WriterProcess(*self._file)  # the process that writes it
@@ -116,17 +119,11 @@ class Mapped(ABC):
 class Attached(Mapped):
     """An object that somebody else has made."""
 
-    def __init__(
-        self, fd: int, path: str, direction: Direction | None, write: bool, part: Part = Part.TOPIC
-    ) -> None:
-        super().__init__(fd, path, direction, write, part)
-        self.path = path  # the object's path
-
     @cached_property
     def description(self) -> Description:
         """The self-description. Raises SHM113 if it cannot be read."""
         text = self.region.read(self.identity.description_offset, self.identity.description_size)
-        return Description.from_json(text, self.path, Part(self.identity.kind))
+        return Description.from_json(text, str(self.path), Part(self.identity.kind))
 
     def reader(
         self, task: str = "", *, latched: bool = False, observe: bool = True, beat_ms: int = 1000
@@ -210,7 +207,7 @@ class Attached(Mapped):
 
     def still_there(self) -> bool:
         """Return whether the name still leads to this object."""
-        return same_file(Path(self.path), *self._file)
+        return same_file(self.path, *self._file)
 
     def close(self) -> None:
         """Give claims back and unmap; a second call does nothing."""

@@ -158,23 +158,21 @@ class ReaderClaim:
         """Return whether the reader has a line now; a free one is preferred to a silent one."""
         states = {index: self._region.words(reader_line(index), 3) for index in self._lines}
         for index, (claim, _, _) in states.items():
-            if claim == 0 and self._try(index, 0):
+            if claim == 0 and self.attempt_from(index, 0):
                 return True
         for index, (claim, beat, beat_ms) in states.items():
             silent = self._silences[index].lasts((claim, beat), now_ns, silence_ns(beat_ms))
-            if silent and self._try(index, claim):
+            if silent and self.attempt_from(index, claim):
                 return True
         return False
-
-    def take_over(self, index: int) -> bool:
-        """Claim a line from its present holder; return False if the holder has changed."""
-        return self._try(index, self._region.word(reader_line(index)))
 
     def patience_ns(self) -> int:
         """Return after how long one of the lines must have been silent, if its holder is gone."""
         return max(silence_ns(self._region.words(reader_line(index), 3)[2]) for index in self._lines)
 
-    def _try(self, index: int, expected: int) -> bool:
+    def attempt_from(self, index: int, expected: int) -> bool:
+        """Claim a line from the holder ``expected``; return False if it has another one by now."""
+
         def claim() -> bool:
             self._reader.claim(index, expected, self._beat_ms, self._task, self._answer)
             return True
@@ -203,7 +201,7 @@ def take_over_writer(region: Region, beat_ms: int) -> Writer:
 def take_over_line(region: Region, reader: Reader, index: int, beat_ms: int, task: str) -> None:
     """Claim a reader line whoever holds it: for the bridge that holds the name's lock."""
     claim = ReaderClaim(region, reader, beat_ms, task, range(index, index + 1))
-    while not claim.take_over(index):
+    while not claim.attempt_from(index, region.word(reader_line(index))):
         pass
 
 

@@ -36,7 +36,6 @@ from rosplc.shm.files import (
     NameLock,
     Rights,
     create_complete,
-    describe_owner,
     open_plain_file,
     same_file,
 )
@@ -104,21 +103,6 @@ class Semaphore:
         if self._at is None:
             raise ValueError("the semaphore is closed")
         return self._at
-
-
-def read_at(fd: int, buffer: ctypes.Array[ctypes.c_char]) -> int:
-    """Copy from the beginning of a file into a buffer; return how many bytes there were."""
-    return _done(_pread(fd, buffer, len(buffer), 0))
-
-
-def size_of(fd: int) -> int:
-    """Return a file's size."""
-    return _done(_lseek(fd, 0, os.SEEK_END))
-
-
-def write_at(fd: int, content: bytes) -> int:
-    """Copy bytes to the beginning of a file; return how many were written."""
-    return _done(_pwrite(fd, content, len(content), 0))
 
 
 def _done(result: int) -> int:
@@ -205,7 +189,7 @@ class ClassicLock:
         try:
             self._semaphore.leave()
         except (OSError, ValueError) as error:
-            raise channel_error(128, f"cannot be left: {error}", str(self.path)) from error
+            raise channel_error(128, f"cannot be left: {error}", self.path) from error
 
     def look(self, now_ns: int, *, alive: bool = False) -> Entry:
         """Judge the lock without using it; ``ENTERED`` means that it is free."""
@@ -251,10 +235,10 @@ class ClassicLock:
                 self._create(rights)
                 continue
             except OSError as error:
-                raise channel_error(123, error.strerror or "", str(self.path)) from error
+                raise channel_error(123, error.strerror or "", self.path) from error
             if not stat.S_ISREG(found.st_mode):
                 # A pipe would stop whoever looks into it; the C library refuses links alone.
-                raise channel_error(121, where=str(self.path))
+                raise channel_error(121, where=self.path)
             if found.st_size != SEMAPHORE_SIZE:
                 raise _other_kind(self.path, found.st_size)
             self._refuse_nonsense()
@@ -267,9 +251,13 @@ class ClassicLock:
                     # Made by this very user, who passed O_RDWR for the mode and so gave it no rights at all.
                     _open_up(self.path, found, rights.mode)
                     continue
-                raise _semaphore_denied(self.path) from error
+                remedy = (
+                    "Run the bridge as the user that made it, or start the bridge first and give the "
+                    "semaphore to a common group with shm.group."
+                )
+                raise _denied("SHM128", "semaphore", self.path, remedy) from error
             except OSError as error:
-                raise channel_error(128, f"cannot be opened: {error.strerror}", str(self.path)) from error
+                raise channel_error(128, f"cannot be opened: {error.strerror}", self.path) from error
             # The library does not tell which file it opened; a name that stood still tells it.
             if same_file(self.path, found.st_dev, found.st_ino):
                 return semaphore, (found.st_dev, found.st_ino)
@@ -289,7 +277,7 @@ class ClassicLock:
             raise _other_kind(self.path, len(content))
         value, shared = struct.unpack_from("=IxxxxI" if SEMAPHORE_SIZE == 32 else "=II", content)
         if shared != _SHARED or value > _LARGEST:
-            raise channel_error(128, "its content is none of a semaphore", str(self.path))
+            raise channel_error(128, "its content is none of a semaphore", self.path)
 
     def _create(self, rights: Rights) -> None:
         try:
@@ -297,7 +285,7 @@ class ClassicLock:
         except FileExistsError:
             return
         except OSError as error:
-            raise channel_error(128, f"cannot be created: {error.strerror}", str(self.path)) from error
+            raise channel_error(128, f"cannot be created: {error.strerror}", self.path) from error
         made.close()
         self.created = True
         try:
@@ -326,18 +314,8 @@ def _other_kind(path: Path, size: int) -> ChannelError:
     if size in (16, 32):
         bits, here = size * 2, SEMAPHORE_SIZE * 2
         what = f"a {bits}-bit program made it ({size} bytes), and this process has {here} bits"
-        return channel_error(133, what, str(path))
-    return channel_error(128, f"it has {size} bytes, a semaphore has {SEMAPHORE_SIZE}", str(path))
-
-
-def _semaphore_denied(path: Path) -> ChannelError:
-    return ChannelError(
-        "SHM128",
-        f"the semaphore is {describe_owner(path)}, and this process is user {os.geteuid()}",
-        where=str(path),
-        remedy="Run the bridge as the user that made it, or start the bridge first and give the semaphore to "
-        "a common group with shm.group.",
-    )
+        return channel_error(133, what, path)
+    return channel_error(128, f"it has {size} bytes, a semaphore has {SEMAPHORE_SIZE}", path)
 
 
 _TEMPORARY = re.compile(r"rosplc\.new\.[0-9a-f]{8,16}")
@@ -363,7 +341,12 @@ class ClassicMemory:
                 self._fd = open_plain_file(path, flags)
             except ChannelError as error:
                 if error.code == "SHM102":
-                    raise _denied(path) from error
+                    remedy = (
+                        "Objects of a PLC runtime that runs as root are closed to others: run the bridge as "
+                        "the runtime's user, or start it first and give the object to a common group with "
+                        "shm.group."
+                    )
+                    raise _denied("SHM102", "memory", path, remedy) from error
                 if error.code != "SHM101":
                     raise
                 try:
@@ -390,7 +373,7 @@ class ClassicMemory:
 
     def read(self) -> bytes:
         """Return the record. Raises SHM129 if the object has become too small."""
-        done = read_at(self._fd, self._buffer)
+        done = _done(_pread(self._fd, self._buffer, self.record_size, 0))
         if done < self.record_size:
             self._large_enough(done)
         return self._buffer.raw
@@ -398,9 +381,9 @@ class ClassicMemory:
     def write(self, record: bytes) -> None:
         """Write the record. Raises SHM129 if the object has become too small, SHM117 without room."""
         # A write beyond the end would make it grow again after it was cut.
-        self._large_enough(size_of(self._fd))
-        if write_at(self._fd, record) != len(record):
-            raise channel_error(117, "a record was written in part", str(self.path))
+        self._large_enough(_done(_lseek(self._fd, 0, os.SEEK_END)))
+        if _done(_pwrite(self._fd, record, len(record), 0)) != len(record):
+            raise channel_error(117, "a record was written in part", self.path)
 
     def in_place(self) -> bool:
         """Return whether the name still leads to this object."""
@@ -424,7 +407,7 @@ class ClassicMemory:
         what = f"the memory has {size} bytes, the record {self.record_size}"
         if not size:
             what = f"the memory is empty (it was created without a size), the record has {self.record_size}"
-        raise channel_error(129, what, str(self.path))
+        raise channel_error(129, what, self.path)
 
 
 def _remove_own_leftover(directory: Path, identity: tuple[int, int]) -> None:
@@ -435,14 +418,9 @@ def _remove_own_leftover(directory: Path, identity: tuple[int, int]) -> None:
                 name.unlink()
 
 
-def _denied(path: Path) -> ChannelError:
-    return ChannelError(
-        "SHM102",
-        f"the memory is {files.describe_owner(path)}, and this process is user {os.geteuid()}",
-        where=str(path),
-        remedy="Objects of a PLC runtime that runs as root are closed to others: run the bridge as the "
-        "runtime's user, or start it first and give the object to a common group with shm.group.",
-    )
+def _denied(code: str, thing: str, path: Path, remedy: str) -> ChannelError:
+    what = f"the {thing} is {files.describe_owner(path)}, and this process is user {os.geteuid()}"
+    return ChannelError(code, what, where=str(path), remedy=remedy)
 
 
 class ClassicObject:

@@ -44,7 +44,7 @@ class Rights:
             os.fchmod(fd, self.mode)
         except PermissionError as error:
             what = f"cannot give it to user {self.uid}, group {self.gid}"
-            raise channel_error(102, what, str(path)) from error
+            raise channel_error(102, what, path) from error
 
 
 USUAL = Rights()
@@ -63,7 +63,7 @@ def open_plain_file(path: Path, flags: int, *, denied: int = 102, mode: int = 0o
         raise _opening_error(error, path, flags, denied) from error
     if not stat.S_ISREG(os.fstat(fd).st_mode):
         os.close(fd)
-        raise channel_error(121, where=str(path))
+        raise channel_error(121, where=path)
     return fd
 
 
@@ -90,7 +90,7 @@ def _opening_error(error: OSError, path: Path, flags: int, denied: int) -> Excep
     elif error.errno == errno.ENOENT and (flags & os.O_CREAT or not path.parent.is_dir()):
         number = 123  # with O_CREAT only the directory can be missing
     what = _NO_PLAIN_FILE.get(error.errno or 0) if number == 121 else None
-    return channel_error(number, what or error.strerror or str(error), str(path))
+    return channel_error(number, what or error.strerror or str(error), path)
 
 
 def read_header(fd: int) -> tuple[bytes, int]:
@@ -124,7 +124,7 @@ def create_complete(
             os.pwrite(fd, head, 0)
         except OSError as error:
             number = 117 if error.errno in _NO_ROOM else 123
-            raise channel_error(number, f"{size} bytes: {error.strerror}", str(path.parent)) from error
+            raise channel_error(number, f"{size} bytes: {error.strerror}", path.parent) from error
         rights.give(fd, temporary)
         try:
             if replace:
@@ -136,7 +136,7 @@ def create_complete(
             raise
         except OSError as error:
             number = {IsADirectoryError: 121, PermissionError: 119}.get(type(error), 123)
-            raise channel_error(number, (error.strerror or "") if number == 123 else "", str(path)) from error
+            raise channel_error(number, (error.strerror or "") if number == 123 else "", path) from error
     except BaseException:
         os.close(fd)
         temporary.unlink(missing_ok=True)
@@ -207,7 +207,7 @@ class NameLock:
                 fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError as error:
                 os.close(fd)
-                raise channel_error(116, where=str(path)) from error
+                raise channel_error(116, where=path) from error
             except BaseException:
                 os.close(fd)
                 raise
@@ -225,7 +225,7 @@ class NameLock:
         except OSError as error:
             self.release()
             what = f"cannot give the lock file to group {rights.gid}: {error.strerror}"
-            raise channel_error(102, what, str(path)) from error
+            raise channel_error(102, what, path) from error
         except BaseException:
             self.release()
             raise
@@ -245,7 +245,7 @@ class NameLock:
         owner = os.fstat(self._fd).st_uid
         # An owner may remove the file, and with it the lock, at any time.
         if owner not in (0, os.geteuid(), uid):
-            raise channel_error(119, f"the lock file is user {user_name(owner)}'s", str(self.path))
+            raise channel_error(119, f"the lock file is user {user_name(owner)}'s", self.path)
 
     def _share(self, mode: int, gid: int | None) -> None:
         status = os.fstat(self._fd)

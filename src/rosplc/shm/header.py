@@ -18,6 +18,7 @@ import struct
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Any
 
 from rosplc._core import Region, check_identity
@@ -45,10 +46,10 @@ _GEOMETRY = (
 )
 
 
-def channel_error(number: int, what: str = "", where: str = "") -> ChannelError:
+def channel_error(number: int, what: str = "", where: Path | str = "") -> ChannelError:
     """Return the ChannelError of a number of section 9; ``what`` defaults to the code's title."""
     code = f"SHM{number:03d}"
-    return ChannelError(code, what or CODES[code].title, where=where)
+    return ChannelError(code, what or CODES[code].title, where=str(where))
 
 
 def layout_id_words(layout_id: str) -> tuple[int, int]:
@@ -123,14 +124,9 @@ class Identity:
             )
         return identity
 
-    @property
-    def layout_words(self) -> tuple[int, int]:
-        """The layout id as the words ``layout_id_lo`` and ``layout_id_hi``."""
-        return layout_id_words(self.layout_id)
-
     def build(self) -> bytes:
         """Return lines 0 and 1, 128 bytes, with their CRC."""
-        low, high = self.layout_words
+        low, high = layout_id_words(self.layout_id)
         words = _FIXED | vars(self) | {"layout_id_lo": low, "layout_id_hi": high}
         words |= {"created_lo": self.created_ns & 0xFFFFFFFF, "created_hi": self.created_ns >> 32}
         words["creator_pid"] &= 0xFFFFFFFF

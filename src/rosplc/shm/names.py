@@ -110,7 +110,7 @@ class Namespace:
         try:
             names = sorted(entry.name for entry in Path(self.directory).iterdir())
         except OSError as error:
-            raise channel_error(123, f"cannot list: {error.strerror}", str(self.directory)) from error
+            raise channel_error(123, f"cannot list: {error.strerror}", self.directory) from error
         return [(name, part) for name in names if (part := self.part_of(name)) is not None]
 
     def part_of(self, object_name: str) -> Part | None:

@@ -38,9 +38,8 @@ class OwnedChannel(Mapped):
     """
 
     def __init__(self, found: _Found) -> None:
-        self.path = found.path
         description = found.description
-        super().__init__(found.fd, str(self.path), description.direction, True, description.part)
+        super().__init__(found.fd, found.path, description.direction, True, description.part)
         self.description = description
         self.adopted = found.difference is None  # whether an object was found and kept
         self.replaced_reason = found.difference or ""  # why an object found was not kept; else empty
@@ -139,7 +138,7 @@ class OwnedChannel(Mapped):
         SHM110 if the direction is towards ROS.
         """
         if self.identity.direction is not Direction.TO_PLC:
-            raise channel_error(110, "only the PLC writes towards ROS", str(self.path))
+            raise channel_error(110, "only the PLC writes towards ROS", self.path)
         writer = take_over_writer(self.region, beat_ms)
         self._users.append(writer)
         return writer
@@ -152,7 +151,7 @@ class OwnedChannel(Mapped):
         direction is towards the PLC.
         """
         if self.identity.direction is not Direction.TO_ROS:
-            raise channel_error(110, "the bridge does not read what it writes", str(self.path))
+            raise channel_error(110, "the bridge does not read what it writes", self.path)
         reader = Reader(self.region, start_of(self.region, latched=latched, line=0))
         take_over_line(self.region, reader, 0, beat_ms, self.description.bridge)
         self._users.append(reader)
@@ -309,7 +308,7 @@ def _refuse_foreign(fd: int, path: Path, uid: int | None, ours: bool) -> None:
     """Raise SHM119, SHM121, SHM103 or SHM104 for what no bridge of this user has made."""
     status = os.fstat(fd)
     if status.st_uid not in (os.geteuid(), uid):
-        raise channel_error(119, f"user {files.user_name(status.st_uid)} owns it", str(path))
+        raise channel_error(119, f"user {files.user_name(status.st_uid)} owns it", path)
     files.refuse_second_name(fd, path)
     first, size = files.read_header(fd)
     if ours or first[:4] == spec.MAGIC.to_bytes(4, "little"):

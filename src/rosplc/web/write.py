@@ -218,7 +218,7 @@ def _publish(region: Region, same_layout: bool, topic: str, record: bytes, stamp
 
 
 def _to_plc(namespace: Namespace, attached: Attached, record: bytes, stamp_ns: int) -> int:
-    found = Path(attached.path).stat()
+    found = attached.path.stat()
     try:
         with OwnedChannel.open(
             namespace,
