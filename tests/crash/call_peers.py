@@ -43,10 +43,8 @@ from rosplc.virtual_plc.call_blocks import _In, _Out
 from tests.lib.waiting import wait_for
 
 TYPE, ACTION = "cell_msgs/srv/Do", "cell_msgs/action/Work"
-PATIENCE_S = 0.3
-"""How long a caller in ROS waits for an answer."""
 GOAL_S = 1.5
-"""How long one waits for the end of a goal."""
+"""How long a caller in ROS waits for the end of a goal that was accepted."""
 SLOW_S = 5.0
 """How long the PLC takes for a call whose token begins with ``slow``, and to decide on a goal ``late``."""
 FEEDBACKS, FEEDBACK_S = 3, 0.005
@@ -165,6 +163,16 @@ class Fuse:
             return result
 
         setattr(owner, name, instrumented)
+
+
+class Patience:
+    """How long a caller waits for an answer: not long after a kill, longer on a busy machine."""
+
+    def __init__(self) -> None:
+        self.seconds = 0.1
+
+    def learn(self, answered: object) -> None:
+        self.seconds = min(max(self.seconds * (0.7 if answered else 1.5), 0.1), 1.0)
 
 
 def append(path: Path, *words: object) -> None:
@@ -310,7 +318,7 @@ def plc(folder: Path, fuse: Fuse) -> None:
     task = Task("Cell", 0.002)
     server: ServiceServer
     client: ServiceClient
-    number, shown, executing, until = 0, 0, "", 0.0
+    number, shown, executing, until, patience = 0, 0, "", 0.0, Patience()
 
     def run() -> None:
         nonlocal server, client
@@ -352,11 +360,12 @@ def plc(folder: Path, fuse: Fuse) -> None:
             outcome = "done" if client.xDone else str(client.eError and client.eError.name)
             append(folder / "ended-at-plc", client.request.token, outcome, answer, client.eReason.name)
             client.xExecute = False
+            patience.learn(client.xDone)
         elif client.request is not None and not client.xExecute:
             number += 1
             client.request.token = f"p{os.getpid()}-{number}"
             append(folder / "asked-by-plc", client.request.token)
-            client.xExecute, client.tTimeout = True, 0.5
+            client.xExecute, client.tTimeout = True, patience.seconds
 
     run()
     _scan(task)
@@ -365,7 +374,7 @@ def plc(folder: Path, fuse: Fuse) -> None:
 
 def robot(folder: Path, fuse: Fuse, *, late: bool) -> None:
     """Serve the PLC, and call it all the time, until SIGTERM, or with ``late`` until a call has expired."""
-    tokens, lock, known = Tokens(folder), threading.Lock(), threading.Event()
+    tokens, lock, known, patience = Tokens(folder), threading.Lock(), threading.Event(), Patience()
     ros = open_backend("dds", tokens.store, "peer", domain=int((folder / "where").read_text().split()[1]))
 
     def on_request(payload: bytes, caller: bytes, _: int) -> None:
@@ -409,7 +418,7 @@ def robot(folder: Path, fuse: Fuse, *, late: bool) -> None:
     else:
         while not signal.sigtimedwait({signal.SIGTERM}, 0.002):
             if client.ready:
-                call(next(name), PATIENCE_S)
+                patience.learn(call(next(name), patience.seconds))
 
 
 def goal_plc(folder: Path, fuse: Fuse) -> None:
@@ -418,7 +427,7 @@ def goal_plc(folder: Path, fuse: Fuse) -> None:
     task = Task("Cell", 0.002)
     server = ActionServer("/work", prefix=prefix, beat_ms=BEAT_MS)
     client = ActionClient("/arm", prefix=prefix, beat_ms=BEAT_MS)
-    number, shown, begun, until = 0, "", "", 0.0
+    number, shown, begun, until, patience = 0, "", "", 0.0, Patience()
 
     @task.program
     def serve() -> None:
@@ -448,11 +457,13 @@ def goal_plc(folder: Path, fuse: Fuse) -> None:
             outcome = "done" if client.xDone else str(client.eError and client.eError.name)
             append(folder / "ended-at-plc", client.goal.token, outcome, answer, client.eReason.name)
             client.xExecute = False
+            patience.learn(client.xDone)
         elif client.goal is not None and not client.xExecute:
             number += 1
             client.goal.token = f"p{os.getpid()}-{number}"
             append(folder / "asked-by-plc", client.goal.token)
-            client.xExecute, client.tTimeout = True, float((folder / "impatient").exists())
+            impatient = (folder / "impatient").exists()
+            client.xExecute, client.tTimeout = True, 3 * patience.seconds * impatient
 
     _scan(task)
     if client.xExecute:
@@ -463,7 +474,7 @@ def goal_plc(folder: Path, fuse: Fuse) -> None:
 
 def goal_robot(folder: Path, fuse: Fuse, *, late: bool) -> None:
     """As :func:`robot`, with goals; a result that does not come is asked for again."""
-    tokens, known = Tokens(folder), threading.Event()
+    tokens, known, patience = Tokens(folder), threading.Event(), Patience()
     ros = open_backend("dds", tokens.store, "peer", domain=int((folder / "where").read_text().split()[1]))
     servers, clients = action_classes(tokens.store)
     events: queue.SimpleQueue[GoalEvent] = queue.SimpleQueue()
@@ -487,34 +498,36 @@ def goal_robot(folder: Path, fuse: Fuse, *, late: bool) -> None:
             server.succeed(name, tokens.put("Result", token))
             fuse.burn("goal-robot: ended")
 
-    def follow(name: bytes, ends: float) -> tuple[str, str]:
-        ask = ends
-        while (now := time.monotonic()) < ends:
-            if now >= ask:
+    def follow(name: bytes, seconds: float) -> tuple[str, str]:
+        ask, ends = time.monotonic() + seconds, 0.0
+        while True:
+            if (now := time.monotonic()) >= ask:
+                if now >= ends:
+                    return "", ""
                 client.adopt(name)
-                ask = now + PATIENCE_S
+                ask = now + 0.3
             with suppress(queue.Empty):
-                event = events.get(timeout=min(ask, ends) - now)
+                event = events.get(timeout=ask - now)
                 if event.uuid != name:
                     continue
                 if event.kind == "accepted":
-                    ask = now + PATIENCE_S
+                    ends = time.monotonic() + GOAL_S
                 elif event.kind == "rejected":
                     return "NOT_EXECUTED", "-"
                 elif event.kind == "result" and event.payload is not None:
                     outcome = "done" if event.status is GoalStatus.SUCCEEDED else event.status.name
                     return outcome, tokens.get("Result", event.payload) or "-"
-        return "", ""
 
-    def send(token: str, seconds: float = GOAL_S) -> bool:
+    def send(token: str, seconds: float) -> bool:
         name = uuid.uuid4().bytes
         append(folder / "asked-by-ros", token)
         client.send(name, tokens.put("Goal", token))
         fuse.burn("goal-robot: sent")
-        outcome, answer = follow(name, time.monotonic() + seconds)
+        outcome, answer = follow(name, seconds)
         client.forget(name)
         if outcome:
             append(folder / "ended-at-ros", token, outcome, answer, "-")
+        patience.learn(outcome)
         return outcome == "done"
 
     server = servers(
@@ -529,12 +542,12 @@ def goal_robot(folder: Path, fuse: Fuse, *, late: bool) -> None:
     _say("ready", os.getpid())
     name = (f"r{os.getpid()}-{number}" for number in itertools.count(1))
     if late:
-        wait_for(lambda: client.ready and send(next(name)), "a result")
+        wait_for(lambda: client.ready and send(next(name), patience.seconds), "a result")
         send("late", SLOW_S + 1)
         return
     while not signal.sigtimedwait({signal.SIGTERM}, 0.002):
         if client.ready:
-            send(next(name))
+            send(next(name), patience.seconds)
 
 
 def _say(*words: object) -> None:

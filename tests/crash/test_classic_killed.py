@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.classic_cell import ClassicCell, build_plc
+from tests.lib.channels import until
 from tests.lib.waiting import wait_for
 
 # A holder that a busy machine keeps waiting for longer is taken for a dead one, and its message may be torn.
@@ -80,7 +81,7 @@ def test_a_bridge_killed_inside_the_lock_is_followed_by_one_that_frees_it(tmp_pa
         with subprocess.Popen(
             [sys.executable, "-c", _BRIDGE, cell.name], stdout=subprocess.PIPE, text=True
         ) as dying:
-            assert dying.stdout is not None and dying.stdout.readline() == "inside\n"
+            until(dying, "inside")
             dying.kill()
         cell.publish(3)
         wait_for(lambda: cell.status.published == 1)

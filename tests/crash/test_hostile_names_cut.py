@@ -18,6 +18,7 @@ import pytest
 
 from rosplc.errors import ChannelError
 from rosplc.shm import Namespace, attach
+from tests.lib.waiting import WATCHDOG_S
 
 _F_ADD_SEALS, _F_SEAL_SHRINK = 1033, 0x0002
 
@@ -75,7 +76,7 @@ def test_a_bridge_whose_object_was_cut_comes_back(
             child = _start(file)
         _await_beats(shm_namespace, child)
         child.terminate()
-        assert child.wait() == 0
+        assert child.wait(WATCHDOG_S) == 0
     finally:
         child.kill()
         child.wait()

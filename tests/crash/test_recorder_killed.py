@@ -18,6 +18,7 @@ from rosplc.recorder.store import repair
 from rosplc.shm import Namespace
 from tests.lib.channels import start_child, until
 from tests.lib.isolated import mounted
+from tests.lib.waiting import WATCHDOG_S
 from tests.unit.recorder.making import Feed, read_from_the_front
 
 _ROOT = Path(__file__).resolve().parents[2]
@@ -162,6 +163,6 @@ def test_a_limit_on_file_sizes_ends_a_recording_cleanly(shm_namespace: Namespace
     with talking(shm_namespace):
         child = start_child(limited, shm_namespace.prefix, tmp_path / "a")
         _, count, lost = until(child, "fine").split()
-        child.communicate()
+        child.communicate(timeout=WATCHDOG_S)
     assert lost == "True"
     whole(tmp_path / "a.mcap", int(count))

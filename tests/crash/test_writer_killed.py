@@ -10,6 +10,7 @@ import pytest
 
 from rosplc.shm import Direction, Namespace, attach
 from tests.lib.channels import is_torn, open_channel, start_child, until
+from tests.lib.waiting import WATCHDOG_S
 
 _TOPIC = "/robot1/cmd_vel"
 
@@ -53,6 +54,7 @@ def _kills(namespace: Namespace, size: int, times: int, seed: int) -> None:
             successor = start_child(_WRITER, namespace.prefix, _TOPIC)
             deadline = time.monotonic() + delays.uniform(0.0, 0.02)
             while time.monotonic() < deadline or in_order.last == last_before:
+                assert time.monotonic() < deadline + WATCHDOG_S, "the writer writes no more"
                 for reader, take in ((in_order, in_order.next), (newest, newest.latest)):
                     before = reader.last
                     info = take(out)

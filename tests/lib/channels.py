@@ -5,11 +5,14 @@ from __future__ import annotations
 import struct
 import subprocess
 import sys
+import threading
+from collections import deque
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
 from rosplc.shm import SERVICE, Description, Direction, Namespace, OwnedChannel
+from tests.lib.waiting import WATCHDOG_S
 
 __all__ = ["LAYOUT", "describe", "is_torn", "open_channel", "open_service", "pattern", "start_child", "until"]
 
@@ -83,9 +86,16 @@ def start_child(script: str, *arguments: object) -> subprocess.Popen[str]:
 
 
 def until(child: subprocess.Popen[str], word: str) -> str:
-    """Read a child's lines up to one that begins with ``word``, and return it; the test's timeout watches."""
+    """Read a child's lines up to one that begins with ``word``, and return it; kill a child that hangs."""
     assert child.stdout is not None
-    for line in child.stdout:
-        if line.startswith(word):
-            return line.strip()
-    raise AssertionError(f"the child ended without saying {word!r}")
+    last = deque[str](maxlen=10)
+    watchdog = threading.Timer(WATCHDOG_S, child.kill)
+    watchdog.start()
+    try:
+        for line in child.stdout:
+            if line.startswith(word):
+                return line.strip()
+            last.append(line)
+    finally:
+        watchdog.cancel()
+    raise AssertionError(f"the child ended, or hung, before it wrote {word!r}; it wrote last: {list(last)}")
