@@ -27,8 +27,8 @@ PACKAGES = {
         "Channels for any program on the machine: they need neither ROS nor a configuration, since an\n"
         "object in shared memory describes itself. Configurations, loaded, checked and turned into PLC\n"
         "code. Importing rosplc loads no middleware.",
-        "attach Channel topics ObjectState bind Binding bind_service load_project Project ConfigErrors "
-        "check generate Delivery RecordView SlotInfo Direction include_dir",
+        "attach Channel topics ObjectState bind Binding bind_service bind_action load_project Project "
+        "ConfigErrors check generate Delivery RecordView SlotInfo Direction include_dir",
     ),
     "rosplc.virtual_plc": ("Scan cycles over the same objects as a PLC, for laptops and CI.", ""),
     "rosplc.model": ("Message types, from a distribution's definitions or from `.msg` text.", "TypeStore"),

@@ -10,7 +10,7 @@ from rosplc._version import __version__
 if TYPE_CHECKING:
     from rosplc.api import Channel, attach, include_dir, topics
     from rosplc.bridge.bind import Binding, bind
-    from rosplc.bridge.bind_service import bind_service
+    from rosplc.bridge.bind_service import bind_action, bind_service
     from rosplc.config import ConfigErrors, Project, load_project
     from rosplc.errors import (
         BackendError,
@@ -55,6 +55,7 @@ __all__ = [
     "__version__",
     "attach",
     "bind",
+    "bind_action",
     "bind_service",
     "check",
     "generate",
@@ -69,7 +70,7 @@ _HOME = {
     for module, names in {
         "rosplc.api": "Channel attach include_dir topics",
         "rosplc.bridge.bind": "Binding bind",
-        "rosplc.bridge.bind_service": "bind_service",
+        "rosplc.bridge.bind_service": "bind_action bind_service",
         "rosplc.config": "ConfigErrors Project load_project",
         "rosplc.errors": "BackendError ChannelError CodecError ConfigError GenerationError LayoutError "
         "MessageTypeError RecordingError RosplcError SetupError WebError",

@@ -1,4 +1,4 @@
-"""A service between the PLC and a user's own program, which has ROS' place: nothing else is needed."""
+"""A service or action between the PLC and a user's own program, which has ROS' place."""
 
 from __future__ import annotations
 
@@ -6,19 +6,38 @@ import itertools
 import json
 import queue
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import closing, contextmanager, suppress
-from threading import Lock
-from typing import Any
+from secrets import token_bytes
+from threading import Event, Lock, Thread
+from typing import Any, Literal
 
 from rosplc.bridge.engine import Bridge
+from rosplc.bridge.port import log
 from rosplc.codec import Codec, Wire
 from rosplc.config import parse_config, resolve
 from rosplc.errors import ChannelError
 from rosplc.layout import RecordView
-from rosplc.ros import SERVICES, Reply, memory
+from rosplc.ros import SERVICES, ActionClient, ActionServer, Backend, GoalEvent, GoalStatus, Reply, memory
 
 _domains = itertools.count(1 << 20)
+Goal = Generator[Mapping[str, Any], None, Mapping[str, Any] | None]
+
+
+@contextmanager
+def _bridged(
+    kind: Literal["services", "actions"], name: str, type_name: str, serves: bool, settings: dict[str, Any]
+) -> Iterator[tuple[Any, Bridge, Backend]]:
+    """Give the plan of a service or action, its bridge, and the program's node on the bridge's other side."""
+    what = {name: {"type": type_name, "server": "ros" if serves else "plc"}}
+    project = resolve(parse_config(json.dumps({"diagnostics": {"enabled": False}, **settings, kind: what})))
+    domain = next(_domains)
+    with (
+        closing(memory.open_backend(project.store, "bind", domain=domain)) as side,
+        closing(memory.open_backend(project.store, "program", domain=domain)) as program,
+        Bridge(project, side) as bridge,
+    ):
+        yield project.calls[0], bridge, program
 
 
 @contextmanager
@@ -44,17 +63,9 @@ def bind_service(
         ConfigErrors: As in a configuration.
         ChannelError: SHM116 if a bridge or another program holds a name; SHM117 ….
     """
-    what = {service: {"type": type, "server": "ros" if handler else "plc"}}
-    project = resolve(
-        parse_config(json.dumps({"diagnostics": {"enabled": False}, **settings, "services": what}))
-    )
-    plan, store, domain, one = project.services[0], project.store, next(_domains), Lock()
-    ask, answer = (Codec(layout, Wire.CDR) for layout in (plan.request, plan.response))
-    with (
-        closing(memory.open_backend(store, "bind", domain=domain)) as side,
-        closing(memory.open_backend(store, "program", domain=domain)) as program,
-        Bridge(project, side) as bridge,
-    ):
+    with _bridged("services", service, type, handler is not None, settings) as (plan, bridge, program):
+        ask, answer = (Codec(layout, Wire.CDR) for layout in (plan.request, plan.response))
+        one = Lock()
 
         def on_request(payload: bytes, caller: bytes, _: int) -> None:
             assert handler is not None
@@ -86,3 +97,111 @@ def bind_service(
         else:
             client = program.client(service, type, SERVICES)
         yield call
+
+
+@contextmanager
+def bind_action(
+    action: str,
+    type: str,
+    handler: Callable[[RecordView], Generator[Mapping[str, Any], None, Mapping[str, Any] | None]]
+    | None = None,
+    **settings: Any,
+) -> Iterator[Callable[..., RecordView]]:
+    """Carry an action in a bridge's place, until the block ends; its value sends goals to the PLC.
+
+    ``send(goal, feedback=None, timeout=None)`` returns the result. It calls ``feedback`` with each feedback;
+    if that returns True, or after ``timeout`` seconds, the PLC is asked to cancel the goal. It raises
+    ChannelError: SHM140, the goal was not begun and never will be; SHM141, it may have been; SHM143, it was
+    aborted; SHM144, it was canceled.
+
+    Args:
+        action: As ROS writes it, ``"/cell/count"``.
+        type: ``"package/action/Name"``.
+        handler: Carries out the PLC's goals, each in a thread: a generator that is given the goal, yields
+            feedback and returns the result. It is closed at a ``yield`` when the PLC cancels the goal, or the
+            block ends; if it raises, the goal is aborted. Without one the PLC carries goals out.
+        settings: Further keys of the configuration: ``prefix="cell1"``, ``limits={"string": 40}``.
+
+    Raises:
+        ConfigErrors, ChannelError: As :func:`bind_service`.
+    """
+    with _bridged("actions", action, type, handler is not None, settings) as (plan, _, program):
+        goals, results, feedbacks = (Codec(one, Wire.CDR) for one in (plan.goal, plan.result, plan.feedback))
+        waiting: dict[bytes, queue.SimpleQueue[GoalEvent]] = {}
+        over = Event()
+
+        def carry_out(uuid: bytes, goal: RecordView) -> None:
+            assert handler is not None
+            try:
+                steps = handler(goal)
+                while not over.is_set() and server.status(uuid) is GoalStatus.EXECUTING:
+                    server.feedback(uuid, feedbacks.encode(feedbacks.layout.pack(next(steps))))
+                steps.close()
+                if not server.canceled(uuid):
+                    server.abort(uuid)
+            except StopIteration as end:
+                server.succeed(uuid, results.encode(results.layout.pack(end.value or {})))
+            except Exception:
+                server.abort(uuid)
+                log.exception("%s: the handler failed", action)
+
+        def on_goal(uuid: bytes, payload: bytes) -> None:
+            server.tick()
+            server.accept(uuid)
+            server.execute(uuid)
+            goal = goals.layout.view(goals.decode(payload))
+            Thread(target=carry_out, args=(uuid, goal), name=f"rosplc-goal {action}", daemon=True).start()
+
+        def on_event(event: GoalEvent) -> None:
+            if event.uuid in waiting:
+                waiting[event.uuid].put(event)
+
+        def send(
+            goal: Mapping[str, Any],
+            feedback: Callable[[RecordView], object] | None = None,
+            timeout: float | None = None,
+        ) -> RecordView:
+            uuid, news = token_bytes(16), queue.SimpleQueue[GoalEvent]()
+            payload, waiting[uuid] = goals.encode(goals.layout.pack(goal)), news
+            alarm = None if timeout is None else time.monotonic() + timeout
+            try:
+                client.send(uuid, payload)
+                while True:
+                    try:
+                        rest = None if alarm is None else max(0.0, alarm - time.monotonic())
+                        event = news.get(timeout=rest)
+                    except queue.Empty:
+                        client.cancel(uuid)
+                        alarm = None
+                        continue
+                    if event.kind == "feedback" and feedback is not None and event.payload is not None:
+                        if feedback(feedbacks.layout.view(feedbacks.decode(event.payload))):
+                            client.cancel(uuid)
+                    elif event.kind == "result" and event.status is GoalStatus.SUCCEEDED and event.payload:
+                        return results.layout.view(results.decode(event.payload))
+                    elif event.kind in ("rejected", "failed", "result", "lost"):
+                        raise _failure(event, action)
+            finally:
+                del waiting[uuid]
+
+        if handler:
+            server = ActionServer(
+                program, plan.goal.store, action, type,
+                on_goal=on_goal, on_cancel=lambda uuid: server.accept_cancel(uuid),
+            )  # fmt: skip
+        else:
+            client = ActionClient(program, plan.goal.store, action, type, on_event)
+        try:
+            yield send
+        finally:
+            over.set()
+
+
+_CODES = {GoalStatus.ABORTED: ("SHM143", "aborted"), GoalStatus.CANCELED: ("SHM144", "canceled")}
+
+
+def _failure(event: GoalEvent, action: str) -> ChannelError:
+    code, how = _CODES.get(event.status, ("SHM141", "lost: its fate is unknown"))
+    if event.kind == "rejected" or (event.reply is not None and event.reply.outcome == "not executed"):
+        code, how = "SHM140", "not begun"
+    return ChannelError(code, f"the goal was {how}", where=action)

@@ -1,16 +1,20 @@
-"""A service between a PLC's program and a program that has ROS' place."""
+"""A service or action between a PLC's program and a program that has ROS' place."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import itertools
+from collections.abc import Callable, Iterator
+from threading import Event
+from typing import Any
 
 import pytest
 
 import rosplc
 from rosplc.shm import Namespace
-from rosplc.virtual_plc import ServiceClient, ServiceServer, Task
+from rosplc.virtual_plc import ActionClient, ActionServer, ServiceClient, ServiceServer, Task
 from tests.lib.waiting import wait_for
 
+FIBONACCI = "example_interfaces/action/Fibonacci"
 SET_BOOL, TRIGGER = "std_srvs/srv/SetBool", "std_srvs/srv/Trigger"
 
 
@@ -92,3 +96,89 @@ def test_a_second_owner_is_refused(shm_namespace: Namespace) -> None:
     ):
         pass
     assert caught.value.code == "SHM116"
+
+
+def test_a_program_sends_goals_to_the_plc(shm_namespace: Namespace) -> None:
+    """It sees the feedback and gets the result, or is told how the goal has ended."""
+    server = ActionServer("/count", prefix=shm_namespace.prefix, beat_ms=10_000)
+    task = Task("T", 0.002)
+
+    @task.program
+    def scan() -> None:
+        server()
+        wanted = server.goal.order if server.xGoal or server.xActive else 0
+        server.xReject, server.xAccept = server.xGoal and wanted == 1, server.xGoal and wanted != 1
+        server.xAcceptCancel, server.xCanceled = server.xCancelRequested, server.xCanceling
+        server.xSucceed, server.xAbort = server.xActive and wanted == 2, server.xActive and wanted == 3
+        server.xSendFeedback = server.xActive and wanted == 4
+        if server.xActive:
+            server.feedback.sequence = server.result.sequence = [wanted]
+
+    def outcome(order: int, **how: Any) -> Any:
+        try:
+            return list(send({"order": order}, **how).sequence)
+        except rosplc.ChannelError as error:
+            return error.code
+
+    seen: list[int] = []
+
+    def watch(feedback: rosplc.RecordView) -> bool:
+        seen.extend(feedback.sequence)
+        return True
+
+    with rosplc.bind_action("/count", FIBONACCI, prefix=shm_namespace.prefix) as send:
+        task.start()
+        try:
+            wait_for(lambda: outcome(2) == [2], "the PLC's result")
+            assert outcome(1) == "SHM140"
+            wait_for(lambda: outcome(3) == "SHM143", "a goal that is aborted")
+            wait_for(lambda: outcome(4, feedback=watch) == "SHM144", "a goal that is canceled")
+            assert seen and set(seen) == {4}
+            wait_for(lambda: outcome(5, timeout=0.1) == "SHM144", "a goal that takes too long")
+            with pytest.raises(rosplc.LayoutError):
+                send({"order": "many"})
+        finally:
+            task.stop()
+            server.close()
+
+
+@pytest.mark.parametrize(("order", "end"), [(3, "DONE"), (0, "GOAL_ABORTED"), (99, "GOAL_CANCELED")])
+def test_the_plc_sends_goals_to_a_program(shm_namespace: Namespace, order: int, end: str) -> None:
+    """A generator yields feedback and returns the result; it is closed when the PLC cancels."""
+    client = ActionClient("/count", prefix=shm_namespace.prefix, beat_ms=10_000)
+    task, fed, closed = Task("T", 0.002), [], Event()
+
+    @task.program
+    def scan() -> None:
+        if client.goal is not None:
+            client.goal.order, client.xExecute = order, True
+        client()
+        if client.xNewFeedback:
+            fed.append(list(client.feedback.sequence))
+            client.xCancel = order == 99
+
+    def count(goal: rosplc.RecordView) -> Iterator[Any]:
+        if not goal.order:
+            raise ValueError("nothing to count")
+        wait = Event()
+        try:
+            for number in range(goal.order) if goal.order == 3 else itertools.count():
+                yield {"sequence": [number]}
+                wait.wait(0.02)
+        finally:
+            closed.set()
+        return {"sequence": list(range(goal.order))}
+
+    with rosplc.bind_action("/count", FIBONACCI, count, prefix=shm_namespace.prefix):
+        task.start()
+        try:
+            wait_for(lambda: client.xDone or client.xError or client.xAborted, "the end")
+            assert ("DONE" if client.xDone else client.eError.name) == end
+            if order:
+                assert closed.wait(60)
+                assert order == 3 or fed
+            if order == 3:
+                assert list(client.result.sequence) == [0, 1, 2]
+        finally:
+            task.stop()
+            client.close()
