@@ -8,8 +8,9 @@ rosplc doctor rosplc.yaml --plc generated  —  and whether the PLC's code fits
 
 rosplc doctor rosplc.yaml --json | jq '.findings[] | select(.level == "error")'
 
-It needs no root, no ROS and no PLC, and changes nothing. The exit status is 1 if there is an error among
-what it finds, 2 if the configuration itself is wrong. `rosplc explain CODE` explains a code.
+Without a configuration the machine alone is examined. The doctor needs no root, no ROS and no PLC, and
+changes nothing. The exit status is 1 if there is an error among what it finds, 2 if the configuration itself
+is wrong. `rosplc explain CODE` explains a code.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from rosplc.cli.options import ConfigFile, default_config
 from rosplc.cli.text import print_json
 from rosplc.cli.verb import EXIT_CONFIG, EXIT_FAILURE, Between, verb
 from rosplc.harmless import harmless, plural
@@ -39,8 +41,7 @@ _INDENT = 10
 
 @verb
 def command(
-    config: Path | None = None,
-    /,
+    config: ConfigFile = None,
     *,
     plc: Path | None = None,
     plc_user: str | None = None,
@@ -52,7 +53,6 @@ def command(
     """Examine this machine, a configuration and what runs; suggest fixes.
 
     Options:
-        config: The configuration; ./rosplc.yaml by default, else the machine alone is examined.
         plc FOLDER: What `rosplc generate` wrote: compare it with what is running.
         plc_user NAME: The PLC runtime's user, where it does not run now.
         ros: Look at the ROS graph, if there is a configuration.
@@ -63,6 +63,7 @@ def command(
 
     from rosplc.doctor import Question, examine
 
+    config = config or default_config()
     question = Question(config, plc, plc_user or "", ros, seconds, variables=dict(os.environ))
     status = Console(stderr=True).status("looking") if sys.stderr.isatty() and not as_json else None
     if status is None:

@@ -6,12 +6,13 @@ import difflib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from rosplc.config.resolve import TopicPlan
 from rosplc.doctor.finding import Finding, listed
 from rosplc.doctor.generated import Block, Generated
 from rosplc.doctor.kinds import fine, found, judged
+from rosplc.doctor.live import Carried
 from rosplc.doctor.objects import Objects
 from rosplc.harmless import plural
+from rosplc.layout import Layout
 from rosplc.shm import Direction, Namespace
 
 _ARM = ("aarch64", "armv8l", "armv7l", "armv6l")
@@ -19,41 +20,40 @@ _ARM = ("aarch64", "armv8l", "armv7l", "armv6l")
 
 def against_config(
     code: Generated,
-    plans: Sequence[TopicPlan],
+    wanted: Sequence[Carried],
     prefix: str,
     command: str,
     *,
     differences: Mapping[str, str] | None = None,
 ) -> Iterator[Finding]:
-    """Compare each block with what would be generated now, by ``command``.
+    """Compare each block with what would be generated now, by ``command``, for what is ``wanted``.
 
     ``differences`` is type → what differs in its declaration.
     """
     other = f"the code looks for {code.prefix}.t.…, the configuration's prefix is {prefix}"
     same = code.prefix == prefix
     yield judged("DOC706", "" if same else other, f"the code looks for {prefix}.t.…", command=command)
-    blocks = {(block.topic, block.classic): block for block in code.blocks}
+    blocks = {block.label: block for block in code.blocks}
     missing, stale = [], []
-    for plan in plans:
-        key = (plan.topic if plan.classic is None else plan.classic.name), plan.port == "classic"
-        block = blocks.pop(key, None)
-        if block is None or block.to_plc is not (plan.direction is Direction.TO_PLC):
-            missing.append(plan.topic if block is None else f"{plan.topic} (other direction)")
-        elif what := _difference(block, plan):
-            more = (differences or {}).get(plan.type_name, "")
-            what = f"{plan.topic}: {what}{f'; {more}' if more else ''}"
-            stale.append(found("DOC702", what, command=command))
-    count = plural(len(plans) - len(missing), "topic")
+    for each in wanted:
+        block = blocks.pop(each.name, None)
+        if block is None or block.to_plc is not (each.direction is Direction.TO_PLC):
+            missing.append(each.use if block is None else f"{each.use} (other direction)")
+        elif what := _difference(block, each.layout):
+            more = (differences or {}).get(each.layout.type_name, "")
+            where = each.name if block.layout_id else each.use
+            stale.append(found("DOC702", f"{where}: {what}{f'; {more}' if more else ''}", command=command))
+    count = plural(len(wanted) - len(missing), "object")
     yield from stale or [fine("DOC702", f"the code's layouts of {count} are the configuration's")]
-    what = f"not in the code: {listed(missing)}" if missing else ""
-    yield judged("DOC704", what, "the code has a block for every topic", command=command)
-    what = f"only in the code: {listed(b.topic for b in blocks.values())}" if blocks else ""
-    yield judged("DOC705", what, "the code has no other topics", command=command)
+    what = f"not in the code: {listed(dict.fromkeys(missing))}" if missing else ""
+    yield judged("DOC704", what, "the code has a block for every topic, service and action", command=command)
+    what = f"only in the code: {listed(dict.fromkeys(b.use for b in blocks.values()))}" if blocks else ""
+    yield judged("DOC705", what, "the code has no other topics, services or actions", command=command)
 
 
-def _difference(block: Block, plan: TopicPlan) -> str:
-    layout, same = plan.layout, block.record_size == plan.layout.size
-    if block.classic:
+def _difference(block: Block, layout: Layout) -> str:
+    same = block.record_size == layout.size
+    if not block.layout_id:
         return "" if same else f"{block.record_size} bytes there, {layout.size} here"
     if block.layout_id == layout.layout_id:
         return ""
@@ -66,17 +66,17 @@ def against_live(code: Generated, objects: Objects, directory: Path) -> Iterator
     namespace = Namespace(code.prefix, directory)
     count, wrong = 0, []
     for block in code.blocks:
-        seen = None if block.classic else objects.of(namespace, block.topic)
+        seen = objects.of(namespace, block.called, block.part, block.client) if block.layout_id else None
         if seen is None or seen.identity is None or not seen.live:
             continue
         count += 1
         identity = seen.identity
         if block.to_plc is not (identity.direction is Direction.TO_PLC):
-            wrong.append(f"{block.topic}: the object goes {identity.direction.word} [SHM110]")
+            wrong.append(f"{block.label}: the object goes {identity.direction.word} [SHM110]")
         elif identity.layout_id != block.layout_id:
             sizes = f"{block.record_size} and {identity.record_size} bytes"
             what = f"layout {block.layout_id} in the code, {identity.layout_id} in the bridge ({sizes})"
-            wrong.append(f"{block.topic}: {what} [SHM112]")
+            wrong.append(f"{block.label}: {what} [SHM112]")
     for what in wrong:
         yield found("DOC703", what)
     if count and not wrong:

@@ -39,6 +39,7 @@ from rosplc.doctor.look import see_graph
 from rosplc.doctor.objects import Objects, held_files, is_held, look_at_objects
 from rosplc.doctor.probe import Probe, run_probe
 from rosplc.errors import RosplcError
+from rosplc.harmless import plural
 from rosplc.plc.plan import ProjectOptions
 from rosplc.project import call_memory, expected_files
 from rosplc.ros import ROS1
@@ -377,9 +378,9 @@ class _Examination:
         return () if any(others) or (zenoh is not None and zenoh.config) else ("tcp/localhost:7447",)
 
     def _carried(self) -> list[live.Carried]:
-        if self._project is None or self._objects is None:
+        if self._project is None:
             return []
-        own, seen = self._project.namespace, self._objects.of
+        own, seen = self._project.namespace, self._seen().of
         carried = [
             live.Carried(plan.topic, plan.topic, plan.direction, plan.layout, seen(own, plan.topic))
             for plan in self._topics
@@ -433,14 +434,17 @@ class _Examination:
         except ValueError as error:
             yield found("DOC701", str(error))
             return
-        yield fine("DOC701", f"{folder}: {len(present.blocks)} blocks")
+        yield fine("DOC701", f"{folder}: blocks for {plural(len(present.blocks), 'object')}")
         command = f"rosplc generate {self._q.config or 'rosplc.yaml'} --out {folder}"
         if project is not None:
             edited, differences = _regenerated(project, folder, present, command)
             prefix = project.namespace.prefix
-            compared = list(
-                code.against_config(present, project.topics, prefix, command, differences=differences)
-            )
+            wanted = self._carried()
+            wanted += [
+                live.Carried(plan.topic, each.name, plan.direction, plan.layout, None)
+                for plan, each in self._classic
+            ]
+            compared = list(code.against_config(present, wanted, prefix, command, differences=differences))
             yield from compared
             if all(each.level is Level.OK for each in compared):
                 yield from edited

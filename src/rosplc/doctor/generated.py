@@ -1,4 +1,4 @@
-"""Topics, blocks, layout ids and prefix of a folder of generated PLC code.
+"""The objects that a folder of generated PLC code opens, their layout ids, and the prefix.
 
 Read from the Structured Text, not from a list beside it, so that it is what the PLC will do. The few lines
 that are read are written by the generator as they are here; a test reads every delivery.
@@ -7,15 +7,18 @@ that are read are written by the generator as they are here; a test reads every 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from rosplc.shm import Part
 from rosplc.shm.header import layout_id_text
 
 LARGEST_FILE = 4 << 20
-_INSTANCE = re.compile(r"^ +\w+ : (\w+)\('((?:[^'$]|\$.)*)'(?:, '(?:[^'$]|\$.)*')?\);", re.MULTILINE)
+_INSTANCE = re.compile(r"^ +\w+ : (\w+)\('((?:[^'$]|\$.)*)'(?:, '((?:[^'$]|\$.)*)')?\);", re.MULTILINE)
+_PART = re.compile(r"^ +fb(Request|Response|Goal|Result|Feedback) : (\w+)\(''\);", re.MULTILINE)
 _IDS = re.compile(
-    r"Begin(?:Read|Write)\(udiLayoutLo := 16#([0-9A-F]{8}), udiLayoutHi := 16#([0-9A-F]{8}), "
+    r"Begin(Read|Write)\(udiLayoutLo := 16#([0-9A-F]{8}), udiLayoutHi := 16#([0-9A-F]{8}), "
     r"udiRecordSize := (\d+)\)"
 )
 _CLASSIC = re.compile(r"IF NOT Begin\(udiRecordSize := (\d+)\)")
@@ -25,18 +28,34 @@ _SETTING = re.compile(r"^ +(sPrefix|xFenced|xArm) : [^:]+ := ('?)(\w[\w-]*)\2;",
 
 @dataclass(frozen=True)
 class Block:
-    """A function block's instance.
+    """A function block's instance, and an object that it opens; for a service or action it opens several.
 
-    ``topic`` is the memory's name if it is classic, and ``layout_id`` empty; ``name`` is the block's type,
-    ``record_size`` the bytes of its record.
+    ``use`` is the topic, ``service /gripper/close left``, or a classic memory's name, whose ``layout_id`` is
+    empty; ``label`` tells the objects of a use apart, ``called`` and ``client`` lead to them. ``name`` is the
+    type of the block that reads or writes, ``record_size`` the bytes of its record.
     """
 
-    topic: str
+    called: str
     name: str
     to_plc: bool
-    classic: bool
     layout_id: str
     record_size: int
+    part: Part = Part.TOPIC
+    client: str = ""
+
+    @property
+    def use(self) -> str:
+        """The topic, or the service or action with its client, as the plans' ``name``."""
+        return self._named(f"{self.part.kind} ", "")
+
+    @property
+    def label(self) -> str:
+        """The object, as ``Seen.label``."""
+        return self._named("", f" {self.part.word}")
+
+    def _named(self, before: str, behind: str) -> str:
+        own = f"{before}{self.called}{behind} {self.client}".rstrip()
+        return self.called if self.part is Part.TOPIC else own
 
 
 @dataclass(frozen=True)
@@ -62,11 +81,8 @@ def read_generated(folder: Path) -> Generated:
     settings = {name: value for name, _, value in _SETTING.findall(_text(base / "Base/RosPlc_Settings.st"))}
     if {"sPrefix", "xFenced"} - set(settings):
         raise ValueError(f"{base / 'Base/RosPlc_Settings.st'} names no prefix")
-    blocks = []
-    for name, to_plc in (("ROS_Read", True), ("ROS_Write", False)):
-        path = base / f"{name}.st"
-        if path.exists():
-            blocks += [_block(base, kind, topic, to_plc) for kind, topic in _INSTANCE.findall(_text(path))]
+    lists = [base / f"{name}.st" for name in ("ROS_Read", "ROS_Write", "ROS_Services", "ROS_Actions")]
+    blocks = [block for path in lists if path.exists() for block in _instances(base / "Blocks", path)]
     programs = [match[1] for path in sorted(base.glob("*.st")) if (match := _PROGRAM.search(_text(path)))]
     return Generated(
         tuple(blocks),
@@ -77,13 +93,24 @@ def read_generated(folder: Path) -> Generated:
     )
 
 
-def _block(base: Path, name: str, topic: str, to_plc: bool) -> Block:
-    text = _text(path := _block_file(base / "Blocks", name))
-    if found := _IDS.search(text):
-        layout_id = layout_id_text(int(found[1], 16), int(found[2], 16))
-        return Block(topic, name, to_plc, False, layout_id, int(found[3]))
-    if found := _CLASSIC.search(text):
-        return Block(topic, name, to_plc, True, "", int(found[1]))
+def _instances(folder: Path, path: Path) -> Iterator[Block]:
+    """Yield the instances of a variable list, for each object that they open."""
+    for name, called, more in _INSTANCE.findall(_text(path)):
+        parts = _PART.findall(_text(_block_file(folder, name)))
+        for word, inner in parts:
+            yield _block(folder, Block(called, inner, False, "", 0, Part[word.upper()], more))
+        if not parts:
+            yield _block(folder, Block(called, name, path.stem == "ROS_Read", "", 0))
+
+
+def _block(folder: Path, found: Block) -> Block:
+    """Return a block with what its text tells."""
+    text = _text(path := _block_file(folder, found.name))
+    if ids := _IDS.search(text):
+        layout_id = layout_id_text(int(ids[2], 16), int(ids[3], 16))
+        return replace(found, to_plc=ids[1] == "Read", layout_id=layout_id, record_size=int(ids[4]))
+    if classic := _CLASSIC.search(text):
+        return replace(found, record_size=int(classic[1]))
     raise ValueError(f"{path} names no layout")
 
 

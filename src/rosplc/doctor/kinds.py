@@ -126,10 +126,10 @@ _register("DOC605", _A, _W, "refused and shortened messages", "Messages were lar
 
 _A = Area.CODE
 _register("DOC701", _A, _E, "generated code", "The folder has no code of `rosplc generate`, or it cannot be read.", "Name the folder that `rosplc generate` wrote.")
-_register("DOC702", _A, _E, "the code's layouts and the configuration's", "They differ: the PLC would refuse these topics (SHM112).", "Generate the code again, import it and download it.")
-_register("DOC703", _A, _E, "the code's layouts and the running bridge's", "They differ: the PLC would refuse these topics (SHM112).", "Restart the bridge with the configuration that the code was generated from, or generate the code again.")
-_register("DOC704", _A, _E, "topics that the code does not have", "The configuration has topics without a block in the code, or with one for the other direction.", "Generate the code again, import it and download it.")
-_register("DOC705", _A, _W, "topics that only the code has", "The code has blocks for topics that the configuration does not carry; they never connect (SHM101).", "Generate the code again, or add the topics.")
+_register("DOC702", _A, _E, "the code's layouts and the configuration's", "They differ: the PLC would refuse these objects (SHM112).", "Generate the code again, import it and download it.")
+_register("DOC703", _A, _E, "the code's layouts and the running bridge's", "They differ: the PLC would refuse these objects (SHM112).", "Restart the bridge with the configuration that the code was generated from, or generate the code again.")
+_register("DOC704", _A, _E, "what the code does not have", "The configuration has topics, services or actions without a block in the code, or with one for the other direction.", "Generate the code again, import it and download it.")
+_register("DOC705", _A, _W, "what only the code has", "The code has blocks for topics, services or actions that the configuration does not carry; they never connect (SHM101).", "Generate the code again, or add them.")
 _register("DOC706", _A, _E, "the code's prefix", "The code looks for objects of another prefix than the configuration's (SHM101).", "Generate the code again.")
 _register("DOC707", _A, _W, "the code's fences", "The code was generated for x86, and this is an ARM machine, where its fence orders nothing.", "Generate it for ARM.")
 _register("DOC708", _A, _N, "code of another release, or edited", "The layouts agree, but a file is not what this release would generate.", "Nothing, if it was edited on purpose; otherwise generate the code again.")

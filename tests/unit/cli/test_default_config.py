@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +46,7 @@ def test_the_folders_configuration_is_the_default(
     assert set(watched[0].prefixes) == expected
 
 
-def test_release_and_types_take_the_folders_configuration(
+def test_doctor_release_and_types_take_the_folders_configuration(
     tmp_path: Path, shm_namespace: Namespace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its prefix, distribution and custom types; what is named on the command line comes first."""
@@ -56,6 +57,10 @@ def test_release_and_types_take_the_folders_configuration(
         f"prefix: {shm_namespace.prefix}\nros: {{distro: humble}}\ntypes: {{paths: [./msg]}}\ntopics: {{}}\n"
     )
     monkeypatch.chdir(tmp_path)
+    report = json.loads(rosplc("doctor", "--no-ros", "--json").stdout)
+    assert [each["seen"] for each in report["findings"] if each["code"] == "DOC501"] == [
+        "rosplc.yaml is valid: 0 topics"
+    ]
     assert "cell_msgs/msg/Fan (humble)" in rosplc("types", "cell_msgs/Fan").output
     assert "TYP001" in rosplc("types", "cell_msgs/Fan", "--distro", "jazzy", code=1).stderr
     side = Side(shm_namespace, "/n", layout_of("std_msgs/msg/Float64"), Direction.TO_ROS)

@@ -16,6 +16,7 @@ from dataclasses import replace
 from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 
+from rosplc.config import Project
 from rosplc.doctor import (
     Finding,
     Question,
@@ -617,7 +618,7 @@ def _generated(topics: str = TOPICS, *, now: str = "", prefix: str = "") -> Look
         return (
             code.against_config(
                 read_generated(stage.root / "out"),
-                current.topics,
+                wanted(current),
                 prefix or current.namespace.prefix,
                 "rosplc generate",
                 differences={},
@@ -627,6 +628,22 @@ def _generated(topics: str = TOPICS, *, now: str = "", prefix: str = "") -> Look
         )
 
     return look
+
+
+def wanted(project: Project) -> list[live.Carried]:
+    """Return what the code of a configuration is to open."""
+    topics = [live.Carried(p.topic, p.topic, p.direction, p.layout, None) for p in project.topics]
+    return topics + [
+        live.Carried(
+            call.name,
+            f"{call.called} {part.word} {call.client}".rstrip(),
+            part.direction(call.server),
+            call.layout(part),
+            None,
+        )
+        for call in project.calls
+        for part in call.parts
+    ]
 
 
 def _write_code(stage: Stage, topics: str, **options):

@@ -11,7 +11,9 @@ from pathlib import Path
 
 import pytest
 
+from rosplc.config import Project
 from rosplc.doctor import Area, Level, Question, Report, examination
+from rosplc.doctor.code import against_config
 from rosplc.doctor.generated import read_generated
 from rosplc.doctor.graph import Graph, judge_graph
 from rosplc.doctor.kinds import fine, found
@@ -28,6 +30,7 @@ from rosplc.plc.plan import ProjectOptions
 from rosplc.ros import EndpointInfo, GraphInfo, Qos, memory
 from rosplc.ros.buffers import cyclone_buffer
 from rosplc.shm import Namespace
+from tests.unit.doctor.cases import wanted
 from tests.unit.doctor.stage import OTHER_MOUNT, Stage, problems
 
 INT, LONG, STRING = "std_msgs/msg/Int32", "std_msgs/msg/Int64", "std_msgs/msg/String"
@@ -189,12 +192,16 @@ def test_the_bridges_own_topics_are_not_proposed(stage: Stage) -> None:
 @pytest.mark.parametrize("fenced", [True, False])
 @pytest.mark.parametrize("pins", [True, False])
 def test_every_delivery_is_read(stage: Stage, fenced: bool, pins: bool) -> None:
-    """Topics, directions, layouts, prefix and rule are read out of whatever is generated."""
+    """Topics, calls, directions, layouts, prefix and rule are read out of whatever is generated."""
     long = "/" + "/".join(["a_rather_long_name"] * 6)
     project = stage.project(
         f"  {long}: {{type: {INT}, to: plc}}\n  /text: {{type: {STRING}, to: ros, limits: {{data: 9}}}}\n"
         f"  /again: {{type: {STRING}, to: ros, limits: {{data: 12}}}}\n"
         f"  /old: {{type: {INT}, to: ros, classic: {{name: old.one, semaphore: none}}}}\n"
+        f"services:\n  /start: {{type: std_srvs/srv/SetBool, server: plc}}\n"
+        f"  {long}: {{type: std_srvs/srv/Trigger, server: ros, clients: [pick, place]}}\n"
+        "actions:\n  /fib: {type: example_interfaces/action/Fibonacci, server: ros}\n"
+        "  /own: {type: example_interfaces/action/Fibonacci, server: plc, limits: {result.sequence: 3}}\n"
     )
     files = project_files(plc_project(project, ProjectOptions(fenced=fenced, pins=pins)), [], "rosplc")
     write_files(stage.root / "out", files)
@@ -202,19 +209,34 @@ def test_every_delivery_is_read(stage: Stage, fenced: bool, pins: bool) -> None:
         found = read_generated(folder)
         assert (found.prefix, found.fenced) == (stage.namespace.prefix, fenced)
         read = {
-            (block.topic, block.to_plc, block.classic, block.layout_id, block.record_size)
+            (block.use, block.label, block.to_plc, block.layout_id, block.record_size)
             for block in found.blocks
         }
         assert read == {
-            (
-                plan.classic.name if plan.classic else plan.topic,
-                plan.direction == 1,
-                plan.classic is not None,
-                "" if plan.classic else plan.layout.layout_id,
-                plan.layout.size,
-            )
-            for plan in project.topics
-        }
+            (each.use, each.name, each.direction == 1, each.layout.layout_id, each.layout.size)
+            for each in wanted(project)
+            if each.use != "/old"
+        } | {("old.one", "old.one", False, "", project.topic("/old").layout.size)}
+
+
+def test_blocks_of_services_are_compared_with_the_configuration(stage: Stage) -> None:
+    """A use that has no block, a block without a use, and another layout are found, each by its name."""
+
+    def project(uses: str, limit: int) -> Project:
+        entry = f"type: std_srvs/srv/Trigger, server: ros, clients: [{uses}]"
+        limits = f"limits: {{response.message: {limit}}}"
+        return stage.project(f"  /in: {{type: {INT}, to: plc}}\nservices:\n  /close: {{{entry}, {limits}}}\n")
+
+    before, now = project("pick, place", 20), project("pick, stack", 40)
+    write_files(stage.root / "out", project_files(plc_project(before, ProjectOptions()), [], "rosplc"))
+    code, prefix = read_generated(stage.root / "out"), stage.namespace.prefix
+    assert not problems(against_config(code, wanted(before), prefix, ""))
+    found = problems(against_config(code, wanted(now), prefix, ""))
+    assert {each: found[each].seen.partition(" layout")[0] for each in found} == {
+        "DOC702": "/close response pick:",
+        "DOC704": "not in the code: service /close stack",
+        "DOC705": "only in the code: service /close place",
+    }
 
 
 @pytest.mark.parametrize("path", ["Base/RosPlc_Settings.st", "Blocks/std_msgs_Int32_Read.st"])
