@@ -36,6 +36,10 @@ def test_long(): pass
 def test_short(): pass
 """
 INI = "[pytest]\nmarkers =\n    verify: long\n    needs: what it needs\n    foreign: foreign\n"
+WORKERS = [
+    pytest.param((), id="one process", marks=pytest.mark.foreign),
+    pytest.param(("-n", "2"), id="xdist"),
+]
 ABSENT = {
     "test_lacks_a_package": "Debian package some-tool is missing",
     "test_lacks_a_variable": "ROSPLC_SOME_TOOL is not set",
@@ -72,7 +76,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize("workers", [(), ("-n", "2")], ids=["one process", "xdist"])
+@pytest.mark.parametrize("workers", WORKERS)
 def test_what_a_machine_lacks_is_listed_and_not_skipped(folder: Path, workers: tuple[str, ...]) -> None:
     """On a laptop a check whose need is not met is deselected, and listed with the need."""
     status, output, reported = run(folder, *workers)
@@ -83,7 +87,7 @@ def test_what_a_machine_lacks_is_listed_and_not_skipped(folder: Path, workers: t
     assert "4 passed, 1 skipped" in output
 
 
-@pytest.mark.parametrize("workers", [(), ("-n", "2")], ids=["one process", "xdist"])
+@pytest.mark.parametrize("workers", WORKERS)
 def test_missing_package_fails_in_ci(folder: Path, workers: tuple[str, ...]) -> None:
     """In CI a missing package is a failure; what no registry has is still only listed."""
     status, output, reported = run(folder, *workers, CI="true")
@@ -92,7 +96,7 @@ def test_missing_package_fails_in_ci(folder: Path, workers: tuple[str, ...]) -> 
     assert set(reported["absent"]) == set(ABSENT) - {"test_lacks_a_package"}
 
 
-@pytest.mark.parametrize("workers", [(), ("-n", "2")], ids=["one process", "xdist"])
+@pytest.mark.parametrize("workers", WORKERS)
 def test_a_test_that_has_to_be_repeated_is_reported(folder: Path, workers: tuple[str, ...]) -> None:
     """One that fails twice is a failure; one that fails once passes, and is named."""
     (folder / "test_sample.py").write_text(

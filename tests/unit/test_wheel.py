@@ -53,6 +53,7 @@ def build(folder: Path) -> tuple[Path, Path]:
     return sources, wheel
 
 
+@pytest.mark.foreign
 def test_both_distributions_are_complete(tmp_path: Path) -> None:
     """Every module, stub and template is in both, with one C core in the wheel, and nothing else."""
     sources, wheel = build(tmp_path)

@@ -202,6 +202,7 @@ print(number + 1)
 """
 
 
+@pytest.mark.foreign
 @pytest.mark.parametrize("distro", ROS2)
 def test_every_bundled_type_opens(graph: Graph, distro: str) -> None:
     """Each type of each distribution makes a DDS topic, in a process that did nothing else, as a bridge's."""
