@@ -68,7 +68,6 @@ def command(
         timeout SECONDS: With --from-topic: how long to wait for a publisher.
         distros: List the bundled distributions.
     """
-    from rosplc.config import read_config
     from rosplc.layout import compute_layout
     from rosplc.model import DISTROS, TypeStore
 
@@ -92,6 +91,8 @@ def command(
     else:
         folders = list(path or ())
         if distro is None and (file := default_config()) is not None:
+            from rosplc.config import read_config  # takes longer than the rest of this verb
+
             config = read_config(file)
             distro = config.settings.ros.distro
             folders += [config.base / folder for folder in config.settings.types.paths]
