@@ -14,6 +14,8 @@ from typing import IO
 
 import pytest
 
+from rosplc.model import TypeStore
+from rosplc.ros import SERVICES, ActionServer, open_backend
 from tests.interop.graphs import LOCAL
 from tests.lib.waiting import wait_for
 
@@ -75,6 +77,28 @@ def test_a_published_topic_is_listed_echoed_and_timed(command: Command) -> None:
     timed.communicate()
     assert rate is not None
     assert float(rate[1]) > 0
+
+
+def test_services_and_actions_are_listed(
+    command: Command, dds_domain: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each by its own name and type: those that an action consists of are none of the services."""
+    for name, value in LOCAL.items():
+        monkeypatch.setenv(name, value)
+    store, fibonacci = TypeStore.bundled("jazzy"), "example_interfaces/action/Fibonacci"
+    node = open_backend("dds", store, "robot", domain=dds_domain)
+    node.serve("/arm/home", "std_srvs/srv/Trigger", SERVICES, lambda *_: None)
+    action = ActionServer(
+        node, store, "/arm/move", fibonacci, on_goal=lambda *_: None, on_cancel=lambda _: None
+    )
+    try:
+        expected = {"/arm/move": [fibonacci]}
+        wait_for(lambda: json.loads(command.run("list", "--actions", "--json")) == expected, "the action")
+        expected = {"/arm/home": ["std_srvs/srv/Trigger"]}
+        wait_for(lambda: json.loads(command.run("list", "--services", "--json")) == expected, "the service")
+    finally:
+        action.close()
+        node.close()
 
 
 def test_one_message_waits_for_its_subscriber(command: Command) -> None:

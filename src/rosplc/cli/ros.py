@@ -9,7 +9,7 @@ import queue
 import statistics
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
@@ -24,7 +24,7 @@ from rosplc.cli.verb import Between, verb
 if TYPE_CHECKING:
     from rosplc.bridge.ros_side import LiveTypes
     from rosplc.init.definitions import Definitions
-    from rosplc.ros import Backend
+    from rosplc.ros import Backend, EndpointInfo
 
 _LOOK_S = 5.0
 """How long to look for a topic at most; the graph is complete earlier where it is small."""
@@ -131,20 +131,27 @@ def _list(
     *,
     show_types: bool = False,
     count_topics: bool = False,
+    services: bool = False,
+    actions: bool = False,
     backend: _Backend = None,
     distro: _Distro = None,
     domain: _Domain = None,
     types: _Types = None,
     as_json: bool = False,
 ) -> None:
-    """List the topics of the ROS graph.
+    """List the topics of the ROS graph, or its services or actions.
 
     Options:
         show_types: Print the types, too.
         count_topics: Print their number only.
+        services: List services instead.
+        actions: List actions of ROS 2 instead.
     """
+    if services and actions:
+        raise typer.BadParameter("list services or actions, not both", param_hint="--services")
     with _node(backend, distro, domain, types) as node:
-        topics = node.graph().topics
+        graph = node.graph()
+    topics = _calls(graph.services, actions) if services or actions else graph.topics
     if as_json:
         print_json({name: list(kinds) for name, kinds in topics.items()})
     elif count_topics:
@@ -152,6 +159,16 @@ def _list(
     else:
         for name, kinds in topics.items():
             say(f"{name} [{', '.join(kinds)}]" if show_types else name)
+
+
+def _calls(ends: Iterable[EndpointInfo], actions: bool) -> dict[str, list[str]]:
+    """Return the names of services or actions and their types, as far as the graph tells them."""
+    found: dict[str, set[str]] = {}
+    for end in ends:
+        name, is_action, _ = end.topic.partition("/_action/send_goal")
+        if bool(is_action) == actions and "/_action/" not in name:
+            found.setdefault(name, set()).add(end.type_name.removesuffix("_SendGoal" * actions))
+    return {name: sorted(filter(None, types)) for name, types in sorted(found.items())}
 
 
 @verb
