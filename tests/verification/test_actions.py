@@ -376,6 +376,11 @@ def test_preempted(cell: CallCell) -> None:
     caller, number = offered(cell)
     caller.ask(CALL + PREEMPT)
     cell.until(lambda: caller.get("xPreempt"))
+    caller.ask(CALL + spec.ASK_ACCEPTED)  # it waits no longer
+    cell.until(lambda: not caller.get("xPreempt"))
+    assert caller.get("xActive", "xCancelRequested") == (True, False)
+    caller.ask(CALL + PREEMPT)
+    cell.until(lambda: caller.get("xPreempt"))
     assert caller.get("xActive")
     assert end(cell, caller, "xAbort")[:2] == (spec.ANSWER_ABORTED, number)
     caller.call(12)

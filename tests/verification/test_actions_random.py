@@ -52,7 +52,7 @@ class Asking(Calling):
             if not end.withdraw():
                 self.ledger.not_executed(token)
         elif self.token and draw < 0.1:
-            end.ask(self.dice.choice([spec.ASK_CALL, CANCEL, CANCEL + spec.ASK_PREEMPT]))
+            end.ask(self.dice.choice([spec.ASK_CALL + spec.ASK_ACCEPTED, CANCEL, CANCEL + spec.ASK_PREEMPT]))
         elif not self.token and self._claim() and draw < 0.5:
             self.claim, self.known = self._claim(), False
             self.tokens += 1

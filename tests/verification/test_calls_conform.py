@@ -94,7 +94,7 @@ class Pair:
             begun = [side.withdraw() for side in self.sides]
             self.open = any(begun)
         elif what == "go on" and kind is ActionCaller and self.sides[0].get("xActive"):
-            self.each("ask", spec.ASK_CALL + self.draw.choice((0, 2, 4, 6)))
+            self.each("ask", spec.ASK_CALL + self.draw.choice((2, 4, 6, 16)))
 
 
 @pytest.mark.parametrize("seed", range(SEEDS))

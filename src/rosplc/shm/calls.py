@@ -80,7 +80,7 @@ class Caller:
         return correlation
 
     def again(self, send: Send, status: int) -> None:
-        """Publish the open call again with ``status`` added: ``ASK_CANCEL``, ``ASK_PREEMPT``."""
+        """Publish the open call again with ``status`` added: ``ASK_CANCEL``, for example."""
         send(correlation=self.correlation, status=spec.ASK_CALL | status, client=self._client)
 
     def withdraw(self, send: Send) -> bool:
@@ -167,7 +167,7 @@ class Answerer:
             return "more"
         if info.correlation == self.unanswered:
             return "unknown"
-        if info.status & spec.ASK_WITHDRAWN:
+        if info.status != spec.ASK_CALL:
             return "withdrawn"
         self.correlation = info.correlation
         return "begin"

@@ -42,6 +42,7 @@ ASK_CALL: Final = 1  # status of a request or goal: always set
 ASK_CANCEL: Final = 2  # status of a goal: the caller asks for it to be canceled
 ASK_PREEMPT: Final = 4  # status of a goal: another goal waits for this one to end
 ASK_WITHDRAWN: Final = 8  # status of a request or goal: nobody waits for an answer any more
+ASK_ACCEPTED: Final = 16  # status of a goal: it was accepted, and nothing is asked of it any more
 ANSWER_MASK: Final = 0x000000FF  # status of an answer: the bits that hold one of the next eight
 ANSWER_DONE: Final = 1  # status of an answer: the record is the response
 ANSWER_NOT_EXECUTED: Final = 2  # status of an answer: it did not begin, and it is safe to call again

@@ -38,6 +38,7 @@
 #define ROSPLC_ASK_CANCEL 2u /* status of a goal: the caller asks for it to be canceled */
 #define ROSPLC_ASK_PREEMPT 4u /* status of a goal: another goal waits for this one to end */
 #define ROSPLC_ASK_WITHDRAWN 8u /* status of a request or goal: nobody waits for an answer any more */
+#define ROSPLC_ASK_ACCEPTED 16u /* status of a goal: it was accepted, and nothing is asked of it any more */
 #define ROSPLC_ANSWER_MASK 0x000000FFu /* status of an answer: the bits that hold one of the next eight */
 #define ROSPLC_ANSWER_DONE 1u /* status of an answer: the record is the response */
 #define ROSPLC_ANSWER_NOT_EXECUTED 2u /* status of an answer: it did not begin, and it is safe to call again */
