@@ -16,6 +16,7 @@ from rosplc.ros import Backend, Reply, ServiceClient
 from rosplc.shm import Answerer, Part, Reader, SlotInfo
 from rosplc.shm.constants import ASK_WITHDRAWN, WRITER_LINE
 
+_MOST_LOOKS = 8  # in one turn, at an object that is written all the time
 _ANSWERS = {outcome: answer for answer, outcome in ENDINGS.items()}
 
 
@@ -67,7 +68,9 @@ class Asked(Use):
         return self._open_call is not None and self._open_call >> 32 != epoch
 
     def _take(self, reader: Reader, answerer: Answerer, now_ns: int) -> None:
-        while (found := reader.latest_wire(self._codecs[self._asks].plan)) is not None:
+        for _ in range(_MOST_LOOKS):
+            if (found := reader.latest_wire(self._codecs[self._asks].plan)) is None:
+                return
             payload, info = found
             # Behind the message, or the first call of a program that has just started would be lost.
             if info.correlation >> 32 != self._epoch:
@@ -182,7 +185,7 @@ class Called(Asked):
             self._give_up(Reason.CALLER_GONE, now_ns)
 
     def _hear(self, now_ns: int) -> None:
-        while self.events:
+        for _ in range(len(self.events)):
             correlation, reply = self.events.popleft()
             if correlation == self._open_call:
                 self._pass_on(reply, now_ns)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -14,8 +14,10 @@ from rosplc.config.plans import ActionPlan
 from rosplc.errors import RosplcError
 from rosplc.reasons import Reason
 from rosplc.ros import ActionClient, Backend, GoalEvent, GoalStatus, Reply, action_classes
-from rosplc.shm import Part, SlotInfo
+from rosplc.shm import Answerer, Part, Reader, SlotInfo
+from rosplc.shm.attach import Mapped
 from rosplc.shm.calls import WORDS
+from rosplc.shm.claims import start_of
 from rosplc.shm.constants import (
     ANSWER_ABORTED,
     ANSWER_ACCEPTED,
@@ -29,11 +31,19 @@ from rosplc.shm.constants import (
     ASK_CANCEL,
     ASK_WITHDRAWN,
     GOAL_ID_END,
+    WRITER_LINE,
 )
 
 _FIRST_PAUSE_NS, _LONGEST_PAUSE_NS = 100_000_000, 5_000_000_000
 _MOST_LEFT = 64
 """Goals that the PLC does not wait for and that are still to be canceled."""
+_MOST_WAITING = 64
+"""Events with which feedback is passed on that others have overtaken."""
+_PATIENCE_NS, _UNDECIDED_NS = 2_000_000_000, 600_000_000_000
+"""How long the PLC waits for a goal that the server does not know, and this bridge to have it canceled.
+
+A server tells its decision to the bridge that sent the goal alone; to any other it does not know it before.
+"""
 _ENDS: dict[GoalStatus, tuple[int, Outcome]] = {
     GoalStatus.SUCCEEDED: (ANSWER_SUCCEEDED, "succeeded"),
     GoalStatus.CANCELED: (ANSWER_CANCELED, "canceled"),
@@ -52,6 +62,7 @@ class _Goal:
     said: int = 0  # what the server has said of canceling it: one of the bits of an answer, or 0
     cancel: bool = False  # it is to be canceled, and the server has not been asked, or did not answer
     lost: bool = False  # status and result are to be asked for
+    unknown_ns: int = 0  # since when the server does not know it; 0: it was not asked, or does
     due_ns: int = 0
     pause_ns: int = 0
 
@@ -94,9 +105,9 @@ class CalledGoals(Asked):
 
     # -- the PLC's side
 
-    def _uuid(self, number: int) -> bytes:
-        """Return the UUID of a goal that is in the present object."""
-        generation = self._channels[Part.GOAL].generation
+    def _uuid(self, number: int, asks: Mapped | None = None) -> bytes:
+        """Return the UUID of a goal that is in the present object, or in another."""
+        generation = (asks or self._channels[Part.GOAL]).identity.generation
         return struct.pack("<4I", generation, number >> 32, number & 0xFFFFFFFF, GOAL_ID_END)
 
     def _deserted(self, epoch: int) -> bool:
@@ -107,8 +118,6 @@ class CalledGoals(Asked):
         assert self._endpoint is not None
         if info.client != uuid:
             self._answer("not executed", Reason.REJECTED, now, "the goal's UUID does not go with its number")
-        elif info.status & ASK_CANCEL:
-            self._answer("not executed", Reason.CALLER_GONE, now)
         elif self._endpoint.send(uuid, payload):
             self._goals[uuid] = _Goal(uuid, info.correlation)
         else:
@@ -149,15 +158,18 @@ class CalledGoals(Asked):
                     goal.lost = False
                 if goal.cancel and goal.decided:
                     client.cancel(goal.uuid)
-                    goal.cancel = False
+                    goal.cancel = not goal.accepted  # or the server may not know it yet
+                    if goal.cancel:
+                        goal.wait(now_ns)
             except Exception as error:  # as the backend raises; or no more threads
                 goal.wait(now_ns)
                 self.note(now_ns, f"the server could not be asked: {error}")
 
     def _hear(self, now_ns: int) -> None:
-        while self.events:
+        for waiting in range(len(self.events), 0, -1):  # what comes meanwhile waits for the next turn
             (event,) = self.events.popleft()
-            if (goal := self._goals.get(event.uuid)) is not None:
+            overtaken = event.kind == "feedback" and waiting > _MOST_WAITING
+            if (goal := self._goals.get(event.uuid)) is not None and not overtaken:
                 self._learn(goal, event, now_ns)
 
     def _learn(self, goal: _Goal, event: GoalEvent, now_ns: int) -> None:
@@ -171,8 +183,9 @@ class CalledGoals(Asked):
                 self._end(goal, "not executed", Reason.REJECTED, now_ns)
             case "failed":
                 self._end(goal, reply.outcome, reply.reason, now_ns, reply.text)
-                if goal.cancel and reply.outcome == "fate unknown":
+                if reply.outcome == "fate unknown":
                     self._goals[goal.uuid] = goal  # it may be accepted yet
+                    self._leave(goal)
             case "feedback":
                 self._pass_on(goal, event.payload or b"", now_ns)
             case "status" if event.status and not event.status.ended:
@@ -181,6 +194,7 @@ class CalledGoals(Asked):
                 if event.status is GoalStatus.CANCELING:
                     goal.said = ANSWER_CANCEL_ACCEPTED
                 if before != (goal.accepted, goal.said):
+                    goal.due_ns = 0
                     self._report(goal)
             case "canceling" | "not canceled":
                 self._canceling(goal, event.kind == "canceling", reply, now_ns)
@@ -194,12 +208,13 @@ class CalledGoals(Asked):
                 goal.wait(now_ns)
 
     def _canceling(self, goal: _Goal, agreed: bool, reply: Reply, now_ns: int) -> None:
-        if not agreed and reply.payload is None:
+        if not agreed and (reply.payload is None or not goal.accepted):
             goal.cancel = True
             goal.wait(now_ns)
         elif goal.number != self._open_call:
             self._forget(goal)
         else:
+            goal.accepted, goal.cancel = True, goal.cancel and not agreed
             if goal.said != ANSWER_CANCEL_ACCEPTED:
                 goal.said = ANSWER_CANCEL_ACCEPTED if agreed else ANSWER_CANCEL_REJECTED
             self._report(goal)
@@ -216,13 +231,26 @@ class CalledGoals(Asked):
 
     def _result(self, goal: _Goal, event: GoalEvent, now_ns: int) -> None:
         if event.status not in _ENDS:
-            self._end(goal, "fate unknown", Reason.SERVER_GONE, now_ns, "the server does not know the goal")
+            self._unknown(goal, now_ns)
             return
         status, outcome = _ENDS[event.status]
         record, reason, text = self._read(Part.RESULT, event.payload or b"")
         if text:
             status, outcome = status | ANSWER_NO_RESULT, "unreadable"
         self._end(goal, outcome, reason, now_ns, text, record, status)
+
+    def _unknown(self, goal: _Goal, now_ns: int) -> None:
+        """Take in that the server does not know a goal: not any more, or not before it has decided."""
+        words = "the server does not know the goal"
+        goal.unknown_ns = goal.unknown_ns or now_ns
+        if goal.accepted or now_ns - goal.unknown_ns > _UNDECIDED_NS:
+            self._end(goal, "fate unknown", Reason.SERVER_GONE, now_ns, words)
+            return
+        goal.lost = True
+        goal.wait(now_ns)
+        if goal.number == self._open_call and now_ns - goal.unknown_ns > _PATIENCE_NS:
+            self._answer("fate unknown", Reason.BRIDGE_RESTARTED, now_ns, words)
+            self._leave(goal)
 
     def _end(
         self,
@@ -260,32 +288,52 @@ class CalledGoals(Asked):
         if self._endpoint is not None:
             self._endpoint.forget(goal.uuid)
 
+    def _unended(self, number: int, lives: bool, channels: Mapping[Part, Mapped]) -> int:
+        """Return the number of the goal of an earlier bridge's that ROS may have; 0: there is none."""
+        answered, cancels = self._newest(Part.RESULT, channels), self.plan.when_plc_down == "cancel"
+        number *= lives or cancels
+        if not number and answered is not None and answered[1].status == ANSWER_FATE_UNKNOWN:
+            # Given up by the bridge before, which may not have reached the server to cancel it.
+            wanted = {Reason.CALLER_GONE, Reason.BRIDGE_RESTARTED, *([Reason.PLC_DOWN] * cancels)}
+            number = answered[1].correlation * (answered[1].reason in wanted)
+        return number
+
+    def _found(self, before: Mapping[Part, Mapped]) -> tuple[bytes, int] | None:
+        asks, answers = before[Part.GOAL], before[Part.RESULT]
+        reader = Reader(asks.region, start_of(asks.region, latched=False, line=0))
+        number = Answerer(asks, reader, answers).unanswered
+        lives = number >> 32 == asks.region.word(WRITER_LINE["writer_epoch"])
+        number = self._unended(number, lives, before)
+        return (self._uuid(number, asks), number) if number else None
+
+    def _bereft(self, left: tuple[bytes, int]) -> None:
+        """Have a goal of an earlier bridge's canceled."""
+        uuid, number = left
+        goal = self._goals.setdefault(uuid, _Goal(uuid, number, decided=True, lost=True))
+        goal.cancel = True
+        self.note(self._now(), "a goal that the PLC does not wait for any more is canceled")
+
     def _resume(self, number: int, lives: bool, now_ns: int) -> None:
         for goal in tuple(self._goals.values()):
             if goal.number != number and not goal.cancel:
                 self._leave(goal)  # it went with its objects
-        answered, cancels = self._newest(Part.RESULT), self.plan.when_plc_down == "cancel"
-        number *= lives or cancels
-        if not number and answered is not None and answered[1].status == ANSWER_FATE_UNKNOWN:
-            # Given up by the bridge before, which may not have reached the server to cancel it.
-            wanted = {Reason.CALLER_GONE, Reason.PLC_DOWN if cancels else Reason.CALLER_GONE}
-            number = answered[1].correlation * (answered[1].reason in wanted)
-        if not number:
+        if not (number := self._unended(number, lives, self._channels)):
             return
         uuid = self._uuid(number)
-        goal = self._goals.setdefault(uuid, _Goal(uuid, number, decided=True, lost=True))
         if not lives:
-            goal.cancel = True
-            self.note(now_ns, "a goal that the PLC does not wait for any more is canceled")
+            self._bereft((uuid, number))
             return
+        goal = self._goals.setdefault(uuid, _Goal(uuid, number, decided=True, lost=True))
         assert self._answerer is not None
         self._answerer.correlation, self._client = number, uuid  # what else comes of it is more
-        _, asked = self._newest(Part.GOAL) or (b"", None)
-        if asked is not None and asked.correlation == number:
-            goal.cancel = goal.cancel or bool(asked.status & (ASK_CANCEL | ASK_WITHDRAWN))
+        asked, answered = self._newest(Part.GOAL), self._newest(Part.RESULT)
+        status = asked[1].status if asked is not None and asked[1].correlation == number else 0
+        goal.cancel = goal.cancel or bool(status & (ASK_CANCEL | ASK_WITHDRAWN))
         if answered is not None and answered[1].correlation == number:
             goal.accepted = goal.accepted or answered[1].status & ANSWER_MASK == ANSWER_ACCEPTED
             goal.said = goal.said or answered[1].status & (ANSWER_CANCEL_ACCEPTED | ANSWER_CANCEL_REJECTED)
+        if status & ASK_WITHDRAWN and not goal.accepted:
+            self._give_up(Reason.CALLER_GONE, now_ns)
         self._report(goal)
 
     def _let_go(self, now_ns: int) -> None:

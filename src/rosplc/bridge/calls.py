@@ -80,7 +80,7 @@ class CallPorts(Ports[Any]):
         # A request that waits for a server is news once; the use looks at it again by itself.
         news = {self._uses[index] for index, _, head, *_ in messages if self._heads.get(index) != head}
         self._heads = {index: head for index, _, head, *_ in messages}
-        while self._told:
+        for _ in range(len(self._told)):
             news.add(self._told.popleft())
         again: list[Use] = []
         for index, fault in faults:

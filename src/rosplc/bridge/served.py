@@ -120,7 +120,7 @@ class Served(Calling):
     def _receive(self, now_ns: int) -> None:
         """Put requests that came into the queue, or refuse them."""
         plan = self.plan
-        while self.events:
+        for _ in range(len(self.events)):  # what comes meanwhile waits for the next turn
             payload, caller, _ = self.events.popleft()
             if caller in self._recent:
                 continue
@@ -261,11 +261,11 @@ class Served(Calling):
     # -- calls of an earlier bridge
 
     def _claimed(self) -> None:
-        reader, known, self._known = self._readers[Part.RESPONSE], self._known, True
+        reader = self._readers[Part.RESPONSE]
         asks, writer = self._channels[Part.REQUEST], self._writers[Part.REQUEST]
         self._caller = Caller(asks, writer, follows_claim=True)
         found, answer = self._newest(Part.REQUEST), self._newest(Part.RESPONSE)
-        if known or found is None or not found[1].status & ASK_CALL:
+        if self._known or found is None or not found[1].status & ASK_CALL:
             return
         (record, info), now = found, self._now()
         answered = answer is not None and answer[1].correlation == info.correlation

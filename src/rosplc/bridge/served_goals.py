@@ -7,7 +7,7 @@ first, and each answer implies those before it.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -21,7 +21,9 @@ from rosplc.reasons import Reason
 from rosplc.ros import ActionServer, Backend, GoalStatus, action_classes
 from rosplc.shm import Caller, Part, SlotInfo
 from rosplc.shm import constants as spec
+from rosplc.shm.attach import Mapped
 from rosplc.shm.calls import WORDS
+from rosplc.shm.claims import start_of
 
 _GONE = "its objects were given up"
 _TICK_NS = 1_000_000_000
@@ -41,7 +43,7 @@ class _Goal:
     stamp_ns: int = 0  # when it was handed out, in ns since 1970
     number: int = 0  # its correlation
     handed_ns: int = 0  # when it was handed out, on the monotonic clock
-    asked: int = 0  # what the PLC was asked besides
+    asked: int = spec.ASK_ACCEPTED  # what the PLC was asked last besides, once it has accepted
     cancel: bool = False  # a request to cancel that the PLC has not been told of
     accepted: bool = False
     withdrawn: bool = False  # the PLC was told that nobody waits for its decision
@@ -60,6 +62,7 @@ class ServedGoals(Calling):
         self._waiting: deque[_Goal] = deque()
         self._open_goal: _Goal | None = None
         self._taken = 0  # the sequence that the PLC's block took last
+        self._refused = 0  # goals that the endpoint had no room for, as far as they are counted
         self._tick_ns = 0
 
     def _connect(self, backend: Backend) -> ActionServer:
@@ -73,6 +76,8 @@ class ServedGoals(Calling):
             on_goal=partial(self.tell, "goal"),
             on_cancel=partial(self.tell, "cancel"),
             keep_result_ns=plan.keep_result_ns,
+            # Not later: a client that asks for the result would be told that the goal is not known.
+            executing=[(goal.uuid, goal.stamp_ns) for goal in (self._open_goal,) if goal and goal.accepted],
             clock=self.context.clock,
         )
 
@@ -104,7 +109,11 @@ class ServedGoals(Calling):
 
     def _receive(self, server: ActionServer, now_ns: int) -> None:
         """Put goals that came into the queue, or reject them; note what is to be canceled."""
-        while self.events:
+        for _ in range(server.refused - self._refused):
+            self._refused += 1
+            self.received += 1
+            self._count("not executed", Reason.QUEUE_FULL, now_ns)
+        for _ in range(len(self.events)):  # what comes meanwhile waits for the next turn
             what, uuid, *payload = self.events.popleft()
             goal = self._open_goal
             if what == "cancel":
@@ -167,15 +176,15 @@ class ServedGoals(Calling):
         """Tell the PLC what is asked of the goal that it has accepted.
 
         One message at a time, each seen by the PLC, which takes the same message again for another request
-        to cancel. Never a message that asks nothing: to a program that has just started it is a new goal.
+        to cancel. Never ``CALL`` alone: to a program that has just started that is a new goal.
         """
         goal, writer = self._open_goal, self._writer
         if goal is None or not goal.accepted or writer is None or self._taken != writer.head:
             return
         ask = goal.asked | spec.ASK_CANCEL * goal.cancel
-        repeats = goal.cancel and ask == goal.asked
-        if self._waiting and self.plan.on_new_goal == "abort" and not repeats:
-            ask |= spec.ASK_PREEMPT
+        if not goal.cancel or ask != goal.asked:  # another message than the one before
+            preempts = bool(self._waiting) and self.plan.on_new_goal == "abort"
+            ask = ask & spec.ASK_CANCEL | spec.ASK_PREEMPT * preempts or spec.ASK_ACCEPTED
         if goal.cancel or ask != goal.asked:
             assert self._caller is not None
             self._caller.again(self._sends(goal), ask)
@@ -212,6 +221,9 @@ class ServedGoals(Calling):
         goal, caller = self._open_goal, self._caller
         if goal is None or caller is None:
             return
+        if not caller.correlation:  # an earlier bridge's, whose objects were replaced
+            self._end(goal, "fate unknown", Reason.BRIDGE_RESTARTED, now_ns, _GONE)
+            return
         # Behind a claim that has changed, what was answered before has been looked for.
         if caller.claim() == claim and (outcome := caller.lost(self._sends(goal))):
             self._end(goal, _ENDS[outcome], Reason.PLC_DOWN, now_ns)
@@ -247,10 +259,10 @@ class ServedGoals(Calling):
 
     def _follow(self, server: ActionServer, goal: _Goal, payload: bytes, status: int, now_ns: int) -> None:
         """Bring a goal in ROS to where the PLC has it, through all steps between."""
-        self._accept(server, goal, bool(status & spec.ANSWER_CANCEL_ACCEPTED))
+        self._accept(server, goal)
         answer = status & spec.ANSWER_MASK
         if status & spec.ANSWER_CANCEL_ACCEPTED or answer == spec.ANSWER_CANCELED:
-            server.accept_cancel(goal.uuid)
+            server.accept_cancel(goal.uuid, asked=bool(goal.asked & spec.ASK_CANCEL))
         elif status & spec.ANSWER_CANCEL_REJECTED and not goal.cancel:
             server.reject_cancel(goal.uuid)
         if answer == spec.ANSWER_ACCEPTED:
@@ -261,18 +273,17 @@ class ServedGoals(Calling):
             self._count("succeeded", Reason.NONE, now_ns)
         elif answer == spec.ANSWER_CANCELED and server.canceled(goal.uuid, payload):
             self._count("canceled", Reason.NONE, now_ns)
-        else:  # a goal that nobody in ROS asked to cancel cannot be canceled there
+        else:  # a goal that nobody asked to cancel cannot be canceled in ROS
             server.abort(goal.uuid, payload)
             self._count("aborted", Reason.NONE, now_ns)
 
-    def _accept(self, server: ActionServer, goal: _Goal, canceling: bool) -> None:
+    def _accept(self, server: ActionServer, goal: _Goal) -> None:
         if goal.accepted:
             return
         goal.accepted = True
         if goal.inherited:
-            status = GoalStatus.CANCELING if canceling else GoalStatus.EXECUTING
             server.reject(goal.uuid)  # should its client have sent it again
-            server.adopt(goal.uuid, goal.stamp_ns, status)
+            server.adopt(goal.uuid, goal.stamp_ns, GoalStatus.EXECUTING)
             return
         # Accepted while it was being withdrawn: a client that has gone does not know of it.
         goal.cancel = goal.unwanted or not server.present(goal.uuid)
@@ -289,33 +300,51 @@ class ServedGoals(Calling):
 
     # -- a goal of an earlier bridge, or of objects that were left
 
+    def _find(
+        self, channels: Mapping[Part, Mapped], passed_on: int
+    ) -> tuple[_Goal, SlotInfo, SlotInfo | None] | None:
+        """Return the goal that an earlier bridge has left open, its newest message, and what was answered."""
+        found, answer = (self._newest(part, channels) for part in self.plan.parts[:2])
+        if found is None or not found[1].status & spec.ASK_CALL:
+            return None
+        record, info = found
+        said = answer[1] if answer is not None and answer[1].correlation == info.correlation else None
+        answer_of = 0 if said is None else said.status & spec.ANSWER_MASK
+        if said is not None and answer_of != spec.ANSWER_ACCEPTED and said.sequence == passed_on:
+            return None
+        goal = _Goal(info.client, record, info.stamp_ns, info.correlation, self._now())
+        goal.inherited, goal.accepted = True, answer_of in _OF_ACCEPTED
+        goal.asked = info.status & (spec.ASK_CANCEL | spec.ASK_PREEMPT) or spec.ASK_ACCEPTED
+        return goal, info, said
+
+    def _found(self, before: Mapping[Part, Mapped]) -> _Goal | None:
+        found = self._find(before, start_of(before[Part.RESULT].region, latched=False, line=0))
+        return found[0] if found is not None and found[0].accepted else None
+
+    def _bereft(self, left: _Goal) -> None:
+        self._open_goal = left  # the next look ends it
+        self.received += 1
+
     def _claimed(self) -> None:
-        asks, writer, reader = self._channels[Part.GOAL], self._writers[Part.GOAL], self._readers[Part.RESULT]
-        caller = self._caller = Caller(asks, writer, follows_claim=True)
-        found, answer = self._newest(Part.GOAL), self._newest(Part.RESULT)
-        known, self._known, goal, now = self._known, True, self._open_goal, self._now()
-        if known:
+        caller = Caller(self._channels[Part.GOAL], self._writers[Part.GOAL], follows_claim=True)
+        self._caller, goal, now = caller, self._open_goal, self._now()
+        if self._known:
+            found = self._newest(Part.GOAL)
             if goal is not None and found is not None and found[1].correlation == goal.number:
                 caller.resume(found[1])
             elif goal is not None:
                 self._end(goal, "fate unknown", Reason.BRIDGE_RESTARTED, now, _GONE)
             return
-        if found is None or not found[1].status & spec.ASK_CALL:
+        left = self._find(self._channels, self._readers[Part.RESULT].last)
+        if left is None:
             return
-        record, info = found
-        if answer is not None and answer[1].correlation != info.correlation:
-            answer = None
-        ended = answer is not None and answer[1].status & spec.ANSWER_MASK != spec.ANSWER_ACCEPTED
-        if ended and answer is not None and answer[1].sequence == reader.last:
-            return  # it was passed on
-        goal = self._open_goal = _Goal(info.client, record, info.stamp_ns, info.correlation, now)
-        goal.inherited, goal.asked = True, info.status & (spec.ASK_CANCEL | spec.ASK_PREEMPT)
+        goal, info, said = left
+        self._open_goal, self._again = goal, said is not None
         self.received += 1
         caller.resume(info)
-        self._again = answer is not None
         # Accepted without a word to its client, it is to be canceled.
-        goal.cancel = answer is None or bool(info.status & spec.ASK_WITHDRAWN)
-        if answer is None and not self._withdraw(goal):
+        goal.cancel = not self._again or bool(info.status & spec.ASK_WITHDRAWN)
+        if not self._again and not self._withdraw(goal):
             self._end(goal, "not executed", Reason.BRIDGE_RESTARTED, now)
 
     # -- leaving
@@ -352,5 +381,5 @@ class ServedGoals(Calling):
         self.finish(now_ns)
         if (goal := self._open_goal) is not None and self._caller is not None:
             with suppress(RosplcError, OSError, ValueError, AssertionError):
-                self._caller.again(self._sends(goal), goal.asked | spec.ASK_CANCEL)
+                self._caller.again(self._sends(goal), spec.ASK_CANCEL)
             self._end(goal, "fate unknown", Reason.BRIDGE_RESTARTED, now_ns, _GONE)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import logging
 from abc import ABC, abstractmethod
 from collections import Counter, deque
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from typing import Any, Literal
 
@@ -19,7 +19,8 @@ from rosplc.config.resolve import describe
 from rosplc.errors import BackendError, ChannelError, RosplcError
 from rosplc.reasons import Reason
 from rosplc.ros import Backend, EndpointStatus
-from rosplc.shm import Group, OwnedChannel, Part, Peer, Reader, SlotInfo, Writer
+from rosplc.shm import Group, OwnedChannel, Part, Peer, Reader, SlotInfo, Writer, attach
+from rosplc.shm.attach import Mapped
 from rosplc.shm.calls import WORDS
 from rosplc.shm.constants import (
     ANSWER_DONE,
@@ -126,11 +127,14 @@ class Use(Notes, ABC):
             (describe(self.plan, part, distro=context.distro, bridge=context.bridge), codec.layout.size)
             for part, codec in self._codecs.items()
         ]
+        left = None if self._known else self._left()
         opened = OwnedChannel.open_together(
             context.namespace, parts, **vars(context.rights), bridge_id=context.bridge_id
         )
         self._channels = dict(zip(self.plan.parts, opened, strict=True))
         self.adopted = opened[0].adopted
+        if left is not None and not self.adopted:
+            self._bereft(left)
         try:
             own = [part.asks == (self.plan.server == "plc") for part in self.plan.parts]
             pairs = list(zip(own, self._channels.items(), strict=True))
@@ -138,6 +142,7 @@ class Use(Notes, ABC):
             self._readers = {part: one.reader(context.beat_ms) for mine, (part, one) in pairs if not mine}
             self._first, self._peer, self._holder = set(self._writers), Peer(), 0
             self._claimed()
+            self._known = True
         except BaseException:
             self.close()
             raise
@@ -147,13 +152,32 @@ class Use(Notes, ABC):
                 text = "%s: the %s object was replaced: %s"
                 log.log(level, text, self.plan.name, part.word, reason)
 
+    def _left(self) -> Any:
+        """Return what an earlier bridge has left open in the objects that are there; None if nothing."""
+        before, plan = {}, self.plan
+        with ExitStack() as stack, suppress(ChannelError, OSError):
+            for part in plan.parts:
+                where: Any = {"direction": part.direction(plan.server), "part": part, "client": plan.client}
+                before[part] = stack.enter_context(attach(self.context.namespace, plan.called, **where))
+            return self._found(before)
+        return None
+
+    def _found(self, before: Mapping[Part, Mapped]) -> Any:
+        """As :meth:`_left`; nothing of a service, which has no more to be told."""
+        return None
+
+    def _bereft(self, left: Any) -> None:
+        """End what an earlier bridge has left open in objects that were replaced."""
+
     @abstractmethod
     def _claimed(self) -> None:
         """All objects are this bridge's; find what an earlier one left open."""
 
-    def _newest(self, part: Part) -> tuple[bytes, SlotInfo] | None:
-        """Return the newest message of one of the objects, and take nothing."""
-        channel = self._channels[part]
+    def _newest(
+        self, part: Part, channels: Mapping[Part, Mapped] | None = None
+    ) -> tuple[bytes, SlotInfo] | None:
+        """Return the newest message of one of the objects, of this use's by default, and take nothing."""
+        channel = (self._channels if channels is None else channels)[part]
         record = bytearray(channel.identity.record_size)
         info = Reader(channel.region, 0).peek(record)
         return None if info is None else (bytes(record), info)

@@ -160,7 +160,9 @@ class ActionlibServer(ActionServer):
             goal = self._goals[uuid] = Goal(text, stamp_ns)
             if over or stamp_ns <= self._canceled_ns:
                 goal.cancels.append(actions.Cancel(b"", {uuid}))
-            if goal.cancels or len(self._goals) > actions.MOST_GOALS:
+            full = len(self._goals) > actions.MOST_GOALS
+            if goal.cancels or full:
+                self.refused += full
                 self.reject(uuid)
                 return
             self._publish()

@@ -13,7 +13,7 @@ from __future__ import annotations
 import contextlib
 import enum
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -161,7 +161,12 @@ class ActionServer(_Action):
         on_cancel: Called with the UUID of a goal that is to be canceled: decide with :meth:`accept_cancel` or
             :meth:`reject_cancel`.
         keep_result_ns: How long a goal and its result are kept after its end.
+        executing: Goals that another process has accepted, and when, in ns since 1970: they are adopted
+            before the first request comes.
         clock: For tests.
+
+    Attributes:
+        refused: Goals that were rejected because there are too many.
 
     Raises:
         BackendError, MessageTypeError: As :meth:`rosplc.ros.backend.Backend.serve`.
@@ -177,11 +182,13 @@ class ActionServer(_Action):
         on_goal: Callable[[bytes, bytes], object],
         on_cancel: Callable[[bytes], object],
         keep_result_ns: int = KEEP_RESULT_NS,
+        executing: Iterable[tuple[bytes, int]] = (),
         clock: Clock = SYSTEM,
     ) -> None:
         self._on_goal, self._on_cancel = on_goal, on_cancel
         self._keep_ns, self._clock = keep_result_ns, clock
-        self._goals: dict[bytes, Goal] = {}
+        self._goals = {uuid: Goal(b"", stamp, GoalStatus.EXECUTING) for uuid, stamp in executing}
+        self.refused = 0
         super().__init__(backend, store, action, type_name)
 
     def _open(self, backend: Backend, store: TypeStore) -> None:
@@ -214,6 +221,7 @@ class ActionServer(_Action):
             if new:
                 self._goals[uuid] = Goal(caller)
             else:  # as rclpy and rclcpp answer a goal that they have
+                self.refused += uuid not in self._goals
                 self._answer(self._send, caller, wire.pack_accepted(False, 0))
         if new:
             self._on_goal(uuid, goal)
@@ -361,11 +369,14 @@ class ActionServer(_Action):
                 return self._feedback.write(self._feed(uuid, goal, payload))
         return False
 
-    def accept_cancel(self, uuid: bytes) -> bool:
-        """Agree to cancel a goal: it is canceling until it ends in one of three ways."""
+    def accept_cancel(self, uuid: bytes, *, asked: bool = False) -> bool:
+        """Agree to cancel a goal: it is canceling until it ends in one of three ways.
+
+        ``asked``: the request came to the process that the goal was adopted from.
+        """
         with self._lock:
             goal = self._known(uuid)
-            return goal is not None and bool(goal.cancels) and self._step(uuid, GoalStep.CANCEL)
+            return goal is not None and (asked or bool(goal.cancels)) and self._step(uuid, GoalStep.CANCEL)
 
     def reject_cancel(self, uuid: bytes) -> bool:
         """Go on with a goal that was to be canceled."""

@@ -146,14 +146,19 @@ class Cell:
     """A bridge with one action whose thread is the test's, a server of it in ROS, and a PLC."""
 
     def __init__(self, namespace: Namespace, entry: str) -> None:
-        (self.plan,) = resolve(
-            parse_config(f"actions: {{/a: {{type: {TYPE}, server: ros, {entry}}}}}")
-        ).actions
+        self.entry = entry
+        self.configure()
         self.namespace, self.clock = namespace, SteppedClock()
         self.server: Server | None = None
         self.plc: Plc | None = None
         self.lives: list[Plc] = []
         self.bridge()
+
+    def configure(self, more: str = "") -> None:
+        entry = ", ".join(filter(None, (self.entry, more)))
+        (self.plan,) = resolve(
+            parse_config(f"actions: {{/a: {{type: {TYPE}, server: ros, {entry}}}}}")
+        ).actions
 
     def bridge(self) -> None:
         """Start a bridge; the one before is gone without a word."""
@@ -169,6 +174,7 @@ class Cell:
         self.use.begin(self.clock.monotonic_ns())
 
     def kill(self) -> None:
+        """End the bridge so that it can do nothing any more."""
         for channel in self.use._channels.values():
             channel._abandon()  # as in a forked child: claims and words stay
         self.node.close()
@@ -556,8 +562,91 @@ def test_a_bridge_that_was_killed_between_taking_and_sending(make: Make) -> None
     cell.turn(0.006, 3)
     assert plc.caller.begun()
     cell.restart()
-    assert ended(cell) == (ANSWER_FATE_UNKNOWN, Reason.SERVER_GONE)
+    assert ended(cell) == (ANSWER_FATE_UNKNOWN, Reason.BRIDGE_RESTARTED)
     assert server.goals == []
+
+
+def test_a_goal_that_is_accepted_after_a_restart_goes_on(make: Make) -> None:
+    """The server tells its decision to the bridge that has gone alone: the next one keeps asking."""
+    cell = make()
+    server, plc, uuid = asked(cell)
+    cell.restart()
+    cell.until(lambda: cell.use._goals[uuid].unknown_ns, "an answer of the server's")
+    assert plc.answers == []
+    server.begin(uuid)
+    cell.until(lambda: plc.answers == [(ANSWER_ACCEPTED, 0)], "the acceptance")
+    server.succeed(uuid, sequence(Part.RESULT, 7))
+    assert ended(cell) == (ANSWER_SUCCEEDED, 0)
+    assert (cell.status.received, cell.status.succeeded, len(server.goals)) == (1, 1, 1)
+    assert server.cancels == []
+
+
+@pytest.mark.parametrize("how", ["late", "withdrawn", "withdrawn before", "new life", "kept", "canceled"])
+@pytest.mark.parametrize("again", [False, True])
+def test_a_goal_that_is_accepted_long_after_a_restart(make: Make, how: str, again: bool) -> None:
+    """The PLC does not wait for it any more: it is canceled as soon as it appears, by any later bridge."""
+    cell = make("when_plc_down: keep" if how == "kept" else "")
+    server, plc, uuid = asked(cell)
+    cell.kill()
+    if how == "withdrawn before":
+        assert plc.withdraw()
+    cell.bridge()
+    if how != "withdrawn before":
+        cell.until(lambda: cell.use._goals[uuid].unknown_ns, "an answer of the server's")
+    if how == "withdrawn":
+        assert plc.withdraw()
+    elif how == "canceled":
+        plc.ask()
+    if how in ("new life", "kept"):
+        cell.attach()
+    else:
+        why = Reason.CALLER_GONE if how.startswith("withdrawn") else Reason.BRIDGE_RESTARTED
+        assert ended(cell) == (ANSWER_FATE_UNKNOWN, why)
+    cell.turn(0.006, 3)
+    assert cell.status.received == 1
+    if again:
+        cell.restart()
+        cell.until(lambda: cell.use._ready, "the server")
+    server.begin(uuid)
+    if how == "kept":
+        cell.turn(0.2, 5)
+        assert (cell.use._goals, server.cancels) == ({}, [])
+        return
+    cell.until(lambda: server.cancels, "the request to cancel")
+    server.accept_cancel(uuid)
+    server.canceled(uuid)
+    cell.until(lambda: not cell.use._goals, "the end of the goal")
+
+
+def test_a_goal_that_never_appears_is_forgotten(make: Make) -> None:
+    cell = make()
+    asked(cell)
+    cell.restart()
+    assert ended(cell) == (ANSWER_FATE_UNKNOWN, Reason.BRIDGE_RESTARTED)
+    cell.until(lambda: [cell.turn(1.0), not cell.use._goals][1], "the end of the goal")
+    assert cell.status.fate_unknown == {"bridge_restarted": 1}
+
+
+@pytest.mark.parametrize("how", ["lives", "new life", "kept", "ended"])
+def test_limits_that_change_without_a_bridge(make: Make, how: str) -> None:
+    """Other objects take the place of the goal's: it is canceled, or left alone as after another start."""
+    cell = make("when_plc_down: keep" if how == "kept" else "")
+    server, plc, uuid = begun(cell)
+    if how == "ended":
+        server.succeed(uuid, sequence(Part.RESULT, 1))
+        ended(cell)
+    cell.kill()
+    if how in ("new life", "kept"):
+        plc.objects[Part.GOAL].writer(100)
+    cell.plc = None
+    cell.configure("limits: {result.sequence: 9}")
+    cell.bridge()
+    cell.until(lambda: cell.use._ready, "the server")
+    if how in ("kept", "ended"):
+        assert cell.use._goals == {}
+        return
+    cell.until(lambda: server.cancels == [uuid], "the request to cancel")
+    assert (cell.status.received, cell.status.outstanding) == (0, 0)
 
 
 @pytest.mark.parametrize("when", ["cancel", "keep"])
@@ -770,3 +859,27 @@ def test_goals_that_are_left_are_bounded(make: Make, monkeypatch: pytest.MonkeyP
         ended(cell)
     assert len(cell.use._goals) == 2
     assert len(server.goals) == 4
+
+
+def test_a_flood_of_feedback_holds_nothing_up(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A turn ends, whatever comes meanwhile, and of what is overtaken little is passed on."""
+    cell = make()
+    server, _, uuid = begun(cell)
+    monkeypatch.setattr("rosplc.bridge.called_goals._MOST_WAITING", 3)
+    pass_on, passed = cell.use._pass_on, []
+    flood = (actions.GoalEvent(uuid, "feedback", payload=sequence(Part.FEEDBACK, 1)),)
+
+    def flooded(*arguments: Any) -> None:
+        passed.append(arguments)
+        pass_on(*arguments)
+        if len(passed) < 100:
+            cell.use.events.append(flood)
+
+    monkeypatch.setattr(cell.use, "_pass_on", flooded)
+    cell.use.events.extend([flood] * 10)
+    cell.turn()
+    assert 1 <= len(passed) <= 3
+    assert cell.status.feedback == len(passed)
+    monkeypatch.setattr(cell.use, "_pass_on", pass_on)
+    server.succeed(uuid, sequence(Part.RESULT))
+    assert ended(cell) == (ANSWER_SUCCEEDED, 0)

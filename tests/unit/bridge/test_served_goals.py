@@ -15,7 +15,7 @@ from rosplc.bridge.status import ActionStatus
 from rosplc.config import parse_config, resolve
 from rosplc.errors import BackendError, ChannelError
 from rosplc.reasons import Reason
-from rosplc.ros import EndpointStatus, action_wire
+from rosplc.ros import EndpointStatus, action_wire, actions
 from rosplc.ros.actions import CancelCode, GoalStatus
 from rosplc.shm import ACTION, Answerer, Namespace, Part, SlotInfo, attach
 from rosplc.shm.constants import (
@@ -29,6 +29,7 @@ from rosplc.shm.constants import (
     ANSWER_MASK,
     ANSWER_NOT_EXECUTED,
     ANSWER_SUCCEEDED,
+    ASK_ACCEPTED,
     ASK_CALL,
     ASK_CANCEL,
     ASK_PREEMPT,
@@ -188,14 +189,17 @@ class Cell:
     """One action whose thread is the test's."""
 
     def __init__(self, namespace: Namespace, entry: str = "") -> None:
-        (self.plan,) = resolve(
-            parse_config(f"actions: {{/a: {{type: {TYPE}, server: plc, {entry}}}}}")
-        ).actions
+        self.configure(entry)
         self.namespace = namespace
         self.clock = SteppedClock()
         self.plc: Plc | None = None
         self.plcs: list[Plc] = []
         self.bridge()
+
+    def configure(self, entry: str) -> None:
+        (self.plan,) = resolve(
+            parse_config(f"actions: {{/a: {{type: {TYPE}, server: plc, {entry}}}}}")
+        ).actions
 
     def bridge(self) -> None:
         """Start a bridge; the one before is gone without a word."""
@@ -437,6 +441,15 @@ def test_a_new_goal_preempts(make: Make) -> None:
     cell.turn(times=3)
     assert cell.ros.decisions == [(A, ACCEPTED), (B, REJECTED)]
     assert plc.take() is None
+    cell.ros.ends["send_goal"].gone.add(C)
+    cell.turn(times=2)
+    assert plc.asked() == ASK_ACCEPTED  # what was asked is taken back, once, and not as a new goal
+    cell.turn(times=3)
+    assert plc.take() is None
+    cell.ros.ends["send_goal"].gone.clear()
+    cell.ros.send(C)
+    cell.turn(times=2)
+    assert plc.asked() == ASK_PREEMPT
     plc.say(info, ANSWER_ABORTED, 1)
     cell.turn()
     plc.say(plc.begin(C), ANSWER_SUCCEEDED)
@@ -498,7 +511,7 @@ def test_a_client_that_has_gone(make: Make) -> None:
     assert plc.asked() == ASK_CANCEL
     plc.say(info, ANSWER_CANCELED | ANSWER_CANCEL_ACCEPTED, 1)
     cell.turn()
-    assert (cell.status.aborted, cell.status.outstanding) == (1, 0)
+    assert (cell.status.canceled, cell.status.outstanding) == (1, 0)
     cell.ros.ends["send_goal"].gone.add(B)
     cell.ros.send(B)
     cell.turn()
@@ -711,11 +724,54 @@ def test_a_restarted_bridge_adopts_an_accepted_goal(make: Make) -> None:
     assert (cell.status.received, cell.status.canceled) == (1, 1)
 
 
+def test_a_result_asked_for_before_the_first_turn_waits(make: Make) -> None:
+    """And so does a request to cancel: the goal is known before the endpoints are."""
+    cell = make()
+    plc = cell.attach()
+    info = accepted(cell)
+    cell.kill()
+    cell.bridge()
+    cell.ros.ask_result(A)
+    cell.ros.cancel(A)
+    assert (cell.ros.results, cell.ros.cancels) == ([], [])
+    cell.turn(0.02, 2)
+    assert plc.asked() == ASK_CANCEL
+    plc.say(info, ANSWER_SUCCEEDED, 4)
+    cell.turn()
+    assert cell.ros.results == [(A, GoalStatus.SUCCEEDED, [4])]
+
+
+@pytest.mark.parametrize("agreed", ["before the kill", "after it", "at its end"])
+def test_a_cancel_of_before_a_restart(make: Make, agreed: str) -> None:
+    cell = make()
+    plc = cell.attach()
+    info = accepted(cell)
+    cell.ros.cancel(A)
+    cell.turn()
+    assert plc.asked() == ASK_CANCEL
+    if agreed == "before the kill":
+        plc.say(info, ANSWER_ACCEPTED | ANSWER_CANCEL_ACCEPTED)
+    cell.restart()
+    if agreed == "after it":
+        plc.say(info, ANSWER_ACCEPTED | ANSWER_CANCEL_ACCEPTED)
+        cell.turn()
+    canceling = agreed != "at its end"
+    assert cell.ros.states == {A: GoalStatus.CANCELING if canceling else GoalStatus.EXECUTING}
+    plc.say(info, ANSWER_CANCELED | ANSWER_CANCEL_ACCEPTED, 5)
+    cell.turn()
+    cell.ros.ask_result(A)
+    assert cell.ros.results == [(A, GoalStatus.CANCELED, [5])]
+    assert (cell.status.canceled, cell.status.aborted) == (1, 0)
+
+
 @pytest.mark.parametrize("bits", [0, ANSWER_CANCEL_ACCEPTED])
 def test_what_the_plc_did_without_a_bridge_is_passed_on(make: Make, bits: int) -> None:
     cell = make()
     plc = cell.attach()
     info = accepted(cell)
+    if bits:
+        cell.ros.cancel(A)
+        cell.turn()
     cell.kill()
     plc.say(info, ANSWER_ACCEPTED | bits)
     cell.bridge()
@@ -729,6 +785,31 @@ def test_what_the_plc_did_without_a_bridge_is_passed_on(make: Make, bits: int) -
     assert cell.ros.results == [(A, GoalStatus.CANCELED if bits else GoalStatus.SUCCEEDED, [9])]
     cell.restart()  # it was passed on
     assert (cell.ros.states, cell.status.received) == ({}, 0)
+
+
+@pytest.mark.parametrize("how", ["begun", "accepted", "ended", "passed on"])
+def test_limits_that_change_without_a_bridge(make: Make, how: str) -> None:
+    """Other objects take the place of the goal's: it is aborted, unless no client knows of it."""
+    cell = make()
+    plc = cell.attach()
+    info = begun(cell) if how == "begun" else accepted(cell)
+    if how == "passed on":
+        plc.say(info, ANSWER_SUCCEEDED)
+        cell.turn()
+    cell.kill()
+    if how == "ended":
+        plc.say(info, ANSWER_SUCCEEDED, 1)
+    cell.plc = None
+    cell.configure("limits: {result.sequence: 9}")
+    cell.bridge()
+    cell.ros.ask_result(A)
+    cell.turn(0.02, 2)
+    lost = how in ("accepted", "ended")
+    assert cell.ros.states == ({A: GoalStatus.ABORTED} if lost else {})
+    assert cell.ros.results == [(A, GoalStatus.ABORTED if lost else GoalStatus.UNKNOWN, [])]
+    assert (cell.status.received, cell.status.aborted) == (lost, lost)
+    cell.attach()
+    begun(cell, B)
 
 
 @pytest.mark.parametrize("how", ["handed out", "begun", "begun and accepted later"])
@@ -764,7 +845,7 @@ def test_a_restarted_bridge_hands_no_goal_out_twice(make: Make, how: str) -> Non
         assert plc.asked() == ASK_CANCEL  # its client was never told
         plc.say(info, ANSWER_CANCELED | ANSWER_CANCEL_ACCEPTED)
         cell.turn()
-        assert cell.status.aborted == 1
+        assert cell.status.canceled == 1
     assert cell.status.received == 1
     begun(cell, B)
 
@@ -903,3 +984,35 @@ def test_results_are_kept_for_a_while(make: Make) -> None:
     assert cell.ros.states == {A: GoalStatus.SUCCEEDED}
     cell.turn(0.5, 4)
     assert cell.ros.states == {}
+
+
+def test_goals_that_find_no_room_are_counted(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(actions, "MOST_GOALS", 2)
+    cell = make("on_new_goal: buffer, queue: 4")
+    cell.attach()
+    for uuid in (A, B, C, A):
+        cell.ros.send(uuid)
+    cell.turn()
+    assert cell.ros.decisions == [(C, REJECTED), (A, REJECTED)]
+    assert (cell.status.not_executed, cell.status.outstanding) == ({"queue_full": 1}, 2)
+
+
+def test_a_flood_of_goals_holds_nothing_up(make: Make) -> None:
+    """A turn ends, whatever comes meanwhile."""
+    cell = make()
+    cell.attach()
+    decided: list[bytes] = []
+
+    def reply(caller: bytes, payload: bytes) -> bool:
+        decided.append(caller)
+        if len(decided) < 100:
+            cell.ros.send(len(decided).to_bytes(16, "big"))
+        return True
+
+    cell.ros.ends["send_goal"].reply = reply  # type: ignore[method-assign]
+    for uuid in (A, B):
+        cell.ros.send(uuid)
+    cell.turn()
+    assert decided == [B]
+    cell.turn(times=2)
+    assert len(decided) == 3
