@@ -224,7 +224,9 @@ class Cell:
                 found += [
                     f"{life}: {count} calls without an end" for life, count in lives.items() if count > 1
                 ]
-                lost = sum(outcome not in ("done", "forgotten") for _, outcome, *_ in ended)
+                # A PLC that a busy machine holds up is silent, and its goal is canceled.
+                fine = ("done", "forgotten", "PLC_DOWN")
+                lost = sum(outcome not in fine and reason not in fine for _, outcome, _, reason, _ in ended)
                 if self.roles is GOAL_ROLES and lost > self._losses:
                     found.append(f"{lost} goals have not reached their end")
             counts = self._check_counts(found, executor, list(asked), done)
@@ -366,7 +368,7 @@ def test_the_check_sees_that_nothing_expires(
     "kills",  # a run whose time is short still reaches each step
     [
         pytest.param(25, marks=pytest.mark.verify(minutes=0.3)),
-        pytest.param(300, marks=pytest.mark.verify(minutes=3)),
+        pytest.param(300, marks=pytest.mark.verify(minutes=2)),
     ],
 )
 @pytest.mark.parametrize(
