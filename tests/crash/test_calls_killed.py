@@ -313,7 +313,7 @@ def test_each_step(
         if steps is not GOALS_OF_PLC:
             cell.call_late()
         assert cell.check() == []
-    assert not any(line[0] == "late" for line in cell.lines("executed-by-plc"))
+    assert not any(line[0].startswith("late") for line in cell.lines("executed-by-plc"))
 
 
 @pytest.mark.foreign
@@ -358,9 +358,13 @@ def test_the_check_sees_a_sabotage(
 def test_the_check_sees_that_nothing_expires(
     tmp_path: Path, shm_namespace: Namespace, domain: int, steps: Mapping[str, object]
 ) -> None:
+    """A PLC that is held up on a busy machine is silent, and gets no call: it is tried until one is late."""
     with _cell(tmp_path, shm_namespace, domain, steps, "no expiry") as cell:
-        cell.call_late()
-        assert any("late: executed too late" in line for line in cell.check())
+        for _ in range(10):
+            cell.call_late()
+            if any(line.startswith("late") and "executed too late" in line for line in cell.check()):
+                return
+        raise AssertionError("nothing was executed too late")
 
 
 @pytest.mark.timeout(3600)
