@@ -71,7 +71,7 @@ def is_interface(name: str) -> bool:
 
 def texts(distro: str, folders: list[Path]) -> dict[str, str]:
     """Return the text of every service and action below some folders that the distribution has types for."""
-    store = TypeStore(distro, bundled(distro)).with_paths(folders)
+    store = TypeStore(distro, bundled(distro)[0]).with_paths(folders)
     for problem in store.problems():
         print(problem, file=sys.stderr)
     return {name: text_of(store, name) for name in (*store.services(), *store.actions())}

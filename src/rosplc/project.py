@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 from rosplc.bridge.realtime import contention
 from rosplc.bridge.ros_side import choose_backend
-from rosplc.config.plans import ActionPlan, CallPlan, ClassicPlan, ServicePlan, flag_topic
+from rosplc.config.plans import ActionPlan, CallPlan, ServicePlan, flag_topic
 from rosplc.config.quantities import format_duration
 from rosplc.config.resolve import (
     Project,
@@ -234,10 +234,18 @@ def _pages(count: int) -> int:
 
 def _topic_facts(project: Project, plan: TopicPlan, names: dict[str, tuple[str, str]]) -> dict[str, Any]:
     instance, block = names.get(plan.topic, (None, None))
-    parts = memory(project, plan)
+    parts, safe, classic = memory(project, plan), plan.on_stale, None
+    if plan.classic is not None:
+        classic = {
+            "memory": plan.classic.name,
+            "semaphore": plan.classic.semaphore or None,
+            "wait_ms": plan.classic.wait_ns / 1e6,
+            "recover_after_ms": plan.classic.recover_after_ns / 1e6,
+            "poll_ms": plan.classic.poll_ns / 1e6,
+        }
     return {
         "object": project.object_name(plan),
-        "classic": None if plan.classic is None else _classic_facts(plan.classic),
+        "classic": classic,
         "type": plan.type_name,
         "to": "plc" if plan.direction == 1 else "ros",
         "task": plan.task,
@@ -258,7 +266,12 @@ def _topic_facts(project: Project, plan: TopicPlan, names: dict[str, tuple[str, 
             "lease_ms": plan.qos.lease_ns / 1e6,
         },
         "stale_after_ms": plan.stale_after_ns / 1e6,
-        "on_stale": _stale_facts(plan),
+        "on_stale": {
+            "action": safe.action,
+            "value": dict(safe.value) if safe.record else None,
+            "period_ms": safe.period_ns / 1e6 if safe.action == "substitute" else None,
+            "flag_topic": flag_topic(plan.topic) if safe.action == "substitute" else None,
+        },
         "when_silent": when_silent(project, plan),
         "min_interval_ms": plan.min_interval_ns / 1e6,
         "on_change": plan.on_change,
@@ -319,27 +332,6 @@ def capacities(layout: Layout) -> dict[str, int]:
         path: node.capacity
         for path, _, node in layout.fields()
         if isinstance(node, StringNode | SequenceNode)
-    }
-
-
-def _stale_facts(plan: TopicPlan) -> dict[str, Any]:
-    safe = plan.on_stale
-    substituted = safe.action == "substitute"
-    return {
-        "action": safe.action,
-        "value": dict(safe.value) if safe.record else None,
-        "period_ms": safe.period_ns / 1e6 if substituted else None,
-        "flag_topic": flag_topic(plan.topic) if substituted else None,
-    }
-
-
-def _classic_facts(plan: ClassicPlan) -> dict[str, Any]:
-    return {
-        "memory": plan.name,
-        "semaphore": plan.semaphore or None,
-        "wait_ms": plan.wait_ns / 1e6,
-        "recover_after_ms": plan.recover_after_ns / 1e6,
-        "poll_ms": plan.poll_ns / 1e6,
     }
 
 

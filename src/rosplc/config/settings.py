@@ -327,10 +327,6 @@ class QosSettings(_Section):
     )
 
 
-def _qos(value: Any) -> Any:
-    return {"preset": value} if isinstance(value, str) else value
-
-
 class ClassicSettings(_Section):
     """Classic mode: the bare record at offset 0 of a shared memory, guarded by a named semaphore.
 
@@ -355,10 +351,6 @@ class ClassicSettings(_Section):
         "How long the lock must be held without any sign of life before its holder counts as dead and the "
         "bridge frees it, 20ms to 1h. Longer than anything that may stop a living holder.",
     )
-
-
-def _classic(value: Any) -> Any:
-    return {} if value is True else None if value is False else value
 
 
 class OnStaleSettings(_Section):
@@ -398,7 +390,9 @@ class TopicSettings(_Section):
         "Capacities by field path (`name: 6`, `name[]: 32`, `points[].label: 20`); `string` and `sequence` "
         "replace the defaults for this topic.",
     )
-    qos: Annotated[QosSettings, BeforeValidator(_qos)] = _f(
+    qos: Annotated[
+        QosSettings, BeforeValidator(lambda value: {"preset": value} if isinstance(value, str) else value)
+    ] = _f(
         {},
         "Quality of service, or the name of a preset. Default `to: plc`: reliable, volatile, depth 1000. "
         "Default `to: ros`: reliable, transient local (latched), depth 1000.",
@@ -452,7 +446,10 @@ class TopicSettings(_Section):
         "message, counted as substituted.",
     )
     print: bool = _f(False, "Log each message; for debugging.")
-    classic: Annotated[ClassicSettings | None, BeforeValidator(_classic)] = _f(
+    classic: Annotated[
+        ClassicSettings | None,
+        BeforeValidator(lambda value: {True: {}, False: None}[value] if isinstance(value, bool) else value),
+    ] = _f(
         None,
         "`true`, or keys below: carry this topic as existing shared-memory projects do. "
         "There is one record, so `slots` and `every` do not go with it.",

@@ -30,30 +30,24 @@ _SINCE_JAZZY: dict[str, dict[str, Value]] = {
 }
 
 
-def bundled(distro: str) -> dict[str, MessageType]:
-    """Return every type of a distribution, with default values."""
+def bundled(distro: str) -> tuple[dict[str, MessageType], dict[str, tuple[str]]]:
+    """Return every message of a distribution, with default values, and the texts of services and actions."""
     types = bundled_types(distro)
-    if distro != "noetic":
-        types = with_defaults(types, _EVERY_ROS2 if distro == "humble" else _SINCE_JAZZY)
     version = 1 if distro == "noetic" else 2
-    texts = {name: text for name, text in _texts(distro).items() if "/msg/" in name}
-    own = (parse_definition(name, text, ros_version=version)[0].message for name, text in texts.items())
-    return {message.name: message for message in own} | types
-
-
-def bundled_interfaces(distro: str) -> dict[str, tuple[str]]:
-    """Return the text of every service and action of a distribution by its full name."""
-    return {name: (text,) for name, text in _texts(distro).items() if "/msg/" not in name}
-
-
-def _texts(distro: str) -> dict[str, str]:
-    found = {}
+    if version == 2:
+        types = with_defaults(types, _EVERY_ROS2 if distro == "humble" else _SINCE_JAZZY)
+    own: dict[str, MessageType] = {}
+    interfaces: dict[str, tuple[str]] = {}
     for section in files("rosplc.model").joinpath("interfaces.txt").read_text().split("\n==== ")[1:]:
         head, _, text = section.partition("\n")
         name, *distros = head.split()
-        if distro in distros:
-            found[name] = text
-    return found
+        if distro not in distros:
+            continue
+        if "/msg/" in name:
+            own[name] = parse_definition(name, text, ros_version=version)[0].message
+        else:
+            interfaces[name] = (text,)
+    return own | types, interfaces
 
 
 def with_defaults(

@@ -3,18 +3,12 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
 from rosplc.errors import MessageTypeError
-from rosplc.model.parse import MAX_TEXT, full_name, parse_definition
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
-    from rosplc.model.parse import ParsedType
-
+from rosplc.model.parse import MAX_TEXT, ParsedType, full_name, parse_definition
 
 MAX_FILES = 10_000  # Most files with definitions below one folder.
 MAX_ENTRIES = 200_000  # Most files and folders below one folder: more is no folder of messages, but a disk.

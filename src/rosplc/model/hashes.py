@@ -9,16 +9,20 @@ from __future__ import annotations
 
 import hashlib
 import json
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 from rosplc.model._rosbags import EMPTY_MEMBER
-from rosplc.model.types import ArrayType, NamedType, PrimitiveType, SequenceType, StringType
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from rosplc.model.types import Field, FieldType, MessageType
-
+from rosplc.model.types import (
+    ArrayType,
+    Field,
+    FieldType,
+    MessageType,
+    NamedType,
+    PrimitiveType,
+    SequenceType,
+    StringType,
+)
 
 # Types that ROS 1 has built in, under another name.
 ROS1_TIMES = {"builtin_interfaces/msg/Time": "time", "builtin_interfaces/msg/Duration": "duration"}
@@ -58,37 +62,25 @@ def md5_text(message: MessageType, md5_of: Callable[[str], str]) -> str:
 
 
 def _describe(message: MessageType) -> dict[str, Any]:
-    fields = [_describe_field(field) for field in message.fields]
-    return {"type_name": message.name, "fields": fields or [_field(EMPTY_MEMBER, _TYPE_IDS["uint8"])]}
+    fields = message.fields or (Field(EMPTY_MEMBER, PrimitiveType("uint8")),)
+    return {"type_name": message.name, "fields": [_describe_field(field) for field in fields]}
 
 
 def _describe_field(field: Field) -> dict[str, Any]:
     kind: FieldType = field.type
-    offset = capacity = 0
+    offset = capacity = string_capacity = 0
     if isinstance(kind, ArrayType):
         offset, capacity, kind = _ARRAY, kind.length, kind.element
     elif isinstance(kind, SequenceType):
         offset = _SEQUENCE if kind.bound is None else _BOUNDED_SEQUENCE
         capacity, kind = kind.bound or 0, kind.element
     if isinstance(kind, NamedType):
-        return _field(field.name, offset + _NESTED, capacity, nested=kind.name)
-    if isinstance(kind, StringType):
-        number = _STRING if kind.bound is None else _BOUNDED_STRING
-        return _field(field.name, offset + number, capacity, string_capacity=kind.bound or 0)
-    assert isinstance(kind, PrimitiveType)
-    return _field(field.name, offset + _TYPE_IDS[str(kind)], capacity)
-
-
-def _field(
-    name: str, type_id: int, capacity: int = 0, string_capacity: int = 0, nested: str = ""
-) -> dict[str, Any]:
+        number = _NESTED
+    elif isinstance(kind, StringType):
+        number, string_capacity = _STRING if kind.bound is None else _BOUNDED_STRING, kind.bound or 0
+    else:
+        number = _TYPE_IDS[str(kind)]
     # The order of the keys is part of the hash.
-    return {
-        "name": name,
-        "type": {
-            "type_id": type_id,
-            "capacity": capacity,
-            "string_capacity": string_capacity,
-            "nested_type_name": nested,
-        },
-    }
+    own = {"type_id": offset + number, "capacity": capacity, "string_capacity": string_capacity}
+    nested = kind.name if isinstance(kind, NamedType) else ""
+    return {"name": field.name, "type": {**own, "nested_type_name": nested}}

@@ -8,17 +8,12 @@ parts (http://wiki.ros.org/actionlib/DetailedDescription).
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from rosplc.errors import MessageTypeError
-from rosplc.model.parse import parse_definition
+from rosplc.model.parse import ParsedType, parse_definition
 from rosplc.model.types import ArrayType, Field, MessageType, NamedType, PrimitiveType, SequenceType
-
-if TYPE_CHECKING:
-    from collections.abc import Collection
-
-    from rosplc.model.parse import ParsedType
 
 # Kind of interface → what its parts are called, in the order of the text.
 PARTS = {"srv": ("Request", "Response"), "action": ("Goal", "Result", "Feedback")}

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import difflib
 import hashlib
+from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rosplc.errors import MessageTypeError
 from rosplc.model._rosbags import DISTROS
-from rosplc.model.bundled import bundled, bundled_interfaces
+from rosplc.model.bundled import bundled
 from rosplc.model.folders import parse_paths, read
 from rosplc.model.hashes import ROS1_TIMES, md5_text, rihs01
 from rosplc.model.interfaces import (
@@ -31,9 +31,6 @@ from rosplc.model.types import (
     PrimitiveType,
     ServiceType,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
 
 __all__ = ["DISTROS", "MAX_DEPTH", "TypeStore"]
 
@@ -437,6 +434,7 @@ def _same_shape(one: MessageType, other: MessageType) -> bool:
 
 @cache
 def _bundled(distro: str) -> TypeStore:
-    store = TypeStore(distro, bundled(distro))
-    store._interfaces = dict(bundled_interfaces(distro))
+    types, interfaces = bundled(distro)
+    store = TypeStore(distro, types)
+    store._interfaces |= interfaces
     return store

@@ -416,6 +416,7 @@ def plan_service(
     found = root / config.relative_to("/")
     settings = read_config(found if found.exists() else config)
     realtime, shm = settings.settings.realtime, settings.settings.shm
+    version = re.match(r"systemd (\d+)", _systemctl("--version"))
     plan = Plan(
         name=config.stem if name is None else name,
         user=user,
@@ -426,15 +427,9 @@ def plan_service(
         priority=realtime.priority if realtime.policy else 0,
         lock_memory=realtime.lock_memory,
         affinity=bool(realtime.affinity),
-        systemd=_systemd_version(),
+        systemd=int(version[1]) if version else 0,
     )
     return plan, tuple(_notes(plan, settings))
-
-
-def _systemd_version() -> int:
-    """Return the version of this machine's systemd; 0 if there is none."""
-    found = re.match(r"systemd (\d+)", _systemctl("--version"))
-    return int(found[1]) if found else 0
 
 
 def require_systemd() -> None:

@@ -28,19 +28,14 @@ _LEAST_S = 0.05
 class Notifier:
     """The way to the service manager that started this process; silent where there is none.
 
-    ``address`` is ``NOTIFY_SOCKET``, empty for none; ``watchdog_s`` how often systemd expects a sign of life
-    at least, in seconds, 0 for never.
+    ``address`` is ``NOTIFY_SOCKET``, empty where none listens; ``watchdog_s`` is how often systemd expects a
+    sign of life at least, in seconds, 0 for never.
     """
 
     def __init__(self, address: str = "", watchdog_s: float = 0.0) -> None:
         self.watchdog_s = watchdog_s
         # A leading @ stands for the abstract namespace, which the kernel writes as a NUL.
-        self._address = "\0" + address[1:] if address.startswith("@") else address
-
-    @property
-    def wanted(self) -> bool:
-        """Whether a service manager listens."""
-        return bool(self._address)
+        self.address = "\0" + address[1:] if address.startswith("@") else address
 
     @classmethod
     def of(cls, environment: Mapping[str, str] | None = None) -> Notifier:
@@ -55,31 +50,16 @@ class Notifier:
         # Children inherit the environment; the watchdog is the main process's.
         return cls(environment.get("NOTIFY_SOCKET", ""), micros / 1e6 if pid == os.getpid() else 0.0)
 
-    def ready(self, status: str) -> None:
-        """Report that everything is open and carries."""
-        self._send(f"READY=1\nSTATUS={' '.join(status.split())}")
-
-    def stopping(self) -> None:
-        """Report that the end has begun."""
-        self._send("STOPPING=1")
-
-    def status(self, text: str) -> None:
-        """Report the service's state, for ``systemctl status``."""
-        self._send(f"STATUS={' '.join(text.split())}")
-
-    def alive(self) -> None:
-        """Feed the watchdog."""
-        self._send("WATCHDOG=1")
-
-    def _send(self, message: str) -> None:
-        if not self._address:
+    def tell(self, message: str) -> None:
+        """Send lines of ``KEY=value``."""
+        if not self.address:
             return
         with (
             suppress(OSError),  # a manager that does not listen stops no bridge
             socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as unix,
         ):
             unix.setblocking(False)
-            unix.sendto(message.encode(), self._address)
+            unix.sendto(message.encode(), self.address)
 
 
 class Supervisor:
@@ -104,11 +84,11 @@ class Supervisor:
             return _START_S
         if not self._running:
             self._running = True
-            self._notifier.ready(_in_words(status))
+            self._notifier.tell(f"READY=1\nSTATUS={_in_words(status)}")
         stuck = self._bridge.stuck(self._longest_ns) if self._longest_ns else ""
-        self._notifier.status(stuck or _in_words(status))
+        self._notifier.tell(f"STATUS={' '.join(stuck.split()) or _in_words(status)}")
         if not stuck:
-            self._notifier.alive()
+            self._notifier.tell("WATCHDOG=1")  # systemd restarts what feeds its watchdog no more
         elif not self._stuck:
             log.error("%s; systemd restarts the bridge unless it goes on", stuck)
         self._stuck = stuck
@@ -117,7 +97,7 @@ class Supervisor:
     def ended(self) -> None:
         """Report that the bridge stops, if it did run."""
         if self._running:
-            self._notifier.stopping()
+            self._notifier.tell("STOPPING=1")
         self._running = False
 
     def run(self, stop: threading.Event) -> None:
@@ -138,7 +118,7 @@ class Supervisor:
 def supervised(bridge: Bridge, environment: Mapping[str, str] | None = None) -> Iterator[None]:
     """Report a bridge's state to the service manager, if any; it may be started and stopped inside."""
     notifier = Notifier.of(environment)
-    if not notifier.wanted:
+    if not notifier.address:
         yield
         return
     stop = threading.Event()
@@ -160,4 +140,4 @@ def _in_words(status: BridgeStatus) -> str:
     uses = (*status.services, *status.actions)
     well = sum(use.judgement[0] == 0 for use in uses)
     calls = [f"{well} of {len(uses)} services and actions fine"] if uses else []
-    return "; ".join((text, *calls, *status.notes))
+    return " ".join("; ".join((text, *calls, *status.notes)).split())

@@ -129,8 +129,8 @@ def test_without_a_manager_nothing_is_said() -> None:
     """A bridge from a terminal has no supervisor, and one whose manager has gone goes on."""
     with supervised(Bridge(), {}):
         assert "rosplc-supervisor" not in {thread.name for thread in threading.enumerate()}
-    Notifier("/nowhere/at/all").alive()
-    Notifier("@rosplc-nobody-listens").ready("fine")
+    Notifier("/nowhere/at/all").tell("WATCHDOG=1")
+    Notifier("@rosplc-nobody-listens").tell("READY=1")
 
 
 def test_the_environment_is_systemds() -> None:
@@ -150,7 +150,7 @@ def test_an_abstract_socket_is_reached() -> None:
     """An address in the abstract namespace, which systemd may give, is used as one."""
     address = f"@rosplc-test-{os.getpid()}-{os.urandom(4).hex()}"
     manager = Manager(address)
-    Notifier(address).alive()
+    Notifier(address).tell("WATCHDOG=1")
     assert manager.hear() == {"WATCHDOG": "1"}
     manager.socket.close()
 
