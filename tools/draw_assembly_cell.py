@@ -21,14 +21,15 @@ _ALL_WELL = """() => {
 }"""
 
 
-def channel(y: float, topic: str, what: str, *, to_plc: bool) -> list[str]:
+def channel(y: float, topic: str, what: str, *, to_plc: bool, both: bool = False) -> list[str]:
     """Return a topic's channel, or an action's, between bridge and PLC, with its arrows."""
-    ends = ((506, 540), (728, 766)) if to_plc else ((540, 506), (766, 728))
+    ends = [(506, 540, 12), (728, 766, 12)] if to_plc or both else []
+    ends += [] if to_plc else [(540, 506, 32), (766, 728, 32)]
     return [
         box(542, y, 184, 44, "shm"),
         text(634, y + 18, topic, "mono"),
         text(634, y + 35, what, "small"),
-        *(stroke(f"M{begin:g} {y + 22:g}H{end:g}") for begin, end in ends),
+        *(stroke(f"M{begin:g} {y + (at if both else 22):g}H{end:g}") for begin, end, at in ends),
     ]
 
 
@@ -47,8 +48,8 @@ def image() -> str:
         + text(420, 86, "rosplc run", "small"),
         text(420, 140, "may be killed at any", "small") + text(420, 156, "moment, and comes back", "small"),
         text(634, 66, "/dev/shm", "bold"),
-        *channel(88, "/robot/state", "phase, done, placed …", to_plc=True),
-        *channel(140, "/robot/hand_over", "place or remove, serial", to_plc=False),
+        *channel(88, "/robot/state", "phase, placed …", to_plc=True),
+        *channel(140, "/robot/hand_over", "goal, feedback, result", to_plc=False, both=True),
         *channel(192, "/press/state", "stage, occupied …", to_plc=False),
         box(768, 40, 172, 196) + text(854, 66, "PLC", "bold") + text(854, 86, "Structured Text", "small"),
         box(784, 104, 140, 50, "busy")

@@ -346,7 +346,9 @@ class CarriedAction(CarriedService):
             goal, withdrawn = self._goals.get(info.correlation), info.status & spec.ASK_WITHDRAWN
             if goal is None:
                 goal = self._add(info)
-                if not withdrawn:
+                if info.status != spec.ASK_CALL:  # its first message came before the recording
+                    goal.accepted_ns = _time_of(info, now_ns)
+                else:
                     request = {**goal.id, "goal": self._objects[0].view}
                     yield self._event(_SEND, info, now_ns, request=request)
             asks = bool(info.status & spec.ASK_CANCEL) and not withdrawn

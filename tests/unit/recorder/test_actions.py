@@ -234,12 +234,16 @@ def test_a_recording_that_begins_with_a_goal_under_way(shm_namespace: Namespace,
     with recording(shm_namespace, tmp_path / "r") as recorder:
         action.feed(0)
         until(lambda: received(recorder) == 1, recorder)
+        action.caller.again(action.send, spec.ASK_CANCEL)
+        until(lambda: received(recorder) == 2, recorder)
         action.tell(spec.ANSWER_ABORTED, sequence=[0])
-        until(lambda: received(recorder) == 3, recorder)
+        until(lambda: received(recorder) == 4, recorder)
         recorder.stop()
     action.close()
     with messages(tmp_path / "r.mcap") as found:
-        assert told(found) == [("feedback", [0]), ("status", [6]), ("get_result", 2, (6, [0]))]
+        assert told(found) == [
+            ("feedback", [0]), ("cancel_goal", 1, None), ("status", [6]), ("get_result", 2, (6, [0])),
+        ]  # fmt: skip
 
 
 def test_many_goals_at_once_are_told_one_by_one(shm_namespace: Namespace, tmp_path: Path) -> None:
