@@ -165,9 +165,12 @@ class Attached(Mapped):
     ) -> bool:
         self._writable()
         claim = ReaderClaim(self.region, reader, beat_ms, task, lines, answer=answer)
-        deadline = time.monotonic_ns() + claim.patience_ns() + 2 * _LOOK_NS
-        while not (claimed := claim.attempt(time.monotonic_ns())) and time.monotonic_ns() < deadline:
+        began = now = time.monotonic_ns()
+        most = claim.patience_ns() + 2 * _LOOK_NS
+        # The end counts from the first look: a process that was held up in between looks once more.
+        while not (claimed := claim.attempt(now)) and now - began < most:
             time.sleep(_LOOK_NS / 1e9)
+            now = time.monotonic_ns()
         return claimed
 
     def writer_claim(self, beat_ms: int = 1000) -> WriterClaim:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 from collections.abc import Iterator
@@ -427,6 +428,17 @@ def test_nothing_that_waited_is_executed(
     assert second.executed == []
     bridge.caller.call(bridge.send)
     second.execute()
+
+
+def test_who_is_held_up_before_the_first_look_claims_the_line(
+    server: Server, shm_namespace: Namespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A busy machine may stop it for longer than a silent claim lasts, between any two looks at the clock."""
+    server.crash()
+    clock = itertools.count(0, 10**9)
+    monkeypatch.setattr("time.monotonic_ns", lambda: next(clock))
+    with attach(shm_namespace, "/add", part=Part.REQUEST, write=True) as asks:
+        assert asks.acting_reader("server", beat_ms=50).line == 0
 
 
 def test_an_answerer_that_has_gone_ends_the_call(bridge: Bridge, server: Server) -> None:
