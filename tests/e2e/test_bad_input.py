@@ -231,6 +231,7 @@ def test_object_of_another_user(
     assert bridge.stop() == 0
 
 
+@pytest.mark.foreign
 @pytest.mark.parametrize(
     ("options", "code"), [("ro", "SHM123"), ("size=4k", "SHM117"), ("nr_inodes=2", "SHM117")]
 )

@@ -138,6 +138,7 @@ def test_a_killed_process_ends_it_with_a_clear_message(victim):
     assert not any(alive(pid) for pid in pids.values())
 
 
+@pytest.mark.foreign
 def test_a_killed_bridge_is_survived():
     """With --kill the bridge dies and comes back: one piece is missing, nothing is torn, both ways go on."""
     with demo("--duration", "3s", "--kill", "--json") as child:

@@ -154,6 +154,7 @@ def test_without_gcc_it_says_what_to_install(tmp_path):
     assert "gcc is missing" in words and "SYS001" in words and "apt-get install gcc" in words
 
 
+@pytest.mark.foreign
 def test_without_blark_it_says_what_to_install():
     """An environment without blark, which no dependency brings, gets SYS001 and the pip command."""
     hide = "import sys; sys.modules['blark'] = None; " + START
@@ -163,6 +164,7 @@ def test_without_blark_it_says_what_to_install():
     assert "pip install -e " in words and "-m /" not in words
 
 
+@pytest.mark.foreign
 def test_without_a_checkout_it_says_so(tmp_path):
     """The installed package alone gets SYS001: the translator is no part of it."""
     package = Path(str(importlib.util.find_spec("rosplc").origin)).parent

@@ -147,6 +147,7 @@ def test_a_wrong_configuration(config: Callable[..., Path]) -> None:
     assert levels(doctor(path.parent / "missing.yaml"), "DOC501") == ["error"]
 
 
+@pytest.mark.foreign
 def test_a_killed_bridge(
     config: Callable[..., Path], bridges: list[Bridge], shm_namespace: Namespace
 ) -> None:
@@ -296,6 +297,7 @@ def test_everything_runs(
             robot.close()
 
 
+@pytest.mark.foreign
 def test_paper(config: Callable[..., Path]) -> None:
     """For people it fits 80 columns but for commands, has the problems first, and ends with a count."""
     path = config()
