@@ -32,14 +32,10 @@ class Codec:
         self._ops = compiled.ops
 
     def decode(self, data: ReadableBuffer, *, truncate: bool = False) -> bytes:
-        """Return the record of a message.
+        """Return the record of a whole message, for CDR with its 4-byte encapsulation header.
 
-        Args:
-            data: The whole message; for CDR with its 4-byte encapsulation header.
-            truncate: Cut strings and sequences that do not fit, instead of refusing the message.
-
-        Raises:
-            CodecError: COD001 to COD008, with the field's path, the size and the limit.
+        ``truncate`` cuts strings and sequences that do not fit, instead of refusing the message. Raises
+        CodecError COD001 to COD008, with the field's path, the size and the limit.
         """
         try:
             return self.plan.decode(data, truncate)[0]
@@ -49,9 +45,8 @@ class Codec:
     def decode_into(self, data: ReadableBuffer, out: WriteableBuffer, *, truncate: bool = False) -> int:
         """Write the record of a message to ``out`` and return its flags (``TRUNCATED`` or 0).
 
-        Every byte of ``out`` is written. After an error it holds anything.
-
-        Raises CodecError: As :meth:`decode`; COD009 if ``out`` is not exactly a record long.
+        Every byte of ``out`` is written; after an error it holds anything. Raises CodecError as
+        :meth:`decode`; COD009 if ``out`` is not exactly a record long.
         """
         try:
             return self.plan.decode_into(data, out, truncate)

@@ -18,17 +18,11 @@ Buffer: TypeAlias = "bytes | bytearray | memoryview"
 
 
 def compute_layout(store: TypeStore, type_name: str, limits: Limits | None = None) -> Layout:
-    """Return the layout of a type with its limits applied.
+    """Return the layout of a type with its limits applied; ``store`` knows it and those it needs.
 
-    Args:
-        store: Knows the type and those it needs.
-        type_name: ``package/msg/Name`` or ``package/Name``.
-        limits: Capacities; by default 80 bytes per string and 16 elements per sequence.
-
-    Raises:
-        MessageTypeError: TYP001, the type is unknown.
-        LayoutError: LAY001 … LAY004 (spec/type-mapping.md); LAY006, a default value of the
-            definition needs a larger capacity.
+    ``type_name`` is ``package/msg/Name`` or ``package/Name``; without ``limits`` a string has 80 bytes and a
+    sequence 16 elements. Raises MessageTypeError TYP001, the type is unknown; LayoutError LAY001 … LAY004
+    (spec/type-mapping.md), or LAY006, a default value of the definition needs a larger capacity.
     """
     limits = limits or Limits()
     return Layout(store, compute_struct(store, type_name, limits), limits)
@@ -105,16 +99,11 @@ class Layout:
         return self._packer.initial
 
     def pack(self, value: Mapping[str, Any] | RecordView | object) -> bytearray:
-        """Return the record of a message.
+        """Return the record of a message. Raises LayoutError LAY006, naming the field's path.
 
-        Args:
-            value: A mapping, a view, or any object with the fields as attributes (a ROS
-                message, a rosbags message), nested as the type is. What it lacks takes its
-                initial value. Numbers in bulk are fastest as bytes, array.array or numpy
-                arrays of the field's own type.
-
-        Raises:
-            LayoutError: LAY006, naming the field's path.
+        ``value`` is a mapping, a view, or any object with the fields as attributes (a ROS message, a rosbags
+        message), nested as the type is. What it lacks takes its initial value. Numbers in bulk are fastest as
+        bytes, array.array or numpy arrays of the field's own type.
         """
         record = bytearray(self._packer.initial)
         try:
@@ -128,18 +117,13 @@ class Layout:
     ) -> None:
         """Write the record of a message into a buffer of at least ``size`` bytes.
 
-        The buffer changes only if the whole value fits.
-
-        Raises LayoutError: LAY006, the value does not fit its field, or the buffer is too small.
+        The buffer changes only if all fits. Raises LayoutError LAY006: a value, or the buffer, does not.
         """
         target = self._bytes(buffer)
         target[: self.size] = self.pack(value)
 
     def view(self, buffer: Buffer) -> RecordView:
-        """Return a view of a record; it reads from ``buffer`` at each access.
-
-        Raises LayoutError: LAY006, the buffer is smaller than a record.
-        """
+        """Return a view that reads from ``buffer`` at each access; LAY006: it is smaller than a record."""
         return self._reader(self._bytes(buffer), 0)
 
     def to_dict(self, buffer: Buffer) -> dict[str, Any]:
@@ -148,14 +132,10 @@ class Layout:
         return result
 
     def excerpt(self, buffer: Buffer, elements: int) -> dict[str, Any]:
-        """Return a record as :meth:`to_dict` does, arrays with their first elements only.
+        """Return a record as :meth:`to_dict` does, arrays with so many of their first elements at most.
 
         It costs what it returns, where a picture or a point cloud would be a million numbers. An array that
         is longer becomes an :class:`rosplc.layout.view.Excerpt`, a list that knows the whole length.
-
-        Args:
-            buffer: The record.
-            elements: How many elements of each array are wanted at most.
         """
         data, reader = self._bytes(buffer), self._excerpts.get(elements)
         if reader is None:

@@ -70,10 +70,7 @@ class TypeStore:
 
     @classmethod
     def bundled(cls, distro: str) -> TypeStore:
-        """Return the types that come with a ROS distribution.
-
-        Raises MessageTypeError: TYP006, no such distribution is bundled.
-        """
+        """Return the types that come with a ROS distribution; TYP006: no such distribution is bundled."""
         if distro not in DISTROS:
             near = difflib.get_close_matches(distro, DISTROS, 1)
             hint = f"; did you mean {near[0]}?" if near else ""
@@ -85,18 +82,13 @@ class TypeStore:
         """Rebuild a type from a self-description's text, which is not trusted.
 
         The text defines it first, then every type it needs (spec/type-mapping.md, section 6). ``distro`` is
-        what the self-description says; only ``noetic`` means ROS 1.
-
-        Raises MessageTypeError: TYP001 a needed type is missing, TYP002 syntax, TYP003, TYP004, TYP005,
-        TYP007 limits.
+        what the self-description says; only ``noetic`` means ROS 1. Raises MessageTypeError: TYP001 a needed
+        type is missing, TYP002 syntax, TYP003, TYP004, TYP005, TYP007 limits.
         """
         return cls(distro, {}).with_definition(type_name, text)
 
     def with_definition(self, type_name: str, text: str) -> TypeStore:
-        """Return a store that knows the types of a definition text as well.
-
-        Raises MessageTypeError: See :meth:`from_definition`.
-        """
+        """Return a store that knows the types of a definition text as well; see :meth:`from_definition`."""
         merged, found = self._copy(), parse_definition(type_name, text, ros_version=self.ros_version)
         for parsed in found:
             merged._merge(parsed)
@@ -125,14 +117,9 @@ class TypeStore:
         """Return a store that knows the custom types below these folders as well.
 
         The folders may need each other, in any order. A type with a mistake, or with another definition
-        elsewhere, is an error when it is used: a folder of a whole workspace will do.
-
-        Args:
-            paths: Folders with ``package/msg/Name.msg`` or ``package/Name.msg``, folders of a
-                package, or single files; ``.srv`` and ``.action`` likewise.
-
-        Raises:
-            MessageTypeError: TYP008, a path cannot be read.
+        elsewhere, is an error when it is used: a folder of a whole workspace will do. ``paths`` are folders
+        with ``package/msg/Name.msg`` or ``package/Name.msg``, folders of a package, or single files; ``.srv``
+        and ``.action`` likewise. Raises MessageTypeError TYP008, a path cannot be read.
         """
         parsed, interfaces, broken, nameless = parse_paths(map(Path, paths), self.ros_version)
         merged = self._copy()
@@ -189,20 +176,15 @@ class TypeStore:
         return next((each for each in full if each in self._interfaces or each in self), full[0])
 
     def service(self, name: str) -> ServiceType:
-        """Return a service by ``package/srv/Name`` or ``package/Name``.
+        """Return a service by ``package/srv/Name`` or ``package/Name``; errors as :meth:`__getitem__`.
 
         In ROS 2 also those of an action: ``package/action/Name_SendGoal`` and ``…_GetResult``.
-
-        Raises MessageTypeError: See :meth:`__getitem__`.
         """
         own = self._interface(name, "srv")
         return ServiceType(own, *(self[f"{own}_{part}"] for part in PARTS["srv"]))
 
     def action(self, name: str) -> ActionType:
-        """Return an action by ``package/action/Name`` or ``package/Name``.
-
-        Raises MessageTypeError: See :meth:`__getitem__`.
-        """
+        """Return an action by ``package/action/Name`` or ``package/Name``; errors as :meth:`__getitem__`."""
         own = self._interface(name, "action")
         return ActionType(own, *(self[f"{own}_{part}"] for part in PARTS["action"]))
 
