@@ -154,7 +154,9 @@ def settled(watch: Watch, least: float, most: float, clock: Clock = SYSTEM) -> P
         picture = watch.look()
         passed = (clock.monotonic_ns() - began) / 1e9
         looking = any(
-            view.state is State.UNKNOWN or None in [each.alive for each in view.readers]
+            view.state is State.UNKNOWN
+            or (view.state is State.NO_PLC and view.bridge_alive is None)  # the missing PLC is known first
+            or None in [each.alive for each in view.readers]
             for view in picture.channels
         )
         if not picture.channels or passed > most or (passed > least and not looking):

@@ -9,9 +9,12 @@ import subprocess
 import sys
 import threading
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from rosplc.cli.options import settled
+from rosplc.monitor import State
 from rosplc.shm import Direction, Namespace, attach
 from tests.channels import Side, layout_of
 from tests.command import rosplc
@@ -71,6 +74,18 @@ def test_what_is_wrong_is_said_in_words_and_ends_with_status_1(shm_namespace, mo
     assert "/broken: unreadable: " in output
     assert "[SHM104]" in output
     assert "\x1b" not in output
+
+
+def test_it_looks_until_it_knows_of_the_bridge():
+    """A PLC that is missing is known at once, a bridge that does not beat only after a while."""
+    beats = iter([None, None, False])
+
+    def look():
+        view = SimpleNamespace(state=State.NO_PLC, bridge_alive=next(beats), readers=())
+        return SimpleNamespace(channels=[view])
+
+    picture = settled(SimpleNamespace(look=look), least=0.0, most=10**6)
+    assert picture.channels[0].bridge_alive is False
 
 
 def test_a_configuration_says_what_is_missing(tmp_path, shm_namespace):
