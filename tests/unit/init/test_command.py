@@ -23,7 +23,7 @@ from rosplc.project import check
 from rosplc.ros import SERVICES, open_backend
 from tests.unit.init.robots import PART, PART_TEXTS, STORE, Robot, record
 
-MEMORY = ("--backend", "memory", "--listen", "300ms")
+MEMORY = ("--backend", "memory", "--listen", "2s")
 _domains = iter(range(1, 233))
 
 
