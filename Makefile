@@ -121,6 +121,13 @@ site: $(VENV)/.installed $(VENV)/.core ## build the documentation as a site in s
 bench: $(VENV)/.installed $(VENV)/.core ## the developers' measurements in benchmarks/
 	@$(RUN) bench
 
+.PHONY: bench-services
+bench-services: $(VENV)/.installed $(VENV)/.core ros2-env ## measure round trips of services, into docs/explanation/performance.md
+	@PYTHONPATH=src:benchmarks $$(ls -d .cache/ros2-*/bin/python $(VENV)/bin/python 2>/dev/null | head -n 1) \
+	  -m benchmarks.bench_services --json > docs/images/bench/services.new
+	@mv docs/images/bench/services.new docs/images/bench/services.json
+	@$(VENV)/bin/python tools/generate_comparison.py
+
 .PHONY: compare
 compare: $(VENV)/.installed $(VENV)/.core ## compare rosplc with Modbus TCP, OPC UA and others on this machine; COMPARE_OPTIONS="--quick"
 	@$(VENV)/bin/rosplc-bench $(COMPARE_OPTIONS)

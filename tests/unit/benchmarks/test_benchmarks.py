@@ -9,6 +9,7 @@ import sys
 import pytest
 
 from benchmarks import bench_bridge, bench_classic, bench_realtime, bench_services, bench_views, measure
+from generate_comparison import round_trips
 from rosplc.layout import Limits
 from tests.conformance.backends.registry import HARNESSES
 
@@ -79,12 +80,15 @@ def test_the_classic_benchmark() -> None:
 
 
 def test_the_benchmark_of_services() -> None:
-    """A bare server and both blocks answer each call, and ratios have their spread."""
+    """A bare server and both blocks answer each call, ratios have their spread, the page gets their rows."""
     pytest.importorskip("cyclonedds", reason="no wheel of cyclonedds for this machine")
-    (table,) = rows(bench_services.run(2, ("dds",), 3)).values()
+    report = bench_services.run(2, ("dds",), 3)
+    (table,) = rows(report).values()
     assert set(table) == {"bare", *bench_services.SCANS}
     assert all(0 < row["lowest"] <= row["to bare"] <= row["highest"] for row in table.values())
     assert all(row["count"] + row["unanswered"] == 6 for row in table.values())
+    shown = round_trips(report).splitlines()
+    assert [line.split(" | ")[0] for line in shown[2 : 2 + len(table)]] == [f"| {name}" for name in table]
 
 
 def check_backends(titles: tuple[str, ...] | None) -> dict[str, object]:
