@@ -108,6 +108,11 @@ reference: $(VENV)/.installed $(VENV)/.core ## write the generated pages and dra
 	@$(VENV)/bin/python tools/generate_doctor_reference.py
 	@$(VENV)/bin/python tools/generate_comparison.py
 
+.PHONY: pictures
+pictures: $(VENV)/.installed $(VENV)/.core ## draw the screens of `rosplc top` and `rosplc web` in docs/ again (needs chromium)
+	@$(VENV)/bin/python tools/draw_top.py
+	@$(VENV)/bin/python tools/draw_web.py
+
 .PHONY: count
 count: $(VENV)/.base ## print how large the repository is, per package
 	@$(VENV)/bin/python tools/count_lines.py

@@ -16,12 +16,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+from calling_cell import calling_cell
 from drawing import IMAGES
 from rosplc.monitor import Picture, State, Watch
 from rosplc.monitor.terminal import TopApp
 
 SECONDS = 90.0
-PREFIX = "press"
+PREFIX, CALLS = "press", "cell1"
 CONFIG = f"""\
 bridge: press
 prefix: {PREFIX}
@@ -38,7 +39,7 @@ class Only(Watch):
     def look(self) -> Picture:
         """Return the look without everybody else's channels."""
         picture = super().look()
-        ours = {PREFIX, *(view.prefix for view in picture.channels if view.bridge == "demo")}
+        ours = {PREFIX, CALLS, *(view.prefix for view in picture.channels if view.bridge == "demo")}
         return replace(
             picture,
             channels=tuple(view for view in picture.channels if view.prefix in ours),
@@ -88,12 +89,12 @@ async def draw(watch: Watch, bridge: subprocess.Popen[bytes]) -> None:
 
 def main() -> None:
     """Start everything, draw, end everything."""
-    with tempfile.TemporaryDirectory() as folder, Only() as watch:
+    with tempfile.TemporaryDirectory() as folder, calling_cell(CALLS), Only(calls=True) as watch:
         config = Path(folder) / "rosplc.yaml"
         config.write_text(CONFIG, encoding="utf-8")
         demo, bridge = start("demo", "--duration", "120s"), start("run", str(config))
         try:
-            until(watch, lambda picture: sum(view.state is State.OK for view in picture.channels) == 4)
+            until(watch, lambda picture: sum(view.state is State.OK for view in picture.channels) >= 9)
             until(watch, lambda picture: any(view.prefix == PREFIX for view in picture.channels))
             asyncio.run(draw(watch, bridge))
         finally:

@@ -3,7 +3,8 @@
     .venv/bin/python tools/draw_web.py
 
 The server is the one that users start. The channels are those of benchmarks/web_machine.py: a process in
-the bridge's place and one in the PLC's, which is stopped and started once so that something has happened.
+the bridge's place and one in the PLC's, which is stopped and started once so that something has happened. A
+bridge with a service and an action runs beside them.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+from calling_cell import calling_cell
 from rosplc.demo.processes import remove_objects
 from rosplc_bench.process import Side
 
@@ -44,7 +46,7 @@ def overview(browser: Any, url: str, restart_plc: Any) -> None:
     """All channels, with a PLC that was away."""
     page = browser.new_page(viewport=DESK)
     page.goto(url)
-    page.wait_for_selector("tr.channel")
+    page.get_by_text("/cell/count feedback").first.wait_for()
     time.sleep(3)
     restart_plc()
     page.wait_for_selector('[data-kind="plc-back"]')
@@ -108,6 +110,7 @@ def main() -> None:
             time.sleep(5)
             start(stack, "benchmarks.web_machine", "plc", PREFIX)
 
+        stack.enter_context(calling_cell(PREFIX))
         _, served = start(stack, "rosplc", "web", "--prefix", PREFIX, "--port=0", "--allow-write", "--json")
         url = json.loads(served)["url"]
         browser = stack.enter_context(sync_playwright()).chromium.launch(
