@@ -6,7 +6,6 @@ the bridge's are compared with the files.
 
 from __future__ import annotations
 
-import math
 import os
 import random
 import select
@@ -61,7 +60,8 @@ class Cell:
             "types: {paths: [types]}\ndiagnostics: {enabled: false}\n" + uses[goals]
         )
         self.running: dict[str, int] = {}
-        self._losses = 0.0  # goals of the PLC's whose fate may be unknown
+        self._losses = 0  # goals of the PLC's whose fate may be unknown
+        self._found: list[str] = []
         self._heard: deque[str] = deque()
         self._rest = b""
         command = [sys.executable, "-m", "tests.crash.call_peers", str(folder), sabotage]
@@ -136,19 +136,25 @@ class Cell:
     def kill_at(self, step: str, passes: int) -> None:
         """Run a process that dies at a step, beside two that do not."""
         role = step.partition(":")[0]
-        self._lose(role, step in LOSE_GOALS)
+        self._losses += step in LOSE_GOALS
+        if role == "goal-robot":
+            self._expect_losses()
         if role in self.running:
             self.end(role)
         self.complete(role)
         self.start(role, step, passes)
         self.wait(role, -signal.SIGKILL)
 
-    def _lose(self, role: str, losses: float) -> None:
-        """Note what a kill may do; a goal waits as long as it takes, unless its robot is killed."""
-        if role.endswith("robot"):
-            (self.folder / "impatient").touch()
-            losses = math.inf
-        self._losses += losses
+    def _expect_losses(self) -> None:
+        """From now on robots die, and goals of the PLC's with them; until now few may have been lost."""
+        if self.roles is ROLES or (self.folder / "impatient").exists():
+            return
+        # A PLC that a busy machine holds up is silent, and its goal is canceled.
+        fine = {"done", "forgotten", "PLC_DOWN"}
+        lost = [line for line in self.lines("ended-at-plc") if not fine.intersection(line)]
+        if len(lost) > self._losses:
+            self._found.append(f"goals that have not reached their end, though their robot lived: {lost}")
+        (self.folder / "impatient").touch()
 
     def complete(self, but: str = "") -> None:
         """Start what is not running."""
@@ -157,7 +163,7 @@ class Cell:
                 self.start(role)
 
     def kill_at_random(self, times: int, chance: random.Random) -> None:
-        self._lose("robot", math.inf)
+        self._expect_losses()
         for _ in range(times):
             self.complete()
             time.sleep(chance.random())  # when the kill comes, and nothing is concluded from it
@@ -199,7 +205,8 @@ class Cell:
         """Kill all, and return what the files hold against the calls."""
         for role in list(self.running):
             self.kill(role)
-        found: list[str] = []
+        self._expect_losses()
+        found = list(self._found)
         for caller, executor in (("ros", "plc"), ("plc", "ros")):
             asked = {token: int(at) for token, at in self.lines(f"asked-by-{caller}")}
             executed, ended = self.lines(f"executed-by-{executor}"), self.lines(f"ended-at-{caller}")
@@ -224,11 +231,6 @@ class Cell:
                 found += [
                     f"{life}: {count} calls without an end" for life, count in lives.items() if count > 1
                 ]
-                # A PLC that a busy machine holds up is silent, and its goal is canceled.
-                fine = ("done", "forgotten", "PLC_DOWN")
-                lost = sum(outcome not in fine and reason not in fine for _, outcome, _, reason, _ in ended)
-                if self.roles is GOAL_ROLES and lost > self._losses:
-                    found.append(f"{lost} goals have not reached their end")
             counts = self._check_counts(found, executor, list(asked), done)
             for token, outcome, _, reason, *_ in ended if caller == "plc" else []:
                 told = outcome.lower().removeprefix("goal_")
