@@ -355,6 +355,11 @@ class KeepingServer(BaseEndpoint):
         super().__init__(*arguments)
         self._on_request = on_request
         self._callers: OrderedDict[bytes, Any] = OrderedDict()
+        self._life, self._numbers = os.urandom(8), itertools.count(1)
+
+    def new_caller(self) -> bytes:
+        """Return the 16 bytes of a new caller, where nothing else identifies it."""
+        return self._life + next(self._numbers).to_bytes(8, "little")
 
     def _take(self, payload: bytes, caller: bytes, stamp_ns: int, origin: Any) -> None:
         """Hand over one request; ``origin`` is what :meth:`_answer` needs."""
@@ -372,12 +377,15 @@ class KeepingServer(BaseEndpoint):
                 self._hand_over(self._on_request, payload, caller, stamp_ns)
 
     def _answer(self, caller: bytes, origin: Any, payload: bytes) -> bool:
-        """Send a response, without the lock; False if the caller has gone. No ``origin``: unknown caller."""
+        """Send a response to a caller that waits, without the lock; False if it has gone meanwhile."""
         raise NotImplementedError
 
     def _waits(self, caller: bytes, origin: Any) -> bool:
-        """Return whether a caller still waits; ``origin`` is None for an unknown caller."""
-        raise NotImplementedError
+        """Return whether a caller still waits; without ``origin`` only where ``remembers`` is set."""
+        return True
+
+    def _present(self, caller: bytes, origin: Any) -> bool:
+        return (origin is not None or self.remembers) and self._waits(caller, origin)
 
     def _drop(self, origin: Any) -> None:
         """Tell a caller, without the lock, that no response comes; ROS 2 has no way to do so."""
@@ -390,7 +398,7 @@ class KeepingServer(BaseEndpoint):
                 raise self._closed()
             origin = self._callers.pop(caller, None)
         try:
-            return self._answer(caller, origin, data)
+            return self._present(caller, origin) and self._answer(caller, origin, data)
         except BackendError:
             with self._lock:
                 if origin is not None and not self.closed:
@@ -401,12 +409,12 @@ class KeepingServer(BaseEndpoint):
         """End a call without a response."""
         with self._lock:
             origin = self._callers.pop(caller, None)
-            return not self.closed and self._waits(caller, origin)
+            return not self.closed and self._present(caller, origin)
 
     def present(self, caller: bytes) -> bool:
         """Return whether a caller still waits, as far as the middleware knows."""
         with self._lock:
-            return not self.closed and self._waits(caller, self._callers.get(caller))
+            return not self.closed and self._present(caller, self._callers.get(caller))
 
     def close(self) -> None:
         """Stop serving; after the return no callback runs or starts (unless called from it)."""

@@ -111,11 +111,9 @@ class MemoryServer(Queued, KeepingServer, _Endpoint):
         self._node.news.set()
 
     def _waits(self, caller: bytes, origin: Any) -> bool:
-        return origin is not None and not origin.closed
+        return not origin.closed
 
     def _answer(self, caller: bytes, origin: Any, payload: bytes) -> bool:
-        if not self._waits(caller, origin):
-            return False
         origin.put(struct.unpack_from("<Q", caller, 8)[0], Reply(payload))
         return True
 
@@ -161,9 +159,7 @@ class MemoryBackend(BaseNode):
     def __init__(self, context: Context) -> None:
         super().__init__(context)
         self.domain = domain = _base.domain_number(context.domain, context.environment) or 0
-        self.plain = (
-            context.store.distro == "noetic"
-        )  # nothing of ROS 1's bytes shows whether they fit a type
+        self.plain = context.store.distro == "noetic"  # ROS 1's bytes do not show whether they fit a type
         self.news = threading.Event()  # messages wait, or the node is being closed
         self._lock = _graph
         with _graph:

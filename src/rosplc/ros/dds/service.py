@@ -189,8 +189,6 @@ class DdsServer(KeepingServer, _Service):
         return not origin.service_id or origin.service_id in ids
 
     def _answer(self, caller: bytes, origin: Peer | None, payload: bytes) -> bool:
-        if not self._waits(caller, origin):
-            return False
         if self._reached(origin):
             readers = origin is not None or self.peers(replying=True)
             return bool(readers) and self._write(payload, *_CALLER.unpack(caller))
@@ -209,7 +207,8 @@ class DdsServer(KeepingServer, _Service):
                     self._pending.append(one)
                     continue
                 try:
-                    sent = self._reached(one.origin) and self._answer(one.caller, one.origin, one.payload)
+                    waits = self._reached(one.origin) and self._waits(one.caller, one.origin)
+                    sent = waits and self._answer(one.caller, one.origin, one.payload)
                     self._dropped += not sent
                 except BackendError as error:
                     self._node.logger.warning("%s: %s", self.topic, error)

@@ -7,8 +7,6 @@ executor then gives to ``send_response``, the request's header beside it, is kep
 
 from __future__ import annotations
 
-import itertools
-import os
 import re
 import threading
 from functools import partial
@@ -52,7 +50,6 @@ class RclpyServer(_Service, KeepingServer):
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
-        self._life, self._numbers = os.urandom(8), itertools.count(1)
         self._attached = threading.Event()
 
     def attach(self, entity: Any) -> None:
@@ -71,18 +68,12 @@ class RclpyServer(_Service, KeepingServer):
         return request
 
     def _receive(self, request: Any, header: Any) -> None:
-        caller = self._life + next(self._numbers).to_bytes(8, "little")
-        self._take(serialize_message(request), caller, int(header.source_timestamp), header)
+        self._take(serialize_message(request), self.new_caller(), int(header.source_timestamp), header)
 
     def _count(self, entity: Any) -> int:
         return int(self._node.fitting(self))
 
-    def _waits(self, caller: bytes, origin: Any) -> bool:
-        return origin is not None  # rclpy does not tell whose request it is
-
     def _answer(self, caller: bytes, origin: Any, payload: bytes) -> bool:
-        if origin is None:
-            return False
         response = self._converted(payload, "Response")
         try:
             self._respond(response, origin)

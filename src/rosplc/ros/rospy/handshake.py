@@ -162,6 +162,7 @@ class Topic:
     """A topic that the node receives or sends; its subscriptions or publishers share its connections."""
 
     direction: str
+    role: str  # in the names of the master's methods
 
     def __init__(self, node: Any, topic: str, definition: Definition) -> None:
         self.node, self.topic, self.definition = node, topic, definition
@@ -176,15 +177,14 @@ class Topic:
 
     def unregister(self, master: Master) -> None:
         """Withdraw the topic from the master."""
-        master.unregister(self.direction, self.topic, self.node.uri)
+        master.call(f"unregister{self.role}", self.topic, self.node.uri)
 
-    def _register(self, master: Master) -> list[str]:
-        return master.register(
-            self.direction, self.topic, ros1_name(self.definition.type_name), self.node.uri
-        )
+    def register(self, master: Master) -> Any:
+        """Tell the master of the topic; return its answer."""
+        name = ros1_name(self.definition.type_name)
+        return master.call(f"register{self.role}", self.topic, name, self.node.uri)
 
-    def remove(self, handle: Any) -> bool:
-        """Serve it no longer; return whether it was the last one."""
+    def remove(self, handle: Any) -> None:
+        """Serve it no longer."""
         with self._lock:
             self.handles = tuple(one for one in self.handles if one is not handle)
-            return not self.handles

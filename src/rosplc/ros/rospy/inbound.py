@@ -181,7 +181,7 @@ class Link:
 class Incoming(Topic):
     """One topic that the node receives."""
 
-    direction = "in"
+    direction, role = "in", "Subscriber"
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
@@ -207,7 +207,10 @@ class Incoming(Topic):
 
     def register(self, master: Master) -> None:
         """Tell the master of the topic, and take in who publishes it."""
-        self.publishers = tuple(self._register(master))
+        named = super().register(master)
+        self.publishers = (
+            tuple(uri for uri in named if isinstance(uri, str)) if isinstance(named, list) else ()
+        )
 
     def update(self) -> None:
         """Connect to every publisher that the master names, and leave those that it no longer names."""

@@ -162,27 +162,13 @@ class Master:
         self._caller = caller
         self._server = proxy(uri, timeout_s, clock)
 
-    def register(self, direction: str, topic: str, type_name: str, node_uri: str) -> list[str]:
-        """Register an endpoint, ``in`` or ``out``; return the URIs of the topic's publishers (for ``in``)."""
-        method = "registerSubscriber" if direction == "in" else "registerPublisher"
-        value = self._call(method, topic, type_name, node_uri)
-        return [uri for uri in value if isinstance(uri, str)] if isinstance(value, list) else []
-
-    def unregister(self, direction: str, topic: str, node_uri: str) -> None:
-        """Withdraw an endpoint."""
-        self._call("unregisterSubscriber" if direction == "in" else "unregisterPublisher", topic, node_uri)
-
-    def register_service(self, service: str, place: str, node_uri: str) -> None:
-        """Register a service's server at ``rosrpc://host:port``."""
-        self._call("registerService", service, place, node_uri)
-
-    def unregister_service(self, service: str, place: str) -> None:
-        """Withdraw a service's server."""
-        self._call("unregisterService", service, place)
+    def call(self, method: str, *arguments: Any) -> Any:
+        """Call one of its methods; raises as :func:`call`."""
+        return call(self._server, method, self._caller, *arguments)
 
     def service_place(self, service: str) -> tuple[str, int]:
         """Return host and port of a service's server. Raises RefusedError: There is none."""
-        uri = self._call("lookupService", service)
+        uri = self.call("lookupService", service)
         try:
             parts = urlsplit(str(uri))
             if parts.scheme == "rosrpc" and parts.hostname and parts.port:
@@ -194,26 +180,26 @@ class Master:
     def node_uri(self, node: str) -> str:
         """Return a node's URI; empty if the master does not know it."""
         try:
-            return str(self._call("lookupNode", node))
+            return str(self.call("lookupNode", node))
         except RefusedError:
             return ""
 
     def setting(self, name: str) -> object:
         """Return a parameter of the parameter server; None if it is not set."""
         try:
-            return self._call("getParam", name)
+            return self.call("getParam", name)
         except RefusedError:
             return None
 
     def state(self, known: SystemState | None = None) -> SystemState:
         """Return what the master knows; types are asked for only where ``known`` differs."""
         try:
-            publishers, subscribers, services = (_table(part) for part in self._call("getSystemState"))
+            publishers, subscribers, services = (_table(part) for part in self.call("getSystemState"))
             nodes = frozenset().union(*publishers.values(), *subscribers.values(), *services.values())
             if known and (publishers, subscribers) == (known.publishers, known.subscribers):
                 types = known.types
             else:
-                types = {str(topic): str(kind) for topic, kind in self._call("getTopicTypes")}
+                types = {str(topic): str(kind) for topic, kind in self.call("getTopicTypes")}
         except (TypeError, ValueError) as error:
             raise UnreachableError(f"its answer is none of ROS: {error}") from error
         return SystemState(publishers, subscribers, services, nodes, types)
@@ -221,9 +207,6 @@ class Master:
     def close(self) -> None:
         """Close the connection."""
         self._server("close")()
-
-    def _call(self, method: str, *arguments: Any) -> Any:
-        return call(self._server, method, self._caller, *arguments)
 
 
 def _table(rows: Iterable[Any]) -> dict[str, frozenset[str]]:

@@ -15,7 +15,6 @@ from rosplc.ros._base import BasePublisher
 from rosplc.ros.backend import Qos
 from rosplc.ros.rospy import handshake
 from rosplc.ros.rospy.handshake import ANY, Topic
-from rosplc.ros.rospy.master import Master
 
 _FLUSH_NS = 500_000_000  # how long the last messages of a publisher may take to leave
 _GONE = select.POLLHUP | select.POLLERR | select.POLLRDHUP | select.POLLNVAL
@@ -107,7 +106,7 @@ class _Queue:
 class Outgoing(Topic):
     """One topic that the node sends."""
 
-    direction = "out"
+    direction, role = "out", "Publisher"
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
@@ -179,10 +178,6 @@ class Outgoing(Topic):
         if self._queues:
             time.sleep(0)  # as rospy does: lets the threads of queues and receivers run now
         return lost
-
-    def register(self, master: Master) -> None:
-        """Tell the master of the topic."""
-        self._register(master)
 
     def update(self) -> None:
         """Forget subscribers that have closed the connection: nothing is read from it to notice."""

@@ -136,7 +136,7 @@ class Registration:
                 self._ask(key, topic.register)
                 self._registered[key] = topic
 
-    def _ask(self, key: Key, method: Callable[[Master], None]) -> None:
+    def _ask(self, key: Key, method: Callable[[Master], object]) -> None:
         try:
             method(self._master)
         except RefusedError as error:

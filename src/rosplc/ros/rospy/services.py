@@ -6,8 +6,6 @@ http://wiki.ros.org/ROS/TCPROS
 from __future__ import annotations
 
 import contextlib
-import itertools
-import os
 import select
 import socket
 import threading
@@ -90,8 +88,8 @@ class _Caller:
             return False
         payload = _read(sock, size)
         self._answered.clear()
-        self.key = key = self._server.next_key()
-        self._server.receive(payload, key, self)
+        self.key = key = self._server.new_caller()
+        self._server.receive(payload, key, 0, self)
         while not self._answered.wait(_LOOK_S):
             if not self.waits(key) and not self._answered.is_set():
                 return False
@@ -115,18 +113,15 @@ class _Service(BaseEndpoint):
 class RospyServer(_Service, KeepingServer):
     """A service that the node serves; see :class:`rosplc.ros.backend.ServiceServer`."""
 
+    receive = KeepingServer._take  # called by the callers' threads
+
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
         self.log = self._node.logger
         self.connections: set[_Caller] = set()
-        self._life, self._numbers = os.urandom(8), itertools.count(1)
 
     def _matched(self) -> int:
         return len(self.connections)
-
-    def next_key(self) -> bytes:
-        """Return the key of a new request."""
-        return self._life + next(self._numbers).to_bytes(8, "little")
 
     def accept(self, sock: socket.socket, header: dict[str, str]) -> str:
         """Serve a caller that has connected; return why not, or an empty text."""
@@ -155,10 +150,6 @@ class RospyServer(_Service, KeepingServer):
             return f"{error}"
         return ""
 
-    def receive(self, payload: bytes, key: bytes, caller: _Caller) -> None:
-        """Take a request; called by its caller's thread."""
-        self._take(payload, key, 0, caller)
-
     def _answer(self, caller: bytes, origin: _Caller | None, payload: bytes, ok: int = 1) -> bool:
         frame = bytes([ok]) + len(payload).to_bytes(4, "little") + payload
         return origin is not None and origin.answer(caller, frame)
@@ -171,16 +162,16 @@ class RospyServer(_Service, KeepingServer):
     def _drop(self, origin: _Caller) -> None:
         self._answer(origin.key, origin, b"the service is no longer served", ok=0)
 
-    def _waits(self, caller: bytes, origin: _Caller | None) -> bool:
-        return origin is not None and origin.waits(caller)
+    def _waits(self, caller: bytes, origin: _Caller) -> bool:
+        return origin.waits(caller)
 
     def register(self, master: Master) -> None:
         """Tell the master of it; a server of another node is replaced, as ROS 1 has it."""
-        master.register_service(self.topic, self._node.service_uri, self._node.uri)
+        master.call("registerService", self.topic, self._node.service_uri, self._node.uri)
 
     def unregister(self, master: Master) -> None:
         """Withdraw it."""
-        master.unregister_service(self.topic, self._node.service_uri)
+        master.call("unregisterService", self.topic, self._node.service_uri)
 
     def update(self) -> None:
         """Do nothing: callers come by themselves."""

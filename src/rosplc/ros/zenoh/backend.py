@@ -14,7 +14,7 @@ from rosplc.errors import BackendError
 from rosplc.ros._base import BaseNode, Context, Problem, domain_number, opener, several
 from rosplc.ros.backend import GraphInfo, Qos
 from rosplc.ros.zenoh.endpoint import Endpoint, ZenohPublisher, ZenohSubscription
-from rosplc.ros.zenoh.keys import NO_TYPE_HASH, OTHER, Entity, Kind, TokenTable, explain, tokens_of_domain
+from rosplc.ros.zenoh.keys import NO_TYPE_HASH, OTHER, SPACE, Entity, Kind, TokenTable, explain
 from rosplc.ros.zenoh.service import ZenohClient, ZenohServer
 from rosplc.ros.zenoh.session import Link, session_config
 
@@ -58,7 +58,7 @@ class ZenohBackend(BaseNode):
             liveliness = session.liveliness()
             self._declared = [
                 liveliness.declare_token(node.token),
-                liveliness.declare_subscriber(tokens_of_domain(self.domain), see, history=True),
+                liveliness.declare_subscriber(f"{SPACE}/{self.domain}/**", see, history=True),
             ]
             for endpoint in self._endpoints:
                 endpoint.declare(session, replace(endpoint.entity, session=self._session_id))

@@ -40,21 +40,13 @@ OTHER: dict[Kind, Kind] = {"MP": "MS", "MS": "MP", "SC": "SS", "SS": "SC"}
 _TYPE = re.compile(r"[A-Za-z0-9_:/]{1,255}\Z")
 _HASH = re.compile(r"[A-Za-z0-9_]{1,128}\Z")
 _ID = re.compile(r"[A-Za-z0-9_.\-]{1,64}\Z")
-_SPACE = "@ros2_lv"
+SPACE = "@ros2_lv"  # Of the tokens, before the domain.
 _NODE_PARTS, _ENDPOINT_PARTS = 9, 13  # later releases may append more
 
 
 def topic_key(domain: int, topic: str, type_name: str, type_hash: str) -> str:
     """Return the key that a topic's messages are put on, or that a service's requests are sent to."""
     return f"{domain}/{topic.strip('/')}/{names.dds_type_name(type_name)}/{type_hash}"
-
-
-def _mangle(name: str) -> str:
-    return name.replace("/", "%")  # which no ROS name has
-
-
-def _demangle(chunk: str) -> str:
-    return chunk.replace("%", "/")
 
 
 # -- quality of service
@@ -156,21 +148,12 @@ class Entity:
     @property
     def token(self) -> str:
         """The key of its token, as ``rmw_zenoh_cpp`` writes it."""
-        parts = [_SPACE, str(self.domain), self.session, self.node_id, self.entity_id, self.kind]
-        parts += [_mangle("/"), _mangle(self.namespace), self.node]
+        parts = [SPACE, str(self.domain), self.session, self.node_id, self.entity_id, self.kind]
+        parts += ["%", self.namespace.replace("/", "%"), self.node]  # % for /: no ROS name has one
         if self.qos is not None:
-            parts += [
-                _mangle(self.topic),
-                names.dds_type_name(self.type_name),
-                self.type_hash,
-                encode_qos(self.qos),
-            ]
+            kind = names.dds_type_name(self.type_name)
+            parts += [self.topic.replace("/", "%"), kind, self.type_hash, encode_qos(self.qos)]
         return "/".join(parts)
-
-
-def tokens_of_domain(domain: int) -> str:
-    """Return the key expression of all tokens in a domain."""
-    return f"{_SPACE}/{domain}/**"
 
 
 def gid_of(token: str) -> bytes:
@@ -182,8 +165,8 @@ def parse_token(token: str) -> Entity:
     """Read a token; ValueError if it is not what a ROS node announces."""
     if len(token) > LONGEST_TOKEN:
         raise ValueError(f"it has {len(token)} characters")
-    parts = token.split("/")
-    if len(parts) < _NODE_PARTS or parts[0] != _SPACE:
+    parts = [part.replace("%", "/") for part in token.split("/")]
+    if len(parts) < _NODE_PARTS or parts[0] != SPACE:
         raise ValueError(f"it has {len(parts)} parts")
     domain, session, node_id, entity_id, kind, _enclave, namespace, node = parts[1:_NODE_PARTS]
     if not domain.isascii() or not domain.isdigit() or len(domain) > 10:
@@ -193,16 +176,16 @@ def parse_token(token: str) -> Entity:
     details: tuple[Any, ...] = ()
     try:
         # Written by releases that leave the root namespace without its slash.
-        names.validate_namespace(namespace := _demangle(namespace) or "/")
-        names.validate_node_name(node := _demangle(node))
+        names.validate_namespace(namespace := namespace or "/")
+        names.validate_node_name(node)
         if kind != "NN":
             if kind not in OTHER:
                 raise ValueError("it is of no known kind")
             if len(parts) < _ENDPOINT_PARTS:
                 raise ValueError("it names no topic")
             topic, type_name, type_hash, qos = parts[_NODE_PARTS:_ENDPOINT_PARTS]
-            names.validate_topic(topic := _demangle(topic))
-            if not _TYPE.match(type_name := _demangle(type_name)) or not _HASH.match(type_hash):
+            names.validate_topic(topic)
+            if not _TYPE.match(type_name) or not _HASH.match(type_hash):
                 raise ValueError("its type or type hash is none")
             details = (topic, names.ros_type_name(type_name), type_hash, decode_qos(qos))
     except BackendError as error:

@@ -6,8 +6,6 @@ lives in the server's process: when that ends, Zenoh ends the query, and nobody 
 
 from __future__ import annotations
 
-import itertools
-import os
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -38,10 +36,6 @@ class ZenohServer(Queued, KeepingServer, Endpoint):
 
     _take = KeepingServer._take
 
-    def __init__(self, *arguments: Any) -> None:
-        super().__init__(*arguments)
-        self._prefix, self._numbers = os.urandom(8), itertools.count(1)
-
     def _declare(self, session: Any) -> list[Any]:
         receive = zenoh.handlers.Callback(self.arrived, None, indirect=False)
         return [session.declare_queryable(self._key, receive, complete=True)]
@@ -55,23 +49,18 @@ class ZenohServer(Queued, KeepingServer, Endpoint):
         except Exception as error:
             self.reject(error)
             return
-        caller = self._prefix + next(self._numbers).to_bytes(8, "little")
         with self._lock:
-            if self.closed or not self._put(payload, caller, attachment.stamp_ns, origin):
+            if self.closed or not self._put(payload, self.new_caller(), attachment.stamp_ns, origin):
                 return
         self._node.wake(self)
 
-    def _waits(self, caller: bytes, origin: _Origin | None) -> bool:
+    def _waits(self, caller: bytes, origin: _Origin) -> bool:
         """A client is seen by its token, if its attachments have the id that the token gives."""
-        if origin is None:
-            return False
         there = origin.attachment.gid in self._node.tokens.gids(self.topic, "SC")
         origin.seen |= there
         return there or not origin.seen
 
-    def _answer(self, caller: bytes, origin: _Origin | None, payload: bytes) -> bool:
-        if origin is None or not self._waits(caller, origin):
-            return False
+    def _answer(self, caller: bytes, origin: _Origin, payload: bytes) -> bool:
         attachment = pack(origin.attachment.sequence, self._clock.time_ns(), origin.attachment.gid)
         try:
             origin.query.reply(self._key, payload, attachment=attachment)
