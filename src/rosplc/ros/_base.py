@@ -214,6 +214,10 @@ class BaseEndpoint:
         """Return how often a promised deadline passed without a message."""
         return 0
 
+    def _unfit(self) -> int:
+        """Return messages that the middleware refused since their bytes do not fit the type."""
+        return 0
+
     def status(self) -> EndpointStatus:
         """Return the present state."""
         if self.closed:
@@ -223,7 +227,7 @@ class BaseEndpoint:
             matched, losses, late = self.matched, self._losses(), self._late()
         return EndpointStatus(
             self.topic, self.type_name, self.direction, matched, self._messages, self._dropped + losses,
-            self._rejected, self._failed, self._last_ns, reason, code, late,
+            self._rejected + self._unfit(), self._failed, self._last_ns, reason, code, late,
         )  # fmt: skip
 
     def reject(self, error: object) -> None:
@@ -662,9 +666,7 @@ class BaseNode(Opener):
 
 def check_ros(name: str, store: TypeStore, *, ros1: bool = False) -> None:
     """Refuse (ROS001) types of the other ROS."""
-    if ros1 and store.distro != "noetic":
-        what = f"the {name} backend speaks ROS 1; {store.distro or 'this type store'} is ROS 2"
-        raise BackendError("ROS001", what, remedy="Set ros.distro to noetic.")
-    if not ros1 and store.distro == "noetic":
-        what = f"the {name} backend speaks ROS 2; noetic is ROS 1"
-        raise BackendError("ROS001", what, remedy="Set ros.distro.")
+    if (store.distro == "noetic") is not ros1:
+        its, theirs = ("ROS 1", "ROS 2") if ros1 else ("ROS 2", "ROS 1")
+        what = f"the {name} backend speaks {its}; {store.distro or 'this type store'} is {theirs}"
+        raise BackendError("ROS001", what, remedy=f"Set ros.distro{' to noetic' * ros1}.")

@@ -40,13 +40,6 @@ class BagTopic:
     count: int = 0  # messages recorded
 
 
-def refuse_other_kinds(path: Path) -> None:
-    """Refuse (ROS006) what is neither a plain file nor a folder, before anything waits for it."""
-    what, remedy = unreadable_kind(path)
-    if what:
-        raise BackendError("ROS006", f"recording cannot be read: {what}", where=str(path), remedy=remedy)
-
-
 class Bag:
     """A recording, open for reading; a context manager.
 
@@ -61,7 +54,9 @@ class Bag:
         self.path = Path(path)
         self.ros_version = 1 if self.path.suffix == ".bag" else 2  # 1 or 2
         self._reader: Any = None
-        refuse_other_kinds(self.path)
+        what, remedy = unreadable_kind(self.path)  # before anything waits for a pipe
+        if what:
+            raise BackendError("ROS006", f"recording cannot be read: {what}", where=str(path), remedy=remedy)
         try:
             reader: Any = Reader1(self.path) if self.ros_version == 1 else Reader2(self.path)
             with _without_unknown_definitions():

@@ -31,22 +31,13 @@ class Router:
     Args:
         port: Where it listens on 127.0.0.1.
         connect: Endpoints of other routers.
-        python: The interpreter to run it with, for another version of the wheel.
-        prefix: A command in front, such as ``ip netns exec NAME``.
-        address: Where it listens, if not on 127.0.0.1.
+        prefix: A command in front, such as ``env PYTHONPATH=FOLDER`` for another version of the wheel.
     """
 
-    def __init__(
-        self,
-        port: int,
-        *connect: str,
-        python: str = sys.executable,
-        prefix: tuple[str, ...] = (),
-        address: str = "127.0.0.1",
-    ) -> None:
+    def __init__(self, port: int, *connect: str, prefix: tuple[str, ...] = ()) -> None:
         self.port = port
-        self.endpoint = f"tcp/{address}:{port}"
-        self._command = [*prefix, python, str(_HERE / "router.py"), self.endpoint, *connect]
+        self.endpoint = f"tcp/127.0.0.1:{port}"
+        self._command = [*prefix, sys.executable, str(_HERE / "router.py"), self.endpoint, *connect]
         self._process: subprocess.Popen[str] | None = None
 
     def start(self) -> None:

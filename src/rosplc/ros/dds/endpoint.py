@@ -29,6 +29,8 @@ class Endpoint(BaseEndpoint):
         self.ref: int = entity._ref
         self.reader_ref = self.ref
         self._entity = entity
+        self._received_topic = self.dds_topic
+        self._unfit_before = library_log().dropped(self._received_topic)
 
     def _matched(self) -> int:
         return native.matched_count(self.ref, self.direction)
@@ -39,6 +41,22 @@ class Endpoint(BaseEndpoint):
 
     def review(self) -> None:
         """Take in that peers may have come or gone. The node's lock is held."""
+
+    def _samples(self) -> Any:
+        """Take what has arrived, in part if it is much. The lock is held."""
+        if self.closed:
+            return ()
+        samples = ddspy_take(self.reader_ref, native.ANY_STATE, BATCH)
+        if samples.__class__ is int:
+            error = native.refusal("take", samples)
+            self._node.logger.error("%s: taking messages failed: %s", self.topic, error)
+            return ()
+        return samples
+
+    def _unfit(self) -> int:
+        log = library_log()
+        log.drain()
+        return log.dropped(self._received_topic) - self._unfit_before
 
     def entities(self) -> tuple[Any, ...]:
         """Return what is deleted at the end."""
@@ -58,8 +76,6 @@ class DdsSubscription(BaseSubscription, Endpoint):
     def __init__(self, on_message: OnMessage, *arguments: Any) -> None:
         super().__init__(on_message, *arguments)
         self.strangers: frozenset[int] = frozenset()
-        self._refused_strangers = 0
-        self._unfit_before = library_log().dropped(self.dds_topic)
 
     def review(self) -> None:
         """Find the publishers that announce another definition."""
@@ -82,19 +98,12 @@ class DdsSubscription(BaseSubscription, Endpoint):
         # DDS matches a publisher that announces another definition of the type. Its messages may decode, with
         # values in the wrong fields, so they are refused and counted.
         with self._lock:
-            if self.closed:
-                return
-            samples = ddspy_take(self.ref, native.ANY_STATE, BATCH)
-            if samples.__class__ is int:
-                error = native.refusal("take", samples)
-                self._node.logger.error("%s: taking messages failed: %s", self.topic, error)
-                return
             strangers = self.strangers
-            for payload, info in samples:
+            for payload, info in self._samples():
                 if not info.valid_data:  # a peer has gone: no message
                     continue
                 if strangers and info.publication_handle in strangers:
-                    self._refused_strangers += 1
+                    self._rejected += 1
                     continue
                 self._deliver(payload, info.source_timestamp)
                 if self.closed:  # by on_message
@@ -107,13 +116,10 @@ class DdsSubscription(BaseSubscription, Endpoint):
         return native.requested_deadline_missed(self.ref) if self.qos.deadline_ns else 0
 
     def _problem(self) -> Problem:
-        log = library_log()
-        log.drain()
-        self._rejected = log.dropped(self.dds_topic) - self._unfit_before + self._refused_strangers
         code, reason = BaseEndpoint._problem(self)
-        if self._rejected and not reason:
+        if (rejected := self._rejected + self._unfit()) and not reason:
             fits = f"do not fit {self.type_name} as it is defined here"
-            return "ROS003", f"{self._rejected} messages on {self.topic} {fits}"
+            return "ROS003", f"{rejected} messages on {self.topic} {fits}"
         return code, reason
 
 

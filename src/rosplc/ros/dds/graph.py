@@ -156,7 +156,7 @@ class Announcer:
         self._guid = guid  # 16 bytes
         self._node = (namespace, name)
         self._size = gid_size(distro)
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()
         self._others: dict[bytes, tuple[NodeEntities, ...]] = {}
         self._names: dict[bytes, str] = {}
         types, type_hash = announcement_types(distro)
@@ -193,7 +193,7 @@ class Announcer:
             if guid == self._guid:
                 continue
             with self._lock:
-                self._forget(guid)
+                self.forget(guid)
                 if len(self._others) >= MOST_PARTICIPANTS:
                     continue
                 self._others[guid] = nodes
@@ -202,14 +202,11 @@ class Announcer:
                         self._names[gid] = node.full_name
 
     def forget(self, participant: bytes) -> None:
-        """Drop what a participant announced that has gone."""
+        """Drop what a participant announced that has gone, or announces something else now."""
         with self._lock:
-            self._forget(participant)
-
-    def _forget(self, participant: bytes) -> None:
-        for node in self._others.pop(participant, ()):
-            for gid in node.readers + node.writers:
-                self._names.pop(gid, None)
+            for node in self._others.pop(participant, ()):
+                for gid in node.readers + node.writers:
+                    self._names.pop(gid, None)
 
     def node_of(self, endpoint: bytes) -> str:
         """Return the full name of the node that an endpoint belongs to; empty if nobody says."""

@@ -125,9 +125,7 @@ class PeerTable:
             for peer in known:
                 key = peer.dds_topic, peer.info.direction
                 del self._by_topic[key][peer.guid]
-                if not self._by_topic[
-                    key
-                ]:  # a graph whose topics come and go under new names fills no memory
+                if not self._by_topic[key]:  # topics that come and go under new names fill no memory
                     del self._by_topic[key]
         return {peer.dds_topic for peer in known}
 

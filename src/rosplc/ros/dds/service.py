@@ -18,15 +18,15 @@ import struct
 from collections import OrderedDict
 from typing import Any, NamedTuple
 
-from cyclonedds._clayer import ddspy_take, ddspy_write
+from cyclonedds._clayer import ddspy_write
 
 from rosplc.errors import BackendError
 from rosplc.reasons import Reason
 from rosplc.ros import _base
-from rosplc.ros._base import MOST_CALLERS, BaseClient, KeepingServer, Problem
+from rosplc.ros._base import MOST_CALLERS, BaseClient, KeepingServer
 from rosplc.ros.backend import Reply
 from rosplc.ros.dds import native
-from rosplc.ros.dds.endpoint import BATCH, Endpoint
+from rosplc.ros.dds.endpoint import Endpoint
 from rosplc.ros.dds.idl import service_topics
 from rosplc.ros.dds.log import library_log
 from rosplc.ros.dds.peers import Peer
@@ -65,7 +65,7 @@ class _Service(Endpoint):
         self.guids = {reader.guid.bytes: True, writer.guid.bytes: False}
         self.dds_topic, self.reply_topic = service_topics(self.topic)
         self._received_topic = self.reply_topic if asks else self.dds_topic
-        self._unfit_before = library_log().dropped(self._received_topic)
+        self._unfit_before = library_log().dropped(self._received_topic)  # of the other topic, for a client
 
     def entities(self) -> tuple[Any, ...]:
         """Return what is deleted at the end, the request's endpoint first."""
@@ -102,11 +102,7 @@ class _Service(Endpoint):
     def take(self) -> None:
         """Hand over what has arrived; called by the receive thread alone."""
         with self._lock:
-            samples = [] if self.closed else ddspy_take(self.reader_ref, native.ANY_STATE, BATCH)
-        if isinstance(samples, int):
-            error = native.refusal("take", samples)
-            self._node.logger.error("%s: taking messages failed: %s", self.topic, error)
-            return
+            samples = self._samples()
         for data, info in samples:
             if info.valid_data:  # otherwise a peer has gone
                 try:
@@ -123,14 +119,6 @@ class _Service(Endpoint):
         if peer is None or not self.understands(peer, replying=replying):
             raise ValueError("its sender uses another protocol or definition, or is not known")
         return peer
-
-    def _problem(self) -> Problem:
-        log = library_log()
-        log.drain()
-        unfit = log.dropped(self._received_topic)
-        self._rejected += unfit - self._unfit_before
-        self._unfit_before = unfit
-        return super()._problem()
 
 
 class _Pending(NamedTuple):

@@ -125,6 +125,11 @@ class RclpyEndpointBase(BaseEndpoint):
     def _losses(self) -> int:
         return self.lost
 
+    def _failed_to_send(self, error: RuntimeError) -> BackendError:
+        if isinstance(error, InvalidHandle):  # the node was destroyed by its owner
+            return self._closed()
+        return BackendError("ROS002", f"a message was not sent on {self.topic}: {str(error).strip()}")
+
 
 class RclpySubscription(BaseSubscription, RclpyEndpointBase):
     """A raw subscription; see :class:`rosplc.ros.backend.Subscription`."""
@@ -198,11 +203,8 @@ class RclpyPublisher(BasePublisher, RclpyEndpointBase):
                 raise self._closed()
             try:
                 self.entity.publish(data)
-            except InvalidHandle as error:  # the node was destroyed by its owner
-                raise self._closed() from error
             except RuntimeError as error:
-                what = f"a message was not sent on {self.topic}: {str(error).strip()}"
-                raise BackendError("ROS002", what) from error
+                raise self._failed_to_send(error) from error
             self._messages += 1
             self._last_ns = self._clock.time_ns()
         return True

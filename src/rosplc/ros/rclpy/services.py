@@ -12,10 +12,8 @@ import threading
 from functools import partial
 from typing import Any
 
-from rclpy.exceptions import InvalidHandle
 from rclpy.serialization import deserialize_message, serialize_message
 
-from rosplc.errors import BackendError
 from rosplc.ros._base import BaseClient, KeepingServer
 from rosplc.ros.backend import Reply
 from rosplc.ros.rclpy.endpoint import RclpyEndpointBase
@@ -38,11 +36,6 @@ class _Service(RclpyEndpointBase):
             return deserialize_message(payload, getattr(self.entity.srv_type, part))
         except Exception as error:
             raise self._refusal(str(error).strip() or type(error).__name__) from error
-
-    def _failed_to_send(self, error: RuntimeError) -> BackendError:
-        if isinstance(error, InvalidHandle):  # the node was destroyed by its owner
-            return self._closed()
-        return BackendError("ROS002", f"a message was not sent on {self.topic}: {str(error).strip()}")
 
 
 class RclpyServer(_Service, KeepingServer):

@@ -5,6 +5,7 @@ http://wiki.ros.org/ROS/Connection%20Header
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import socket
 import threading
@@ -51,11 +52,13 @@ def connect(
         raise
 
 
-def connection_info(sock: socket.socket, peer: str, direction: str, topic: str) -> list[Any]:
-    """Return what ``rosnode info`` prints of a connection; it knows the text of rospy's own."""
-    port, (host, other) = sock.getsockname()[1], sock.getpeername()[:2]
-    text = f"TCPROS connection on port {port} to [{host}:{other} on socket {sock.fileno()}]"
-    return [next(_ids), peer, direction, "TCPROS", topic, True, text]
+def connection_info(sock: socket.socket, peer: str, direction: str, topic: str) -> list[list[Any]]:
+    """Return what ``rosnode info`` prints of a connection, if any; it knows the text of rospy's own."""
+    with contextlib.suppress(OSError):  # it ends at this moment
+        port, (host, other) = sock.getsockname()[1], sock.getpeername()[:2]
+        text = f"TCPROS connection on port {port} to [{host}:{other} on socket {sock.fileno()}]"
+        return [[next(_ids), peer, direction, "TCPROS", topic, True, text]]
+    return []
 
 
 def encode_header(fields: Mapping[str, str]) -> bytes:

@@ -109,10 +109,9 @@ class Link:
 
     def info(self) -> list[list[Any]]:
         """Return what ``rosnode info`` prints of the connection, if it is there."""
-        with contextlib.suppress(OSError):  # it ends at this moment
-            if self.connected and self._sock is not None:
-                return [connection_info(self._sock, self.uri, "i", self._incoming.topic)]
-        return []
+        if not self.connected or self._sock is None:
+            return []
+        return connection_info(self._sock, self.uri, "i", self._incoming.topic)
 
     def _run(self) -> None:
         incoming = self._incoming

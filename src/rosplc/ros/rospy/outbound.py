@@ -196,11 +196,8 @@ class Outgoing(Topic):
 
     def info(self) -> list[list[Any]]:
         """Return what ``rosnode info`` prints of the connections."""
-        rows = []
-        for queue in self._queues:
-            with contextlib.suppress(OSError):  # it ends at this moment
-                rows.append(handshake.connection_info(queue.sock, queue.node, "o", self.topic))
-        return rows
+        ends = [(queue.sock, queue.node) for queue in self._queues]
+        return [row for end in ends for row in handshake.connection_info(*end, "o", self.topic)]
 
     def close(self) -> tuple[_Queue, ...]:
         """Disconnect; return the queues, whose threads are about to end."""

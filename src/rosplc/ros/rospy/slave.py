@@ -15,7 +15,7 @@ from typing import Any
 from xmlrpc.server import SimpleXMLRPCDispatcher, SimpleXMLRPCRequestHandler
 
 from rosplc.clock import SYSTEM, Clock
-from rosplc.ros.rospy.handshake import HandshakeError, encode_header, read_header, ros1_name
+from rosplc.ros.rospy.handshake import TIMEOUT_S, HandshakeError, encode_header, read_header, ros1_name
 from rosplc.ros.rospy.master import Address, is_node_uri
 
 _logger = logging.getLogger("rosplc.ros.rospy")
@@ -23,8 +23,6 @@ _logger = logging.getLogger("rosplc.ros.rospy")
 MOST_REQUEST = 4 << 20  # Bytes of a call; the list of a topic's publishers has far less.
 MOST_CALLERS = 1000  # Connections that callers may have open at once.
 MOST_GREETINGS = 128  # Subscribers whose headers are waited for at once.
-
-_TIMEOUT_S = 5.0
 
 
 class _Api:
@@ -178,8 +176,8 @@ class Servers:
             _Request(sock, sock.getpeername(), self._api)
 
     def _greet(self, sock: socket.socket) -> None:
-        sock.settimeout(_TIMEOUT_S)
-        header = read_header(sock, _TIMEOUT_S, self._clock)
+        sock.settimeout(TIMEOUT_S)
+        header = read_header(sock, TIMEOUT_S, self._clock)
         kind = "service" if "service" in header else "topic"
         known = self._node.having("serve" if kind == "service" else "out")
         wanted = known.get(header.get(kind, ""))

@@ -11,7 +11,7 @@ import zenoh.ext
 
 from rosplc.ros._base import BaseEndpoint, BasePublisher, Problem, QueuedSubscription, is_cdr
 from rosplc.ros.backend import OnMessage
-from rosplc.ros.zenoh.keys import Attachment, Entity, fits, gid_of, pack, topic_key, unpack
+from rosplc.ros.zenoh.keys import Attachment, Entity, gid_of, pack, topic_key, unpack
 
 _HEARTBEAT_S = 0.5  # as rmw_zenoh's reliable and transient_local publishers
 _SENDERS = 1024  # publishers whose sequence numbers a subscription remembers
@@ -29,7 +29,8 @@ class Endpoint(BaseEndpoint):
         self._declared: list[Any] = []  # in the order in which they are withdrawn
 
     def _peers(self) -> int:
-        return sum(fits(self.entity, theirs) for theirs in self._node.others(self.entity))
+        ours = self.type_name, self.type_hash  # a message's key has both
+        return sum((one.type_name, one.type_hash) == ours for one in self._node.others(self.entity))
 
     def _matched(self) -> int:
         return self._peers() if self._connected() else 0

@@ -266,11 +266,6 @@ class TokenTable:
         return _base.graph_info(nodes, infos("MP", "MS"), infos("SS", "SC"))
 
 
-def fits(ours: Entity, theirs: Entity) -> bool:
-    """Return whether two endpoints on one topic exchange messages: a message's key has type and hash."""
-    return (theirs.type_name, theirs.type_hash) == (ours.type_name, ours.type_hash)
-
-
 def explain(ours: Entity, theirs: Entity) -> _base.Problem | None:
     """Return what is wrong or doubtful between two endpoints on one topic; None if all is well."""
     # Reliability and durability keep no endpoints apart, as with ``rmw_zenoh_cpp``; but a subscriber may be
