@@ -20,7 +20,7 @@ from rosplc.shm import Namespace
 from tests.interop.actions.cell import Cell, Peer, StartPeer, the_plc_carries_goals_out, the_plc_sends_goals
 from tests.interop.zenoh.processes import Router, free_port
 
-pytestmark = [pytest.mark.foreign, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.foreign, pytest.mark.timeout(600)]
 
 DOMAIN = 19
 
