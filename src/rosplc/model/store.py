@@ -97,9 +97,11 @@ class TypeStore:
         return merged
 
     def with_events(self, name: str) -> TypeStore:
-        """Return a store that knows a service or action as well; it has the messages of the parts."""
-        merged = self._copy()
-        text = "---\n".join(self._text(self[f"{name}_{part}"]) for part in PARTS[kind_of(name)])
+        """Return a store that knows a service or action as well; TYP001 if it lacks a part's message."""
+        merged, parts = self._copy(), PARTS.get(kind_of(name))
+        if parts is None:
+            raise MessageTypeError("TYP001", f"{name} is neither a service nor an action")
+        text = "---\n".join(self._text(self[f"{name}_{part}"]) for part in parts)
         merged._interfaces.setdefault(name, (text,))
         merged._types |= {name: kind for name, kind in _BUILTIN.items() if name not in merged._types}
         return merged

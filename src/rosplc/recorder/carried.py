@@ -237,6 +237,7 @@ class CarriedService(Carried):
                 self._objects.append(_Object(other, since_ns=since_ns))
             both = dict(zip(self.parts, self._objects, strict=True))
             belong_together({part: one.attached for part, one in both.items()})
+            _check_types(both)
             self.streams = self._streams(both)
         except BaseException as error:
             self.close()
@@ -402,6 +403,16 @@ class CarriedAction(CarriedService):
 
 
 _SEND, _CANCEL, _GET, _FEEDBACK, _STATUS = range(len(_TOPICS))
+
+
+def _check_types(both: Mapping[Part, _Object]) -> None:
+    types = {part: one.attached.description.type for part, one in both.items()}
+    name = next(iter(types.values())).rpartition("_")[0]
+    for part, own in types.items():
+        if own != f"{name}_{part.word.capitalize()}":
+            raise ChannelError(
+                "SHM113", f"{own} is no {part.word} of {name}", where=str(both[part].attached.path)
+            )
 
 
 def _time_of(info: SlotInfo, now_ns: int) -> int:

@@ -36,7 +36,7 @@ from rosplc.recorder.replay import (
 )
 from rosplc.recorder.source import open_source
 from rosplc.ros import ActionServer, open_backend
-from rosplc.shm import ACTION, Caller, Namespace, OwnedChannel, Part, attach
+from rosplc.shm import ACTION, SERVICE, Caller, Namespace, OwnedChannel, Part, attach
 from rosplc.shm import constants as spec
 from rosplc.virtual_plc import ActionServer as VirtualServer
 from rosplc.virtual_plc import Task
@@ -276,6 +276,26 @@ def test_actions_are_selected_by_name(
         assert list(recorder.stop().topics) == sorted(topics)
     action.close()
     other.close()
+
+
+@pytest.mark.parametrize("parts", [SERVICE, ACTION])
+@pytest.mark.parametrize(
+    "type_name", ["std_msgs/msg/Bool", f"{FIBONACCI}_Goal", "std_srvs/srv/SetBool_Request"]
+)
+def test_objects_of_other_types_are_refused(
+    shm_namespace: Namespace, tmp_path: Path, parts: tuple[Part, ...], type_name: str
+) -> None:
+    """Objects that call themselves a service's or an action's, but have other messages, are named."""
+    layout = compute_layout(TypeStore.bundled("jazzy"), type_name)
+    descriptions = [
+        (description_of(layout, NAME, part.direction("plc"), part=part, bridge="test"), layout.size)
+        for part in parts
+    ]
+    owned = OwnedChannel.open_together(shm_namespace, descriptions)
+    with recording(shm_namespace, tmp_path / "r") as recorder:
+        assert [error.code for error in recorder.inlet.failures.values()] == ["SHM113"]
+    for each in owned:
+        each.close()
 
 
 DOMAIN = 4713  # of this process alone
