@@ -87,6 +87,12 @@ def lacking(item: pytest.Item) -> str:
     return ""
 
 
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Leave folders that are foreign as a whole out of a run without them: each worker would import them."""
+    foreign = any(collection_path.is_relative_to(ROOT / folder) for folder in FOREIGN)
+    return True if foreign and "not foreign" in config.option.markexpr else None
+
+
 def pytest_itemcollected(item: pytest.Item) -> None:
     needs = item.iter_markers("needs")
     place = item.path.relative_to(ROOT).as_posix() if item.path.is_relative_to(ROOT) else ""
