@@ -37,6 +37,7 @@ from rosplc.plc.build import (
 )
 from rosplc.plc.delivery import Delivery, project_files, write_files
 from rosplc.plc.names import instance_names
+from rosplc.plc.openplc import openplc_files, openplc_types
 from rosplc.plc.plan import ProjectOptions, target_of
 from rosplc.plc.project import PlcProject
 from rosplc.ros import INSTALL, Choice
@@ -120,6 +121,7 @@ def generate(
     config: Path | str | Project,
     folder: Path | str = "plc",
     *,
+    plc: Literal["codesys", "openplc"] = "codesys",
     target: Literal["x86", "arm"] | None = None,
     fences: bool = False,
     programs: str | None = None,
@@ -131,6 +133,7 @@ def generate(
     Args:
         config: The file, or what :func:`load_project` made of it.
         folder: The output folder; created where it is missing.
+        plc: ``"openplc"``: for OpenPLC Runtime 4.1, for which the next four mean nothing.
         target: The PLC's processor; None: this machine's.
         fences: On ``"arm"``: the device enables the MemoryBarrier library.
         programs: What the names of the generated programs begin with; None: the configuration's ``programs``.
@@ -142,6 +145,8 @@ def generate(
         GenerationError: The code cannot be generated, or a file was edited (PLC001).
     """
     project = config if isinstance(config, Project) else load_project(config)
+    if plc == "openplc":
+        return _write(*openplc_files(project), folder, force=force)
     options = _options(target, fences, programs or project.config.settings.programs, pins)
     made = plc_project(project, options)
     topics = sorted(project.topics, key=lambda plan: plan.topic)  # as the PLC's objects are ordered
@@ -154,6 +159,7 @@ def generate_types(
     distro: str,
     folder: Path | str = "plc",
     *,
+    plc: Literal["codesys", "openplc"] = "codesys",
     target: Literal["x86", "arm"] | None = None,
     fences: bool = False,
     programs: str = "SharedMemory",
@@ -161,6 +167,8 @@ def generate_types(
     force: bool = False,
 ) -> Delivery:
     """Write both blocks of every message type of a distribution; arguments and errors as :func:`generate`."""
+    if plc == "openplc":
+        return _write(*openplc_types(distro), folder, force=force)
     store = TypeStore.bundled(distro)
     layouts = [compute_layout(store, name) for name in store.names()]
     options = _options(target, fences, programs, pins)
@@ -173,8 +181,11 @@ def _options(target: Literal["x86", "arm"] | None, fences: bool, programs: str, 
 
 
 def _deliver(project: PlcProject, layouts: list[Layout], folder: Path | str, *, force: bool) -> Delivery:
-    delivery = write_files(Path(folder), project_files(project, layouts, "rosplc"), force=force)
-    return replace(delivery, notes=tuple(project.notes))
+    return _write(project_files(project, layouts, "rosplc"), project.notes, folder, force=force)
+
+
+def _write(files: dict[str, bytes], notes: tuple[str, ...], folder: Path | str, *, force: bool) -> Delivery:
+    return replace(write_files(Path(folder), files, force=force), notes=notes)
 
 
 def expected_files(project: Project, options: ProjectOptions) -> Mapping[str, bytes]:

@@ -152,8 +152,7 @@ def _fill(node: Node, record: bytearray, at: int, draw: random.Random) -> None:
             elif not isinstance(member.node, PaddingNode):
                 _fill(member.node, record, at + member.offset, draw)
     elif isinstance(node, (ArrayNode, SequenceNode)):
-        length = node.length if isinstance(node, ArrayNode) else node.capacity
-        for index in range(length):
+        for index in range(node.capacity):
             _fill(node.element, record, at + index * node.element.size, draw)
 
 

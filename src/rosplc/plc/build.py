@@ -84,7 +84,7 @@ def programs_of(
 ) -> tuple[list[Pou], tuple[Task, ...]]:
     """Return a reading and a writing program per task that has topics, and the tasks."""
     programs: list[Pou] = []
-    plc_tasks: list[Task] = []
+    found: list[Task] = []
     used = {task for _, task in calls}
     for index, task in enumerate(tasks):
         names = []
@@ -99,8 +99,8 @@ def programs_of(
                 comment, text = f"{what} in task {task.name}.", "\n".join(lines)
                 programs.append(Pou(names[-1], "PROGRAM", (), text, comment=comment, folder=options.folder))
         if names:
-            plc_tasks.append(Task(task, tuple(names)))
-    return programs, tuple(plc_tasks)
+            found.append(Task(task, tuple(names)))
+    return programs, tuple(found)
 
 
 _LARGE_DUT = 64 * 1024
@@ -234,7 +234,7 @@ def build_project(
     of_calls = {
         gvl: _uses(gvl, calls, blocks, indices, lines, renamings) for gvl in (SERVICE_GVL, ACTION_GVL)
     }
-    programs, plc_tasks = programs_of(order, lines, options, builder.scope)
+    programs, found_tasks = programs_of(order, lines, options, builder.scope)
     helpers = helper_objects(store, builder, f"{options.folder}/Helpers")
     hand_written = (*base, *helpers)
     gvls = [*(item for item in base if isinstance(item, Gvl)), _settings(options, order), *builder.constants]
@@ -255,7 +255,7 @@ def build_project(
         duts=(*(item for item in hand_written if isinstance(item, Dut | Enumeration)), *builder.duts),
         gvls=tuple(gvls),
         pous=(*(item for item in hand_written if isinstance(item, Pou)), *blocks.pous, *programs),
-        tasks=plc_tasks,
+        tasks=found_tasks,
         libraries=libraries,
         notes=tuple(_notes(builder, renamings, topics, cycles, options)),
         programs=options.programs,
@@ -401,13 +401,14 @@ def _notes(
 
 def plc_project(project: Project, options: ProjectOptions) -> PlcProject:
     """Return the PLC project of a configuration; PLC003 if more tasks are used than the blocks serve."""
-    topics, tasks = _topics(project), _tasks(project)
+    topics, tasks = plc_topics(project), plc_tasks(project)
     settings = project.config.settings
     options = replace(options, prefix=settings.prefix)
     return build_project(project.store, topics, tasks, options, calls=project.calls)
 
 
-def _topics(project: Project) -> list[PlcTopic]:
+def plc_topics(project: Project) -> list[PlcTopic]:
+    """Return a configuration's topics as the PLC sees them."""
     return [
         PlcTopic(
             topic=plan.topic,
@@ -434,7 +435,8 @@ _ROLES: dict[tuple[str, str], Literal["Client", "Server", "ActionClient", "Actio
 }
 
 
-def _tasks(project: Project) -> list[PlcTask]:
+def plc_tasks(project: Project) -> list[PlcTask]:
+    """Return the tasks that a configuration's topics, services and actions use."""
     used = {plan.task for plan in project.plans}
     tasks = {name: task for name, task in project.config.settings.tasks.items() if name in used}
     same = ("interval_ns", "priority", "kind", "watchdog_sensitivity")

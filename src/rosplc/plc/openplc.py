@@ -1,0 +1,221 @@
+"""The PLC half for OpenPLC Runtime 4.1: Structured Text for STruC++, and C++ between it and ``rosplc/plc.h``.
+
+The function blocks have the names of those for CODESYS; their bodies are a call of C++, which copies field by
+field, since a variable of STruC++ is an object.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from importlib.resources import files
+from typing import Any
+
+from rosplc.config.resolve import Project
+from rosplc.layout import Layout, compute_layout
+from rosplc.layout.nodes import ArrayNode, Member, Node, PaddingNode, SequenceNode, StringNode, StructNode
+from rosplc.model import TypeStore
+from rosplc.plc.base import render
+from rosplc.plc.build import plc_tasks, plc_topics
+from rosplc.plc.names import Scope, instance_names, literal, string_literal, time_literal
+from rosplc.plc.plan import PlcTask, PlcTopic, beat_ms
+from rosplc.plc.project import Dut, Variable
+from rosplc.plc.types import DutBuilder, MemberNames
+
+_ON_STALE = {"hold": 0, "zero": 1, "value": 2}
+_LARGEST_EXACT = 2**53  # STruC++ keeps literals as floating-point numbers
+_ARRAY_STRING = 254  # characters that STruC++ keeps of each string in an array, whatever is declared
+
+
+def openplc_files(project: Project) -> tuple[dict[str, bytes], tuple[str, ...]]:
+    """Return path below the output folder → file for a configuration, and what a person should know."""
+    topics = [topic for topic in plc_topics(project) if topic.classic is None]
+    omitted = [plan.topic for plan in project.topics if plan.classic is not None]
+    omitted += [plan.name for plan in project.calls]
+    made = _Openplc(project.store, project.config.settings.prefix)
+    made.notes += [
+        f"{name}: not generated: classic mode, services and actions need CODESYS" for name in omitted
+    ]
+    for topic in sorted(topics, key=lambda topic: topic.topic):
+        made.block(topic.layout, topic.direction)
+    return made.files(topics, plc_tasks(project)), tuple(made.notes)
+
+
+def openplc_types(distro: str) -> tuple[dict[str, bytes], tuple[str, ...]]:
+    """Return the same for both blocks of every message type of a distribution, without a program."""
+    made = _Openplc(TypeStore.bundled(distro), "rosplc")
+    for name in made.builder.store.names():
+        for direction in ("read", "write"):
+            made.block(compute_layout(made.builder.store, name), direction)
+    return made.files((), ()), tuple(made.notes)
+
+
+class _Openplc:
+    def __init__(self, store: TypeStore, prefix: str) -> None:
+        self.builder = DutBuilder(store, scope=Scope(["Config0", "Res0"]))
+        self.prefix = prefix
+        self.notes: list[str] = []
+        self.blocks: dict[tuple[Layout, str], dict[str, str]] = {}
+
+    def block(self, layout: Layout, direction: str) -> None:
+        """Have a block of a message type."""
+        if (layout, direction) not in self.blocks:
+            dut = self.builder.add(layout)
+            name = self.builder.scope.give(f"{dut}_{direction.capitalize()}")
+            self.blocks[layout, direction] = {"name": name, "dut": dut, "direction": direction}
+
+    def files(self, topics: Sequence[PlcTopic], tasks: Sequence[PlcTask]) -> dict[str, bytes]:
+        structs = {
+            self.builder.struct(node).dut: node for layout, _ in self.blocks for node in _structs(layout.root)
+        }
+        duts = [self._dut(dut, structs[dut.name]) for dut in self.builder.duts]
+        layouts = {self.builder.add(layout): layout for layout, _ in self.blocks}
+        self.notes += [f"{r.where}: {r.wanted} is named {r.given}" for r in self.builder.renamings]
+        blocks = tuple(self.blocks.values())
+        made = {
+            "rosplc.st": render("openplc/rosplc.st", duts=duts, blocks=blocks),
+            "generated/rosplc_blocks.cpp": render(
+                "openplc/rosplc_blocks.cpp",
+                prefix=self.prefix,
+                beat_ms=max((beat_ms(task) for task in tasks), default=1000),
+                structs=[
+                    {"name": dut.name.upper(), "members": list(self._members(structs[dut.name]))}
+                    for dut in duts
+                ],
+                layouts=[
+                    dict(
+                        zip(
+                            ("low", "high"), (f"0x{word:08X}" for word in layout.layout_id_words), strict=True
+                        )
+                    )
+                    | {"name": name.upper(), "size": layout.size}
+                    for name, layout in layouts.items()
+                ],
+                blocks=blocks,
+            ),
+        }
+        if topics:
+            made["example.st"] = render("openplc/example.st", tasks=list(self._tasks(topics, tasks)))
+        result = {path: text.encode("ascii") for path, text in made.items()}
+        fixed = files("rosplc.plc").joinpath("templates/openplc")
+        for name, path in (
+            ("rosplc_openplc.hpp", "generated/rosplc_openplc.hpp"),
+            ("README.txt", "README.txt"),
+        ):
+            result[path] = fixed.joinpath(name).read_bytes()
+        for header in files("rosplc").joinpath("include/rosplc").iterdir():
+            if header.name.endswith(".h"):
+                result[f"generated/rosplc/{header.name}"] = header.read_bytes()
+        # The runtime compiles *.cpp alone; what lies in a subfolder may be compiled, too, or not.
+        result["generated/rosplc_plc.cpp"] = files("rosplc").joinpath("include/rosplc/plc.c").read_bytes()
+        if self.notes:
+            result["NOTES.txt"] = ("\n".join(self.notes) + "\n").encode()
+        return result
+
+    def _dut(self, dut: Dut, node: StructNode) -> Dut:
+        """Return a structure without padding, and without initial values that STruC++ would change."""
+        members = []
+        for variable, member in zip(dut.members, node.members, strict=True):
+            if isinstance(member.node, PaddingNode):
+                continue
+            where = f"{dut.name}.{variable.name}"
+            element = getattr(member.node, "element", None)
+            if isinstance(element, StringNode) and element.capacity > _ARRAY_STRING:
+                self.notes.append(f"{where}: STruC++ keeps {_ARRAY_STRING} characters of each string")
+            if variable.initial is not None and not _exact(variable):
+                self.notes.append(
+                    f"{where}: the default value {variable.initial} is left out, STruC++ changes it"
+                )
+                variable = replace(variable, initial=None)
+            members.append(variable)
+        return replace(dut, members=tuple(members))
+
+    def _members(self, node: StructNode) -> Iterator[dict[str, Any]]:
+        names = self.builder.struct(node)
+        for member in node.members:
+            if isinstance(member.node, PaddingNode):
+                continue
+            several = member.node if isinstance(member.node, (ArrayNode, SequenceNode)) else None
+            inner = several.element if several else member.node
+            yield {
+                "name": names.of(node, member).upper(),
+                "offset": member.offset,
+                "count": several.capacity if several else 0,
+                "stride": several.stride if several else 0,
+                "capacity": f", {inner.capacity}" if isinstance(inner, StringNode) else "",
+                "most": _counted(node, member),
+            }
+
+    def _tasks(self, topics: Sequence[PlcTopic], tasks: Sequence[PlcTask]) -> Iterator[dict[str, Any]]:
+        for task in sorted(tasks, key=lambda task: task.name):
+            own = sorted((t for t in topics if t.task == task.name), key=lambda topic: topic.topic)
+            names = instance_names([topic.topic for topic in own])
+            if own:
+                yield {
+                    "name": task.name,
+                    "program": self.builder.scope.give(f"ROS_{task.name}"),
+                    "interval": time_literal(task.interval_ns or 10_000_000),
+                    "priority": task.priority,
+                    "instances": [
+                        {
+                            "name": names[topic.topic],
+                            "block": self.blocks[topic.layout, topic.direction]["name"],
+                            "direction": topic.direction,
+                            "arguments": ", ".join(_arguments(topic)),
+                            "safe": list(self._safe(topic.layout.root, topic.safe or {}, "")),
+                        }
+                        for topic in own
+                    ],
+                }
+
+    def _safe(self, node: Node, value: Any, path: str) -> Iterator[str]:
+        """Yield assignments of a safe message's fields."""
+        if isinstance(node, StructNode):
+            names: MemberNames = self.builder.struct(node)
+            for member in node.members:
+                if member.name in value and not isinstance(member.node, PaddingNode):
+                    given = len(value[member.name]) if member.count_of else value[member.name]
+                    yield from self._safe(member.node, given, f"{path}.{names.of(node, member)}".lstrip("."))
+        elif isinstance(node, (ArrayNode, SequenceNode)):
+            for index, item in enumerate(value):
+                yield from self._safe(node.element, item, f"{path}[{index}]")
+        else:
+            kind = "string" if isinstance(node, StringNode) else getattr(node, "kind", "")
+            if (text := literal(kind, value)) is not None:
+                yield f"{path} := {text}"
+
+
+def _structs(node: Node) -> Iterator[StructNode]:
+    if isinstance(node, StructNode):
+        for member in node.members:
+            yield from _structs(member.node)
+        yield node
+    elif isinstance(node, (ArrayNode, SequenceNode)):
+        yield from _structs(node.element)
+
+
+def _counted(node: StructNode, member: Member) -> int:
+    """Return the capacity of the sequence whose elements a member counts; 0: it counts none."""
+    counted = (m.node for m in node.members if m.name == member.count_of and not m.count_of)
+    return next((n.capacity for n in counted if isinstance(n, SequenceNode)), 0) if member.count_of else 0
+
+
+def _exact(variable: Variable) -> bool:
+    text = str(variable.initial)
+    if text.startswith("["):
+        return False
+    digits = text.removeprefix("ULINT#").removeprefix("-").partition(" ")[0]
+    return not digits.isdigit() or int(digits) <= _LARGEST_EXACT
+
+
+def _arguments(topic: PlcTopic) -> Iterator[str]:
+    yield f"sTopic := {string_literal(topic.topic)}"
+    if topic.direction == "read":
+        if topic.stale_after_ns:
+            yield f"tStaleAfter := {time_literal(topic.stale_after_ns)}"
+        if topic.on_stale != "hold":
+            yield f"uiOnStale := {_ON_STALE[topic.on_stale]}"
+        if topic.in_order:
+            yield "xInOrder := TRUE"
+        if topic.latched:
+            yield "xLatched := TRUE"

@@ -1,0 +1,236 @@
+"""The blocks for OpenPLC, compiled and run behind a stand-in for STruC++, and behind STruC++ itself.
+
+``ROSPLC_STRUCPP`` names a checkout of STruC++ that was built; no registry has it.
+"""
+
+from __future__ import annotations
+
+import _ctypes
+import ctypes
+import os
+import random
+import re
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import rosplc
+from rosplc.codec import Codec, Wire
+from rosplc.config.resolve import Project, load_project
+from rosplc.described import description_of
+from rosplc.shm import Namespace, OwnedChannel
+from tests.lib.waiting import wait_for
+from tests.verification.crossing import random_record
+
+HERE = Path(__file__).parent
+FLAGS = ["-std=c++17", "-O1", "-fPIC", "-Wall", "-Werror", "-DSTRUCPP_THREADED"]
+PART = "float32 x\nstring<=7 name\nuint16[] few\n"
+KINDS = """bool b
+byte by
+char c
+int8 i8
+uint8 u8
+int16 i16
+uint16 u16
+int32 i32
+uint32 u32
+int64 i64
+uint64 u64
+float32 f32
+float64 f64
+string s
+string<=5 bounded
+float64[3] fixed
+bool[2] flags
+string[2] texts
+uint8[] bytes
+string[] words
+Part part
+Part[2] pair
+Part[] parts
+"""
+PROGRAM = """PROGRAM Pass
+VAR
+    there : kinds_All_Read;
+    back : kinds_All_Write;
+END_VAR
+there(sTopic := '/there', xInOrder := TRUE);
+WHILE there.xNew DO
+    back.msg := there.msg;
+    back(sTopic := '/back', xEnable := TRUE, uliStamp := there.uliStamp);
+    there.Next();
+END_WHILE;
+back(sTopic := '/back', xEnable := FALSE);
+END_PROGRAM
+CONFIGURATION Config0
+  RESOURCE Res0 ON PLC
+    TASK main(INTERVAL := T#10ms, PRIORITY := 0);
+    PROGRAM instance0 WITH main : Pass;
+  END_RESOURCE
+END_CONFIGURATION
+"""
+RUN_BY_STRUCPP = """#include "generated.hpp"
+static strucpp::Configuration_CONFIG0 config;
+extern "C" void scan() { config.get_resources()[0].tasks[0].programs[0]->run(); }
+"""
+# What STruC++ makes of PROGRAM.
+RUN_BY_STAND_IN = """#include "generated.hpp"
+static strucpp::KINDS_ALL_READ there;
+static strucpp::KINDS_ALL_WRITE back;
+extern "C" void scan()
+{
+    there.STOPIC = "/there";
+    there.XINORDER = true;
+    there();
+    while (there.XNEW) {
+        back.MSG = there.MSG;
+        back.STOPIC = "/back";
+        back.XENABLE = true;
+        back.ULISTAMP = there.ULISTAMP;
+        back();
+        there.NEXT();
+    }
+    back.STOPIC = "/back";
+    back.XENABLE = false;
+    back();
+}
+"""
+
+
+@pytest.fixture
+def project(tmp_path: Path, shm_namespace: Namespace) -> Project:
+    """Give a configuration with a message that has every kind of field, both ways."""
+    folder = tmp_path / "kinds" / "msg"
+    folder.mkdir(parents=True)
+    (folder / "Part.msg").write_text(PART)
+    (folder / "All.msg").write_text(KINDS)
+    (tmp_path / "kinds" / "package.xml").write_text("<package><name>kinds</name></package>")
+    limits = "limits: {string: 20, sequence: 3}"
+    text = f"""prefix: {shm_namespace.prefix}
+types: {{paths: [kinds]}}
+topics:
+  /there: {{type: kinds/msg/All, to: plc, {limits}}}
+  /back: {{type: kinds/msg/All, to: ros, {limits}}}
+"""
+    (tmp_path / "rosplc.yaml").write_text(text)
+    return load_project(tmp_path / "rosplc.yaml")
+
+
+def by_stand_in(folder: Path) -> list[str]:
+    """Write what STruC++ would make of rosplc.st, as far as the blocks need it; return an include folder."""
+    text = (folder / "rosplc.st").read_text()
+    parts = ['#pragma once\n#include "openplc_stand_in.hpp"\nnamespace strucpp {']
+    bodies = ['#include "generated.hpp"\nnamespace strucpp {']
+    for name, members in re.findall(r"^TYPE (\w+) : STRUCT\n(.*?)END_STRUCT;", text, re.S | re.M):
+        parts += [f"struct {name.upper()} {{", *declared(members), "};"]
+    for name, rest in re.findall(r"^FUNCTION_BLOCK (\w+)\n(.*?)END_FUNCTION_BLOCK", text, re.S | re.M):
+        upper = name.upper()
+        variables = "".join(re.findall(r"^VAR_\w+\n(.*?)END_VAR", rest, re.S | re.M))
+        method = re.search(r"METHOD PUBLIC Next : BOOL\n\{external(.*?)\}\nEND_METHOD\n", rest, re.S)
+        parts += [f"struct {upper} {{", *declared(variables), "void operator()();", "IEC_BOOL NEXT();", "};"]
+        body = rest.rpartition("{external")[2].rpartition("}")[0]
+        bodies.append(f"void {upper}::operator()() {{{body}}}")
+        if method:
+            returned = f"IEC_BOOL NEXT_result;{method[1]}return NEXT_result;"
+            bodies.append(f"IEC_BOOL {upper}::NEXT() {{{returned}}}")
+    (folder / "generated" / "generated.hpp").write_text("\n".join([*parts, "}\n"]))
+    (folder / "generated" / "generated.cpp").write_text("\n".join([*bodies, "}\n"]) + RUN_BY_STAND_IN)
+    return [f"-I{HERE}"]
+
+
+def declared(text: str) -> list[str]:
+    """Return C++ members for declarations; initial values of numbers alone, as those of the blocks are."""
+    found = []
+    for name, declared_type, initial in re.findall(r"^ +(\w+) : ([^;:]+?)(?: := ([^;]+))?;$", text, re.M):
+        start = f" = {initial.replace('16#', '0x')}" if initial else "{}"
+        found.append(f"{type_of(declared_type)} {name.upper()}{start};")
+    return found
+
+
+def type_of(text: str) -> str:
+    if array := re.fullmatch(r"ARRAY\[0\.\.(\d+)\] OF (.*)", text):
+        element = "IECStringVar<254>" if array[2].startswith("STRING") else type_of(array[2])
+        return f"Array1D<{element}, 0, {array[1]}>"
+    if string := re.fullmatch(r"STRING\((\d+)\)", text):
+        return f"IECStringVar<{string[1]}>"
+    return f"IEC_{text}" if text.isupper() else text.upper()
+
+
+def by_strucpp(folder: Path) -> list[str]:
+    """Have STruC++ compile rosplc.st and the program; return an include folder."""
+    strucpp = Path(os.environ["ROSPLC_STRUCPP"])
+    (folder / "pass.st").write_text(PROGRAM)
+    output = folder / "generated" / "generated.cpp"
+    sources = [str(folder / "rosplc.st"), str(folder / "pass.st")]
+    command = ["node", str(strucpp / "dist/node/cli.js"), *sources, "-o", str(output)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    (folder / "generated" / "run.cpp").write_text(RUN_BY_STRUCPP)
+    return [f"-I{strucpp / 'src/runtime/include'}"]
+
+
+def program(project: Project, folder: Path, by: Callable[[Path], list[str]]) -> Path:
+    """Return a shared library with the blocks and a function ``scan``."""
+    rosplc.generate(project, folder, plc="openplc")
+    include = by(folder)
+    generated = folder / "generated"
+    sources = sorted(str(path) for path in generated.glob("*.cpp"))
+    target = folder / "program.so"
+    command = ["g++", *FLAGS, f"-I{generated}", *include, "-shared", *sources, "-o", str(target)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return target
+
+
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize(
+    "by", [by_stand_in, pytest.param(by_strucpp, marks=pytest.mark.needs(variable="ROSPLC_STRUCPP"))]
+)
+def test_every_kind_of_field_crosses(
+    by: Callable[[Path], list[str]], project: Project, tmp_path: Path, shm_namespace: Namespace
+) -> None:
+    """Random messages come back equal and in order, and unloading the program gives back what it held."""
+    library = ctypes.CDLL(str(program(project, tmp_path / "plc", by)))
+    ends: list[Any] = []
+    channels = []
+    for plan in project.topics:
+        about = description_of(plan.layout, plan.topic, plan.direction, bridge="test")
+        channel = OwnedChannel.open(shm_namespace, about, record_size=plan.layout.size, slots=16)
+        channels.append(channel)
+        ends.append(channel.writer() if plan.topic == "/there" else channel.reader())
+    writer, reader = ends if project.topics[0].topic == "/there" else ends[::-1]
+    there = channels[[plan.topic for plan in project.topics].index("/there")]
+    back = channels[[plan.topic for plan in project.topics].index("/back")]
+    layout = project.topics[0].layout
+    codec = Codec(layout, Wire.CDR)
+
+    def scan() -> None:
+        writer.beat()
+        reader.beat()
+        library.scan()
+
+    def held() -> tuple[bool, bool]:
+        return any(line.claim for line in there.snapshot().readers), bool(back.snapshot().writer.epoch)
+
+    try:
+        wait_for(lambda: scan() or held() == (True, True), "both claims")
+        draw = random.Random(15)
+        for number in range(1, 101, 2):
+            sent = [codec.encode(random_record(layout, draw)) for _ in range(2)]
+            for wire in sent:
+                writer.publish_wire(codec.plan, wire, stamp_ns=number << 33)
+            library.scan()
+            for wire in sent:
+                taken = reader.next_wire(codec.plan)
+                assert taken is not None and taken[0] == wire, number
+                assert taken[1].stamp_ns == number << 33
+        assert reader.lost == 0
+        _ctypes.dlclose(library._handle)
+        assert "program.so" not in Path("/proc/self/maps").read_text(), "a shared symbol keeps it loaded"
+        assert held() == (False, False)
+    finally:
+        for channel in channels:
+            channel.close()
