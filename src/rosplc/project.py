@@ -146,7 +146,7 @@ def generate(
     """
     project = config if isinstance(config, Project) else load_project(config)
     if plc == "openplc":
-        return _write(*openplc_files(project), folder, force=force)
+        return _write(*openplc_files(project), folder, force)
     options = _options(target, fences, programs or project.config.settings.programs, pins)
     made = plc_project(project, options)
     topics = sorted(project.topics, key=lambda plan: plan.topic)  # as the PLC's objects are ordered
@@ -168,7 +168,7 @@ def generate_types(
 ) -> Delivery:
     """Write both blocks of every message type of a distribution; arguments and errors as :func:`generate`."""
     if plc == "openplc":
-        return _write(*openplc_types(distro), folder, force=force)
+        return _write(*openplc_types(distro), folder, force)
     store = TypeStore.bundled(distro)
     layouts = [compute_layout(store, name) for name in store.names()]
     options = _options(target, fences, programs, pins)
@@ -181,10 +181,10 @@ def _options(target: Literal["x86", "arm"] | None, fences: bool, programs: str, 
 
 
 def _deliver(project: PlcProject, layouts: list[Layout], folder: Path | str, *, force: bool) -> Delivery:
-    return _write(project_files(project, layouts, "rosplc"), project.notes, folder, force=force)
+    return _write(project_files(project, layouts, "rosplc"), project.notes, folder, force)
 
 
-def _write(files: dict[str, bytes], notes: tuple[str, ...], folder: Path | str, *, force: bool) -> Delivery:
+def _write(files: dict[str, bytes], notes: tuple[str, ...], folder: Path | str, force: bool) -> Delivery:
     return replace(write_files(Path(folder), files, force=force), notes=notes)
 
 

@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
 
 from rosplc._version import __version__
 from rosplc.config.plans import CallPlan
@@ -62,18 +61,23 @@ def call(name: str, topic: PlcTopic, task: int, cycle_ns: int) -> str:
     arguments = [f"uiTask := {task}", f"udiMapSize := {topic.object_size}"]
     if topic.classic is not None:
         arguments[1] = f"tWait := {time_literal(classic_wait(topic.classic, cycle_ns) * 1_000_000)}"
+    arguments += read_arguments(topic, f"{SAFE_GVL}.{name}")
+    return f"{gvl}.{name}({', '.join(arguments)});"
+
+
+def read_arguments(topic: PlcTopic, safe: str = "") -> Iterator[str]:
+    """Yield what a Read block is called with; ``safe`` is the variable of the safe value, if there is one."""
     if topic.direction == "read":
         if topic.stale_after_ns:
-            arguments.append(f"tStaleAfter := {time_literal(topic.stale_after_ns)}")
+            yield f"tStaleAfter := {time_literal(topic.stale_after_ns)}"
         if topic.on_stale != "hold":
-            arguments.append(f"uiOnStale := {_ON_STALE[topic.on_stale]}")
-        if topic.on_stale == "value" and topic.safe is not None:
-            arguments.append(f"stSafe := {SAFE_GVL}.{name}")
+            yield f"uiOnStale := {_ON_STALE[topic.on_stale]}"
+        if topic.on_stale == "value" and topic.safe is not None and safe:
+            yield f"stSafe := {safe}"
         if topic.in_order:
-            arguments.append("xInOrder := TRUE")
+            yield "xInOrder := TRUE"
         if topic.latched:
-            arguments.append("xLatched := TRUE")
-    return f"{gvl}.{name}({', '.join(arguments)});"
+            yield "xLatched := TRUE"
 
 
 def programs_of(
@@ -425,14 +429,6 @@ def plc_topics(project: Project) -> list[PlcTopic]:
         )
         for plan in project.topics
     ]
-
-
-_ROLES: dict[tuple[str, str], Literal["Client", "Server", "ActionClient", "ActionServer"]] = {
-    ("service", "plc"): "Server",
-    ("service", "ros"): "Client",
-    ("action", "plc"): "ActionServer",
-    ("action", "ros"): "ActionClient",
-}
 
 
 def plc_tasks(project: Project) -> list[PlcTask]:

@@ -6,6 +6,7 @@ field, since a variable of STruC++ is an object.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from importlib.resources import files
@@ -16,14 +17,13 @@ from rosplc.layout import Layout, compute_layout
 from rosplc.layout.nodes import ArrayNode, Member, Node, PaddingNode, SequenceNode, StringNode, StructNode
 from rosplc.model import TypeStore
 from rosplc.plc.base import render
-from rosplc.plc.build import plc_tasks, plc_topics
+from rosplc.plc.build import plc_tasks, plc_topics, read_arguments
 from rosplc.plc.names import Scope, instance_names, literal, string_literal, time_literal
 from rosplc.plc.plan import PlcTask, PlcTopic, beat_ms
-from rosplc.plc.project import Dut, Variable
-from rosplc.plc.types import DutBuilder, MemberNames
+from rosplc.plc.project import Dut
+from rosplc.plc.types import DutBuilder
 
-_ON_STALE = {"hold": 0, "zero": 1, "value": 2}
-_LARGEST_EXACT = 2**53  # STruC++ keeps literals as floating-point numbers
+_CHANGED = re.compile(r"\[.*|(ULINT#|-)?\d{16,}( .*)?")  # STruC++ keeps numbers as floating-point ones
 _ARRAY_STRING = 254  # characters that STruC++ keeps of each string in an array, whatever is declared
 
 
@@ -33,9 +33,7 @@ def openplc_files(project: Project) -> tuple[dict[str, bytes], tuple[str, ...]]:
     omitted = [plan.topic for plan in project.topics if plan.classic is not None]
     omitted += [plan.name for plan in project.calls]
     made = _Openplc(project.store, project.config.settings.prefix)
-    made.notes += [
-        f"{name}: not generated: classic mode, services and actions need CODESYS" for name in omitted
-    ]
+    made.notes += [f"{name}: classic mode, services and actions need CODESYS" for name in omitted]
     for topic in sorted(topics, key=lambda topic: topic.topic):
         made.block(topic.layout, topic.direction)
     return made.files(topics, plc_tasks(project)), tuple(made.notes)
@@ -55,6 +53,7 @@ class _Openplc:
         self.builder = DutBuilder(store, scope=Scope(["Config0", "Res0"]))
         self.prefix = prefix
         self.notes: list[str] = []
+        self.layouts: dict[str, dict[str, Any]] = {}
         self.blocks: dict[tuple[Layout, str], dict[str, str]] = {}
 
     def block(self, layout: Layout, direction: str) -> None:
@@ -63,13 +62,12 @@ class _Openplc:
             dut = self.builder.add(layout)
             name = self.builder.scope.give(f"{dut}_{direction.capitalize()}")
             self.blocks[layout, direction] = {"name": name, "dut": dut, "direction": direction}
+            low, high = layout.layout_id_words
+            self.layouts[dut] = {"name": dut.upper(), "low": low, "high": high, "size": layout.size}
 
     def files(self, topics: Sequence[PlcTopic], tasks: Sequence[PlcTask]) -> dict[str, bytes]:
-        structs = {
-            self.builder.struct(node).dut: node for layout, _ in self.blocks for node in _structs(layout.root)
-        }
+        structs = {names.dut: node for node, names in self.builder.structs.items()}
         duts = [self._dut(dut, structs[dut.name]) for dut in self.builder.duts]
-        layouts = {self.builder.add(layout): layout for layout, _ in self.blocks}
         self.notes += [f"{r.where}: {r.wanted} is named {r.given}" for r in self.builder.renamings]
         blocks = tuple(self.blocks.values())
         made = {
@@ -82,15 +80,7 @@ class _Openplc:
                     {"name": dut.name.upper(), "members": list(self._members(structs[dut.name]))}
                     for dut in duts
                 ],
-                layouts=[
-                    dict(
-                        zip(
-                            ("low", "high"), (f"0x{word:08X}" for word in layout.layout_id_words), strict=True
-                        )
-                    )
-                    | {"name": name.upper(), "size": layout.size}
-                    for name, layout in layouts.items()
-                ],
+                layouts=self.layouts.values(),
                 blocks=blocks,
             ),
         }
@@ -122,7 +112,7 @@ class _Openplc:
             element = getattr(member.node, "element", None)
             if isinstance(element, StringNode) and element.capacity > _ARRAY_STRING:
                 self.notes.append(f"{where}: STruC++ keeps {_ARRAY_STRING} characters of each string")
-            if variable.initial is not None and not _exact(variable):
+            if _CHANGED.fullmatch(variable.initial or ""):
                 self.notes.append(
                     f"{where}: the default value {variable.initial} is left out, STruC++ changes it"
                 )
@@ -161,7 +151,8 @@ class _Openplc:
                             "name": names[topic.topic],
                             "block": self.blocks[topic.layout, topic.direction]["name"],
                             "direction": topic.direction,
-                            "arguments": ", ".join(_arguments(topic)),
+                            "topic": string_literal(topic.topic),
+                            "arguments": list(read_arguments(topic)),
                             "safe": list(self._safe(topic.layout.root, topic.safe or {}, "")),
                         }
                         for topic in own
@@ -171,7 +162,7 @@ class _Openplc:
     def _safe(self, node: Node, value: Any, path: str) -> Iterator[str]:
         """Yield assignments of a safe message's fields."""
         if isinstance(node, StructNode):
-            names: MemberNames = self.builder.struct(node)
+            names = self.builder.struct(node)
             for member in node.members:
                 if member.name in value and not isinstance(member.node, PaddingNode):
                     given = len(value[member.name]) if member.count_of else value[member.name]
@@ -185,37 +176,7 @@ class _Openplc:
                 yield f"{path} := {text}"
 
 
-def _structs(node: Node) -> Iterator[StructNode]:
-    if isinstance(node, StructNode):
-        for member in node.members:
-            yield from _structs(member.node)
-        yield node
-    elif isinstance(node, (ArrayNode, SequenceNode)):
-        yield from _structs(node.element)
-
-
 def _counted(node: StructNode, member: Member) -> int:
     """Return the capacity of the sequence whose elements a member counts; 0: it counts none."""
     counted = (m.node for m in node.members if m.name == member.count_of and not m.count_of)
     return next((n.capacity for n in counted if isinstance(n, SequenceNode)), 0) if member.count_of else 0
-
-
-def _exact(variable: Variable) -> bool:
-    text = str(variable.initial)
-    if text.startswith("["):
-        return False
-    digits = text.removeprefix("ULINT#").removeprefix("-").partition(" ")[0]
-    return not digits.isdigit() or int(digits) <= _LARGEST_EXACT
-
-
-def _arguments(topic: PlcTopic) -> Iterator[str]:
-    yield f"sTopic := {string_literal(topic.topic)}"
-    if topic.direction == "read":
-        if topic.stale_after_ns:
-            yield f"tStaleAfter := {time_literal(topic.stale_after_ns)}"
-        if topic.on_stale != "hold":
-            yield f"uiOnStale := {_ON_STALE[topic.on_stale]}"
-        if topic.in_order:
-            yield "xInOrder := TRUE"
-        if topic.latched:
-            yield "xLatched := TRUE"

@@ -64,7 +64,7 @@ class DutBuilder:
     constants: list[Gvl] = field(default_factory=list)  # variable lists of the types' constants
     renamings: list[Renaming] = field(default_factory=list)  # names that had to change
     omitted: list[str] = field(default_factory=list)  # values that Structured Text cannot write, as sentences
-    _names: dict[StructNode, MemberNames] = field(default_factory=dict)
+    structs: dict[StructNode, MemberNames] = field(default_factory=dict)  # what the DUTs are built of
     _seen_types: set[str] = field(default_factory=set)
 
     def add(self, layout: Layout) -> str:
@@ -73,7 +73,7 @@ class DutBuilder:
 
     def struct(self, node: StructNode) -> MemberNames:
         """Build a struct's DUT, after those that it contains."""
-        if known := self._names.get(node):
+        if known := self.structs.get(node):
             return known
         for member in node.members:
             inner = _element(member.node)
@@ -87,7 +87,7 @@ class DutBuilder:
         if node.type_name in self._seen_types:
             wanted += "_" + hashlib.sha256(repr(node).encode()).hexdigest()[:6]
         dut = self.scope.give(wanted)
-        result = self._names[node] = MemberNames(dut, names)
+        result = self.structs[node] = MemberNames(dut, names)
         self._note(node, result, plain)
         defaults = {item.name: item for item in message.fields}
         members = tuple(
