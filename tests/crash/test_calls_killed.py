@@ -13,7 +13,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections import Counter, defaultdict, deque
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import partial
@@ -62,7 +62,7 @@ class Cell:
         self.running: dict[str, int] = {}
         self._losses = 0  # goals of the PLC's whose fate may be unknown
         self._found: list[str] = []
-        self._heard: deque[str] = deque()
+        self._heard: list[list[str]] = []
         self._rest = b""
         command = [sys.executable, "-m", "tests.crash.call_peers", str(folder), sabotage]
         pipe = subprocess.PIPE
@@ -76,20 +76,23 @@ class Cell:
         self._starter.stdin.write(("|".join(map(str, words)) + "\n").encode())
 
     def _hear(self, *words: object) -> int:
-        """Return the number at the end of the next line that begins with these words; drop those before."""
+        """Return the number at the end of a line that begins with these words, and take the line.
+
+        A process that was just started may say that it is ready before its starter says that it started.
+        """
         assert self._starter.stdout is not None
         wanted, ends = list(map(str, words)), time.monotonic() + WATCHDOG_S
         while True:
-            while self._heard:
-                found = self._heard.popleft().split()
+            for found in self._heard:
                 if found[: len(wanted)] == wanted:
+                    self._heard.remove(found)
                     return int(found[-1])
             if not select.select([self._starter.stdout], [], [], max(0, ends - time.monotonic()))[0]:
                 self._fail(f"no {' '.join(wanted)!r} came from the peers")
             if not (data := os.read(self._starter.stdout.fileno(), 65536)):
                 self._fail(f"the peers' starter has ended before it wrote {' '.join(wanted)!r}")
             *lines, self._rest = (self._rest + data).split(b"\n")
-            self._heard += (line.decode() for line in lines)
+            self._heard += (line.decode().split() for line in lines)
 
     def _fail(self, what: str) -> NoReturn:
         """Fail with what all processes are doing, and the end of what they wrote."""
@@ -124,6 +127,7 @@ class Cell:
         if (found := self._hear("ended", self.running[role])) != status:
             self._fail(f"{role} ended with {found}, not with {status}")
         del self.running[role]
+        self._heard.clear()  # what it said before it died
 
     def end(self, role: str) -> None:
         os.kill(self.running[role], signal.SIGTERM)
