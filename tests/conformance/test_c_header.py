@@ -85,7 +85,7 @@ class PlainStructs:
         if isinstance(node, StringNode):
             return f"char {name}[{node.capacity} + 1]"
         if isinstance(node, ArrayNode):
-            return self.declare(node.element, f"{name}[{node.length}]")
+            return self.declare(node.element, f"{name}[{node.capacity}]")
         if isinstance(node, SequenceNode):
             return self.declare(node.element, f"{name}[{node.capacity}]")
         assert isinstance(node, ScalarNode)

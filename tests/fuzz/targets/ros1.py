@@ -87,7 +87,7 @@ def _answer(data: bytes) -> None:
         master._server = cast(Any, _Answer(values[0]))
         asks: tuple[Callable[[], Any], ...] = (
             master.state,
-            lambda: master.register("in", "/t", "std_msgs/String", "http://n:1"),
+            lambda: master.service_place("/s"),
             lambda: master.node_uri("/m"),
             lambda: master.setting("/use_sim_time"),
             lambda: _request(values[0]),

@@ -20,7 +20,6 @@ from rosplc.ros.zenoh.keys import (
     decode_qos,
     encode_qos,
     explain,
-    fits,
     gid_of,
     parse_token,
 )
@@ -53,7 +52,6 @@ def _tokens(texts: list[str]) -> None:
             assert again is not None
             assert (again.full_name, again.topic) == (entity.full_name, entity.topic)
         if entity.qos is not None:
-            fits(_OURS, entity)
             words = explain(_OURS, entity)
             assert words is None or len(words[1]) < 4000
             decode_qos(encode_qos(entity.qos))
