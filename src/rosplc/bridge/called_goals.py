@@ -194,7 +194,7 @@ class CalledGoals(Asked):
                 if event.status is GoalStatus.CANCELING:
                     goal.said = ANSWER_CANCEL_ACCEPTED
                 if before != (goal.accepted, goal.said):
-                    goal.due_ns = 0
+                    goal.due_ns = goal.unknown_ns = 0
                     self._report(goal)
             case "canceling" | "not canceled":
                 self._canceling(goal, event.kind == "canceling", reply, now_ns)
@@ -214,7 +214,7 @@ class CalledGoals(Asked):
         elif goal.number != self._open_call:
             self._forget(goal)
         else:
-            goal.accepted, goal.cancel = True, goal.cancel and not agreed
+            goal.accepted, goal.cancel, goal.unknown_ns = True, goal.cancel and not agreed, 0
             if goal.said != ANSWER_CANCEL_ACCEPTED:
                 goal.said = ANSWER_CANCEL_ACCEPTED if agreed else ANSWER_CANCEL_REJECTED
             self._report(goal)
@@ -242,8 +242,9 @@ class CalledGoals(Asked):
     def _unknown(self, goal: _Goal, now_ns: int) -> None:
         """Take in that the server does not know a goal: not any more, or not before it has decided."""
         words = "the server does not know the goal"
-        goal.unknown_ns = goal.unknown_ns or now_ns
-        if goal.accepted or now_ns - goal.unknown_ns > _UNDECIDED_NS:
+        again, goal.unknown_ns = bool(goal.unknown_ns), goal.unknown_ns or now_ns
+        # One answer may be older than the status that has told of the acceptance.
+        if (goal.accepted and again) or now_ns - goal.unknown_ns > _UNDECIDED_NS:
             self._end(goal, "fate unknown", Reason.SERVER_GONE, now_ns, words)
             return
         goal.lost = True

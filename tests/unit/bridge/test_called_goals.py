@@ -618,6 +618,21 @@ def test_a_goal_that_is_accepted_long_after_a_restart(make: Make, how: str, agai
     cell.until(lambda: not cell.use._goals, "the end of the goal")
 
 
+def test_an_answer_that_is_older_than_the_status(make: Make) -> None:
+    """The server did not know the goal before it has accepted it, and is heard behind the status."""
+    cell = make()
+    server, plc, uuid = asked(cell)
+    cell.restart()
+    cell.until(lambda: cell.use._goals[uuid].unknown_ns, "an answer of the server's")
+    cell.use.tell(actions.GoalEvent(uuid, "status", status=GoalStatus.EXECUTING))
+    cell.use.tell(actions.GoalEvent(uuid, "result", status=GoalStatus.UNKNOWN))
+    server.begin(uuid)
+    cell.turn()
+    server.succeed(uuid, sequence(Part.RESULT, 7))
+    assert ended(cell) == (ANSWER_SUCCEEDED, 0)
+    assert plc.results[-1] == [7]
+
+
 def test_a_goal_that_never_appears_is_forgotten(make: Make) -> None:
     cell = make()
     asked(cell)
