@@ -817,7 +817,8 @@ def test_a_result_that_the_plc_cannot_take(make: Make, numbers: Any) -> None:
 def test_a_result_of_a_status_that_is_no_end(make: Make) -> None:
     cell = make()
     _, _, uuid = begun(cell)
-    cell.use.tell(actions.GoalEvent(uuid, "result", sequence(Part.RESULT), GoalStatus.EXECUTING))
+    for _ in range(2):  # one answer may be older than the acceptance
+        cell.use.tell(actions.GoalEvent(uuid, "result", sequence(Part.RESULT), GoalStatus.EXECUTING))
     assert ended(cell)[0] == ANSWER_FATE_UNKNOWN
 
 
