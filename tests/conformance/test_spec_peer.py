@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from rosplc.shm import Description, Direction, Namespace, OwnedChannel, attach
+from rosplc.shm import Attached, Description, Direction, Namespace, OwnedChannel, attach
 from rosplc.shm.constants import WRITER_LINE
 from tests.conformance.test_regions import HOSTILE, TOPIC, VALID, place
 
@@ -78,9 +78,12 @@ def test_peer_reads_what_the_product_writes(programs: Path, channel: OwnedChanne
         with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as reader:
             while not any(line.claim for line in attached.snapshot().readers):
                 assert reader.poll() is None
+            taken = 0
             for number in range(1, MESSAGES + 1):
                 writer.publish(record(number))
-            while attached.snapshot().writer.head != max(line.taken for line in attached.snapshot().readers):
+                while number % 100 == 0 and taken == (taken := newest_taken(attached)):  # it has had a turn
+                    assert reader.poll() is None
+            while attached.snapshot().writer.head != newest_taken(attached):
                 assert reader.poll() is None
             reader.terminate()
             output, errors = reader.communicate(timeout=100)
@@ -91,6 +94,10 @@ def test_peer_reads_what_the_product_writes(programs: Path, channel: OwnedChanne
         assert "miscounted" not in errors
         assert messages > 100
         assert messages + lost == MESSAGES or (start == 0 and messages + lost < MESSAGES)
+
+
+def newest_taken(attached: Attached) -> int:
+    return max(line.taken for line in attached.snapshot().readers)
 
 
 def test_peer_reads_every_vector(programs: Path, tmp_path: Path) -> None:

@@ -258,7 +258,7 @@ def over_dds(patch: pytest.MonkeyPatch, folder: Path) -> None:
     patch.setattr(graph, "MOST_PARTICIPANTS", 3)
     patch.setattr(graph, "ddspy_take", lambda *_: samples)
     announcer = graph.Announcer.__new__(graph.Announcer)
-    announcer.__dict__.update(reader=0, _size=16, _guid=b"", _lock=threading.Lock(), _others={}, _names={})
+    announcer.__dict__.update(reader=0, _size=16, _guid=b"", _lock=threading.RLock(), _others={}, _names={})
     announcer.take()
     assert len(announcer._others) == 3
 
@@ -319,7 +319,7 @@ def over_ros1(patch: pytest.MonkeyPatch, folder: Path) -> None:
 
     patch.setattr(slave, "MOST_CALLERS", 2)
     patch.setattr(slave, "MOST_GREETINGS", 2)
-    patch.setattr(slave, "_TIMEOUT_S", 600.0)  # nothing but the limit closes a connection
+    patch.setattr(slave, "TIMEOUT_S", 600.0)  # nothing but the limit closes a connection
     servers = slave.Servers(Address("http://127.0.0.1:1", "127.0.0.1", "127.0.0.1"), Nobody())
     try:
         port = int(servers.uri.rstrip("/").rpartition(":")[2])
