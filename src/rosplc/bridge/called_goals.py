@@ -61,6 +61,7 @@ class _Goal:
     accepted: bool = False  # whether it is known that the goal was accepted
     said: int = 0  # what the server has said of canceling it: one of the bits of an answer, or 0
     cancel: bool = False  # it is to be canceled, and the server has not been asked, or did not answer
+    asked: bool = False  # the server was last asked to cancel it when it was accepted
     lost: bool = False  # status and result are to be asked for
     unknown_ns: int = 0  # since when the server does not know it; 0: it was not asked, or does
     due_ns: int = 0
@@ -158,6 +159,7 @@ class CalledGoals(Asked):
                     goal.lost = False
                 if goal.cancel and goal.decided:
                     client.cancel(goal.uuid)
+                    goal.asked = goal.accepted
                     goal.cancel = not goal.accepted  # or the server may not know it yet
                     if goal.cancel:
                         goal.wait(now_ns)
@@ -208,7 +210,7 @@ class CalledGoals(Asked):
                 goal.wait(now_ns)
 
     def _canceling(self, goal: _Goal, agreed: bool, reply: Reply, now_ns: int) -> None:
-        if not agreed and (reply.payload is None or not goal.accepted):
+        if not agreed and (reply.payload is None or not goal.asked):
             goal.cancel = True
             goal.wait(now_ns)
         elif goal.number != self._open_call:

@@ -633,6 +633,21 @@ def test_an_answer_that_is_older_than_the_status(make: Make) -> None:
     assert plc.results[-1] == [7]
 
 
+def test_a_refusal_that_is_older_than_the_status(make: Make) -> None:
+    """The server did not know the goal that it was to cancel, and is heard behind the status."""
+    cell = make()
+    server, plc, uuid = asked(cell)
+    cell.kill()
+    assert plc.withdraw()
+    cell.bridge()
+    assert ended(cell) == (ANSWER_FATE_UNKNOWN, Reason.CALLER_GONE)
+    unknown = Reply(actions.wire.pack_canceling(actions.CancelCode.UNKNOWN_GOAL_ID, []))
+    cell.use.tell(actions.GoalEvent(uuid, "status", status=GoalStatus.EXECUTING))
+    cell.use.tell(actions.GoalEvent(uuid, "not canceled", reply=unknown))
+    server.begin(uuid)
+    cell.until(lambda: server.cancels, "the request to cancel")
+
+
 def test_a_goal_that_never_appears_is_forgotten(make: Make) -> None:
     cell = make()
     asked(cell)
