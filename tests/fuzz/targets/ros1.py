@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 import xmlrpc.client
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from types import SimpleNamespace
 from typing import Any, cast
 from xml.parsers.expat import ExpatError
@@ -14,6 +14,7 @@ from rosplc.errors import BackendError, MessageTypeError
 from rosplc.model import TypeStore
 from rosplc.ros.rospy import inbound, slave, wire
 from rosplc.ros.rospy.handshake import (
+    Definition,
     HandshakeError,
     encode_header,
     mismatch,
@@ -87,6 +88,7 @@ def _answer(data: bytes) -> None:
         master._server = cast(Any, _Answer(values[0]))
         asks: tuple[Callable[[], Any], ...] = (
             master.state,
+            lambda: _publishers(master),
             lambda: master.service_place("/s"),
             lambda: master.node_uri("/m"),
             lambda: master.setting("/use_sim_time"),
@@ -108,6 +110,14 @@ def _answer(data: bytes) -> None:
         assert isinstance(code, int)
         assert len(text) < 1000
         xmlrpc.client.dumps(((code, text, value),), methodresponse=True)
+
+
+def _publishers(master: Master) -> None:
+    node = SimpleNamespace(turn=nullcontext(), uri="http://n:1")
+    definition = Definition("std_msgs/msg/String", "992ce8a1687cec8c8bd883ec73ca41d1", "string data\n")
+    incoming = inbound.Incoming(node, "/t", definition)
+    incoming.register(master)
+    assert all(isinstance(uri, str) for uri in incoming.publishers)
 
 
 def _request(value: Any) -> None:
@@ -203,6 +213,7 @@ def seeds() -> Iterator[bytes]:
         [1, "", [["/t", "std_msgs/String"]]],
         [1, "", ["TCPROS", "h", 9]],
         [0, "no", 0],
+        [1, "", ["http://n:1", 3, ["http://m:1"]]],
     ):
         answer = xmlrpc.client.dumps((value,), methodresponse=True).encode()
         yield b"\2" + answer
