@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,6 +15,15 @@ from rosplc.described import description_of
 from rosplc.layout import Layout, Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.recorder import Recorder, RecordingOptions, Result
+from rosplc.recorder.replay import (
+    Player,
+    ReplayOptions,
+    SentCount,
+    Target,
+    wait_for_answers,
+    wait_for_readers,
+)
+from rosplc.recorder.source import Source, SourceTopic
 from rosplc.shm import Direction, Namespace, OwnedChannel, Writer, attach
 from tests.lib.waiting import wait_for
 
@@ -97,6 +107,19 @@ def received(recorder: Recorder) -> int:
 def result_of(recorder: Recorder) -> Result:
     assert recorder.result is not None
     return recorder.result
+
+
+def play(source: Source, target: Target, topics: dict[str, SourceTopic]) -> SentCount:
+    """Play one topic's messages into a target as fast as possible; return what became of them."""
+    stopped = threading.Event()
+    try:
+        assert wait_for_readers(target, 30, stopped.wait) == []
+        Player(source, target, topics, ReplayOptions(speed=0)).play(stopped.wait)
+        wait_for_answers(target, stopped.wait)
+    finally:
+        target.close()
+    [count] = target.counts.values()
+    return count
 
 
 def read_from_the_front(path: Path) -> list[tuple[str, int, bytes]]:

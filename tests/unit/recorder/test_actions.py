@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -25,14 +24,9 @@ from rosplc.model import TypeStore
 from rosplc.reasons import Reason
 from rosplc.recorder import Selection
 from rosplc.recorder.replay import (
-    Player,
     PlcTarget,
-    ReplayOptions,
     RosTarget,
-    Target,
     chosen_topics,
-    wait_for_answers,
-    wait_for_readers,
 )
 from rosplc.recorder.source import open_source
 from rosplc.ros import ActionServer, open_backend
@@ -41,7 +35,7 @@ from rosplc.shm import constants as spec
 from rosplc.virtual_plc import ActionServer as VirtualServer
 from rosplc.virtual_plc import Task
 from tests.lib.waiting import wait_for
-from tests.unit.recorder.making import Feed, received, recording, until
+from tests.unit.recorder.making import Feed, play, received, recording, until
 
 FIBONACCI = "example_interfaces/action/Fibonacci"
 GOAL = bytes(range(1, 17))
@@ -374,18 +368,6 @@ def test_recorded_goals_are_sent_to_ros(shift: Path, renamed: bool) -> None:
         count = play(source, target, chosen)
     assert goals == [3, 5, 4]
     assert (count.sent, count.lost, count.reason) == (2, 1, "the goal was rejected")
-
-
-def play(source: Any, target: Target, topics: dict[str, Any]) -> Any:
-    stopped = threading.Event()
-    try:
-        assert wait_for_readers(target, 30, stopped.wait) == []
-        Player(source, target, topics, ReplayOptions(speed=0)).play(stopped.wait)
-        wait_for_answers(target, stopped.wait)
-    finally:
-        target.close()
-    [count] = target.counts.values()
-    return count
 
 
 def test_recorded_goals_are_sent_to_the_plc(shm_namespace: Namespace, shift: Path, tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -28,11 +27,8 @@ from rosplc.recorder.replay import (
     PlcTarget,
     ReplayOptions,
     RosTarget,
-    SentCount,
-    Target,
     chosen_topics,
     wait_for_answers,
-    wait_for_readers,
 )
 from rosplc.recorder.source import open_source
 from rosplc.ros import SERVICES, open_backend
@@ -40,7 +36,7 @@ from rosplc.shm import SERVICE, Caller, Namespace, OwnedChannel, Part, attach
 from rosplc.shm.constants import ANSWER_DONE, ANSWER_NOT_EXECUTED, ASK_WITHDRAWN
 from rosplc.virtual_plc import ServiceServer, Task
 from tests.lib.waiting import wait_for
-from tests.unit.recorder.making import Feed, received, recording, until
+from tests.unit.recorder.making import Feed, play, received, recording, until
 
 SET_BOOL = "std_srvs/srv/SetBool"
 CALLER = bytes(range(1, 17))
@@ -243,18 +239,6 @@ def calls(path: Path, to_plc: bool = False, **rename: str) -> tuple[Any, dict[st
     named = {"/cell/start": "/other"} if rename else {}
     chosen, _ = chosen_topics(source, Selection((TOPIC,)), named, to_plc=to_plc, services=["/cell/start"])
     return source, chosen
-
-
-def play(source: Any, target: Target, topics: dict[str, Any]) -> SentCount:
-    stopped = threading.Event()
-    try:
-        assert wait_for_readers(target, 30, stopped.wait) == []
-        Player(source, target, topics, ReplayOptions(speed=0)).play(stopped.wait)
-        wait_for_answers(target, stopped.wait)
-    finally:
-        target.close()
-    [count] = target.counts.values()
-    return count
 
 
 @contextmanager
