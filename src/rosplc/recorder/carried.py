@@ -388,7 +388,8 @@ class CarriedAction(CarriedService):
             yield self._event(_CANCEL, info, now_ns, response={"return_code": CancelCode.REJECTED})
         if end is not None:
             yield from self._fed(now_ns)
-        before, goal.status = goal.status, end or (GoalStatus.EXECUTING, GoalStatus.CANCELING)[goal.agreed]
+        going = GoalStatus.CANCELING if goal.agreed else GoalStatus.EXECUTING
+        before, goal.status = goal.status, end or going
         if goal.status is not before:
             content = {"status_list": [{"goal_info": known, "status": goal.status}]}
             yield self._message(_STATUS, info, now_ns, content)

@@ -34,11 +34,12 @@ from rosplc.shm.constants import STAMP_SYSTEM
 
 @dataclass(frozen=True)
 class Selection:
-    """Names or patterns of topics, such as ``/robot1/*``; without ``topics`` all but those of ``exclude``."""
+    """Names or patterns of topics, such as ``/robot1/*``; without ``topics`` all but those of ``exclude``.
 
-    topics: tuple[
-        str, ...
-    ] = ()  # a * also matches slashes; a service's or action's name means all topics of it
+    A * also matches slashes; a service's or action's name means all topics of it.
+    """
+
+    topics: tuple[str, ...] = ()
     exclude: tuple[str, ...] = ()
 
     def __contains__(self, topic: str) -> bool:
