@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import queue
 import time
@@ -20,7 +19,6 @@ from rosplc.errors import ChannelError
 from rosplc.layout import RecordView
 from rosplc.ros import SERVICES, ActionClient, ActionServer, Backend, GoalEvent, GoalStatus, Reply, memory
 
-_domains = itertools.count(1 << 20)
 Goal = Generator[Mapping[str, Any], None, Mapping[str, Any] | None]
 
 
@@ -31,12 +29,8 @@ def _bridged(
     """Give the plan of a service or action, its bridge, and the program's node on the bridge's other side."""
     what = {name: {"type": type_name, "server": "ros" if serves else "plc"}}
     project = resolve(parse_config(json.dumps({"diagnostics": {"enabled": False}, **settings, kind: what})))
-    domain = next(_domains)
-    with (
-        closing(memory.open_backend(project.store, "bind", domain=domain)) as side,
-        closing(memory.open_backend(project.store, "program", domain=domain)) as program,
-        Bridge(project, side) as bridge,
-    ):
+    side, program = memory.open_apart(project.store, "bind", "program")
+    with closing(side), closing(program), Bridge(project, side) as bridge:
         yield project.calls[0], bridge, program
 
 

@@ -5,7 +5,6 @@ Answers, feedback and results are not compared.
 
 from __future__ import annotations
 
-import itertools
 import secrets
 import stat
 from abc import ABC, abstractmethod
@@ -52,7 +51,6 @@ from rosplc.shm.calls import WORDS
 _LOOK_S = 0.05
 _ANSWER_NS = 10_000_000_000
 _ASKED = {"service": "requests", "action": "goals"}
-_domains = itertools.count(1 << 21)
 _TICK_NS = 1_000_000
 
 
@@ -491,10 +489,7 @@ class Goals:
         self.accepted: set[bytes] = set()
         self._waiting: dict[bytes, OnReply] = {}
         self._part: PlcPart | None = None
-        self._nodes: list[Backend] = []
-        domain = next(_domains)
-        for name in ("bridge", "replay") if backend is None else ():
-            self._nodes.append(memory.open_backend(store, name, domain=domain))
+        self._nodes = memory.open_apart(store, "bridge", "replay") if backend is None else []
         try:
             if backend is None:
                 backend = self._nodes[1]
@@ -546,7 +541,7 @@ class PlcService(PlcPart):
     def __init__(self, plan: ServicePlan, context: Context) -> None:
         self._waiting: dict[bytes, OnReply] = {}
         self._status = EndpointStatus(plan.service, plan.type_name, "in", matched=1)
-        # A response of the configuration's own says nothing of the PLC.
+        # A fallback response tells nothing of the PLC.
         super().__init__(replace(plan, fallback=None), context, cast("Backend", self))
 
     def call(self, payload: bytes, on_reply: OnReply) -> None:

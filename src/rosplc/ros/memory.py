@@ -8,12 +8,14 @@ at no more of a payload than its header. A request goes to every server, and the
 
 from __future__ import annotations
 
+import itertools
 import logging
 import struct
 import threading
 from collections import deque
 from typing import Any
 
+from rosplc.model import TypeStore
 from rosplc.ros import _base
 from rosplc.ros._base import (
     BaseClient,
@@ -29,6 +31,7 @@ from rosplc.ros._base import (
 from rosplc.ros.backend import EndpointInfo, GraphInfo, Qos, Reply
 
 _domains: dict[int, list[MemoryBackend]] = {}
+_unnamed = itertools.count(1 << 20)  # domains that no configuration has
 _graph = threading.RLock()  # guards _domains and every list of endpoints: one small graph, one lock
 
 
@@ -218,3 +221,9 @@ class MemoryBackend(BaseNode):
 
 # Connect to the graph of this process; arguments, without options, as `rosplc.ros.open_backend`.
 open_backend = _base.opener(MemoryBackend)
+
+
+def open_apart(store: TypeStore, *names: str) -> list[MemoryBackend]:
+    """Connect nodes of these names to a graph of their own."""
+    domain = next(_unnamed)
+    return [open_backend(store, name, domain=domain) for name in names]
