@@ -25,12 +25,15 @@ class Endpoint(BaseEndpoint):
         self.guid: bytes = entity.guid.bytes
         self.guids = {self.guid: self.direction == "in"}  # of its entities → whether it is a reader
         self.condition = 0  # set by the backend when the receive thread watches the reader
-        self.dds_topic = dds_topic(self.topic)
+        self.dds_topic, self._received_topic = self._names()
         self.ref: int = entity._ref
         self.reader_ref = self.ref
         self._entity = entity
-        self._received_topic = self.dds_topic
         self._unfit_before = library_log().dropped(self._received_topic)
+
+    def _names(self) -> tuple[str, str]:
+        """Return the topics of DDS: that of ``entity``, and the one whose messages are received."""
+        return (dds_topic(self.topic),) * 2
 
     def _matched(self) -> int:
         return native.matched_count(self.ref, self.direction)

@@ -28,7 +28,6 @@ from rosplc.ros.backend import Reply
 from rosplc.ros.dds import native
 from rosplc.ros.dds.endpoint import Endpoint
 from rosplc.ros.dds.idl import service_topics
-from rosplc.ros.dds.log import library_log
 from rosplc.ros.dds.peers import Peer
 
 _ENCAPSULATION, _HEADER = 4, 16  # Bytes.
@@ -63,9 +62,10 @@ class _Service(Endpoint):
         self._hash_of_response = response_hash
         self.reader_ref, self._writer_ref = reader._ref, writer._ref
         self.guids = {reader.guid.bytes: True, writer.guid.bytes: False}
-        self.dds_topic, self.reply_topic = service_topics(self.topic)
-        self._received_topic = self.reply_topic if asks else self.dds_topic
-        self._unfit_before = library_log().dropped(self._received_topic)  # of the other topic, for a client
+
+    def _names(self) -> tuple[str, str]:
+        request, self.reply_topic = service_topics(self.topic)
+        return request, self.reply_topic if self.direction == "out" else request
 
     def entities(self) -> tuple[Any, ...]:
         """Return what is deleted at the end, the request's endpoint first."""
