@@ -273,7 +273,7 @@ class ServedGoals(Calling):
             self._count("succeeded", Reason.NONE, now_ns)
         elif answer == spec.ANSWER_CANCELED and server.canceled(goal.uuid, payload):
             self._count("canceled", Reason.NONE, now_ns)
-        else:  # a goal that nobody asked to cancel cannot be canceled in ROS
+        else:  # a goal without a request to cancel it cannot be canceled in ROS
             server.abort(goal.uuid, payload)
             self._count("aborted", Reason.NONE, now_ns)
 

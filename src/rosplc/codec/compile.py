@@ -349,7 +349,7 @@ class Codec:
         """Return the message of a record, little-endian.
 
         CDR comes with its 4-byte encapsulation header and is padded to a multiple of 4 bytes, as
-        DDS wants it. Whatever the record holds gives a message: counts above a capacity read as
+        DDS wants it. Every record gives a message: counts above a capacity read as
         the capacity, a string without NUL has its full capacity, every bool but 0 is 1.
 
         Raises CodecError: COD009 if ``record`` is not exactly a record long.

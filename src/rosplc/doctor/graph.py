@@ -126,7 +126,7 @@ def _problem(end: EndpointInfo, plan: TopicPlan, ours: str, *, over_zenoh: bool)
     who = f"node {end.node}" if end.node else "a node without a name"
     does = f"{who} {verb} {end.topic} as {end.type_name}"
     if end.type_name == _ANY:
-        return found("DOC518", f"{who} {verb} {end.topic}, and nobody has told its type")
+        return found("DOC518", f"{who} {verb} {end.topic}, whose type is unknown")
     if end.type_name != plan.type_name:
         remedy = f"Write `type: {end.type_name}` for {plan.topic}, or correct the node."
         return found("DOC512", f"{does}, here it is {plan.type_name} [ROS003]", remedy)

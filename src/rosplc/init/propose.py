@@ -1,7 +1,7 @@
-"""From what was found to what is carried and what a configuration says: direction, limits, QoS, times.
+"""From what was found to what is carried and configured: direction, limits, QoS, times.
 
 Every proposal comes with its reason, and every number that was chosen has its rule at the top here:
-the file says both, so that whoever answers for the machine can judge and correct them.
+the file has both, so that the integrator can judge and correct them.
 """
 
 from __future__ import annotations
@@ -260,7 +260,7 @@ class Chosen:
 
 
 def parse_wish(text: str, to: To | None = None) -> Wish:
-    """Return the wish that ``/topic``, ``/robot1/*`` or ``/topic=package/Type`` stands for.
+    """Return the wish that ``/topic``, ``/robot1/*`` or ``/topic=package/Type`` means.
 
     Raises ValueError with a text of what would be right.
     """
@@ -338,7 +338,7 @@ def _type(topic: Topic, wish: Wish) -> str:
     if wish.type_name:
         return wish.type_name
     if not topic.types:
-        raise ValueError(f"nobody has told its type; write {topic.name}=PACKAGE/TYPE")
+        raise ValueError(f"its type is unknown; write {topic.name}=PACKAGE/TYPE")
     if len(topic.types) > 1:
         types = ", ".join(topic.types)
         raise ValueError(f"it has several types ({types}); write {topic.name}=PACKAGE/TYPE with one")

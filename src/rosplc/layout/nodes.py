@@ -189,7 +189,7 @@ def _what(node: Node) -> str:
 
 
 def _by_path(text: str) -> dict[str, str]:
-    """Return what stands at each path, without the offsets that follow from it."""
+    """Return each path's line, without the offsets that follow from it."""
     lines = text.splitlines()
     found = {"type": lines[1].split(" ", 1)[0]} if len(lines) > 1 else {}
     for line in lines[2:]:

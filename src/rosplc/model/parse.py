@@ -51,11 +51,11 @@ _ESCAPES = {"n": "\n", "t": "\t", "r": "\r", "\\": "\\", '"': '"', "'": "'"}
 
 
 class LiteralError(ValueError):
-    """A literal does not fit its type; the text says why, without the place."""
+    """A literal does not fit its type; the text gives the reason, without the place."""
 
 
 def strip_comment(text: str) -> str:
-    """Return ``text`` up to a ``#`` that stands outside quotes, stripped."""
+    """Return ``text`` up to a ``#`` outside quotes, stripped."""
     position = 0
     while position < len(text):
         if text[position] == "#":

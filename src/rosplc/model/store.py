@@ -48,8 +48,8 @@ class TypeStore:
     found as any message is; their text is parsed when one is first asked for.
 
     Attributes:
-        distro: The ROS distribution whose definitions it starts from, or what a
-            self-description says; empty if unknown.
+        distro: The ROS distribution whose definitions it starts from, or a
+            self-description's; empty if unknown.
         ros_version: 1 or 2.
     """
 
@@ -82,7 +82,7 @@ class TypeStore:
         """Rebuild a type from a self-description's text, which is not trusted.
 
         The text defines it first, then every type it needs (spec/type-mapping.md, section 6). ``distro`` is
-        what the self-description says; only ``noetic`` means ROS 1. Raises MessageTypeError: TYP001 a needed
+        the self-description's; only ``noetic`` means ROS 1. Raises MessageTypeError: TYP001 a needed
         type is missing, TYP002 syntax, TYP003, TYP004, TYP005, TYP007 limits.
         """
         return cls(distro, {}).with_definition(type_name, text)

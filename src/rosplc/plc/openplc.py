@@ -24,7 +24,7 @@ from rosplc.plc.project import Dut
 from rosplc.plc.types import DutBuilder
 
 _CHANGED = re.compile(r"\[.*|(ULINT#|-)?\d{16,}( .*)?")  # STruC++ keeps numbers as floating-point ones
-_ARRAY_STRING = 254  # characters that STruC++ keeps of each string in an array, whatever is declared
+_ARRAY_STRING = 254  # characters that STruC++ keeps of each string in an array despite its declared length
 
 
 def openplc_files(project: Project) -> tuple[dict[str, bytes], tuple[str, ...]]:

@@ -450,7 +450,7 @@ def _codec(store: TypeStore, type_name: str, parts: Mapping[str, Layout], **limi
 
 
 def channel_info(carried: Carried, stream: Stream, number: int, prefix: str, qos: Qos | None) -> ChannelInfo:
-    """Return how a file names a stream; ``qos`` None where no configuration says it."""
+    """Return how a file names a stream; ``qos`` None where it is not configured."""
     description, layout = carried.description, stream.codec.layout
     definition = layout.store.definition_text(layout.type_name)
     metadata = {

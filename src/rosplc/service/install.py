@@ -138,7 +138,7 @@ WatchdogSec=30
 TimeoutStartSec=90
 TimeoutStopSec=20
 
-# The objects stay when the bridge stops: the PLC keeps its last values, and the next start goes on with them.
+# The objects stay when the bridge stops: the PLC keeps its last values, and the next start uses them again.
 # So no DynamicUser=, which would remove them.
 RemoveIPC=no
 ReadWritePaths=/dev/shm

@@ -135,7 +135,7 @@ class Entry(enum.Enum):
     ENTERED = enum.auto()
     BUSY = enum.auto()
     RECOVERED = enum.auto()
-    """It was held by nobody alive and is free now; what it guarded may be half written."""
+    """Its holder is no longer alive, and it is free now; what it guarded may be half written."""
 
 
 class ClassicLock:
@@ -168,16 +168,16 @@ class ClassicLock:
         return self._semaphore.value
 
     def enter(self, now_ns: int, *, alive: bool = False) -> Entry:
-        """Try to take the lock; ``alive`` says that the holder showed life since the last attempt."""
+        """Try to take the lock; ``alive``: its holder showed life since the last attempt."""
         if not self._semaphore.enter():
             return self._taken(now_ns, alive)
         self.held_since_ns = None
         extra = 0
-        # Nobody but this process should be able to enter now.
+        # No other process should be able to enter now.
         while extra < _MOST_EXTRA and self._semaphore.value > 0 and self._semaphore.enter():
             extra += 1
         if extra:
-            # Whoever else got in is perhaps still there; this attempt has no lock to speak of.
+            # Another holder is perhaps still active; this attempt has no lock to speak of.
             self.mended += 1
             self.doubtful = True
             self.leave()
@@ -237,7 +237,7 @@ class ClassicLock:
             except OSError as error:
                 raise channel_error(123, error.strerror or "", self.path) from error
             if not stat.S_ISREG(found.st_mode):
-                # A pipe would stop whoever looks into it; the C library refuses links alone.
+                # A pipe would block its reader; the C library refuses links alone.
                 raise channel_error(121, where=self.path)
             if found.st_size != SEMAPHORE_SIZE:
                 raise _other_kind(self.path, found.st_size)
@@ -268,7 +268,7 @@ class ClassicLock:
         try:
             fd = open_plain_file(self.path, os.O_RDONLY)
         except ChannelError:
-            return  # gone, or not readable: opening it says so
+            return  # gone, or not readable: opening it reports that
         try:
             content = os.pread(fd, SEMAPHORE_SIZE + 1, 0)
         finally:
@@ -291,7 +291,7 @@ class ClassicLock:
         try:
             fd = open_plain_file(self.path, os.O_RDWR)
         except ChannelError:
-            return  # replaced at this moment: the other side's is as good, or opening it says why not
+            return  # replaced at this moment: the other side's is as good, or opening it reports why not
         try:
             if os.fstat(fd).st_uid == os.geteuid():
                 rights.give(fd, self.path)

@@ -19,10 +19,10 @@ from rosplc.shm.constants import HEADER_SIZE
 from rosplc.shm.header import channel_error
 
 _NO_PLAIN_FILE = {
-    # What the kernel says of these ("too many levels of symbolic links") is about something else.
-    errno.ELOOP: "a symbolic link stands at this name",
-    errno.EISDIR: "a directory stands at this name",
-    errno.ENXIO: "a socket or pipe stands at this name",
+    # The kernel's text for these ("too many levels of symbolic links") is about something else.
+    errno.ELOOP: "a symbolic link has this name",
+    errno.EISDIR: "a directory has this name",
+    errno.ENXIO: "a socket or pipe has this name",
 }
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.ENOMEM)
 _ATTEMPTS = 16
@@ -70,8 +70,8 @@ def open_plain_file(path: Path, flags: int, *, denied: int = 102, mode: int = 0o
 def refuse_second_name(fd: int, path: Path) -> None:
     """Refuse (SHM121) a file that has other names too, before anything of it is changed.
 
-    Whoever may create names in the directory can give another file, which they may not write, the name
-    of an object (where fs.protected_hardlinks is off). Objects and lock files have one name each.
+    A user who may create names in the directory can give another file, which they may not write, the
+    name of an object (where fs.protected_hardlinks is off). Objects and lock files have one name each.
     """
     count = os.fstat(fd).st_nlink
     if count > 1:
@@ -212,7 +212,7 @@ class NameLock:
                 os.close(fd)
                 raise
             self._fd = fd
-            # Whoever removed the file between open and flock left us with a lock on nothing.
+            # If the file was removed between open and flock, this is a lock on nothing.
             if self.still_there():
                 break
             self.release()
@@ -236,7 +236,7 @@ class NameLock:
         return os.fstat(self._fd).st_size > 0
 
     def remember_object(self, there: bool) -> None:
-        """Note that an object of this bridge stands at the name, or that it was retired."""
+        """Note that an object of this bridge has the name, or that it was retired."""
         # A size without content takes no page of a directory that may be full.
         os.ftruncate(self._fd, 1 if there else 0)
 
@@ -273,13 +273,13 @@ class NameLock:
             self._fd = -1
 
     def __del__(self) -> None:
-        # A descriptor is a plain number: one that nobody closes keeps the name until the process ends.
+        # A descriptor is a plain number: one that is not closed keeps the name until the process ends.
         self.release()
 
 
 def _open_or_create(path: Path) -> int:
     # Never O_CREAT on what exists: with fs.protected_regular the kernel refuses that for another user's
-    # file in a directory like /dev/shm, to root too, and says no more than "permission denied".
+    # file in a directory like /dev/shm, to root too, with no more than "permission denied".
     while True:
         for flags in (0, os.O_CREAT | os.O_EXCL):
             try:

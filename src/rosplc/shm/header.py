@@ -199,7 +199,7 @@ _WORDS = LINE_SIZE // 4
 
 @dataclass(frozen=True)
 class WriterState:
-    """The writer's line (section 3); ``epoch`` 0 means that nobody writes."""
+    """The writer's line (section 3); ``epoch`` 0 means that there is no writer."""
 
     head: int
     epoch: int

@@ -190,7 +190,7 @@ class Description:
         return self.part.kind
 
     def plan(self, record_size: int, slots: int = MIN_SLOTS, **made_by: Any) -> Identity:
-        """Return the identity of an object that describes itself so; ``made_by`` says who made it, and when.
+        """Return the identity of an object that describes itself so; ``made_by``: who made it, and when.
 
         Raises ValueError as :meth:`Identity.plan`.
         """

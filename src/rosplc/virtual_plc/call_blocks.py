@@ -121,7 +121,7 @@ class _Out(WriteBlock):
         return attached, writer
 
     def publish(self, message: Any, **words: Any) -> None:
-        """Send a message, None for an initial one; ``words`` are what its slot says of the call.
+        """Send a message, None for an initial one; ``words`` describe the call in its slot.
 
         Raises ChannelError: Not sent.
         """
@@ -714,7 +714,7 @@ class ActionClient(_Caller):
                 self.xCancelRejected = False
 
     def _send(self, **words: Any) -> None:
-        """Send the goal with its UUID, which follows from what the slot says."""
+        """Send the goal with its UUID, which follows from words of its slot."""
         number = words["correlation"]
         assert self._object is not None
         uuid = self._object[0].region.generation, number >> 32, number & 0xFFFFFFFF, spec.GOAL_ID_END

@@ -35,7 +35,7 @@ def test_everything_leaves_out_what_is_of_ros_itself_or_cannot_be_carried() -> N
     assert found == {"/cmd_vel": (TWIST, "ros"), "/mode": (STRING, "plc"), "/robot1/pose": (TWIST, "plc")}
     assert set(left_out) == {"/odd", "/untold", "/bad-name", "/bad_type"}
     assert "several types" in left_out["/odd"]
-    assert "nobody has told its type" in left_out["/untold"]
+    assert "its type is unknown" in left_out["/untold"]
 
 
 def test_a_pattern_takes_what_matches_and_a_name_what_it_names() -> None:

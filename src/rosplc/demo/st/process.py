@@ -79,7 +79,7 @@ END_WHILE;"""
         )
     gvl = ["// What came in this scan.", "{attribute 'qualified_only'}", "VAR_GLOBAL", *inbox, "END_VAR"]
     program = [
-        "// Keeps every message of the scan for whoever counts and checks them.",
+        "// Keeps every message of the scan to be counted and checked.",
         f"PROGRAM {RECORDER}",
         "VAR",
         "    xMore : BOOL;",

@@ -311,7 +311,7 @@ static int take(rosplc_plc_reader *r)
     uint32_t epoch;
     int show;
     if (r->show && rosplc_load(&c->region.header->writer.head) != r->reader.last)
-        r->show = 0; /* a new message has come: it says more than the state before */
+        r->show = 0; /* a new message has come, with more than the state before */
     show = r->show;
     t = rosplc_take_start(show ? ROSPLC_TAKE_PEEK : r->in_order ? ROSPLC_TAKE_NEXT : ROSPLC_TAKE_NEWEST);
     if (!rosplc_take_record(&r->reader, &t, r->record))

@@ -47,7 +47,7 @@ template <size_t Most> void put(uint8_t *to, const IECStringVar<Most> &from, siz
     std::memset(to + length, 0, capacity + 1 - length);
 }
 
-// TIME() stands still in all but the fastest task of OpenPLC 4.1.4.
+// TIME() does not advance in all but the fastest task of OpenPLC 4.1.4.
 uint32_t now_ms()
 {
     timespec now;
