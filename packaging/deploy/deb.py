@@ -29,6 +29,8 @@ __all__ = [
 
 EXTRAS = ("zenoh", "views")
 """What the package has beside the base: the way into ROS that every architecture has, and the views."""
+SHARED = ("python3-numpy",)
+"""Debian's packages in place of PyPI's, whose wheel brings a library of linear algebra of its own."""
 _PYTHON = Path("/usr/bin/python3")
 _HOME = Path("opt/rosplc")
 _SCRIPTS = ROOT / "packaging" / "debian"
@@ -38,8 +40,7 @@ _PAGES = ("README.md", "docs/**/*.md", "spec/*.md")
 _UNUSED = (
     # What programs are built or checked with, and what tests the packages themselves.
     *(f"**/*.{suffix}" for suffix in ("a", "c", "h", "pc", "pxd", "pyi", "pyx")),
-    "**/tests/**/*", "numpy/f2py/**/*", "numpy/distutils/**/*", "numpy/_core/*_tests.*.so",
-    "numpy/_core/_simd.*.so",
+    "**/tests/**/*", "*.dist-info/sboms/*",
     # Programs, and second copies: cyclonedds loads what is in cyclonedds.libs, CPython zstandard's backend_c.
     "apsw/sqlite_extra_binaries/*", "cyclonedds/.libs/*", "cyclonedds/tools/**/*", "zstandard/_cffi.*.so",
 )  # fmt: skip
@@ -56,7 +57,7 @@ class Target:
         architecture: As Debian names it: amd64, arm64, armhf.
         python: Minor version of Python 3 there.
         libc: Version of the C library there.
-        packages: Debian packages that take the place of Python packages which have no wheel there.
+        packages: Debian packages that take the place of Python packages.
         strip: The program that takes symbols out of libraries.
     """
 
@@ -78,7 +79,7 @@ class Target:
         minor = int(run([_PYTHON, "-c", "import sys; print(sys.version_info[1])"]))
         architecture = run(["dpkg", "--print-architecture"]).strip()
         libc = (os.confstr("CS_GNU_LIBC_VERSION") or "glibc 2.36").split()[-1]
-        return cls(architecture, minor, libc)
+        return cls(architecture, minor, libc, SHARED)
 
     def depends(self) -> str:
         """Return the package's ``Depends``."""
@@ -118,8 +119,12 @@ def install_into(stage: Path, wheel: Path, extras: Sequence[str] = EXTRAS, *, al
     run([*command, "--no-compile", "--only-binary=:all:", *options, what])
 
 
-def _slim(packages: Path, strip: str) -> None:
-    """Leave out of site-packages what nothing loads at run time, and symbols of libraries."""
+def _slim(packages: Path, target: Target) -> None:
+    """Leave out of site-packages what Debian has or nothing loads at run time, and symbols of libraries."""
+    for name in (package.removeprefix("python3-") for package in target.packages):
+        for kind in ("", ".libs", "-*.dist-info"):
+            for path in packages.glob(name + kind):
+                shutil.rmtree(path)
     for path in {path for pattern in _UNUSED for path in packages.glob(pattern)}:
         if path.is_file() and packages / "rosplc" not in path.parents and "licen" not in path.name.lower():
             path.unlink()
@@ -128,7 +133,7 @@ def _slim(packages: Path, strip: str) -> None:
             folder.rmdir()
     for path in packages.rglob("*.so*"):
         stripped = path.with_name("stripped")
-        run([strip, "--strip-unneeded", "-o", stripped, path])
+        run([target.strip, "--strip-unneeded", "-o", stripped, path])
         # strip breaks some libraries that patchelf has rewritten for a wheel; they stay as they are.
         if _loads(stripped.read_bytes()):
             stripped.replace(path)
@@ -157,8 +162,10 @@ def _settle(stage: Path) -> None:
         elif path.is_file() and not path.is_symlink():
             path.write_bytes(path.read_bytes().replace(str(stage).encode(), b""))
     settings = home / "pyvenv.cfg"
-    lines = settings.read_text(encoding="utf-8").splitlines(keepends=True)
-    settings.write_text("".join(line for line in lines if not line.startswith("command")), encoding="utf-8")
+    text = re.sub(r"(?m)^command.*\n", "", settings.read_text(encoding="utf-8"))
+    # For what Debian brings. Not before: pip would leave out everything that this machine has of Debian's.
+    text = re.sub(r"(?m)^(include-system-site-packages = ).*", r"\1true", text)
+    settings.write_text(text, encoding="utf-8")
     for path in home.rglob("direct_url.json"):  # where the wheel was installed from
         path.unlink()
     # Compiled now, as the service may not write there; each file with the name that it will have.
@@ -178,7 +185,7 @@ def pack(stage: Path, folder: Path, version: str, target: Target) -> Path:
         target: What the package is for.
     """
     (packages,) = (stage / _HOME).glob("lib/python3*/site-packages")
-    _slim(packages, target.strip)
+    _slim(packages, target)
     _settle(stage)
     (stage / "usr/bin").mkdir(parents=True, exist_ok=True)
     link = stage / "usr/bin/rosplc"

@@ -9,6 +9,7 @@ import sys
 import sysconfig
 from collections.abc import Callable, Iterator, Mapping
 from importlib.metadata import PackageNotFoundError, distribution, requires, version
+from importlib.util import find_spec
 from pathlib import Path
 from urllib.parse import unquote, urlparse
 
@@ -102,15 +103,17 @@ def pip_here(text: str) -> str:
     """Return a text whose ``pip install`` and ``'rosplc[EXTRA]'`` are what works where rosplc is installed.
 
     That is the pip of a virtual environment, ``pipx inject`` in one that pipx made, a new virtual environment
-    where the system manages Python (PEP 668), and the checkout's path for an editable installation.
+    where the system manages Python (PEP 668) or the environment has no pip, as the Debian package's, and the
+    checkout's path for an editable installation.
     """
     python, prefix = shlex.quote(sys.executable), Path(sys.prefix)
     pip = prefix / "bin" / "pip"
+    managed = Path(sysconfig.get_path("stdlib"), "EXTERNALLY-MANAGED").exists()
     command = f"{shlex.quote(str(pip)) if pip.exists() else f'{python} -m pip'} install"
     if (prefix / "pipx_metadata.json").exists():
         command = f"pipx inject {shlex.quote(prefix.name)}"
         text = re.sub(r"'rosplc\[(\w+)\]'", lambda found: _brought_by(found[1]), text)
-    elif sys.prefix == sys.base_prefix and Path(sysconfig.get_path("stdlib"), "EXTERNALLY-MANAGED").exists():
+    elif (sys.prefix == sys.base_prefix and managed) or find_spec("pip") is None:
         command = f"{python} -m venv ~/rosplc-env && ~/rosplc-env/bin/pip install"
         command += "" if "'rosplc[" in text else " rosplc"
     text = re.sub(r"(?<![\w/-])pip install", lambda _: command, text)

@@ -481,3 +481,7 @@ def test_remedies_fit_the_environment(monkeypatch, tmp_path):
     new = "/usr/bin/python3 -m venv ~/rosplc-env && ~/rosplc-env/bin/pip install"
     assert packages.pip_here(views) == f"{new} 'rosplc[views]'"
     assert packages.pip_here(other) == f"{new} rosplc 'cyclonedds>=11,<12' (x86-64)"
+    monkeypatch.setattr("sys.prefix", "/opt/rosplc")
+    assert " -m venv " not in packages.pip_here(views)
+    monkeypatch.setattr(packages, "find_spec", lambda name: None)
+    assert packages.pip_here(views) == f"{new} 'rosplc[views]'"
