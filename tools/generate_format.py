@@ -24,7 +24,7 @@ HEADER = ROOT / "src/rosplc/include/rosplc/numbers.h"
 MODULE = ROOT / "src/rosplc/shm/constants.py"
 REASONS = ROOT / "src/rosplc/reasons.py"
 TABLE: dict[str, Any] = tomllib.loads((ROOT / "spec/format.toml").read_text(encoding="utf-8"))
-SIZES = {"identity": 128, "writer_line": 64, "reader_line": 64, "slot_header": 64}
+SIZES = {"identity": 128, "writer_line": 64, "reader_line": 64, "slot_header": 64, "goal_note": 32}
 
 
 class Word(NamedTuple):

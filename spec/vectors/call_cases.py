@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
 from collections.abc import Iterator
 from typing import Any
 
@@ -32,7 +34,9 @@ def _image(part: str, server: str, client: str = "", changed: dict[str, Any] | N
         "layout_id": IDS[part],
         **(changed or {}),
     }
-    image = Image(direction=1 if to_plc else 2, description=members)
+    notes = 2112 if to_plc and part == "goal" else 0
+    members |= {"notes": notes} if notes else {}
+    image = Image(direction=1 if to_plc else 2, description=members, behind=notes)
     image.data[64:72] = bytes.fromhex(IDS[part])
     return image.set(kind=KINDS[part])
 
@@ -46,6 +50,31 @@ def _message(image: Image, sequence: int, status: int, *, number: int, reason: i
     )  # fmt: skip
     more = {"status": status, "client": CLIENT.hex(), "reason": reason}
     return image.message(sequence) | {"correlation": 0xE0E0 << 32 | number} | more
+
+
+def _note(image: Image, index: int, number: int, uuid: bytes, note: bytes, crc: int = 0) -> None:
+    """Write an entry of the table behind the slots; ``crc`` is added to the right one."""
+    head, name = struct.pack("<II", number, len(note)), bytes(4) + uuid + note
+    entry = head + struct.pack("<I", (zlib.crc32(head + name) + crc) & 0xFFFFFFFF) + name
+    at = len(image.data) - 2112 + index * 1056
+    image.data[at : at + len(entry)] = entry
+
+
+def _noted() -> Iterator[tuple[str, Image, dict[str, Any]]]:
+    """Yield what a bridge has left about its goal (section 11.6)."""
+    text = b"text of more than 16 bytes"
+    for name, about, first, second, wanted in (
+        ("newer", "the entry with the higher number counts", (2, b"old", 0), (3, b"new!!", 0), b"new!!"),
+        ("first", "one entry is empty", (2, text, 0), (0, b"", 0), text),
+        ("torn", "the newer entry was not completed", (4, b"whole", 0), (5, b"torn", 1), b"whole"),
+        ("long", "the newer entry names more than there is", (6, bytes(1025), 0), (5, b"whole", 0), b"whole"),
+    ):  # fmt: skip
+        image = _image("goal", "plc")
+        _message(image, 1, 1, number=7)
+        for index, (number, note, crc) in enumerate((first, second)):
+            if number:
+                _note(image, index, number, CLIENT, note, crc)
+        yield f"notes-{name}", image, _vector("goal", image, about, uuid=CLIENT.hex(), note=wanted.hex())
 
 
 def _vector(part: str, image: Image, about: str, client: str = "", **members: Any) -> dict[str, Any]:
@@ -109,5 +138,6 @@ def cases() -> Iterator[tuple[str, Image, dict[str, Any]]]:
         image = _image("request", "plc", changed={"partners": partners})
         about = "it does not name its partner's layout id: tools refuse the two together"
         yield f"pair-{name}", image, _vector("request", image, about, partner="response-plc", error=112)
+    yield from _noted()
     image = _image("request", "plc")
     yield "pair-right", image, _vector("request", image, "the two belong together", partner="response-plc")

@@ -61,6 +61,7 @@ class Image:
         description: Members of the self-description that differ from the usual ones.
         text: The self-description's bytes, instead.
         gap: Bytes left free between the self-description and the slots.
+        behind: Bytes behind the slots.
     """
 
     def __init__(
@@ -72,6 +73,7 @@ class Image:
         description: dict[str, Any] | None = None,
         text: bytes | None = None,
         gap: int = 0,
+        behind: int = 0,
     ) -> None:
         self.slots, self.record_size, self.direction = slots, record_size, direction
         self.description = {
@@ -90,7 +92,7 @@ class Image:
             text = json.dumps(self.description, ensure_ascii=False).encode()
         self.stride = _up(64 + record_size)
         self.slots_offset = _up(512 + len(text)) + _up(gap)
-        self.data = bytearray(self.slots_offset + slots * self.stride)
+        self.data = bytearray(self.slots_offset + slots * self.stride + behind)
         low, high = struct.unpack("<II", bytes.fromhex(LAYOUT_ID))
         self.set(
             magic=0x434C5052, version=0x10000, header_size=512, state=1, kind=1, direction=direction,

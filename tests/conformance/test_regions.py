@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import pytest
 
 from rosplc.errors import ChannelError
-from rosplc.shm import SERVICE, Attached, Direction, Namespace, Part, Reader, attach
+from rosplc.shm import SERVICE, Attached, Direction, GoalNotes, Namespace, Part, Reader, attach
 from rosplc.shm.attach import belong_together
 from tests.region_reader import Refused, StaticReader, open_object
 
@@ -190,6 +190,21 @@ def test_a_wrong_object_of_a_call_is_refused(name: str, tmp_path: Path) -> None:
     ):
         attached.description  # noqa: B018 - read when it is looked at
     assert caught.value.code == f"SHM{CALLS[name]['error']}"
+
+
+@pytest.mark.parametrize("name", [name for name in CALLS if name.startswith("notes-")])
+def test_what_a_bridge_has_left_about_a_goal(name: str, tmp_path: Path) -> None:
+    """The newest whole entry about the goal counts; what is written next spares it, and is found again."""
+    vector = CALLS[name]
+    uuid, note = bytes.fromhex(vector["uuid"]), bytes.fromhex(vector["note"])
+    with attach(Namespace(directory=tmp_path), TOPIC, write=True, **place_call(name, tmp_path)) as attached:
+        notes = GoalNotes(attached)
+        assert notes.left(uuid) == note
+        assert notes.left(bytes(16)) == b""
+        notes.write(bytes(16), b"another goal's")
+        assert GoalNotes(attached).left(uuid) == note
+        notes.write(uuid, b"x" * 1024)
+        assert GoalNotes(attached).left(uuid) == b"x" * 1024
 
 
 @pytest.mark.parametrize("name", [name for name in CALLS if name.startswith("pair-")])

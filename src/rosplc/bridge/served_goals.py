@@ -19,7 +19,7 @@ from rosplc.config.plans import ActionPlan
 from rosplc.errors import RosplcError
 from rosplc.reasons import Reason
 from rosplc.ros import ActionServer, Backend, GoalStatus, action_classes
-from rosplc.shm import Caller, Part, SlotInfo
+from rosplc.shm import Caller, GoalNotes, Part, SlotInfo
 from rosplc.shm import constants as spec
 from rosplc.shm.attach import Mapped
 from rosplc.shm.calls import WORDS
@@ -49,6 +49,7 @@ class _Goal:
     withdrawn: bool = False  # the PLC was told that nobody waits for its decision
     unwanted: bool = False  # its client has taken it back before the decision
     inherited: bool = False  # it was handed out by an earlier bridge
+    note: bytes = b""  # what the next bridge has to know to adopt it
 
 
 class ServedGoals(Calling):
@@ -60,13 +61,14 @@ class ServedGoals(Calling):
     def __init__(self, plan: ActionPlan, context: Context, on_event: Callable[[Use], None]) -> None:
         super().__init__(plan, context, on_event)
         self._waiting: deque[_Goal] = deque()
+        self._notes: GoalNotes | None = None
         self._open_goal: _Goal | None = None
         self._taken = 0  # the sequence that the PLC's block took last
         self._refused = 0  # goals that the endpoint had no room for, as far as they are counted
         self._tick_ns = 0
 
     def _connect(self, backend: Backend) -> ActionServer:
-        plan, store = self.plan, self.plan.goal.store
+        plan, store, goal = self.plan, self.plan.goal.store, self._open_goal
         server, _ = action_classes(store)
         return server(
             backend,
@@ -77,7 +79,7 @@ class ServedGoals(Calling):
             on_cancel=partial(self.tell, "cancel"),
             keep_result_ns=plan.keep_result_ns,
             # Not later: a client that asks for the result would be told that the goal is not known.
-            executing=[(goal.uuid, goal.stamp_ns) for goal in (self._open_goal,) if goal and goal.accepted],
+            executing=[(goal.uuid, goal.stamp_ns, goal.note)] if goal and goal.accepted else [],
             clock=self.context.clock,
         )
 
@@ -101,6 +103,8 @@ class ServedGoals(Calling):
             self._tick_ns = now_ns + _TICK_NS
             server.tick()
         goal = self._open_goal
+        if goal is not None:
+            self._leave_note(goal, server)
         state = server.status(goal.uuid) if goal is not None and goal.accepted else None
         self.goal_status = state.name.lower() if state else "waiting" if goal is not None else ""
         self.due_ns = now_ns + (LOOK_NS if goal is not None or self._waiting else IDLE_NS)
@@ -161,9 +165,18 @@ class ServedGoals(Calling):
         goal, caller = self._waiting[0], self._caller
         assert caller is not None
         goal.stamp_ns = self.context.clock.time_ns()
+        goal.note = b""  # it may have been left in other objects
+        self._leave_note(goal, server)
         goal.number = caller.call(self._sends(goal), client=goal.uuid)
         goal.handed_ns = now_ns
         self._open_goal = self._waiting.popleft()
+
+    def _leave_note(self, goal: _Goal, server: ActionServer) -> None:
+        """Leave the next bridge what it has to know of a goal, if that has changed (M30)."""
+        note = server.note(goal.uuid)
+        if note and note != goal.note and self._notes is not None:
+            self._notes.write(goal.uuid, note)
+            goal.note = note
 
     def _sends(self, goal: _Goal) -> Callable[..., None]:
         """Return what publishes a message of a goal."""
@@ -283,7 +296,7 @@ class ServedGoals(Calling):
         goal.accepted = True
         if goal.inherited:
             server.reject(goal.uuid)  # should its client have sent it again
-            server.adopt(goal.uuid, goal.stamp_ns, GoalStatus.EXECUTING)
+            server.adopt(goal.uuid, goal.stamp_ns, GoalStatus.EXECUTING, goal.note)
             return
         # Accepted while it was being withdrawn: a client that has gone does not know of it.
         goal.cancel = goal.unwanted or not server.present(goal.uuid)
@@ -313,6 +326,7 @@ class ServedGoals(Calling):
         if said is not None and answer_of != spec.ANSWER_ACCEPTED and said.sequence == passed_on:
             return None
         goal = _Goal(info.client, record, info.stamp_ns, info.correlation, self._now())
+        goal.note = GoalNotes(channels[Part.GOAL]).left(goal.uuid)
         goal.inherited, goal.accepted = True, answer_of in _OF_ACCEPTED
         goal.asked = info.status & (spec.ASK_CANCEL | spec.ASK_PREEMPT) or spec.ASK_ACCEPTED
         return goal, info, said
@@ -328,6 +342,7 @@ class ServedGoals(Calling):
     def _claimed(self) -> None:
         caller = Caller(self._channels[Part.GOAL], self._writers[Part.GOAL], follows_claim=True)
         self._caller, goal, now = caller, self._open_goal, self._now()
+        self._notes = GoalNotes(self._channels[Part.GOAL])
         if self._known:
             found = self._newest(Part.GOAL)
             if goal is not None and found is not None and found[1].correlation == goal.number:

@@ -2,10 +2,10 @@
 
 A goal has a text there, and 16 bytes here. The client writes these as 32 hexadecimal digits. The server reads
 such digits, takes a text of up to 16 bytes as it is, and a digest of a longer one, as most clients make; it
-remembers the text with the goal. So a server in another process that adopts a goal cannot name it to such a
-client, which takes the goal to be lost, until the client cancels it: that tells the text again.
+remembers the text with the goal. A server in another process that adopts the goal needs the text, too: see
+:meth:`ActionServer.note`.
 
-A result is published once. A client that was away learns no more than the goal's status.
+A result is published once, and the last one given to clients that connect later, as after a server's restart.
 """
 
 from __future__ import annotations
@@ -143,7 +143,9 @@ class ActionlibServer(ActionServer):
         self._statuses: Publisher = keep(
             backend.advertise(*topic("status", "GoalStatusArray"), actions.STATUS_QOS)
         )
-        self._result: Publisher = keep(backend.advertise(*topic("result", "ActionResult"), _QOS))
+        self._result: Publisher = keep(
+            backend.advertise(*topic("result", "ActionResult"), actions.STATUS_QOS)
+        )
         keep(backend.subscribe(*topic("cancel", "GoalID"), _QOS, self._on_cancels))
         keep(backend.subscribe(*topic("goal", "ActionGoal"), _QOS, self._on_send))
 
@@ -219,6 +221,14 @@ class ActionlibServer(ActionServer):
 
     def _feed(self, uuid: bytes, goal: Goal, payload: bytes) -> bytes:
         return _header(self._clock.time_ns()) + self._status(uuid, goal) + payload
+
+    def note(self, uuid: bytes) -> bytes:
+        """Return the goal's text."""
+        goal = self._goals.get(uuid)
+        return b"" if goal is None else goal.caller
+
+    def _noted(self, note: bytes, stamp_ns: int, status: GoalStatus = GoalStatus.EXECUTING) -> Goal:
+        return Goal(note, stamp_ns, status)
 
     def accept(self, uuid: bytes) -> bool:
         """Accept a goal; see :meth:`rosplc.ros.actions.ActionServer.accept`."""

@@ -161,8 +161,8 @@ class ActionServer(_Action):
         on_cancel: Called with the UUID of a goal that is to be canceled: decide with :meth:`accept_cancel` or
             :meth:`reject_cancel`.
         keep_result_ns: How long a goal and its result are kept after its end.
-        executing: Goals that another process has accepted, and when, in ns since 1970: they are adopted
-            before the first request comes.
+        executing: Goals that another process has accepted, when, in ns since 1970, and its :meth:`note`: they
+            are adopted before the first request comes.
         clock: For tests.
 
     Attributes:
@@ -182,12 +182,12 @@ class ActionServer(_Action):
         on_goal: Callable[[bytes, bytes], object],
         on_cancel: Callable[[bytes], object],
         keep_result_ns: int = KEEP_RESULT_NS,
-        executing: Iterable[tuple[bytes, int]] = (),
+        executing: Iterable[tuple[bytes, int, bytes]] = (),
         clock: Clock = SYSTEM,
     ) -> None:
         self._on_goal, self._on_cancel = on_goal, on_cancel
         self._keep_ns, self._clock = keep_result_ns, clock
-        self._goals = {uuid: Goal(b"", stamp, GoalStatus.EXECUTING) for uuid, stamp in executing}
+        self._goals = {uuid: self._noted(note, stamp_ns) for uuid, stamp_ns, note in executing}
         self.refused = 0
         super().__init__(backend, store, action, type_name)
 
@@ -343,12 +343,22 @@ class ActionServer(_Action):
             goal = self._undecided(uuid)
             return goal is not None and self._send.present(goal.caller)
 
-    def adopt(self, uuid: bytes, stamp_ns: int, status: GoalStatus) -> bool:
+    def note(self, uuid: bytes) -> bytes:
+        """Return what else another process has to know to adopt a goal, at most 1024 bytes."""
+        goal = self._goals.get(uuid)
+        return b"" if goal is None else b"".join(goal.waiting)
+
+    def _noted(self, note: bytes, stamp_ns: int, status: GoalStatus = GoalStatus.EXECUTING) -> Goal:
+        """Return the goal of another process's note."""
+        waiting = [note[at : at + 16] for at in range(0, len(note) - 15, 16)]
+        return Goal(b"", stamp_ns, status, waiting=waiting)
+
+    def adopt(self, uuid: bytes, stamp_ns: int, status: GoalStatus, note: bytes = b"") -> bool:
         """Take over a goal that another process has accepted at a time, and not ended."""
         with self._lock:
             if uuid in self._goals or status is GoalStatus.UNKNOWN or status.ended:
                 return False
-            self._goals[uuid] = Goal(b"", stamp_ns, status)
+            self._goals[uuid] = self._noted(note, stamp_ns, status)
             self._publish()
             return True
 

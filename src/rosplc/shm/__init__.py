@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from rosplc._core import Group, Reader, Region, SlotInfo, Writer, distance
 from rosplc.shm.attach import Attached, attach
-from rosplc.shm.calls import Answerer, Caller
+from rosplc.shm.calls import Answerer, Caller, GoalNotes
 from rosplc.shm.claims import Liveness, Peer, ReaderClaim, WriterClaim
 from rosplc.shm.constants import Direction
 from rosplc.shm.header import Identity, ReaderState, Snapshot, WriterState
@@ -23,6 +23,7 @@ __all__ = [
     "Caller",
     "Description",
     "Direction",
+    "GoalNotes",
     "Group",
     "Identity",
     "Liveness",

@@ -1,4 +1,4 @@
-"""The two sides of a call: spec/shm-format.md, section 11 (M25 to M29).
+"""The two sides of a call: spec/shm-format.md, section 11 (M25 to M30).
 
 Neither waits, or knows what a record means. Messages are sent by a function that is called with
 ``correlation``, ``status`` and ``client``: ``partial(writer.publish, record)``, or
@@ -7,7 +7,9 @@ Neither waits, or knows what a record means. Messages are sent by a function tha
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import struct
+import zlib
+from collections.abc import Callable, Iterator
 from typing import Final, Literal
 
 from rosplc._core import Reader, SlotInfo, Writer
@@ -179,3 +181,44 @@ class Answerer:
             self.correlation = 0
         if correlation == self.unanswered:
             self.unanswered = 0
+
+
+class GoalNotes:
+    """What a bridge leaves to the next one about its open goal, behind the slots of the goal object (M30)."""
+
+    def __init__(self, goals: Mapped) -> None:
+        identity, self._region = goals.identity, goals.region
+        self._at = identity.slots_offset + identity.slot_count * identity.slot_stride
+        self._number, self._found = 0, {}
+        there = identity.object_size >= self._at + spec.GOAL_NOTES_SIZE
+        for number, uuid, note in sorted(self._entries() if there else ()):
+            self._number, self._found[uuid] = number, note
+
+    def _entries(self) -> Iterator[tuple[int, bytes, bytes]]:
+        for index in range(spec.GOAL_NOTES):
+            image = self._region.read(self._at + index * _NOTE_STRIDE, _NOTE_STRIDE)
+            number, size, crc, _, uuid = _NOTE.unpack_from(image)
+            image = image[: _NOTE.size + size]
+            if number and size <= spec.GOAL_NOTE_BYTES and crc == _note_crc(image):
+                yield number, uuid, image[_NOTE.size :]
+
+    def left(self, uuid: bytes) -> bytes:
+        """Return the note that an earlier bridge has left about a goal; empty if there is none."""
+        return self._found.get(uuid, b"")
+
+    def write(self, uuid: bytes, note: bytes) -> None:
+        """Leave a note, at most 1024 bytes, about a goal. Raises SHM122 if the object is mapped read-only."""
+        self._number = self._number + 1 & 0xFFFFFFFF or 1
+        image = _NOTE.pack(self._number, len(note), 0, 0, uuid) + note
+        image = image[:8] + struct.pack("<I", _note_crc(image)) + image[12:]
+        at = self._at + self._number % spec.GOAL_NOTES * _NOTE_STRIDE
+        for offset in range(0, len(image), 4):
+            self._region.store(at + offset, int.from_bytes(image[offset : offset + 4], "little"))
+
+
+_NOTE = struct.Struct("<4I16s")
+_NOTE_STRIDE = _NOTE.size + spec.GOAL_NOTE_BYTES
+
+
+def _note_crc(image: bytes) -> int:
+    return zlib.crc32(image[12:], zlib.crc32(image[:8]))

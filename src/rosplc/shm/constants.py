@@ -56,6 +56,9 @@ ANSWER_CANCEL_ACCEPTED: Final = 256  # status of an answer, added: the goal will
 ANSWER_CANCEL_REJECTED: Final = 512  # status of an answer, added: the goal will not be canceled
 ANSWER_NO_RESULT: Final = 1024  # status of an answer, added: the result does not fit the record
 GOAL_ID_END: Final = 0x504C5052  # the last word of the UUID of a goal that a PLC sends
+GOAL_NOTES: Final = 2  # entries of the table behind the slots of an action's goals that the bridge writes
+GOAL_NOTE_BYTES: Final = 1024  # bytes that an entry of this table holds at most
+GOAL_NOTES_SIZE: Final = 2112  # bytes of this table
 STAMP_NONE: Final = 0  # stamp_clock: no time stamp
 STAMP_SYSTEM: Final = 1  # stamp_clock: system clock (UTC)
 STAMP_ROS: Final = 2  # stamp_clock: ROS time
@@ -108,6 +111,10 @@ SLOT_HEADER: Final = _offsets(
     0,
     "sequence length flags status stamp_lo stamp_hi stamp_clock checksum correlation_lo "
     "correlation_hi client*4 reason reserved",
+)
+GOAL_NOTE: Final = _offsets(
+    0,
+    "number size crc reserved uuid*4",
 )
 
 

@@ -93,8 +93,12 @@ class Identity:
     kind: int = spec.KIND_TOPIC  # ``Part.value``
 
     @classmethod
-    def plan(cls, *, slots: int, record_size: int, description_size: int, **others: Any) -> Identity:
+    def plan(
+        cls, *, slots: int, record_size: int, description_size: int, behind: int = 0, **others: Any
+    ) -> Identity:
         """Lay out a new object: self-description at 512, then the slots, each part on a new line.
+
+        ``behind`` are bytes that follow the slots.
 
         Raises ValueError: If the number of slots is no power of two from 4 to 65536, the record is not of 1
         to 2³⁰ bytes, or the object would exceed 2³¹ - 1 bytes.
@@ -106,7 +110,7 @@ class Identity:
             slot_stride=stride,
             record_size=record_size,
             slots_offset=start,
-            object_size=start + slots * stride,
+            object_size=start + slots * stride + behind,
             description_offset=spec.HEADER_SIZE,
             description_size=description_size,
             **others,

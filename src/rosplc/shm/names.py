@@ -15,6 +15,7 @@ from rosplc.shm.constants import (
     FNV_OFFSET,
     FNV_PRIME,
     FORMAT,
+    GOAL_NOTES_SIZE,
     MAX_DESCRIPTION_SIZE,
     MAX_NAME,
     MIN_SLOTS,
@@ -189,6 +190,11 @@ class Description:
         """``"topic"``, ``"service"`` or ``"action"``."""
         return self.part.kind
 
+    @property
+    def notes(self) -> int:
+        """Bytes of the table behind the slots (section 11.6)."""
+        return GOAL_NOTES_SIZE if (self.part, self.direction) == (Part.GOAL, Direction.TO_PLC) else 0
+
     def plan(self, record_size: int, slots: int = MIN_SLOTS, **made_by: Any) -> Identity:
         """Return the identity of an object that describes itself so; ``made_by``: who made it, and when.
 
@@ -200,6 +206,7 @@ class Description:
             slots=slots,
             record_size=record_size,
             description_size=len(self.to_json()),
+            behind=self.notes,
             layout_id=self.layout_id,
             **{"generation": 1, "bridge_id": bytes(16)} | made_by,
         )
@@ -211,7 +218,7 @@ class Description:
         members["limits"] = dict(self.limits)
         if self.part is not Part.TOPIC:
             call = {"part": self.part.word, "client": self.client, "partners": dict(self.partners)}
-            members |= {"kind": self.kind, **call}
+            members |= {"kind": self.kind, **call, **({"notes": self.notes} if self.notes else {})}
         text = json.dumps(members, ensure_ascii=False, separators=(",", ":")).encode()
         if len(text) > MAX_DESCRIPTION_SIZE:
             raise ValueError(f"a self-description has at most {MAX_DESCRIPTION_SIZE} bytes, not {len(text)}")

@@ -144,17 +144,21 @@ def test_a_client_cancels_a_goal_that_is_not_decided(plc: Cell, robot: Peer) -> 
     assert plc.server.accept(sent(plc, robot, "next"))
 
 
-def test_a_server_adopts_a_goal_of_actionlib(plc: Cell, robot: Peer) -> None:
-    """Its cancel names the goal again; the client has taken it to be lost before."""
+@pytest.mark.parametrize("noted", [True, False])
+def test_a_server_adopts_a_goal_of_actionlib(plc: Cell, robot: Peer, noted: bool) -> None:
+    """The note tells its name. Without one the client takes it to be lost, even where its cancel names it."""
     uuid = sent(plc, robot)
     plc.server.accept(uuid)
     plc.server.execute(uuid)
     wait_for(lambda: "ACTIVE" in robot.told("goal"))
+    note = plc.server.note(uuid)
     known = plc.server._goals.pop(uuid)
-    assert len(known.caller) > 16
-    assert uuid == uuid_of(known.caller)
-    assert plc.server.adopt(uuid, known.stamp_ns, GoalStatus.EXECUTING)
-    assert end(robot) == "LOST -"
+    assert len(note) > 16
+    assert uuid == uuid_of(note)
+    assert plc.server.adopt(uuid, known.stamp_ns, GoalStatus.EXECUTING, note if noted else b"")
+    if noted:
+        plc.server.succeed(uuid, number(100))
+    assert end(robot) == ("SUCCEEDED 100" if noted else "LOST -")
 
 
 # -- a server of actionlib

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import struct
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -16,6 +17,7 @@ from rosplc.config import parse_config, resolve
 from rosplc.errors import BackendError, ChannelError
 from rosplc.reasons import Reason
 from rosplc.ros import EndpointStatus, action_wire, actions
+from rosplc.ros.actionlib import uuid_of
 from rosplc.ros.actions import CancelCode, GoalStatus
 from rosplc.shm import ACTION, Answerer, Namespace, Part, SlotInfo, attach
 from rosplc.shm.constants import (
@@ -38,7 +40,7 @@ from rosplc.shm.constants import (
 )
 from tests.lib.clock import SteppedClock
 
-TYPE = "example_interfaces/action/Fibonacci"
+TYPE, TYPE_1 = "example_interfaces/action/Fibonacci", "actionlib_tutorials/action/Fibonacci"
 A, B, C = (bytes([number] * 16) for number in (1, 2, 3))
 REJECTED, ACCEPTED = False, True
 
@@ -84,6 +86,9 @@ class Ros:
 
     def advertise(self, topic: str, type_name: str, qos: Any) -> Endpoint:
         return self.ends.setdefault(topic.rpartition("/")[2], Endpoint())
+
+    def subscribe(self, topic: str, type_name: str, qos: Any, on_raw: Any) -> Endpoint:
+        return self.serve(topic, type_name, qos, on_raw)
 
     def serve(self, service: str, type_name: str, qos: Any, on_request: Any) -> Endpoint:
         end = self.advertise(service, type_name, qos)
@@ -188,7 +193,8 @@ class Plc:
 class Cell:
     """One action whose thread is the test's."""
 
-    def __init__(self, namespace: Namespace, entry: str = "") -> None:
+    def __init__(self, namespace: Namespace, entry: str = "", ros1: bool = False) -> None:
+        self.distro, self.type_name = ("noetic", TYPE_1) if ros1 else ("jazzy", TYPE)
         self.configure(entry)
         self.namespace = namespace
         self.clock = SteppedClock()
@@ -197,13 +203,12 @@ class Cell:
         self.bridge()
 
     def configure(self, entry: str) -> None:
-        (self.plan,) = resolve(
-            parse_config(f"actions: {{/a: {{type: {TYPE}, server: plc, {entry}}}}}")
-        ).actions
+        action = f"actions: {{/a: {{type: {self.type_name}, server: plc, {entry}}}}}"
+        (self.plan,) = resolve(parse_config(f"ros: {{distro: {self.distro}}}\n{action}")).actions
 
     def bridge(self) -> None:
         """Start a bridge; the one before is gone without a word."""
-        context = Context(self.namespace, "cell", bytes(16), "jazzy", clock=self.clock)
+        context = Context(self.namespace, "cell", bytes(16), self.distro, clock=self.clock)
         self.ros = Ros()
         self.ports = CallPorts(context, 1_000_000)
         use = self.ports.make(self.plan)
@@ -272,8 +277,8 @@ Make = Callable[..., Cell]
 def make(shm_namespace: Namespace) -> Iterator[Make]:
     cells: list[Cell] = []
 
-    def start(entry: str = "") -> Cell:
-        cells.append(Cell(shm_namespace, entry))
+    def start(entry: str = "", **more: bool) -> Cell:
+        cells.append(Cell(shm_namespace, entry, **more))
         return cells[-1]
 
     yield start
@@ -739,6 +744,55 @@ def test_a_result_asked_for_before_the_first_turn_waits(make: Make) -> None:
     plc.say(info, ANSWER_SUCCEEDED, 4)
     cell.turn()
     assert cell.ros.results == [(A, GoalStatus.SUCCEEDED, [4])]
+
+
+def test_the_next_bridge_names_a_goal_of_actionlib(make: Make) -> None:
+    """A client knows its goal by a text that the UUID does not tell."""
+    cell = make(ros1=True)
+    plc = cell.attach()
+    text = b"/robot-1-1700000000.123456789"
+    goal_id = struct.pack("<3I", 9, 0, len(text)) + text
+    cell.ros.ends["goal"].on_request(bytes(16) + goal_id + struct.pack("<i", 5), 0)
+    cell.turn()
+    info = plc.begin(uuid_of(text))
+    plc.say(info, ANSWER_ACCEPTED)
+    cell.turn()
+    for _ in range(2):
+        cell.restart()
+        assert text + b"\1" in cell.ros.ends["status"].said[-1]  # active
+    cell.ros.ends["cancel"].on_request(goal_id, 0)
+    cell.turn()
+    assert plc.asked() == ASK_CANCEL
+    plc.say(info, ANSWER_CANCELED | ANSWER_CANCEL_ACCEPTED, 5)
+    cell.turn()
+    assert text + b"\2" in cell.ros.ends["result"].said[-1]  # preempted
+    assert cell.status.canceled == 1
+
+
+@pytest.mark.parametrize("when", ["while it runs", "ended without a bridge", "other objects"])
+def test_a_result_asked_for_before_a_restart(make: Make, when: str) -> None:
+    """The next bridge answers who has asked, whose middleware may know the caller again."""
+    cell = make()
+    plc = cell.attach()
+    info = accepted(cell)
+    cell.ros.ask_result(A)
+    cell.turn()
+    for _ in range(3):  # each bridge leaves it to the next
+        cell.restart()
+    cell.kill()
+    if when == "ended without a bridge":
+        plc.say(info, ANSWER_SUCCEEDED, 4)
+    elif when == "other objects":
+        cell.plc = None
+        cell.configure("limits: {result.sequence: 9}")
+    cell.bridge()
+    cell.turn(0.02, 2)
+    if when == "while it runs":
+        assert cell.ros.results == []
+        plc.say(info, ANSWER_SUCCEEDED, 4)
+        cell.turn()
+    lost = when == "other objects"
+    assert cell.ros.results == [(A, GoalStatus.ABORTED, []) if lost else (A, GoalStatus.SUCCEEDED, [4])]
 
 
 @pytest.mark.parametrize("agreed", ["before the kill", "after it", "at its end"])

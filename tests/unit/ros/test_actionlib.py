@@ -13,6 +13,7 @@ from rosplc.errors import BackendError
 from rosplc.model import TypeStore
 from rosplc.ros import Backend, GoalEvent, GoalStatus, Qos, action_classes, open_backend
 from rosplc.ros.actionlib import ActionlibClient, ActionlibServer, text_of, uuid_of
+from rosplc.ros.actions import STATUS_QOS
 from tests.interop.graphs import free_domain
 from tests.lib.clock import SteppedClock
 from tests.lib.waiting import wait_for
@@ -292,19 +293,25 @@ def test_a_restarted_server_adopts(graph: Any, server: Server, client: Client, c
     assert client.wait("result").payload == DONE
 
 
-def test_a_long_text_is_told_again_by_its_cancel(graph: Any, server: Server) -> None:
-    """Until then the goal is listed under a name that its client does not know."""
+@pytest.mark.parametrize("how", ["note", "cancel"])
+def test_a_long_text_of_an_adopted_goal(graph: Any, server: Server, how: str) -> None:
+    """The note about it tells the text; without one it is listed otherwise until its cancel tells it."""
     raw = Raw(graph("robot"), serves=False)
     uuid = uuid_of(LONG)
-    server.adopt(uuid, 5, GoalStatus.EXECUTING)
+    server.adopt(uuid, 5, GoalStatus.EXECUTING, LONG if how == "note" else b"")
     wait_for(lambda: raw.got["status"])
-    assert listed(raw.got["status"][-1]) == [(text_of(uuid), 1)]
+    assert listed(raw.got["status"][-1]) == [(LONG if how == "note" else text_of(uuid), 1)]
     raw.write("cancel", goal_id(LONG), header=False)
     wait_for(lambda: server.cancels)
+    assert server.note(uuid) == LONG
     server.accept_cancel(uuid)
     server.canceled(uuid)
-    wait_for(lambda: raw.got["result"])
-    assert raw.got["result"][0][16 : 28 + len(LONG)] == struct.pack("<3I", 0, 5, len(LONG)) + LONG
+    late: list[bytes] = []  # latched, as every subscriber of ROS 1 takes it
+    kind = "actionlib/msg/TestActionResult"
+    graph("late").subscribe("/test/result", kind, STATUS_QOS, lambda data, _: late.append(data))
+    for got in (raw.got["result"], late):
+        wait_for(lambda got=got: got)
+        assert got[0][16 : 28 + len(LONG)] == struct.pack("<3I", 0, 5, len(LONG)) + LONG
 
 
 @pytest.mark.parametrize("text", [b"a", b"goal 1", b"x" * 16, ONE.hex().encode(), b"0123456789abcdef" * 2])

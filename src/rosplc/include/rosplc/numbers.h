@@ -52,6 +52,9 @@
 #define ROSPLC_ANSWER_CANCEL_REJECTED 512u /* status of an answer, added: the goal will not be canceled */
 #define ROSPLC_ANSWER_NO_RESULT 1024u /* status of an answer, added: the result does not fit the record */
 #define ROSPLC_GOAL_ID_END 0x504C5052u /* the last word of the UUID of a goal that a PLC sends */
+#define ROSPLC_GOAL_NOTES 2u /* entries of the table behind the slots of an action's goals that the bridge writes */
+#define ROSPLC_GOAL_NOTE_BYTES 1024u /* bytes that an entry of this table holds at most */
+#define ROSPLC_GOAL_NOTES_SIZE 2112u /* bytes of this table */
 #define ROSPLC_STAMP_NONE 0u /* stamp_clock: no time stamp */
 #define ROSPLC_STAMP_SYSTEM 1u /* stamp_clock: system clock (UTC) */
 #define ROSPLC_STAMP_ROS 2u /* stamp_clock: ROS time */
@@ -205,6 +208,14 @@ typedef struct {
 } rosplc_slot_header;
 
 typedef struct {
+    uint32_t number;
+    uint32_t size;
+    uint32_t crc;
+    uint32_t reserved;
+    uint32_t uuid[4];
+} rosplc_goal_note;
+
+typedef struct {
     rosplc_identity identity;
     rosplc_writer_line writer;
     rosplc_reader_line reader[ROSPLC_READER_LINES];
@@ -285,6 +296,12 @@ ROSPLC_AT(rosplc_slot_header, client, 40);
 ROSPLC_AT(rosplc_slot_header, reason, 56);
 ROSPLC_AT(rosplc_slot_header, reserved, 60);
 ROSPLC_STATIC_ASSERT(sizeof(rosplc_slot_header) == 64, "rosplc_slot_header has 64 bytes");
+ROSPLC_AT(rosplc_goal_note, number, 0);
+ROSPLC_AT(rosplc_goal_note, size, 4);
+ROSPLC_AT(rosplc_goal_note, crc, 8);
+ROSPLC_AT(rosplc_goal_note, reserved, 12);
+ROSPLC_AT(rosplc_goal_note, uuid, 16);
+ROSPLC_STATIC_ASSERT(sizeof(rosplc_goal_note) == 32, "rosplc_goal_note has 32 bytes");
 ROSPLC_AT(rosplc_header, writer, 128);
 ROSPLC_AT(rosplc_header, reader, 192);
 ROSPLC_AT(rosplc_header, reserved, 448);
