@@ -47,13 +47,50 @@ static const variable WRITES[] = {
     WRITER("udiUnsent", unsent), WRITER("tTakeover", takeover_ms), WRITER("udiTaken", taken),
     WRITER("udiSinks", sinks), {"xEnable", offsetof(block, enable)}, {NULL, 0}};
 
+/* A client or server: the records that its block uses, and those of the program. */
+typedef struct {
+    char name[256], use[64];
+    int serves;
+    rosplc_plc_client client;
+    rosplc_plc_server server;
+    uint64_t own[3], msg[3];
+} call;
+
+#define CLIENT(name, member) {name, offsetof(call, client) + offsetof(rosplc_plc_client, member)}
+#define SERVER(name, member) {name, offsetof(call, server) + offsetof(rosplc_plc_server, member)}
+#define EITHER(KIND)                                                                                                \
+    KIND("xAttached", block.attached), KIND("xPeerAlive", block.peer_alive), KIND("udiError", block.error),          \
+        KIND("eError", block.error), KIND("udiBeatMs", block.beat_ms), KIND("xActive", active),                      \
+        KIND("udiCalls", calls), KIND("xInside", block.inside), KIND("udiReentries", block.reentries)
+
+static const variable CLIENTS[] = {
+    EITHER(CLIENT), CLIENT("xExecute", execute), CLIENT("xAbort", stop), CLIENT("xCancel", stop),
+    CLIENT("tTimeout", timeout_ms), CLIENT("xBusy", busy), CLIENT("xDone", done), CLIENT("xError", failed),
+    CLIENT("xAborted", aborted), CLIENT("xServer", server), CLIENT("eReason", reason), CLIENT("udiLate", late),
+    CLIENT("xCancelRejected", cancel_rejected), CLIENT("xNewFeedback", new_feedback), CLIENT("eStatus", status),
+    {NULL, 0}};
+static const variable SERVERS[] = {
+    EITHER(SERVER), SERVER("steps", steps), SERVER("xSendFeedback", send_feedback), SERVER("xRequest", request),
+    SERVER("xGoal", request), SERVER("xCancelRequested", cancel_requested), SERVER("xCanceling", canceling),
+    SERVER("xPreempt", preempt), SERVER("xCallerGone", caller_gone), SERVER("tAge", age_ms),
+    SERVER("udiCallers", callers), SERVER("udiRefused", refused), {NULL, 0}};
+
 #ifdef __cplusplus
 extern "C" {
 #endif
 
+void (*c_inside)(void); /* called at each fence */
+
 static int may_open;
 static char directory[256], prefix[64];
 uint32_t opens, opened, closes;
+
+void c_fence(void)
+{
+    __atomic_thread_fence(__ATOMIC_SEQ_CST);
+    if (c_inside)
+        c_inside();
+}
 
 int __real_open(const char *path, int flags, ...);
 int __wrap_open(const char *path, int flags, ...);
@@ -137,13 +174,77 @@ void c_end(block *b)
     free(b);
 }
 
-uint32_t *c_variable(block *b, const char *name)
+static uint32_t *place(void *b, const variable *v, const char *name)
 {
-    for (const variable *v = b->reads ? READS : WRITES; v->name; v++) {
+    for (; v->name; v++) {
         if (strcmp(v->name, name) == 0)
             return (uint32_t *)(void *)((uint8_t *)b + v->offset);
     }
     return NULL;
+}
+
+uint32_t *c_variable(block *b, const char *name)
+{
+    return place(b, b->reads ? READS : WRITES, name);
+}
+
+call *c_use(const char *name, const char *use, int serves, int action, const uint32_t *layouts)
+{
+    call *b = (call *)calloc(1, sizeof *b);
+    rosplc_plc_part parts[3];
+    for (int i = 0; i < 2 + action; i++, layouts += 3) {
+        parts[i].layout_lo = layouts[0];
+        parts[i].layout_hi = layouts[1];
+        parts[i].record_size = layouts[2];
+        parts[i].record = &b->own[i];
+    }
+    snprintf(b->name, sizeof b->name, "%s", name);
+    snprintf(b->use, sizeof b->use, "%s", use);
+    b->serves = serves;
+    rosplc_plc_client_init(&b->client, prefix, b->name, b->use, parts, action);
+    rosplc_plc_server_init(&b->server, prefix, b->name, parts, action);
+    b->client.block.may_open = b->server.block.may_open = &may_open;
+    return b;
+}
+
+void c_use_scan(call *b, uint32_t now)
+{
+    int got;
+    if (b->serves) {
+        got = rosplc_plc_server_begin(&b->server, now);
+        if (got & ROSPLC_PLC_REQUEST)
+            b->msg[0] = b->own[0];
+        if (got & ROSPLC_PLC_RESPONSE)
+            b->own[1] = b->msg[1];
+        if (got & ROSPLC_PLC_FEEDBACK)
+            b->own[2] = b->msg[2];
+        rosplc_plc_server_end(&b->server);
+        return;
+    }
+    if (rosplc_plc_client_begin(&b->client, now))
+        b->own[0] = b->msg[0];
+    got = rosplc_plc_client_end(&b->client);
+    if (got & ROSPLC_PLC_RESPONSE)
+        b->msg[1] = b->own[1];
+    if (got & ROSPLC_PLC_FEEDBACK)
+        b->msg[2] = b->own[2];
+}
+
+uint32_t *c_use_variable(call *b, const char *name)
+{
+    return place(b, b->serves ? SERVERS : CLIENTS, name);
+}
+
+void *c_use_record(call *b, int part)
+{
+    return &b->msg[part];
+}
+
+void c_use_end(call *b)
+{
+    rosplc_plc_client_close(&b->client);
+    rosplc_plc_server_close(&b->server);
+    free(b);
 }
 
 uint8_t *c_record(block *b, const char *name)

@@ -18,6 +18,7 @@ from tests.verification.plc_cell import READ, TOPICS, TWIST, WRITE, layout_of
 
 LANGUAGES = {"C11": ["gcc", "-std=c11"], "C++17": ["g++", "-std=c++17", "-x", "c++"]}
 _ON_STALE = {"hold": 0, "zero": 1, "value": 2}
+_FENCE = '({extern void at_fence(void) __asm__("c_fence"); at_fence();})'
 _WRAPPED = ("open", "mmap", "munmap")
 
 
@@ -42,21 +43,28 @@ def library(language: str) -> bytes:
         ]
         command = [*LANGUAGES[language], *options, *sources]
         command += [f"-Wl,--wrap={name}" for name in _WRAPPED]
+        command += [f"-DROSPLC_F{n}({'size' * (n in (5, 6))})={_FENCE}" for n in range(1, 9)]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
         return path.read_bytes()
+
+
+def loaded(language: str) -> ctypes.CDLL:
+    """Return the library with a state of its own."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "plc.so"
+        path.write_bytes(library(language))
+        found = ctypes.CDLL(str(path), mode=os.RTLD_LOCAL | os.RTLD_NOW)
+    for name in ("block", "variable", "record", "use", "use_variable", "use_record"):
+        getattr(found, f"c_{name}").restype = ctypes.c_void_p
+    return found
 
 
 class CMachine:
     """Blocks of plc.h for the topics of the cell; see :class:`rosplc_st.machine.Machine`."""
 
     def __init__(self, language: str, directory: str) -> None:
-        with tempfile.TemporaryDirectory() as folder:  # a copy each: a state each
-            path = Path(folder) / "plc.so"
-            path.write_bytes(library(language))
-            self._library = ctypes.CDLL(str(path), mode=os.RTLD_LOCAL | os.RTLD_NOW)
-        for name in ("c_block", "c_variable", "c_record"):
-            getattr(self._library, name).restype = ctypes.c_void_p
+        self._library = loaded(language)
         self._library.c_start(directory.encode(), b"rosplc")
         self._blocks: dict[str, ctypes.c_void_p] = {}
         self._topics = {

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import ctypes
 import shutil
 import struct
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from rosplc import virtual_plc
 from rosplc.config.plans import ActionPlan, CallPlan, ServicePlan
@@ -23,6 +24,7 @@ from rosplc.virtual_plc.task import Scan, enter_scan
 from rosplc_st.build import Build, build
 from rosplc_st.machine import LibraryMachine, ProcessMachine
 from rosplc_st.translator import Options
+from tests.verification.c_plc import LANGUAGES, loaded
 from tests.verification.plc_cell import READ, TARGETS, layout_of, store
 
 __all__ = [
@@ -32,8 +34,10 @@ __all__ = [
     "Caller",
     "Server",
     "Use",
+    "VirtualMachine",
     "call_build",
     "call_texts",
+    "machine_of",
     "made_cell",
 ]
 
@@ -79,14 +83,29 @@ def call_texts(**target: Any) -> dict[str, str]:
 def made_cell(
     kind: str, sabotage: Callable[[dict[str, str]], dict[str, str]] | None = None
 ) -> Iterator[CallCell]:
-    """Give a cell: ``fences`` or ``delayed`` (see :func:`call_build`), or ``virtual``."""
+    """Give a cell; ``kind`` is as in :func:`machine_of`."""
     folder = Path(tempfile.mkdtemp(prefix="T", dir="/dev/shm"))
-    made = CallCell(folder, None if kind == "virtual" else call_build(kind, sabotage))
+    made = CallCell(folder, machine_of(kind, sabotage))
     try:
         yield made
     finally:
         made.close()
         shutil.rmtree(folder)
+
+
+def machine_of(
+    kind: str, sabotage: Callable[[dict[str, str]], dict[str, str]] | None = None
+) -> Callable[[str], Any]:
+    """Return what runs the PLC's program in a folder of shared memory.
+
+    ``kind`` is ``virtual``, a language of plc.h, or as in :func:`call_build`.
+    """
+    if kind == "virtual":
+        return VirtualMachine
+    if kind in LANGUAGES:
+        return partial(CUses, kind)
+    built = call_build(kind, sabotage)
+    return partial(ProcessMachine if built.toolchain.runner else LibraryMachine, built)
 
 
 def call_build(
@@ -314,21 +333,111 @@ class VirtualMachine:
         setattr(block, name, value / 1000 if name == "tTimeout" else value)
 
 
+class CUses:
+    """Clients and servers of plc.h; see :class:`VirtualMachine`."""
+
+    STEPS: ClassVar[dict[str, int]] = {
+        "xReply": 1,
+        "xAccept": 1,
+        "xReject": 2,
+        "xAcceptCancel": 4,
+        "xRejectCancel": 8,
+        "xSucceed": 16,
+        "xAbort": 32,
+        "xCanceled": 64,
+    }
+
+    def __init__(self, language: str, directory: str) -> None:
+        self._library = loaded(language)
+        self._library.c_start(directory.encode(), b"rosplc")
+        self._now_ms = 1_000_000
+        self._blocks: dict[str, tuple[str, str, ctypes.c_void_p]] = {}
+        self._broken: BaseException | None = None
+
+    def on_barrier(self, inside: Callable[[], None] | None) -> None:
+        """Have a function called at each fence of the blocks; what it raises, the scan raises."""
+
+        def call() -> None:
+            try:
+                if inside is not None:
+                    inside()
+            except BaseException as error:
+                self._broken = error
+
+        self._inside = ctypes.CFUNCTYPE(None)(call)  # kept alive for as long as C may call it
+        hook = ctypes.c_void_p.in_dll(self._library, "c_inside")
+        hook.value = ctypes.cast(self._inside, ctypes.c_void_p).value
+
+    def start(self) -> None:
+        """Make the instances."""
+        for use, (name, client, role) in USES.items():
+            layouts = [layout_of(one) for one in (ACTION if role.startswith("Action") else SERVICE).values()]
+            words = [word for one in layouts for word in (*one.layout_id_words, one.size)]
+            of_parts = (ctypes.c_uint32 * 9)(*words)
+            kinds = role.endswith("Server"), len(layouts) == 3
+            block = self._library.c_use(name.encode(), client.encode(), *kinds, of_parts)
+            instance = _instance(use)
+            self._blocks[instance] = "Fast" if client else "RosTask", role, ctypes.c_void_p(block)
+            self.set(f"ROS.{instance}.udiBeatMs", 250)
+
+    def stop(self) -> None:
+        """End as a program that is stopped."""
+        for *_, block in self._blocks.values():
+            self._library.c_use_end(block)
+
+    def scan(self, *_: str, step: int) -> None:
+        """Call each instance in its task."""
+        self._now_ms += step
+        for task in ("Fast", "RosTask"):
+            self._library.c_new_scan()
+            for its_task, _, block in self._blocks.values():
+                if its_task == task:
+                    self._library.c_use_scan(block, ctypes.c_uint32(self._now_ms))
+        if self._broken is not None:
+            raise self._broken
+
+    def _place(self, path: str) -> tuple[Any, int]:
+        """Return a pin, and which of its bits; 0: it is a number or has one bit alone."""
+        _, instance, name, *field = path.split(".")
+        _, role, block = self._blocks[instance]
+        if field:
+            part = (
+                ("request", "response") if not role.startswith("Action") else ("goal", "result", "feedback")
+            )
+            kind = (ctypes.c_int64, ctypes.c_int32, ctypes.c_int16)[part.index(name)]
+            return kind.from_address(self._library.c_use_record(block, part.index(name))), 0
+        bit = self.STEPS.get(name, 0) if role.endswith("Server") else 0
+        address = self._library.c_use_variable(block, b"steps" if bit else name.encode())
+        assert address, f"a {role} of plc.h has no {name}"
+        return ctypes.c_uint32.from_address(address), bit
+
+    def get(self, path: str) -> Any:
+        """Return a pin as the PLC has it."""
+        if path.endswith(".sState"):
+            return str(self.get(f"{path.removesuffix('sState')}udiError"))
+        place, bit = self._place(path)
+        value = place.value & bit if bit else place.value
+        return bool(value) if path.rpartition(".")[2].startswith("x") else value
+
+    def set(self, path: str, value: Any) -> None:
+        """Set a pin."""
+        place, bit = self._place(path)
+        place.value = (place.value & ~bit | bit * bool(value)) if bit else int(value)
+
+
 class CallCell:
     """A folder of shared memory, the bridge's objects in it, and a PLC.
 
     Args:
         folder: Where the objects are.
-        built: The PLC's program; None: the virtual PLC.
+        machine: Makes what runs the PLC's program.
     """
 
-    def __init__(self, folder: Path, built: Build | None) -> None:
+    def __init__(self, folder: Path, machine: Callable[[str], Any]) -> None:
         self.namespace = Namespace("rosplc", str(folder))
         self.uses: list[Use] = []
-        self.built = built
-        self.machine: Any = VirtualMachine(str(folder))
-        if built is not None:
-            self.machine = (ProcessMachine if built.toolchain.runner else LibraryMachine)(built, str(folder))
+        self.make = machine
+        self.machine = machine(str(folder))
         self.machine.start()
 
     def close(self) -> None:

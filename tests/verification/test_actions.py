@@ -18,7 +18,9 @@ CANCEL, PREEMPT, WITHDRAWN = spec.ASK_CANCEL, spec.ASK_PREEMPT, spec.ASK_WITHDRA
 UNKNOWN, EXECUTING, CANCELING, SUCCEEDED, CANCELED, ABORTED_GOAL = 0, 2, 3, 4, 5, 6
 
 
-@pytest.fixture(params=["fences", DELAYED, "virtual", pytest.param("armhf", marks=needs_armhf)])
+@pytest.fixture(
+    params=["fences", DELAYED, "virtual", "C11", "C++17", pytest.param("armhf", marks=needs_armhf)]
+)
 def cell(request: pytest.FixtureRequest) -> Iterator[CallCell]:
     with made_cell(request.param) as made:
         yield made

@@ -138,7 +138,7 @@ class Following(Serving):
 
 
 @pytest.mark.parametrize("kind", [Asking, Following])
-@pytest.mark.parametrize("rule", ["32-bit-with-barrier", "delayed"])
+@pytest.mark.parametrize("rule", ["32-bit-with-barrier", "delayed", "C11"])
 @pytest.mark.parametrize("seed", [0, *(pytest.param(n, marks=pytest.mark.foreign) for n in (1, 2))])
 def test_at_most_once(folder: Path, kind: type[Asking | Following], rule: str, seed: int) -> None:
     """Whatever is stopped, killed or replaced, at whichever fence."""

@@ -1,4 +1,4 @@
-"""The virtual PLC's blocks of services and actions do as the Structured Text does, whatever happens."""
+"""The blocks of the virtual PLC and of plc.h do as the Structured Text does, whatever happens to a call."""
 
 from __future__ import annotations
 
@@ -99,10 +99,11 @@ class Pair:
 
 @pytest.mark.parametrize("seed", range(SEEDS))
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_same_pins_after_the_same_events(kind: type[Use], seed: int) -> None:
+@pytest.mark.parametrize("other", ["virtual", "C11"])
+def test_the_same_pins_after_the_same_events(other: str, kind: type[Use], seed: int) -> None:
     """Scan by scan, both PLCs show and send the same."""
-    with made_cell("fences") as text, made_cell("virtual") as virtual:
-        cells: tuple[CallCell, ...] = (text, virtual)
+    with made_cell("fences") as text, made_cell(other) as second:
+        cells: tuple[CallCell, ...] = (text, second)
         pair = Pair([kind(cell) for cell in cells], seed)  # type: ignore[call-arg]
         for cell in cells:
             cell.scan(300)

@@ -22,6 +22,7 @@ from rosplc.codec import Codec, Wire
 from rosplc.config.resolve import Project, load_project
 from rosplc.described import description_of
 from rosplc.shm import Namespace, OwnedChannel
+from rosplc.shm import constants as spec
 from tests.lib.waiting import wait_for
 from tests.verification.crossing import random_record
 
@@ -76,28 +77,24 @@ RUN_BY_STRUCPP = """#include "generated.hpp"
 static strucpp::Configuration_CONFIG0 config;
 extern "C" void scan() { config.get_resources()[0].tasks[0].programs[0]->run(); }
 """
-# What STruC++ makes of PROGRAM.
-RUN_BY_STAND_IN = """#include "generated.hpp"
-static strucpp::KINDS_ALL_READ there;
-static strucpp::KINDS_ALL_WRITE back;
-extern "C" void scan()
-{
-    there.STOPIC = "/there";
-    there.XINORDER = true;
-    there();
-    while (there.XNEW) {
-        back.MSG = there.MSG;
-        back.STOPIC = "/back";
-        back.XENABLE = true;
-        back.ULISTAMP = there.ULISTAMP;
-        back();
-        there.NEXT();
-    }
-    back.STOPIC = "/back";
-    back.XENABLE = false;
-    back();
-}
-"""
+CALLS = """PROGRAM Pass
+VAR
+    pick : std_srvs_Trigger_Client;
+    start : std_srvs_SetBool_Server;
+    drive : example_interfaces_Fibonacci_ActionClient;
+    cycle : example_interfaces_Fibonacci_ActionServer;
+END_VAR
+drive.goal.order := 7;
+drive(sName := '/drive', xExecute := TRUE, tTimeout := T#1h);
+cycle.feedback := drive.feedback;
+cycle.result := drive.result;
+cycle(sName := '/cycle', xAccept := cycle.xGoal, xSendFeedback := drive.xActive, xSucceed := drive.xDone);
+pick(sName := '/close', sClient := 'pick', xExecute := TRUE);
+start(sName := '/start', xReply := start.xRequest);
+start.response.success := start.request.data;
+start.response.message := pick.response.message;
+END_PROGRAM
+""" + PROGRAM[PROGRAM.index("CONFIGURATION") :]
 
 
 @pytest.fixture
@@ -119,7 +116,38 @@ topics:
     return load_project(tmp_path / "rosplc.yaml")
 
 
-def by_stand_in(folder: Path) -> list[str]:
+def translated(program: str) -> str:
+    """Return what STruC++ makes of a program, as far as the programs here need it."""
+    declared, statements = re.fullmatch(
+        r"PROGRAM \w+\nVAR\n(.*)END_VAR\n(.*)END_PROGRAM\n.*", program, re.S
+    ).groups()  # type: ignore[union-attr]
+
+    def capitals(text: str) -> str:
+        text = re.sub(r"T#\d+h", "3600000000000", text.replace(" AND ", " && "))
+        text = "".join(part if part[:1] == "'" else part.upper() for part in re.split(r"('[^']*')", text))
+        return text.replace("'", '"').replace("TRUE", "true").replace("FALSE", "false")
+
+    lines = ['#include "generated.hpp"']
+    lines += [f"static strucpp::{capitals(line).replace(' : ', ' ', 1)}" for line in reordered(declared)]
+    lines.append('extern "C" void scan()\n{')
+    for line in statements.splitlines():
+        called = re.fullmatch(r" *(\w+)\((.*)\);", line)
+        if called:
+            name = called[1].upper()
+            arguments = [capitals(one).replace(" := ", " = ") for one in called[2].split(", ")]
+            lines += [*(f"{name}.{one};" for one in arguments), f"{name}();"]
+        else:
+            line = capitals(line).replace(" := ", " = ")
+            lines.append(re.sub(r"WHILE (.*) DO", r"while (\1) {", line).replace("END_WHILE;", "}"))
+    return "\n".join([*lines, "}\n"])
+
+
+def reordered(declared: str) -> list[str]:
+    """Return declarations with the type first."""
+    return re.sub(r" *(\w+) : (\w+);", r"\2 : \1;", declared).splitlines()
+
+
+def by_stand_in(folder: Path, program: str) -> list[str]:
     """Write what STruC++ would make of rosplc.st, as far as the blocks need it; return an include folder."""
     text = (folder / "rosplc.st").read_text()
     parts = ['#pragma once\n#include "openplc_stand_in.hpp"\nnamespace strucpp {']
@@ -137,7 +165,7 @@ def by_stand_in(folder: Path) -> list[str]:
             returned = f"IEC_BOOL NEXT_result;{method[1]}return NEXT_result;"
             bodies.append(f"IEC_BOOL {upper}::NEXT() {{{returned}}}")
     (folder / "generated" / "generated.hpp").write_text("\n".join([*parts, "}\n"]))
-    (folder / "generated" / "generated.cpp").write_text("\n".join([*bodies, "}\n"]) + RUN_BY_STAND_IN)
+    (folder / "generated" / "generated.cpp").write_text("\n".join([*bodies, "}\n"]) + translated(program))
     return [f"-I{HERE}"]
 
 
@@ -159,10 +187,10 @@ def type_of(text: str) -> str:
     return f"IEC_{text}" if text.isupper() else text.upper()
 
 
-def by_strucpp(folder: Path) -> list[str]:
+def by_strucpp(folder: Path, program: str) -> list[str]:
     """Have STruC++ compile rosplc.st and the program; return an include folder."""
     strucpp = Path(os.environ["ROSPLC_STRUCPP"])
-    (folder / "pass.st").write_text(PROGRAM)
+    (folder / "pass.st").write_text(program)
     output = folder / "generated" / "generated.cpp"
     sources = [str(folder / "rosplc.st"), str(folder / "pass.st")]
     command = ["node", str(strucpp / "dist/node/cli.js"), *sources, "-o", str(output)]
@@ -172,10 +200,16 @@ def by_strucpp(folder: Path) -> list[str]:
     return [f"-I{strucpp / 'src/runtime/include'}"]
 
 
-def program(project: Project, folder: Path, by: Callable[[Path], list[str]]) -> Path:
+By = Callable[[Path, str], list[str]]
+BOTH = pytest.mark.parametrize(
+    "by", [by_stand_in, pytest.param(by_strucpp, marks=pytest.mark.needs(variable="ROSPLC_STRUCPP"))]
+)
+
+
+def built(project: Project, folder: Path, by: By, program: str) -> Path:
     """Return a shared library with the blocks and a function ``scan``."""
     rosplc.generate(project, folder, plc="openplc")
-    include = by(folder)
+    include = by(folder, program)
     generated = folder / "generated"
     sources = sorted(str(path) for path in generated.glob("*.cpp"))
     target = folder / "program.so"
@@ -186,14 +220,12 @@ def program(project: Project, folder: Path, by: Callable[[Path], list[str]]) -> 
 
 
 @pytest.mark.timeout(300)
-@pytest.mark.parametrize(
-    "by", [by_stand_in, pytest.param(by_strucpp, marks=pytest.mark.needs(variable="ROSPLC_STRUCPP"))]
-)
+@BOTH
 def test_every_kind_of_field_crosses(
-    by: Callable[[Path], list[str]], project: Project, tmp_path: Path, shm_namespace: Namespace
+    by: By, project: Project, tmp_path: Path, shm_namespace: Namespace
 ) -> None:
     """Random messages come back equal and in order, and unloading the program gives back what it held."""
-    library = ctypes.CDLL(str(program(project, tmp_path / "plc", by)))
+    library = ctypes.CDLL(str(built(project, tmp_path / "plc", by, PROGRAM)))
     ends: list[Any] = []
     channels = []
     for plan in project.topics:
@@ -231,6 +263,93 @@ def test_every_kind_of_field_crosses(
         _ctypes.dlclose(library._handle)
         assert "program.so" not in Path("/proc/self/maps").read_text(), "a shared symbol keeps it loaded"
         assert held() == (False, False)
+    finally:
+        for channel in channels:
+            channel.close()
+
+
+CALLED = """services:
+  /close: {type: std_srvs/srv/Trigger, server: ros, clients: [pick]}
+  /start: {type: std_srvs/srv/SetBool, server: plc}
+actions:
+  /drive: {type: example_interfaces/action/Fibonacci, server: ros}
+  /cycle: {type: example_interfaces/action/Fibonacci, server: plc}
+"""
+
+
+@pytest.mark.timeout(300)
+@BOTH
+def test_calls_cross(by: By, tmp_path: Path, shm_namespace: Namespace) -> None:
+    """Requests, goals, feedback and what answers them have their fields, in both roles."""
+    (tmp_path / "rosplc.yaml").write_text(f"prefix: {shm_namespace.prefix}\n{CALLED}")
+    project = load_project(tmp_path / "rosplc.yaml")
+    library = ctypes.CDLL(str(built(project, tmp_path / "plc", by, CALLS)))
+    ends: dict[str, Any] = {}
+    layouts, channels = {}, []
+    for plan in project.calls:
+        parts = [
+            (
+                description_of(
+                    layout,
+                    plan.called,
+                    part.direction(plan.server),
+                    bridge="test",
+                    part=part,
+                    client=plan.client,
+                ),
+                layout.size,
+            )
+            for part, layout in zip(plan.parts, plan.layouts, strict=True)
+        ]
+        opened = OwnedChannel.open_together(shm_namespace, parts)
+        channels += opened
+        for part, layout, channel in zip(plan.parts, plan.layouts, opened, strict=True):
+            name = f"{plan.called} {part.word}"
+            reads = part.asks == (plan.server == "ros")
+            ends[name], layouts[name] = channel.reader() if reads else channel.writer(), layout
+            if reads:
+                ends[name].set_sinks(1)
+
+    def send(name: str, value: dict[str, Any], correlation: int, status: int) -> None:
+        ends[name].publish(
+            layouts[name].pack(value), correlation=correlation, status=status, client=bytes(16)
+        )
+
+    def taken(name: str, status: int) -> tuple[int, Any]:
+        """Scan until a message with this status comes; return its correlation and value."""
+
+        def look() -> Any:
+            for end in ends.values():
+                end.beat()
+            library.scan()
+            record = bytearray(layouts[name].size)
+            info = ends[name].latest(record)
+            return info and info.status == status and (info.correlation, layouts[name].view(record))
+
+        return wait_for(look, f"{name} with {status}")
+
+    try:
+        call, _ = taken("/close request", spec.ASK_CALL)
+        goal, asked = taken("/drive goal", spec.ASK_CALL)
+        assert asked.order == 7
+        send("/close response", {"success": True, "message": "shut"}, call, spec.ANSWER_DONE)
+        send("/drive result", {}, goal, spec.ANSWER_ACCEPTED)
+        started = ends["/start request"].epoch << 32 | 1
+        send("/start request", {"data": True}, started, spec.ASK_CALL)
+        number, reply = taken("/start response", spec.ANSWER_DONE)
+        assert (number, reply.success, reply.message) == (started, True, "shut")
+        served = ends["/cycle goal"].epoch << 32 | 1
+        send("/cycle goal", {"order": 3}, served, spec.ASK_CALL)
+        assert taken("/cycle result", spec.ANSWER_ACCEPTED)[0] == served
+        send("/drive feedback", {"sequence": [0, 1]}, goal, spec.ANSWER_ACCEPTED)
+        wait_for(
+            lambda: list(taken("/cycle feedback", spec.ANSWER_ACCEPTED)[1].sequence) == [0, 1], "feedback"
+        )
+        send("/drive result", {"sequence": [0, 1, 1, 2]}, goal, spec.ANSWER_SUCCEEDED)
+        number, result = taken("/cycle result", spec.ANSWER_SUCCEEDED)
+        assert (number, list(result.sequence)) == (served, [0, 1, 1, 2])
+        _ctypes.dlclose(library._handle)
+        assert "program.so" not in Path("/proc/self/maps").read_text(), "a shared symbol keeps it loaded"
     finally:
         for channel in channels:
             channel.close()

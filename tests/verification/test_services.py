@@ -10,7 +10,7 @@ import pytest
 from rosplc.reasons import Reason
 from rosplc.shm import constants as spec
 from rosplc.shm.constants import ErrorNumber
-from tests.verification.call_cell import CallCell, Caller, Server, made_cell
+from tests.verification.call_cell import CallCell, Caller, Server, VirtualMachine, made_cell
 from tests.verification.plc_cell import needs_armhf
 
 DELAYED = pytest.param("delayed", marks=pytest.mark.foreign)
@@ -21,7 +21,9 @@ DONE, BUSY, ERROR, ABORTED, IDLE = (
 CALL, WITHDRAWN = spec.ASK_CALL, spec.ASK_CALL + spec.ASK_WITHDRAWN
 
 
-@pytest.fixture(params=["fences", DELAYED, "virtual", pytest.param("armhf", marks=needs_armhf)])
+@pytest.fixture(
+    params=["fences", DELAYED, "virtual", "C11", "C++17", pytest.param("armhf", marks=needs_armhf)]
+)
 def cell(request: pytest.FixtureRequest) -> Iterator[CallCell]:
     with made_cell(request.param) as made:
         yield made
@@ -376,7 +378,7 @@ def test_instances_have_objects_of_their_own(cell: CallCell) -> None:
 def test_a_second_program_is_refused(cell: CallCell) -> None:
     """Two PLCs with one use of a service: the second waits for the claim and says so (114)."""
     server = connected(cell)
-    second = CallCell(Path(cell.namespace.directory), cell.built)
+    second = CallCell(Path(cell.namespace.directory), cell.make)
     for _ in range(50):
         cell.scan()
         second.scan()
@@ -387,6 +389,7 @@ def test_a_second_program_is_refused(cell: CallCell) -> None:
         second.scan()
     assert second.machine.get(f"{path}.udiError") == ErrorNumber.CLAIMED
     assert second.machine.get(f"{path}.xBusy")
+    assert [bool(line.claim) for line in server.channels[1].snapshot().readers] == [True, False, False, False]
     second.close()
     assert server.take() is None
 
@@ -550,6 +553,7 @@ def test_a_call_that_overtakes_a_withdrawn_one(cell: CallCell) -> None:
     cell.until(lambda: caller.get("xCallerGone"))
     assert caller.get("request.data") == 1
     if caller.withdraw():  # it waits in the PLC, which has read it, but not begun
+        assert isinstance(cell.machine, VirtualMachine), "another tells what it takes when it begins"
         assert cell.until(caller.answer)[0] == spec.ANSWER_NOT_EXECUTED
     cell.scan(10)
     caller.set(xReply=True)

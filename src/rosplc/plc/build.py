@@ -120,6 +120,19 @@ _SAFE_COMMENT = """What a message becomes while its source is silent, whether or
 After a change download the program: an online change may keep the values that were there before."""
 
 
+def call_role(call: CallPlan) -> str:
+    """Return what the PLC is: Client, Server, ActionClient or ActionServer."""
+    return ("Action" if call.kind == "action" else "") + ("Server" if call.server == "plc" else "Client")
+
+
+def call_name(call: CallPlan, duts: Sequence[str]) -> str:
+    """Return what the block is called, unless the name is taken; ``duts`` are those of its parts."""
+    key = call_role(call), *call.layouts
+    plain = list(duts) == [type_prefix(layout.type_name) for layout in call.layouts]
+    own = "" if plain else "_" + hashlib.sha256(repr(key).encode()).hexdigest()[:6]
+    return f"{type_prefix(call.type_name)}_{key[0]}{own}"
+
+
 @dataclass
 class _Blocks:
     """The function blocks of the types in use, each built once."""
@@ -144,10 +157,10 @@ class _Blocks:
 
     def of_call(self, call: CallPlan) -> str:
         """Return the block of a service or action, and build it and those of its parts if need be."""
-        role = ("Action" if call.kind == "action" else "") + ("Server" if call.server == "plc" else "Client")
+        role = call_role(call)
         key: tuple[str | Layout, ...] = (role, *call.layouts)
         if key not in self._calls:
-            parts, plain = {}, True
+            parts = {}
             folder = f"{self.options.folder}/Blocks"
             for part, layout in zip(call.parts, call.layouts, strict=True):
                 kind = "Write" if part.asks == (call.server == "ros") else "Read"
@@ -157,10 +170,8 @@ class _Blocks:
                     self._parts[kind, layout] = inner
                     self.pous.append(block(kind, layout, self.builder, inner, folder, part=True))
                 parts[part.word] = dut, self._parts[kind, layout]
-                plain = plain and dut == type_prefix(layout.type_name)
-            prefix = type_prefix(call.type_name)
-            own = "" if plain else "_" + hashlib.sha256(repr(key).encode()).hexdigest()[:6]
-            name = self._calls[key] = self._named(f"{prefix}_{role}{own}", call.type_name)
+            wanted = call_name(call, [dut for dut, _ in parts.values()])
+            name = self._calls[key] = self._named(wanted, call.type_name)
             self.pous.append(call_block(role, call.type_name, parts, name, folder))
         return self._calls[key]
 

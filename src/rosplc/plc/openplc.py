@@ -12,12 +12,22 @@ from dataclasses import replace
 from importlib.resources import files
 from typing import Any
 
+from rosplc.config.plans import CallPlan
 from rosplc.config.resolve import Project
 from rosplc.layout import Layout, compute_layout
 from rosplc.layout.nodes import ArrayNode, Member, Node, PaddingNode, SequenceNode, StringNode, StructNode
 from rosplc.model import TypeStore
 from rosplc.plc.base import render
-from rosplc.plc.build import plc_tasks, plc_topics, read_arguments
+from rosplc.plc.build import (
+    ACTION_GVL,
+    SERVICE_GVL,
+    call_name,
+    call_role,
+    plc_tasks,
+    plc_topics,
+    read_arguments,
+    use_names,
+)
 from rosplc.plc.names import Scope, instance_names, literal, string_literal, time_literal
 from rosplc.plc.plan import PlcTask, PlcTopic, beat_ms
 from rosplc.plc.project import Dut
@@ -30,13 +40,13 @@ _ARRAY_STRING = 254  # characters that STruC++ keeps of each string in an array 
 def openplc_files(project: Project) -> tuple[dict[str, bytes], tuple[str, ...]]:
     """Return path below the output folder → file for a configuration, and what a person should know."""
     topics = [topic for topic in plc_topics(project) if topic.classic is None]
-    omitted = [plan.topic for plan in project.topics if plan.classic is not None]
-    omitted += [plan.name for plan in project.calls]
     made = _Openplc(project.store, project.config.settings.prefix)
-    made.notes += [f"{name}: classic mode, services and actions need CODESYS" for name in omitted]
+    made.notes += [f"{plan.topic}: classic mode needs CODESYS" for plan in project.topics if plan.classic]
     for topic in sorted(topics, key=lambda topic: topic.topic):
         made.block(topic.layout, topic.direction)
-    return made.files(topics, plc_tasks(project)), tuple(made.notes)
+    for call in sorted(project.calls, key=lambda call: call.name):
+        made.use(call)
+    return made.files(topics, plc_tasks(project), project.calls), tuple(made.notes)
 
 
 def openplc_types(distro: str) -> tuple[dict[str, bytes], tuple[str, ...]]:
@@ -55,23 +65,40 @@ class _Openplc:
         self.notes: list[str] = []
         self.layouts: dict[str, dict[str, Any]] = {}
         self.blocks: dict[tuple[Layout, str], dict[str, str]] = {}
+        self.uses: dict[tuple[str | Layout, ...], dict[str, Any]] = {}
 
     def block(self, layout: Layout, direction: str) -> None:
         """Have a block of a message type."""
         if (layout, direction) not in self.blocks:
-            dut = self.builder.add(layout)
+            dut = self._layout(layout)
             name = self.builder.scope.give(f"{dut}_{direction.capitalize()}")
             self.blocks[layout, direction] = {"name": name, "dut": dut, "direction": direction}
-            low, high = layout.layout_id_words
-            self.layouts[dut] = {"name": dut.upper(), "low": low, "high": high, "size": layout.size}
 
-    def files(self, topics: Sequence[PlcTopic], tasks: Sequence[PlcTask]) -> dict[str, bytes]:
+    def use(self, call: CallPlan) -> dict[str, Any]:
+        """Have the block of a service or action, and return it."""
+        key: tuple[str | Layout, ...] = (call_role(call), *call.layouts)
+        if key not in self.uses:
+            duts = [self._layout(layout) for layout in call.layouts]
+            name = self.builder.scope.give(call_name(call, duts))
+            parts = {part.word: dut for part, dut in zip(call.parts, duts, strict=True)}
+            self.uses[key] = {"name": name, "role": key[0], "calls": call.server == "ros", "parts": parts}
+        return self.uses[key]
+
+    def _layout(self, layout: Layout) -> str:
+        dut = self.builder.add(layout)
+        low, high = layout.layout_id_words
+        self.layouts[dut] = {"name": dut.upper(), "low": low, "high": high, "size": layout.size}
+        return dut
+
+    def files(
+        self, topics: Sequence[PlcTopic], tasks: Sequence[PlcTask], calls: Sequence[CallPlan] = ()
+    ) -> dict[str, bytes]:
         structs = {names.dut: node for node, names in self.builder.structs.items()}
         duts = [self._dut(dut, structs[dut.name]) for dut in self.builder.duts]
         self.notes += [f"{r.where}: {r.wanted} is named {r.given}" for r in self.builder.renamings]
         blocks = tuple(self.blocks.values())
         made = {
-            "rosplc.st": render("openplc/rosplc.st", duts=duts, blocks=blocks),
+            "rosplc.st": render("openplc/rosplc.st", duts=duts, blocks=blocks, uses=self.uses.values()),
             "generated/rosplc_blocks.cpp": render(
                 "openplc/rosplc_blocks.cpp",
                 prefix=self.prefix,
@@ -82,10 +109,11 @@ class _Openplc:
                 ],
                 layouts=self.layouts.values(),
                 blocks=blocks,
+                uses=self.uses.values(),
             ),
         }
-        if topics:
-            made["example.st"] = render("openplc/example.st", tasks=list(self._tasks(topics, tasks)))
+        if topics or calls:
+            made["example.st"] = render("openplc/example.st", tasks=list(self._tasks(topics, tasks, calls)))
         result = {path: text.encode("ascii") for path, text in made.items()}
         fixed = files("rosplc.plc").joinpath("templates/openplc")
         for name, path in (
@@ -136,16 +164,30 @@ class _Openplc:
                 "most": _counted(node, member),
             }
 
-    def _tasks(self, topics: Sequence[PlcTopic], tasks: Sequence[PlcTask]) -> Iterator[dict[str, Any]]:
+    def _tasks(
+        self, topics: Sequence[PlcTopic], tasks: Sequence[PlcTask], calls: Sequence[CallPlan]
+    ) -> Iterator[dict[str, Any]]:
         for task in sorted(tasks, key=lambda task: task.name):
             own = sorted((t for t in topics if t.task == task.name), key=lambda topic: topic.topic)
             names = instance_names([topic.topic for topic in own])
-            if own:
+            scope = Scope(names.values())
+            uses = [
+                {
+                    "name": scope.give(name),
+                    "block": self.use(use)["name"],
+                    "arguments": f"sName := {string_literal(use.called)}"
+                    + (f", sClient := {string_literal(use.client)}" if use.client else ""),
+                }
+                for gvl in (SERVICE_GVL, ACTION_GVL)
+                for (_, use), name in use_names(gvl, [call for call in calls if call.task == task.name])
+            ]
+            if own or uses:
                 yield {
                     "name": task.name,
                     "program": self.builder.scope.give(f"ROS_{task.name}"),
                     "interval": time_literal(task.interval_ns or 10_000_000),
                     "priority": task.priority,
+                    "uses": uses,
                     "instances": [
                         {
                             "name": names[topic.topic],

@@ -27,16 +27,21 @@ static int is_digit(char c)
     return c >= '0' && c <= '9';
 }
 
-static int name_is_valid(const char *prefix, const char *topic)
+static int name_is_valid(const char *prefix, const char *topic, const char *client)
 {
-    size_t length = 0;
+    const char *const words[2] = {prefix, client};
     char before = '/';
-    for (; prefix[length]; length++) {
-        char c = prefix[length];
-        if (!is_letter(c) && (length == 0 || !(is_digit(c) || c == '_' || c == '-')))
+    for (int i = 0; i < 2; i++) {
+        size_t length = 0;
+        for (const char *word = words[i]; word[length]; length++) {
+            char c = word[length];
+            if (!is_letter(c) && (length == 0 || !(is_digit(c) || c == '_' || (c == '-' && word == prefix))))
+                return 0;
+        }
+        if (length > 32)
             return 0;
     }
-    if (length < 1 || length > 32 || *topic != '/')
+    if (!*prefix || *topic != '/')
         return 0;
     for (topic++; *topic; before = *topic++) {
         if (before == '/' ? !is_letter(*topic) && *topic != '_'
@@ -46,17 +51,37 @@ static int name_is_valid(const char *prefix, const char *topic)
     return before != '/';
 }
 
-rosplc_error rosplc_plc_name(char name[ROSPLC_MAX_NAME + 1], const char *prefix, const char *topic)
+static const char *letters(uint32_t kind)
 {
-    const char *parts[3];
+    switch (kind) {
+    case ROSPLC_KIND_REQUEST:
+        return ".sq.";
+    case ROSPLC_KIND_RESPONSE:
+        return ".sr.";
+    case ROSPLC_KIND_GOAL:
+        return ".ag.";
+    case ROSPLC_KIND_RESULT:
+        return ".ar.";
+    case ROSPLC_KIND_FEEDBACK:
+        return ".af.";
+    default:
+        return ".t.";
+    }
+}
+
+static rosplc_error object_name(char *name, const char *prefix, uint32_t kind, const char *topic, const char *client)
+{
+    const char *parts[5];
     uint32_t hash = ROSPLC_FNV_OFFSET;
     size_t length = 0;
-    if (!prefix || !topic || !name_is_valid(prefix, topic))
+    if (!prefix || !topic || !client || !name_is_valid(prefix, topic, client))
         return ROSPLC_ERROR_NAME;
     parts[0] = prefix;
-    parts[1] = ".t.";
+    parts[1] = letters(kind);
     parts[2] = topic + 1;
-    for (int part = 0; part < 3; part++) {
+    parts[3] = *client ? "-" : "";
+    parts[4] = client;
+    for (int part = 0; part < 5; part++) {
         for (const char *from = parts[part]; *from; from++) {
             char c = *from == '/' ? '.' : *from;
             hash = (hash ^ (uint8_t)c) * ROSPLC_FNV_PRIME;
@@ -75,13 +100,20 @@ rosplc_error rosplc_plc_name(char name[ROSPLC_MAX_NAME + 1], const char *prefix,
     return ROSPLC_OK;
 }
 
-/* ---- what both blocks do */
+rosplc_error rosplc_plc_name(char name[ROSPLC_MAX_NAME + 1], const char *prefix, const char *topic)
+{
+    return object_name(name, prefix, ROSPLC_KIND_TOPIC, topic, "");
+}
+
+/* ---- what all blocks do */
 
 static void init(rosplc_plc_channel *c, const char *prefix, const char *topic, uint32_t layout_lo, uint32_t layout_hi,
                  uint32_t record_size)
 {
     c->prefix = prefix;
     c->topic = topic;
+    c->client = "";
+    c->kind = ROSPLC_KIND_TOPIC;
     c->layout_lo = layout_lo;
     c->layout_hi = layout_hi;
     c->record_size = record_size;
@@ -143,9 +175,9 @@ static rosplc_error open_object(rosplc_plc_channel *c, uint32_t direction)
     char path[sizeof DIRECTORY + ROSPLC_MAX_NAME];
     rosplc_error error;
     memcpy(path, DIRECTORY, sizeof DIRECTORY);
-    error = rosplc_plc_name(path + sizeof DIRECTORY - 1, c->prefix, c->topic);
+    error = object_name(path + sizeof DIRECTORY - 1, c->prefix, c->kind, c->topic, c->client);
     if (error == ROSPLC_OK)
-        error = rosplc_open(&c->region, path, 1, direction, c->layout_lo, c->layout_hi, c->record_size);
+        error = rosplc_open_kind(&c->region, path, 1, c->kind, direction, c->layout_lo, c->layout_hi, c->record_size);
     if (error == ROSPLC_ERROR_LAYOUT) {
         c->found_layout_lo = c->region.geometry.layout_lo;
         c->found_layout_hi = c->region.geometry.layout_hi;
@@ -279,43 +311,74 @@ static void begin_object(rosplc_plc_reader *r)
     }
 }
 
-/* Claims a line, for those that ask who reads; reading does not depend on it (M9). */
+/* Whether the messages of an object are acted on: requests and goals. */
+static int acts(const rosplc_plc_channel *c)
+{
+    return c->kind == ROSPLC_KIND_REQUEST || c->kind == ROSPLC_KIND_GOAL;
+}
+
+static int claim_this(rosplc_plc_reader *r, uint32_t index, uint32_t expected)
+{
+    rosplc_plc_channel *c = &r->channel;
+    r->begun = 0;
+    if (acts(c))
+        return rosplc_answerer_claim(&r->reader, expected, draw(c), c->beat_ms, 0) == ROSPLC_OK;
+    return rosplc_reader_claim(&r->reader, index, expected, draw(c), c->beat_ms, 0) == ROSPLC_OK;
+}
+
+/* Claims a line, for those that ask who reads; reading a topic does not depend on it (M9). Others have line 0 alone. */
 static void claim_line(rosplc_plc_reader *r)
 {
     rosplc_plc_channel *c = &r->channel;
+    uint32_t lines = c->kind == ROSPLC_KIND_TOPIC ? ROSPLC_READER_LINES : 1, claim;
     rosplc_reader_line *line;
-    uint32_t claim;
     if (rosplc_reader_owned(&r->reader))
         return;
-    for (uint32_t i = 0; c->opened && i < ROSPLC_READER_LINES; i++) {
-        if (rosplc_load(&c->region.header->reader[i].claim) == 0
-            && rosplc_reader_claim(&r->reader, i, 0, draw(c), c->beat_ms, 0) == ROSPLC_OK)
+    for (uint32_t i = 0; c->opened && i < lines; i++) {
+        if (rosplc_load(&c->region.header->reader[i].claim) == 0 && claim_this(r, i, 0))
             return;
     }
     /* None was free: one is watched at a time; if its holder lives, the next one is. */
     line = &c->region.header->reader[r->watched];
     claim = rosplc_load(&line->claim);
     if (claim != c->other_claim || rosplc_load(&line->beat) != c->other_beat) {
-        r->watched = (r->watched + 1) % ROSPLC_READER_LINES;
+        r->watched = (r->watched + 1) % lines;
         line = &c->region.header->reader[r->watched];
         (void)others_time(c, rosplc_load(&line->claim), rosplc_load(&line->beat), 0, 0);
     } else if (others_time(c, claim, c->other_beat, 0, rosplc_load(&line->beat_ms)) == 0 || claim == 0) {
-        (void)rosplc_reader_claim(&r->reader, r->watched, claim, draw(c), c->beat_ms, 0);
+        (void)claim_this(r, r->watched, claim);
     }
+}
+
+static int same(const rosplc_plc_call *one, const rosplc_plc_call *other)
+{
+    return one->number == other->number && one->caller == other->caller;
 }
 
 static int take(rosplc_plc_reader *r)
 {
     rosplc_plc_channel *c = &r->channel;
+    rosplc_reader_line *line = rosplc_reader_owned(&r->reader);
     rosplc_take t;
     uint32_t epoch;
-    int show;
+    int show, got;
+    if (c->kind != ROSPLC_KIND_TOPIC && !line)
+        return 0;
     if (r->show && rosplc_load(&c->region.header->writer.head) != r->reader.last)
         r->show = 0; /* a new message has come, with more than the state before */
     show = r->show;
     t = rosplc_take_start(show ? ROSPLC_TAKE_PEEK : r->in_order ? ROSPLC_TAKE_NEXT : ROSPLC_TAKE_NEWEST);
-    if (!rosplc_take_record(&r->reader, &t, r->record))
+    if (acts(c))
+        r->reader.line = NULL; /* begin() tells what was taken */
+    got = rosplc_take_record(&r->reader, &t, r->record);
+    r->reader.line = line;
+    if (!got)
         return 0;
+    r->call.status = t.status;
+    r->call.number = t.correlation_lo;
+    r->call.caller = t.correlation_hi;
+    memcpy(r->call.client, t.client, sizeof t.client);
+    r->call.reason = t.reason;
     r->valid = 1;
     r->show = 0;
     r->sequence = t.sequence;
@@ -350,7 +413,8 @@ static int end_read(rosplc_plc_reader *r, int got)
     r->discontinuities = r->reader.discontinuities;
     if (line) {
         rosplc_store(&line->beat, rosplc_load(&line->beat) + 1);
-        rosplc_store(&line->taken, r->reader.last);
+        if (!acts(c) || (r->begun && same(&r->call, &r->begun_call)))
+            rosplc_store(&line->taken, r->reader.last);
         rosplc_store(&line->lost, r->lost);
     }
     /* At every scan, so that a state found at the start does not show. */
@@ -384,6 +448,10 @@ int rosplc_plc_read(rosplc_plc_reader *r, uint32_t now_ms)
         if (watch(c, rosplc_load(&writer->writer_beat), rosplc_load(&writer->head),
                   rosplc_load(&writer->writer_beat_ms), release_reader)) {
             claim_line(r);
+            if (c->kind != ROSPLC_KIND_TOPIC && !rosplc_reader_owned(&r->reader) && c->error == ROSPLC_OK)
+                c->error = ROSPLC_ERROR_CLAIMED;
+            else if (c->error == ROSPLC_ERROR_CLAIMED && rosplc_reader_owned(&r->reader))
+                c->error = ROSPLC_OK;
             if (c->peer_alive) /* what a dead bridge knew last tells nothing about now */
                 r->sources = rosplc_load(&writer->sources);
             r->source_present = r->sources != 0 && r->sources != ROSPLC_UNKNOWN;
@@ -424,9 +492,17 @@ void rosplc_plc_writer_init(rosplc_plc_writer *w, const char *prefix, const char
     w->sinks = ROSPLC_UNKNOWN;
 }
 
+/* Whether the bridge has taken a message of the newest call (M26); what was taken stays so. */
+static void look(rosplc_plc_writer *w)
+{
+    if (w->channel.attached && w->first && !w->begun)
+        w->begun = rosplc_call_begun(&w->writer, w->first);
+}
+
 static void release_writer(rosplc_plc_channel *c)
 {
     rosplc_plc_writer *w = (rosplc_plc_writer *)(void *)c; /* its first member */
+    look(w);
     if (c->attached && w->ready)
         rosplc_writer_release(&w->writer);
     w->ready = 0;
@@ -442,6 +518,7 @@ static int claim(rosplc_plc_writer *w)
         if (holder == w->writer.epoch)
             return 1;
         w->ready = 0;
+        w->epoch = 0;
         c->error = ROSPLC_ERROR_CLAIM_LOST;
         c->other_silent = 0;
         return 0;
@@ -455,7 +532,9 @@ static int claim(rosplc_plc_writer *w)
         if (left)
             return 0;
     }
-    w->ready = rosplc_writer_claim(&w->writer, &c->region, holder, draw(c), c->beat_ms, 0) == ROSPLC_OK;
+    if (c->kind == ROSPLC_KIND_TOPIC || holder || !w->epoch) /* else its calls are still its own */
+        w->epoch = draw(c);
+    w->ready = rosplc_writer_claim(&w->writer, &c->region, holder, w->epoch, c->beat_ms, 0) == ROSPLC_OK;
     if (w->ready && (c->error == ROSPLC_ERROR_CLAIMED || c->error == ROSPLC_ERROR_CLAIM_LOST))
         c->error = ROSPLC_OK;
     if (w->ready)
@@ -480,7 +559,8 @@ void *rosplc_plc_write_begin(rosplc_plc_writer *w, uint32_t now_ms, int enable)
         if (watch(c, rosplc_load(&bridge->beat), w->taken, rosplc_load(&bridge->beat_ms), release_writer)) {
             if (c->peer_alive)
                 w->sinks = rosplc_load(&bridge->sinks);
-            if (claim(w) && enable) {
+            /* What is to be said of a call may be for another object than the one that was just opened. */
+            if (claim(w) && enable && !(c->opened && c->kind != ROSPLC_KIND_TOPIC)) {
                 w->slot = rosplc_writer_begin(&w->writer, &error);
                 if (!w->slot)
                     c->error = error;
@@ -507,6 +587,11 @@ void rosplc_plc_write_end(rosplc_plc_writer *w)
     meta.stamp_lo = w->stamp_lo;
     meta.stamp_hi = w->stamp_hi;
     meta.stamp_clock = w->stamp_lo || w->stamp_hi ? ROSPLC_STAMP_PLC : ROSPLC_STAMP_NONE;
+    meta.status = w->call.status; /* all 0 for topics */
+    meta.correlation_lo = w->call.number;
+    meta.correlation_hi = w->call.caller;
+    memcpy(meta.client, w->call.client, sizeof meta.client);
+    meta.reason = w->call.reason;
     w->sequence = rosplc_writer_commit(&w->writer, w->slot, &meta);
     w->slot = NULL;
     w->count++;
@@ -528,4 +613,533 @@ void rosplc_plc_writer_close(rosplc_plc_writer *w)
     release_writer(&w->channel);
     unmap(&w->channel);
     w->channel.clock_runs = w->channel.waiting = 0;
+}
+
+/* ---- clients and servers: the rules of the generated blocks RosPlc_Caller, RosPlc_Answerer and theirs */
+
+static int ready(rosplc_plc_reader *r)
+{
+    return r->channel.attached && rosplc_reader_owned(&r->reader) != NULL;
+}
+
+/* Whether the call read last may be acted on: it is told to be taken, and still the newest (M26). */
+static int begin(rosplc_plc_reader *r)
+{
+    if (!ready(r))
+        return 0;
+    if (r->begun != r->sequence) {
+        r->begun = r->sequence;
+        r->begun_call = r->call;
+        rosplc_store(&r->channel.region.header->reader[0].taken, r->sequence);
+    }
+    return rosplc_call_begin(&r->reader);
+}
+
+/* A writer's call in a scan; `say` NULL: nothing is sent. */
+static void transmit(rosplc_plc_writer *w, uint32_t now_ms, const rosplc_plc_call *say, const void *record)
+{
+    rosplc_plc_channel *c = &w->channel;
+    if (say)
+        w->call = *say;
+    (void)rosplc_plc_write(w, now_ms, say != NULL, record);
+    if (c->opened && c->opened_another)
+        w->first = 0;
+    if (w->published && (!same(&w->first_call, say) || !w->first)) {
+        w->first_call = *say;
+        w->first = w->sequence;
+        w->begun = 0;
+    }
+    look(w);
+    w->held = c->attached && rosplc_load(&c->region.header->reader[0].claim) != 0;
+}
+
+static void prepare(int *send, rosplc_plc_call *say, const rosplc_plc_call *call, uint32_t status, uint32_t reason)
+{
+    *say = *call;
+    say->status = status;
+    say->reason = reason;
+    *send = 1;
+}
+
+static void share(rosplc_plc_channel *part, const rosplc_plc_channel *block)
+{
+    part->beat_ms = block->beat_ms;
+    part->may_open = block->may_open;
+}
+
+static uint32_t first_of(uint32_t one, uint32_t other)
+{
+    return one ? one : other;
+}
+
+static void reader_part(rosplc_plc_reader *r, const char *prefix, const char *name, const char *client, uint32_t kind,
+                        const rosplc_plc_part *part)
+{
+    rosplc_plc_reader_init(r, prefix, name, part->layout_lo, part->layout_hi, part->record_size, part->record);
+    r->channel.kind = kind;
+    r->channel.client = client;
+}
+
+static void writer_part(rosplc_plc_writer *w, const char *prefix, const char *name, const char *client, uint32_t kind,
+                        const rosplc_plc_part *part)
+{
+    rosplc_plc_writer_init(w, prefix, name, part->layout_lo, part->layout_hi, part->record_size);
+    w->channel.kind = kind;
+    w->channel.client = client;
+}
+
+/* ---- the client */
+
+void rosplc_plc_client_init(rosplc_plc_client *c, const char *prefix, const char *name, const char *client,
+                            const rosplc_plc_part *parts, int action)
+{
+    memset((void *)c, 0, sizeof *c);
+    c->block.beat_ms = UNKNOWN_BEAT_MS;
+    c->action = action;
+    c->request = parts[0].record;
+    writer_part(&c->out, prefix, name, client, action ? ROSPLC_KIND_GOAL : ROSPLC_KIND_REQUEST, &parts[0]);
+    reader_part(&c->in, prefix, name, client, action ? ROSPLC_KIND_RESULT : ROSPLC_KIND_RESPONSE, &parts[1]);
+    if (action)
+        reader_part(&c->feedback, prefix, name, client, ROSPLC_KIND_FEEDBACK, &parts[2]);
+}
+
+/* Ends the call in hand; `outcome` 0: it is done. */
+static void conclude(rosplc_plc_client *c, uint32_t outcome, uint32_t reason, int asked)
+{
+    c->busy = c->giving_up = c->sent = 0;
+    c->done = !outcome;
+    c->aborted = outcome && asked;
+    c->failed = outcome && !asked;
+    c->outcome = outcome;
+    c->reason = reason;
+}
+
+int rosplc_plc_client_begin(rosplc_plc_client *c, uint32_t now_ms)
+{
+    int rose;
+    c->running = enter(&c->block, now_ms);
+    if (!c->running)
+        return 0;
+    rose = c->execute && !c->before;
+    c->before = c->execute;
+    if (c->busy) {
+        c->waited = c->waited + c->block.elapsed < c->waited ? 0xFFFFFFFFu : c->waited + c->block.elapsed;
+        return 0;
+    }
+    if (rose || !c->execute)
+        c->done = c->aborted = c->failed = (int)(c->outcome = c->reason = 0);
+    if (!rose)
+        return 0;
+    c->busy = 1;
+    c->sent = c->giving_up = c->stopped = c->accepted = c->asked = c->cancel_rejected = 0;
+    c->status = c->waited = 0;
+    c->limit = c->timeout_ms;
+    return ROSPLC_PLC_REQUEST;
+}
+
+static int known(uint32_t peers)
+{
+    return peers != 0 && peers != ROSPLC_UNKNOWN;
+}
+
+/* Whether the answer of this scan ends a call of any kind. */
+static int ends(const rosplc_plc_client *c)
+{
+    return c->answer && c->answer <= ROSPLC_ANSWER_ABORTED && c->answer != ROSPLC_ANSWER_ACCEPTED;
+}
+
+/* Ends the call by an answer without a record; one for another kind of call tells nothing. */
+static void fail(rosplc_plc_client *c, int asked)
+{
+    if (ends(c))
+        conclude(c,
+                 c->answer == ROSPLC_ANSWER_NOT_EXECUTED ? ROSPLC_ERROR_NOT_EXECUTED
+                 : c->answer == ROSPLC_ANSWER_UNREADABLE ? ROSPLC_ERROR_UNREADABLE
+                                                         : ROSPLC_ERROR_FATE_UNKNOWN,
+                 c->in.call.reason, asked);
+}
+
+/* What a goal's answer means; 1: it has a result. */
+static int goal_answered(rosplc_plc_client *c)
+{
+    uint32_t status = c->in.call.status;
+    int record = ends(c) && c->answer >= ROSPLC_ANSWER_SUCCEEDED && !(status & ROSPLC_ANSWER_NO_RESULT);
+    switch (c->answer) {
+    case ROSPLC_ANSWER_ACCEPTED:
+        c->accepted = 1;
+        c->status = status & ROSPLC_ANSWER_CANCEL_ACCEPTED ? 3 : 2; /* action_msgs/msg/GoalStatus */
+        if (!(status & ROSPLC_ANSWER_CANCEL_ACCEPTED))
+            c->cancel_rejected = c->asked && (status & ROSPLC_ANSWER_CANCEL_REJECTED);
+        break;
+    case ROSPLC_ANSWER_SUCCEEDED:
+        c->status = 4;
+        conclude(c, record ? 0 : (uint32_t)ROSPLC_ERROR_UNREADABLE,
+                 record ? c->in.call.reason : (uint32_t)ROSPLC_REASON_TOO_LARGE, 0);
+        break;
+    case ROSPLC_ANSWER_CANCELED:
+        c->status = 5;
+        conclude(c, ROSPLC_ERROR_GOAL_CANCELED, c->in.call.reason, 1);
+        break;
+    case ROSPLC_ANSWER_ABORTED:
+        c->status = 6;
+        conclude(c, ROSPLC_ERROR_GOAL_ABORTED, c->in.call.reason, 0);
+        break;
+    default:
+        fail(c, c->stopped && c->answer == ROSPLC_ANSWER_NOT_EXECUTED);
+    }
+    return record;
+}
+
+/* Looks at the newest answer; 1: its record is the response or result. */
+static int answered(rosplc_plc_client *c)
+{
+    c->block.attached = c->out.ready && ready(&c->in);
+    c->block.peer_alive = c->out.channel.peer_alive && c->in.channel.peer_alive;
+    c->server = c->block.peer_alive && (known(c->out.sinks) || known(c->in.sources));
+    c->answer = 0;
+    if (!c->in.is_new)
+        return 0;
+    if ((c->sent || c->owed) && same(&c->in.call, &c->mine)) {
+        c->answer = c->in.call.status & ROSPLC_ANSWER_MASK;
+        if (c->busy && c->sent) {
+            if (c->action)
+                return goal_answered(c);
+            if (c->answer == ROSPLC_ANSWER_DONE)
+                conclude(c, 0, ROSPLC_REASON_NONE, 0);
+            else
+                fail(c, c->stopped);
+            return c->done;
+        }
+    }
+    if (c->action && ends(c))
+        c->owed = 0; /* the goal that was given up has ended */
+    c->late++;
+    return 0;
+}
+
+/* The object or the claim with which the call was sent is gone, so that no answer can come. */
+static void lose(rosplc_plc_client *c)
+{
+    const rosplc_plc_writer *w = &c->out;
+    int retired = w->channel.error == ROSPLC_ERROR_RETIRED;
+    if (w->epoch == c->mine.caller && w->channel.generation == c->of_object && !retired)
+        return;
+    c->send = c->owed = 0;
+    if (c->busy && c->sent) /* only a retired object is never acted on again (M27); one that was removed may be */
+        conclude(c,
+                 retired && w->epoch == c->mine.caller && !w->begun ? ROSPLC_ERROR_NOT_EXECUTED
+                                                                    : ROSPLC_ERROR_FATE_UNKNOWN,
+                 ROSPLC_REASON_BRIDGE_RESTARTED, c->stopped);
+}
+
+/* A call that has not been sent: sends it, or ends it. */
+static void open_call(rosplc_plc_client *c)
+{
+    const rosplc_plc_writer *w = &c->out;
+    int unknown = w->sinks == ROSPLC_UNKNOWN || c->in.sources == ROSPLC_UNKNOWN;
+    c->opening = 0;
+    if (c->stop) {
+        conclude(c, ROSPLC_ERROR_NOT_EXECUTED, ROSPLC_REASON_NONE, 1);
+    } else if (c->limit && c->waited > c->limit) {
+        conclude(c, ROSPLC_ERROR_NOT_EXECUTED, ROSPLC_REASON_TIME_OUT, 0);
+    } else if (c->block.attached && w->held && c->block.peer_alive && !c->send && !c->owed && (c->server || unknown)) {
+        c->number += c->number == 0xFFFFFFFFu ? 2 : 1;
+        c->mine.number = c->number;
+        c->mine.caller = w->epoch;
+        c->of_object = w->channel.generation;
+        if (c->action) { /* a fixed function of what the slot says: who finds the message knows the goal */
+            c->mine.client[0] = c->of_object;
+            c->mine.client[1] = c->mine.caller;
+            c->mine.client[2] = c->number;
+            c->mine.client[3] = ROSPLC_GOAL_ID_END;
+        }
+        prepare(&c->send, &c->say, &c->mine, ROSPLC_ASK_CALL, 0);
+        c->opening = 1;
+    }
+}
+
+/* What is to be sent in this scan. */
+static void decide(rosplc_plc_client *c)
+{
+    int over;
+    if (c->sent || c->owed)
+        lose(c);
+    if (!c->busy || c->giving_up)
+        return;
+    over = c->limit && c->waited > c->limit;
+    if (!c->sent) {
+        open_call(c);
+    } else if (over || (c->stop && !c->action)) {
+        uint32_t withdrawn = c->accepted ? 0 : ROSPLC_ASK_WITHDRAWN; /* who has not begun never will (M26) */
+        c->giving_up = 1;
+        c->stopped = c->stop && !c->action;
+        prepare(&c->send, &c->say, &c->mine, ROSPLC_ASK_CALL | withdrawn | (c->action ? ROSPLC_ASK_CANCEL : 0), 0);
+    } else if (c->action && c->stop && !c->asked) {
+        c->asked = c->stopped = 1;
+        prepare(&c->send, &c->say, &c->mine, ROSPLC_ASK_CALL | ROSPLC_ASK_CANCEL, 0);
+    } else if (c->action && !c->stop && c->cancel_rejected) {
+        c->asked = c->stopped = c->cancel_rejected = 0;
+        prepare(&c->send, &c->say, &c->mine, ROSPLC_ASK_CALL, 0);
+    }
+}
+
+/* What became of the message of this scan. */
+static void settle(rosplc_plc_client *c)
+{
+    int gone = !c->out.ready, fate;
+    if (c->out.published)
+        c->send = 0;
+    if (c->giving_up && (gone || !c->send)) {
+        fate = c->accepted || gone || c->out.begun;
+        c->owed = c->action ? fate : c->send; /* withdrawn as soon as the object is open again */
+        conclude(c, fate ? ROSPLC_ERROR_FATE_UNKNOWN : ROSPLC_ERROR_NOT_EXECUTED,
+                 c->stopped ? ROSPLC_REASON_NONE : ROSPLC_REASON_TIME_OUT, c->stopped);
+    } else if (c->owed && !c->action) {
+        c->owed = c->send;
+    } else if (c->busy && !c->sent && !c->owed) {
+        c->sent = c->opening && c->out.published;
+        c->calls += (uint32_t)c->sent;
+        c->opening = c->send = 0;
+    }
+    c->active = c->busy && c->accepted;
+}
+
+int rosplc_plc_client_end(rosplc_plc_client *c)
+{
+    uint32_t now_ms = c->block.now;
+    int got = 0;
+    if (!c->running)
+        return 0;
+    share(&c->out.channel, &c->block);
+    share(&c->in.channel, &c->block);
+    c->new_feedback = 0;
+    if (c->action) {
+        share(&c->feedback.channel, &c->block);
+        (void)rosplc_plc_read(&c->feedback, now_ms);
+        c->new_feedback = c->feedback.is_new && c->busy && c->sent && same(&c->feedback.call, &c->mine);
+        got |= c->new_feedback ? ROSPLC_PLC_FEEDBACK : 0;
+    }
+    (void)rosplc_plc_read(&c->in, now_ms);
+    got |= answered(c) ? ROSPLC_PLC_RESPONSE : 0;
+    decide(c);
+    transmit(&c->out, now_ms, c->send ? &c->say : NULL, c->request);
+    settle(c);
+    c->block.error = first_of(first_of(c->outcome, c->out.channel.error),
+                              first_of(c->in.channel.error, c->feedback.channel.error));
+    leave(&c->block);
+    return got;
+}
+
+void rosplc_plc_client_close(rosplc_plc_client *c)
+{
+    rosplc_plc_writer_close(&c->out);
+    rosplc_plc_reader_close(&c->in);
+    rosplc_plc_reader_close(&c->feedback);
+    c->block.clock_runs = 0;
+}
+
+/* ---- the server */
+
+void rosplc_plc_server_init(rosplc_plc_server *s, const char *prefix, const char *name, const rosplc_plc_part *parts,
+                            int action)
+{
+    memset((void *)s, 0, sizeof *s);
+    s->block.beat_ms = UNKNOWN_BEAT_MS;
+    s->callers = ROSPLC_UNKNOWN;
+    s->action = action;
+    s->response = parts[1].record;
+    reader_part(&s->in, prefix, name, "", action ? ROSPLC_KIND_GOAL : ROSPLC_KIND_REQUEST, &parts[0]);
+    writer_part(&s->out, prefix, name, "", action ? ROSPLC_KIND_RESULT : ROSPLC_KIND_RESPONSE, &parts[1]);
+    if (action) {
+        s->report = parts[2].record;
+        writer_part(&s->feedback, prefix, name, "", ROSPLC_KIND_FEEDBACK, &parts[2]);
+    }
+}
+
+/* Ends the call read last, which was not shown. */
+static void refuse(rosplc_plc_server *s, uint32_t status, uint32_t reason)
+{
+    s->found = 0;
+    s->refused++;
+    prepare(&s->send, &s->say, &s->news, status, reason);
+}
+
+/* A further message of the call in hand: each repeats all that is asked. */
+static void updated(rosplc_plc_server *s, uint32_t status)
+{
+    if (status & ROSPLC_ASK_WITHDRAWN)
+        s->caller_gone = 1;
+    if (!(status & ROSPLC_ASK_CANCEL))
+        s->asked = 0;
+    else if (!s->canceling && (!(s->mine.status & ROSPLC_ASK_CANCEL) || status == s->mine.status))
+        s->asked = 1; /* for the first time, or again */
+    s->preempt = (status & ROSPLC_ASK_PREEMPT) != 0;
+    s->mine.status = status;
+}
+
+/* What the newest message asks; 1: it is a call that may begin, if begin() agrees. */
+static int offered(rosplc_plc_server *s)
+{
+    rosplc_plc_reader *in = &s->in;
+    int again, fresh, open = ready(in);
+    s->block.attached = open && s->out.ready;
+    s->block.peer_alive = in->channel.peer_alive && s->out.channel.peer_alive;
+    s->callers = in->sources;
+    if (!open) {
+        s->first_read = 0;
+        if (s->shown && in->channel.error == ROSPLC_ERROR_RETIRED)
+            s->caller_gone = 1; /* even if no other object follows */
+    } else if (in->channel.generation != s->of_object) { /* the bridge has ended what the one before held */
+        s->of_object = in->channel.generation;
+        s->found = s->send = 0;
+        s->orphan = s->caller_gone = s->shown;
+    }
+    if (s->shown)
+        s->age_ms = s->age_ms + s->block.elapsed < 0xF0000000u ? s->age_ms + s->block.elapsed : 0xF0000000u;
+    if (in->is_new) {
+        fresh = !s->first_read;
+        s->first_read = 1;
+        again = same(&in->call, &s->news);
+        if (s->found && !again && !s->send)
+            refuse(s, ROSPLC_ANSWER_NOT_EXECUTED, ROSPLC_REASON_CALLER_GONE);
+        if (s->shown && !s->orphan && same(&in->call, &s->mine)) {
+            updated(s, in->call.status);
+            s->found = 0;
+        } else {
+            s->found = s->found || !again; /* one that has ended is not begun again */
+            s->caller_gone = s->caller_gone || (s->shown && s->found);
+        }
+        s->news = in->call;
+        s->verdict = 0;
+        if (s->news.status != ROSPLC_ASK_CALL) { /* an earlier run may have begun what is found first */
+            s->verdict = fresh ? ROSPLC_ANSWER_FATE_UNKNOWN : ROSPLC_ANSWER_NOT_EXECUTED;
+            s->verdict_reason = fresh ? ROSPLC_REASON_PLC_DOWN : ROSPLC_REASON_CALLER_GONE;
+        }
+    } else if (!s->found && !s->shown) {
+        s->news = in->call; /* the state found when opening: it belongs to an earlier run */
+    }
+    if (s->found && s->verdict && !s->send)
+        refuse(s, s->verdict, s->verdict_reason);
+    return s->found && !s->shown && !s->send && s->out.ready;
+}
+
+/* Ends the call in hand; 1: with an answer. */
+static int ended(rosplc_plc_server *s, uint32_t status, uint32_t reason)
+{
+    s->shown = s->caller_gone = 0;
+    s->age_ms = 0;
+    if (!s->orphan)
+        prepare(&s->send, &s->say, &s->mine, status, reason);
+    return !s->orphan;
+}
+
+/* The program's answer; 1: the response is to be sent. */
+static int replied(rosplc_plc_server *s, uint32_t rose)
+{
+    int fill = 0;
+    if (rose & (ROSPLC_PLC_REPLY | ROSPLC_PLC_REJECT)) { /* shown before this call, and one answer, not two */
+        s->illegal = !s->request
+                     || (s->steps & (ROSPLC_PLC_REPLY | ROSPLC_PLC_REJECT)) == (ROSPLC_PLC_REPLY | ROSPLC_PLC_REJECT);
+        if (!s->illegal && rose & ROSPLC_PLC_REPLY)
+            fill = ended(s, ROSPLC_ANSWER_DONE, 0);
+        else if (!s->illegal)
+            (void)ended(s, ROSPLC_ANSWER_NOT_EXECUTED, ROSPLC_REASON_REJECTED);
+    }
+    s->request = s->shown;
+    return fill;
+}
+
+/* The program's steps, each by what was shown before this call; 1: the result is to be sent. */
+static int stepped(rosplc_plc_server *s, uint32_t rose)
+{
+    const uint32_t decided = rose & (ROSPLC_PLC_ACCEPT | ROSPLC_PLC_REJECT);
+    const uint32_t cancel = rose & (ROSPLC_PLC_ACCEPT_CANCEL | ROSPLC_PLC_REJECT_CANCEL);
+    const uint32_t end = rose & (ROSPLC_PLC_SUCCEED | ROSPLC_PLC_ABORT | ROSPLC_PLC_CANCELED);
+    int fill = 0;
+    if (s->shown && s->caller_gone && !s->accepted)
+        (void)ended(s, ROSPLC_ANSWER_NOT_EXECUTED, ROSPLC_REASON_CALLER_GONE); /* it was not begun */
+    if (decided && (decided & (decided - 1) || !s->request || !s->shown)) {
+        s->illegal = 1;
+    } else if (decided == ROSPLC_PLC_ACCEPT) {
+        s->accepted = 1;
+        prepare(&s->send, &s->say, &s->mine, ROSPLC_ANSWER_ACCEPTED, 0);
+    } else if (decided) {
+        (void)ended(s, ROSPLC_ANSWER_NOT_EXECUTED, ROSPLC_REASON_REJECTED);
+    }
+    if (cancel && (cancel & (cancel - 1) || !s->cancel_requested)) {
+        s->illegal = 1;
+    } else if (cancel) {
+        s->asked = 0;
+        s->canceling = cancel == ROSPLC_PLC_ACCEPT_CANCEL;
+        s->cancel = s->canceling ? ROSPLC_ANSWER_CANCEL_ACCEPTED : ROSPLC_ANSWER_CANCEL_REJECTED;
+        if (!s->orphan)
+            prepare(&s->send, &s->say, &s->mine, ROSPLC_ANSWER_ACCEPTED | s->cancel, 0);
+    }
+    if (end && (end & (end - 1) || !s->active || (end == ROSPLC_PLC_CANCELED && !s->canceling)))
+        s->illegal = 1;
+    else if (end)
+        fill = ended(s,
+                     (end == ROSPLC_PLC_SUCCEED ? ROSPLC_ANSWER_SUCCEEDED
+                      : end == ROSPLC_PLC_ABORT ? ROSPLC_ANSWER_ABORTED
+                                                : ROSPLC_ANSWER_CANCELED)
+                         | s->cancel,
+                     0);
+    s->request = s->shown && !s->accepted;
+    s->active = s->shown && s->accepted;
+    s->cancel_requested = s->active && s->asked;
+    s->canceling = s->active && s->canceling;
+    s->preempt = s->shown && s->preempt;
+    return fill;
+}
+
+int rosplc_plc_server_begin(rosplc_plc_server *s, uint32_t now_ms)
+{
+    uint32_t rose;
+    int got = 0;
+    s->running = enter(&s->block, now_ms);
+    if (!s->running)
+        return 0;
+    share(&s->in.channel, &s->block);
+    share(&s->out.channel, &s->block);
+    share(&s->feedback.channel, &s->block);
+    (void)rosplc_plc_read(&s->in, now_ms);
+    if (offered(s) && begin(&s->in)) {
+        s->mine = s->news;
+        s->shown = 1;
+        s->found = s->orphan = s->caller_gone = s->accepted = s->canceling = s->preempt = s->asked = 0;
+        s->age_ms = s->cancel = 0;
+        s->calls++;
+        got = ROSPLC_PLC_REQUEST;
+    }
+    rose = s->steps & ~s->before;
+    s->before = s->steps;
+    s->illegal = s->illegal && s->steps;
+    if (s->action ? stepped(s, rose) : replied(s, rose))
+        got |= ROSPLC_PLC_RESPONSE;
+    return got | (s->action && s->send_feedback ? ROSPLC_PLC_FEEDBACK : 0);
+}
+
+void rosplc_plc_server_end(rosplc_plc_server *s)
+{
+    rosplc_plc_call report = s->mine;
+    if (!s->running)
+        return;
+    transmit(&s->out, s->block.now, s->send ? &s->say : NULL, s->response);
+    if (s->out.published)
+        s->send = 0;
+    if (s->action) {
+        report.status = ROSPLC_ANSWER_ACCEPTED;
+        transmit(&s->feedback, s->block.now, s->send_feedback && s->active && !s->orphan ? &report : NULL, s->report);
+    }
+    s->block.error = first_of(first_of(s->illegal ? (uint32_t)ROSPLC_ERROR_ILLEGAL_STEP : 0, s->in.channel.error),
+                              first_of(s->out.channel.error, s->feedback.channel.error));
+    leave(&s->block);
+}
+
+void rosplc_plc_server_close(rosplc_plc_server *s)
+{
+    rosplc_plc_reader_close(&s->in);
+    rosplc_plc_writer_close(&s->out);
+    rosplc_plc_writer_close(&s->feedback);
+    s->block.clock_runs = 0;
 }

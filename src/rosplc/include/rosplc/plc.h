@@ -12,21 +12,38 @@
  *
  * Only a call that opens or closes an object makes system calls, and none allocates. A block starts no thread, and has
  * no clock: `now_ms` is any clock that runs on steadily, in milliseconds, and may wrap. In C++, rosplc::plc_reader and
- * rosplc::plc_writer close themselves. A block is used by one task; a call by a second one at once is refused (124). */
+ * its like close themselves. A block is used by one task; a call by a second one at once is refused (124).
+ *
+ * A client or server of a service or action takes records of the caller's, and a scan's call has two halves:
+ *
+ *   static const rosplc_plc_part parts[] = {{..., &request}, {..., &response}};    an action: a third one, feedback
+ *   rosplc_plc_client_init(&client, "rosplc", "/gripper/close", "", parts, 0);
+ *   for each scan:
+ *       client.execute = ...;
+ *       if (rosplc_plc_client_begin(&client, now_ms)) ...  fill `request`, which is not to change before the call is over
+ *       rosplc_plc_client_end(&client);                    with client.done, `response` is the answer
+ *
+ *       got = rosplc_plc_server_begin(&server, now_ms);    & ROSPLC_PLC_REQUEST: `request` is what is asked from now on
+ *       ...                                                & ROSPLC_PLC_RESPONSE: fill `response`
+ *       rosplc_plc_server_end(&server); */
 #ifndef ROSPLC_PLC_H
 #define ROSPLC_PLC_H
 
-#include "reader.h"
-#include "writer.h"
+#include "call.h"
 
 /* What a message becomes that is stale. HOLD: it stays; ZERO: all bytes 0; SAFE: the record that `safe` points to. */
 enum { ROSPLC_PLC_HOLD, ROSPLC_PLC_ZERO, ROSPLC_PLC_SAFE };
 
-/* What both blocks have. */
+/* What a message says of its call: section 11.2. */
+typedef struct {
+    uint32_t status, number, caller, client[4], reason;
+} rosplc_plc_call;
+
+/* What all blocks have. */
 typedef struct {
     /* Set by the init function, or before the first call. */
-    const char *prefix, *topic; /* stay where they are for as long as the block is used */
-    uint32_t layout_lo, layout_hi, record_size;
+    const char *prefix, *topic, *client; /* stay where they are for as long as the block is used */
+    uint32_t kind, layout_lo, layout_hi, record_size;
     uint32_t beat_ms;           /* the longest time between two calls that this block promises */
     int *may_open;              /* set to 1 at the begin of each scan, shared by a task's blocks; NULL: no limit */
     /* What the block shows. */
@@ -55,7 +72,8 @@ typedef struct {
     uint32_t sequence, age_ms, lost, retries, discontinuities, sources, taken, stamp_lo, stamp_hi;
     /* Its own. */
     rosplc_reader reader;
-    uint32_t watched, writer;
+    rosplc_plc_call call, begun_call;
+    uint32_t watched, writer, begun;
     int show, ever_new;
 } rosplc_plc_reader;
 
@@ -69,7 +87,64 @@ typedef struct {
     /* Its own. */
     rosplc_writer writer;
     rosplc_slot_header *slot;
+    rosplc_plc_call call, first_call;
+    uint32_t epoch, first;
+    int begun, held;
 } rosplc_plc_writer;
+
+/* A request or goal, a response or result, or the feedback of a client or server. */
+typedef struct {
+    uint32_t layout_lo, layout_hi, record_size;
+    void *record;
+} rosplc_plc_part;
+
+enum { ROSPLC_PLC_REQUEST = 1, ROSPLC_PLC_RESPONSE = 2, ROSPLC_PLC_FEEDBACK = 4 }; /* goal and result likewise */
+
+typedef struct {
+    rosplc_plc_channel block; /* beat_ms, may_open; attached, peer_alive, error: with `failed` and `aborted` of the call */
+    /* Inputs. */
+    int execute, stop;   /* stop: xAbort of a service, xCancel of an action */
+    uint32_t timeout_ms; /* for the whole call; 0: no limit */
+    /* Outputs, as those of the generated blocks. */
+    int busy, done, failed, aborted, server, active, cancel_rejected, new_feedback;
+    uint32_t reason, calls, late, status;
+    /* Its own. */
+    rosplc_plc_writer out;
+    rosplc_plc_reader in, feedback;
+    rosplc_plc_call mine, say;
+    void *request;
+    int action, running, before, send, opening, sent, giving_up, owed, stopped, accepted, asked;
+    uint32_t outcome, number, limit, waited, of_object, answer;
+} rosplc_plc_client;
+
+/* What a program decides, in `steps`; each counts when it is added. A service has the first two. */
+enum {
+    ROSPLC_PLC_REPLY = 1,
+    ROSPLC_PLC_ACCEPT = 1,
+    ROSPLC_PLC_REJECT = 2,
+    ROSPLC_PLC_ACCEPT_CANCEL = 4,
+    ROSPLC_PLC_REJECT_CANCEL = 8,
+    ROSPLC_PLC_SUCCEED = 16,
+    ROSPLC_PLC_ABORT = 32,
+    ROSPLC_PLC_CANCELED = 64
+};
+
+typedef struct {
+    rosplc_plc_channel block;
+    /* Inputs. */
+    uint32_t steps;
+    int send_feedback; /* at this call, while `active` */
+    /* Outputs, as those of the generated blocks. */
+    int request, active, cancel_requested, canceling, preempt, caller_gone; /* request: of an action, xGoal */
+    uint32_t age_ms, callers, calls, refused;
+    /* Its own. */
+    rosplc_plc_reader in;
+    rosplc_plc_writer out, feedback;
+    rosplc_plc_call mine, say, news;
+    void *response, *report;
+    int action, running, send, found, shown, first_read, orphan, illegal, accepted, asked;
+    uint32_t before, of_object, verdict, verdict_reason, cancel;
+} rosplc_plc_server;
 
 #ifdef __cplusplus
 extern "C" {
@@ -103,24 +178,40 @@ int rosplc_plc_write(rosplc_plc_writer *w, uint32_t now_ms, int enable, const vo
 void rosplc_plc_reader_close(rosplc_plc_reader *r);
 void rosplc_plc_writer_close(rosplc_plc_writer *w);
 
+/* Prepare a client or server; no system call. `client` is the use's name in the configuration, "" if it has none; an
+ * action has three parts. */
+void rosplc_plc_client_init(rosplc_plc_client *c, const char *prefix, const char *name, const char *client,
+                            const rosplc_plc_part *parts, int action);
+void rosplc_plc_server_init(rosplc_plc_server *s, const char *prefix, const char *name, const rosplc_plc_part *parts,
+                            int action);
+
+/* A scan's call, in two halves. What they return: the records that are to be filled now (of a client: the request; of
+ * a server: response and feedback), and those that have come (a server's request in the first half, the others at the
+ * end). */
+int rosplc_plc_client_begin(rosplc_plc_client *c, uint32_t now_ms);
+int rosplc_plc_client_end(rosplc_plc_client *c);
+int rosplc_plc_server_begin(rosplc_plc_server *s, uint32_t now_ms);
+void rosplc_plc_server_end(rosplc_plc_server *s);
+
+void rosplc_plc_client_close(rosplc_plc_client *c);
+void rosplc_plc_server_close(rosplc_plc_server *s);
+
 #ifdef __cplusplus
 }
 
 namespace rosplc {
 
-struct plc_reader : rosplc_plc_reader {
-    plc_reader() : rosplc_plc_reader() {}
-    ~plc_reader() { rosplc_plc_reader_close(this); }
-    plc_reader(const plc_reader &) = delete;
-    plc_reader &operator=(const plc_reader &) = delete;
+template <class Block, void (*Close)(Block *)> struct plc_block : Block {
+    plc_block() : Block() {}
+    ~plc_block() { Close(this); }
+    plc_block(const plc_block &) = delete;
+    plc_block &operator=(const plc_block &) = delete;
 };
 
-struct plc_writer : rosplc_plc_writer {
-    plc_writer() : rosplc_plc_writer() {}
-    ~plc_writer() { rosplc_plc_writer_close(this); }
-    plc_writer(const plc_writer &) = delete;
-    plc_writer &operator=(const plc_writer &) = delete;
-};
+using plc_reader = plc_block<rosplc_plc_reader, rosplc_plc_reader_close>;
+using plc_writer = plc_block<rosplc_plc_writer, rosplc_plc_writer_close>;
+using plc_client = plc_block<rosplc_plc_client, rosplc_plc_client_close>;
+using plc_server = plc_block<rosplc_plc_server, rosplc_plc_server_close>;
 
 } // namespace rosplc
 #endif

@@ -70,4 +70,11 @@ void rosplc_call({{ block.name | upper }} *block)
 
 {% endif %}
 {% endfor %}
+{% for use in uses %}
+void rosplc_call({{ use.name | upper }} *block)
+{
+    {{ "rosplc_call_server" if use.calls else "rosplc_serve" }}<{% for dut in use.parts.values() %}of_{{ dut | upper }}, {% endfor %}{{ "rosplc_no_feedback, " if use.parts | length == 2 }}{{ use.name | upper }}>(block);
+}
+
+{% endfor %}
 } // namespace strucpp

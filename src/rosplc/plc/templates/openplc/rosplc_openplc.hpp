@@ -126,12 +126,17 @@ template <class Layout> struct rosplc_own_writer {
     char topic[256];
 };
 
-template <class Own, class Block> bool first_call(Own *own, const Block *block)
+template <size_t Size, class Text> bool keep(char (&place)[Size], const Text &text)
 {
-    if (own->topic[0] || block->STOPIC.get().length() == 0)
+    if (place[0] || text.get().length() == 0 || text.get().length() >= Size)
         return false;
-    std::memcpy(own->topic, block->STOPIC.get().c_str(), block->STOPIC.get().length() + 1);
+    std::memcpy(place, text.get().c_str(), text.get().length() + 1);
     return true;
+}
+
+uint32_t to_ms(int64_t nanoseconds)
+{
+    return static_cast<uint32_t>((nanoseconds + 999999) / 1000000);
 }
 
 template <class Block> void show(Block *block, const rosplc_plc_channel &channel)
@@ -141,6 +146,11 @@ template <class Block> void show(Block *block, const rosplc_plc_channel &channel
     block->UDIERROR = channel.error;
     block->XERROR = channel.error != 0;
     block->UDIREENTRIES = channel.reentries;
+}
+
+template <class Block> void show_found(Block *block, const rosplc_plc_channel &channel)
+{
+    show(block, channel);
     block->UDIFOUNDLAYOUTLO = channel.found_layout_lo;
     block->UDIFOUNDLAYOUTHI = channel.found_layout_hi;
 }
@@ -153,12 +163,12 @@ template <class Layout, class Block> bool rosplc_read(Block *block, bool next)
     if (!own)
         return false;
     rosplc_plc_reader &r = own->reader;
-    if (first_call(own, block)) {
+    if (keep(own->topic, block->STOPIC)) {
         rosplc_plc_reader_init(&r, ROSPLC_PREFIX, own->topic, Layout::LAYOUT_LO, Layout::LAYOUT_HI, Layout::SIZE, own->record);
         r.channel.beat_ms = ROSPLC_BEAT_MS;
     }
     r.channel.may_open = &pace.may_open;
-    r.stale_after_ms = static_cast<uint32_t>((block->TSTALEAFTER.get() + 999999) / 1000000);
+    r.stale_after_ms = to_ms(block->TSTALEAFTER.get());
     r.on_stale = block->UIONSTALE.get();
     r.in_order = block->XINORDER.get();
     r.max_per_scan = block->UIMAXPERSCAN.get();
@@ -168,7 +178,7 @@ template <class Layout, class Block> bool rosplc_read(Block *block, bool next)
     after_call(block, now);
     if (got)
         Layout::take(block->MSG, own->record);
-    show(block, r.channel);
+    show_found(block, r.channel);
     block->XVALID = r.valid != 0;
     block->XNEW = r.is_new != 0;
     block->XSTALE = r.stale != 0;
@@ -202,7 +212,7 @@ template <class Layout, class Block> void rosplc_write(Block *block)
     if (!own)
         return;
     rosplc_plc_writer &w = own->writer;
-    if (first_call(own, block)) {
+    if (keep(own->topic, block->STOPIC)) {
         rosplc_plc_writer_init(&w, ROSPLC_PREFIX, own->topic, Layout::LAYOUT_LO, Layout::LAYOUT_HI, Layout::SIZE);
         w.channel.beat_ms = ROSPLC_BEAT_MS;
     }
@@ -216,7 +226,7 @@ template <class Layout, class Block> void rosplc_write(Block *block)
     if (record)
         Layout::give(record, block->MSG);
     rosplc_plc_write_end(&w);
-    show(block, w.channel);
+    show_found(block, w.channel);
     block->XREADY = w.ready != 0;
     block->XPUBLISHED = w.published != 0;
     block->UDISEQUENCE = w.sequence;
@@ -225,6 +235,137 @@ template <class Layout, class Block> void rosplc_write(Block *block)
     block->TTAKEOVER = static_cast<int64_t>(w.takeover_ms) * 1000000;
     block->UDITAKEN = w.taken;
     block->UDISINKS = w.sinks;
+}
+
+// A service has no feedback.
+struct rosplc_no_feedback {
+    static constexpr uint32_t LAYOUT_LO = 0, LAYOUT_HI = 0, SIZE = 0;
+};
+
+template <class Kind, class Request, class Response, class Feedback> struct rosplc_own_use {
+    static constexpr bool ACTION = Feedback::SIZE != 0;
+    Kind block;
+    char name[256], client[33];
+    alignas(8) uint8_t request[Request::SIZE];
+    alignas(8) uint8_t response[Response::SIZE];
+    alignas(8) uint8_t feedback[Feedback::SIZE + 1];
+    const rosplc_plc_part parts[3] = {
+        {Request::LAYOUT_LO, Request::LAYOUT_HI, Request::SIZE, request},
+        {Response::LAYOUT_LO, Response::LAYOUT_HI, Response::SIZE, response},
+        {Feedback::LAYOUT_LO, Feedback::LAYOUT_HI, Feedback::SIZE, feedback},
+    };
+};
+
+template <class Request, class Response, class Feedback, class Block> void rosplc_call_server(Block *block)
+{
+    static rosplc_list<rosplc_own_use<rosplc::plc_client, Request, Response, Feedback>> list;
+    auto *own = list.of(block);
+    const uint32_t now = now_ms();
+    constexpr bool action = Feedback::SIZE != 0;
+    if (!own)
+        return;
+    rosplc_plc_client &c = own->block;
+    if (keep(own->name, block->SNAME)) {
+        keep(own->client, block->SCLIENT);
+        rosplc_plc_client_init(&c, ROSPLC_PREFIX, own->name, own->client, own->parts, action);
+        c.block.beat_ms = ROSPLC_BEAT_MS;
+    }
+    c.block.may_open = &pace.may_open;
+    c.execute = block->XEXECUTE.get();
+    c.timeout_ms = to_ms(block->TTIMEOUT.get());
+    if constexpr (action)
+        c.stop = block->XCANCEL.get();
+    else
+        c.stop = block->XABORT.get();
+    before_call(block, now);
+    if (rosplc_plc_client_begin(&c, now)) {
+        if constexpr (action)
+            Request::give(own->request, block->GOAL);
+        else
+            Request::give(own->request, block->REQUEST);
+    }
+    const int got = rosplc_plc_client_end(&c);
+    after_call(block, now);
+    show(block, c.block);
+    block->XERROR = c.failed != 0;
+    block->XBUSY = c.busy != 0;
+    block->XDONE = c.done != 0;
+    block->XABORTED = c.aborted != 0;
+    block->EREASON = c.reason;
+    block->XSERVER = c.server != 0;
+    block->UDICALLS = c.calls;
+    block->UDILATE = c.late;
+    if constexpr (action) {
+        block->XACTIVE = c.active != 0;
+        block->XCANCELREJECTED = c.cancel_rejected != 0;
+        block->ESTATUS = c.status;
+        block->XNEWFEEDBACK = c.new_feedback != 0;
+        if (got & ROSPLC_PLC_FEEDBACK)
+            Feedback::take(block->FEEDBACK, own->feedback);
+        if (got & ROSPLC_PLC_RESPONSE)
+            Response::take(block->RESULT, own->response);
+    } else if (got & ROSPLC_PLC_RESPONSE) {
+        Response::take(block->RESPONSE, own->response);
+    }
+}
+
+template <class Request, class Response, class Feedback, class Block> void rosplc_serve(Block *block)
+{
+    static rosplc_list<rosplc_own_use<rosplc::plc_server, Request, Response, Feedback>> list;
+    auto *own = list.of(block);
+    const uint32_t now = now_ms();
+    constexpr bool action = Feedback::SIZE != 0;
+    if (!own)
+        return;
+    rosplc_plc_server &s = own->block;
+    if (keep(own->name, block->SNAME)) {
+        rosplc_plc_server_init(&s, ROSPLC_PREFIX, own->name, own->parts, action);
+        s.block.beat_ms = ROSPLC_BEAT_MS;
+    }
+    s.block.may_open = &pace.may_open;
+    s.steps = block->XREJECT.get() ? ROSPLC_PLC_REJECT : 0;
+    if constexpr (action) {
+        s.send_feedback = block->XSENDFEEDBACK.get();
+        s.steps |= (block->XACCEPT.get() ? ROSPLC_PLC_ACCEPT : 0u)
+                   | (block->XACCEPTCANCEL.get() ? ROSPLC_PLC_ACCEPT_CANCEL : 0u)
+                   | (block->XREJECTCANCEL.get() ? ROSPLC_PLC_REJECT_CANCEL : 0u)
+                   | (block->XSUCCEED.get() ? ROSPLC_PLC_SUCCEED : 0u) | (block->XABORT.get() ? ROSPLC_PLC_ABORT : 0u)
+                   | (block->XCANCELED.get() ? ROSPLC_PLC_CANCELED : 0u);
+    } else {
+        s.steps |= block->XREPLY.get() ? ROSPLC_PLC_REPLY : 0u;
+    }
+    before_call(block, now);
+    const int wanted = rosplc_plc_server_begin(&s, now);
+    if constexpr (action) {
+        if (wanted & ROSPLC_PLC_REQUEST)
+            Request::take(block->GOAL, own->request);
+        if (wanted & ROSPLC_PLC_RESPONSE)
+            Response::give(own->response, block->RESULT);
+        if (wanted & ROSPLC_PLC_FEEDBACK)
+            Feedback::give(own->feedback, block->FEEDBACK);
+    } else {
+        if (wanted & ROSPLC_PLC_REQUEST)
+            Request::take(block->REQUEST, own->request);
+        if (wanted & ROSPLC_PLC_RESPONSE)
+            Response::give(own->response, block->RESPONSE);
+    }
+    rosplc_plc_server_end(&s);
+    after_call(block, now);
+    show(block, s.block);
+    block->TAGE = static_cast<int64_t>(s.age_ms) * 1000000;
+    block->XCALLERGONE = s.caller_gone != 0;
+    block->UDICALLERS = s.callers;
+    block->UDICALLS = s.calls;
+    block->UDIREFUSED = s.refused;
+    if constexpr (action) {
+        block->XGOAL = s.request != 0;
+        block->XACTIVE = s.active != 0;
+        block->XCANCELREQUESTED = s.cancel_requested != 0;
+        block->XCANCELING = s.canceling != 0;
+        block->XPREEMPT = s.preempt != 0;
+    } else {
+        block->XREQUEST = s.request != 0;
+    }
 }
 
 } // namespace
