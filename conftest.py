@@ -163,12 +163,14 @@ class Ledger:
         self.skipped: dict[str, str] = {}
         self.unreached: list[str] = []
         self.repeated: list[str] = []
+        self.properties: list[tuple[str, object]] = []
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         if report.skipped and not hasattr(report, "wasxfail"):
             self.skipped[report.nodeid] = skip_reason(report)
         if report.outcome == "rerun":  # type: ignore[comparison-overlap]  # pytest-rerunfailures' own
             self.repeated.append(report.nodeid)
+        self.properties += report.user_properties if report.when == "call" else []
 
     def pytest_collectreport(self, report: pytest.CollectReport) -> None:
         if report.skipped:  # a module whose library has no wheel for this machine
@@ -192,6 +194,8 @@ class Ledger:
             terminalreporter.write_line(f"NOT HERE {nodeid}: {why}")
         for nodeid in self.unreached:
             terminalreporter.write_line(f"NOT REACHED {nodeid}")
+        for name, value in self.properties:
+            terminalreporter.write_line(f"COUNTED {name}: {value}")
 
 
 _LEDGER = pytest.StashKey[Ledger]()

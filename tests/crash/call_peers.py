@@ -135,17 +135,21 @@ STEPS = {**CALLS, **GOALS_FROM_ROS, **GOALS_OF_PLC}
 
 
 class Fuse:
-    """Kills this process at a pass of its step; ``burn`` is the pass of a step that has no method."""
+    """Kills this process at a pass of its step, and notes that; ``burn`` is a pass that is in no method."""
 
-    def __init__(self, step: str, passes: int) -> None:
-        self.step, self.left = step, passes
+    def __init__(self, folder: Path, step: str, passes: int) -> None:
+        self.folder, self.step, self.left = folder, step, passes
+        self._lock = threading.Lock()
         if (place := STEPS.get(step)) is not None:
             self._instrument(*place)
 
     def burn(self, step: str) -> None:
-        if step == self.step:
+        if step != self.step:
+            return
+        with self._lock:
             self.left -= 1
             if self.left <= 0:
+                append(self.folder / "killed-at", self.step)
                 os.kill(os.getpid(), signal.SIGKILL)
 
     def _instrument(self, owner: Any, name: str, when: str, counts: Counts) -> None:
@@ -166,13 +170,13 @@ class Fuse:
 
 
 class Patience:
-    """How long a caller waits for an answer: not long after a kill, longer on a busy machine."""
+    """How long a caller waits for an answer: not long, though kills lose many; longer on a busy machine."""
 
     def __init__(self) -> None:
         self.seconds = 0.1
 
     def learn(self, answered: object) -> None:
-        self.seconds = min(max(self.seconds * (0.7 if answered else 1.5), 0.1), 1.0)
+        self.seconds = min(max(self.seconds * (0.4 if answered else 1.5), 0.1), 1.0)
 
 
 def append(path: Path, *words: object) -> None:
@@ -560,7 +564,7 @@ def _say(*words: object) -> None:
 
 
 def _play(folder: Path, sabotage: str, role: str, step: str, passes: int) -> None:
-    fuse = Fuse(step, passes)
+    fuse = Fuse(folder, step, passes)
     if role == "bridge":
         _note_counts(folder)
     if role.endswith("plc" if sabotage == "last := 0" else "bridge"):

@@ -201,6 +201,10 @@ class Cell:
             pipe.close()
         self._starter.wait(WATCHDOG_S)
 
+    def kills(self) -> Counter[str]:
+        """Return how many processes have killed themselves at each step, as they noted."""
+        return Counter(" ".join(words[:-1]) for words in self.lines("killed-at"))
+
     def lines(self, name: str) -> list[list[str]]:
         path = self.folder / name
         return [line.split() for line in path.read_text().splitlines()] if path.exists() else []
@@ -319,6 +323,7 @@ def test_each_step(
         if steps is not GOALS_OF_PLC:
             cell.call_late()
         assert cell.check() == []
+    assert cell.kills() == dict.fromkeys(list(steps)[share], 1)
     assert not any(line[0].startswith("late") for line in cell.lines("executed-by-plc"))
 
 
@@ -385,7 +390,13 @@ def test_the_check_sees_that_nothing_expires(
     ("group", "step"), [(group, step) for group, steps in GROUPS.items() for step in steps]
 )
 def test_many_kills_at_one_step(
-    tmp_path: Path, shm_namespace: Namespace, domain: int, group: str, step: str, kills: int
+    tmp_path: Path,
+    shm_namespace: Namespace,
+    domain: int,
+    group: str,
+    step: str,
+    kills: int,
+    record_property: Callable[[str, object], None],
 ) -> None:
     chance = random.Random(2)
     with _cell(tmp_path, shm_namespace, domain, GROUPS[group]) as cell:
@@ -393,7 +404,15 @@ def test_many_kills_at_one_step(
             cell.kill_at(step, chance.randint(1, 4))
         cell.complete()
         cell.until_more()
-        assert cell.check() == []
+        found = cell.check()
+        asked = [len(cell.lines(f"asked-by-{who}")) for who in ("ros", "plc")]
+        record_property(
+            f"{group}, {step}",
+            f"{cell.kills()[step]} kills, {asked[0]} from ROS and {asked[1]} from the PLC, "
+            f"answered {cell.done()}, wrong {len(found)}",
+        )
+        assert found == []
+    assert cell.kills() == {step: kills}
 
 
 @pytest.mark.timeout(3600)
@@ -405,7 +424,12 @@ def test_many_kills_at_one_step(
     ],
 )
 def test_kills_at_any_time(
-    tmp_path: Path, shm_namespace: Namespace, domain: int, group: str, number: int
+    tmp_path: Path,
+    shm_namespace: Namespace,
+    domain: int,
+    group: str,
+    number: int,
+    record_property: Callable[[str, object], None],
 ) -> None:
     """Both directions together, while bridge, PLC and robot are killed at any time."""
     chance = random.Random(3)
@@ -413,4 +437,6 @@ def test_kills_at_any_time(
         for least in range(number // 100, number + 1, number // 100):
             cell.kill_at_random(3, chance)
             cell.wait_for(partial(lambda least: sum(cell.done()) >= least, least), "answers", every=0.5)
-        assert cell.check() == []
+        found = cell.check()
+        record_property(f"{group}, at any time", f"300 kills, answered {cell.done()}, wrong {len(found)}")
+        assert found == []
