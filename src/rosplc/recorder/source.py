@@ -65,10 +65,13 @@ class SourceTopic:
         """
         try:
             if self.definition is not None:
-                calls = self.service or self.action
                 defined = self.call_type if self.action else self.type_name
                 store = TypeStore.from_definition(defined, self.definition, distro=self.distro or distro)
-                return with_interface(store, self.call_type) if calls else store
+                if not (self.service or self.action):
+                    return store
+                # Events are messages of ROS 2, also those of a call in ROS 1.
+                types = {name: store[name] for name in store.names()}
+                return with_interface(TypeStore("", types), self.call_type)
             store = TypeStore.bundled(self.distro or distro)
             same = self.type_hash in ("", store.type_hash(self.type_name))
         except RosplcError as error:

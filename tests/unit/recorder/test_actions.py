@@ -29,7 +29,7 @@ from rosplc.recorder.replay import (
     chosen_topics,
 )
 from rosplc.recorder.source import open_source
-from rosplc.ros import ActionServer, open_backend
+from rosplc.ros import action_classes, open_backend
 from rosplc.shm import ACTION, SERVICE, Caller, Namespace, OwnedChannel, Part, attach
 from rosplc.shm import constants as spec
 from rosplc.virtual_plc import ActionServer as VirtualServer
@@ -50,9 +50,11 @@ SEND, CANCEL, RESULT, FEEDBACK, STATUS = TOPICS
 class Action:
     """Both sides of one use of an action, which the PLC or ROS carries out."""
 
-    def __init__(self, namespace: Namespace, server: Any = "plc", name: str = NAME) -> None:
-        store, limits = TypeStore.bundled("jazzy"), Limits(sequence=8)
-        words = {part: f"{FIBONACCI}_{part.word.capitalize()}" for part in ACTION}
+    def __init__(
+        self, namespace: Namespace, server: Any = "plc", distro: str = "jazzy", kind: str = FIBONACCI
+    ) -> None:
+        name, store, limits = NAME, TypeStore.bundled(distro), Limits(sequence=8)
+        words = {part: f"{kind}_{part.word.capitalize()}" for part in ACTION}
         self.layouts = {part: compute_layout(store, message, limits) for part, message in words.items()}
         parts = [
             (description_of(layout, name, part.direction(server), part=part, bridge="test"), layout.size)
@@ -294,17 +296,17 @@ def test_objects_of_other_types_are_refused(
 
 DOMAIN = 4713  # of this process alone
 STORE = TypeStore.bundled("jazzy")
-GOALS, RESULTS = (
-    Codec(compute_layout(STORE, f"{FIBONACCI}_{part}", Limits(sequence=8)), Wire.CDR)
-    for part in ("Goal", "Result")
-)
 
 
 @pytest.fixture
 def shift(shm_namespace: Namespace, tmp_path: Path) -> Path:
     """A recording with the goals 3, 5 and 4."""
-    action, feed = Action(shm_namespace, "ros"), Feed(shm_namespace, "/a")
-    with recording(shm_namespace, tmp_path / "shift") as recorder:
+    return shift_of(shm_namespace, tmp_path)
+
+
+def shift_of(namespace: Namespace, folder: Path, *action_of: str) -> Path:
+    action, feed = Action(namespace, "ros", *action_of), Feed(namespace, "/a")
+    with recording(namespace, folder / "shift") as recorder:
         feed.number(1)
         for count, order in ((8, 3), (15, 5), (22, 4)):
             action.ask(order=order)
@@ -314,24 +316,31 @@ def shift(shm_namespace: Namespace, tmp_path: Path) -> Path:
             until(lambda n=count: received(recorder) == n, recorder)
     action.close()
     feed.close()
-    return tmp_path / "shift.mcap"
+    return folder / "shift.mcap"
 
 
 @contextmanager
-def arm(name: str, goals: list[int]) -> Iterator[None]:
+def arm(
+    name: str, goals: list[int], store: TypeStore = STORE, kind: str = FIBONACCI, wire: Wire = Wire.CDR
+) -> Iterator[None]:
     """Serve an action in ROS; a goal of 5 is rejected."""
-    node = open_backend("memory", STORE, "robot", domain=DOMAIN)
+    node = open_backend("memory", store, "robot", domain=DOMAIN)
+    asked, told = (
+        Codec(compute_layout(store, f"{kind}_{part}", Limits(sequence=8)), wire)
+        for part in ("Goal", "Result")
+    )
 
     def on_goal(uuid: bytes, payload: bytes) -> None:
-        goals.append(GOALS.layout.to_dict(GOALS.decode(payload))["order"])
+        goals.append(asked.layout.to_dict(asked.decode(payload))["order"])
         if goals[-1] == 5:
             server.reject(uuid)
             return
         server.accept(uuid)
         server.execute(uuid)
-        server.succeed(uuid, RESULTS.encode(RESULTS.layout.pack({"sequence": [goals[-1]]})))
+        server.succeed(uuid, told.encode(told.layout.pack({"sequence": [goals[-1]]})))
 
-    server = ActionServer(node, STORE, name, FIBONACCI, on_goal=on_goal, on_cancel=lambda _: None)
+    server = action_classes(store)[0](node, store, name, kind, on_goal=on_goal, on_cancel=lambda _: None)
+    server.tick()
     try:
         yield
     finally:
@@ -365,6 +374,24 @@ def test_recorded_goals_are_sent_to_ros(shift: Path, renamed: bool) -> None:
     chosen, _ = chosen_topics(source, Selection((SEND,)), {NAME: name}, to_plc=False, actions=[NAME])
     with arm(name, goals):
         target = RosTarget(chosen, backend="memory", domain=DOMAIN)
+        count = play(source, target, chosen)
+    assert goals == [3, 5, 4]
+    assert (count.sent, count.lost, count.reason) == (2, 1, "the goal was rejected")
+
+
+@pytest.mark.parametrize(
+    ("recorded", "kind"), [("noetic", "actionlib_tutorials/action/Fibonacci"), ("jazzy", FIBONACCI)]
+)
+def test_recorded_goals_are_sent_to_ros_1(
+    shm_namespace: Namespace, tmp_path: Path, recorded: str, kind: str
+) -> None:
+    """To a server of actionlib, whether a bridge of ROS 1 or of ROS 2 carried them."""
+    source, goals = open_source(shift_of(shm_namespace, tmp_path, recorded, kind)), []
+    chosen, _ = chosen_topics(source, Selection((SEND,)), {}, to_plc=False, actions=[NAME])
+    parts = (f"{kind}_{part}" for part in ("Goal", "Result", "Feedback"))
+    store = TypeStore.bundled("noetic").with_types_of(TypeStore.bundled(recorded), *parts)
+    with arm(NAME, goals, store, kind, Wire.ROS1):
+        target = RosTarget(chosen, backend="memory", distro="noetic", domain=DOMAIN)
         count = play(source, target, chosen)
     assert goals == [3, 5, 4]
     assert (count.sent, count.lost, count.reason) == (2, 1, "the goal was rejected")
