@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import json
 import struct
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
+from rosplc.cli.app import app
 from rosplc.model import TypeStore
 from rosplc.ros import Backend, GoalEvent, GoalStatus, action_classes, open_backend
 from rosplc.ros.actionlib import uuid_of
+from rosplc.shm import Namespace
 from tests.interop.ros1.graph import PACKAGES, Graph, Peer, lend
 from tests.lib.waiting import wait_for
+from tests.unit.recorder.making import received, recording, until
+from tests.unit.recorder.test_actions import NAME, Action
 
 pytestmark = [pytest.mark.needs(*PACKAGES, "python3-actionlib"), pytest.mark.timeout(120)]
 
@@ -214,6 +221,23 @@ def test_a_server_does_not_execute(ros1: Graph, cell: Backend, events: list[Goal
     assert last(events, "rejected").uuid == UUID
     assert peer.told("/test")[0] == f"goal {goal}"
     assert "accepted" not in [event.kind for event in events]
+
+
+def test_a_recorded_goal_is_sent_to_a_server(ros1: Graph, shm_namespace: Namespace, tmp_path: Path) -> None:
+    """``rosplc replay`` sends what a bridge carried, and waits for its end."""
+    action = Action(shm_namespace, "ros", "noetic", TEST)
+    with recording(shm_namespace, tmp_path / "shift") as recorder:
+        action.ask(goal=1)
+        until(lambda: received(recorder) == 1, recorder)
+    action.close()
+    peer = ros1.peer("actionlib", "robot")
+    peer.act("server", "/test")
+    command = ["replay", str(tmp_path / "shift.mcap"), "--to", "ros", "--backend", "rospy", "--json"]
+    command += ["--action", NAME, "--rename", f"{NAME}:=/test", "--wait", "60s", "--quiet"]
+    done = CliRunner().invoke(app, command, env={**ros1.environment})
+    [count] = json.loads(done.stdout)["topics"].values()
+    assert (count["sent"], count["reason"], done.exit_code) == (1, "", 0)
+    assert peer.told("/test")[0] == "goal 1"
 
 
 def test_a_server_that_is_restarted(ros1: Graph, cell: Backend, events: list[GoalEvent]) -> None:

@@ -68,7 +68,7 @@ class Action:
         self.caller = Caller(asks[Part.GOAL], self.asks, follows_claim=False)
         self.number = 0
 
-    def ask(self, goal: bytes = GOAL, **fields: Any) -> None:
+    def ask(self, goal: bytes = GOAL, /, **fields: Any) -> None:
         self.goal = goal
         self.send = partial(self.asks.publish, self.layouts[Part.GOAL].pack(fields))
         self.number = self.caller.call(self.send, client=goal)
