@@ -317,6 +317,7 @@ class CarriedAction(CarriedService):
     def __init__(self, namespace: Namespace, path: Path, *, since_ns: int | None) -> None:
         super().__init__(namespace, path, since_ns=since_ns)
         self._goals: dict[int, _Goal] = {}  # the newest, by their calls
+        self._early: list[Event] = []  # feedback taken before the answers
 
     def _streams(self, both: Mapping[Part, _Object]) -> tuple[Stream, ...]:
         goal, result, feedback = (one.codec.layout for one in both.values())
@@ -339,8 +340,11 @@ class CarriedAction(CarriedService):
 
     def events(self, now_ns: int) -> Iterator[Event]:
         """Yield what has happened, in the order of a goal's life."""
+        # Feedback is taken first: that its goal was accepted is then among the answers.
+        self._early = [*self._fed(now_ns)]
         yield from super().events(now_ns)
-        yield from self._fed(now_ns)
+        yield from self._early
+        self._early = []
 
     def _asked(self, now_ns: int) -> Iterator[Event]:
         while (info := self._objects[0].next()) is not None:
@@ -387,6 +391,8 @@ class CarriedAction(CarriedService):
             goal.asks = False  # the caller may ask again
             yield self._event(_CANCEL, info, now_ns, response={"return_code": CancelCode.REJECTED})
         if end is not None:
+            yield from self._early
+            self._early = []
             yield from self._fed(now_ns)
         going = GoalStatus.CANCELING if goal.agreed else GoalStatus.EXECUTING
         before, goal.status = goal.status, end or going

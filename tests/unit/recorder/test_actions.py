@@ -23,6 +23,7 @@ from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.reasons import Reason
 from rosplc.recorder import Selection
+from rosplc.recorder.carried import CarriedAction
 from rosplc.recorder.replay import (
     PlcTarget,
     RosTarget,
@@ -30,7 +31,7 @@ from rosplc.recorder.replay import (
 )
 from rosplc.recorder.source import open_source
 from rosplc.ros import action_classes, open_backend
-from rosplc.shm import ACTION, SERVICE, Caller, Namespace, OwnedChannel, Part, attach
+from rosplc.shm import ACTION, SERVICE, Caller, Group, Namespace, OwnedChannel, Part, attach
 from rosplc.shm import constants as spec
 from rosplc.virtual_plc import ActionServer as VirtualServer
 from rosplc.virtual_plc import Task
@@ -240,6 +241,27 @@ def test_a_recording_that_begins_with_a_goal_under_way(shm_namespace: Namespace,
         assert told(found) == [
             ("feedback", [0]), ("cancel_goal", 1, None), ("status", [6]), ("get_result", 2, (6, [0])),
         ]  # fmt: skip
+
+
+def test_feedback_never_precedes_the_acceptance(shm_namespace: Namespace) -> None:
+    """Both come while the recorder looks at the objects, behind its look at the answers."""
+    action = Action(shm_namespace)
+    carried = CarriedAction(shm_namespace, shm_namespace.path(NAME, Part.GOAL), since_ns=None)
+    carried.join(Group())
+    answers, looked = carried._objects[1], carried._objects[1].next
+
+    def look() -> Any:
+        found, answers.next = looked(), looked  # type: ignore[method-assign]
+        action.tell(spec.ANSWER_ACCEPTED)
+        action.feed(0)
+        return found
+
+    answers.next = look  # type: ignore[method-assign]
+    action.ask(order=3)
+    seen = [carried.streams[event.stream].topic for _ in range(2) for event in carried.events(1)]
+    carried.close()
+    action.close()
+    assert seen == [SEND, SEND, RESULT, STATUS, FEEDBACK]
 
 
 def test_many_goals_at_once_are_told_one_by_one(shm_namespace: Namespace, tmp_path: Path) -> None:
