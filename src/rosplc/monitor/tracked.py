@@ -23,25 +23,18 @@ _LEAST_MS = 334
 
 
 class _Peer:
-    def __init__(self, beat_ms: int, now_ns: int) -> None:
-        self.beat_ms = beat_ms
+    def __init__(self, claim: int, beat_ms: int, now_ns: int) -> None:
         period = max(beat_ms, _LEAST_MS) if beat_ms else 0
-        self._liveness = Liveness(period)
-        self.seen = False
-        self._until_ns = now_ns + 3 * min(max(period, _LEAST_MS), 10_000) * 1_000_000
-
-    def look(self, beat: int, count: int, now_ns: int) -> bool | None:
-        if self._liveness.observe(beat, count, now_ns):
-            self.seen = True
-            return True
-        return None if now_ns < self._until_ns else False
+        self.promise, self.seen = (claim, beat_ms), False
+        self.liveness = Liveness(period)
+        self.until_ns = now_ns + 3 * min(max(period, _LEAST_MS), 10_000) * 1_000_000
 
 
 class Peers:
     """Judges every claim of one object."""
 
     def __init__(self) -> None:
-        self._known: dict[int, tuple[int, _Peer]] = {}
+        self._known: dict[int, _Peer] = {}
 
     def alive(self, key: int, claim: int, beat_ms: int, beat: int, count: int, now_ns: int) -> bool | None:
         """Return whether a claimant lives; None before that can be known.
@@ -53,14 +46,15 @@ class Peers:
             self._known.pop(key, None)
             return False
         known = self._known.get(key)
-        if known is None or known[0] != claim or known[1].beat_ms != beat_ms:
-            known = self._known[key] = (claim, _Peer(beat_ms, now_ns))
-        return known[1].look(beat, count, now_ns)
+        if known is None or known.promise != (claim, beat_ms):
+            known = self._known[key] = _Peer(claim, beat_ms, now_ns)
+        alive = known.liveness.observe(beat, count, now_ns)
+        known.seen |= alive
+        return alive or (None if now_ns < known.until_ns else False)
 
     def seen(self, key: int) -> bool:
         """Return whether the claimant of a line was seen alive, at some time since it claimed."""
-        known = self._known.get(key)
-        return known is not None and known[1].seen
+        return key in self._known and self._known[key].seen
 
 
 _WINDOW_NS = 2_000_000_000
@@ -312,7 +306,7 @@ class Tracked:
 
     def _sides(self, writer: bool | None, readers: tuple[ReaderView, ...]) -> tuple[bool | None, bool | None]:
         """Return whether the bridge and whether the PLC beats."""
-        acts = _any(reader.alive for reader in self._acting(readers))
+        acts = any_alive(reader.alive for reader in self._acting(readers))
         return (writer, acts) if self._to_plc else (acts, writer)
 
     def _acting(self, readers: tuple[ReaderView, ...]) -> list[ReaderView]:
@@ -327,7 +321,8 @@ def _peers(own: WriterState | ReaderState | None) -> int | None:
     return None if count == UNKNOWN else count
 
 
-def _any(alive: Iterable[bool | None]) -> bool | None:
+def any_alive(alive: Iterable[bool | None]) -> bool | None:
+    """Return whether one of several lives; None if that is not known of all, and no known one does."""
     known = list(alive)
     return True if True in known else None if None in known else False
 

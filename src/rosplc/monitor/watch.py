@@ -22,7 +22,7 @@ from rosplc.monitor.events import bridge_events, channel_events
 from rosplc.monitor.expected import Expected
 from rosplc.monitor.message import Message, message_of
 from rosplc.monitor.picture import BridgeView, ChannelView, Event, Picture, State
-from rosplc.monitor.tracked import Tracked, process_words
+from rosplc.monitor.tracked import Tracked, any_alive, process_words
 from rosplc.shm import Attached, Namespace, Part, Reader
 from rosplc.shm.files import open_plain_file
 from rosplc.shm.header import channel_error
@@ -319,8 +319,7 @@ def _bridges(views: tuple[ChannelView, ...]) -> tuple[BridgeView, ...]:
             groups.setdefault((view.prefix, view.bridge), []).append(view)
     bridges = []
     for (prefix, name), group in sorted(groups.items()):
-        beats = [view.bridge_alive for view in group]
-        alive = True if True in beats else None if None in beats else False
+        alive = any_alive(view.bridge_alive for view in group)
         pid = max(view.bridge_pid for view in group)
         bridges.append(
             BridgeView(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Iterable
 from contextlib import suppress
 from datetime import datetime
@@ -37,17 +37,13 @@ class History:
     """The last values of every number of a message, one per look."""
 
     def __init__(self) -> None:
-        self._values: dict[str, deque[float]] = {}
+        self._values: defaultdict[str, deque[float]] = defaultdict(lambda: deque(maxlen=_LOOKS))
 
     def note(self, numbers: Iterable[tuple[str, float]]) -> None:
         """Add what a look saw; what is over a limit of 2000 numbers is left out."""
         for path, number in numbers:
-            known = self._values.get(path)
-            if known is None:
-                if len(self._values) >= _FIELDS:
-                    continue
-                known = self._values[path] = deque(maxlen=_LOOKS)
-            known.append(number)
+            if path in self._values or len(self._values) < _FIELDS:
+                self._values[path].append(number)
 
     def clear(self) -> None:
         """Forget everything: the type is another one."""
