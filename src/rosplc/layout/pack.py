@@ -151,7 +151,6 @@ class StructPacker:
     def __init__(self, node: StructNode, store: TypeStore) -> None:
         self._type_name = node.type_name
         self._fields: dict[str, tuple[int, Pack]] = {}
-        self.initial = bytes(node.size)
         message = store[node.type_name]
         defaults = {field.name: field.default for field in message.fields if field.default is not None}
         image = bytearray(node.size)

@@ -107,7 +107,6 @@ class _Object:
             layout = layout_of(self.attached)
             # Also of a ROS 1 channel: its store is one of ROS 2, as the description gives no version.
             self.codec, self.limits = Codec(layout, Wire.CDR), dict(self.attached.description.limits)
-            self._plan = self.codec.plan
             # takes every message in order, and counts what it missed
             self.reader: Reader = self.attached.reader(latched=since_ns is not None)
             self._begun = since_ns is not None
@@ -121,9 +120,6 @@ class _Object:
         if not self._begun:
             self._begun = True
             self.reader = self.attached.reader()
-
-    def join(self, group: Group, mode: int) -> int:
-        return group.add_reader(self.reader, self._plan, mode, self.slots)
 
     def next(self) -> SlotInfo | None:
         """Take a message into ``record``."""
@@ -197,7 +193,7 @@ class Carried:
         """
         for one in self._objects:
             one.begin()
-        return [one.join(group, self.mode) for one in self._objects]
+        return [group.add_reader(one.reader, one.codec.plan, self.mode, one.slots) for one in self._objects]
 
     def events(self, now_ns: int) -> Iterator[Event]:
         """Yield what happened, where a group only reports that something has."""

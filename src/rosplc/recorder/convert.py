@@ -93,7 +93,8 @@ class Conversion:
         value = self._read(given)
         given.end()
         if self._is_log:
-            value |= {"stamp": value["header"]["stamp"], "level": _level(value["level"])}
+            [level] = value["level"]
+            value |= {"stamp": value["header"]["stamp"], "level": bytes([_LOG_LEVELS.get(level, level)])}
         out = _Out(cdr=not self._to_ros1)
         self._write(out, value)
         return out.finished()
@@ -281,10 +282,6 @@ def _both_bytes(own: PrimitiveType, wanted: PrimitiveType) -> bool:
     return names <= {"byte", "char", "uint8"} or (
         "byte" in (str(own), str(wanted)) and names <= {"byte", "char", "uint8", "int8"}
     )
-
-
-def _level(raw: bytes) -> bytes:
-    return bytes([_LOG_LEVELS.get(raw[0], raw[0])])
 
 
 class _In:

@@ -87,11 +87,6 @@ class _Line:
     on_message: OnMessage | None
     lost: int = 0
 
-    def note_losses(self) -> None:
-        lost = self.stream.lost
-        self.count.lost += lost - self.lost
-        self.lost = lost
-
 
 @dataclass(eq=False)
 class _Entry:
@@ -108,7 +103,8 @@ class _Entry:
 
     def note_losses(self) -> None:
         for line in self.chosen():
-            line.note_losses()
+            before, line.lost = line.lost, line.stream.lost
+            line.count.lost += line.lost - before
 
 
 class Inlet:
@@ -221,16 +217,13 @@ class Inlet:
 
     def _line(self, carried: Carried, stream: Stream) -> _Line:
         count = self.counts.setdefault(stream.topic, TopicCount(stream.codec.layout.type_name))
-        return _Line(stream, self._number(carried, stream), count, self._watch(stream))
-
-    def _number(self, carried: Carried, stream: Stream) -> int:
-        """Return the channel's id: the same again after a restart, another one for another layout."""
         prefix, qos = self._namespace.prefix, self._qos.get(stream.topic)
         info = channel_info(carried, stream, len(self.channels) + 1, prefix, qos)
+        # The same id again after a restart, another one for another layout.
         key = (info.topic, info.schema, info.metadata["rosplc.layout_id"])
         number = self._numbers.setdefault(key, info.id)
         self.channels.setdefault(number, info)
-        return number
+        return _Line(stream, number, count, self._watch(stream))
 
     # -- the taking thread's own
 

@@ -313,19 +313,15 @@ class PlcTarget(Target):
         distro: str = "jazzy",
     ) -> None:
         super().__init__(topics)
-        self._namespace = namespace
+        self._namespace, self._project, self._distro = namespace, project, distro
         self._bindings: dict[str, Binding] = {}
         self._before: dict[str, tuple[tuple[int, int], ...]] = {}
         try:
-            for name, topic in topics.items():
-                if topic.service or topic.action:
-                    self._clients[name] = self._call(name, topic, project, distro)
-            plans = [
-                (name, self._plan(name, topic, project, distro))
-                for name, topic in topics.items()
-                if name not in self._clients
-            ]
-            for name, plan in plans:
+            calls = {name for name, topic in topics.items() if topic.service or topic.action}
+            for name in sorted(calls):
+                self._clients[name] = self._call(name, topics[name])
+            plans = {name: self._plan(name, topic) for name, topic in topics.items() if name not in calls}
+            for name, plan in plans.items():
                 try:
                     self._bindings[name] = plan.bind(namespace)
                 except ValueError as error:  # limits that lead to an object of more than 2 GiB
@@ -367,8 +363,8 @@ class PlcTarget(Target):
             return ()
         return tuple((line.beat, line.taken) if line.claim else (0, 0) for line in lines)
 
-    def _plan(self, name: str, topic: SourceTopic, project: Project | None, distro: str) -> _Plan:
-        own = topic.types(distro)
+    def _plan(self, name: str, topic: SourceTopic) -> _Plan:
+        own, project = topic.types(self._distro), self._project
         for plan in () if project is None else project.topics:
             if plan.topic == name and plan.port == "channel":
                 assert project is not None
@@ -384,7 +380,7 @@ class PlcTarget(Target):
             )
             return there
         # A ROS 1 bag becomes a channel of the distribution's types, all else one of its own.
-        store = _with(TypeStore.bundled(distro), own, topic.type_name) if topic.ros1 else own
+        store = _with(TypeStore.bundled(self._distro), own, topic.type_name) if topic.ros1 else own
         layout = _layout(store, renamed(topic.type_name, store), topic.limits)
         self._convert(name, topic, own, layout, Direction.TO_PLC, "")
         description = description_of(layout, name, Direction.TO_PLC, bridge="replay")
@@ -408,11 +404,9 @@ class PlcTarget(Target):
         conversion = Conversion(own, topic.type_name, layout.store, wanted, from_ros1=topic.ros1, where=name)
         self._convert_by(name, conversion)
 
-    def _call(
-        self, name: str, topic: SourceTopic, project: Project | None, distro: str
-    ) -> PlcService | Goals:
+    def _call(self, name: str, topic: SourceTopic) -> PlcService | Goals:
         """Return a service or action of the PLC, as the configuration has it; REC007 as :meth:`_convert`."""
-        called, own = recorded_name(name), topic.types(distro)
+        called, own, project = recorded_name(name), topic.types(self._distro), self._project
         plans = () if project is None else project.calls
         kind = "action" if topic.action else "service"
         found = (one for one in plans if (one.kind, one.called, one.server) == (kind, called, "plc"))
@@ -479,12 +473,7 @@ class Goals:
     """
 
     def __init__(
-        self,
-        store: TypeStore,
-        action: str,
-        type_name: str,
-        backend: Backend | None = None,
-        **plc: Any,
+        self, store: TypeStore, action: str, type_name: str, backend: Backend | None = None, **plc: Any
     ) -> None:
         self.accepted: set[bytes] = set()
         self._waiting: dict[bytes, OnReply] = {}
@@ -658,13 +647,11 @@ class RosTarget(Target):
                 called, kind = recorded_name(name), topic.call_type
                 if topic.service:
                     self._clients[name] = self.backend.client(called, kind, SERVICES)
-                    continue
-                if topic.action:
+                elif topic.action:
                     self._clients[name] = Goals(store, called, kind, self.backend)
-                    continue
-                self._publishers[name] = self.backend.advertise(
-                    name, renamed(topic.type_name, store), topic.qos
-                )
+                else:
+                    new = renamed(topic.type_name, store)
+                    self._publishers[name] = self.backend.advertise(name, new, topic.qos)
         except BaseException:
             self.backend.close()
             raise

@@ -31,14 +31,7 @@ from pathlib import Path
 
 from rosplc.errors import ChannelError
 from rosplc.shm import files
-from rosplc.shm.files import (
-    USUAL,
-    NameLock,
-    Rights,
-    create_complete,
-    open_plain_file,
-    same_file,
-)
+from rosplc.shm.files import USUAL, NameLock, Rights, create_complete, open_plain_file, same_file
 from rosplc.shm.header import channel_error
 
 _C = ctypes.PyDLL(None, use_errno=True)
