@@ -293,13 +293,15 @@ class CalledGoals(Asked):
 
     def _unended(self, number: int, lives: bool, channels: Mapping[Part, Mapped]) -> int:
         """Return the number of the goal of an earlier bridge's that ROS may have; 0: there is none."""
-        answered, cancels = self._newest(Part.RESULT, channels), self.plan.when_plc_down == "cancel"
-        number *= lives or cancels
-        if not number and answered is not None and answered[1].status == ANSWER_FATE_UNKNOWN:
-            # Given up by the bridge before, which may not have reached the server to cancel it.
-            wanted = {Reason.CALLER_GONE, Reason.BRIDGE_RESTARTED, *([Reason.PLC_DOWN] * cancels)}
-            number = answered[1].correlation * (answered[1].reason in wanted)
-        return number
+        cancels = self.plan.when_plc_down == "cancel"
+        if number and (lives or cancels):
+            return number
+        answered = self._newest(Part.RESULT, channels)
+        if answered is None or answered[1].status != ANSWER_FATE_UNKNOWN:
+            return 0
+        # Given up by the bridge before, which may not have reached the server to cancel it.
+        wanted = [Reason.CALLER_GONE, Reason.BRIDGE_RESTARTED] + ([Reason.PLC_DOWN] if cancels else [])
+        return answered[1].correlation if answered[1].reason in wanted else 0
 
     def _found(self, before: Mapping[Part, Mapped]) -> tuple[bytes, int] | None:
         asks, answers = before[Part.GOAL], before[Part.RESULT]
