@@ -6,7 +6,7 @@ first, and each answer implies those before it.
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -64,12 +64,13 @@ class ServedGoals(Calling):
         self._notes: GoalNotes | None = None
         self._open_goal: _Goal | None = None
         self._taken = 0  # the sequence that the PLC's block took last
-        self._refused = 0  # goals that the endpoint had no room for, as far as they are counted
+        self._refused: Counter[Reason] = Counter()  # goals that the endpoint has rejected, and are counted
         self._tick_ns = 0
 
     def _connect(self, backend: Backend) -> ActionServer:
         plan, store, goal = self.plan, self.plan.goal.store, self._open_goal
         server, _ = action_classes(store)
+        self._refused.clear()
         return server(
             backend,
             store,
@@ -113,10 +114,11 @@ class ServedGoals(Calling):
 
     def _receive(self, server: ActionServer, now_ns: int) -> None:
         """Put goals that came into the queue, or reject them; note what is to be canceled."""
-        for _ in range(server.refused - self._refused):
-            self._refused += 1
+        refused = Counter(server.refused) - self._refused
+        self._refused += refused
+        for reason in refused.elements():
             self.received += 1
-            self._count("not executed", Reason.QUEUE_FULL, now_ns)
+            self._count("not executed", reason, now_ns)
         for _ in range(len(self.events)):  # what comes meanwhile waits for the next turn
             what, uuid, *payload = self.events.popleft()
             goal = self._open_goal

@@ -150,8 +150,12 @@ class ActionlibServer(ActionServer):
         keep(backend.subscribe(*topic("goal", "ActionGoal"), _QOS, self._on_send))
 
     def _on_send(self, payload: bytes, *_others: Any) -> None:
-        message = _Message(payload)
-        text, stamp_ns = message.goal_id()
+        try:
+            message = _Message(payload)
+            text, stamp_ns = message.goal_id()
+        except BackendError:
+            self.refused[Reason.REJECTED] += 1
+            raise
         text, stamp_ns = text or os.urandom(16).hex().encode(), stamp_ns or self._clock.time_ns()
         uuid = uuid_of(text)
         with self._lock:
@@ -164,7 +168,7 @@ class ActionlibServer(ActionServer):
                 goal.cancels.append(actions.Cancel(b"", {uuid}))
             full = len(self._goals) > actions.MOST_GOALS
             if goal.cancels or full:
-                self.refused += full
+                self.refused[Reason.QUEUE_FULL if full else Reason.CALLER_GONE] += 1
                 self.reject(uuid)
                 return
             self._publish()

@@ -13,6 +13,7 @@ from __future__ import annotations
 import contextlib
 import enum
 import threading
+from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -20,6 +21,7 @@ from typing import Any, Literal
 from rosplc.clock import SYSTEM, Clock
 from rosplc.errors import BackendError
 from rosplc.model import TypeStore
+from rosplc.reasons import Reason
 from rosplc.ros import action_wire as wire
 from rosplc.ros.backend import (
     SERVICES,
@@ -166,7 +168,8 @@ class ActionServer(_Action):
         clock: For tests.
 
     Attributes:
-        refused: Goals that were rejected because there are too many.
+        refused: How many goals ``on_goal`` was not told of, and why: there were too many, they were canceled
+            before they came, or cannot be read.
 
     Raises:
         BackendError, MessageTypeError: As :meth:`rosplc.ros.backend.Backend.serve`.
@@ -188,7 +191,7 @@ class ActionServer(_Action):
         self._on_goal, self._on_cancel = on_goal, on_cancel
         self._keep_ns, self._clock = keep_result_ns, clock
         self._goals = {uuid: self._noted(note, stamp_ns) for uuid, stamp_ns, note in executing}
-        self.refused = 0
+        self.refused: Counter[Reason] = Counter()
         super().__init__(backend, store, action, type_name)
 
     def _open(self, backend: Backend, store: TypeStore) -> None:
@@ -214,6 +217,7 @@ class ActionServer(_Action):
             try:
                 uuid, goal = wire.unwrap(payload)
             except BackendError as error:
+                self.refused[Reason.REJECTED] += 1
                 self._send.refuse(caller, str(error))
                 return
             self._make_room()
@@ -221,7 +225,7 @@ class ActionServer(_Action):
             if new:
                 self._goals[uuid] = Goal(caller)
             else:  # as rclpy and rclcpp answer a goal that they have
-                self.refused += uuid not in self._goals
+                self.refused[Reason.QUEUE_FULL] += uuid not in self._goals
                 self._answer(self._send, caller, wire.pack_accepted(False, 0))
         if new:
             self._on_goal(uuid, goal)

@@ -1049,6 +1049,30 @@ def test_goals_that_find_no_room_are_counted(make: Make, monkeypatch: pytest.Mon
     cell.turn()
     assert cell.ros.decisions == [(C, REJECTED), (A, REJECTED)]
     assert (cell.status.not_executed, cell.status.outstanding) == ({"queue_full": 1}, 2)
+    cell.use.connect(cell.ros)  # type: ignore[arg-type] - the new endpoint counts from 0
+    for uuid in (A, B, C):
+        cell.ros.send(uuid)
+    cell.turn()
+    assert cell.status.not_executed == {"queue_full": 2}
+
+
+def test_a_goal_that_cannot_be_read_is_counted(make: Make) -> None:
+    cell = make()
+    cell.ros.ends["send_goal"].on_request(b"\0\1\0\0short", A, 0)
+    cell.turn()
+    assert cell.status.not_executed == {"rejected": 1}
+
+
+def test_goals_of_actionlib_that_never_reach_the_queue_are_counted(make: Make) -> None:
+    """Those that cannot be read, and those that were canceled before they came."""
+    cell = make(ros1=True)
+    goal_id = struct.pack("<3I", 9, 0, 3) + b"one"
+    with pytest.raises(BackendError, match="ROS008"):
+        cell.ros.ends["goal"].on_request(bytes(16) + goal_id[:-1], 0)
+    cell.ros.ends["cancel"].on_request(goal_id, 0)
+    cell.ros.ends["goal"].on_request(bytes(16) + goal_id + struct.pack("<i", 5), 0)
+    cell.turn()
+    assert cell.status.not_executed == {"rejected": 1, "caller_gone": 1}
 
 
 def test_a_flood_of_goals_holds_nothing_up(make: Make) -> None:
