@@ -15,24 +15,10 @@ from rosplc.errors import RosplcError
 from rosplc.reasons import Reason
 from rosplc.ros import ActionClient, Backend, GoalEvent, GoalStatus, Reply, action_classes
 from rosplc.shm import Answerer, Part, Reader, SlotInfo
+from rosplc.shm import constants as spec
 from rosplc.shm.attach import Mapped
 from rosplc.shm.calls import WORDS
 from rosplc.shm.claims import start_of
-from rosplc.shm.constants import (
-    ANSWER_ABORTED,
-    ANSWER_ACCEPTED,
-    ANSWER_CANCEL_ACCEPTED,
-    ANSWER_CANCEL_REJECTED,
-    ANSWER_CANCELED,
-    ANSWER_FATE_UNKNOWN,
-    ANSWER_MASK,
-    ANSWER_NO_RESULT,
-    ANSWER_SUCCEEDED,
-    ASK_CANCEL,
-    ASK_WITHDRAWN,
-    GOAL_ID_END,
-    WRITER_LINE,
-)
 
 _FIRST_PAUSE_NS, _LONGEST_PAUSE_NS = 100_000_000, 5_000_000_000
 _MOST_LEFT = 64
@@ -45,9 +31,9 @@ _PATIENCE_NS, _UNDECIDED_NS = 2_000_000_000, 600_000_000_000
 A server tells its decision to the bridge that sent the goal alone; to any other it does not know it before.
 """
 _ENDS: dict[GoalStatus, tuple[int, Outcome]] = {
-    GoalStatus.SUCCEEDED: (ANSWER_SUCCEEDED, "succeeded"),
-    GoalStatus.CANCELED: (ANSWER_CANCELED, "canceled"),
-    GoalStatus.ABORTED: (ANSWER_ABORTED, "aborted"),
+    GoalStatus.SUCCEEDED: (spec.ANSWER_SUCCEEDED, "succeeded"),
+    GoalStatus.CANCELED: (spec.ANSWER_CANCELED, "canceled"),
+    GoalStatus.ABORTED: (spec.ANSWER_ABORTED, "aborted"),
 }
 
 
@@ -101,7 +87,11 @@ class CalledGoals(Asked):
         super().turn(now_ns)
         self._ask(now_ns)
         goal = self._goal
-        words = {0: "executing", ANSWER_CANCEL_ACCEPTED: "canceling", ANSWER_CANCEL_REJECTED: "executing"}
+        words = {
+            0: "executing",
+            spec.ANSWER_CANCEL_ACCEPTED: "canceling",
+            spec.ANSWER_CANCEL_REJECTED: "executing",
+        }
         self.goal_status = "" if goal is None else words[goal.said] if goal.accepted else "waiting"
 
     # -- the PLC's side
@@ -109,7 +99,7 @@ class CalledGoals(Asked):
     def _uuid(self, number: int, asks: Mapped | None = None) -> bytes:
         """Return the UUID of a goal that is in the present object, or in another."""
         generation = (asks or self._channels[Part.GOAL]).identity.generation
-        return struct.pack("<4I", generation, number >> 32, number & 0xFFFFFFFF, GOAL_ID_END)
+        return struct.pack("<4I", generation, number >> 32, number & 0xFFFFFFFF, spec.GOAL_ID_END)
 
     def _deserted(self, epoch: int) -> bool:
         return super()._deserted(epoch) or (self.plan.when_plc_down == "cancel" and self._peer.silent)
@@ -128,19 +118,19 @@ class CalledGoals(Asked):
         goal = self._goal
         if goal is None:
             return
-        if info.status & ASK_WITHDRAWN and not goal.accepted:
+        if info.status & spec.ASK_WITHDRAWN and not goal.accepted:
             self._give_up(Reason.CALLER_GONE, now_ns)
             return
-        goal.cancel = bool(info.status & (ASK_CANCEL | ASK_WITHDRAWN))
+        goal.cancel = bool(info.status & (spec.ASK_CANCEL | spec.ASK_WITHDRAWN))
         if goal.cancel:
             goal.due_ns = 0
-        elif goal.said == ANSWER_CANCEL_REJECTED:
+        elif goal.said == spec.ANSWER_CANCEL_REJECTED:
             goal.said = 0
 
     def _report(self, goal: _Goal) -> None:
         """Tell the PLC how its goal stands."""
         if goal.accepted and goal.number == self._open_call:
-            status = ANSWER_ACCEPTED | goal.said
+            status = spec.ANSWER_ACCEPTED | goal.said
             self._send(self._initial, correlation=goal.number, status=status, client=goal.uuid)
 
     # -- the ROS side
@@ -194,7 +184,7 @@ class CalledGoals(Asked):
                 before = (goal.accepted, goal.said)
                 goal.accepted = goal.decided
                 if event.status is GoalStatus.CANCELING:
-                    goal.said = ANSWER_CANCEL_ACCEPTED
+                    goal.said = spec.ANSWER_CANCEL_ACCEPTED
                 if before != (goal.accepted, goal.said):
                     goal.due_ns = goal.unknown_ns = 0
                     self._report(goal)
@@ -217,8 +207,8 @@ class CalledGoals(Asked):
             self._forget(goal)
         else:
             goal.accepted, goal.cancel, goal.unknown_ns = True, goal.cancel and not agreed, 0
-            if goal.said != ANSWER_CANCEL_ACCEPTED:
-                goal.said = ANSWER_CANCEL_ACCEPTED if agreed else ANSWER_CANCEL_REJECTED
+            if goal.said != spec.ANSWER_CANCEL_ACCEPTED:
+                goal.said = spec.ANSWER_CANCEL_ACCEPTED if agreed else spec.ANSWER_CANCEL_REJECTED
             self._report(goal)
 
     def _pass_on(self, goal: _Goal, payload: bytes, now_ns: int) -> None:
@@ -228,7 +218,9 @@ class CalledGoals(Asked):
         if text:
             self.note(now_ns, f"feedback is not passed on: {text}", "SHM142")
             return
-        self._send(record, Part.FEEDBACK, correlation=goal.number, status=ANSWER_ACCEPTED, client=goal.uuid)
+        self._send(
+            record, Part.FEEDBACK, correlation=goal.number, status=spec.ANSWER_ACCEPTED, client=goal.uuid
+        )
         self.feedback += 1
 
     def _result(self, goal: _Goal, event: GoalEvent, now_ns: int) -> None:
@@ -238,7 +230,7 @@ class CalledGoals(Asked):
         status, outcome = _ENDS[event.status]
         record, reason, text = self._read(Part.RESULT, event.payload or b"")
         if text:
-            status, outcome = status | ANSWER_NO_RESULT, "unreadable"
+            status, outcome = status | spec.ANSWER_NO_RESULT, "unreadable"
         self._end(goal, outcome, reason, now_ns, text, record, status)
 
     def _unknown(self, goal: _Goal, now_ns: int) -> None:
@@ -297,7 +289,7 @@ class CalledGoals(Asked):
         if number and (lives or cancels):
             return number
         answered = self._newest(Part.RESULT, channels)
-        if answered is None or answered[1].status != ANSWER_FATE_UNKNOWN:
+        if answered is None or answered[1].status != spec.ANSWER_FATE_UNKNOWN:
             return 0
         # Given up by the bridge before, which may not have reached the server to cancel it.
         wanted = [Reason.CALLER_GONE, Reason.BRIDGE_RESTARTED] + ([Reason.PLC_DOWN] if cancels else [])
@@ -307,7 +299,7 @@ class CalledGoals(Asked):
         asks, answers = before[Part.GOAL], before[Part.RESULT]
         reader = Reader(asks.region, start_of(asks.region, latched=False, line=0))
         number = Answerer(asks, reader, answers).unanswered
-        lives = number >> 32 == asks.region.word(WRITER_LINE["writer_epoch"])
+        lives = number >> 32 == asks.region.word(spec.WRITER_LINE["writer_epoch"])
         number = self._unended(number, lives, before)
         return (self._uuid(number, asks), number) if number else None
 
@@ -333,11 +325,13 @@ class CalledGoals(Asked):
         self._answerer.correlation, self._client = number, uuid  # what else comes of it is more
         asked, answered = self._newest(Part.GOAL), self._newest(Part.RESULT)
         status = asked[1].status if asked is not None and asked[1].correlation == number else 0
-        goal.cancel = goal.cancel or bool(status & (ASK_CANCEL | ASK_WITHDRAWN))
+        goal.cancel = goal.cancel or bool(status & (spec.ASK_CANCEL | spec.ASK_WITHDRAWN))
         if answered is not None and answered[1].correlation == number:
-            goal.accepted = goal.accepted or answered[1].status & ANSWER_MASK == ANSWER_ACCEPTED
-            goal.said = goal.said or answered[1].status & (ANSWER_CANCEL_ACCEPTED | ANSWER_CANCEL_REJECTED)
-        if status & ASK_WITHDRAWN and not goal.accepted:
+            goal.accepted = goal.accepted or answered[1].status & spec.ANSWER_MASK == spec.ANSWER_ACCEPTED
+            goal.said = goal.said or answered[1].status & (
+                spec.ANSWER_CANCEL_ACCEPTED | spec.ANSWER_CANCEL_REJECTED
+            )
+        if status & spec.ASK_WITHDRAWN and not goal.accepted:
             self._give_up(Reason.CALLER_GONE, now_ns)
         self._report(goal)
 

@@ -20,15 +20,9 @@ from rosplc.errors import BackendError, ChannelError, RosplcError
 from rosplc.reasons import Reason
 from rosplc.ros import Backend, EndpointStatus
 from rosplc.shm import Group, OwnedChannel, Part, Peer, Reader, SlotInfo, Writer, attach
+from rosplc.shm import constants as spec
 from rosplc.shm.attach import Mapped
 from rosplc.shm.calls import WORDS
-from rosplc.shm.constants import (
-    ANSWER_DONE,
-    ANSWER_FATE_UNKNOWN,
-    ANSWER_NOT_EXECUTED,
-    ANSWER_UNREADABLE,
-    FLAG_FIRST,
-)
 
 _REPORT_NEWS = 2
 LOOK_NS = 5_000_000
@@ -42,10 +36,10 @@ Outcome = Literal[
     "done", "succeeded", "canceled", "aborted", "not executed", "fate unknown", "unreadable", "late"
 ]
 ENDINGS: dict[int, Outcome] = {
-    ANSWER_DONE: "done",
-    ANSWER_NOT_EXECUTED: "not executed",
-    ANSWER_FATE_UNKNOWN: "fate unknown",
-    ANSWER_UNREADABLE: "unreadable",
+    spec.ANSWER_DONE: "done",
+    spec.ANSWER_NOT_EXECUTED: "not executed",
+    spec.ANSWER_FATE_UNKNOWN: "fate unknown",
+    spec.ANSWER_UNREADABLE: "unreadable",
 }
 _CODES = {"not executed": "SHM140", "fate unknown": "SHM141", "unreadable": "SHM142"}
 
@@ -328,7 +322,7 @@ class Use(Notes, ABC):
         if not self._writers:
             raise ChannelError("SHM111", "the objects are not open", where=self.plan.called)
         part = next(iter(self._writers)) if part is None else part
-        writer, flags = self._writers[part], FLAG_FIRST if part in self._first else 0
+        writer, flags = self._writers[part], spec.FLAG_FIRST if part in self._first else 0
         self._first.discard(part)
         words = {"correlation": correlation, "status": status, "reason": reason, "flags": flags}
         writer.publish(record, client=client, stamp_ns=stamp_ns or self.context.clock.time_ns(), **words)

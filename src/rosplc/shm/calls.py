@@ -199,7 +199,7 @@ class GoalNotes:
             image = self._region.read(self._at + index * _NOTE_STRIDE, _NOTE_STRIDE)
             number, size, crc, _, uuid = _NOTE.unpack_from(image)
             image = image[: _NOTE.size + size]
-            if number and size <= spec.GOAL_NOTE_BYTES and crc == _note_crc(image):
+            if number and size <= spec.GOAL_NOTE_BYTES and crc == zlib.crc32(image[:8] + image[12:]):
                 yield number, uuid, image[_NOTE.size :]
 
     def left(self, uuid: bytes) -> bytes:
@@ -210,7 +210,7 @@ class GoalNotes:
         """Leave a note, at most 1024 bytes, about a goal. Raises SHM122 if the object is mapped read-only."""
         self._number = self._number + 1 & 0xFFFFFFFF or 1
         image = _NOTE.pack(self._number, len(note), 0, 0, uuid) + note
-        image = image[:8] + struct.pack("<I", _note_crc(image)) + image[12:]
+        image = image[:8] + struct.pack("<I", zlib.crc32(image[:8] + image[12:])) + image[12:]
         at = self._at + self._number % spec.GOAL_NOTES * _NOTE_STRIDE
         for offset in range(0, len(image), 4):
             self._region.store(at + offset, int.from_bytes(image[offset : offset + 4], "little"))
@@ -218,7 +218,3 @@ class GoalNotes:
 
 _NOTE = struct.Struct("<4I16s")
 _NOTE_STRIDE = _NOTE.size + spec.GOAL_NOTE_BYTES
-
-
-def _note_crc(image: bytes) -> int:
-    return zlib.crc32(image[12:], zlib.crc32(image[:8]))

@@ -24,15 +24,7 @@ from typing import Any
 from rosplc._core import Region, check_identity
 from rosplc.errors import CODES, ChannelError
 from rosplc.shm import constants as spec
-from rosplc.shm.constants import (
-    CHANGING_WORDS,
-    IDENTITY,
-    IDENTITY_SIZE,
-    LINE_SIZE,
-    READER_LINES,
-    Direction,
-    ErrorNumber,
-)
+from rosplc.shm.constants import Direction, ErrorNumber
 
 _FORMAT = struct.Struct("<19I16s5I16x")
 _NAMES = [name for name in spec.IDENTITY if name != "reserved"]
@@ -198,7 +190,7 @@ if _FORMAT.size != spec.IDENTITY_SIZE:  # pragma: no cover - found at import
     raise AssertionError("the identity has 128 bytes")
 
 
-_WORDS = LINE_SIZE // 4
+_WORDS = spec.LINE_SIZE // 4
 
 
 @dataclass(frozen=True)
@@ -257,12 +249,14 @@ class Snapshot:
     @classmethod
     def of(cls, region: Region, *, free: bool = True) -> Snapshot:
         """Look at a mapped object; ``free`` reader lines can be left out, where hundreds are looked at."""
-        words = region.words(IDENTITY_SIZE, CHANGING_WORDS)
+        words = region.words(spec.IDENTITY_SIZE, spec.CHANGING_WORDS)
         lines = [words[at : at + _WORDS] for at in range(0, len(words), _WORDS)]
         readers = tuple(
-            _reader(index, lines[1 + index]) for index in range(READER_LINES) if free or lines[1 + index][0]
+            _reader(index, lines[1 + index])
+            for index in range(spec.READER_LINES)
+            if free or lines[1 + index][0]
         )
-        return cls(region.word(IDENTITY["state"]), WriterState(*lines[0][:10]), readers)
+        return cls(region.word(spec.IDENTITY["state"]), WriterState(*lines[0][:10]), readers)
 
     def bridge(self, direction: Direction) -> WriterState | ReaderState | None:
         """Return the bridge's line of an object whose messages go this way; None if it has no claim."""

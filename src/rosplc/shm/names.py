@@ -11,17 +11,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from rosplc.shm import constants as spec
-from rosplc.shm.constants import (
-    FNV_OFFSET,
-    FNV_PRIME,
-    FORMAT,
-    GOAL_NOTES_SIZE,
-    MAX_DESCRIPTION_SIZE,
-    MAX_NAME,
-    MIN_SLOTS,
-    NAME_KEPT,
-    Direction,
-)
+from rosplc.shm.constants import Direction
 from rosplc.shm.header import Identity, channel_error, layout_id_words
 
 _PREFIX = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,31}")
@@ -59,9 +49,9 @@ ACTION = (Part.GOAL, Part.RESULT, Part.FEEDBACK)
 
 def fnv1a(text: str) -> int:
     """Return the 32-bit FNV-1a hash of a text of ASCII characters."""
-    value = FNV_OFFSET
+    value = spec.FNV_OFFSET
     for byte in text.encode("ascii"):
-        value = (value ^ byte) * FNV_PRIME & 0xFFFFFFFF
+        value = (value ^ byte) * spec.FNV_PRIME & 0xFFFFFFFF
     return value
 
 
@@ -86,8 +76,8 @@ class Namespace:
         if client and (part is Part.TOPIC or not _CLIENT.fullmatch(client)):
             raise channel_error(118, f"client {client!r} of {topic} does not match {_CLIENT.pattern}")
         name = f"{self.prefix}.{part.letters}.{topic[1:].replace('/', '.')}{'-' * bool(client)}{client}"
-        if len(name) > MAX_NAME:
-            name = f"{name[:NAME_KEPT]}~{fnv1a(name):08x}"
+        if len(name) > spec.MAX_NAME:
+            name = f"{name[: spec.NAME_KEPT]}~{fnv1a(name):08x}"
         return name
 
     def path(self, topic: str, part: Part = Part.TOPIC, client: str = "") -> Path:
@@ -193,9 +183,9 @@ class Description:
     @property
     def notes(self) -> int:
         """Bytes of the table behind the slots (section 11.6)."""
-        return GOAL_NOTES_SIZE if (self.part, self.direction) == (Part.GOAL, Direction.TO_PLC) else 0
+        return spec.GOAL_NOTES_SIZE if (self.part, self.direction) == (Part.GOAL, Direction.TO_PLC) else 0
 
-    def plan(self, record_size: int, slots: int = MIN_SLOTS, **made_by: Any) -> Identity:
+    def plan(self, record_size: int, slots: int = spec.MIN_SLOTS, **made_by: Any) -> Identity:
         """Return the identity of an object that describes itself so; ``made_by``: who made it, and when.
 
         Raises ValueError as :meth:`Identity.plan`.
@@ -213,15 +203,17 @@ class Description:
 
     def to_json(self) -> bytes:
         """Return the object's UTF-8 text. Raises ValueError: If it exceeds 2²⁰ bytes."""
-        members: dict[str, Any] = {"format": FORMAT, **{name: getattr(self, name) for name in _MEMBERS}}
+        members: dict[str, Any] = {"format": spec.FORMAT, **{name: getattr(self, name) for name in _MEMBERS}}
         members["direction"] = self.direction.word
         members["limits"] = dict(self.limits)
         if self.part is not Part.TOPIC:
             call = {"part": self.part.word, "client": self.client, "partners": dict(self.partners)}
             members |= {"kind": self.kind, **call, **({"notes": self.notes} if self.notes else {})}
         text = json.dumps(members, ensure_ascii=False, separators=(",", ":")).encode()
-        if len(text) > MAX_DESCRIPTION_SIZE:
-            raise ValueError(f"a self-description has at most {MAX_DESCRIPTION_SIZE} bytes, not {len(text)}")
+        if len(text) > spec.MAX_DESCRIPTION_SIZE:
+            raise ValueError(
+                f"a self-description has at most {spec.MAX_DESCRIPTION_SIZE} bytes, not {len(text)}"
+            )
         return text
 
     @classmethod
