@@ -113,15 +113,17 @@ def bind_action(
         type: ``"package/action/Name"``.
         handler: Carries out the PLC's goals, each in a thread: a generator that is given the goal, yields
             feedback and returns the result. It is closed at a ``yield`` when the PLC cancels the goal, or the
-            block ends; if it raises, the goal is aborted. Without one the PLC carries goals out.
+            block ends; if it raises, the goal is aborted. The end of the block takes up to 2 s for that, and
+            aborts all goals. Without a handler the PLC carries goals out.
         settings: Further keys of the configuration: ``prefix="cell1"``, ``limits={"string": 40}``.
 
     Raises:
         ConfigErrors, ChannelError: As :func:`bind_service`.
     """
-    with _bridged("actions", action, type, handler is not None, settings) as (plan, _, program):
+    with _bridged("actions", action, type, handler is not None, settings) as (plan, bridge, program):
         goals, results, feedbacks = (Codec(one, Wire.CDR) for one in (plan.goal, plan.result, plan.feedback))
         waiting: dict[bytes, queue.SimpleQueue[GoalEvent]] = {}
+        running: dict[bytes, Thread] = {}
         over = Event()
 
         def carry_out(uuid: bytes, goal: RecordView) -> None:
@@ -138,13 +140,20 @@ def bind_action(
             except Exception:
                 server.abort(uuid)
                 log.exception("%s: the handler failed", action)
+            del running[uuid]
 
         def on_goal(uuid: bytes, payload: bytes) -> None:
+            if over.is_set():
+                server.reject(uuid)
+                return
             server.tick()
             server.accept(uuid)
             server.execute(uuid)
-            goal = goals.layout.view(goals.decode(payload))
-            Thread(target=carry_out, args=(uuid, goal), name=f"rosplc-goal {action}", daemon=True).start()
+            arguments = uuid, goals.layout.view(goals.decode(payload))
+            running[uuid] = Thread(
+                target=carry_out, args=arguments, name=f"rosplc-goal {action}", daemon=True
+            )
+            running[uuid].start()
 
         def on_event(event: GoalEvent) -> None:
             if event.uuid in waiting:
@@ -189,8 +198,18 @@ def bind_action(
             yield send
         finally:
             over.set()
+            ends = time.monotonic() + _PATIENCE_S
+            for uuid, thread in tuple(running.items()):
+                thread.join(max(0.0, ends - time.monotonic()))
+                server.abort(uuid)
+            # The PLC is told before the bridge leaves.
+            while (
+                handler and bridge.status().actions[0].outstanding and time.monotonic() < ends + _PATIENCE_S
+            ):
+                time.sleep(0.01)
 
 
+_PATIENCE_S = 2.0
 _CODES = {GoalStatus.ABORTED: ("SHM143", "aborted"), GoalStatus.CANCELED: ("SHM144", "canceled")}
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 import rosplc
+from rosplc.bridge import bind_service
 from rosplc.shm import Namespace
 from rosplc.virtual_plc import ActionClient, ActionServer, ServiceClient, ServiceServer, Task
 from tests.lib.waiting import wait_for
@@ -182,3 +183,41 @@ def test_the_plc_sends_goals_to_a_program(shm_namespace: Namespace, order: int, 
         finally:
             task.stop()
             client.close()
+
+
+@pytest.mark.parametrize("patient", [True, False])
+def test_the_plc_is_told_that_a_program_ends(
+    shm_namespace: Namespace, monkeypatch: pytest.MonkeyPatch, patient: bool
+) -> None:
+    """Its goal is aborted when the block ends, whether or not the handler comes to a ``yield``."""
+    client = ActionClient("/count", prefix=shm_namespace.prefix, beat_ms=10_000)
+    task, go_on, closed = Task("T", 0.002), Event(), Event()
+    if not patient:
+        monkeypatch.setattr(bind_service, "_PATIENCE_S", 0.2)
+
+    @task.program
+    def scan() -> None:
+        if client.goal is not None:
+            client.goal.order, client.xExecute = 3, True
+        client()
+
+    def count(_: rosplc.RecordView) -> Iterator[Any]:
+        try:
+            while True:
+                yield {"sequence": [1]}
+                go_on.wait(0.02 if patient else None)
+        finally:
+            closed.set()
+
+    with rosplc.bind_action("/count", FIBONACCI, count, prefix=shm_namespace.prefix):
+        task.start()
+        wait_for(lambda: client.xNewFeedback or client.xActive, "the goal's beginning")
+    try:
+        wait_for(lambda: client.xError or client.xAborted, "the end")
+        assert client.eError.name == "GOAL_ABORTED"
+        assert closed.is_set() is patient
+    finally:
+        task.stop()
+        client.close()
+        go_on.set()
+        assert closed.wait(60)
