@@ -6,6 +6,7 @@ import struct
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import Any
 
 from rosplc.bridge.called import Asked
 from rosplc.bridge.port import Context
@@ -247,20 +248,11 @@ class CalledGoals(Asked):
             self._answer("fate unknown", Reason.BRIDGE_RESTARTED, now_ns, words)
             self._leave(goal)
 
-    def _end(
-        self,
-        goal: _Goal,
-        outcome: Outcome,
-        reason: Reason,
-        now_ns: int,
-        text: str = "",
-        record: bytes = b"",
-        status: int = 0,
-    ) -> None:
-        """A goal has ended; if the PLC cannot be told, the server is asked for the result once more."""
+    def _end(self, goal: _Goal, *answer: Any) -> None:
+        """A goal has ended, with an answer as :meth:`_answer` has it; the PLC may have to be told later."""
         goal.lost = goal.decided = True
         if goal.number == self._open_call:
-            self._answer(outcome, reason, now_ns, text, record, status)
+            self._answer(*answer)  # or, if that fails, the server is asked for the result once more
         del self._goals[goal.uuid]
 
     # -- beginning and end

@@ -47,9 +47,8 @@ _CODES = {"not executed": "SHM140", "fate unknown": "SHM141", "unreadable": "SHM
 class Use(Notes, ABC):
     """One use of a service or action: its objects, its endpoint in ROS, and its calls.
 
-    To its carrier it is stream and port at once.
-
     Attributes:
+        port, side: The use itself: to its carrier it is stream and port at once.
         adopted: Whether :meth:`open` found all objects and kept them.
         events: What the ROS side has told, for the thread of the calls.
         due_ns: When :meth:`turn` is wanted at the latest.
@@ -60,6 +59,7 @@ class Use(Notes, ABC):
     def __init__(self, plan: CallPlan, context: Context, on_event: Callable[[Use], None]) -> None:
         super().__init__(plan, context)
         self.plan = plan
+        self.port = self.side = self
         ros1 = plan.layouts[0].store.ros_version == 1
         layouts = ((part, plan.layout(part)) for part in plan.parts)
         self._codecs = {part: Codec(one, Wire.ROS1 if ros1 else Wire.CDR) for part, one in layouts}
@@ -81,16 +81,6 @@ class Use(Notes, ABC):
         self._peer = Peer()
         self._holder = 0  # the claim that the PLC's block was last seen to have
         self._endpoint: Any = None
-
-    @property
-    def port(self) -> Use:
-        """The use itself."""
-        return self
-
-    @property
-    def side(self) -> Use:
-        """The use itself."""
-        return self
 
     def watch(self, group: Group) -> list[int]:
         """Have a group tell of the PLC's messages; return the readers' numbers there."""

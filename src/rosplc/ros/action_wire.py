@@ -12,16 +12,7 @@ from typing import Any
 
 from rosplc.errors import BackendError
 from rosplc.model import TypeStore
-from rosplc.model.types import (
-    PRIMITIVES,
-    ArrayType,
-    FieldType,
-    MessageType,
-    NamedType,
-    PrimitiveType,
-    SequenceType,
-    StringType,
-)
+from rosplc.model import types as kinds
 
 LITTLE = b"\0\1\0\0"  # the header of plain CDR, little-endian
 _GOAL_INFO = 24  # bytes: UUID, seconds, nanoseconds
@@ -124,7 +115,7 @@ def read_statuses(payload: bytes) -> list[KnownGoal]:
 class Results:
     """Converts between a result and the response that has its status before it, or no result at all."""
 
-    def __init__(self, store: TypeStore, result: MessageType) -> None:
+    def __init__(self, store: TypeStore, result: kinds.MessageType) -> None:
         self._store, self._result = store, result
 
     def pack(self, status: int, result: bytes | None) -> bytes:
@@ -151,26 +142,26 @@ class _Copy:
         self._store, self._at = store, at
         self._body = None if source is None else source[4:]
 
-    def message(self, kind: MessageType) -> None:
+    def message(self, kind: kinds.MessageType) -> None:
         """Copy the fields of a message."""
         for field in kind.fields:
             self._value(field.type)
         if not kind.fields:
             self._block(1, 1)  # CDR has no empty structures
 
-    def _value(self, kind: FieldType, count: int = 1) -> None:
-        if isinstance(kind, PrimitiveType):
-            self._block(PRIMITIVES[kind.name], count)
-        elif isinstance(kind, ArrayType):
+    def _value(self, kind: kinds.FieldType, count: int = 1) -> None:
+        if isinstance(kind, kinds.PrimitiveType):
+            self._block(kinds.PRIMITIVES[kind.name], count)
+        elif isinstance(kind, kinds.ArrayType):
             self._value(kind.element, kind.length)
-        elif isinstance(kind, SequenceType):
+        elif isinstance(kind, kinds.SequenceType):
             if length := self._length(0):
                 self._value(kind.element, length)
         else:
             for _ in range(count):
-                if isinstance(kind, StringType):
+                if isinstance(kind, kinds.StringType):
                     self._block(1, self._length(1))
-                elif isinstance(kind, NamedType):
+                elif isinstance(kind, kinds.NamedType):
                     self.message(self._store[kind.name])
 
     def _length(self, default: int) -> int:

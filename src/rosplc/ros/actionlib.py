@@ -138,14 +138,10 @@ class ActionlibServer(ActionServer):
         self._canceled_ns = 0  # goals up to this stamp are canceled
         # Goals that were not accepted, or canceled before they came: number and message of the status, since.
         self._over: OrderedDict[bytes, tuple[int, bytes, int]] = OrderedDict()
-        keep, topic = self._keep, partial(_topic, self.action, self.type_name)
+        keep, topic, latched = self._keep, partial(_topic, self.action, self.type_name), actions.STATUS_QOS
         self._feedback: Publisher = keep(backend.advertise(*topic("feedback", "ActionFeedback"), _QOS))
-        self._statuses: Publisher = keep(
-            backend.advertise(*topic("status", "GoalStatusArray"), actions.STATUS_QOS)
-        )
-        self._result: Publisher = keep(
-            backend.advertise(*topic("result", "ActionResult"), actions.STATUS_QOS)
-        )
+        self._statuses: Publisher = keep(backend.advertise(*topic("status", "GoalStatusArray"), latched))
+        self._result: Publisher = keep(backend.advertise(*topic("result", "ActionResult"), latched))
         keep(backend.subscribe(*topic("cancel", "GoalID"), _QOS, self._on_cancels))
         keep(backend.subscribe(*topic("goal", "ActionGoal"), _QOS, self._on_send))
 

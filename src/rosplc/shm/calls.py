@@ -20,12 +20,7 @@ from rosplc.shm.attach import Mapped
 from rosplc.shm.constants import READER_LINE
 
 Send = Callable[..., object]
-ENDS: Final = frozenset(
-    {
-        *(spec.ANSWER_DONE, spec.ANSWER_NOT_EXECUTED, spec.ANSWER_FATE_UNKNOWN, spec.ANSWER_UNREADABLE),
-        *(spec.ANSWER_SUCCEEDED, spec.ANSWER_CANCELED, spec.ANSWER_ABORTED),
-    }
-)
+ENDS: Final = frozenset(range(spec.ANSWER_DONE, spec.ANSWER_ABORTED + 1)) - {spec.ANSWER_ACCEPTED}
 """Answers that end a call."""
 WORDS: Final = {
     Reason.NONE: "no more is known",
