@@ -21,9 +21,8 @@ from typing import Any
 
 from rosplc.errors import BackendError
 from rosplc.model import TypeStore
-from rosplc.model.types import PRIMITIVES, ArrayType, FieldType, MessageType, NamedType, PrimitiveType
 from rosplc.reasons import Reason
-from rosplc.ros import actions
+from rosplc.ros import actions, fields
 from rosplc.ros._base import NO_SERVER
 from rosplc.ros.actions import ActionClient, ActionServer, Goal, GoalStatus
 from rosplc.ros.backend import Backend, Publisher, Qos, Reply
@@ -57,17 +56,6 @@ def text_of(uuid: bytes) -> bytes:
     """Return the text of a goal, as far as its 16 bytes tell it."""
     text = uuid.rstrip(b"\0")
     return text if text.isascii() and text.decode().isprintable() else uuid.hex().encode()
-
-
-def _size(store: TypeStore, kind: MessageType | FieldType) -> int:
-    """Return the bytes of a default value, all of which are 0."""
-    if isinstance(kind, MessageType):
-        return sum(_size(store, field.type) for field in kind.fields)
-    if isinstance(kind, PrimitiveType):
-        return PRIMITIVES[kind.name]
-    if isinstance(kind, ArrayType):
-        return kind.length * _size(store, kind.element)
-    return _size(store, store[kind.name]) if isinstance(kind, NamedType) else 4
 
 
 def _text(text: bytes) -> bytes:
@@ -134,7 +122,7 @@ class ActionlibServer(ActionServer):
     """
 
     def _open(self, backend: Backend, store: TypeStore) -> None:
-        self._default = bytes(_size(store, store[f"{self.type_name}_Result"]))
+        self._default = fields.pack(store, f"{self.type_name}_Result", {})
         self._canceled_ns = 0  # goals up to this stamp are canceled
         # Goals that were not accepted, or canceled before they came: number and message of the status, since.
         self._over: OrderedDict[bytes, tuple[int, bytes, int]] = OrderedDict()

@@ -40,7 +40,6 @@ MOST_WAITING = 64  # requests for the result of one goal
 KEEP_RESULT_NS = 10_000_000_000
 
 STATUS_QOS = Qos(durability="transient_local", depth=1)
-_STATUSES, _CANCELS = "action_msgs/msg/GoalStatusArray", "action_msgs/srv/CancelGoal"
 _ALL = bytes(16)
 
 
@@ -195,15 +194,15 @@ class ActionServer(_Action):
         super().__init__(backend, store, action, type_name)
 
     def _open(self, backend: Backend, store: TypeStore) -> None:
-        self._results = wire.Results(store, store[f"{self.type_name}_Result"])
+        self._messages = wire.Messages(store, self.type_name)
         keep, place = self._keep, self._place
         self._feedback: Publisher = keep(backend.advertise(*place("feedback", "FeedbackMessage"), Qos()))
-        self._statuses: Publisher = keep(backend.advertise(*place("status", _STATUSES), STATUS_QOS))
+        self._statuses: Publisher = keep(backend.advertise(*place("status", wire.STATUSES), STATUS_QOS))
         self._get: ServiceServer = keep(
             backend.serve(*place("get_result", "GetResult"), SERVICES, self._on_get)
         )
         self._cancel: ServiceServer = keep(
-            backend.serve(*place("cancel_goal", _CANCELS), SERVICES, self._on_cancels)
+            backend.serve(*place("cancel_goal", wire.CANCELS), SERVICES, self._on_cancels)
         )
         self._send: ServiceServer = keep(
             backend.serve(*place("send_goal", "SendGoal"), SERVICES, self._on_send)
@@ -249,19 +248,19 @@ class ActionServer(_Action):
                     self._get.refuse(goal.waiting.pop(0), "too many wait for this result")
                 return
             status, result = (GoalStatus.UNKNOWN, None) if goal is None else (goal.status, goal.result)
-            self._answer(self._get, caller, self._results.pack(status, result))
+            self._answer(self._get, caller, self._messages.pack_result(status, result))
 
     def _on_cancels(self, payload: bytes, caller: bytes, _stamp_ns: int) -> None:
         asked = []
         with self._lock:
             try:
-                uuid, stamp_ns = wire.read_cancel(payload)
+                uuid, stamp_ns = self._messages.read_cancel(payload)
             except BackendError as error:
                 self._cancel.refuse(caller, str(error))
                 return
             code, wanted = self._chosen(uuid, stamp_ns)
             if not wanted:
-                self._answer(self._cancel, caller, wire.pack_canceling(code, []))
+                self._answer(self._cancel, caller, self._messages.pack_canceling(code, []))
             request = Cancel(caller, set(wanted))
             for one in wanted:
                 goal = self._goals[one]
@@ -302,7 +301,7 @@ class ActionServer(_Action):
     def _publish(self) -> None:
         goals = ((one, goal.stamp_ns, goal.status) for one, goal in self._goals.items() if goal.status)
         with contextlib.suppress(BackendError):
-            self._statuses.write(wire.pack_statuses(goals))
+            self._statuses.write(self._messages.pack_statuses(goals))
 
     def _decided(self, uuid: bytes, goal: Goal, accepted: bool) -> None:
         """Tell the client of a goal whether it is accepted."""
@@ -311,7 +310,7 @@ class ActionServer(_Action):
 
     def _ended(self, uuid: bytes, goal: Goal, status: GoalStatus, result: bytes | None) -> None:
         """Give the result to those who wait for it; ROS008 if the bytes are none."""
-        response = self._results.pack(status, result)
+        response = self._messages.pack_result(status, result)
         for caller in goal.waiting:
             self._answer(self._get, caller, response)
         goal.waiting.clear()
@@ -440,7 +439,7 @@ class ActionServer(_Action):
             request.canceling.append((uuid, self._goals[uuid].stamp_ns))
         if not request.undecided:
             code = CancelCode.NONE if request.canceling else CancelCode.REJECTED
-            self._answer(self._cancel, request.caller, wire.pack_canceling(code, request.canceling))
+            self._answer(self._cancel, request.caller, self._messages.pack_canceling(code, request.canceling))
 
     # -- the rest
 
@@ -514,13 +513,17 @@ class ActionClient(_Action):
         super().__init__(backend, store, action, type_name)
 
     def _open(self, backend: Backend, store: TypeStore) -> None:
-        self._results = wire.Results(store, store[f"{self.type_name}_Result"])
+        self._messages = wire.Messages(store, self.type_name)
         keep, place = self._keep, self._place
         keep(backend.subscribe(*place("feedback", "FeedbackMessage"), Qos(), self._on_feedback))
-        keep(backend.subscribe(*place("status", _STATUSES), STATUS_QOS, self._on_statuses))
+        keep(backend.subscribe(*place("status", wire.STATUSES), STATUS_QOS, self._on_statuses))
         self._services: list[ServiceClient] = [
             keep(backend.client(*place(*each), SERVICES))
-            for each in (("send_goal", "SendGoal"), ("cancel_goal", _CANCELS), ("get_result", "GetResult"))
+            for each in (
+                ("send_goal", "SendGoal"),
+                ("cancel_goal", wire.CANCELS),
+                ("get_result", "GetResult"),
+            )
         ]
 
     @property
@@ -558,7 +561,7 @@ class ActionClient(_Action):
 
     def cancel(self, uuid: bytes) -> None:
         """Ask for a goal to be canceled; raises as ServiceClient.call."""
-        self._call(_CANCEL, uuid, wire.pack_cancel(uuid), self._on_canceling)
+        self._call(_CANCEL, uuid, self._messages.pack_cancel(uuid), self._on_canceling)
 
     def forget(self, uuid: bytes) -> None:
         """Hear nothing more of a goal; the server is not told."""
@@ -586,7 +589,7 @@ class ActionClient(_Action):
 
     def _on_decision(self, uuid: bytes, reply: Reply) -> None:
         try:
-            accepted = None if reply.payload is None else wire.read_accepted(reply.payload)[0]
+            accepted = None if reply.payload is None else wire.read_accepted(reply.payload)
         except BackendError as error:
             accepted, reply = None, Reply(text=str(error))
         if accepted:
@@ -601,7 +604,7 @@ class ActionClient(_Action):
     def _on_result(self, uuid: bytes, reply: Reply) -> None:
         try:
             if reply.payload is not None:
-                status, result = self._results.read(reply.payload)
+                status, result = self._messages.read_result(reply.payload)
                 self._tell(uuid, "result", payload=result, status=_status(status), last=True)
                 return
         except BackendError as error:
@@ -610,7 +613,7 @@ class ActionClient(_Action):
 
     def _on_canceling(self, uuid: bytes, reply: Reply) -> None:
         try:
-            goals = [] if reply.payload is None else wire.read_canceling(reply.payload)[1]
+            goals = [] if reply.payload is None else self._messages.read_canceling(reply.payload)[1]
         except BackendError as error:
             goals, reply = [], Reply(text=str(error))
         agreed = any(one == uuid for one, _ in goals)
@@ -621,7 +624,7 @@ class ActionClient(_Action):
         self._tell(uuid, "feedback", payload=feedback)
 
     def _on_statuses(self, payload: bytes, _stamp_ns: int) -> None:
-        newest = wire.read_statuses(payload)[-_MOST_STATUSES:]
+        newest = self._messages.read_statuses(payload)[-_MOST_STATUSES:]
         self._statuses = {uuid: _status(number) for uuid, _, number in newest}
         for uuid, status in self._statuses.items():
             self._on_status(uuid, status)

@@ -12,13 +12,12 @@ from rosplc.bridge import Bridge
 from rosplc.bridge.diagnostics import diagnostic_statuses
 from rosplc.bridge.managed import ManagedBridge
 from rosplc.config import parse_config as parse
-from rosplc.ros import action_wire
 from rosplc.ros.actions import STATUS_QOS, ActionClient, GoalEvent, GoalStatus
 from rosplc.ros.memory import open_backend
 from rosplc.shm import Namespace
 from rosplc.virtual_plc import ActionServer
 from tests.lib.waiting import repeat_until, wait_for
-from tests.unit.bridge.conftest import DOMAIN, STORE, Cell, unwire, wire
+from tests.unit.bridge.conftest import DOMAIN, MESSAGES, STORE, Cell, unwire, wire
 
 TYPE = "example_interfaces/action/Fibonacci"
 SERVED = f"  /count: {{type: {TYPE}, server: plc}}\n"
@@ -141,7 +140,7 @@ def test_a_node_that_becomes_active_publishes_the_statuses(cell: Cell, tmp_path:
         names = "/count/_action/status", "action_msgs/msg/GoalStatusArray"
         cell.peer.subscribe(*names, STATUS_QOS, lambda payload, _: told.append(payload))
         wait_for(lambda: told)
-        assert action_wire.read_statuses(told[0]) == []
+        assert MESSAGES.read_statuses(told[0]) == []
     finally:
         managed.cleanup()
 

@@ -39,6 +39,7 @@ from rosplc.shm.constants import (
     WRITER_LINE,
 )
 from tests.lib.clock import SteppedClock
+from tests.unit.bridge.conftest import MESSAGES
 
 STORE = TypeStore.bundled("jazzy")
 TYPE = "example_interfaces/action/Fibonacci"
@@ -401,7 +402,7 @@ def test_another_client_cancels_the_goal(make: Make) -> None:
     server, plc, uuid = begun(cell)
     other = node("other")
     cancel = other.client("/a/_action/cancel_goal", "action_msgs/srv/CancelGoal", SERVICES)
-    cancel.call(wire.pack_cancel(uuid), lambda _: None)
+    cancel.call(MESSAGES.pack_cancel(uuid), lambda _: None)
     cell.until(lambda: server.cancels, "the request to cancel")
     server.accept_cancel(uuid)
     cell.until(lambda: plc.answers[-1] == (CANCELING, 0), "the status")
@@ -641,7 +642,7 @@ def test_a_refusal_that_is_older_than_the_status(make: Make) -> None:
     assert plc.withdraw()
     cell.bridge()
     assert ended(cell) == (ANSWER_FATE_UNKNOWN, Reason.CALLER_GONE)
-    unknown = Reply(actions.wire.pack_canceling(actions.CancelCode.UNKNOWN_GOAL_ID, []))
+    unknown = Reply(MESSAGES.pack_canceling(actions.CancelCode.UNKNOWN_GOAL_ID, []))
     cell.use.tell(actions.GoalEvent(uuid, "status", status=GoalStatus.EXECUTING))
     cell.use.tell(actions.GoalEvent(uuid, "not canceled", reply=unknown))
     server.begin(uuid)

@@ -39,6 +39,7 @@ from rosplc.shm.constants import (
     WRITER_LINE,
 )
 from tests.lib.clock import SteppedClock
+from tests.unit.bridge.conftest import MESSAGES
 
 TYPE, TYPE_1 = "example_interfaces/action/Fibonacci", "actionlib_tutorials/action/Fibonacci"
 A, B, C = (bytes([number] * 16) for number in (1, 2, 3))
@@ -100,18 +101,18 @@ class Ros:
         self.ends["send_goal"].on_request(action_wire.wrap(uuid, goal), uuid, 0)
 
     def cancel(self, uuid: bytes) -> None:
-        self.ends["cancel_goal"].on_request(action_wire.pack_cancel(uuid), uuid, 0)
+        self.ends["cancel_goal"].on_request(MESSAGES.pack_cancel(uuid), uuid, 0)
 
     def ask_result(self, uuid: bytes) -> None:
         self.ends["get_result"].on_request(action_wire.LITTLE + uuid, uuid, 0)
 
     @property
     def decisions(self) -> list[tuple[bytes, bool]]:
-        return [(who, action_wire.read_accepted(data)[0]) for who, data in self.ends["send_goal"].said]
+        return [(who, action_wire.read_accepted(data)) for who, data in self.ends["send_goal"].said]
 
     @property
     def cancels(self) -> list[tuple[bytes, int]]:
-        return [(who, action_wire.read_canceling(data)[0]) for who, data in self.ends["cancel_goal"].said]
+        return [(who, MESSAGES.read_canceling(data)[0]) for who, data in self.ends["cancel_goal"].said]
 
     @property
     def results(self) -> list[tuple[bytes, int, list[int]]]:
@@ -124,7 +125,7 @@ class Ros:
     @property
     def states(self) -> dict[bytes, int]:
         """The goals on the status topic."""
-        return {uuid: status for uuid, _, status in action_wire.read_statuses(self.ends["status"].said[-1])}
+        return {uuid: status for uuid, _, status in MESSAGES.read_statuses(self.ends["status"].said[-1])}
 
     @property
     def feedback(self) -> list[tuple[bytes, int]]:
@@ -713,7 +714,7 @@ def test_a_restarted_bridge_adopts_an_accepted_goal(make: Make) -> None:
     cell.turn(0.5, 2)
     cell.restart()
     assert plc.take() is None  # nothing is handed out again, nor asked for
-    assert action_wire.read_statuses(cell.ros.ends["status"].said[-1]) == [
+    assert MESSAGES.read_statuses(cell.ros.ends["status"].said[-1]) == [
         (A, accepted_at, GoalStatus.EXECUTING)
     ]
     plc.feed(info, 2)

@@ -33,6 +33,7 @@ from tests.lib.waiting import wait_for
 
 STORE = TypeStore.bundled("kilted")
 FIBONACCI = "example_interfaces/action/Fibonacci"
+MESSAGES = wire.Messages(STORE, FIBONACCI)
 GOAL = b"\0\1\0\0\5\0\0\0"
 SEQUENCE = b"\0\1\0\0\2\0\0\0\1\0\0\0\2\0\0\0"
 ONE, TWO, THREE = (bytes([number] * 16) for number in (1, 2, 3))
@@ -273,7 +274,7 @@ def test_what_a_request_to_cancel_is_about(
     caller = graph("caller").client(
         "/fibonacci/_action/cancel_goal", "action_msgs/srv/CancelGoal", actions.SERVICES
     )
-    caller.call(wire.pack_cancel(uuid, when), replies.append)
+    caller.call(MESSAGES.pack_cancel(uuid, when), replies.append)
     wait_for(lambda: len(server.cancels) == len(asked))
     assert server.cancels == asked
     for one in asked:
@@ -281,7 +282,7 @@ def test_what_a_request_to_cancel_is_about(
         server.accept_cancel(one)
     wait_for(lambda: replies)
     canceling = [(one, 10**9 * one[0]) for one in asked]
-    assert wire.read_canceling(replies[0].payload) == (code, canceling)
+    assert MESSAGES.read_canceling(replies[0].payload) == (code, canceling)
 
 
 # -- all states and steps
@@ -318,7 +319,7 @@ def test_every_step_from_every_state(graph: Any, server: Server, state: GoalStat
     """What rcl_action's state machine has is done; nothing else changes a goal."""
     lead(server, state)
     if step is GoalStep.CANCEL:
-        request = wire.pack_cancel(ONE)
+        request = MESSAGES.pack_cancel(ONE)
         name = "/fibonacci/_action/cancel_goal"
         replies: list[Any] = []
         graph("caller").client(name, "action_msgs/srv/CancelGoal", actions.SERVICES).call(
@@ -451,6 +452,7 @@ RESULT = (
     "int8 small\nint64 large\nstring text\nstring[] texts\nuint16[3] three\ntest/Inner inner\n"
     "test/Inner[] inners\ntest/Empty empty\ntest/Empty[2] empties\nfloat64[<=4] bounded\nbool last\n"
 )
+RESPONSE = "int8 status\ntest/All_Result result\n"
 ORACLE = get_typestore(Stores.ROS2_KILTED)
 
 
@@ -458,10 +460,14 @@ def all_types() -> tuple[TypeStore, Any]:
     """Return our types and the oracle's, with a result of every kind of field in both."""
     store, oracle = STORE, get_typestore(Stores.ROS2_KILTED)
     types: dict[str, Any] = {}
-    for name, text in (("Inner", INNER), ("Empty", ""), ("Result", RESULT)):
+    for name, text in (
+        ("Inner", INNER),
+        ("Empty", ""),
+        ("All_Result", RESULT),
+        ("All_GetResult_Response", RESPONSE),
+    ):
         store = store.with_definition(f"test/msg/{name}", text)
         types.update(get_types_from_msg(text, f"test/msg/{name}"))
-    types.update(get_types_from_msg("int8 status\ntest/Result result\n", "test/msg/Response"))
     oracle.register(types)
     return store, oracle
 
@@ -481,7 +487,7 @@ def any_result(oracle: Any, chance: random.Random) -> Any:
         return kinds["test/msg/Inner"](flag=chance.random() < 0.5, name=text(), values=values)
 
     empty = kinds["test/msg/Empty"]
-    return kinds["test/msg/Result"](
+    return kinds["test/msg/All_Result"](
         small=chance.randrange(100),
         large=chance.randrange(2**60),
         text=text(),
@@ -500,21 +506,20 @@ def any_result(oracle: Any, chance: random.Random) -> Any:
 def test_a_result_behind_its_status(little: bool) -> None:
     """What another implementation of CDR writes is read and written, in both byte orders."""
     store, oracle = TYPES
-    results = wire.Results(store, store["test/msg/Result"])
+    messages = wire.Messages(store, "test/msg/All")
     chance = random.Random(1)
     for _ in range(100):
         result = any_result(oracle, chance)
-        response = oracle.types["test/msg/Response"](status=4, result=result)
-        alone, whole = (
-            bytes(oracle.serialize_cdr(message, name, little_endian=little))
-            for message, name in ((result, "test/msg/Result"), (response, "test/msg/Response"))
-        )
-        packed, (status, found) = results.pack(4, alone), results.read(whole)
+        response = oracle.types["test/msg/All_GetResult_Response"](status=4, result=result)
+        both = [(result, "test/msg/All_Result"), (response, "test/msg/All_GetResult_Response")]
+        given = [bytes(oracle.serialize_cdr(*one, little_endian=little)) for one in both]
+        alone, whole = (bytes(oracle.serialize_cdr(*one)) for one in both)
+        packed, (status, found) = messages.pack_result(4, given[0]), messages.read_result(given[1])
         assert (packed, status, found) == (whole[: len(packed)], 4, alone[: len(found)])
         assert max(len(whole) - len(packed), len(alone) - len(found)) < 4  # padding at the end
     for size in range(len(packed) - 1):
         with pytest.raises(BackendError, match="ROS008"):
-            results.read(whole[:size])
+            messages.read_result(given[1][:size])
 
 
 def test_messages_of_the_package() -> None:
@@ -533,13 +538,16 @@ def test_messages_of_the_package() -> None:
         array = kinds["action_msgs/msg/GoalStatusArray"](statuses)
         for little in (True, False):
             data = bytes(ORACLE.serialize_cdr(array, "action_msgs/msg/GoalStatusArray", little_endian=little))
-            assert wire.read_statuses(data) == known
-            assert not little or wire.pack_statuses(known) == data[: len(wire.pack_statuses(known))]
+            assert MESSAGES.read_statuses(data) == known
+            assert not little or MESSAGES.pack_statuses(known) == data[: len(MESSAGES.pack_statuses(known))]
     data = bytes(ORACLE.serialize_cdr(info(ONE, 5), "action_msgs/msg/GoalInfo"))
-    assert wire.pack_cancel(ONE, 5) == data
-    assert wire.read_cancel(data) == (ONE, 5)
-    assert wire.read_accepted(wire.pack_accepted(True, 7)) == (True, 7)
-    assert wire.read_canceling(wire.pack_canceling(1, [(ONE, 5), (TWO, 6)])) == (1, [(ONE, 5), (TWO, 6)])
+    assert MESSAGES.pack_cancel(ONE, 5) == data
+    assert MESSAGES.read_cancel(data) == (ONE, 5)
+    assert wire.read_accepted(wire.pack_accepted(True, 7))
+    assert MESSAGES.read_canceling(MESSAGES.pack_canceling(1, [(ONE, 5), (TWO, 6)])) == (
+        1,
+        [(ONE, 5), (TWO, 6)],
+    )
     assert wire.unwrap(wire.wrap(ONE, GOAL)) == (ONE, GOAL)
 
 
@@ -547,11 +555,11 @@ def test_messages_of_the_package() -> None:
 def test_any_bytes_are_a_message_or_refused(data: bytes) -> None:
     """Nothing that a peer sends raises another error, or makes more of it than there is."""
     store, _ = TYPES
-    results = wire.Results(store, store["test/msg/Result"])
-    for read in (wire.unwrap, wire.read_cancel, wire.read_canceling, wire.read_accepted):
+    messages = wire.Messages(store, "test/msg/All")
+    for read in (wire.unwrap, MESSAGES.read_cancel, MESSAGES.read_canceling, wire.read_accepted):
         with contextlib.suppress(BackendError):
             read(data)
     with contextlib.suppress(BackendError):
-        assert len(wire.read_statuses(data)) <= len(data)
+        assert len(MESSAGES.read_statuses(data)) <= len(data)
     with contextlib.suppress(BackendError):
-        assert len(results.read(data)[1]) <= 2 * len(data)
+        assert len(messages.read_result(data)[1]) <= 2 * len(data)

@@ -1,0 +1,105 @@
+"""A message's bytes as values and back, for messages that the node itself reads and writes."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from typing import Any
+
+from rosplc.errors import BackendError
+from rosplc.model import TypeStore
+from rosplc.model.types import PRIMITIVES, ArrayType, FieldType, NamedType, PrimitiveType, SequenceType
+
+_LETTERS = {
+    "bool": "?", "byte": "B", "char": "B", "int8": "b", "uint8": "B", "int16": "h", "uint16": "H",
+    "int32": "i", "uint32": "I", "int64": "q", "uint64": "Q", "float32": "f", "float64": "d",
+}  # fmt: skip
+
+
+def unpack(store: TypeStore, type_name: str, payload: bytes) -> dict[str, Any]:
+    """Return a message's fields from its CDR, inner messages as mappings; ROS008 if they do not fit."""
+    try:
+        return _Reader(store, payload).message(type_name)
+    except (struct.error, IndexError) as error:
+        raise BackendError("ROS008", f"a {type_name} cannot be read: {error}") from error
+
+
+def pack(store: TypeStore, type_name: str, values: Mapping[str, Any]) -> bytes:
+    """Return a message as CDR, of ROS 1's types as ROS 1; a field that is not given is zero or empty."""
+    writer = _Writer(store)
+    writer.message(type_name, values)
+    return bytes(writer.out) if writer.ros1 else b"\0\1\0\0" + bytes(writer.out)
+
+
+class _Reader:
+    def __init__(self, store: TypeStore, payload: bytes) -> None:
+        self._store, self._body, self._at = store, memoryview(payload)[4:], 0
+        self._order = "<" if payload[1] & 1 else ">"
+
+    def message(self, name: str) -> dict[str, Any]:
+        fields = self._store[name].fields
+        if not fields:
+            self._numbers("uint8", 1)  # CDR has no empty structures
+        return {field.name: self._value(field.type) for field in fields}
+
+    def _value(self, kind: FieldType) -> Any:
+        if isinstance(kind, SequenceType | ArrayType):
+            count = kind.length if isinstance(kind, ArrayType) else self._numbers("uint32", 1)[0]
+            return self._values(kind.element, count)
+        return self._values(kind, 1)[0]
+
+    def _values(self, kind: FieldType, count: int) -> Any:
+        if isinstance(kind, PrimitiveType):
+            return self._numbers(kind.name, count)
+        if isinstance(kind, NamedType):
+            return [self.message(kind.name) for _ in range(count)]
+        texts = (self._numbers("uint8", *self._numbers("uint32", 1)) for _ in range(count))
+        return [text.removesuffix(b"\0").decode(errors="surrogateescape") for text in texts]
+
+    def _numbers(self, name: str, count: int) -> Any:
+        width, letter = PRIMITIVES[name], _LETTERS[name]
+        self._at += -self._at % width if count else 0
+        layout = f"{count}s" if letter == "B" else f"{self._order}{count}{letter}"
+        found = struct.unpack_from(layout, self._body, self._at)
+        self._at += count * width
+        return found[0] if letter == "B" else list(found)
+
+
+class _Writer:
+    def __init__(self, store: TypeStore) -> None:
+        self._store, self.out = store, bytearray()
+        self.ros1 = store.ros_version == 1
+
+    def message(self, name: str, values: Mapping[str, Any]) -> None:
+        found = self._store[name].fields
+        for field in found:
+            self._value(field.type, values.get(field.name))
+        if not found and not self.ros1:
+            self._numbers("uint8", [0])
+
+    def _value(self, kind: FieldType, value: Any) -> None:
+        if isinstance(kind, SequenceType):
+            self._numbers("uint32", (len(value or ()),))
+        if isinstance(kind, ArrayType | SequenceType):
+            count = kind.length if isinstance(kind, ArrayType) else 0
+            self._values(kind.element, value or [0] * count)
+        else:
+            self._values(kind, [value or 0])
+
+    def _values(self, kind: FieldType, values: Any) -> None:
+        if isinstance(kind, PrimitiveType):
+            self._numbers(kind.name, values)
+        elif isinstance(kind, NamedType):
+            for value in values:
+                self.message(kind.name, value or {})
+        else:
+            for value in values:
+                text = (value or "").encode(errors="surrogateescape") + b"\0" * (not self.ros1)
+                self._numbers("uint32", (len(text),))
+                self.out += text
+
+    def _numbers(self, name: str, values: Any) -> None:
+        if values and not self.ros1:
+            self.out += bytes(-len(self.out) % PRIMITIVES[name])
+        plain = isinstance(values, bytes)
+        self.out += values if plain else struct.pack(f"<{len(values)}{_LETTERS[name]}", *values)
