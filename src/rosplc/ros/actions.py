@@ -348,8 +348,9 @@ class ActionServer(_Action):
 
     def note(self, uuid: bytes) -> bytes:
         """Return what else another process has to know to adopt a goal, at most 1024 bytes."""
-        goal = self._goals.get(uuid)
-        return b"" if goal is None else b"".join(goal.waiting)
+        with self._lock:
+            goal = self._goals.get(uuid)
+            return b"" if goal is None else b"".join(goal.waiting)
 
     def _noted(self, note: bytes, stamp_ns: int, status: GoalStatus = GoalStatus.EXECUTING) -> Goal:
         """Return the goal of another process's note."""
