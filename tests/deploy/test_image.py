@@ -22,7 +22,7 @@ from tests.lib.waiting import wait_for
 CONTAINER = ROOT / "packaging/container"
 SITE_AUTHORITIES = Path("/usr/local/share/ca-certificates")
 MOST_BYTES = 200e6
-"""What the image may add to its base: the Debian package's 130 MB, and Python."""
+"""What the image may add to its base: the Debian package's 82 MB, NumPy's 40, and Python."""
 # A daemon that runs already on this machine is not used, nor the containerd of one.
 DAEMON = '[ ! -d /run/containerd ] || mount -t tmpfs run /run/containerd; exec dockerd --config-file "$0"'
 WHERE = {"host": "--network=host", "here": f"--volume={CONTAINER}:/etc/rosplc:ro"}

@@ -167,7 +167,7 @@ def _calls(ends: Iterable[EndpointInfo], actions: bool) -> dict[str, list[str]]:
     for end in ends:
         name, is_action, _ = end.topic.partition("/_action/send_goal")
         if bool(is_action) == actions and "/_action/" not in name:
-            found.setdefault(name, set()).add(end.type_name.removesuffix("_SendGoal" * actions))
+            found.setdefault(name, set()).add(end.type_name.removesuffix("_SendGoal" if actions else ""))
     return {name: sorted(filter(None, types)) for name, types in sorted(found.items())}
 
 

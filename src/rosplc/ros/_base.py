@@ -667,6 +667,6 @@ class BaseNode(Opener):
 def check_ros(name: str, store: TypeStore, *, ros1: bool = False) -> None:
     """Refuse (ROS001) types of the other ROS."""
     if (store.distro == "noetic") is not ros1:
-        its, theirs = ("ROS 1", "ROS 2") if ros1 else ("ROS 2", "ROS 1")
+        its, theirs, to = ("ROS 1", "ROS 2", " to noetic") if ros1 else ("ROS 2", "ROS 1", "")
         what = f"the {name} backend speaks {its}; {store.distro or 'this type store'} is {theirs}"
-        raise BackendError("ROS001", what, remedy=f"Set ros.distro{' to noetic' * ros1}.")
+        raise BackendError("ROS001", what, remedy=f"Set ros.distro{to}.")
