@@ -8,6 +8,7 @@ back-off.
 from __future__ import annotations
 
 import threading
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -29,7 +30,7 @@ def error_number(error: ChannelError) -> int:
     return int(error.code.removeprefix("SHM"))
 
 
-class Instance:
+class Instance(ABC):
     """An instance of a block, which belongs to the task that calls it first.
 
     Attributes:
@@ -68,10 +69,20 @@ class Instance:
         finally:
             self._busy.release()
 
-    def _refuse(self) -> bool:
-        """Report a call that was turned away."""
-        self.udiError, self.reason = ErrorNumber.REENTERED.value, "the instance belongs to another task"
-        return False
+    def __call__(self) -> bool:
+        """Run the block once, and return its main output: ``xNew``, ``xPublished``, ``xDone``, ``xRequest``.
+
+        Raises:
+            LayoutError: LAY006, if a value to be sent does not fit its field; nothing is sent.
+        """
+        with self._entered() as scan:
+            if scan is not None:
+                return self._run(scan)
+            self.udiError, self.reason = ErrorNumber.REENTERED.value, "the instance belongs to another task"
+            return False
+
+    @abstractmethod
+    def _run(self, scan: Scan) -> bool: ...
 
 
 class Block(Instance):

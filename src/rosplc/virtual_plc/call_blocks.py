@@ -17,17 +17,7 @@ from rosplc.errors import ChannelError
 from rosplc.layout import Layout
 from rosplc.reasons import Reason
 from rosplc.ros.actions import GoalStatus
-from rosplc.shm import (
-    ACTION,
-    SERVICE,
-    Attached,
-    Caller,
-    Part,
-    Reader,
-    ReaderClaim,
-    SlotInfo,
-    Writer,
-)
+from rosplc.shm import ACTION, SERVICE, Attached, Caller, Part, Reader, ReaderClaim, SlotInfo, Writer
 from rosplc.shm import constants as spec
 from rosplc.shm.constants import ErrorNumber
 from rosplc.virtual_plc.block import Block, Instance, Peer
@@ -198,18 +188,6 @@ class _CallBlock(Instance):
         wrong = next((one for one in (asks, self._in, self._out, *self._blocks) if one.udiError), None)
         found = (wrong.udiError, wrong.reason) if wrong is not None else (0, "")
         self.udiError, self.reason = (int(number), words) if number else found
-
-    def __call__(self) -> bool:
-        """Run the block once; return ``xDone`` of a client, or whether a server has a call in hand.
-
-        Raises:
-            LayoutError: LAY006, if a value does not fit its field; nothing is sent.
-        """
-        with self._entered() as scan:
-            return self._refuse() if scan is None else self._run(scan)
-
-    @abstractmethod
-    def _run(self, scan: Scan) -> bool: ...
 
     def close(self) -> None:
         """Give the claims back and let go of the objects; the next call opens them again."""

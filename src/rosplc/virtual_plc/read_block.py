@@ -113,14 +113,6 @@ class ReadBlock(Block):
         if layout is not None:
             self._use_layout(layout)
 
-    def __call__(self) -> bool:
-        """Run the block once, at the begin of its scan, and return ``xNew``."""
-        with self._entered() as scan:
-            if scan is None:
-                return self._refuse()
-            self._run(scan)
-            return self.xNew
-
     def next(self) -> bool:
         """With ``mode="every"``: take one more message in this scan and return whether there was one.
 
@@ -155,7 +147,7 @@ class ReadBlock(Block):
         self._reader = self._claim = None
         self.xAttached = self.xPeerAlive = False
 
-    def _run(self, scan: Scan) -> None:
+    def _run(self, scan: Scan) -> bool:
         self.xNew = self.xRecovered = self.xSourcePresent = False
         self.udiSources = None
         self.uiTaken = 0
@@ -180,6 +172,7 @@ class ReadBlock(Block):
         self.udiError, self.reason = self._failure
         self._report_silence()
         self._judge_age(scan)
+        return self.xNew
 
     def _adopt(self, attached: Attached, scan: Scan) -> None:
         layout = self.layout

@@ -161,18 +161,6 @@ class WriteBlock(Block):
         self._record = bytearray(0 if layout is None else layout.size)
         self._unfilled = False  # msg was made in this call: what the program filled was another
 
-    def __call__(self) -> bool:
-        """Run the block once and return ``xPublished``.
-
-        Raises:
-            LayoutError: LAY006, if a value in ``msg`` does not fit its field.
-        """
-        with self._entered() as scan:
-            if scan is None:
-                return self._refuse()
-            self._run(scan)
-            return self.xPublished
-
     def close(self) -> None:
         """Release the claim and let go of the object; the next call opens it again."""
         if self._writer is not None:
@@ -182,7 +170,7 @@ class WriteBlock(Block):
         self._peer = Peer()
         self.xReady = False
 
-    def _run(self, scan: Scan) -> None:
+    def _run(self, scan: Scan) -> bool:
         self.xPublished = self._unfilled = False
         attached = self._follow(scan)
         if attached is not None and self._opened_times != self._opened:
@@ -200,6 +188,7 @@ class WriteBlock(Block):
             self._writer = self._claim = None
             self.udiError, self.reason = self._failure
         self.xAttached = self._attached is not None
+        return self.xPublished
 
     def _adopt(self, attached: Attached) -> None:
         layout = self.layout
