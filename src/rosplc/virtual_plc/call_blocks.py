@@ -251,7 +251,7 @@ class _Answerer(_CallBlock):
             # The bridge has ended what the object before held.
             self._object, self._found, self._answer = self._in.object, False, None
             self._orphan = self.xCallerGone = self._shown is not None
-        elif self._in.udiError == ErrorNumber.RETIRED:  # even if no other object follows
+        elif self._in.udiError in (ErrorNumber.RETIRED, ErrorNumber.NO_OBJECT):  # no bridge finds it again
             self.xCallerGone = self._shown is not None
         info, now, shown = self._in.take(), self._now, self._shown
         if info is not None:

@@ -13,14 +13,28 @@ from rosplc.bridge.diagnostics import diagnostic_statuses
 from rosplc.bridge.managed import ManagedBridge
 from rosplc.config import parse_config as parse
 from rosplc.ros.actions import STATUS_QOS, ActionClient, GoalEvent, GoalStatus
+from rosplc.ros.actions import ActionServer as RosServer
 from rosplc.ros.memory import open_backend
 from rosplc.shm import Namespace
+from rosplc.virtual_plc import ActionClient as VirtualClient
 from rosplc.virtual_plc import ActionServer
 from tests.lib.waiting import repeat_until, wait_for
 from tests.unit.bridge.conftest import DOMAIN, MESSAGES, STORE, Cell, unwire, wire
 
 TYPE = "example_interfaces/action/Fibonacci"
 SERVED = f"  /count: {{type: {TYPE}, server: plc}}\n"
+CALLED = f"  /move: {{type: {TYPE}, server: ros}}\n"
+
+
+class Executing(RosServer):
+    """A server in ROS that accepts goals, and executes them without an end."""
+
+    def __init__(self, cell: Cell) -> None:
+        super().__init__(cell.peer, STORE, "/move", TYPE, on_goal=self._begin, on_cancel=lambda _: None)
+
+    def _begin(self, uuid: bytes, _: bytes) -> None:
+        self.accept(uuid)
+        self.execute(uuid)
 
 
 class Client(ActionClient):
@@ -126,6 +140,35 @@ def test_a_bridge_that_is_restarted_goes_on_with_the_goal(
     plc.result.sequence = [1]
     step(plc, "xSucceed", lambda: "result" in client.kinds(uuid), "the result")
     assert client.result(uuid) == (GoalStatus.SUCCEEDED, [1])
+
+
+def test_actions_that_leave_the_configuration_while_no_bridge_runs(
+    cell: Cell, plc: ActionServer, client: Client, shm_namespace: Namespace
+) -> None:
+    """The PLC is told to end the goal that it executes, and that the fate of its own goal is unknown."""
+    names = {"prefix": shm_namespace.prefix, "directory": str(shm_namespace.directory)}
+    other = Executing(cell)
+    mine = VirtualClient("/move", **names)
+    try:
+        start(cell, plc, SERVED + CALLED)
+        accept(plc, client, 3)
+        mine.xExecute = True
+        repeat_until(mine, lambda: mine.xActive, "the acceptance of the PLC's goal", every=0.005)
+        cell.stop()
+        for block in (plc, mine):
+            block()
+        assert mine.xBusy
+        assert not plc.xCallerGone
+        cell.bridge = Bridge(config(cell, ""))
+        cell.bridge.start()
+        assert cell.namespace.objects() == []
+        repeat_until(plc, lambda: plc.xCallerGone, "that nobody waits", every=0.005)
+        repeat_until(mine, lambda: mine.xError, "the end of the PLC's goal", every=0.005)
+        assert mine.eError is not None
+        assert mine.eError.name == "FATE_UNKNOWN"
+    finally:
+        mine.close()
+        other.close()
 
 
 def test_a_node_that_becomes_active_publishes_the_statuses(cell: Cell, tmp_path: Path) -> None:
