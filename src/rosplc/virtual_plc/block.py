@@ -30,7 +30,7 @@ def error_number(error: ChannelError) -> int:
     return int(error.code.removeprefix("SHM"))
 
 
-class Instance(ABC):
+class _Instance(ABC):
     """An instance of a block, which belongs to the task that calls it first.
 
     Attributes:
@@ -70,7 +70,9 @@ class Instance(ABC):
             self._busy.release()
 
     def __call__(self) -> bool:
-        """Run the block once, and return its main output: ``xNew``, ``xPublished``, ``xDone``, ``xRequest``.
+        """Run the block once.
+
+        Return ``xNew`` or ``xPublished``; of a client ``xDone``, of a server whether it has a call in hand.
 
         Raises:
             LayoutError: LAY006, if a value to be sent does not fit its field; nothing is sent.
@@ -85,7 +87,7 @@ class Instance(ABC):
     def _run(self, scan: Scan) -> bool: ...
 
 
-class Block(Instance):
+class Block(_Instance):
     """A block on one topic.
 
     Attributes:

@@ -20,7 +20,7 @@ from rosplc.ros.actions import GoalStatus
 from rosplc.shm import ACTION, SERVICE, Attached, Caller, Part, Reader, ReaderClaim, SlotInfo, Writer
 from rosplc.shm import constants as spec
 from rosplc.shm.constants import ErrorNumber
-from rosplc.virtual_plc.block import Block, Instance, Peer
+from rosplc.virtual_plc.block import Block, Peer, _Instance
 from rosplc.virtual_plc.read_block import ReadBlock
 from rosplc.virtual_plc.task import Scan
 from rosplc.virtual_plc.write_block import WriteBlock
@@ -127,7 +127,7 @@ class _Out(WriteBlock):
         super()._detach()
 
 
-class _CallBlock(Instance):
+class _CallBlock(_Instance):
     """What all blocks of services and actions share. Call the instance in every scan; it waits for nothing.
 
     Args:
