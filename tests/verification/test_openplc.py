@@ -57,12 +57,14 @@ PROGRAM = """PROGRAM Pass
 VAR
     there : kinds_All_Read;
     back : kinds_All_Write;
+    more : BOOL;
 END_VAR
 there(sTopic := '/there', xInOrder := TRUE);
-WHILE there.xNew DO
+more := there.xNew;
+WHILE more DO
     back.msg := there.msg;
     back(sTopic := '/back', xEnable := TRUE, uliStamp := there.uliStamp);
-    there.Next();
+    more := there.Next();
 END_WHILE;
 back(sTopic := '/back', xEnable := FALSE);
 END_PROGRAM
@@ -144,7 +146,7 @@ def translated(program: str) -> str:
 
 def reordered(declared: str) -> list[str]:
     """Return declarations with the type first."""
-    return re.sub(r" *(\w+) : (\w+);", r"\2 : \1;", declared).splitlines()
+    return re.sub(r" *(\w+) : (\w+);", r"\2 : \1;", declared).replace("BOOL :", "IEC_BOOL :").splitlines()
 
 
 def by_stand_in(folder: Path, program: str) -> list[str]:
