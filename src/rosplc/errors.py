@@ -172,6 +172,7 @@ _register("TYP006", "unknown ROS distribution", "Use one of the bundled distribu
 _register("TYP007", "definition exceeds a limit", "Definitions have limits on size, depth and number of fields, since they may come from the wire.")
 _register("TYP008", "folder of definitions cannot be used", "Name a folder with PACKAGE/msg/NAME.msg files (or .srv, .action), a package's own folder, or one file.")
 _register("TYP009", "message definition cannot be saved", "Choose another folder, or remove the file that is in the way.")
+_register("TYP010", "node does not describe a type as it should", "Add the folder of the type's package to types.paths; restart the node if it was rebuilt while it ran.")
 
 _register("LAY001", "capacity is not valid", "Capacities are whole numbers from 1 up; strings at most 65534, sequences at most 16777216.")
 _register("LAY002", "limit names no field of the type", "Use the field path as `rosplc types TYPE` prints it, for example header.frame_id or points[].x.")

@@ -18,7 +18,7 @@ from rosplc.bridge.engine import Bridge
 from rosplc.bridge.port import log
 from rosplc.bridge.status import BridgeStatus, Level
 from rosplc.clock import SYSTEM, Clock
-from rosplc.config.resolve import load_project
+from rosplc.config.resolve import Project, load_project
 from rosplc.config.yaml_source import may_pass
 from rosplc.errors import BackendError, ConfigError, RosplcError, SetupError
 from rosplc.harmless import log_to_stderr
@@ -184,18 +184,19 @@ def run_bridge(
     level: int = logging.INFO,
     arguments: RosArguments | None = None,
     supervised: Callable[[Bridge], AbstractContextManager[object]] = nullcontext,
+    load: Callable[[Path, RosArguments | None], Project] = lambda path, _: load_project(path),
 ) -> None:
     """Run a bridge until SIGINT or SIGTERM; a second one ends the process at once, SIGUSR1 reloads the file.
 
     The log has a status line every ``status_seconds`` (None: never). ``supervised`` surrounds the running
-    bridge, such as a service manager's watchdog. Raises RosplcError if the configuration is wrong, the bridge
-    cannot start or the ROS side has ended for good (ROS015); under a service manager SetupError SYS015 if
-    something is missing that may come by itself.
+    bridge, such as a service manager's watchdog; ``load`` reads the configuration. Raises RosplcError if the
+    configuration is wrong, the bridge cannot start or the ROS side has ended for good (ROS015); under a
+    service manager SetupError SYS015 if something is missing that may come by itself.
     """
     log_to_stderr(level)
     _allow_many_files()
     try:
-        bridge = Bridge(load_project(config), arguments=arguments)
+        bridge = Bridge(load(config, arguments), arguments=arguments)
         with supervised(bridge):
             run_until_signal(bridge, None if status_seconds is None else _Reporter().report, status_seconds)
     except ConfigError as error:

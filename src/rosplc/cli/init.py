@@ -15,7 +15,8 @@ rosplc init --bag line3.bag --all  —  from a recording of ROS 1 or ROS 2
 It subscribes to the chosen topics while it listens, and publishes nothing. Limits are proposed from what
 was seen, with half as much again; the file says what was seen and by which rule. Definitions that the
 distribution does not have are taken from `--types`, from an installed ROS (`AMENT_PREFIX_PATH`,
-`ROS_PACKAGE_PATH`), from a ROS 1 publisher or from the recording, and saved in `msg` beside the file.
+`ROS_PACKAGE_PATH`), from a node that uses the topic or from the recording, and saved in `msg` beside
+the file.
 """
 
 from __future__ import annotations
@@ -35,9 +36,9 @@ from rosplc.cli.verb import verb
 from rosplc.harmless import plural
 
 if TYPE_CHECKING:
-    from rosplc.init.found import Source, Topic
+    from rosplc.init.found import Topic
     from rosplc.init.propose import Wish
-    from rosplc.init.write import Draft
+    from rosplc.init.write import Draft, Source
 
 _LONGEST = 40
 

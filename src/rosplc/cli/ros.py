@@ -53,6 +53,7 @@ class _Node:
 
     def type_of(self, topic: str, named: str | None) -> str:
         """Return the full name of a topic's type, asked for or seen in the graph; it is known then."""
+        from rosplc.init.learn import learn
         from rosplc.model.parse import full_name
 
         if named is None:
@@ -62,8 +63,7 @@ class _Node:
                 raise typer.BadParameter(f"{topic} {seen}; name the type after the topic", param_hint="TOPIC")
             named = types[0]
         name = full_name(named)
-        if not self.definitions.find_installed(name):
-            raise self.definitions.unknown(name)
+        learn(self.definitions, self.backend, topic, name)
         self.types.store = self.definitions.store
         return name
 
@@ -110,7 +110,7 @@ def _node(
     if (path := default_config()) is not None:
         config = read_config(path)
         keys = config.settings.ros.model_dump(exclude_unset=True, exclude={"node_name", "namespace", "remap"})
-        folders += [config.base / folder for folder in config.settings.types.paths]
+        folders += config.type_folders
     given = {"backend": backend, "distro": distro, "domain": domain}
     keys |= {key: value for key, value in given.items() if value is not None}
     if "distro" not in keys:
@@ -196,8 +196,9 @@ def _echo(
         full_length: Print long arrays and strings whole.
         as_json: Print one JSON document per line.
     """
-    from rosplc.cli.ros_text import Reader, as_yaml
+    from rosplc.cli.ros_text import as_yaml
     from rosplc.errors import RosplcError
+    from rosplc.init.found import Reader
 
     with _node(backend, distro, domain, types) as node:
         type_name = node.type_of(topic, message_type)
@@ -297,7 +298,8 @@ def _pub(
     """
     import yaml
 
-    from rosplc.cli.ros_text import Reader, Writer, as_python
+    from rosplc.cli.ros_text import Writer, as_python
+    from rosplc.init.found import Reader
     from rosplc.ros import Qos
 
     try:

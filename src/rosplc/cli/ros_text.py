@@ -9,51 +9,15 @@ from typing import Any
 import numpy
 import yaml
 
-from rosplc.codec import Codec, Wire
-from rosplc.errors import LayoutError
-from rosplc.init.found import Meter
+from rosplc.codec import Codec
+from rosplc.init.found import wire_of
 from rosplc.layout import Limits, compute_layout
 from rosplc.layout.compute import limit_paths
 from rosplc.model import ArrayType, NamedType, PrimitiveType, SequenceType, TypeStore
 
 _SHOWN = 128
 """Elements and characters that are shown of a long array or string, as ``ros2 topic echo`` does."""
-_MOST_PER_BYTE, _MOST_SPARE = 64, 1 << 24
-"""How much larger than its message a record may be: nested sequences of differing lengths multiply."""
 _NUMPY = {"char": "uint8"}
-
-
-def _wire(store: TypeStore) -> Wire:
-    return Wire.CDR if store.ros_version == 2 else Wire.ROS1
-
-
-class Reader:
-    """Decodes messages of one type, which the store knows, whatever their lengths."""
-
-    def __init__(self, store: TypeStore, type_name: str) -> None:
-        self._store, self._type_name = store, type_name
-        self._meter = Meter(store, type_name)
-        self._codec: Codec | None = None
-        self._capacities: dict[str, int] = {}
-
-    def __call__(self, data: bytes) -> dict[str, Any]:
-        """Return a message as nested dicts and lists.
-
-        Raises CodecError, the bytes are no message of the type; LayoutError LAY003, it is too large to be
-        shown.
-        """
-        self._meter.take(data, 0)
-        capacities = {path: max(1, length.most) for path, length in self._meter.seen.lengths.items()}
-        if self._codec is None or capacities != self._capacities:
-            layout = compute_layout(
-                self._store, self._type_name, Limits(string=1, sequence=1, fields=capacities)
-            )
-            if layout.size > _MOST_PER_BYTE * len(data) + _MOST_SPARE:
-                raise LayoutError(
-                    "LAY003", f"a message of {len(data)} bytes needs {layout.size} bytes to be shown"
-                )
-            self._codec, self._capacities = Codec(layout, _wire(self._store)), capacities
-        return self._codec.layout.to_dict(self._codec.decode(data))
 
 
 class Writer:
@@ -69,7 +33,7 @@ class Writer:
         _note_lengths(_with_time(store, type_name, value), "", lengths)
         known = set(limit_paths(store, type_name))
         capacities = {path: max(1, length) for path, length in lengths.items() if path in known}
-        self._codec = Codec(compute_layout(store, type_name, Limits(fields=capacities)), _wire(store))
+        self._codec = Codec(compute_layout(store, type_name, Limits(fields=capacities)), wire_of(store))
 
     def __call__(self) -> bytes:
         """Return the message as it is now. Raises LayoutError LAY006, naming the field that does not fit."""

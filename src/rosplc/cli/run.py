@@ -62,6 +62,7 @@ def command(
         quiet: Log warnings and errors only.
     """
     from rosplc.bridge.run import run_bridge
+    from rosplc.init.learn import load
     from rosplc.ros import RosArguments
     from rosplc.service.supervisor import supervised
 
@@ -75,4 +76,5 @@ def command(
         level=level,
         arguments=arguments,
         supervised=supervised,
+        load=load,
     )

@@ -95,7 +95,7 @@ def command(
 
             config = read_config(file)
             distro = config.settings.ros.distro
-            folders += [config.base / folder for folder in config.settings.types.paths]
+            folders += config.type_folders
         store = TypeStore.bundled(distro or "jazzy").with_paths(folders)
     every = sorted((*store.names(), *store.services(), *store.actions()))
     package = [each for each in every if each.startswith(f"{name}/")]

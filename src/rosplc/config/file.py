@@ -24,6 +24,10 @@ log = logging.getLogger("rosplc.config")
 _MOST_WARNINGS = 5
 
 
+LEARNT = "learned_types"
+"""The folder beside a configuration with the definitions that a bridge has learnt from other nodes."""
+
+
 @dataclass(frozen=True)
 class Config:
     """Settings together with the file that they come from."""
@@ -37,6 +41,13 @@ class Config:
     def path(self) -> Path | None:
         """The file, or None where the settings come from elsewhere."""
         return None if self.source.name.startswith("<") else Path(self.source.name)
+
+    @property
+    def type_folders(self) -> tuple[Path, ...]:
+        """The folders of ``types.paths``, and :data:`LEARNT` beside the file if it has definitions."""
+        learnt = self.base / LEARNT
+        found = [learnt] if any(learnt.glob("*/msg/*.msg")) else []
+        return (*(self.base / folder for folder in self.settings.types.paths), *found)
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], *, base: Path | None = None) -> Config:

@@ -93,23 +93,14 @@ Plan: TypeAlias = "TopicPlan | CallPlan"  # what a bridge carries: a topic, or o
 
 @dataclass(frozen=True)
 class Project:
-    """A configuration with its types and layouts.
+    """A configuration with its types and layouts."""
 
-    Attributes:
-        config: The settings and their file.
-        store: The message types.
-        namespace: The names of the objects.
-        topics: In the order of the file.
-        services: One plan for each use, in the order of the file.
-        actions: The same.
-    """
-
-    config: Config
-    store: TypeStore
-    namespace: Namespace
-    topics: tuple[TopicPlan, ...]
-    services: tuple[ServicePlan, ...] = ()
-    actions: tuple[ActionPlan, ...] = ()
+    config: Config  # the settings and their file
+    store: TypeStore  # the message types
+    namespace: Namespace  # the names of the objects
+    topics: tuple[TopicPlan, ...]  # in the order of the file
+    services: tuple[ServicePlan, ...] = ()  # one plan for each use, in the order of the file
+    actions: tuple[ActionPlan, ...] = ()  # the same
 
     @property
     def calls(self) -> tuple[CallPlan, ...]:
@@ -201,7 +192,7 @@ def resolve(config: Config) -> Project:
 
 def _store(config: Config, problems: Problems) -> TypeStore:
     store = TypeStore.bundled(config.settings.ros.distro)
-    paths = {config.base / folder: index for index, folder in enumerate(config.settings.types.paths)}
+    paths = {folder: index for index, folder in enumerate(config.type_folders)}
     while True:
         try:
             return store.with_paths(paths)

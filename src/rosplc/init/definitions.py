@@ -12,11 +12,10 @@ from pathlib import Path
 
 from rosplc.errors import MessageTypeError, RosplcError
 from rosplc.model import TypeStore
-from rosplc.model.folders import split_definition
-from rosplc.model.parse import MAX_TEXT, full_name, parse_definition
+from rosplc.model.folders import read, split_definition
+from rosplc.model.parse import full_name, parse_definition
 
-_MOST_TYPES = 500  # one type's definition has a handful
-_SEPARATOR = "=" * 80
+MOST_TYPES = 500  # one type's definition has a handful
 
 
 class Definitions:
@@ -60,16 +59,12 @@ class Definitions:
             if name in parts or name in self.store or name.startswith("builtin_interfaces/"):
                 continue
             file = self._file(name)
-            if file is None or len(parts) == _MOST_TYPES:
+            if file is None or len(parts) == MOST_TYPES:
                 return False
             first = first or file
-            parts[name] = _read(file)
+            parts[name] = f"{read(file)}\n"
             todo += _needed(name, parts[name], self.store.ros_version)
-        text = f"{_SEPARATOR}\nMSG: ".join(
-            part if number == 0 else f"{name.replace('/msg/', '/')}\n{part}"
-            for number, (name, part) in enumerate(parts.items())
-        )
-        self.learn(type_name, text, str(first))
+        self.learn(type_name, join_texts(parts), str(first))
         return True
 
     def unknown(self, type_name: str, more: str = "") -> MessageTypeError:
@@ -96,13 +91,10 @@ class Definitions:
         return [Path(part) / "share" for part in prefixes if part]
 
 
-def _read(file: Path) -> str:
-    try:
-        with file.open("rb") as stream:
-            text = stream.read(MAX_TEXT).decode("utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise MessageTypeError("TYP008", f"cannot be read: {error}", where=str(file)) from None
-    return text if text.endswith("\n") else f"{text}\n"
+def join_texts(texts: Mapping[str, str]) -> str:
+    """Return one text for definitions by full name, as ROS tools concatenate them."""
+    (_, own), *others = texts.items()
+    return own + "".join(f"{'=' * 80}\nMSG: {name.replace('/msg/', '/')}\n{text}" for name, text in others)
 
 
 def _needed(name: str, text: str, ros_version: int) -> list[str]:

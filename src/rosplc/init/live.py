@@ -21,6 +21,7 @@ from rosplc.errors import BackendError, RosplcError
 from rosplc.harmless import plural
 from rosplc.init.definitions import Definitions
 from rosplc.init.found import Call, Found, Meter, Seen, Topic
+from rosplc.init.learn import learn
 from rosplc.init.propose import is_of_ros_itself
 from rosplc.model import DISTROS, TypeStore
 from rosplc.ros import ROS1, Backend, Choice, EndpointInfo, GraphInfo, Qos, choose, settled_graph
@@ -59,7 +60,7 @@ def distro_here(backend: str, environment: Mapping[str, str]) -> tuple[str, str]
 
 
 class LiveRobot:
-    """The ROS graph as a :class:`~rosplc.init.found.Source`; it publishes nothing.
+    """The ROS graph; it publishes nothing.
 
     ``ros`` are keys of the configuration's section ``ros``: ``backend``, and what else was given; ``folders``
     the user's own with ``.msg`` files. It looks for others for ``seconds`` at most, and waits for the topics
@@ -115,23 +116,10 @@ class LiveRobot:
         self.found = replace(self.found, why=why, notes=notes)
 
     def learn(self, topic: str, type_name: str) -> None:
-        """Make sure that a topic's type is known; see :class:`~rosplc.init.found.Source`."""
-        definitions = self.definitions
-        if not definitions.find_installed(type_name):
-            if self._backend.name != "rospy":
-                raise definitions.unknown(type_name, ", and ROS 2 tells no definitions")
-            self._ask(topic, type_name)
-        self._types.store = definitions.store
+        """Make sure that a topic's type is known; raises RosplcError if it is not, or cannot be right."""
+        learn(self.definitions, self._backend, topic, type_name)
+        self._types.store = self.definitions.store
         self._compare(topic, type_name)
-
-    def _ask(self, topic: str, type_name: str) -> None:
-        """Ask a publisher; ROS 1 alone has that."""
-        from rosplc.ros.rospy import definition_on_wire
-
-        found = definition_on_wire(topic, 2.0)
-        if found.type_name != type_name:
-            raise BackendError("ROS017", f"node {found.node} publishes {topic} as {found.type_name}")
-        self.definitions.learn(type_name, found.text, f"node {found.node}")
 
     def _compare(self, topic: str, type_name: str) -> None:
         """Note a topic whose nodes announce another definition than ours."""
@@ -147,7 +135,10 @@ class LiveRobot:
     def listen(
         self, wanted: Mapping[str, str], seconds: float, progress: Callable[[str], None]
     ) -> dict[str, Seen]:
-        """Subscribe for a while; see :class:`~rosplc.init.found.Source`."""
+        """Subscribe for a while; return what the messages of these topics (name → type) are like.
+
+        ``progress`` is called about once a second with how far it is, in words.
+        """
         meters: dict[str, Meter] = {}
         trouble: dict[str, str] = {}
         with contextlib.ExitStack() as stack:

@@ -23,7 +23,7 @@ _WAYS: dict[str, Literal["plc", "ros"]] = {"to_plc": "plc", "to_ros": "ros"}
 
 
 class RecordedRobot:
-    """A recording as a :class:`~rosplc.init.found.Source`.
+    """A recording.
 
     ``distro`` None takes what the recording fits best; ``folders`` are the user's own with ``.msg`` files,
     ``ros`` more keys of the configuration's section ``ros``. Raises BackendError: ROS006, the recording
@@ -92,7 +92,7 @@ class RecordedRobot:
         return count
 
     def learn(self, topic: str, type_name: str) -> None:
-        """Make sure that a topic's type is known; see :class:`~rosplc.init.found.Source`."""
+        """Make sure that a topic's type is known; see :meth:`rosplc.init.live.LiveRobot.learn`."""
         carried = [
             each.definition
             for each in self._recorded
@@ -107,7 +107,7 @@ class RecordedRobot:
     def listen(
         self, wanted: Mapping[str, str], seconds: float, progress: Callable[[str], None]
     ) -> dict[str, Seen]:
-        """Read the recording to its end; see :class:`~rosplc.init.found.Source`."""
+        """Read the recording to its end; see :meth:`rosplc.init.live.LiveRobot.listen`."""
         store = self.definitions.store
         meters = {(topic, kind): Meter(store, kind) for topic, kind in wanted.items()}
         first = last = count = 0

@@ -53,7 +53,7 @@ def bundled(distro: str) -> tuple[dict[str, MessageType], dict[str, tuple[str]]]
 def with_defaults(
     types: dict[str, MessageType], defaults: dict[str, dict[str, Value]]
 ) -> dict[str, MessageType]:
-    """Return ``types`` with default values. LookupError for a type or field that the distribution lacks."""
+    """Return ``types`` with default values; LookupError for a type or field that is missing."""
     result = dict(types)
     for name, values in defaults.items():
         message = result[name]

@@ -33,6 +33,9 @@ _TYPE_IDS = {
     "int64": 8, "uint64": 9, "float32": 10, "float64": 11, "bool": 15, "byte": 16,
 }  # fmt: skip
 _NESTED, _STRING, _BOUNDED_STRING = 1, 17, 21
+_WRITTEN = {number: name for name, number in _TYPE_IDS.items() if name != "char"}
+# What is not carried is written as well, so that the parser of definitions names it.
+_WRITTEN |= {12: "float128", 14: "wchar", _STRING: "string", 18: "wstring", 22: "wstring"}
 _ARRAY, _BOUNDED_SEQUENCE, _SEQUENCE = 48, 96, 144  # added to the element's id
 
 
@@ -45,6 +48,15 @@ def rihs01(message: MessageType, dependencies: list[MessageType]) -> str:
         ],
     }
     return "RIHS01_" + hashlib.sha256(json.dumps(description).encode()).hexdigest()
+
+
+def type_text(type_id: int, capacity: int, string_capacity: int, nested_type_name: str) -> str:
+    """Return how a definition writes the type that a FieldType describes; an unknown one becomes no type."""
+    length, number = divmod(type_id, _ARRAY)
+    element = nested_type_name.replace("/msg/", "/") if number == _NESTED else _WRITTEN.get(number, "?")
+    if number == _BOUNDED_STRING:
+        element = f"string<={string_capacity}"
+    return element + ("", f"[{capacity}]", f"[<={capacity}]", "[]", "?", "?")[length]
 
 
 def md5_text(message: MessageType, md5_of: Callable[[str], str]) -> str:

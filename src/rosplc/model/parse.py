@@ -47,6 +47,7 @@ _FLOAT = re.compile(
     rf"[+-]?(({_DIGITS}(\.({_DIGITS})?)?|\.{_DIGITS})([eE][+-]?{_DIGITS})?|inf|nan)\Z", re.IGNORECASE
 )
 _QUOTED = re.compile(r""""((?:\\.|[^"\\])*)"|'((?:\\.|[^'\\])*)'""")
+_ITEM = re.compile(rf"\s*({_QUOTED.pattern})?[^,]*,")
 _ESCAPES = {"n": "\n", "t": "\t", "r": "\r", "\\": "\\", '"': '"', "'": "'"}
 
 
@@ -159,24 +160,8 @@ def _cut(text: str) -> str:
 
 def _split(text: str) -> list[str]:
     """Split an array literal's inside at its commas, respecting quotes."""
-    items: list[str] = []
-    start = position = 0
-    blank = True
-    while position < len(text):
-        quoted = _QUOTED.match(text, position) if blank else None
-        if quoted:
-            position = quoted.end()
-            blank = False
-        elif text[position] == ",":
-            items.append(text[start:position].strip())
-            position += 1
-            start, blank = position, True
-        else:
-            blank = blank and text[position].isspace()
-            position += 1
-    if items or text.strip():
-        items.append(text[start:].strip())
-    return items
+    items = [found[0][:-1].strip() for found in _ITEM.finditer(f"{text},")]
+    return [] if items == [""] else items
 
 
 MAX_TEXT = 1 << 20  # Largest definition text in bytes.

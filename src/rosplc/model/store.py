@@ -345,12 +345,17 @@ class TypeStore:
             elif self._nameless:
                 hint = f"; {self._nameless[0].where} was not read: {self._nameless[0].what}"
             what = f"{name} is unknown{f' in {self.distro}' if self.distro else ''}{hint}"
-        remedy = f"`rosplc types {package}` lists the package's types; add others' folder to types.paths."
+        learnt = ""
+        if kind == "msg" and self.ros_version == 2 and self.distro != "humble":
+            learnt = " `rosplc run` and `rosplc init` learn it from a running node that uses it."
+        remedy = (
+            f"`rosplc types {package}` lists the package's types; add others' folder to types.paths.{learnt}"
+        )
         if not any(other.startswith(f"{package}/") for other in every):
             remedy = (
                 f"Check the spelling with `rosplc types`. Package {package} is not bundled: add its folder "
                 "to types.paths (`--path` of `rosplc types`); ROS installs it as "
-                f"/opt/ros/DISTRO/share/{package}."
+                f"/opt/ros/DISTRO/share/{package}.{learnt}"
             )
         return MessageTypeError("TYP001", what, where=where, remedy=remedy)
 

@@ -13,7 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from rosplc.cli.ros_text import Reader, Writer, as_python
+from rosplc.cli.ros_text import Writer, as_python
+from rosplc.init.found import Reader
 from tests.codec_oracle import random_value
 from tests.interop.graphs import LOCAL, text_of
 from tests.interop.ros2.conftest import Peer

@@ -8,8 +8,9 @@ import time
 import pytest
 import yaml
 
-from rosplc.cli.ros_text import Reader, Writer, as_python, as_yaml
+from rosplc.cli.ros_text import Writer, as_python, as_yaml
 from rosplc.errors import CodecError, LayoutError
+from rosplc.init.found import Reader
 from rosplc.model import TypeStore
 from tests.codec_oracle import Oracle, random_value
 

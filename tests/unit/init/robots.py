@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -12,13 +12,15 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from rosplc.model import TypeStore
-from rosplc.ros import LATCHED, SENSOR_DATA, Qos, open_backend
+from rosplc.model.hashes import _describe
+from rosplc.ros import LATCHED, SENSOR_DATA, SERVICES, Backend, Qos, open_backend
 from tests.codec_oracle import Oracle
 
 PART = "cell_msgs/msg/Part"
 PART_TEXT = "uint16 kind\nstring label\nfloat32[] sizes\nSide side\n"
 SIDE_TEXT = "bool left # or right\n"
 PART_TEXTS = f"{PART_TEXT}{'=' * 80}\nMSG: cell_msgs/Side\n{SIDE_TEXT}"
+SOURCES = {PART: PART_TEXT, "cell_msgs/msg/Side": SIDE_TEXT}
 STORE = TypeStore.bundled("jazzy").with_definition(PART, PART_TEXTS)
 ORACLE = Oracle(STORE)
 JOINTS = "sensor_msgs/msg/JointState"
@@ -38,8 +40,18 @@ def joints(count: int, *, frame: str = "base_link") -> dict[str, Any]:
 class Robot:
     """Publishes joints, a retained mode and parts, and waits for commands; a context manager."""
 
-    def __init__(self, backend: str, domain: int | None = None, period_s: float = 0.02) -> None:
-        self._node = open_backend(backend, STORE, "robot", domain=domain)
+    def __init__(
+        self,
+        backend: str,
+        domain: int | None = None,
+        period_s: float = 0.02,
+        *,
+        describes: bool = False,
+        **options: object,
+    ) -> None:
+        self._node = open_backend(backend, STORE, "robot", domain=domain, options=options)
+        if describes:
+            describe_types(self._node, answer_about(STORE, PART, SOURCES))
         self._period_s = period_s
         joint_states = self._node.advertise("/joint_states", JOINTS, SENSOR_DATA)
         parts = self._node.advertise("/parts", PART, Qos())
@@ -87,3 +99,29 @@ def record(folder: Path, storage: str = "mcap", *, count: int = 20) -> Path:
             part = {"kind": 1, "label": "x" * number, "sizes": [1.0] * (number % 3), "side": {"left": True}}
             writer.write(made["/parts"], time_ns, ORACLE.cdr(PART, part))
     return folder
+
+
+def answer_about(store: TypeStore, name: str, sources: Mapping[str, str]) -> dict[str, Any]:
+    """Return what a node answers to GetTypeDescription: a type of a store, and its ``.msg`` files."""
+    own, *others = (_describe(store[each]) for each in reversed(store.dependencies(name)))
+    for field in (field for each in (own, *others) for field in each["fields"]):
+        field["default_value"] = ""
+    return {
+        "successful": True,
+        "failure_reason": "",
+        "type_description": {"type_description": own, "referenced_type_descriptions": others},
+        "type_sources": [
+            {"type_name": each, "encoding": "msg", "raw_file_contents": text}
+            for each, text in sources.items()
+        ],
+        "extra_information": [],
+    }
+
+
+def describe_types(node: Backend, answer: Mapping[str, Any]) -> None:
+    """Answer what other nodes ask about types."""
+    service = "type_description_interfaces/srv/GetTypeDescription"
+    payload = ORACLE.cdr(f"{service}_Response", answer)
+    server = node.serve(
+        "/robot/get_type_description", service, SERVICES, lambda _, caller, __: server.reply(caller, payload)
+    )

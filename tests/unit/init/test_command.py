@@ -143,6 +143,18 @@ def test_custom_types_come_from_a_folder_of_the_user_or_an_installed_ros(
     assert f"Saved: {PART}, from {here}/ros/share/cell_msgs/msg/Part.msg" in output
 
 
+def test_custom_types_come_from_a_node_that_describes_them(
+    here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They are saved beside the file, and the output says where they come from."""
+    monkeypatch.setattr("rosplc.ros.backend._STEADY_NS", 100_000_000)
+    domain = next(_domains)
+    with Robot("memory", domain, describes=True):
+        output = rosplc("--topics", "/parts", *MEMORY, "--domain", domain).output
+    assert load_project(here / "rosplc.yaml").config.settings.types.paths == ("msg",)
+    assert f"Saved: {PART}, from node /robot\n" in output
+
+
 def test_json_has_everything_and_asks_nothing(memory: tuple[str, ...], here: Path) -> None:
     """What was found, what was seen, what was written; stderr stays empty."""
     result = rosplc("--json", "--yes", *memory)

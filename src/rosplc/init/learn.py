@@ -1,0 +1,239 @@
+"""Definitions from the graph: a ROS 1 publisher sends one, a node of ROS 2 Iron or later describes its types.
+
+What a node answers is not trusted. The description must have the type hash that the node announces, which
+covers names and types; constants, default values and comments come from the raw sources beside it, and a
+source counts only if it defines the very fields that were described: also ROS's own generators
+mangle some.
+"""
+
+from __future__ import annotations
+
+import logging
+import queue
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from rosplc.bridge.ros_side import LiveTypes, RosSide
+from rosplc.clock import SYSTEM, Clock
+from rosplc.codec import Codec
+from rosplc.config import Project, read_config, resolve
+from rosplc.config.file import LEARNT, Config
+from rosplc.errors import BackendError, MessageTypeError, RosplcError
+from rosplc.harmless import one_line
+from rosplc.init.definitions import MOST_TYPES, Definitions, join_texts
+from rosplc.init.found import Reader, wire_of
+from rosplc.layout import Limits, compute_layout
+from rosplc.model import TypeStore
+from rosplc.model._rosbags import EMPTY_MEMBER
+from rosplc.model.folders import save_definitions, split_definition
+from rosplc.model.hashes import rihs01, type_text
+from rosplc.model.parse import MAX_NAME, MAX_TEXT, full_name, parse_definition
+from rosplc.ros import SERVICES, Backend, Reply, RosArguments, settled_graph
+from rosplc.ros.names import resolve_topic
+
+_log = logging.getLogger("rosplc.run")
+_SERVICE = "type_description_interfaces/srv/GetTypeDescription"
+_LOOK_S = 5.0
+_PATIENCE_S = 3.0
+"""How long a node may take to be found, and to answer."""
+_MOST_NODES = 3
+
+
+def learn(definitions: Definitions, backend: Backend, topic: str, type_name: str) -> None:
+    """Make sure that a topic's type is known: from an installed ROS, else from a node that uses the topic.
+
+    Raises MessageTypeError TYP… if no node can describe it, and for ROS 1 BackendError ROS014 or ROS017.
+    """
+    if definitions.find_installed(type_name):
+        return
+    if backend.name == "rospy":
+        from rosplc.ros.rospy import definition_on_wire
+
+        found = definition_on_wire(topic, 2.0)
+        if found.type_name != type_name:
+            raise BackendError("ROS017", f"node {found.node} publishes {topic} as {found.type_name}")
+        definitions.learn(type_name, found.text, f"node {found.node}")
+        return
+    graph = backend.graph()
+    servers = {
+        end.topic for end in graph.services if end.direction == "in"
+    }  # none where services have no topics
+    ends = [end for end in graph.endpoints if (end.topic, end.type_name) == (topic, type_name)]
+    ends.sort(key=lambda end: end.direction == "in")  # publishers first
+    nodes = {end.node: end.type_hash for end in ends if end.node and end.type_hash}
+    trouble = f"no node uses {topic} with it"
+    if ends and not nodes:
+        trouble = "its nodes announce no type hash, as those of Humble do not"
+    for node, type_hash in list(nodes.items())[:_MOST_NODES]:
+        service = f"{node}/get_type_description"
+        try:
+            if servers and service not in servers:
+                raise _refused("it has no such service")
+            answer = _ask(backend, definitions.store, service, type_name, type_hash)
+            take(definitions, answer, type_name, type_hash, f"node {node}")
+        except RosplcError as error:
+            trouble = f"node {node} cannot describe it: {error.what}"
+        else:
+            return
+    raise definitions.unknown(type_name, f", and {trouble}")
+
+
+def _ask(
+    backend: Backend, store: TypeStore, service: str, type_name: str, type_hash: str, clock: Clock = SYSTEM
+) -> dict[str, Any]:
+    """Return a node's answer; raises MessageTypeError TYP010, CodecError or LayoutError."""
+    if f"{_SERVICE}_Request" not in store:
+        raise _refused(f"{store.distro} has no service for that; ros.distro decides")
+    layout = compute_layout(store, f"{_SERVICE}_Request", Limits(string=MAX_NAME))
+    request = {"type_name": type_name, "type_hash": type_hash, "include_type_sources": True}
+    replies: queue.SimpleQueue[Reply] = queue.SimpleQueue()
+    client = backend.client(service, _SERVICE, SERVICES)
+    try:
+        end = clock.monotonic_ns() + round(_PATIENCE_S * 1e9)
+        while not client.ready:
+            status = client.status()
+            if status.code or clock.monotonic_ns() > end:
+                raise _refused(status.reason or "its service is not ready")
+            clock.sleep(50_000_000)
+        client.call(Codec(layout, wire_of(store)).encode(layout.pack(request)), replies.put)
+        reply = replies.get(timeout=_PATIENCE_S)
+    except queue.Empty:
+        raise _refused(f"no answer within {_PATIENCE_S:g} s") from None
+    finally:
+        client.close()
+    if reply.payload is None:
+        raise _refused(reply.text or reply.outcome)
+    if len(reply.payload) > MAX_TEXT:
+        raise _refused(f"its answer has {len(reply.payload)} bytes, more than {MAX_TEXT}")
+    return Reader(store, f"{_SERVICE}_Response")(reply.payload)
+
+
+def take(
+    definitions: Definitions, answer: Mapping[str, Any], type_name: str, type_hash: str, origin: str
+) -> None:
+    """Add the type that an answer of GetTypeDescription describes, with those that it needs.
+
+    Raises MessageTypeError: TYP010 if the answer is no description of this type with this hash, TYP002,
+    TYP003, TYP004, TYP007 for a malformed or recursive one, unsupported fields or too much of it, TYP005 if
+    it needs another definition of a type than the one known.
+    """
+    described = _described(answer, type_name, type_hash)
+    needed = described.dependencies(type_name)
+    for name in needed:
+        if name in definitions.store and _fields(definitions.store, name) != _fields(described, name):
+            what = f"{name} is another than {definitions.store.distro}'s in what {origin} has"
+            raise MessageTypeError("TYP005", what)
+    plain = split_definition(type_name, described.definition_text(type_name))
+    sources = {source["type_name"]: source for source in answer["type_sources"]}
+    texts: dict[str, str] = {}
+    incomplete: list[str] = []
+    for name in reversed(needed):  # itself first
+        if name not in definitions.store:
+            source = _source(sources.get(name, {}), name, described)
+            texts[name] = plain[name] if source is None else source
+            incomplete += [name] * (source is None)
+    definitions.learn(type_name, join_texts(texts), origin)
+    for name in incomplete:
+        definitions.origins[name] += ", without constants and default values: its source cannot be used"
+
+
+def _described(answer: Mapping[str, Any], type_name: str, type_hash: str) -> TypeStore:
+    """Return what an answer describes, and nothing else."""
+    if not answer["successful"]:
+        raise _refused(one_line(answer["failure_reason"][:200]) or "it gives no reason")
+    parts = answer["type_description"]
+    own, others = parts["type_description"], parts["referenced_type_descriptions"]
+    if own["type_name"] != type_name:
+        raise _refused(f"it describes {one_line(own['type_name'][:80])!r}")
+    if len(others) > MOST_TYPES:
+        raise MessageTypeError("TYP007", f"it needs {len(others)} types; {MOST_TYPES} are the most")
+    texts = {each["type_name"]: _text(each) for each in (own, *others)}
+    store = TypeStore.from_definition(type_name, join_texts(texts))
+    if (found := store.type_hash(type_name)) != type_hash:
+        raise _refused(f"it has the hash {found}, not {one_line(type_hash[:80])}")
+    return store
+
+
+def _text(description: Mapping[str, Any]) -> str:
+    """Return a definition's text; its parser judges names and numbers."""
+    fields = description["fields"]
+    if [field["name"] for field in fields] == [EMPTY_MEMBER]:
+        return ""
+    return "".join(f"{type_text(**field['type'])} {field['name']}\n" for field in fields)
+
+
+def _fields(store: TypeStore, name: str) -> str:
+    return rihs01(store[name], [])
+
+
+def _source(source: Mapping[str, Any], name: str, described: TypeStore) -> str | None:
+    """Return the text of a raw source that defines one type, with the fields described; None for another."""
+    text = source.get("raw_file_contents", "") if source.get("encoding") == "msg" else None
+    with suppress(MessageTypeError):
+        if text is not None:
+            found = parse_definition(name, text, siblings=described.names())
+            if len(found) == 1 and rihs01(found[0].message, []) == _fields(described, name):
+                return f"{text}\n"
+    return None
+
+
+def _refused(what: str) -> MessageTypeError:
+    return MessageTypeError("TYP010", what)
+
+
+def load(path: Path, arguments: RosArguments | None = None) -> Project:
+    """Read a configuration as :func:`rosplc.config.load_project`, and learn the types that it lacks.
+
+    They are kept beside the file, in the folder :data:`~rosplc.config.file.LEARNT`, where later readers of
+    the configuration find them, and each is logged. Raises MessageTypeError TYP009 if they cannot be saved.
+    """
+    config = read_config(path)
+    try:
+        definitions = Definitions(config.settings.ros.distro, config.type_folders)
+    except MessageTypeError:
+        return resolve(config)  # which names the folder and its line
+    topics = config.settings.topics
+    if missing := {
+        name: topics[name].type for name in topics if _is_unknown(definitions.store, topics[name].type)
+    }:
+        _learn_all(config, arguments or RosArguments(), definitions, missing)
+    return resolve(config)
+
+
+def _is_unknown(store: TypeStore, name: str) -> bool:
+    try:
+        _ = store[name]
+    except MessageTypeError as error:  # of a type that this one needs the error has the place
+        return error.code == "TYP001" and not error.where
+    return False
+
+
+def _learn_all(
+    config: Config, arguments: RosArguments, definitions: Definitions, missing: Mapping[str, str]
+) -> None:
+    side, types = RosSide(config, arguments), LiveTypes(definitions.store)
+    node, namespace, remap = side.names()
+    try:
+        backend, _ = side.open(types)
+    except BackendError as error:
+        _log.warning("unknown types are not looked for in the graph: %s", error.what)
+        return
+    try:
+        names = {
+            topic: resolve_topic(topic, namespace=namespace, node_name=node, remap=remap) for topic in missing
+        }
+        settled_graph(backend.graph, _LOOK_S, tuple(names.values()))
+        for topic, type_name in missing.items():
+            try:
+                learn(definitions, backend, names[topic], full_name(type_name))
+                types.store = definitions.store
+            except RosplcError as error:
+                _log.warning("%s: %s", topic, error.what)
+    finally:
+        backend.close()
+    folder = config.base / LEARNT
+    save_definitions(definitions.texts, folder)
+    for name, origin in definitions.origins.items():
+        _log.info("learnt %s from %s; kept in %s", name, origin, folder)

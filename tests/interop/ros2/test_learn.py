@@ -1,0 +1,84 @@
+"""Types that the bridge's side lacks, learnt from a real rclpy node."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from rosplc.errors import MessageTypeError
+from rosplc.init.definitions import Definitions
+from rosplc.init.learn import learn
+from rosplc.model import TypeStore
+from rosplc.model.folders import save_definitions
+from rosplc.ros import Backend, open_backend, settled_graph
+from tests.interop.graphs import LOCAL
+from tests.interop.ros2.conftest import Peer
+
+pytestmark = [pytest.mark.ros2, pytest.mark.timeout(300)]
+
+SHARE = Path(sys.prefix, "share")
+REAL = TypeStore.bundled("kilted").with_paths([SHARE / "test_msgs"])
+
+
+def found(backend: Backend, *topics: str) -> None:
+    """Wait until the topics' publishers are seen."""
+    assert set(topics) <= settled_graph(backend.graph, 60.0, topics).topics.keys()
+
+
+@pytest.mark.parametrize("base", ["Constants", "Defaults", "Empty", "MultiNested"])
+def test_over_rclpy(domain: int, peer: Peer, base: str, tmp_path: Path) -> None:
+    """With constants and default values, and what is saved is read as the package's own files are."""
+    name = f"test_msgs/msg/{base}"
+    assert name not in TypeStore.bundled("kilted")
+    peer.advertise("/custom", name)
+    definitions = Definitions("kilted", environment={})
+    backend = open_backend("rclpy", definitions.store, "cell", domain=domain, environment=LOCAL)
+    try:
+        found(backend, "/custom")
+        learn(definitions, backend, "/custom", name)
+    finally:
+        backend.close()
+    assert {*definitions.origins.values()} == {"node /peer"}
+    save_definitions(definitions.texts, tmp_path)
+    saved = TypeStore.bundled("kilted").with_paths([tmp_path])
+    assert [saved[each] for each in saved.dependencies(name)] == [
+        REAL[each] for each in REAL.dependencies(name)
+    ]
+
+
+@pytest.mark.parametrize("base", ["ComplexNestedKey", "Strings"])
+def test_a_source_that_cannot_be_used(domain: int, peer: Peer, base: str) -> None:
+    """IDL, and quotes that ROS's generator mangles: the fields count, the origin says what is missing."""
+    name = f"test_msgs/msg/{base}"
+    peer.advertise("/custom", name)
+    definitions = Definitions("kilted", environment={})
+    backend = open_backend("rclpy", definitions.store, "cell", domain=domain, environment=LOCAL)
+    try:
+        found(backend, "/custom")
+        learn(definitions, backend, "/custom", name)
+    finally:
+        backend.close()
+    described = json.loads((SHARE / f"{name}.json").read_text())["type_description_msg"]["type_description"]
+    fields = [field.name for field in definitions.store[name].fields]
+    assert fields == [field["name"] for field in described["fields"]]
+    assert definitions.origins[name] == (
+        "node /peer, without constants and default values: its source cannot be used"
+    )
+
+
+def test_fast_dds_cannot_be_asked_over_dds(domain: int, peer: Peer) -> None:
+    """The error gives the reason and the remedy."""
+    peer.advertise("/custom", "test_msgs/msg/Constants")
+    definitions = Definitions("kilted", environment={})
+    backend = open_backend("dds", definitions.store, "cell", domain=domain, environment=LOCAL)
+    try:
+        found(backend, "/custom")
+        with pytest.raises(MessageTypeError, match="another DDS than Cyclone's") as refused:
+            learn(definitions, backend, "/custom", "test_msgs/msg/Constants")
+    finally:
+        backend.close()
+    assert refused.value.code == "TYP001"
+    assert "--types" in refused.value.remedy
