@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import enum
 import inspect
 import re
@@ -11,6 +12,7 @@ from typing import Any
 
 HEADINGS = {"Args": "Arguments"}
 SECTION = re.compile(r"^(Args|Attributes|Returns|Yields|Raises):$")
+FIELD = re.compile(r"^    (\w+): ")
 ITEM = re.compile(r"^(\*{0,2}[\w., ]+?): (.*)$")
 
 
@@ -45,9 +47,25 @@ def body(docstring: str) -> Iterator[str]:
         yield "```"
 
 
+def comments(thing: Any) -> Iterator[str]:
+    """Yield what comments say about the fields of a dataclass: behind them, or above."""
+    if not dataclasses.is_dataclass(thing):
+        return
+    above: list[str] = []
+    found = []
+    for line in inspect.getsource(thing).splitlines():
+        field = FIELD.match(line)
+        behind = field and line.partition("  # ")[2]
+        if field and (text := behind or " ".join(above)):
+            found.append(f"* `{field[1]}`: {markdown(text)}")
+        above = [*above, line[6:]] if line.startswith("    # ") else []
+    if found:
+        yield from ("", "*Attributes*", "", *found)
+
+
 def describe(thing: Any) -> str:
     """Return what an object's docstring says; code of an example is not run."""
-    lines = "\n".join(body(inspect.getdoc(thing) or ""))
+    lines = "\n".join([*body(inspect.getdoc(thing) or ""), *comments(thing)])
     lines = re.sub(r"\n+```$", "\n```", re.sub(r"\n{3,}", "\n\n", lines), flags=re.MULTILINE)
     return re.sub(r"::$", ":", lines, flags=re.MULTILINE).strip()
 

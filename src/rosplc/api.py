@@ -73,14 +73,8 @@ def attach(
 def topics(prefix: str | None = None, *, directory: str = "/dev/shm") -> list[ObjectState]:
     """Return the channels on this machine, those that cannot be read included (with ``error``).
 
-    It watches for about a third of a second, to say who is alive.
-
-    Args:
-        prefix: Only those of this prefix; None for all.
-        directory: Where the objects stand.
-
-    Raises:
-        ChannelError: SHM118 or SHM123.
+    It watches for about a third of a second, to say who is alive. With a ``prefix`` it returns those of it
+    only. Raises ChannelError SHM118 or SHM123.
     """
     return find_objects(directory, prefix=prefix)
 
@@ -157,8 +151,7 @@ class Channel:
     def snapshot(self) -> Snapshot:
         """Return the counters and beats of writer and readers.
 
-        Raises:
-            ChannelError: SHM101 while there is no object.
+        Raises ChannelError: SHM101 while there is no object.
         """
         return self._need().snapshot()
 
@@ -176,10 +169,8 @@ class Channel:
     def every(self, timeout: float | None = 0.0, *, poll: float = 0.001) -> Iterator[RecordView]:
         """Yield messages in order, each once.
 
-        Args:
-            timeout: Seconds to wait for the next message before the iteration ends; 0 ends
-                with the last that is there, None waits for ever.
-            poll: Seconds between two looks while waiting.
+        It ends when no other message comes within ``timeout`` seconds: 0 ends with the last that is there,
+        None waits for ever. ``poll`` is the time between two looks, in seconds.
         """
         while True:
             message = self._wait("next", timeout, poll)
@@ -188,30 +179,20 @@ class Channel:
             yield message
 
     def wait(self, timeout: float | None = None, *, poll: float = 0.001) -> RecordView | None:
-        """Wait for a new message and return it; None after ``timeout`` seconds.
+        """Wait for a new message and return it; None after ``timeout`` seconds (None: wait for ever).
 
-        Args:
-            timeout: Seconds to wait; None waits for ever.
-            poll: Seconds between two looks. Nobody has to wake this program up, which is what
-                keeps a PLC's scan free of system calls.
+        ``poll`` is the time between two looks, in seconds. Nobody has to wake this program up, which is what
+        keeps a PLC's scan free of system calls.
         """
         return self._wait("latest", timeout, poll)
 
     def write(self, value: Mapping[str, Any] | RecordView | object, *, stamp_ns: int | None = None) -> int:
-        """Publish a message towards ROS.
+        """Publish a message towards ROS, and return its sequence number.
 
-        Args:
-            value: A mapping, a record view, or any object with the fields as attributes (a ROS
-                message); what it lacks takes its initial value.
-            stamp_ns: The source's time stamp, ns since 1970 UTC; None takes the present time.
-
-        Returns:
-            The message's sequence number.
-
-        Raises:
-            LayoutError: LAY006, a value does not fit its field.
-            ChannelError: SHM122 if attached without ``write=True``, SHM115 if another writer
-                has taken the claim, SHM101 while there is no object.
+        ``value`` is a mapping, a record view, or any object with the fields as attributes (a ROS message);
+        what it lacks takes its initial value. ``stamp_ns`` is the source's time stamp, ns since 1970 UTC
+        (None: now). Raises LayoutError LAY006, a value does not fit its field; ChannelError SHM122 without
+        ``write=True``, SHM115 if another writer has taken the claim, SHM101 while there is no object.
         """
         if not self._write:
             raise ChannelError("SHM122", "attached for reading only", where=self.topic)

@@ -30,14 +30,8 @@ def description_of(
 ) -> Description:
     """Return what an object for messages of a layout says of itself (``spec/shm-format.md``, section 6).
 
-    Args:
-        layout: The layout of its records.
-        topic: The full name of the topic, service or action.
-        direction: Which way its messages go.
-        bridge: The name of whoever makes the object.
-        distro: The ROS distribution of the type's definition; that of the layout's types if empty.
-        part: What the object carries.
-        client: The name of one of several uses of a service or action.
+    ``topic`` is the full name of the topic, service or action; ``bridge`` that of whoever makes the object;
+    ``distro`` that of the layout's types if empty; ``client`` names one of several uses.
     """
     return Description(
         topic=topic,
@@ -54,15 +48,10 @@ def description_of(
 
 
 def described_layout(description: Description, *, where: str = "") -> Layout:
-    """Compute the layout that ``description`` describes.
+    """Compute the layout that an object's ``description``, which is not trusted, describes.
 
-    Args:
-        description: An object's self-description; it is untrusted and may be hostile.
-        where: The object's path or topic, for the error.
-
-    Raises:
-        ChannelError: SHM113 if the definition or the limits cannot be used, or lead to
-            another layout id than the description states.
+    Raises ChannelError SHM113, at ``where``, if the definition or the limits cannot be used, or lead to
+    another layout id than the description states.
     """
     try:
         limits = json.dumps(dict(description.limits), sort_keys=True)
@@ -81,8 +70,7 @@ def described_layout(description: Description, *, where: str = "") -> Layout:
 def layout_of(attached: Attached) -> Layout:
     """Return the layout of an attached object, its header and its description agreeing on it.
 
-    Raises:
-        ChannelError: SHM113, as :func:`described_layout`, or because the two disagree.
+    Raises ChannelError: SHM113, as :func:`described_layout`, or because the two disagree.
     """
     identity = attached.identity
     layout = described_layout(attached.description, where=str(attached.path))

@@ -51,13 +51,9 @@ _MUCH_MEMORY = 32 * 1024 * 1024
 
 
 def check(config: Path | str | Project) -> dict[str, Any]:
-    """Return what a configuration leads to: what `rosplc check --json` prints.
+    """Return what a configuration, or its file, leads to: what `rosplc check --json` prints.
 
-    Args:
-        config: The file, or what :func:`load_project` made of it.
-
-    Raises:
-        ConfigErrors: Everything that is wrong, each with file, line and key.
+    Raises ConfigErrors with everything that is wrong, each with file, line and key.
     """
     project = config if isinstance(config, Project) else load_project(config)
     settings = project.config.settings

@@ -138,21 +138,13 @@ class Binding:
         return f"Binding({self.topic}, {self.layout.type_name}, {way}{', closed' if self.closed else ''})"
 
     def write(self, message: Any, *, stamp_ns: int | None = None) -> int:
-        """Put a message where the PLC reads it.
+        """Put a message where the PLC reads it, and return its sequence number.
 
-        Args:
-            message: A message object of rclpy, rospy or rosbags, a mapping, or serialized bytes (CDR
-                with its header; for noetic ROS 1's serialization).
-            stamp_ns: The source stamp, ns since 1970; None: now.
-
-        Returns:
-            The message's sequence number.
-
-        Raises:
-            CodecError: Serialized bytes do not fit; the text names field, size and limit.
-            LayoutError: LAY006, a value does not fit its field.
-            ChannelError: SHM110 if the direction is to_ros; SHM117 … if the object vanished and
-                cannot be made again.
+        It is an object of rclpy, rospy or rosbags, a mapping, or serialized bytes (CDR with its header; for
+        noetic ROS 1's serialization); ``stamp_ns`` is the source stamp, ns since 1970 (None: now). Raises
+        CodecError if serialized bytes do not fit, with field, size and limit; LayoutError LAY006, a value
+        does not fit its field; ChannelError SHM110 if the direction is to_ros, SHM117 … if the object
+        vanished and cannot be made again.
         """
         if not self._to_plc:
             raise ChannelError("SHM110", "this binding reads what the PLC sends", where=self.topic)
@@ -187,12 +179,9 @@ class Binding:
     def read(self) -> Any:
         """Return a message from the PLC: the newest, or with ``every`` the next; None if nothing is new.
 
-        Returns:
-            An object of the message class that was given to :func:`bind`, else a
-            :class:`~rosplc.layout.RecordView` with the fields as attributes.
-
-        Raises:
-            ChannelError: SHM110 if the direction is to_plc; SHM117 … as for :meth:`write`.
+        It is an object of the message class that was given to :func:`bind`, else a
+        :class:`~rosplc.layout.RecordView` with the fields as attributes. Raises ChannelError SHM110 if the
+        direction is to_plc; SHM117 … as for :meth:`write`.
         """
         record = self._take()
         if record is None:

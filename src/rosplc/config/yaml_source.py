@@ -31,13 +31,8 @@ class ConfigErrors(ConfigError):
     """One or more errors of one configuration, in the order of their lines.
 
     It is caught as a :class:`~rosplc.errors.ConfigError`; ``code``, ``what``, ``where`` and
-    ``remedy`` are those of the first error, the text shows all of them, one a line.
-
-    Args:
-        errors: At least one error; some may be of the families TYP, LAY or SHM.
-
-    Attributes:
-        errors: All of them.
+    ``remedy`` are those of the first error, the text shows all of them, one a line. ``errors`` is
+    at least one; some may be of the families TYP, LAY or SHM.
     """
 
     family = ""

@@ -344,49 +344,27 @@ _SHARED = (
 
 @dataclass(frozen=True, slots=True)
 class ObjectState:
-    """One object as it stands.
+    """One object as it stands."""
 
-    Attributes:
-        prefix: The bridge's prefix.
-        topic: As ROS writes it, a service or action likewise; the object's name where that cannot be known.
-        path: The object's file.
-        type_name: ``package/msg/Name``, empty if unreadable.
-        direction: ``to_plc`` or ``to_ros``, empty if unreadable.
-        record_size: Bytes of a record.
-        slots: Number of slots.
-        layout_id: 16 hexadecimal digits.
-        bridge: The bridge's name.
-        head: Sequence of the newest message.
-        refused: Messages that the writer could not put into a record.
-        truncated: Messages with something cut off.
-        writer_alive: Whether the writer beat while looking.
-        readers: Names of the tasks whose reader lines beat while looking.
-        error: Why it cannot be read, as an error's text; empty if it can.
-        code: The error's code.
-        kind: ``topic``, ``service`` or ``action``.
-        part: ``topic``, or what a service's or action's object carries: ``request``, ``goal`` ...
-        client: The name of one of several uses of a service or action.
-    """
-
-    prefix: str
-    topic: str
-    path: str
-    type_name: str = ""
-    direction: str = ""
-    record_size: int = 0
-    slots: int = 0
-    layout_id: str = ""
-    bridge: str = ""
-    head: int = 0
-    refused: int = 0
-    truncated: int = 0
-    writer_alive: bool = False
-    readers: tuple[str, ...] = ()
-    error: str = ""
-    code: str = ""
-    kind: str = "topic"
-    part: str = "topic"
-    client: str = ""
+    prefix: str  # the bridge's prefix
+    topic: str  # as ROS writes it, a service or action likewise; the object's name where that cannot be known
+    path: str  # the object's file
+    type_name: str = ""  # ``package/msg/Name``, empty if unreadable
+    direction: str = ""  # ``to_plc`` or ``to_ros``, empty if unreadable
+    record_size: int = 0  # bytes of a record
+    slots: int = 0  # number of slots
+    layout_id: str = ""  # 16 hexadecimal digits
+    bridge: str = ""  # the bridge's name
+    head: int = 0  # sequence of the newest message
+    refused: int = 0  # messages that the writer could not put into a record
+    truncated: int = 0  # messages with something cut off
+    writer_alive: bool = False  # whether the writer beat while looking
+    readers: tuple[str, ...] = ()  # names of the tasks whose reader lines beat while looking
+    error: str = ""  # why it cannot be read, as an error's text; empty if it can
+    code: str = ""  # the error's code
+    kind: str = "topic"  # ``topic``, ``service`` or ``action``
+    part: str = "topic"  # ``topic``, or what a service's or action's object carries: ``request``, ``goal``
+    client: str = ""  # the name of one of several uses of a service or action
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""

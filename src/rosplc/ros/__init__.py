@@ -92,21 +92,13 @@ def open_backend(
 ) -> Backend:
     """Connect to the ROS graph as one node.
 
-    Args:
-        name: One of :data:`BACKENDS`, or ``auto`` (:func:`choose`); the backend's ``name``
-            tells which one it became.
-        store: Where message types come from.
-        node_name: The node's base name.
-        namespace: The node's namespace.
-        domain: The ROS domain; None: ``ROS_DOMAIN_ID`` of the environment, else 0.
-        remap: Topic → topic (:func:`rosplc.ros.names.resolve_topic`).
-        environment: Variables to use in place of the process's own.
-        options: The backend's own keys of the configuration (``ros.zenoh``); others have none.
-        clock: Time, for what the backend waits for and stamps.
+    ``name`` is one of :data:`BACKENDS`, or ``auto`` (:func:`choose`; the backend's ``name`` is the outcome);
+    ``domain`` None is ``ROS_DOMAIN_ID`` of the environment, else 0; ``remap`` maps topic → topic
+    (:func:`rosplc.ros.names.resolve_topic`); ``environment`` has variables in place of the process's own;
+    ``options`` are the backend's own keys of the configuration, such as ``ros.zenoh``.
 
-    Raises:
-        BackendError: ROS001 if the backend is unknown or its package is missing, ROS002 if
-            the middleware refuses, ROS005 if a name breaks a rule.
+    Raises BackendError: ROS001 if the backend is unknown or its package is missing, ROS002 if the middleware
+    refuses, ROS005 if a name breaks a rule.
     """
     if name != "auto" and name not in BACKENDS:
         raise BackendError("ROS001", f"there is no backend {name!r}; there are: auto, {', '.join(BACKENDS)}")

@@ -39,27 +39,15 @@ _MOST = 2**31 - 1  # DDS carries a depth as a signed 32-bit number
 
 @dataclass(frozen=True, slots=True)
 class Qos:
-    """How messages of one topic are carried.
+    """How messages of one topic are carried. Raises BackendError ROS007 for a value that is none."""
 
-    Attributes:
-        reliability: ``reliable`` repeats lost messages, ``best_effort`` does not.
-        durability: ``transient_local`` keeps the last ``depth`` messages for readers that
-            come later (ROS 1: latched), ``volatile`` keeps none.
-        depth: Messages that wait at most; the oldest give way.
-        history: ``keep_last`` alone: a queue without a bound has no place beside a PLC.
-        deadline_ns: The longest time between two messages that is promised, or asked for; 0: none. Only
-            backends with the capability ``deadline`` carry it.
-        lease_ns: How long after its last sign of life a publisher counts as gone, as promised or asked for;
-            0: none. The middleware gives the signs ("automatic" liveliness). The same capability.
-
-    Raises:
-        BackendError: ROS007, if a value is none of these.
-    """
-
-    reliability: Reliability = "reliable"
+    reliability: Reliability = "reliable"  # repeats lost messages; ``best_effort`` does not
+    # ``transient_local`` keeps the last ``depth`` messages for readers that come later (ROS 1: latched)
     durability: Durability = "volatile"
-    depth: int = 10
-    history: History = "keep_last"
+    depth: int = 10  # messages that wait at most; the oldest give way
+    history: History = "keep_last"  # alone: a queue without a bound has no place beside a PLC
+    # The longest time between two messages, and how long after its last sign of life ("automatic" liveliness)
+    # a publisher counts as gone, as promised or asked for; 0: none. Only with the capability ``deadline``.
     deadline_ns: int = 0
     lease_ns: int = 0
 
@@ -121,35 +109,20 @@ def incompatibility(offered: Qos, requested: Qos) -> str | None:
 
 @dataclass(frozen=True, slots=True)
 class EndpointStatus:
-    """One of the bridge's own endpoints, as it stands.
+    """The present state of one of the bridge's own endpoints."""
 
-    Attributes:
-        topic: The absolute name of the topic or service, as ROS writes it.
-        type_name: ``package/msg/Name``; ``package/srv/Name`` for a service.
-        direction: ``in`` for a subscription or a service's server, ``out`` for a publisher or a client.
-        matched: Peers that exchange messages with this endpoint.
-        messages: Messages, or requests, received or sent.
-        dropped: Messages lost on the way: overrun queues, peers that could not keep up.
-        rejected: Messages refused because their bytes do not fit the type.
-        failed: Messages that ``on_message`` raised an exception for.
-        last_ns: When the last message was received or sent (ns since 1970, own clock); 0: never.
-        reason: In words, what keeps peers from matching, or what is doubtful; empty if all is well.
-        code: The error code that goes with ``reason``; empty if there is none.
-        late: Times that a promised deadline passed without a message; 0 where none was promised.
-    """
-
-    topic: str
-    type_name: str
-    direction: Literal["in", "out"]
-    matched: int = 0
-    messages: int = 0
-    dropped: int = 0
-    rejected: int = 0
-    failed: int = 0
-    last_ns: int = 0
-    reason: str = ""
-    code: str = ""
-    late: int = 0
+    topic: str  # the absolute name of the topic or service, as ROS writes it
+    type_name: str  # ``package/msg/Name``; ``package/srv/Name`` for a service
+    direction: Literal["in", "out"]  # ``in``: a subscription or a server, ``out``: a publisher or a client
+    matched: int = 0  # peers that exchange messages with it
+    messages: int = 0  # messages, or requests, received or sent
+    dropped: int = 0  # lost on the way: overrun queues, peers that could not keep up
+    rejected: int = 0  # refused because their bytes do not fit the type
+    failed: int = 0  # those that ``on_message`` raised an exception for
+    last_ns: int = 0  # when the last one was received or sent (ns since 1970, own clock); 0: never
+    reason: str = ""  # what keeps peers from matching, or what is doubtful; empty if all is well
+    code: str = ""  # the error code that goes with ``reason``, if any
+    late: int = 0  # times that a promised deadline passed without a message
 
     @property
     def received(self) -> int:
@@ -217,17 +190,11 @@ class Publisher(Endpoint, Protocol):
     """A topic that is being sent."""
 
     def write(self, payload: bytes, stamp_ns: int | None = None) -> bool:
-        """Send one message.
+        """Send a serialized message, its encapsulation header included; never blocks.
 
-        Args:
-            payload: The serialized message, its encapsulation header included.
-            stamp_ns: The source stamp (ns since 1970); None: now.
-
-        Returns:
-            False if the message was dropped because a peer does not keep up; never blocks.
-
-        Raises:
-            BackendError: ROS008 if the payload is no message of the type, ROS009 after close.
+        ``stamp_ns`` is the source stamp (ns since 1970; None: now). Return False if the message was dropped
+        because a peer does not keep up. Raises BackendError ROS008 if the payload is no message of the type,
+        ROS009 after close.
         """
 
 
@@ -304,9 +271,7 @@ class Backend(Protocol):
     def subscribe(self, topic: str, type_name: str, qos: Qos, on_message: OnMessage) -> Subscription:
         """Receive a topic.
 
-        Raises:
-            BackendError: ROS005 for a bad name, ROS002 if the middleware refuses.
-            MessageTypeError: TYP001 if the type is unknown.
+        Raises BackendError ROS005 for a bad name, ROS002 if the middleware refuses; MessageTypeError TYP001.
         """
 
     def advertise(self, topic: str, type_name: str, qos: Qos) -> Publisher:
@@ -315,12 +280,9 @@ class Backend(Protocol):
     def serve(self, service: str, type_name: str, qos: Qos, on_request: OnRequest) -> ServiceServer:
         """Serve a service (capability ``services``); raises as :meth:`subscribe` does.
 
-        Args:
-            service: Its name.
-            type_name: ``package/srv/Name``, or a service of an action: ``package/action/Name_SendGoal``,
-                ``package/action/Name_GetResult``. The messages are this with ``_Request`` and ``_Response``.
-            qos: :data:`SERVICES`, unless there are reasons for another depth.
-            on_request: Receives the requests.
+        ``type_name`` is ``package/srv/Name``, or a service of an action: ``package/action/Name_SendGoal``,
+        ``package/action/Name_GetResult``. The messages are this with ``_Request`` and ``_Response``. ``qos``
+        is :data:`SERVICES`, unless there are reasons for another depth.
         """
 
     def client(self, service: str, type_name: str, qos: Qos) -> ServiceClient:

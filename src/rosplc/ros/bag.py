@@ -41,13 +41,9 @@ class BagTopic:
 
 
 class Bag:
-    """A recording, open for reading; a context manager.
+    """A recording, open for reading: ``.bag``, ``.mcap``, ``.db3``, or a folder of ``ros2 bag``.
 
-    Args:
-        path: A ``.bag``, ``.mcap`` or ``.db3`` file, or a folder of ``ros2 bag``.
-
-    Raises:
-        BackendError: ROS006, the file cannot be read.
+    A context manager. Raises BackendError ROS006.
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -108,8 +104,7 @@ class Bag:
     def messages(self, topics: Collection[str] | None = None) -> Iterator[tuple[str, str, int, bytes]]:
         """Yield topic, type, time (ns since 1970) and bytes of each message (of these topics), in order.
 
-        Raises:
-            BackendError: ROS006, the file is damaged.
+        Raises BackendError: ROS006, the file is damaged.
         """
         wanted = [one for one in self._reader.connections if topics is None or one.topic in topics]
         try:

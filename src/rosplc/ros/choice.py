@@ -73,19 +73,12 @@ def choose(
     services: bool = False,
     missing: Callable[[str], str] = why_not_installed,
 ) -> Choice:
-    """Choose a backend for a ROS distribution.
+    """Choose a backend for the ROS distribution whose definitions the configuration takes.
 
-    Args:
-        distro: Whose definitions the configuration takes.
-        environment: Variables to use in place of the process's own: ``RMW_IMPLEMENTATION`` and
-            ``ROS_SECURITY_ENABLE`` count.
-        zenoh_settings: Whether the configuration says how to reach Zenoh.
-        services: Whether it has services or actions: ``rclpy`` carries them whatever the other nodes run on.
-        missing: Returns why a backend cannot be imported; empty if it can.
-
-    Raises:
-        BackendError: ROS001, nothing usable is installed; the text lists what was tried and how
-            each is installed.
+    Of the environment ``RMW_IMPLEMENTATION`` and ``ROS_SECURITY_ENABLE`` count. ``zenoh_settings``: the
+    configuration says how to reach Zenoh; ``services``: it has services or actions, which ``rclpy`` carries
+    whatever the other nodes run on; ``missing`` returns why a backend cannot be imported, if so. Raises
+    BackendError ROS001 if nothing usable is installed, with what was tried and how each is installed.
     """
     variables = os.environ if environment is None else environment
     wanted, why, unfit = _candidates(distro, variables, zenoh_settings, services)

@@ -18,18 +18,12 @@ class Scan:
     """One scan of one task; outside a task (a notebook, a test) every call counts as a scan of its own.
 
     A PLC makes at most one attempt to open an object per scan over all blocks (spec/shm-format.md, 8.6).
-
-    Attributes:
-        task: The task's name, empty outside a task.
-        number: Counts the task's scans from 1; 0 outside a task.
-        now_ns: The monotonic clock at the scan's start, nanoseconds.
-        may_open: Whether this scan still has its one attempt to open an object.
     """
 
-    task: str
-    number: int
-    now_ns: int
-    may_open: bool = True
+    task: str  # the task's name, empty outside a task
+    number: int  # counts the task's scans from 1; 0 outside a task
+    now_ns: int  # the monotonic clock at the scan's start, nanoseconds
+    may_open: bool = True  # whether this scan still has its one attempt to open an object
 
     def claim_open(self) -> bool:
         """Take the scan's one attempt to open an object; False if it is gone."""
@@ -53,28 +47,16 @@ def enter_scan(scan: Scan | None) -> None:
 
 @dataclass(slots=True)
 class CycleStats:
-    """Counters of one task; every time is in nanoseconds.
+    """Counters of one task; every time is in nanoseconds."""
 
-    Attributes:
-        scans: Scans that ran.
-        missed: Scans that did not run because the one before took too long, or because the
-            machine was late by a whole interval.
-        jitter_max: The most by which a scan began after its time.
-        cycle_last: Duration of the last scan.
-        cycle_min: Shortest scan; 0 before the first.
-        cycle_max: Longest scan.
-        cycle_sum: Sum over all scans, for the mean.
-        watchdog_excesses: Scans that took longer than the watchdog time.
-    """
-
-    scans: int = 0
-    missed: int = 0
-    jitter_max: int = 0
-    cycle_last: int = 0
-    cycle_min: int = 0
-    cycle_max: int = 0
-    cycle_sum: int = 0
-    watchdog_excesses: int = 0
+    scans: int = 0  # those that ran
+    missed: int = 0  # left out: the one before took too long, or the machine was late by an interval
+    jitter_max: int = 0  # the most by which a scan began after its time
+    cycle_last: int = 0  # duration of the last scan
+    cycle_min: int = 0  # shortest scan; 0 before the first
+    cycle_max: int = 0  # longest scan
+    cycle_sum: int = 0  # sum over all scans, for the mean
+    watchdog_excesses: int = 0  # scans that took longer than the watchdog time
 
     @property
     def cycle_mean(self) -> float:
@@ -187,13 +169,9 @@ class Task:
         return began is not None and allowed is not None and time.monotonic_ns() - began > allowed
 
     def scan(self, due_ns: int | None = None) -> None:
-        """Run one scan now, in the calling thread.
+        """Run one scan now, in this thread; it was due at ``due_ns`` of the monotonic clock (None: now).
 
-        Args:
-            due_ns: The monotonic time at which it should have begun; now if None.
-
-        Raises:
-            BaseException: Whatever a program raises; the task is then in state EXCEPTION.
+        Raises whatever a program raises; the task is then in state EXCEPTION.
         """
         began = time.monotonic_ns()
         self._scan_began_ns = began
@@ -227,8 +205,7 @@ class Task:
     def start(self) -> None:
         """Start the task's thread; nothing happens if it runs already.
 
-        Raises:
-            RuntimeError: The task halted with an exception; make a new one.
+        Raises RuntimeError: The task halted with an exception; make a new one.
         """
         if self.state is TaskState.EXCEPTION:
             raise RuntimeError(f"task {self.name} halted: {self.error}")
@@ -240,13 +217,9 @@ class Task:
         self._thread.start()
 
     def stop(self, timeout: float | None = 5.0) -> bool:
-        """End the task after the scan in progress.
+        """End the task after the scan in progress, waited for so many seconds (None: for ever).
 
-        Args:
-            timeout: Seconds to wait for that scan; None waits for ever.
-
-        Returns:
-            Whether the task has ended.
+        Return whether it has ended.
         """
         self._stop.set()
         thread = self._thread
@@ -339,8 +312,7 @@ class VirtualPlc:
     def check(self) -> None:
         """Raise what halted a task, if one has halted.
 
-        Raises:
-            BaseException: What a program raised; TimeoutError from the watchdog.
+        Raises BaseException: What a program raised; TimeoutError from the watchdog.
         """
         for task in self.tasks:
             if task.state is TaskState.EXCEPTION and task.error is not None:
@@ -351,8 +323,7 @@ class VirtualPlc:
     def run(self, duration: float | None = None) -> None:
         """Start, run for ``duration`` seconds (None: until Ctrl-C, or a task halts), or until :meth:`stop`.
 
-        Raises:
-            BaseException: What halted a task; with a duration KeyboardInterrupt, too.
+        Raises BaseException: What halted a task; with a duration KeyboardInterrupt, too.
         """
         end = None if duration is None else time.monotonic() + duration
         self.start()

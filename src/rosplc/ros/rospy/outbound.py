@@ -41,8 +41,7 @@ class _Queue:
         While nothing waits, the message goes out from here: waking the thread would cost more than
         all the rest of its way.
 
-        Raises:
-            OSError: The subscriber has gone.
+        Raises OSError: The subscriber has gone.
         """
         with self._news:
             if self.done:
@@ -232,8 +231,7 @@ class RospyPublisher(BasePublisher):
         the message then counts as dropped and not as sent.
         The payload is not looked into: nothing of ROS 1's bytes shows whether they fit a type.
 
-        Raises:
-            BackendError: ROS009 after close, ROS015 if the node was told to leave.
+        Raises BackendError: ROS009 after close, ROS015 if the node was told to leave.
         """
         if self.closed:
             raise self._closed()

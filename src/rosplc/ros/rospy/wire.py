@@ -44,11 +44,9 @@ def definition_on_wire(
 ) -> WireDefinition:
     """Ask a running publisher, waited for at most ``timeout_s``, for a topic's type and definition.
 
-    Raises:
-        BackendError: ROS014 without a master, ROS017 if there is no publisher or what it says cannot
-            be true, ROS005 and ROS010 for a bad name or environment.
-        MessageTypeError: TYP… if the definition has mistakes, exceeds a limit, or differs from
-            noetic's own of the same name.
+    Raises BackendError: ROS014 without a master, ROS017 if there is no publisher or what it says cannot be
+    true, ROS005 and ROS010 for a bad name or environment; MessageTypeError: TYP… if the definition has
+    mistakes, exceeds a limit, or differs from noetic's own of the same name.
     """
     full = resolve_topic(topic)
     address = read_address(os.environ if environment is None else environment)
@@ -101,8 +99,7 @@ def save_definition(definition: WireDefinition, folder: Path) -> tuple[Path, ...
 
     A file that says the same already is left as it is.
 
-    Raises:
-        MessageTypeError: TYP009 if a file of that name says something else, or cannot be written.
+    Raises MessageTypeError: TYP009 if a file of that name says something else, or cannot be written.
     """
     bundled = TypeStore.bundled("noetic")
     texts = split_definition(definition.type_name, definition.text)
