@@ -18,6 +18,7 @@ from rosplc.init.learn import load, take
 from rosplc.model import TypeStore
 from tests.interop.graphs import free_domain
 from tests.interop.zenoh.processes import Router, free_port
+from tests.lib.waiting import WATCHDOG_S
 from tests.unit.init.robots import PART, SIDE_TEXT, SOURCES, STORE, Robot, answer_about
 
 HASH = STORE.type_hash(PART)
@@ -156,9 +157,15 @@ def configured(folder: Path, **ros: object) -> Path:
     return path
 
 
-@pytest.mark.parametrize("backend", ["memory", "dds", "zenoh"])
-def test_a_bridge_learns_and_keeps(backend: str, here: Path, caplog: pytest.LogCaptureFixture) -> None:
+@pytest.mark.parametrize(
+    "backend", ["memory", *(pytest.param(x, marks=pytest.mark.foreign) for x in ("dds", "zenoh"))]
+)
+def test_a_bridge_learns_and_keeps(
+    backend: str, here: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """What a node describes is saved beside the configuration, logged, and found without the node."""
+    for patience in ("_LOOK_S", "_PATIENCE_S"):
+        monkeypatch.setattr(f"rosplc.init.learn.{patience}", WATCHDOG_S)
     caplog.set_level("INFO", "rosplc.run")
     with ExitStack() as stack:
         domain, options = stack.enter_context(free_domain()), {}
