@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Mapping
 from typing import Any
 
@@ -12,6 +13,7 @@ from rosplc.ros import DEFAULT, Backend, Publisher, fields
 
 TOPIC = "/diagnostics"
 TYPE = "diagnostic_msgs/msg/DiagnosticArray"
+_STATUS = "diagnostic_msgs/msg/DiagnosticStatus"
 
 _CALLS = (
     *("matched", "received", "done", "succeeded", "aborted", "canceled"),
@@ -29,6 +31,7 @@ class Diagnostics:
     def __init__(self, store: TypeStore, backend: Backend, clock: Clock = SYSTEM) -> None:
         self._store, self._clock = store, clock
         self._publisher: Publisher = backend.advertise(TOPIC, TYPE, DEFAULT)
+        self._packed: dict[str, tuple[dict[str, Any], int, bytes]] = {}
 
     def publish(self, status: BridgeStatus) -> None:
         """Send the status, in as many messages as it takes. Raises RosplcError: The middleware refused."""
@@ -36,10 +39,22 @@ class Diagnostics:
         # An int32 in ROS 2; from 2038 on its bits are those of ROS 1's uint32, which lasts until 2106.
         seconds = (now // 10**9 + 2**31) % 2**32 - 2**31
         header = {"stamp": {"sec": seconds, "nanosec": now % 10**9}}
-        entries = [*map(_fitting, diagnostic_statuses(status))]
+        before = fields.pack(self._store, TYPE, {"header": header})[:-4]  # without the number of statuses
+        entries = diagnostic_statuses(status)
         for at in range(0, len(entries), _PER_MESSAGE):
-            message = {"header": header, "status": entries[at : at + _PER_MESSAGE]}
-            self._publisher.write(fields.pack(self._store, TYPE, message), now)
+            some = entries[at : at + _PER_MESSAGE]
+            message = bytearray(before + struct.pack("<I", len(some)))
+            for entry in some:
+                message += self._pack(entry, len(message) % 4)
+            self._publisher.write(bytes(message), now)
+
+    def _pack(self, entry: dict[str, Any], at: int) -> bytes:
+        # Most topics tell the same as a second ago, and packing their texts is what costs.
+        known = self._packed.get(entry["name"])
+        if known is None or known[:2] != (entry, at):
+            known = entry, at, fields.pack_part(self._store, _STATUS, _fitting(entry), at)
+            self._packed[entry["name"]] = known
+        return known[2]
 
     def close(self) -> None:
         """Leave the topic."""

@@ -31,6 +31,14 @@ def pack(store: TypeStore, type_name: str, values: Mapping[str, Any]) -> bytes:
     return bytes(writer.out) if writer.ros1 else b"\0\1\0\0" + bytes(writer.out)
 
 
+def pack_part(store: TypeStore, type_name: str, values: Mapping[str, Any], at: int) -> bytes:
+    """Return an inner message as :func:`pack` writes it ``at`` bytes behind a boundary of 8."""
+    writer = _Writer(store)
+    writer.out += bytes(at)
+    writer.message(type_name, values)
+    return bytes(writer.out[at:])
+
+
 class _Reader:
     def __init__(self, store: TypeStore, payload: bytes) -> None:
         self._store, self._body, self._at = store, memoryview(payload)[4:], 0

@@ -1,12 +1,14 @@
-"""What stands on /diagnostics, decoded by an independent library."""
+"""What is on /diagnostics, decoded by an independent library."""
 
 from __future__ import annotations
 
 from contextlib import closing
 from typing import Any
 
+import pytest
 from rosbags.typesys import Stores, get_typestore
 
+from rosplc.bridge import diagnostics
 from rosplc.bridge.diagnostics import TOPIC, TYPE, Diagnostics
 from rosplc.bridge.status import BridgeStatus
 from rosplc.model import TypeStore
@@ -93,3 +95,25 @@ def test_diagnostics_outlast_2038() -> None:
     store = get_typestore(Stores.ROS2_JAZZY)
     sent: Any = store.deserialize_cdr(got[0], TYPE)
     assert sent.header.stamp.sec % 2**32 == 2**31 + 5
+
+
+def test_what_has_not_changed_is_sent_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A status keeps its words when the one before it has become longer, and so has another place."""
+    got: list[bytes] = []
+    entry = {"level": 1, "name": "a", "message": "m", "hardware_id": "cell"}
+    entries = [entry, {**entry, "name": "b", "values": {"reason": "none"}}]
+    monkeypatch.setattr(diagnostics, "diagnostic_statuses", lambda _: entries)
+    types = TypeStore.bundled("jazzy")
+    with closing(open_backend("memory", types, "cell", domain=92)) as backend:
+        backend.subscribe(TOPIC, TYPE, Qos(), lambda payload, _: got.append(payload))
+        sender = Diagnostics(types, backend)
+        for length in range(6):
+            entries[0] = {**entry, "values": {"reason": "x" * length}}
+            sender.publish(BridgeStatus("cell", "memory", running=True))
+            wait_for(lambda: len(got) == length + 1)  # noqa: B023 - called at once
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for length, payload in enumerate(got):
+        sent: Any = store.deserialize_cdr(payload, TYPE)
+        first, second = sent.status
+        assert (first.name, first.values[0].value) == ("a", "x" * length)
+        assert (second.level, second.name, second.values[0].value) == (1, "b", "none")
