@@ -131,16 +131,20 @@ def bind_action(
             try:
                 steps = handler(goal)
                 while not over.is_set() and server.status(uuid) is GoalStatus.EXECUTING:
-                    server.feedback(uuid, feedbacks.encode(feedbacks.layout.pack(next(steps))))
+                    try:
+                        step = next(steps)
+                    except StopIteration as end:
+                        server.succeed(uuid, results.encode(results.layout.pack(end.value or {})))
+                        return
+                    server.feedback(uuid, feedbacks.encode(feedbacks.layout.pack(step)))
                 steps.close()
                 if not server.canceled(uuid):
                     server.abort(uuid)
-            except StopIteration as end:
-                server.succeed(uuid, results.encode(results.layout.pack(end.value or {})))
             except Exception:
                 server.abort(uuid)
                 log.exception("%s: the handler failed", action)
-            del running[uuid]
+            finally:
+                del running[uuid]
 
         def on_goal(uuid: bytes, payload: bytes) -> None:
             if over.is_set():
