@@ -113,7 +113,7 @@ def bind_action(
         type: ``"package/action/Name"``.
         handler: Carries out the PLC's goals, each in a thread: a generator that is given the goal, yields
             feedback and returns the result. It is closed at a ``yield`` when the PLC cancels the goal, or the
-            block ends; if it raises, the goal is aborted. The end of the block takes up to 2 s for that, and
+            block ends; if it raises, the goal is aborted. The end of the block takes up to 4 s for that, and
             aborts all goals. Without a handler the PLC carries goals out.
         settings: Further keys of the configuration: ``prefix="cell1"``, ``limits={"string": 40}``.
 
