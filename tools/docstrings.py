@@ -49,7 +49,7 @@ def body(docstring: str) -> Iterator[str]:
 
 def comments(thing: Any) -> Iterator[str]:
     """Yield what comments say about the fields of a dataclass: behind them, or above."""
-    if not dataclasses.is_dataclass(thing):
+    if not (isinstance(thing, type) and dataclasses.is_dataclass(thing)):
         return
     above: list[str] = []
     found = []
