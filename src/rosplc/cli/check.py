@@ -30,8 +30,7 @@ if TYPE_CHECKING:
     from rosplc.layout import Layout
 
 
-_SCREEN = 24
-"""Lines that are printed without --verbose."""
+_SCREEN = 24  # lines that are printed without --verbose
 _WARNINGS = 6
 _WAYS = {1: "ROS → PLC", 2: "PLC → ROS"}
 
@@ -71,7 +70,6 @@ def command(
 
 
 def _fix(path: Path) -> None:
-    """Give keys their present names, in place."""
     from rosplc.config.file import rename_keys
     from rosplc.config.yaml_source import read_text
 
@@ -131,7 +129,6 @@ def _names(project: Project) -> dict[str, tuple[str, str]]:
 
 
 def _table(project: Project) -> Iterator[str]:
-    """Yield a line for each topic."""
     names, rows = _names(project), []
     for plan in project.topics:
         stale = _time(plan.stale_after_ns) if plan.stale_after_ns else "never"
@@ -143,7 +140,6 @@ def _table(project: Project) -> Iterator[str]:
 
 
 def _calls(project: Project) -> Iterator[str]:
-    """Yield a line for each use of a service or action."""
     names = _names(project) if project.calls else {}
     for plans in (project.services, project.actions):
         rows = []
@@ -178,7 +174,6 @@ def _queue(plan: ServicePlan | ActionPlan) -> str:
 
 
 def _limits(project: Project) -> Iterator[str]:
-    """Yield the effective capacity of each string and sequence."""
     rows = [(plan.topic, limits) for plan in project.topics if (limits := _capacities(plan.layout))]
     # All uses of a service or action have the same.
     for plan in {(plan.kind, plan.called): plan for plan in project.calls}.values():
@@ -199,7 +194,6 @@ def _capacities(layout: Layout) -> str:
 
 
 def _details(project: Project) -> Iterator[str]:
-    """Yield everything about each topic."""
     names = _names(project)
     for plan in project.topics:
         yield f"\n{plan.topic}  {_WAYS[plan.direction]}  {plan.type_name}"
@@ -287,7 +281,6 @@ def _access_words(given: dict[str, Any]) -> str:
 
 
 def _rows(project: Project, plan: TopicPlan, names: tuple[str, str] | None) -> Iterator[tuple[str, str]]:
-    """Yield everything about a topic, each with its title."""
     from rosplc.project import memory, when_silent
 
     def chosen(configured: bool) -> str:
@@ -326,7 +319,6 @@ def _rows(project: Project, plan: TopicPlan, names: tuple[str, str] | None) -> I
 
 
 def _qos_rows(plan: TopicPlan, chosen: str) -> Iterator[tuple[str, str]]:
-    """Yield the quality of service, and what it means for the messages."""
     qos = plan.qos
     times = (("deadline", qos.deadline_ns), ("lease", qos.lease_ns))
     words = [f"{word} {_time(ns)}" for word, ns in times if ns]

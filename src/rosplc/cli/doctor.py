@@ -111,7 +111,6 @@ def _show(report: Report, console: Console, *, everything: bool) -> None:
 
 
 def _line(console: Console, word: str, text: str) -> None:
-    """Print a level's word and a text beside it, wrapped."""
     from rich.text import Text
 
     for line in textwrap.wrap(harmless(text), console.width - _INDENT, break_on_hyphens=False) or [""]:

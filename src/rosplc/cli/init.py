@@ -308,7 +308,6 @@ def _ask_topics(topics: Mapping[str, Topic]) -> list[Wish]:
 
 
 def _asked(question: str, default: str | None, understand: Callable[[str], Any]) -> Any:
-    """Ask until an answer is understood."""
     while True:
         try:
             return understand(str(typer.prompt(question, default=default)))

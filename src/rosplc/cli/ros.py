@@ -26,8 +26,7 @@ if TYPE_CHECKING:
     from rosplc.init.definitions import Definitions
     from rosplc.ros import Backend, EndpointInfo
 
-_LOOK_S = 5.0
-"""How long to look for a topic at most; the graph is complete earlier where it is small."""
+_LOOK_S = 5.0  # how long to look for a topic at most; the graph is complete earlier where it is small
 _WINDOW = 10_000
 
 _Backend = Annotated[str | None, typer.Option(metavar="NAME", help="The way into ROS, as `ros.backend`.")]
@@ -68,7 +67,6 @@ class _Node:
         return name
 
     def graph(self, *topics: str) -> Any:
-        """Return the graph once it has settled."""
         from rosplc.ros import settled_graph
 
         return settled_graph(self.backend.graph, _LOOK_S, topics)

@@ -15,8 +15,7 @@ from rosplc.layout import Limits, compute_layout
 from rosplc.layout.compute import limit_paths
 from rosplc.model import ArrayType, NamedType, PrimitiveType, SequenceType, TypeStore
 
-_SHOWN = 128
-"""Elements and characters that are shown of a long array or string, as ``ros2 topic echo`` does."""
+_SHOWN = 128  # elements and characters that are shown of a long array or string, as ``ros2 topic echo`` does
 _NUMPY = {"char": "uint8"}
 
 

@@ -123,7 +123,6 @@ def _look(plan: TopicPlan) -> ClassicState:
 
 
 def _facts(plan: TopicPlan, state: ClassicState) -> dict[str, Any]:
-    """Return a classic topic as plain data."""
     return {
         "topic": plan.topic,
         "type": plan.type_name,
@@ -141,7 +140,6 @@ def _facts(plan: TopicPlan, state: ClassicState) -> dict[str, Any]:
 
 
 def _list_classic(plans: list[TopicPlan]) -> None:
-    """Print one line per classic topic."""
     rows, errors = [], []
     for plan in plans:
         state = _look(plan)
@@ -192,7 +190,6 @@ def _poll(news: Callable[[], int], count: int | None, timeout: float | None, wha
 
 
 def _require(printed: int, count: int | None, what: str) -> None:
-    """End with a failure if fewer came than were asked for."""
     if count is not None and printed < count:
         warn(f"rosplc: {printed} of {count} {what} came within the time")
         raise typer.Exit(EXIT_FAILURE)

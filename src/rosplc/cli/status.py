@@ -33,8 +33,7 @@ if TYPE_CHECKING:
 
 
 _LEAST_SECONDS = 1.0
-_MOST_SECONDS = 31.0
-"""A beat is never promised for more than ten seconds, and three are waited for."""
+_MOST_SECONDS = 31.0  # a beat is never promised for more than ten seconds, and three are waited for
 _FOLLOW_SECONDS = 0.5
 _NAMED = 3
 
@@ -111,7 +110,6 @@ def _print(picture: Picture, prefixes: Collection[str], directory: str) -> None:
 
 
 def _print_calls(picture: Picture, several: bool) -> None:
-    """Print a line for each use of a service or action."""
     from rosplc.monitor.picture import ASKS, count_text, plc_text, state_text
 
     rows = []

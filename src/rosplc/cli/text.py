@@ -20,11 +20,9 @@ import typer
 from rosplc.harmless import harmless, shorten
 
 _GAP = 2
-_LEAST = 12
-"""Characters that a column of names or sentences keeps at least."""
+_LEAST = 12  # characters that a column of names or sentences keeps at least
 _LEAST_WIDTH = 40
-_TERMINAL_S, _LOG_S = 1.0, 10.0
-"""Time between two lines of progress."""
+_TERMINAL_S, _LOG_S = 1.0, 10.0  # time between two lines of progress
 
 
 def terminal_width() -> int | None:

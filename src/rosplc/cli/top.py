@@ -55,7 +55,6 @@ def command(
 
 
 def _check_terminal() -> None:
-    """Refuse what is no terminal that can be drawn upon: SYS012."""
     # The picture is drawn on stderr, as textual does.
     for name in ("stdin", "stdout", "stderr"):
         if not getattr(sys, name).isatty():

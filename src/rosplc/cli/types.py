@@ -127,7 +127,6 @@ def command(
 
 
 def _parts(store: TypeStore, name: str) -> dict[str, MessageType]:
-    """Return the parts of a service or an action; nothing for a message."""
     kind = "msg" if name in store else name.split("/")[1]
     if kind == "srv":
         service = store.service(name)

@@ -28,8 +28,7 @@ EXIT_CONFIG = 2
 EXIT_ENDED = 3
 """The ROS side told the bridge to leave (`rosnode kill`, a name that was taken): start it again if wanted."""
 EXIT_INTERRUPTED = 130
-EXIT_PIPE = 141
-"""What a shell reports for a program that ended by SIGPIPE, as `rosplc … | head` does."""
+EXIT_PIPE = 141  # what a shell reports for a program that ended by SIGPIPE, as `rosplc … | head` does
 
 _NO_OUTPUT = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 _SPELLED = {"as_json": "json", "everything": "all", "listing": "list"}

@@ -138,8 +138,6 @@ def compile_plan(root: StructNode, wire: Wire) -> CompiledPlan:
 
 
 class _OpList:
-    """One list of ops under construction."""
-
     def __init__(self, wire: Wire, *, swapped: bool) -> None:
         self.ops: list[Op] = []
         self._cdr = wire is Wire.CDR

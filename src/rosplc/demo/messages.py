@@ -93,8 +93,7 @@ _SCAN = Kind(
     "scan", "sensor_msgs/msg/LaserScan", "laser", lambda m: [m.angle_min, m.angle_max, m.range_max, *m.ranges]
 )
 
-COMMAND = ("/turtle/cmd_vel", "geometry_msgs/msg/Twist")
-"""Topic and type of what the PLC sends back."""
+COMMAND = ("/turtle/cmd_vel", "geometry_msgs/msg/Twist")  # topic and type of what the PLC sends back
 
 
 def robot_topics(count: int) -> dict[str, Kind]:

@@ -14,8 +14,7 @@ from rosplc.monitor.classic import semaphore_value
 
 _LOOKS = 12
 _PAUSE_S = 0.05
-_SIZES = {32: 64, 16: 32}
-"""Bytes of glibc's sem_t → word size of the programs that made it."""
+_SIZES = {32: 64, 16: 32}  # bytes of glibc's sem_t → word size of the programs that made it
 
 
 def locks(

@@ -45,8 +45,7 @@ from rosplc.project import call_memory, expected_files
 from rosplc.ros import ROS1
 from rosplc.shm import Part
 
-_LOOK_S = 3.5
-"""How long to watch objects for beats, at most: who beats ends it sooner."""
+_LOOK_S = 3.5  # how long to watch objects for beats, at most: who beats ends it sooner
 
 
 @dataclass(frozen=True)
@@ -144,7 +143,6 @@ class _Examination:
 
     @property
     def _wish(self) -> Wish | None:
-        """What the configuration sets about ROS; None without one."""
         if self._project is None:
             return None
         ros = self._project.config.settings.ros

@@ -12,8 +12,7 @@ from typing import Any
 
 from rosplc._version import __version__
 
-SCHEMA = 1
-"""Version of the JSON document; keys are only added under the same number."""
+SCHEMA = 1  # version of the JSON document; keys are only added under the same number
 
 
 class Level(enum.IntEnum):

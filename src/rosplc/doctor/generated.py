@@ -104,7 +104,6 @@ def _instances(folder: Path, path: Path) -> Iterator[Block]:
 
 
 def _block(folder: Path, found: Block) -> Block:
-    """Return a block with what its text tells."""
     text = _text(path := _block_file(folder, found.name))
     if ids := _IDS.search(text):
         layout_id = layout_id_text(int(ids[2], 16), int(ids[3], 16))

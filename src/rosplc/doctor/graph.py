@@ -20,8 +20,7 @@ from rosplc.init.live import elsewhere
 from rosplc.ros import EndpointInfo, GraphInfo, incompatibility
 from rosplc.shm import Direction
 
-_ANY = "*"
-"""The type in ROS 1's master where it is unknown."""
+_ANY = "*"  # the type in ROS 1's master where it is unknown
 
 
 @dataclass(frozen=True)
@@ -72,7 +71,6 @@ def judge_graph(
 
 
 def _call(graph: Graph, call: CallPlan, *, quiet: bool) -> Iterator[Finding]:
-    """Judge who serves and who calls a service or action."""
     name = service = graph.names.get(call.called, call.called)
     type_name, ends = call.type_name, graph.info.services
     if call.kind == "action" and graph.backend == "rospy":

@@ -22,8 +22,7 @@ from rosplc.ros.names import join, resolve_topic
 
 NODE = "rosplc_doctor"
 _PROGRAM = "from rosplc.doctor.look import main; main()"
-_START_S = 30.0
-"""How long the process may take beyond its look: imports, joining, leaving."""
+_START_S = 30.0  # how long the process may take beyond its look: imports, joining, leaving
 _LONGEST_WORDS = 200
 
 

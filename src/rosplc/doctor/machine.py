@@ -20,10 +20,8 @@ _WIDE = ("x86_64", "aarch64", "armv8l")
 _RELEASED_S = 1_735_689_600  # 2025-01-01: earlier than this release
 _CAP_IPC_LOCK, _CAP_SYS_NICE = 14, 23
 _ENOUGH = 64 << 20
-_FIRST_PERSON = 1000
-"""The first user number that logind takes for a person's (SYS_UID_MAX is 999)."""
-_SERVICES = (*range(61_184, 65_520), 65_534)
-"""Users that systemd makes for a service, and nobody."""
+_FIRST_PERSON = 1000  # the first user number that logind takes for a person's (SYS_UID_MAX is 999)
+_SERVICES = (*range(61_184, 65_520), 65_534)  # users that systemd makes for a service, and nobody
 _MIB = 1 << 20
 
 

@@ -98,7 +98,6 @@ def join_texts(texts: Mapping[str, str]) -> str:
 
 
 def _needed(name: str, text: str, ros_version: int) -> list[str]:
-    """Return the types that a definition's fields name."""
     try:
         (parsed,) = parse_definition(name, text, ros_version=ros_version)
     except (RosplcError, ValueError):

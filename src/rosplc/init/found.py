@@ -146,8 +146,6 @@ class _TooMuchError(Exception):
 
 
 class _Walk:
-    """One way through one message."""
-
     def __init__(self, store: TypeStore, data: bytes, lengths: dict[str, Length]) -> None:
         self._lengths = lengths
         self._store = store
@@ -163,7 +161,6 @@ class _Walk:
             self._data = self._data[4:]
 
     def message(self, type_name: str, path: str = "") -> None:
-        """Walk through a message of a type, nested ones included."""
         fields = self._store[type_name].fields
         if not fields and self._cdr:
             self._skip(1, 1)  # rosidl gives a message without fields one dummy byte

@@ -36,8 +36,7 @@ from rosplc.ros.names import resolve_topic
 _log = logging.getLogger("rosplc.run")
 _SERVICE = "type_description_interfaces/srv/GetTypeDescription"
 _LOOK_S = 5.0
-_PATIENCE_S = 3.0
-"""How long a node may take to be found, and to answer."""
+_PATIENCE_S = 3.0  # how long a node may take to be found, and to answer
 _MOST_NODES = 3
 
 

@@ -27,8 +27,7 @@ from rosplc.model import DISTROS, TypeStore
 from rosplc.ros import ROS1, Backend, Choice, EndpointInfo, GraphInfo, Qos, choose, settled_graph
 
 NODE = "rosplc_init"
-_ANY = "*"
-"""What ROS 1's master says where nobody has told the type."""
+_ANY = "*"  # what ROS 1's master says where nobody has told the type
 _NAMELESS = "?"
 _UNREACHABLE = ("ROS014", "ROS016")
 _PAUSE_S = 0.1
@@ -43,8 +42,7 @@ _LEADS_THERE = {
 _OF_EACH_NODE = ("rcl_interfaces/", "type_description_interfaces/", "lifecycle_msgs/")
 """Packages of the services that nodes have for parameters and their own state."""
 _SHOW_S = 1.0
-_SETTLE_S = 1.0
-"""How long kept messages may take to be delivered; not more than a quarter of the listening."""
+_SETTLE_S = 1.0  # how long kept messages may take to be delivered; not more than a quarter of the listening
 
 
 def distro_here(backend: str, environment: Mapping[str, str]) -> tuple[str, str]:
@@ -168,7 +166,6 @@ class LiveRobot:
         return {topic: meter.finish(seconds, trouble.get(topic, "")) for topic, meter in meters.items()}
 
     def _offers(self, wanted: Iterable[str]) -> dict[str, Topic]:
-        """Return these topics with what their publishers offer now."""
         now, before = _topics(self._backend.graph()), self.found.topics
         return {
             name: replace(before[name], offered=now[name].offered)

@@ -67,11 +67,9 @@ _LEVELS = {
     State.NO_SERVER: Level.WARN,
 }
 
-ASKS = ("request", "goal")
-"""The parts of services and actions that the caller writes."""
+ASKS = ("request", "goal")  # the parts of services and actions that the caller writes
 
-ALL_WELL = (State.OK, State.UNKNOWN)
-"""The states in which nothing is wrong."""
+ALL_WELL = (State.OK, State.UNKNOWN)  # the states in which nothing is wrong
 
 
 @dataclass(frozen=True, slots=True)

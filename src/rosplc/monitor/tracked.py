@@ -96,10 +96,8 @@ class Rate:
 
 _STOPPED = ("T", "t")
 _THERE = "that process is there, but hangs"
-_YOUNG_S = 30.0
-"""A bridge claims its objects, joins ROS, and only then beats."""
-_START_TIME = 19
-"""Index of the start among the fields behind the name, in ticks since the machine's start."""
+_YOUNG_S = 30.0  # a bridge claims its objects, joins ROS, and only then beats
+_START_TIME = 19  # index of the start among the fields behind the name, in ticks since the machine's start
 
 
 def is_starting(pid: int, proc: Path = Path("/proc"), *, now_s: float | None = None) -> bool:
@@ -138,8 +136,7 @@ def process_words(pid: int, proc: Path = Path("/proc")) -> str:
 
 _RECENT_NS = 10_000_000_000
 _DEBOUNCE_NS = 500_000_000
-WRITER = -1
-"""The key of the writer's line."""
+WRITER = -1  # the key of the writer's line
 _YEARS_NS = 10 * 365 * 86400 * 10**9
 
 
@@ -305,7 +302,6 @@ class Tracked:
         )
 
     def _sides(self, writer: bool | None, readers: tuple[ReaderView, ...]) -> tuple[bool | None, bool | None]:
-        """Return whether the bridge and whether the PLC beats."""
         acts = any_alive(reader.alive for reader in self._acting(readers))
         return (writer, acts) if self._to_plc else (acts, writer)
 

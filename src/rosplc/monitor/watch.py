@@ -43,8 +43,7 @@ def open_object(path: str) -> Attached:
         os.close(fd)
 
 
-MAX_CHANNELS = 4096
-"""More objects than this are not looked at, and a note says so."""
+MAX_CHANNELS = 4096  # more objects than this are not looked at, and a note says so
 
 MAX_RECORD = 256 * 1024 * 1024
 """Bytes of a record above which its message is not decoded: a view is not worth that much memory."""

@@ -68,14 +68,12 @@ class _Openplc:
         self.uses: dict[tuple[str | Layout, ...], dict[str, Any]] = {}
 
     def block(self, layout: Layout, direction: str) -> None:
-        """Have a block of a message type."""
         if (layout, direction) not in self.blocks:
             dut = self._layout(layout)
             name = self.builder.scope.give(f"{dut}_{direction.capitalize()}")
             self.blocks[layout, direction] = {"name": name, "dut": dut, "direction": direction}
 
     def use(self, call: CallPlan) -> dict[str, Any]:
-        """Have the block of a service or action, and return it."""
         key: tuple[str | Layout, ...] = (call_role(call), *call.layouts)
         if key not in self.uses:
             duts = [self._layout(layout) for layout in call.layouts]
@@ -202,7 +200,6 @@ class _Openplc:
                 }
 
     def _safe(self, node: Node, value: Any, path: str) -> Iterator[str]:
-        """Yield assignments of a safe message's fields."""
         if isinstance(node, StructNode):
             names = self.builder.struct(node)
             for member in node.members:

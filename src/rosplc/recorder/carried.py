@@ -122,12 +122,10 @@ class _Object:
             self.reader = self.attached.reader()
 
     def next(self) -> SlotInfo | None:
-        """Take a message into ``record``."""
         return self.reader.next(self.record)
 
     @property
     def view(self) -> Any:
-        """The message that was taken last."""
         return self.codec.layout.view(self.record)
 
     def untaken(self, since_creation: bool) -> int:
@@ -292,8 +290,6 @@ class CarriedService(Carried):
 
 @dataclass
 class _Goal:
-    """What was told of a goal."""
-
     id: dict[str, Any]
     accepted_ns: int = 0
     asks: bool = False  # its caller asks for it to be canceled

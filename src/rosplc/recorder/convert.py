@@ -208,7 +208,6 @@ class Conversion:
         return write
 
     def _zero(self, wanted: FieldType) -> _Write:
-        """Return what writes a field that the source does not have."""
         if isinstance(wanted, NamedType):
             return self._struct({}, self._target[wanted.name], "", "", noted=False)
         if isinstance(wanted, StringType):

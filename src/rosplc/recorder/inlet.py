@@ -374,9 +374,8 @@ class Outlet:
             self.dropped.update(batch.counts())
 
 
-_CHUNK_OVERHEAD = 1024
+_CHUNK_OVERHEAD = 1024  # what a chunk costs beyond its bytes, rounded up
 _CHANNEL_OVERHEAD = 300  # its places in two dictionaries
-"""What a chunk costs beyond its bytes, rounded up."""
 
 
 class Ring:

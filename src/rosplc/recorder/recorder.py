@@ -315,7 +315,6 @@ class Recorder:
         }
 
     def _facts(self) -> dict[str, str]:
-        """Return what the file reports about itself."""
         topics = self._topics()
         return {
             "rosplc": __version__,

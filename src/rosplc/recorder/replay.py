@@ -569,8 +569,6 @@ class PlcService(PlcPart):
 
 @dataclass(frozen=True)
 class _Plan:
-    """A channel that is to be opened."""
-
     description: Description
     layout: Layout
     slots: int

@@ -168,7 +168,6 @@ class Block(_Instance):
         old.close()
 
     def _detach(self) -> None:
-        """Let go of the object."""
         if self._attached is not None:
             self._attached.close()
             self._attached = None

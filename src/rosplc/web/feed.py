@@ -23,8 +23,7 @@ from rosplc.monitor.picture import Event, Picture
 from rosplc.monitor.watch import Watch
 from rosplc.web.write import shown
 
-MAX_PATH = 300
-"""Characters of the longest path that is accepted."""
+MAX_PATH = 300  # characters of the longest path that is accepted
 
 _STEP = re.compile(r"(?:^|\.)([A-Za-z_][A-Za-z0-9_]*)|\[([0-9]{1,8})\]")
 
@@ -62,10 +61,8 @@ def number_at(message: Any, path: str) -> float | int | None:
     return value if value - value == 0 else None
 
 
-MAX_MESSAGES = 4
-"""Messages that one page may have open."""
-MAX_PLOTS = 24
-"""Fields that one page may plot."""
+MAX_MESSAGES = 4  # messages that one page may have open
+MAX_PLOTS = 24  # fields that one page may plot
 _MAX_ID = 300
 
 

@@ -60,8 +60,7 @@ class PageFiles:
 
 _log = logging.getLogger("rosplc.web")
 _LARGEST_BYTES = 4 * 1024 * 1024
-BODY_SECONDS = 10.0
-"""How long a request's body may take."""
+BODY_SECONDS = 10.0  # how long a request's body may take
 
 
 ARRIVED: web.AppKey[list[Callable[[asyncio.BaseTransport | None], None]]] = web.AppKey("arrived", list)
@@ -218,8 +217,7 @@ async def _json(request: web.Request) -> dict[str, Any]:
 _SHUTDOWN_SECONDS = 2.0
 _REQUEST_SECONDS = 10.0
 """How long a request's head may take, and how long a connection may wait for its next one."""
-MAX_CONNECTIONS = 128
-"""Connections at once: far fewer than a process may have files open."""
+MAX_CONNECTIONS = 128  # connections at once: far fewer than a process may have files open
 
 
 class _Door(asyncio.Protocol):

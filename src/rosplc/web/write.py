@@ -25,8 +25,7 @@ from rosplc.shm import Attached, Direction, Namespace, OwnedChannel, Region, Wri
 from rosplc.shm import attach as attach_object
 from rosplc.shm.constants import STAMP_SYSTEM
 
-SAFE_INTEGER = (1 << 53) - 1
-"""The largest whole number that JavaScript's numbers hold exactly."""
+SAFE_INTEGER = (1 << 53) - 1  # the largest whole number that JavaScript's numbers hold exactly
 
 _ELEMENTS = 256
 _LARGEST = {"float32": 3.4028235677973366e38, "float64": sys.float_info.max}

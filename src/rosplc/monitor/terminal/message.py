@@ -93,8 +93,7 @@ class Course(Vertical):
         bars.data = [value - low for value in shown] if high > low else [0.0] * len(shown)
 
 
-ELEMENTS = 64
-"""So many elements of an array are shown."""
+ELEMENTS = 64  # so many elements of an array are shown
 
 _PREVIEW = 12
 _TEXT = 300
@@ -169,7 +168,6 @@ class ValueTree(Tree[str]):
 
 
 def _items(path: str, value: Any) -> dict[str, tuple[str, Any]]:
-    """Return the path, name and value of each child."""
     if isinstance(value, dict):
         return {f"{path}.{name}" if path else name: (name, item) for name, item in value.items()}
     if isinstance(value, list):
