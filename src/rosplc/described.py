@@ -30,7 +30,7 @@ def description_of(
 ) -> Description:
     """Return what an object for messages of a layout says of itself (``spec/shm-format.md``, section 6).
 
-    ``topic`` is the full name of the topic, service or action; ``bridge`` that of the bridge or program that makes it;
+    ``topic`` is the full name of the topic, service or action; ``bridge`` that of its maker;
     ``distro`` that of the layout's types if empty; ``client`` names one of several uses.
     """
     return Description(
