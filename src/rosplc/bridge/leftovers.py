@@ -10,7 +10,7 @@ from rosplc.bridge.port import log
 from rosplc.config.plans import CallPlan
 from rosplc.config.resolve import Project, rights
 from rosplc.errors import ChannelError
-from rosplc.shm import Direction, OwnedChannel, Part, attach
+from rosplc.shm import Direction, OwnedChannel, Part, attach, open_object
 from rosplc.shm.files import NameLock
 
 _Name = tuple[str, Part, str]  # an object: topic, service or action, what it carries, and the client
@@ -36,12 +36,11 @@ def retire_leftovers(project: Project) -> None:
     """Retire what left the configuration (spec, section 8.7), but not other bridges' by their description."""
     namespace = project.namespace
     kept = {namespace.object_name(*name) for name in _objects(project)}
-    for name, part in namespace.objects():
-        found = namespace.name_of(name)
-        if found is None or name in kept:
+    for name, _ in namespace.objects():
+        if name in kept:
             continue
         try:
-            _retire(project, (found[0], part, found[1]))
+            _retire(project, name)
         except (ChannelError, OSError, ValueError) as error:
             log.debug("%s is left alone: %s", name, error)
 
@@ -89,12 +88,14 @@ def _locked_by(path: Path) -> int | None:
     return None
 
 
-def _retire(project: Project, name: _Name) -> None:
-    topic, part, client = name
-    with attach(project.namespace, topic, part=part, client=client) as found:
-        description, identity = found.description, found.identity
-    if description.bridge != project.config.settings.bridge or description.topic != topic:
+def _retire(project: Project, name: str) -> None:
+    namespace = project.namespace
+    with open_object(f"{namespace.directory}/{name}") as found:
+        said, identity = found.description, found.identity
+    if said.bridge != project.config.settings.bridge:
         return
+    if name != namespace.object_name(said.topic, said.part, said.client):
+        return  # a shortened name is not enough
     size, slots, given = identity.record_size, identity.slot_count, vars(rights(project.config))
-    OwnedChannel.open(project.namespace, description, record_size=size, slots=slots, **given).retire()
-    log.info("%s has left the configuration; its %s object is retired", topic, part.word)
+    OwnedChannel.open(namespace, said, record_size=size, slots=slots, **given).retire()
+    log.info("%s has left the configuration; its %s object is retired", said.topic, said.part.word)

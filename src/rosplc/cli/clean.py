@@ -93,7 +93,7 @@ def _remove(item: Path, lock_file: Path, paths: list[Path], *, dry_run: bool) ->
 
     Raises ChannelError SHM116 while a bridge holds it; SHM104, SHM119, SHM121 for what is somebody else's.
     """
-    from rosplc.monitor.watch import open_object
+    from rosplc.shm import open_object
     from rosplc.shm.files import NameLock, Rights
 
     existed = lock_file.exists()

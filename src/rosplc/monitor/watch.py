@@ -23,25 +23,9 @@ from rosplc.monitor.expected import Expected
 from rosplc.monitor.message import Message, message_of
 from rosplc.monitor.picture import BridgeView, ChannelView, Event, Picture, State
 from rosplc.monitor.tracked import Tracked, any_alive, process_words
-from rosplc.shm import Attached, Namespace, Part, Reader
-from rosplc.shm.files import open_plain_file
+from rosplc.shm import Attached, Namespace, Part, Reader, open_object
 from rosplc.shm.header import channel_error
 from rosplc.shm.names import file_name
-
-
-def open_object(path: str) -> Attached:
-    """Map an object read-only, by its file: a shortened name does not give its topic away.
-
-    Raises ChannelError as :func:`rosplc.shm.attach`.
-    """
-    name = Path(path).name
-    part = Namespace(name.partition(".")[0]).part_of(name) or Part.TOPIC
-    fd = open_plain_file(Path(path), os.O_RDONLY)
-    try:
-        return Attached(fd, Path(path), None, False, part)
-    finally:
-        os.close(fd)
-
 
 MAX_CHANNELS = 4096  # more objects than this are not looked at, and a note says so
 

@@ -23,7 +23,6 @@ from rosplc.layout.nodes import SequenceNode, StringNode
 from rosplc.model import ArrayType, MessageType, NamedType, SequenceType, StringType, TypeStore
 from rosplc.model._rosbags import EMPTY_MEMBER
 from rosplc.model.types import Field
-from rosplc.monitor.watch import open_object
 from rosplc.reasons import Reason
 from rosplc.recorder.mcap_file import ChannelInfo
 from rosplc.recorder.store import qos_text
@@ -40,6 +39,7 @@ from rosplc.shm import (
     Reader,
     SlotInfo,
     distance,
+    open_object,
 )
 from rosplc.shm import constants as spec
 from rosplc.shm.attach import belong_together

@@ -7,7 +7,7 @@ bytes; what a record means is the business of :mod:`rosplc.layout` and :mod:`ros
 from __future__ import annotations
 
 from rosplc._core import Group, Reader, Region, SlotInfo, Writer, distance
-from rosplc.shm.attach import Attached, attach
+from rosplc.shm.attach import Attached, attach, open_object
 from rosplc.shm.calls import Answerer, Caller, GoalNotes
 from rosplc.shm.claims import Liveness, Peer, ReaderClaim, WriterClaim
 from rosplc.shm.constants import Direction
@@ -42,4 +42,5 @@ __all__ = [
     "WriterState",
     "attach",
     "distance",
+    "open_object",
 ]

@@ -64,6 +64,20 @@ def attach(
     return attached
 
 
+def open_object(path: str) -> Attached:
+    """Map an object read-only, by its file: a shortened name does not give its topic away.
+
+    Raises ChannelError as :func:`attach`.
+    """
+    name = Path(path).name
+    part = Namespace(name.partition(".")[0]).part_of(name) or Part.TOPIC
+    fd = open_plain_file(Path(path), os.O_RDONLY)
+    try:
+        return Attached(fd, Path(path), None, False, part)
+    finally:
+        os.close(fd)
+
+
 def belong_together(found: Mapping[Part, Attached]) -> None:
     """Raise SHM112 unless the objects of one use name each other's layout ids (section 11.1)."""
     ids = {part.word: one.identity.layout_id for part, one in found.items()}

@@ -70,15 +70,22 @@ def test_two_bridges_on_one_name(cell: Cell) -> None:
 
 
 def test_topics_that_left_the_configuration_are_retired(cell: Cell, shm_namespace: Namespace) -> None:
-    """Objects of this bridge that nobody carries any more are removed; those of others stay."""
-    cell.start(BOTH)
+    """Objects of this bridge that nobody carries any more are removed; those of others stay.
+
+    A name that is too long for an object is shortened, and tells nothing of the topic.
+    """
+    long, theirs = f"/{'out' * 30}", ("/theirs", f"/{'theirs' * 20}")
+    cell.start(BOTH + f"  {long}: {{type: {INT}, to: ros}}\n")
     plc = cell.plc("/out")
     cell.stop()
-    with cell.make(f"  /theirs: {{type: {INT}, to: plc}}\n", name="other"):
+    with cell.make("".join(f"  {topic}: {{type: {INT}, to: plc}}\n" for topic in theirs), name="other"):
         pass
+    assert "~" in shm_namespace.path(long).name
+    assert shm_namespace.path(long).exists()
     cell.start(f"  /in: {{type: {INT}, to: plc}}\n")
     assert not shm_namespace.path("/out").exists()
-    assert shm_namespace.path("/theirs").exists()
+    assert not shm_namespace.path(long).exists()
+    assert all(shm_namespace.path(topic).exists() for topic in theirs)
     with pytest.raises(ChannelError, match="SHM111"):
         plc.attached.valid()
 

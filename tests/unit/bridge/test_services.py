@@ -191,7 +191,10 @@ def test_a_name_that_another_bridge_holds(cell: Cell) -> None:
 
 
 def test_services_that_left_the_configuration_are_retired(cell: Cell) -> None:
-    start(cell, SERVED + CALLED)
+    """A shortened name, which does not give the service away, is retired like any other."""
+    long = f"  /{'s' * 100}: {{type: {SET_BOOL}, server: plc}}\n"
+    start(cell, SERVED + CALLED + long)
+    assert any("~" in name for name, _ in cell.namespace.objects())
     cell.stop()
     start(cell, SERVED)
     assert len(cell.namespace.objects()) == 2
