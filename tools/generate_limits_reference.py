@@ -93,7 +93,7 @@ PLC code:
     name of a topic | plc.build.LONGEST_TOPIC | characters | PLC006
     name of a classic memory or semaphore | plc.plan.LONGEST_NAME | characters | PLC007
     list of generated files | plc.delivery.LARGEST_MANIFEST | bytes | PLC001
-    generated file that the doctor reads | doctor.generated.LARGEST_FILE | bytes | cut off
+    generated file that the doctor reads | doctor.code.LARGEST_FILE | bytes | cut off
 Recordings, watching, the page:
     what a chunk of a recording may unpack to | recorder.mcap_file.MAX_CHUNK | bytes | REC003
     channels that are watched | monitor.watch.MAX_CHANNELS | channels | the others are not shown

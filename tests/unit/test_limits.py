@@ -378,9 +378,9 @@ def plc_code(patch: pytest.MonkeyPatch, folder: Path) -> None:
     refused("PLC007", lambda: project(read("/a", classic=memory)))
 
 
-@beyond("plc.delivery.LARGEST_MANIFEST", "doctor.generated.LARGEST_FILE")
+@beyond("plc.delivery.LARGEST_MANIFEST", "doctor.code.LARGEST_FILE")
 def generated_files(patch: pytest.MonkeyPatch, folder: Path) -> None:
-    from rosplc.doctor import generated
+    from rosplc.doctor import code
 
     text = json.dumps({"files": {}})
     (folder / delivery.MANIFEST).write_text(text)
@@ -390,10 +390,10 @@ def generated_files(patch: pytest.MonkeyPatch, folder: Path) -> None:
     (folder / "Base/RosPlc_Settings.st").write_text(
         "    sPrefix : STRING := 'a';\n    xFenced : BOOL := TRUE;\n"
     )
-    assert generated.read_generated(folder).prefix == "a"
-    patch.setattr(generated, "LARGEST_FILE", 30)
+    assert code.read_generated(folder).prefix == "a"
+    patch.setattr(code, "LARGEST_FILE", 30)
     with pytest.raises(ValueError, match="prefix"):
-        generated.read_generated(folder)
+        code.read_generated(folder)
 
 
 @beyond("recorder.mcap_file.MAX_CHUNK")

@@ -1,4 +1,8 @@
-"""Which examinations there are, in which order, and what each is given of the real machine."""
+"""Which examinations there are, in which order, and what each is given of the real machine.
+
+A file system or a network name may not answer at all. Each examination therefore runs in its own thread,
+which is given up after its time; what it had found until then is kept.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +11,11 @@ import platform
 import pwd
 import resource
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from rosplc._version import __version__
@@ -20,9 +25,7 @@ from rosplc.config.plans import CallPlan, ClassicPlan
 from rosplc.config.resolve import object_plans
 from rosplc.config.resolve import rights as rights_of
 from rosplc.doctor import (
-    classic,
     code,
-    environment,
     graph,
     leftovers,
     live,
@@ -31,19 +34,67 @@ from rosplc.doctor import (
     packages,
     rights,
 )
-from rosplc.doctor.environment import Wish
+from rosplc.doctor.code import Generated, read_generated
 from rosplc.doctor.finding import Area, Finding, Level, Report, user_name
-from rosplc.doctor.generated import Generated, read_generated
+from rosplc.doctor.graph import see_graph
 from rosplc.doctor.kinds import fine, found, judged
-from rosplc.doctor.look import see_graph
+from rosplc.doctor.network import Wish
 from rosplc.doctor.objects import Objects, held_files, is_held, look_at_objects
-from rosplc.doctor.probe import Probe, run_probe
 from rosplc.errors import RosplcError
 from rosplc.harmless import plural
 from rosplc.plc.plan import ProjectOptions
 from rosplc.project import call_memory, expected_files
 from rosplc.ros import ROS1
 from rosplc.shm import Part
+
+
+@dataclass(frozen=True)
+class Probe:
+    """One examination: what it looks at, as a person would say it, and how many seconds it may take.
+
+    ``look`` returns, or yields, what it finds. If a ``vital`` one fails or hangs, that is an error.
+    """
+
+    what: str
+    area: Area
+    look: Callable[[], Iterable[Finding]]
+    seconds: float = 5.0
+    vital: bool = False
+
+
+def run_probe(probe: Probe) -> list[Finding]:
+    """Return what an examination finds; one that fails or hangs is a finding itself, never silence."""
+    seen: list[Finding] = []
+    failed: list[BaseException] = []
+
+    def work() -> None:
+        try:
+            for finding in probe.look():
+                seen.append(finding)
+        except BaseException as error:
+            failed.append(error)
+
+    thread = threading.Thread(target=work, name=f"doctor: {probe.what}", daemon=True)
+    thread.start()
+    thread.join(probe.seconds)
+    result = list(seen)
+    level = Level.ERROR if probe.vital else None
+    if thread.is_alive() or failed:
+        late = thread.is_alive() or (isinstance(failed[0], TimeoutError) and not failed[0].strerror)
+        why = f"no answer within {probe.seconds:g} s" if thread.is_alive() else _words(failed[0], late=late)
+        code = "DOC002" if late else "DOC001"
+        result.append(found(code, f"could not check {probe.what}: {why}", level=level))
+    # What the doctor could not do is shown beside what it did: people read by area.
+    return [replace(each, area=probe.area) if each.area is Area.DOCTOR else each for each in result]
+
+
+def _words(error: BaseException, *, late: bool) -> str:
+    if isinstance(error, RosplcError):
+        return f"{error.what} [{error.code}]"
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.strerror}: {error.filename}" if error.filename else error.strerror
+    return str(error) if late else f"{type(error).__name__}: {error}"
+
 
 _LOOK_S = 3.5  # how long to watch objects for beats, at most: who beats ends it sooner
 
@@ -277,8 +328,8 @@ class _Examination:
     def _classic_objects(self) -> Iterator[Finding]:
         bits = 64 if sys.maxsize > 1 << 32 else 32
         plans = [(plan.topic, each, plan.layout.size) for plan, each in self._classic]
-        yield from classic.locks(self._directory, [each for _, each in self._classic], bits)
-        yield from classic.sizes(self._directory, plans)
+        yield from leftovers.locks(self._directory, [each for _, each in self._classic], bits)
+        yield from leftovers.sizes(self._directory, plans)
 
     # The PLC.
 
@@ -304,7 +355,7 @@ class _Examination:
             yield from rights.rights(self._files(), uid, gids)
         if self._classic and users:
             plans, uids = [each for _, each in self._classic], sorted(uid for uid, _ in users)
-            yield from classic.create_or_open(self._q.root, self._directory, plans, uids)
+            yield from leftovers.create_or_open(self._q.root, self._directory, plans, uids)
 
     def _files(self) -> list[rights.File]:
         """Return the objects as they are; where the configuration's are missing, as they would be."""
@@ -337,14 +388,12 @@ class _Examination:
     # ROS.
 
     def _variables(self) -> Iterator[Finding]:
-        for look in (environment.distro, environment.values, environment.domain):
+        for look in (network.distro, network.values, network.domain, network.middleware, network.reach):
             yield from look(self._q.variables, self._wish)
-        yield from environment.middleware(self._q.variables, self._wish)
-        yield from environment.reach(self._q.variables, self._wish)
 
     def _addresses(self) -> Iterator[Finding]:
         resolve, is_local = network.resolve, network.is_local
-        return environment.addresses(self._q.variables, self._wish, resolve=resolve, is_local=is_local)
+        return network.addresses(self._q.variables, self._wish, resolve=resolve, is_local=is_local)
 
     def _network(self) -> Iterator[Probe]:
         wish, variables = self._wish, self._q.variables

@@ -91,7 +91,7 @@ TARGETS: dict[str, Entry] = {
     "files": Entry(
         "files beside rosplc's own: PLC code and its manifest, folders of `.msg` files, tokens",
         "files",
-        ("rosplc.plc.delivery", "rosplc.doctor.generated", "rosplc.model", "rosplc.web.access"),
+        ("rosplc.plc.delivery", "rosplc.doctor.code", "rosplc.model", "rosplc.web.access"),
         2048,
     ),
     "arguments": Entry(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from rosplc.doctor.generated import read_generated
+from rosplc.doctor.code import read_generated
 from rosplc.errors import GenerationError, MessageTypeError, WebError
 from rosplc.model import TypeStore
 from rosplc.plc.delivery import MANIFEST, write_files

@@ -21,7 +21,6 @@ from rosplc.doctor import (
     Finding,
     Question,
     code,
-    environment,
     examination,
     graph,
     leftovers,
@@ -29,15 +28,14 @@ from rosplc.doctor import (
     machine,
     network,
 )
-from rosplc.doctor import classic as classic_
 from rosplc.doctor import packages as packages_
 from rosplc.doctor import rights as rights_
-from rosplc.doctor.environment import Wish
+from rosplc.doctor.code import read_generated
+from rosplc.doctor.examination import Probe, run_probe
 from rosplc.doctor.finding import Area
-from rosplc.doctor.generated import read_generated
 from rosplc.doctor.graph import Graph
+from rosplc.doctor.network import Wish
 from rosplc.doctor.objects import Objects, held_files, look_at_objects
-from rosplc.doctor.probe import Probe, run_probe
 from rosplc.doctor.rights import File, Mount, find_runtimes
 from rosplc.errors import BackendError
 from rosplc.ros import EndpointInfo, GraphInfo, Qos
@@ -288,7 +286,7 @@ def _semaphore(value: int, size: int = 32, word: str = "=I") -> Look:
         (stage.root / "shm").mkdir()
         stage.file("shm/sem.x", struct.pack(word, value).ljust(size, b"\0"))
         plan = _classic_plan(stage)
-        return classic_.locks(stage.root / "shm", [plan], 64, sleep=lambda seconds: None)
+        return leftovers.locks(stage.root / "shm", [plan], 64, sleep=lambda seconds: None)
 
     return look
 
@@ -308,7 +306,7 @@ case("DOC216", _semaphore(2), _semaphore(1))
 def _memory_of(size: int) -> Look:
     def look(stage: Stage) -> Iterable[Finding]:
         stage.file("shm/x", bytes(size))
-        return classic_.sizes(stage.root / "shm", [("/old", _classic_plan(stage), 4)])
+        return leftovers.sizes(stage.root / "shm", [("/old", _classic_plan(stage), 4)])
 
     return look
 
@@ -327,7 +325,7 @@ def _protected(level: int) -> Look:
         else:  # the folder would have to be another's; the rule is the same from there
             stage.kept.append(path)
         uid = 1002 if os.geteuid() == 0 else os.geteuid()
-        return classic_.create_or_open(stage.root, folder, [_classic_plan(stage)], [uid])
+        return leftovers.create_or_open(stage.root, folder, [_classic_plan(stage)], [uid])
 
     return look
 
@@ -373,28 +371,28 @@ case(
 
 case(
     "DOC401",
-    lambda s: environment.distro(variables(ROS_DISTRO="humble"), ROS2),
-    lambda s: environment.distro(variables(ROS_DISTRO="jazzy"), ROS2),
+    lambda s: network.distro(variables(ROS_DISTRO="humble"), ROS2),
+    lambda s: network.distro(variables(ROS_DISTRO="jazzy"), ROS2),
 )
 case(
     "DOC402",
-    lambda s: environment.domain(variables(ROS_DOMAIN_ID="3"), replace(ROS2, domain=5)),
-    lambda s: environment.domain(variables(ROS_DOMAIN_ID="5"), replace(ROS2, domain=5)),
+    lambda s: network.domain(variables(ROS_DOMAIN_ID="3"), replace(ROS2, domain=5)),
+    lambda s: network.domain(variables(ROS_DOMAIN_ID="5"), replace(ROS2, domain=5)),
 )
 case(
     "DOC403",
-    lambda s: environment.values(variables(ROS_DOMAIN_ID="233"), ROS2),
-    lambda s: environment.values(variables(ROS_DOMAIN_ID="232"), ROS2),
+    lambda s: network.values(variables(ROS_DOMAIN_ID="233"), ROS2),
+    lambda s: network.values(variables(ROS_DOMAIN_ID="232"), ROS2),
 )
 case(
     "DOC404",
-    lambda s: environment.middleware(variables(RMW_IMPLEMENTATION="rmw_zenoh_cpp"), ROS2),
-    lambda s: environment.middleware(variables(RMW_IMPLEMENTATION="rmw_fastrtps_cpp"), ROS2),
+    lambda s: network.middleware(variables(RMW_IMPLEMENTATION="rmw_zenoh_cpp"), ROS2),
+    lambda s: network.middleware(variables(RMW_IMPLEMENTATION="rmw_fastrtps_cpp"), ROS2),
 )
 case(
     "DOC405",
-    lambda s: environment.reach(variables(ROS_LOCALHOST_ONLY="1"), ROS2),
-    lambda s: environment.reach(variables(ROS_LOCALHOST_ONLY="0"), ROS2),
+    lambda s: network.reach(variables(ROS_LOCALHOST_ONLY="1"), ROS2),
+    lambda s: network.reach(variables(ROS_LOCALHOST_ONLY="0"), ROS2),
 )
 
 
@@ -404,7 +402,7 @@ def _addresses(wish: Wish, **given: str) -> Iterable[Finding]:
             raise OSError(-2, "Name or service not known")
         return ["10.0.0.5"]
 
-    return environment.addresses(given, wish, resolve=resolve, is_local=lambda text: text == "10.0.0.5")
+    return network.addresses(given, wish, resolve=resolve, is_local=lambda text: text == "10.0.0.5")
 
 
 case(

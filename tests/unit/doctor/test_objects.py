@@ -9,8 +9,7 @@ from pathlib import Path
 
 from rosplc.config.plans import ClassicPlan
 from rosplc.doctor import Level
-from rosplc.doctor.classic import locks
-from rosplc.doctor.leftovers import soundness
+from rosplc.doctor.leftovers import locks, soundness
 from rosplc.doctor.objects import Objects, held_files, look_at_objects
 from rosplc.errors import ChannelError
 from rosplc.shm import Direction, Namespace, attach

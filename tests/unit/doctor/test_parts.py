@@ -13,15 +13,13 @@ import pytest
 
 from rosplc.config import Project
 from rosplc.doctor import Area, Level, Question, Report, examination
-from rosplc.doctor.code import against_config
-from rosplc.doctor.generated import read_generated
-from rosplc.doctor.graph import Graph, judge_graph
+from rosplc.doctor.code import against_config, read_generated
+from rosplc.doctor.examination import Probe, run_probe
+from rosplc.doctor.graph import Graph, judge_graph, see_graph
 from rosplc.doctor.kinds import fine, found
-from rosplc.doctor.look import see_graph
 from rosplc.doctor.machine import logout
 from rosplc.doctor.network import answers, is_local, master, receive_buffers
 from rosplc.doctor.packages import backend, needed
-from rosplc.doctor.probe import Probe, run_probe
 from rosplc.doctor.rights import File, find_runtimes, may_use, rights, runtimes, same_memory, shm_mount
 from rosplc.errors import BackendError
 from rosplc.plc.build import plc_project
@@ -81,8 +79,8 @@ def test_an_examination_that_hangs_is_given_up() -> None:
 
 def test_a_look_at_the_graph_that_hangs_is_ended(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
     """The process that looks at the graph is killed after its time."""
-    monkeypatch.setattr("rosplc.doctor.look._PROGRAM", "import time; time.sleep(60)")
-    monkeypatch.setattr("rosplc.doctor.look._START_S", 0.2)
+    monkeypatch.setattr("rosplc.doctor.graph._PROGRAM", "import time; time.sleep(60)")
+    monkeypatch.setattr("rosplc.doctor.graph._START_S", 0.2)
     probe = Probe("the graph", Area.GRAPH, lambda: see_graph(stage.root / "x.yaml", 0.1, {}) and ())  # type: ignore[func-returns-value]
     (finding,) = run_probe(probe)
     assert finding.code == "DOC002" and "did not end" in finding.seen
@@ -91,7 +89,7 @@ def test_a_look_at_the_graph_that_hangs_is_ended(stage: Stage, monkeypatch: pyte
 def test_a_look_at_the_graph_that_crashes_is_told(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
     """A middleware that takes its process with it costs the look, and its last words are shown."""
     program = "import os, sys; sys.stderr.write('no interface\\n'); sys.stderr.flush(); os.abort()"
-    monkeypatch.setattr("rosplc.doctor.look._PROGRAM", program)
+    monkeypatch.setattr("rosplc.doctor.graph._PROGRAM", program)
     with pytest.raises(BackendError, match="no interface"):
         see_graph(stage.root / "x.yaml", 0.1, {})
 
