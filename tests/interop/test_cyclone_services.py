@@ -11,9 +11,14 @@ import pytest
 
 pytest.importorskip("cyclonedds", reason="no wheel of cyclonedds for this machine")
 
+from cyclonedds.idl.types import sequence, uint8
+
+from rosplc.bridge import Bridge
+from rosplc.config import parse_config
 from rosplc.model import TypeStore
 from rosplc.ros import SERVICES, Qos, Reply, open_backend
 from rosplc.ros.dds.domain import TYPES, Topics
+from rosplc.shm import Namespace
 from tests.interop.graphs import LOCAL, STRING, free_domain, string, text_of
 from tests.interop.rmw_cyclone import HEADER, RmwClient, RmwNode, RmwServer, message_class
 from tests.lib.clock import SteppedClock
@@ -254,3 +259,25 @@ def test_a_server_that_answers_and_goes(cell: Cell, node: Node) -> None:
         go_on.set()
     wait_for(lambda: replies)
     assert [reply.payload for reply in replies] == [response("text")]
+
+
+def test_the_nodes_parameters(shm_namespace: Namespace, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A bridge's node answers a client of the services that ``ros2 param`` uses; the client finds it."""
+    for variable, value in LOCAL.items():
+        monkeypatch.setenv(variable, value)
+    name = "rcl_interfaces/srv/GetParameterTypes_{}"
+    asks = message_class(name.format("Request"), **HEADER, names=sequence[str])
+    answers = message_class(name.format("Response"), **HEADER, types=sequence[uint8])
+    text = "bridge: params\nros: {backend: dds, domain: %d}\nshm: {directory: %s}\n"
+    with free_domain() as domain:
+        node = Node(domain)
+        try:
+            with Bridge(parse_config(text % (domain, shm_namespace.directory))):
+                client = RmwClient(node, "/rosplc_params/get_parameter_types", (asks, answers))
+                wait_for(client.available)
+                client.send(["bridge", "topics"])
+                got: list[Any] = []
+                wait_for(lambda: got.extend(client.take()) or got)
+                assert list(got[0].types) == [4, 9]
+        finally:
+            node.close()

@@ -27,6 +27,7 @@ from rosplc.config.file import Config, read_config
 from rosplc.config.resolve import Project, open_doors, resolve, rights
 from rosplc.errors import ChannelError, RosplcError
 from rosplc.ros import Backend, Choice, RosArguments, ended_for_good
+from rosplc.ros.parameters import ParameterServer, shown_parameters
 
 _ROS_TYPES = {"service": ("",), "action": ("_SendGoal", "_GetResult", "_FeedbackMessage")}
 _CHECK_NS = 1_000_000_000
@@ -137,6 +138,11 @@ class Bridge:
         stack.callback(self._disconnect)
         for stream in self._streams:
             stream.connect(self.backend)
+        # A node that was given, and rclpy's, serves its own.
+        if self._owns_backend and self.backend.name != "rclpy" and self.project.store.ros_version == 2:
+            declared = shown_parameters(self._ros.shown())
+            server = ParameterServer(self.backend, self.project.store, declared, clock=self._clock)
+            stack.callback(server.close)
         duties = [Duty("asking ROS", _CHECK_NS, lambda: self.ask(self._clock.monotonic_ns()))]
         if settings.diagnostics.enabled:
             diagnostics = Diagnostics(self.project.store, self.backend, self._clock)

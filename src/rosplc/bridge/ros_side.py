@@ -59,11 +59,11 @@ class RosSide:
             options["config"] = str((self.config.base / options["config"]).absolute())
         if backend == "rclpy":
             options["ros_args"] = (*options.get("ros_args", ()), *self.arguments.others)
-            options["parameters"] = self._shown() | options.get("parameters", {})
+            options["parameters"] = self.shown() | options.get("parameters", {})
         return options
 
-    def _shown(self) -> dict[str, str | list[str]]:
-        """Return what the bridge's node shows as parameters."""
+    def shown(self) -> dict[str, str | list[str]]:
+        """Return what the bridge's node shows as parameters, besides the version."""
         settings, path = self.config.settings, self.config.path
         shown: dict[str, str | list[str]] = {"bridge": settings.bridge, "topics": list(settings.topics)}
         return shown if path is None else shown | {"config": str(path.absolute())}

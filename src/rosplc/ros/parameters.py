@@ -1,0 +1,230 @@
+"""A ROS 2 node's parameters: the six services of rcl_interfaces, and what is said on ``/parameter_events``.
+
+A node without them lets ``ros2 param list`` wait for every node of the graph. The words of a refusal are for
+people; rclpy and rclcpp have others.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from rosplc._version import __version__
+from rosplc.clock import SYSTEM, Clock
+from rosplc.model import TypeStore
+from rosplc.ros import fields
+from rosplc.ros.backend import Backend, Publisher, Qos, ServiceServer
+
+KINDS = (
+    *("bool", "integer", "double", "string", "byte_array"),
+    *("bool_array", "integer_array", "double_array", "string_array"),
+)
+"""The kinds of parameters; the first is number 1 in ``rcl_interfaces/msg/ParameterType``."""
+EVENTS = "/parameter_events"
+_QOS = Qos(depth=1000)  # rmw's profiles for the services and the events of parameters
+_EVENT = "rcl_interfaces/msg/ParameterEvent"
+_MOST_DIGITS = 1e-9  # of a step, by which a double may miss it
+
+Done = Callable[[str], None]
+"""Called once with the end of a change: empty if the values hold now, else why they do not."""
+Apply = Callable[[Mapping[str, Any], Done], None]
+"""Asked to make values hold, all or none of them; must not block."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A declared parameter."""
+
+    name: str
+    kind: str  # one of :data:`KINDS`
+    value: Any  # what it is at first; bytes for a ``byte_array``
+    description: str = ""
+    read_only: bool = False
+    range: tuple[float, float, float] | None = None  # least, greatest, step (0: any); of numbers
+    most: int = 2**32 - 1  # elements of an array at most
+    longest: int = 2**32 - 1  # bytes of a string, or of each string of an array, at most
+
+    @property
+    def number(self) -> int:
+        """The number of its kind."""
+        return KINDS.index(self.kind) + 1
+
+    def descriptor(self) -> dict[str, Any]:
+        """Return its ParameterDescriptor."""
+        found: dict[str, Any] = {"name": self.name, "type": self.number}
+        found |= {"description": self.description, "read_only": self.read_only}
+        if self.range is not None:
+            span = dict(zip(("from_value", "to_value", "step"), self.range, strict=True))
+            found["integer_range" if self.kind == "integer" else "floating_point_range"] = [span]
+        return found
+
+    def refusal(self, kind: str, value: Any) -> str:
+        """Return why it cannot become a value; empty if it can."""
+        if self.read_only:
+            return f"{self.name} is read-only"
+        if kind != self.kind:
+            return f"{self.name} is of type {self.kind}, and cannot become {kind}"
+        if kind.endswith("_array") and len(value) > self.most:
+            return f"{self.name} has room for {self.most} elements; these are {len(value)}"
+        texts = [value] if kind == "string" else value if kind == "string_array" else []
+        if any(len(text.encode(errors="surrogateescape")) > self.longest for text in texts):
+            return f"{self.name} has room for {self.longest} bytes of text"
+        return "" if self.range is None else self._outside(value)
+
+    def _outside(self, value: float) -> str:
+        assert self.range is not None
+        least, greatest, step = self.range
+        if not least <= value <= greatest:
+            return f"{self.name} has to be within {least} … {greatest}"
+        if step and value != greatest:
+            rest = math.remainder(value - least, step) if self.kind == "double" else (value - least) % step
+            if abs(rest) > (step * _MOST_DIGITS if self.kind == "double" else 0):
+                return f"{self.name} has to be {least} and a multiple of {step} more"
+        return ""
+
+
+def shown_parameters(values: Mapping[str, str | list[str]]) -> list[Parameter]:
+    """Return read-only parameters by which a node shows what it is: ``version``, and those given."""
+    return [
+        Parameter(name, "string" if isinstance(value, str) else "string_array", value, "shown only", True)
+        for name, value in {"version": __version__, **values}.items()
+    ]
+
+
+class ParameterServer:
+    """Serves a node's parameters; ``apply`` makes values hold that were asked for (None: none can change).
+
+    Raises as :meth:`rosplc.ros.backend.Backend.serve`.
+    """
+
+    def __init__(
+        self,
+        backend: Backend,
+        store: TypeStore,
+        declared: Iterable[Parameter],
+        apply: Apply | None = None,
+        *,
+        clock: Clock = SYSTEM,
+    ) -> None:
+        self.declared = {each.name: each for each in declared}
+        self.values = {name: each.value for name, each in self.declared.items()}
+        self._store, self._apply, self._clock = store, apply, clock
+        self._lock = threading.Lock()
+        self._servers: dict[str, ServiceServer] = {}
+        self._events: Publisher = backend.advertise(EVENTS, _EVENT, _QOS)
+        for service, take in (
+            ("ListParameters", self._list),
+            ("DescribeParameters", self._describe),
+            ("GetParameters", self._get),
+            ("GetParameterTypes", self._types),
+            ("SetParameters", self._set),
+            ("SetParametersAtomically", self._set_atomically),
+        ):
+            name = "".join(f"_{char.lower()}" if char.isupper() else char for char in service)[1:]
+            kind = f"rcl_interfaces/srv/{service}"
+            server = backend.serve(f"~/{name}", kind, _QOS, partial(self._requested, kind, take))
+            self._servers[kind] = server
+        self._node = server.topic.rpartition("/")[0]
+        self._tell("new_parameters", self.declared)
+
+    def close(self) -> None:
+        """Leave the graph."""
+        for end in (*self._servers.values(), self._events):
+            end.close()
+
+    def changed(self, values: Mapping[str, Any]) -> None:
+        """Take in values that hold now, and say so to whom it concerns."""
+        with self._lock:
+            changed = [name for name, value in values.items() if self.values[name] != value]
+            self.values.update(values)
+        if changed:
+            self._tell("changed_parameters", changed)
+
+    def _tell(self, what: str, names: Iterable[str]) -> None:
+        now = self._clock.time_ns()
+        stamp = {"sec": now // 10**9 % 2**31, "nanosec": now % 10**9}
+        found = [{"name": name, "value": self._value(self.declared[name])} for name in names]
+        self._events.write(
+            fields.pack(self._store, _EVENT, {"stamp": stamp, "node": self._node, what: found})
+        )
+
+    def _value(self, each: Parameter) -> dict[str, Any]:
+        """Return a parameter's ParameterValue."""
+        return {"type": each.number, f"{each.kind}_value": self.values[each.name]}
+
+    # -- the services; each handler is given the request's fields, and how to answer
+
+    def _requested(self, service: str, take: Any, payload: bytes, caller: bytes, _stamp_ns: int) -> None:
+        def answer(**values: Any) -> None:
+            self._servers[service].reply(caller, fields.pack(self._store, f"{service}_Response", values))
+
+        take(fields.unpack(self._store, f"{service}_Request", payload), answer)
+
+    def _list(self, request: Mapping[str, Any], answer: Callable[..., None]) -> None:
+        prefixes, depth = request["prefixes"], request["depth"]
+
+        def wanted(name: str) -> bool:
+            if not prefixes:
+                return not depth or name.count(".") < depth
+            inner = [name[len(prefix) + 1 :] for prefix in prefixes if name.startswith(f"{prefix}.")]
+            return name in prefixes or any(not depth or part.count(".") < depth for part in inner)
+
+        names = [name for name in self.declared if wanted(name)]
+        groups = dict.fromkeys(name.rpartition(".")[0] for name in names)
+        answer(result={"names": names, "prefixes": [group for group in groups if group]})
+
+    def _known(self, names: Sequence[str]) -> list[Parameter]:
+        """Return parameters by name; none at all if one is not declared, as rclpy answers."""
+        return [self.declared[name] for name in names] if self.declared.keys() >= set(names) else []
+
+    def _describe(self, request: Mapping[str, Any], answer: Callable[..., None]) -> None:
+        answer(descriptors=[each.descriptor() for each in self._known(request["names"])])
+
+    def _get(self, request: Mapping[str, Any], answer: Callable[..., None]) -> None:
+        answer(values=[self._value(each) for each in self._known(request["names"])])
+
+    def _types(self, request: Mapping[str, Any], answer: Callable[..., None]) -> None:
+        answer(types=bytes(each.number for each in self._known(request["names"])))
+
+    def _wish(self, asked: Sequence[Mapping[str, Any]]) -> tuple[list[str], dict[str, Any]]:
+        """Return why each of some wishes cannot be, empty where it can, and those values."""
+        refused, values = [], {}
+        for each in asked:
+            name, number = each["name"], each["value"]["type"]
+            kind = KINDS[number - 1] if 1 <= number <= len(KINDS) else "not set"
+            value = each["value"].get(f"{kind}_value")
+            known = self.declared.get(name)
+            refused.append(f"{name} is not declared" if known is None else known.refusal(kind, value))
+            if not refused[-1]:
+                values[name] = value
+        return refused, values
+
+    def _start(self, values: Mapping[str, Any], done: Done) -> None:
+        if not values or self._apply is None:
+            done("")
+        else:
+            self._apply(values, done)
+
+    def _set(self, request: Mapping[str, Any], answer: Callable[..., None]) -> None:
+        refused, values = self._wish(request["parameters"])
+
+        def done(why: str) -> None:
+            reasons = [each or why for each in refused]
+            answer(results=[{"successful": not each, "reason": each} for each in reasons])
+
+        self._start(values, done)
+
+    def _set_atomically(self, request: Mapping[str, Any], answer: Callable[..., None]) -> None:
+        refused, values = self._wish(request["parameters"])
+
+        def done(why: str) -> None:
+            answer(result={"successful": not why, "reason": why})
+
+        if why := "; ".join(filter(None, refused)):
+            done(why)
+        else:
+            self._start(values, done)
