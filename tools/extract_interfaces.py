@@ -27,9 +27,9 @@ from pathlib import Path
 import yaml
 
 from rosplc.model import TypeStore
-from rosplc.model.bundled import bundled
 from rosplc.model.folders import split_definition
 from rosplc.model.interfaces import PARTS, kind_of
+from rosplc.model.store import bundled
 
 PLAN = Path(__file__).with_name("interfaces.yaml")
 TARGET = Path(__file__).parents[1] / "src/rosplc/model/interfaces.txt"

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from rosplc.config import load_project
 from rosplc.errors import RosplcError
-from rosplc.init.definitions import Definitions
 from rosplc.init.found import Found, Length, Seen, Topic
+from rosplc.init.learn import Definitions
 from rosplc.init.propose import Wish, select
 from rosplc.init.write import draft, save
 from rosplc.layout.compute import limit_paths

@@ -23,7 +23,7 @@ from rosplc.cli.verb import Between, verb
 
 if TYPE_CHECKING:
     from rosplc.bridge.ros_side import LiveTypes
-    from rosplc.init.definitions import Definitions
+    from rosplc.init.learn import Definitions
     from rosplc.ros import Backend, EndpointInfo
 
 _LOOK_S = 5.0  # how long to look for a topic at most; the graph is complete earlier where it is small
@@ -99,7 +99,7 @@ def _node(
 
     from rosplc.bridge.ros_side import LiveTypes, RosSide
     from rosplc.config import Config, read_config
-    from rosplc.init.definitions import Definitions
+    from rosplc.init.learn import Definitions
     from rosplc.init.live import distro_here
 
     logging.getLogger("rosplc").addHandler(logging.NullHandler())

@@ -66,11 +66,7 @@ def table(rows: Iterable[Sequence[object]], *, header: Sequence[str] = (), inden
 
 
 def columns(
-    rows: Iterable[Sequence[object]],
-    *,
-    header: Sequence[str] = (),
-    indent: int = 0,
-    width: int | None = None,
+    rows: Iterable[Sequence[object]], *, header: Sequence[str] = (), indent: int = 0, width: int | None = None
 ) -> list[str]:
     """Return rows as aligned lines; numbers are aligned to the right, the last column is not padded.
 

@@ -1,16 +1,20 @@
-"""Definitions from the graph: a ROS 1 publisher sends one, a node of ROS 2 Iron or later describes its types.
+"""Where a type's definition comes from: the distribution, the user, ROS's own folders, or the graph.
+
+What does not come with the distribution and is not named by the user is kept as text, to be saved beside the
+configuration: a bridge must not depend on what was on the network when it was set up. In the graph, a ROS 1
+publisher sends one, and a node of ROS 2 Iron or later describes its types.
 
 What a node answers is not trusted. The description must have the type hash that the node announces, which
 covers names and types; constants, default values and comments come from the raw sources beside it, and a
-source counts only if it defines the very fields that were described: also ROS's own generators
-mangle some.
+source counts only if it defines the very fields that were described: also ROS's own generators mangle some.
 """
 
 from __future__ import annotations
 
 import logging
+import os
 import queue
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -22,16 +26,105 @@ from rosplc.config import Project, read_config, resolve
 from rosplc.config.file import LEARNT, Config
 from rosplc.errors import BackendError, MessageTypeError, RosplcError
 from rosplc.harmless import one_line
-from rosplc.init.definitions import MOST_TYPES, Definitions, join_texts
 from rosplc.init.found import Reader, wire_of
 from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.model._rosbags import EMPTY_MEMBER
-from rosplc.model.folders import save_definitions, split_definition
+from rosplc.model.folders import read, save_definitions, split_definition
 from rosplc.model.hashes import rihs01, type_text
 from rosplc.model.parse import MAX_NAME, MAX_TEXT, full_name, parse_definition
 from rosplc.ros import SERVICES, Backend, Reply, RosArguments, settled_graph
 from rosplc.ros.names import resolve_topic
+
+MOST_TYPES = 500  # one type's definition has a handful
+
+
+class Definitions:
+    """The types that are known, more of them with time, beginning with a distribution's.
+
+    ``folders`` are the user's own with ``.msg`` files; ``AMENT_PREFIX_PATH`` and ``ROS_PACKAGE_PATH`` of the
+    environment say where an installed ROS keeps its definitions. ``texts`` has the definitions that are to be
+    saved by full name, ``origins`` where each of them comes from, in words. Raises MessageTypeError TYP… as
+    for ``types.paths`` of a configuration.
+    """
+
+    def __init__(
+        self, distro: str, folders: Sequence[Path] = (), environment: Mapping[str, str] | None = None
+    ) -> None:
+        self.store = TypeStore.bundled(distro).with_paths(folders)
+        self.texts: dict[str, str] = {}
+        self.origins: dict[str, str] = {}
+        self._environment = os.environ if environment is None else environment
+
+    def learn(self, type_name: str, text: str, origin: str) -> None:
+        """Take a type from a definition text, which is not trusted; raises TYP001 … TYP007."""
+        new = self.store.with_definition(type_name, text)
+        for name, part in split_definition(type_name, text).items():
+            if name not in self.store:
+                self.texts[name] = part
+                self.origins[name] = origin
+        self.store = new
+
+    def find_installed(self, type_name: str) -> bool:
+        """Look for a type, and those it needs, in an installed ROS; return whether it is known now.
+
+        Raises MessageTypeError TYP… if what stands there is wrong.
+        """
+        if type_name in self.store:
+            return True
+        parts: dict[str, str] = {}
+        first: Path | None = None
+        todo = [full_name(type_name)]
+        while todo:
+            name = todo.pop(0)
+            if name in parts or name in self.store or name.startswith("builtin_interfaces/"):
+                continue
+            file = self._file(name)
+            if file is None or len(parts) == MOST_TYPES:
+                return False
+            first = first or file
+            parts[name] = f"{read(file)}\n"
+            todo += _needed(name, parts[name], self.store.ros_version)
+        self.learn(type_name, join_texts(parts), str(first))
+        return True
+
+    def unknown(self, type_name: str, more: str = "") -> MessageTypeError:
+        """Return the error of a type that was found nowhere: TYP001."""
+        return MessageTypeError(
+            "TYP001",
+            f"{type_name} is unknown in {self.store.distro}{more}",
+            remedy="Name the folder of its package with --types, or source the setup.bash of a "
+            "workspace that has it.",
+        )
+
+    def _file(self, type_name: str) -> Path | None:
+        package, _, base = type_name.split("/")
+        for folder in self._roots():
+            file = folder / package / "msg" / f"{base}.msg"
+            if file.is_file():
+                return file
+        return None
+
+    def _roots(self) -> list[Path]:
+        if self.store.ros_version == 1:
+            return [Path(part) for part in self._environment.get("ROS_PACKAGE_PATH", "").split(":") if part]
+        prefixes = self._environment.get("AMENT_PREFIX_PATH", "").split(":")
+        return [Path(part) / "share" for part in prefixes if part]
+
+
+def join_texts(texts: Mapping[str, str]) -> str:
+    """Return one text for definitions by full name, as ROS tools concatenate them."""
+    (_, own), *others = texts.items()
+    return own + "".join(f"{'=' * 80}\nMSG: {name.replace('/msg/', '/')}\n{text}" for name, text in others)
+
+
+def _needed(name: str, text: str, ros_version: int) -> list[str]:
+    try:
+        (parsed,) = parse_definition(name, text, ros_version=ros_version)
+    except (RosplcError, ValueError):
+        return []  # whoever learns the text says what is wrong with it
+    return list(parsed.message.needs)
+
 
 _log = logging.getLogger("rosplc.run")
 _SERVICE = "type_description_interfaces/srv/GetTypeDescription"

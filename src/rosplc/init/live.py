@@ -19,9 +19,8 @@ from rosplc.bridge.ros_side import LiveTypes, RosSide
 from rosplc.config import Config
 from rosplc.errors import BackendError, RosplcError
 from rosplc.harmless import plural
-from rosplc.init.definitions import Definitions
 from rosplc.init.found import Call, Found, Meter, Seen, Topic
-from rosplc.init.learn import learn
+from rosplc.init.learn import Definitions, learn
 from rosplc.init.propose import is_of_ros_itself
 from rosplc.model import DISTROS, TypeStore
 from rosplc.ros import ROS1, Backend, Choice, EndpointInfo, GraphInfo, Qos, choose, settled_graph

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Literal
 
 from rosplc.errors import BackendError, MessageTypeError, RosplcError
-from rosplc.init.definitions import Definitions
 from rosplc.init.found import Found, Meter, Seen, Topic
+from rosplc.init.learn import Definitions
 from rosplc.model import DISTROS, TypeStore
 from rosplc.model.parse import full_name
 from rosplc.recorder.mcap_file import survey

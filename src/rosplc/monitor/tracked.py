@@ -10,8 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from rosplc.errors import ChannelError
-from rosplc.monitor.calls import Calls
 from rosplc.monitor.expected import Expectation
+from rosplc.monitor.message import Calls
 from rosplc.monitor.picture import ChannelView, ReaderView, judge
 from rosplc.shm import Attached, Direction, Liveness, Part, ReaderState, Snapshot, distance
 from rosplc.shm.constants import SLOT_HEADER, STAMP_SYSTEM, UNKNOWN

@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from rosplc.errors import MessageTypeError
-from rosplc.init.definitions import Definitions
-from rosplc.init.learn import learn
+from rosplc.init.learn import Definitions, learn
 from rosplc.model import TypeStore
 from rosplc.model.folders import save_definitions
 from rosplc.ros import Backend, open_backend, settled_graph

@@ -13,8 +13,7 @@ import pytest
 
 from rosplc.config import ConfigErrors, load_project
 from rosplc.errors import MessageTypeError
-from rosplc.init.definitions import Definitions
-from rosplc.init.learn import load, take
+from rosplc.init.learn import Definitions, load, take
 from rosplc.model import TypeStore
 from tests.interop.graphs import free_domain
 from tests.interop.zenoh.processes import Router, free_port

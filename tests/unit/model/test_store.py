@@ -9,7 +9,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from rosplc.errors import MessageTypeError
 from rosplc.model import DISTROS, NamedType, TypeStore
-from rosplc.model.bundled import with_defaults
+from rosplc.model.store import with_defaults
 
 STORES = {
     "humble": Stores.ROS2_HUMBLE,

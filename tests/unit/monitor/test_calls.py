@@ -11,7 +11,7 @@ import pytest
 from rosplc.described import description_of
 from rosplc.errors import ChannelError
 from rosplc.monitor import Expected, State
-from rosplc.monitor.calls import status_words
+from rosplc.monitor.message import status_words
 from rosplc.reasons import Reason
 from rosplc.shm import ACTION, SERVICE, Caller, OwnedChannel, Part, attach
 from rosplc.shm import constants as spec

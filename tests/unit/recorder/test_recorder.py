@@ -15,8 +15,8 @@ from rosplc.model import TypeStore
 from rosplc.recorder import Selection
 from rosplc.recorder.inlet import Ring
 from rosplc.recorder.mcap_file import ChunkIndex, SealedChunk
+from rosplc.recorder.recorder import parse_condition
 from rosplc.recorder.store import dated, free_name
-from rosplc.recorder.trigger import parse_condition
 from rosplc.shm import Direction, Namespace
 from tests.lib.clock import SteppedClock
 from tests.unit.recorder.making import POSE, Feed, read_from_the_front, received, recording, result_of, until
