@@ -23,7 +23,7 @@ from links import relative_links, rewrite
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = "docs/"
-SECTIONS = ("tutorial", "howto", "reference", "explanation", "decisions")
+SECTIONS = ("tutorial", "howto", "reference", "explanation")
 # Texts at the repository's top would take the start page's place.
 PROJECT = {name: f"project/{name.lower()}" for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")}
 LANGUAGES = {".py": "python", ".st": "iecst", ".yaml": "yaml", ".c": "c", ".h": "c", ".json": "json"}

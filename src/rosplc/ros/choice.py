@@ -1,6 +1,6 @@
 """Which backend ``ros.backend: auto`` becomes on this machine, and why.
 
-The rule is a decision of its own (docs/decisions/0013-the-graph-decides-the-backend.md): the graph decides
+docs/explanation/decisions.md gives the reasons: the graph decides
 what can reach it, the machine what is installed, and nothing is chosen that would reach nobody.
 """
 
