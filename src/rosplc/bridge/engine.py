@@ -14,7 +14,7 @@ from contextlib import ExitStack
 
 from rosplc.bridge.carrier import Carried, Carriers, Duty, Rounds
 from rosplc.bridge.diagnostics import Diagnostics
-from rosplc.bridge.leftovers import check_names, retire_leftovers
+from rosplc.bridge.leftovers import Leaving, check_names, leaving, retire_leftovers
 from rosplc.bridge.port import Context, log
 from rosplc.bridge.realtime import Realtime, contention
 from rosplc.bridge.reload import Changes, Exchange, compare
@@ -62,6 +62,7 @@ class Bridge:
         self._choice: Choice | None = None
         self._types = LiveTypes(self.project.store)
         self._streams: tuple[Carried, ...] = ()
+        self._leaving: tuple[Leaving, ...] = ()
         self._carriers: Carriers | None = None
         # called once, with the reason, if the ROS side ends for good; the bridge itself only says so,
         # since it may be part of a larger program
@@ -128,6 +129,10 @@ class Bridge:
             names |= {f"{plan.type_name}{suffix}" for suffix in _ROS_TYPES[plan.kind]}
         check_types(self.backend, names)
         # Until here nothing in shared memory has been touched.
+        self._leaving = tuple(leaving(self.project, context))
+        for use in self._leaving:
+            stack.callback(use.disconnect)
+            use.connect(self.backend)
         retire_leftovers(self.project)
         carriers = self._carriers = Carriers(context, settings.tick_ns)
         self._streams = tuple(carriers.make(plan) for plan in self.project.plans)
@@ -331,7 +336,7 @@ class Bridge:
 
     def ask(self, now_ns: int) -> None:
         """Ask the ROS side how each topic stands; this may hang when it does."""
-        for stream in self._streams:
+        for stream in (*self._streams, *self._leaving):
             try:
                 stream.ask(now_ns)
             except (RosplcError, ValueError) as error:  # an object or endpoint just closed

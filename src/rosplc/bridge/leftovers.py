@@ -1,16 +1,20 @@
-"""What a bridge does to names before it opens them: refuse at once, and retire what it dropped."""
+"""What a bridge does to names before it opens them: refuse at once, and end what it dropped."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
-from rosplc.bridge.port import log
-from rosplc.config.plans import CallPlan
+from rosplc.bridge.called_goals import CalledGoals
+from rosplc.bridge.port import Context, log
+from rosplc.config.plans import ActionPlan, CallPlan
 from rosplc.config.resolve import Project, rights
-from rosplc.errors import ChannelError
-from rosplc.shm import Direction, OwnedChannel, Part, attach, open_object
+from rosplc.errors import ChannelError, RosplcError
+from rosplc.layout import compute_layout
+from rosplc.ros import Backend
+from rosplc.shm import ACTION, Description, Direction, Identity, OwnedChannel, Part, attach, open_object
 from rosplc.shm.files import NameLock
 
 _Name = tuple[str, Part, str]  # an object: topic, service or action, what it carries, and the client
@@ -32,17 +36,72 @@ def check_names(project: Project) -> None:
             raise ChannelError("SHM116", what, where=error.where) from None
 
 
+class Leaving(CalledGoals):
+    """An action of ROS that left the configuration: a goal that the PLC has there is canceled."""
+
+    def connect(self, backend: Backend) -> None:
+        """Become the action's client if there is such a goal."""
+        if (left := self._left()) is None:
+            return
+        self._bereft(left)
+        try:
+            super().connect(backend)
+        except RosplcError as error:  # no reason not to carry what is configured
+            log.warning("the goal that is left at %s is not canceled: %s", self.plan.action, error)
+
+    def ask(self, now_ns: int) -> None:
+        """Go on until the server has answered."""
+        if self._goals:
+            self._hear(now_ns)
+            self._ask(now_ns)
+            if not self._goals:
+                self.disconnect()
+
+
+def leaving(project: Project, context: Context) -> Iterator[Leaving]:
+    """Yield the actions of ROS that left the configuration, none of them connected."""
+    store = project.store
+    for said, _ in _leftovers(project):
+        if (said.part, said.direction) != (Part.GOAL, Direction.TO_ROS):
+            continue
+        try:
+            kind = store.action(said.type.removesuffix("_Goal"))
+            about: dict[str, Any] = {"server": "ros", "client": said.client, "task": ""}
+            about |= {part.word: compute_layout(store, getattr(kind, part.word).name) for part in ACTION}
+        except RosplcError as error:
+            log.warning("a goal that is left at %s is not canceled: %s", said.topic, error)
+            continue
+        plan = ActionPlan(action=said.topic, type_name=kind.name, **about)
+        yield Leaving(plan, context, lambda _: None)
+
+
 def retire_leftovers(project: Project) -> None:
-    """Retire what left the configuration (spec, section 8.7), but not other bridges' by their description."""
+    """Retire what left the configuration (spec, section 8.7)."""
+    given = vars(rights(project.config))
+    for said, identity in _leftovers(project):
+        size, slots = identity.record_size, identity.slot_count
+        try:
+            OwnedChannel.open(project.namespace, said, record_size=size, slots=slots, **given).retire()
+        except (ChannelError, OSError, ValueError) as error:
+            log.debug("%s is left alone: %s", said.topic, error)
+        else:
+            log.info("%s has left the configuration; its %s object is retired", said.topic, said.part.word)
+
+
+def _leftovers(project: Project) -> Iterator[tuple[Description, Identity]]:
+    """Yield what the objects that left the configuration say of themselves; not those of other bridges."""
     namespace = project.namespace
     kept = {namespace.object_name(*name) for name in _objects(project)}
     for name, _ in namespace.objects():
-        if name in kept:
-            continue
         try:
-            _retire(project, name)
-        except (ChannelError, OSError, ValueError) as error:
+            with open_object(f"{namespace.directory}/{name}") as found:
+                said, identity = found.description, found.identity
+            own = namespace.object_name(said.topic, said.part, said.client)
+        except (ChannelError, OSError) as error:
             log.debug("%s is left alone: %s", name, error)
+            continue
+        if name == own and name not in kept and said.bridge == project.config.settings.bridge:
+            yield said, identity
 
 
 def _objects(project: Project) -> Iterator[_Name]:
@@ -86,16 +145,3 @@ def _locked_by(path: Path) -> int | None:
     except (OSError, ValueError, IndexError):
         pass
     return None
-
-
-def _retire(project: Project, name: str) -> None:
-    namespace = project.namespace
-    with open_object(f"{namespace.directory}/{name}") as found:
-        said, identity = found.description, found.identity
-    if said.bridge != project.config.settings.bridge:
-        return
-    if name != namespace.object_name(said.topic, said.part, said.client):
-        return  # a shortened name is not enough
-    size, slots, given = identity.record_size, identity.slot_count, vars(rights(project.config))
-    OwnedChannel.open(namespace, said, record_size=size, slots=slots, **given).retire()
-    log.info("%s has left the configuration; its %s object is retired", said.topic, said.part.word)

@@ -30,9 +30,12 @@ class Executing(RosServer):
     """A server in ROS that accepts goals, and executes them without an end."""
 
     def __init__(self, cell: Cell) -> None:
-        super().__init__(cell.peer, STORE, "/move", TYPE, on_goal=self._begin, on_cancel=lambda _: None)
+        self.uuids: list[bytes] = []
+        self.cancels: list[bytes] = []
+        super().__init__(cell.peer, STORE, "/move", TYPE, on_goal=self._begin, on_cancel=self.cancels.append)
 
     def _begin(self, uuid: bytes, _: bytes) -> None:
+        self.uuids.append(uuid)
         self.accept(uuid)
         self.execute(uuid)
 
@@ -145,7 +148,7 @@ def test_a_bridge_that_is_restarted_goes_on_with_the_goal(
 def test_actions_that_leave_the_configuration_while_no_bridge_runs(
     cell: Cell, plc: ActionServer, client: Client, shm_namespace: Namespace
 ) -> None:
-    """The PLC is told to end the goal that it executes, and that the fate of its own goal is unknown."""
+    """The PLC is told to end the goal that it executes; its own is canceled in ROS, and its fate unknown."""
     names = {"prefix": shm_namespace.prefix, "directory": str(shm_namespace.directory)}
     other = Executing(cell)
     mine = VirtualClient("/move", **names)
@@ -166,6 +169,12 @@ def test_actions_that_leave_the_configuration_while_no_bridge_runs(
         repeat_until(mine, lambda: mine.xError, "the end of the PLC's goal", every=0.005)
         assert mine.eError is not None
         assert mine.eError.name == "FATE_UNKNOWN"
+        (uuid,) = other.uuids
+        wait_for(lambda: other.cancels == [uuid], "the request to cancel")
+        assert other.accept_cancel(uuid)
+        (left,) = cell.bridge._leaving
+        wait_for(lambda: not left._goals, "the server's answer")
+        assert left._endpoint.endpoints()[0].matched == 0
     finally:
         mine.close()
         other.close()
