@@ -12,9 +12,10 @@ from __future__ import annotations
 
 import contextlib
 import enum
+import struct
 import threading
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -22,7 +23,7 @@ from rosplc.clock import SYSTEM, Clock
 from rosplc.errors import BackendError
 from rosplc.model import TypeStore
 from rosplc.reasons import Reason
-from rosplc.ros import action_wire as wire
+from rosplc.ros import fields
 from rosplc.ros.backend import (
     SERVICES,
     Backend,
@@ -33,6 +34,98 @@ from rosplc.ros.backend import (
     ServiceClient,
     ServiceServer,
 )
+
+# The messages that ROS 2 makes of an action's own: with a goal's UUID before them, or a status. A UUID has 16
+# bytes, a multiple of every alignment of CDR: what follows it is encoded as if it came first. Behind the one
+# byte of a result's status that does not hold: a result is read and written again.
+LITTLE = b"\0\1\0\0"  # the header of plain CDR, little-endian
+STATUSES, CANCELS = "action_msgs/msg/GoalStatusArray", "action_msgs/srv/CancelGoal"
+
+GoalInfo = tuple[bytes, int]  # UUID, and the time of acceptance in ns since 1970
+KnownGoal = tuple[bytes, int, int]  # the same, and the goal's status
+
+
+def _short(payload: bytes) -> BackendError:
+    return BackendError("ROS008", f"a message of an action cannot be read: it has {len(payload)} bytes")
+
+
+def _info(uuid: bytes, stamp_ns: int) -> dict[str, Any]:
+    seconds, nanoseconds = divmod(stamp_ns, 10**9)
+    return {"goal_id": {"uuid": uuid}, "stamp": {"sec": seconds, "nanosec": nanoseconds}}
+
+
+def _read_info(info: Mapping[str, Any]) -> GoalInfo:
+    return bytes(info["goal_id"]["uuid"]), info["stamp"]["sec"] * 10**9 + info["stamp"]["nanosec"]
+
+
+def wrap(uuid: bytes, payload: bytes) -> bytes:
+    """Return the request to send a goal, or the message that carries feedback."""
+    return payload[:4] + uuid + payload[4:]
+
+
+def unwrap(payload: bytes) -> tuple[bytes, bytes]:
+    """Return UUID, and goal or feedback; of a request for a result, an empty message. ROS008 if too short."""
+    if len(payload) < 20:
+        raise _short(payload)
+    return payload[4:20], payload[:4] + payload[20:]
+
+
+def pack_accepted(accepted: bool, stamp_ns: int) -> bytes:
+    """Return the response to a goal."""
+    return LITTLE + struct.pack("<?3xiI", accepted, *divmod(stamp_ns, 10**9))
+
+
+def read_accepted(payload: bytes) -> bool:
+    """Return whether a goal was accepted; ROS008 if the bytes do not fit."""
+    if len(payload) < 16:
+        raise _short(payload)
+    return payload[4] != 0
+
+
+class Messages:
+    """Writes and reads the other messages of an action; ROS008 if bytes do not fit."""
+
+    def __init__(self, store: TypeStore, action: str) -> None:
+        self._store, self._result, self._response = store, f"{action}_Result", f"{action}_GetResult_Response"
+
+    def pack_cancel(self, uuid: bytes, stamp_ns: int = 0) -> bytes:
+        """Return the request to cancel goals."""
+        return fields.pack(self._store, f"{CANCELS}_Request", {"goal_info": _info(uuid, stamp_ns)})
+
+    def read_cancel(self, payload: bytes) -> GoalInfo:
+        """Return the UUID and the time of a request to cancel."""
+        return _read_info(fields.unpack(self._store, f"{CANCELS}_Request", payload)["goal_info"])
+
+    def pack_canceling(self, code: int, goals: Iterable[GoalInfo]) -> bytes:
+        """Return the response to a request to cancel."""
+        values = {"return_code": code, "goals_canceling": [_info(*goal) for goal in goals]}
+        return fields.pack(self._store, f"{CANCELS}_Response", values)
+
+    def read_canceling(self, payload: bytes) -> tuple[int, list[GoalInfo]]:
+        """Return code and goals of the response to a request to cancel."""
+        values = fields.unpack(self._store, f"{CANCELS}_Response", payload)
+        return values["return_code"], [*map(_read_info, values["goals_canceling"])]
+
+    def pack_statuses(self, goals: Iterable[KnownGoal]) -> bytes:
+        """Return the message of the status topic."""
+        known = [{"goal_info": _info(*goal[:2]), "status": goal[2]} for goal in goals]
+        return fields.pack(self._store, STATUSES, {"status_list": known})
+
+    def read_statuses(self, payload: bytes) -> list[KnownGoal]:
+        """Return what the status topic tells."""
+        known = fields.unpack(self._store, STATUSES, payload)["status_list"]
+        return [(*_read_info(one["goal_info"]), one["status"]) for one in known]
+
+    def pack_result(self, status: int, result: bytes | None) -> bytes:
+        """Return the response for a result, or for none an empty one."""
+        values = {} if result is None else fields.unpack(self._store, self._result, result)
+        return fields.pack(self._store, self._response, {"status": status, "result": values})
+
+    def read_result(self, payload: bytes) -> tuple[int, bytes]:
+        """Return status and result of a response."""
+        values = fields.unpack(self._store, self._response, payload)
+        return values["status"], fields.pack(self._store, self._result, values["result"])
+
 
 MOST_GOALS = 256  # goals of one server, those whose results are kept included
 _MOST_STATUSES = 1000  # goals of other clients that a client remembers
@@ -99,7 +192,7 @@ class Cancel:
 
     caller: bytes
     undecided: set[bytes]
-    canceling: list[wire.GoalInfo] = field(default_factory=list)
+    canceling: list[GoalInfo] = field(default_factory=list)
 
 
 @dataclass(slots=True)
@@ -194,15 +287,15 @@ class ActionServer(_Action):
         super().__init__(backend, store, action, type_name)
 
     def _open(self, backend: Backend, store: TypeStore) -> None:
-        self._messages = wire.Messages(store, self.type_name)
+        self._messages = Messages(store, self.type_name)
         keep, place = self._keep, self._place
         self._feedback: Publisher = keep(backend.advertise(*place("feedback", "FeedbackMessage"), Qos()))
-        self._statuses: Publisher = keep(backend.advertise(*place("status", wire.STATUSES), STATUS_QOS))
+        self._statuses: Publisher = keep(backend.advertise(*place("status", STATUSES), STATUS_QOS))
         self._get: ServiceServer = keep(
             backend.serve(*place("get_result", "GetResult"), SERVICES, self._on_get)
         )
         self._cancel: ServiceServer = keep(
-            backend.serve(*place("cancel_goal", wire.CANCELS), SERVICES, self._on_cancels)
+            backend.serve(*place("cancel_goal", CANCELS), SERVICES, self._on_cancels)
         )
         self._send: ServiceServer = keep(
             backend.serve(*place("send_goal", "SendGoal"), SERVICES, self._on_send)
@@ -214,7 +307,7 @@ class ActionServer(_Action):
     def _on_send(self, payload: bytes, caller: bytes, _stamp_ns: int) -> None:
         with self._lock:
             try:
-                uuid, goal = wire.unwrap(payload)
+                uuid, goal = unwrap(payload)
             except BackendError as error:
                 self.refused[Reason.REJECTED] += 1
                 self._send.refuse(caller, str(error))
@@ -225,7 +318,7 @@ class ActionServer(_Action):
                 self._goals[uuid] = Goal(caller)
             else:  # as rclpy and rclcpp answer a goal that they have
                 self.refused[Reason.QUEUE_FULL] += uuid not in self._goals
-                self._answer(self._send, caller, wire.pack_accepted(False, 0))
+                self._answer(self._send, caller, pack_accepted(False, 0))
         if new:
             self._on_goal(uuid, goal)
 
@@ -238,7 +331,7 @@ class ActionServer(_Action):
     def _on_get(self, payload: bytes, caller: bytes, _stamp_ns: int) -> None:
         with self._lock:
             try:
-                goal = self._known(wire.unwrap(payload)[0])
+                goal = self._known(unwrap(payload)[0])
             except BackendError as error:
                 self._get.refuse(caller, str(error))
                 return
@@ -306,7 +399,7 @@ class ActionServer(_Action):
     def _decided(self, uuid: bytes, goal: Goal, accepted: bool) -> None:
         """Tell the client of a goal whether it is accepted."""
         goal.stamp_ns = self._clock.time_ns() if accepted else 0
-        self._answer(self._send, goal.caller, wire.pack_accepted(accepted, goal.stamp_ns))
+        self._answer(self._send, goal.caller, pack_accepted(accepted, goal.stamp_ns))
 
     def _ended(self, uuid: bytes, goal: Goal, status: GoalStatus, result: bytes | None) -> None:
         """Give the result to those who wait for it; ROS008 if the bytes are none."""
@@ -317,7 +410,7 @@ class ActionServer(_Action):
 
     def _feed(self, uuid: bytes, goal: Goal, payload: bytes) -> bytes:
         """Return the message that carries feedback."""
-        return wire.wrap(uuid, payload)
+        return wrap(uuid, payload)
 
     # -- decisions
 
@@ -514,15 +607,15 @@ class ActionClient(_Action):
         super().__init__(backend, store, action, type_name)
 
     def _open(self, backend: Backend, store: TypeStore) -> None:
-        self._messages = wire.Messages(store, self.type_name)
+        self._messages = Messages(store, self.type_name)
         keep, place = self._keep, self._place
         keep(backend.subscribe(*place("feedback", "FeedbackMessage"), Qos(), self._on_feedback))
-        keep(backend.subscribe(*place("status", wire.STATUSES), STATUS_QOS, self._on_statuses))
+        keep(backend.subscribe(*place("status", STATUSES), STATUS_QOS, self._on_statuses))
         self._services: list[ServiceClient] = [
             keep(backend.client(*place(*each), SERVICES))
             for each in (
                 ("send_goal", "SendGoal"),
-                ("cancel_goal", wire.CANCELS),
+                ("cancel_goal", CANCELS),
                 ("get_result", "GetResult"),
             )
         ]
@@ -546,7 +639,7 @@ class ActionClient(_Action):
         return True
 
     def _dispatch(self, uuid: bytes, goal: bytes) -> None:
-        self._call(_SEND, uuid, wire.wrap(uuid, goal), self._on_decision)
+        self._call(_SEND, uuid, wrap(uuid, goal), self._on_decision)
 
     def adopt(self, uuid: bytes) -> None:
         """Ask for status and result of a goal that was sent before, by this process or another one."""
@@ -558,7 +651,7 @@ class ActionClient(_Action):
         self._seek(uuid)
 
     def _seek(self, uuid: bytes) -> None:
-        self._call(_GET, uuid, wire.LITTLE + uuid, self._on_result)
+        self._call(_GET, uuid, LITTLE + uuid, self._on_result)
 
     def cancel(self, uuid: bytes) -> None:
         """Ask for a goal to be canceled; raises as ServiceClient.call."""
@@ -590,7 +683,7 @@ class ActionClient(_Action):
 
     def _on_decision(self, uuid: bytes, reply: Reply) -> None:
         try:
-            accepted = None if reply.payload is None else wire.read_accepted(reply.payload)
+            accepted = None if reply.payload is None else read_accepted(reply.payload)
         except BackendError as error:
             accepted, reply = None, Reply(text=str(error))
         if accepted:
@@ -621,7 +714,7 @@ class ActionClient(_Action):
         self._tell(uuid, "canceling" if agreed else "not canceled", reply=reply)
 
     def _on_feedback(self, payload: bytes, _stamp_ns: int) -> None:
-        uuid, feedback = wire.unwrap(payload)
+        uuid, feedback = unwrap(payload)
         self._tell(uuid, "feedback", payload=feedback)
 
     def _on_statuses(self, payload: bytes, _stamp_ns: int) -> None:

@@ -21,7 +21,7 @@ from rosplc.layout import Limits, compute_layout
 from rosplc.model import TypeStore
 from rosplc.reasons import Reason
 from rosplc.ros import SERVICES, ActionServer, GoalStatus, Qos, Reply, actions
-from rosplc.ros import action_wire as wire
+from rosplc.ros import actions as wire
 from rosplc.ros.memory import MemoryBackend, open_backend
 from rosplc.shm import ACTION, Caller, Namespace, Part, attach
 from rosplc.shm.constants import (

@@ -19,7 +19,7 @@ from rosplc.errors import BackendError
 from rosplc.model import TypeStore
 from rosplc.reasons import Reason
 from rosplc.ros import Backend, actions, open_backend
-from rosplc.ros import action_wire as wire
+from rosplc.ros import actions as wire
 from rosplc.ros.actions import (
     ActionClient,
     ActionServer,

@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("cyclonedds", reason="no wheel of cyclonedds for this machine")
 
-from rosplc.ros.dds.log import LibraryLog
+from rosplc.ros.dds.native import LibraryLog
 
 LINE = "1.2 [0] recv: data(application): 1:2:3:4 #5: deserialization {}/a::msg::dds_::B_ failed (invalid)\n"
 

@@ -27,7 +27,7 @@ from rosplc.ros.dds.domain import check_peers, domain_config, domain_id
 from rosplc.ros.dds.endpoint import DdsPublisher, DdsSubscription, Endpoint
 from rosplc.ros.dds.graph import Announcer
 from rosplc.ros.dds.idl import IdlTypes, dds_topic, service_topics
-from rosplc.ros.dds.log import TRACING, library_log
+from rosplc.ros.dds.native import TRACING, library_log
 from rosplc.ros.dds.peers import Peer, PeerTable
 from rosplc.ros.dds.service import DdsClient, DdsServer
 

@@ -12,7 +12,7 @@ from rosplc.ros.backend import OnMessage
 from rosplc.ros.buffers import default_buffer, largest_message
 from rosplc.ros.dds import native
 from rosplc.ros.dds.idl import dds_topic
-from rosplc.ros.dds.log import library_log
+from rosplc.ros.dds.native import library_log
 
 BATCH = 256  # messages taken from one reader before the others get their turn
 
