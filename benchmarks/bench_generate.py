@@ -19,10 +19,9 @@ from rosplc.layout import Layout, compute_layout
 from rosplc.layout.c_header import c_header
 from rosplc.model import TypeStore
 from rosplc.plc.build import build_type_library
-from rosplc.plc.delivery import project_files
+from rosplc.plc.delivery import import_script, project_files
 from rosplc.plc.plcopen import plcopen_xml
 from rosplc.plc.project import Dut, Gvl, PlcProject, Pou, object_text
-from rosplc.plc.script import import_script
 from rosplc.plc.types import DutBuilder
 
 

@@ -98,9 +98,9 @@ Recordings, watching, the page:
     what a chunk of a recording may unpack to | recorder.mcap_file.MAX_CHUNK | bytes | REC003
     channels that are watched | monitor.watch.MAX_CHANNELS | channels | the others are not shown
     record that is watched | monitor.watch.MAX_RECORD | bytes | not shown
-    messages that one page may open | web.feed.MAX_MESSAGES | messages | WEB009
-    fields that one page may plot | web.feed.MAX_PLOTS | fields | WEB009
-    path of a field | web.feed.MAX_PATH | characters | WEB009
+    messages that one page may open | web.live.MAX_MESSAGES | messages | WEB009
+    fields that one page may plot | web.live.MAX_PLOTS | fields | WEB009
+    path of a field | web.live.MAX_PATH | characters | WEB009
 Errors:
     each text of an error | errors.LONGEST_TEXT | characters | its middle is left out
 """

@@ -438,9 +438,9 @@ def watched(patch: pytest.MonkeyPatch, folder: Path) -> None:
         refused("SHM112", lambda: watch.message(picture.channels[0]), "too large")
 
 
-@beyond("web.feed.MAX_MESSAGES", "web.feed.MAX_PLOTS", "web.feed.MAX_PATH")
+@beyond("web.live.MAX_MESSAGES", "web.live.MAX_PLOTS", "web.live.MAX_PATH")
 def page(patch: pytest.MonkeyPatch, folder: Path) -> None:
-    from rosplc.web.feed import MAX_MESSAGES, MAX_PATH, MAX_PLOTS, Wants
+    from rosplc.web.live import MAX_MESSAGES, MAX_PATH, MAX_PLOTS, Wants
 
     refused("WEB009", lambda: Wants.of({"messages": ["a"] * (MAX_MESSAGES + 1)}))
     refused("WEB009", lambda: Wants.of({"plots": {"a": ["x"] * (MAX_PLOTS + 1)}}))

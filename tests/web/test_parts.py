@@ -11,7 +11,7 @@ from rosplc.errors import WebError
 from rosplc.monitor import Picture
 from rosplc.web import new_token, read_token
 from rosplc.web.access import same_token
-from rosplc.web.feed import MAX_MESSAGES, MAX_PLOTS, Looker, Wants, number_at, parse_path
+from rosplc.web.live import MAX_MESSAGES, MAX_PLOTS, Looker, Wants, number_at, parse_path
 from rosplc.web.write import SAFE_INTEGER, form_of, from_form, shown
 from tests.lib.clock import SteppedClock
 from tests.web.peers import layout_of

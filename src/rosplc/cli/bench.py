@@ -23,7 +23,7 @@ def command(
     ] = None,
 ) -> None:
     """The comparison with Modbus and OPC UA is now the command rosplc-bench."""
-    from rosplc.doctor.packages import pip_here
+    from rosplc.doctor.machine import pip_here
 
     warn(
         "The comparison is now a command of its own, with the same options: rosplc-bench\n"

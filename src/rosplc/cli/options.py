@@ -134,7 +134,7 @@ def open_watch(prefix: str | None, configs: list[Path] | None, stale_after: str,
     """
     from rosplc.config.quantities import parse_stale
     from rosplc.monitor import Watch
-    from rosplc.monitor.expected import expected_by
+    from rosplc.monitor.classic import expected_by
 
     limit = parsed(parse_stale, stale_after, "--stale-after", ", or never")
     default = observed_config(None, prefix)

@@ -91,7 +91,7 @@ def command(
         as_json: Print the result as JSON.
     """
     from rosplc.config.resolve import load_project
-    from rosplc.monitor.expected import expected_of
+    from rosplc.monitor.classic import expected_of
     from rosplc.recorder import COMPRESSIONS, RecordingOptions, Selection, Split
     from rosplc.recorder.store import base_of, dated, free_name
     from rosplc.shm import Namespace

@@ -140,8 +140,7 @@ def _print_calls(picture: Picture, several: bool) -> None:
 
 
 def _follow(watch: Watch, *, as_json: bool) -> None:
-    from rosplc.monitor.events import grouped
-    from rosplc.monitor.picture import event_text
+    from rosplc.monitor.picture import event_text, grouped
 
     while True:
         time.sleep(_FOLLOW_SECONDS)

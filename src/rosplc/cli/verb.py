@@ -147,7 +147,7 @@ def _report(failure: Exception, *, as_json: bool) -> int:
     errors: tuple[RosplcError, ...] = getattr(error, "errors", (error,))
     for each in {error, *errors}:
         if "pip install" in each.remedy:
-            from rosplc.doctor.packages import pip_here
+            from rosplc.doctor.machine import pip_here
 
             each.remedy = pip_here(each.remedy)
     if as_json:

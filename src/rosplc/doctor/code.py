@@ -14,8 +14,7 @@ from pathlib import Path
 
 from rosplc.doctor.finding import Finding, listed
 from rosplc.doctor.kinds import fine, found, judged
-from rosplc.doctor.live import Carried
-from rosplc.doctor.objects import Objects
+from rosplc.doctor.objects import Carried, Objects
 from rosplc.harmless import plural
 from rosplc.layout import Layout
 from rosplc.shm import Direction, Namespace, Part

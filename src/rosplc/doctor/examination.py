@@ -28,10 +28,9 @@ from rosplc.doctor import (
     code,
     graph,
     leftovers,
-    live,
     machine,
     network,
-    packages,
+    objects,
     rights,
 )
 from rosplc.doctor.code import Generated, read_generated
@@ -134,7 +133,12 @@ class _Examination:
 
     def __init__(self, question: Question) -> None:
         self._q = question
-        self._project: Project | None = None
+        self._project: Project | None = None  # what it says, as far as it could be read:
+        self._topics: tuple[TopicPlan, ...] = ()
+        self._calls: tuple[CallPlan, ...] = ()
+        self._classic: list[tuple[TopicPlan, ClassicPlan]] = []
+        self._directory = question.directory
+        self._prefix: str | None = None
         self._chosen = ""  # the backend that the configuration leads to, once it is known
         self._uid = os.geteuid()
         self._objects: Objects | None = None
@@ -164,33 +168,11 @@ class _Examination:
         if self._project is not None and self._objects is not None:
             yield Probe("the running bridge", Area.LIVE, self._live)
         elif self._objects is not None:
-            yield Probe("running bridges", Area.LIVE, lambda: live.bridges(self._seen()))
+            yield Probe("running bridges", Area.LIVE, lambda: objects.bridges(self._seen()))
         if q.code is not None:
             yield Probe("generated PLC code", Area.CODE, self._generated, 20.0)
         if self._project is not None and q.ros and self._chosen != "memory":
             yield Probe("the ROS graph", Area.GRAPH, self._graph, q.seconds + 40.0)
-
-    # What the configuration says.
-
-    @property
-    def _topics(self) -> tuple[TopicPlan, ...]:
-        return () if self._project is None else self._project.topics
-
-    @property
-    def _calls(self) -> tuple[CallPlan, ...]:
-        return () if self._project is None else self._project.calls
-
-    @property
-    def _classic(self) -> list[tuple[TopicPlan, ClassicPlan]]:
-        return [(plan, plan.classic) for plan in self._topics if plan.classic is not None]
-
-    @property
-    def _directory(self) -> Path:
-        return self._q.directory if self._project is None else Path(self._project.namespace.directory)
-
-    @property
-    def _prefix(self) -> str | None:
-        return None if self._project is None else self._project.namespace.prefix
 
     @property
     def _wish(self) -> Wish | None:
@@ -214,14 +196,17 @@ class _Examination:
         path = self._q.config
         assert path is not None
         try:
-            self._project = load_project(path)
+            project = load_project(path)
         except ConfigErrors as errors:
             command = f"rosplc check {path}"
             for each in errors.errors:
                 yield found("DOC501", f"{each.where}: {each.what} [{each.code}]", each.remedy, command)
             return
-        yield fine("DOC501", f"{path} is valid: {_amount(self._project)}")
-        yield self._owner(self._project)
+        self._project, self._topics, self._calls = project, project.topics, project.calls
+        self._classic = [(plan, plan.classic) for plan in project.topics if plan.classic is not None]
+        self._directory, self._prefix = Path(project.namespace.directory), project.namespace.prefix
+        yield fine("DOC501", f"{path} is valid: {_amount(project)}")
+        yield self._owner(project)
 
     def _owner(self, project: Project) -> Finding:
         settings, who = project.config.settings.shm, user_name(self._uid)
@@ -260,19 +245,19 @@ class _Examination:
         return machine.logout(self._q.root, uid, user_name(uid))
 
     def _packages(self) -> Iterator[Finding]:
-        yield from packages.packages(packages.needed(), platform.python_version(), __version__)
-        yield from packages.wheels(platform.machine(), (sys.version_info[0], sys.version_info[1]))
+        yield from machine.packages(machine.needed(), platform.python_version(), __version__)
+        yield from machine.wheels(platform.machine(), (sys.version_info[0], sys.version_info[1]))
 
     def _backend(self) -> Iterator[Finding]:
         variables = self._q.variables
         if self._project is None:
-            return packages.backend(
+            return machine.backend(
                 variables.get("ROS_DISTRO") or "jazzy", "auto", variables, configured=False
             )
         ros = self._project.config.settings.ros
         with suppress(RosplcError):  # the same is found below
             self._chosen = choose_backend(self._project.config, variables).name
-        return packages.backend(
+        return machine.backend(
             ros.distro,
             ros.backend,
             variables,
@@ -424,12 +409,12 @@ class _Examination:
         others = [variables.get(name) for name in ("ZENOH_SESSION_CONFIG_URI", "ZENOH_CONFIG_OVERRIDE")]
         return () if any(others) or (zenoh is not None and zenoh.config) else ("tcp/localhost:7447",)
 
-    def _carried(self) -> list[live.Carried]:
+    def _carried(self) -> list[objects.Carried]:
         if self._project is None:
             return []
         own, seen = self._project.namespace, self._seen().of
         carried = [
-            live.Carried(plan.topic, plan.topic, plan.direction, plan.layout, seen(own, plan.topic))
+            objects.Carried(plan.topic, plan.topic, plan.direction, plan.layout, seen(own, plan.topic))
             for plan in self._topics
             if plan.port == "channel"
         ]
@@ -438,7 +423,7 @@ class _Examination:
                 name = f"{call.called} {part.word} {call.client}".rstrip()
                 found = seen(own, call.called, part, call.client)
                 carried.append(
-                    live.Carried(call.name, name, part.direction(call.server), call.layout(part), found)
+                    objects.Carried(call.name, name, part.direction(call.server), call.layout(part), found)
                 )
         return carried
 
@@ -449,10 +434,10 @@ class _Examination:
             plan.topic: bool(is_held(self._directory / f"rosplc.classic.{each.name}", held))
             for plan, each in self._classic
         }
-        yield from live.holders(carried, locks, str(self._q.config))
-        yield from live.layouts(carried)
-        yield from live.beating(carried)
-        yield from live.refusals(carried)
+        yield from objects.holders(carried, locks, str(self._q.config))
+        yield from objects.layouts(carried)
+        yield from objects.beating(carried)
+        yield from objects.refusals(carried)
 
     def _graph(self) -> Iterator[Finding]:
         project, config = self._project, self._q.config
@@ -488,7 +473,7 @@ class _Examination:
             prefix = project.namespace.prefix
             wanted = self._carried()
             wanted += [
-                live.Carried(plan.topic, each.name, plan.direction, plan.layout, None)
+                objects.Carried(plan.topic, each.name, plan.direction, plan.layout, None)
                 for plan, each in self._classic
             ]
             compared = list(code.against_config(present, wanted, prefix, command, differences=differences))

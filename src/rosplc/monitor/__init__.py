@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rosplc.monitor.expected import Expectation, Expected
+from rosplc.monitor.classic import Expectation, Expected
 from rosplc.monitor.message import Message, numbers
 from rosplc.monitor.picture import BridgeView, CallView, ChannelView, Event, Picture, ReaderView, State
 from rosplc.monitor.watch import ObjectState, Watch, find_objects

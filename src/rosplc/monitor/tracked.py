@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from rosplc.errors import ChannelError
-from rosplc.monitor.expected import Expectation
+from rosplc.monitor.classic import Expectation
 from rosplc.monitor.message import Calls
 from rosplc.monitor.picture import ChannelView, ReaderView, judge
 from rosplc.shm import Attached, Direction, Liveness, Part, ReaderState, Snapshot, distance

@@ -16,11 +16,17 @@ from typing import Any, NamedTuple
 from rosplc.clock import SYSTEM, Clock
 from rosplc.described import layout_of
 from rosplc.errors import ChannelError
-from rosplc.monitor.classic import ClassicWatch
-from rosplc.monitor.events import bridge_events, channel_events
-from rosplc.monitor.expected import Expected
+from rosplc.monitor.classic import ClassicWatch, Expected
 from rosplc.monitor.message import Message, joined, message_of
-from rosplc.monitor.picture import BridgeView, ChannelView, Event, Picture, State
+from rosplc.monitor.picture import (
+    BridgeView,
+    ChannelView,
+    Event,
+    Picture,
+    State,
+    bridge_events,
+    channel_events,
+)
 from rosplc.monitor.tracked import Tracked, any_alive, process_words
 from rosplc.shm import Attached, Namespace, Part, Reader, open_object
 from rosplc.shm.header import channel_error

@@ -26,8 +26,7 @@ from rosplc.monitor.watch import Watch
 from rosplc.shm import Namespace, Part
 from rosplc.shm import attach as attach_object
 from rosplc.web.access import Settings, access, add_headers, bearer, require_token
-from rosplc.web.feed import Feed
-from rosplc.web.live import Viewers
+from rosplc.web.live import Feed, Viewers
 from rosplc.web.write import form_of, write_message
 
 _TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}

@@ -96,51 +96,41 @@ def shown(value: Any, elements: int = _ELEMENTS) -> Any:
     return [shown(item, elements) for item in value]
 
 
-def from_form(form: dict[str, Any], value: Any) -> Any:
+def from_form(form: dict[str, Any], value: Any, path: str = "", *, not_finite: bool = True) -> Any:
     """Return what a page sent with text turned back into the numbers it stands for.
 
-    Nothing is checked here: the layout refuses what is no number or does not fit, and names the field.
+    The layout refuses what is no number or does not fit, and names the field. ``form`` is a node of
+    :func:`form_of`, ``path`` its path for the error; ``not_finite``: ``nan`` and ``inf`` are meant. Raises
+    LayoutError LAY006: a number is too large for its type, or not finite without being meant: no machine
+    should get such by a slip of the keyboard.
     """
     kind = form["kind"]
     if kind == "struct" and isinstance(value, dict):
         members = {member["name"]: member for member in form["members"]}
         return {
-            name: from_form(members[name], item) if name in members else item for name, item in value.items()
+            name: from_form(members[name], item, f"{path}.{name}".lstrip("."), not_finite=not_finite)
+            if name in members
+            else item
+            for name, item in value.items()
         }
     if kind == "list" and isinstance(value, list):
-        return [from_form(form["element"], item) for item in value]
-    if kind in ("integer", "float") and isinstance(value, str):
-        try:
-            return int(value, 10) if kind == "integer" else float(value)
-        except ValueError:
-            return value
+        parts = enumerate(value)
+        return [from_form(form["element"], one, f"{path}[{at}]", not_finite=not_finite) for at, one in parts]
+    if kind not in ("integer", "float") or not isinstance(value, str | int | float):
+        return value
     if kind == "integer" and isinstance(value, float) and value.is_integer():
         return int(value)  # JSON of a page does not tell 3.0 from 3
-    return value
-
-
-def refuse_unsafe(form: dict[str, Any], value: Any, path: str = "", *, not_finite: bool = False) -> None:
-    """Refuse numbers that a machine should not get by a slip of the keyboard.
-
-    ``form`` is a node of :func:`form_of`, ``path`` its path for the error; ``not_finite``: ``nan`` and
-    ``inf`` are meant. Raises LayoutError LAY006: a number is too large for its type, or not finite without
-    being meant.
-    """
-    if form["kind"] == "struct":
-        for member in form["members"]:
-            if member["name"] in value:
-                inner = f"{path}.{member['name']}" if path else member["name"]
-                refuse_unsafe(member, value[member["name"]], inner, not_finite=not_finite)
-    elif form["kind"] == "list":
-        for index, item in enumerate(value):
-            refuse_unsafe(form["element"], item, f"{path}[{index}]", not_finite=not_finite)
-    elif form["kind"] == "float":
-        number = float(value)
+    try:
+        number = (int(value, 10) if kind == "integer" else float(value)) if isinstance(value, str) else value
+    except ValueError:
+        return value
+    if kind == "float":
         meant = str(value).strip().lower().lstrip("+-") in ("nan", "inf", "infinity")
         if meant and not not_finite:
             raise LayoutError("LAY006", f"{value} is not a finite number", where=path)
         if not meant and abs(number) > _LARGEST[form["type"]]:
             raise LayoutError("LAY006", f"{str(value)[:40]} is too large for {form['type']}", where=path)
+    return number
 
 
 _BEAT_MS = 1000
@@ -168,10 +158,7 @@ def write_message(
         if layout.layout_id != layout_id:
             what = "the channel has another layout than the form was made for"
             raise WebError("WEB010", what, where=topic, remedy="Open the form again.")
-        form = form_of(layout)
-        value = from_form(form, message)
-        record = bytes(layout.pack(value))
-        refuse_unsafe(form, message, not_finite=not_finite)
+        record = bytes(layout.pack(from_form(form_of(layout), message, not_finite=not_finite)))
         _refuse_other_writer(attached, topic)
         if attached.identity.direction is Direction.TO_PLC:
             return _to_plc(namespace, attached, record, clock.time_ns())

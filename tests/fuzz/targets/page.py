@@ -10,7 +10,7 @@ from rosplc.layout import Limits, compute_layout
 from rosplc.layout.view import plain
 from rosplc.model import TypeStore
 from rosplc.web.access import same_token, wrong_host, wrong_origin
-from rosplc.web.feed import Wants, number_at, parse_path
+from rosplc.web.live import Wants, number_at, parse_path
 from rosplc.web.write import form_of, from_form, shown
 from tests.fuzz.choices import Choices
 from tests.fuzz.oracle import refusals

@@ -447,7 +447,7 @@ def test_the_nearest_topic_is_found(word, found):
 
 def test_remedies_name_the_pip_of_this_installation():
     """The command works as printed, also in a checkout."""
-    from rosplc.doctor.packages import pip_here
+    from rosplc.doctor.machine import pip_here
 
     text = pip_here("pip install 'rosplc[views]'")
     assert text.startswith(str(Path(sys.executable).parent)) and "[views]" in text
@@ -455,33 +455,33 @@ def test_remedies_name_the_pip_of_this_installation():
 
 def test_remedies_fit_the_environment(monkeypatch, tmp_path):
     """A virtual environment has its pip, pipx its inject; where the system manages Python one is made."""
-    from rosplc.doctor import packages
+    from rosplc.doctor import machine
 
-    monkeypatch.setattr(packages, "distribution", lambda name: Mock(read_text=lambda path: None))
+    monkeypatch.setattr(machine, "distribution", lambda name: Mock(read_text=lambda path: None))
     views, other = "pip install 'rosplc[views]'", "pip install 'cyclonedds>=11,<12' (x86-64)"
     environment = tmp_path / "my venvs" / "rosplc"
     (environment / "bin").mkdir(parents=True)
     monkeypatch.setattr("sys.prefix", str(environment))
     monkeypatch.setattr("sys.executable", str(environment / "bin" / "python"))
-    assert packages.pip_here(other) == f"'{environment}/bin/python' -m {other}"
+    assert machine.pip_here(other) == f"'{environment}/bin/python' -m {other}"
     (environment / "bin" / "pip").touch()
-    assert packages.pip_here(views) == f"'{environment}/bin/pip' install 'rosplc[views]'"
+    assert machine.pip_here(views) == f"'{environment}/bin/pip' install 'rosplc[views]'"
 
     (environment / "pipx_metadata.json").touch()
-    assert packages.pip_here(other) == "pipx inject rosplc 'cyclonedds>=11,<12' (x86-64)"
-    command, brought = packages.pip_here(views).split(" rosplc ")
+    assert machine.pip_here(other) == "pipx inject rosplc 'cyclonedds>=11,<12' (x86-64)"
+    command, brought = machine.pip_here(views).split(" rosplc ")
     names = [Requirement(each).name for each in shlex.split(brought)]
     assert command == "pipx inject" and names == ["textual", "aiohttp"]
 
     monkeypatch.setattr("sys.prefix", sys.base_prefix)
     monkeypatch.setattr("sys.executable", "/usr/bin/python3")
     monkeypatch.setattr("sysconfig.get_path", {"stdlib": str(tmp_path)}.get)
-    assert " -m venv " not in packages.pip_here(views)
+    assert " -m venv " not in machine.pip_here(views)
     (tmp_path / "EXTERNALLY-MANAGED").touch()
     new = "/usr/bin/python3 -m venv ~/rosplc-env && ~/rosplc-env/bin/pip install"
-    assert packages.pip_here(views) == f"{new} 'rosplc[views]'"
-    assert packages.pip_here(other) == f"{new} rosplc 'cyclonedds>=11,<12' (x86-64)"
+    assert machine.pip_here(views) == f"{new} 'rosplc[views]'"
+    assert machine.pip_here(other) == f"{new} rosplc 'cyclonedds>=11,<12' (x86-64)"
     monkeypatch.setattr("sys.prefix", "/opt/rosplc")
-    assert " -m venv " not in packages.pip_here(views)
-    monkeypatch.setattr(packages, "find_spec", lambda name: None)
-    assert packages.pip_here(views) == f"{new} 'rosplc[views]'"
+    assert " -m venv " not in machine.pip_here(views)
+    monkeypatch.setattr(machine, "find_spec", lambda name: None)
+    assert machine.pip_here(views) == f"{new} 'rosplc[views]'"

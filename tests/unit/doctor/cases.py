@@ -24,11 +24,10 @@ from rosplc.doctor import (
     examination,
     graph,
     leftovers,
-    live,
     machine,
     network,
 )
-from rosplc.doctor import packages as packages_
+from rosplc.doctor import objects as objects_
 from rosplc.doctor import rights as rights_
 from rosplc.doctor.code import read_generated
 from rosplc.doctor.examination import Probe, run_probe
@@ -119,19 +118,19 @@ def _version(name: str) -> str:
 
 case(
     "DOC110",
-    lambda s: packages_.packages(["PyYAML", "rosbags"], "3.11.2", "0.1", version_of=_version),
-    lambda s: packages_.packages(["PyYAML"], "3.11.2", "0.1", version_of=_version),
+    lambda s: machine.packages(["PyYAML", "rosbags"], "3.11.2", "0.1", version_of=_version),
+    lambda s: machine.packages(["PyYAML"], "3.11.2", "0.1", version_of=_version),
 )
-case("DOC111", lambda s: packages_.wheels("aarch64", (3, 11)), lambda s: packages_.wheels("x86_64", (3, 11)))
+case("DOC111", lambda s: machine.wheels("aarch64", (3, 11)), lambda s: machine.wheels("x86_64", (3, 11)))
 case(
     "DOC112",
-    lambda s: packages_.backend("jazzy", "auto", {}, missing=lambda name: "no module"),
-    lambda s: packages_.backend("jazzy", "auto", {}, missing=lambda name: ""),
+    lambda s: machine.backend("jazzy", "auto", {}, missing=lambda name: "no module"),
+    lambda s: machine.backend("jazzy", "auto", {}, missing=lambda name: ""),
 )
 case(
     "DOC113",
-    lambda s: packages_.backend("jazzy", "zenoh", {}, missing=lambda name: "no module"),
-    lambda s: packages_.backend("jazzy", "zenoh", {}, missing=lambda name: ""),
+    lambda s: machine.backend("jazzy", "zenoh", {}, missing=lambda name: "no module"),
+    lambda s: machine.backend("jazzy", "zenoh", {}, missing=lambda name: ""),
 )
 
 # Shared memory.
@@ -563,7 +562,7 @@ def _seen(
 ) -> Look:
     """Return the look of a bridge that holds one object, as a PLC's task sees it."""
 
-    def look(stage: Stage) -> list[live.Carried]:
+    def look(stage: Stage) -> list[objects_.Carried]:
         plan = stage.project(TOPICS).topic("/in")
         actual = layout_id or plan.layout.layout_id
         channel = open_channel(stage.namespace, direction, topic=topic, layout_id=actual)
@@ -582,12 +581,12 @@ def _seen(
             plc_lines=() if plc is None else (line,),
             snapshot=replace(found.snapshot, writer=writer),
         )
-        return [live.Carried(topic, topic, plan.direction, plan.layout, found)]
+        return [objects_.Carried(topic, topic, plan.direction, plan.layout, found)]
 
     return look  # type: ignore[return-value]
 
 
-def _live(judge: Callable[[list[live.Carried]], Iterable[Finding]], **given: object) -> Look:
+def _live(judge: Callable[[list[objects_.Carried]], Iterable[Finding]], **given: object) -> Look:
     def look(stage: Stage) -> Iterable[Finding]:
         return judge(_seen(stage, **given)(stage))  # type: ignore[arg-type]
 
@@ -596,13 +595,13 @@ def _live(judge: Callable[[list[live.Carried]], Iterable[Finding]], **given: obj
 
 case(
     "DOC601",
-    _live(lambda c: live.holders(c, {}, "rosplc.yaml"), held=False, beats=False),
-    _live(lambda c: live.holders(c, {}, "rosplc.yaml")),
+    _live(lambda c: objects_.holders(c, {}, "rosplc.yaml"), held=False, beats=False),
+    _live(lambda c: objects_.holders(c, {}, "rosplc.yaml")),
 )
-case("DOC602", _live(live.layouts, layout_id=LAYOUT), _live(live.layouts))
-case("DOC603", _live(live.beating, plc=None), _live(live.beating))
-case("DOC604", _live(live.beating, plc=LAYOUT), _live(live.beating))
-case("DOC605", _live(live.refusals, refused=3), _live(live.refusals))
+case("DOC602", _live(objects_.layouts, layout_id=LAYOUT), _live(objects_.layouts))
+case("DOC603", _live(objects_.beating, plc=None), _live(objects_.beating))
+case("DOC604", _live(objects_.beating, plc=LAYOUT), _live(objects_.beating))
+case("DOC605", _live(objects_.refusals, refused=3), _live(objects_.refusals))
 
 # The PLC's code.
 
@@ -628,11 +627,11 @@ def _generated(topics: str = TOPICS, *, now: str = "", prefix: str = "") -> Look
     return look
 
 
-def wanted(project: Project) -> list[live.Carried]:
+def wanted(project: Project) -> list[objects_.Carried]:
     """Return what the code of a configuration is to open."""
-    topics = [live.Carried(p.topic, p.topic, p.direction, p.layout, None) for p in project.topics]
+    topics = [objects_.Carried(p.topic, p.topic, p.direction, p.layout, None) for p in project.topics]
     return topics + [
-        live.Carried(
+        objects_.Carried(
             call.name,
             f"{call.called} {part.word} {call.client}".rstrip(),
             part.direction(call.server),

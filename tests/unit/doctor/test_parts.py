@@ -17,9 +17,8 @@ from rosplc.doctor.code import against_config, read_generated
 from rosplc.doctor.examination import Probe, run_probe
 from rosplc.doctor.graph import Graph, judge_graph, see_graph
 from rosplc.doctor.kinds import fine, found
-from rosplc.doctor.machine import logout
+from rosplc.doctor.machine import backend, logout, needed
 from rosplc.doctor.network import answers, is_local, master, receive_buffers
-from rosplc.doctor.packages import backend, needed
 from rosplc.doctor.rights import File, find_runtimes, may_use, rights, runtimes, same_memory, shm_mount
 from rosplc.errors import BackendError
 from rosplc.plc.build import plc_project

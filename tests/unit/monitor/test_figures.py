@@ -6,8 +6,7 @@ import pytest
 
 from rosplc.levels import Level
 from rosplc.monitor import Event, State, numbers
-from rosplc.monitor.events import grouped
-from rosplc.monitor.picture import MARKS, age_text, count_text, rate_text
+from rosplc.monitor.picture import MARKS, age_text, count_text, grouped, rate_text
 from rosplc.monitor.tracked import Rate
 
 

@@ -11,7 +11,7 @@ import pytest
 from rosplc.errors import ChannelError
 from rosplc.levels import Level
 from rosplc.monitor import Expectation, Expected, State, Watch
-from rosplc.monitor.expected import ClassicTopic
+from rosplc.monitor.classic import ClassicTopic
 from rosplc.monitor.watch import MAX_CHANNELS
 from rosplc.shm import Direction
 from tests.channels import layout_of

@@ -13,12 +13,11 @@ from rosplc.config.plans import ClassicPlan as Classic
 from rosplc.errors import GenerationError
 from rosplc.plc.base import CLASSIC_NAMES, classic_objects
 from rosplc.plc.build import build_type_library
-from rosplc.plc.delivery import project_files
+from rosplc.plc.delivery import import_script, project_files
 from rosplc.plc.names import is_reserved
 from rosplc.plc.plan import PlcTask, classic_wait
 from rosplc.plc.plcopen import plcopen_xml
 from rosplc.plc.project import Pou
-from rosplc.plc.script import import_script
 from tests.unit.plc.fake_scriptengine import Project, run
 from tests.unit.plc.projects import JOINTS, STORE, TWIST, layout, named, project, read, write
 from tests.unit.plc.test_script_syntax import newer

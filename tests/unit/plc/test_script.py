@@ -7,9 +7,9 @@ import re
 import pytest
 
 from rosplc.layout import Limits
+from rosplc.plc.delivery import import_script
 from rosplc.plc.plan import PlcTask
 from rosplc.plc.project import Pou, declaration, method_declaration
-from rosplc.plc.script import import_script
 from tests.unit.plc.fake_scriptengine import (
     Aborted,
     ImplementationLanguages,

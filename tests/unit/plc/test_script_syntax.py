@@ -13,7 +13,7 @@ import pytest
 
 from rosplc.layout import Limits
 from rosplc.plc.build import build_type_library
-from rosplc.plc.script import import_script
+from rosplc.plc.delivery import import_script
 from tests.unit.plc.projects import JOINTS, STORE, TWIST, custom, layout, project, read, write
 
 NEWER = (

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from rosplc.plc.build import build_project
+from rosplc.plc.delivery import import_script
 from rosplc.plc.plan import PlcTask, PlcTopic
 from rosplc.plc.plcopen import plcopen_xml
 from rosplc.plc.project import PlcProject
-from rosplc.plc.script import import_script
 from rosplc.plc.types import DutBuilder, initial_value
 from tests.unit.plc.projects import JOINTS, POSE, STORE, TWIST, custom, layout, named, project, read
 

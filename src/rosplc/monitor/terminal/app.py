@@ -21,8 +21,7 @@ from textual.widgets import Footer, Input, Static
 from rosplc.errors import ChannelError
 from rosplc.harmless import one_line
 from rosplc.levels import Level
-from rosplc.monitor.events import grouped
-from rosplc.monitor.picture import BridgeView, ChannelView, Event, Picture
+from rosplc.monitor.picture import BridgeView, ChannelView, Event, Picture, grouped
 from rosplc.monitor.terminal.message import MessageScreen
 from rosplc.monitor.terminal.table import LEVEL_STYLES, ChannelTable, Sorting, event_line, plain
 from rosplc.monitor.watch import Watch
