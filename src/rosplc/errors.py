@@ -274,7 +274,7 @@ _register("PLC002", "output folder cannot be written", "Check the path and the p
 _register("PLC003", "too many tasks", "The PLC's blocks serve at most 16 tasks; put topics of like urgency into one.")
 _register("PLC004", "Structured Text cannot be translated", "Correct the named line; the translator knows the constructs that generated code uses.")
 _register("PLC005", "tasks differ only in case", "CODESYS does not distinguish such names; rename one in `tasks`.")
-_register("PLC006", "topic name is too long for the PLC", "The blocks take names of up to 255 characters; choose a shorter one.")
+_register("PLC006", "topic name is too long for the PLC", "The blocks take names of up to 255 characters, those for matiec of up to 126; choose a shorter one.")
 _register("PLC007", "name is not valid for a classic topic", "Memories and semaphores have 1 to 80 printable characters, none of them a slash or a blank.")
 _register("PLC008", "name is not valid in PLC code", "Topics have letters, digits, _ and /; tasks letters, digits and _; prefixes letters, digits, _ and -.")
 

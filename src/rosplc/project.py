@@ -117,7 +117,7 @@ def generate(
     config: Path | str | Project,
     folder: Path | str = "plc",
     *,
-    plc: Literal["codesys", "openplc"] = "codesys",
+    plc: Literal["codesys", "openplc", "matiec"] = "codesys",
     target: Literal["x86", "arm"] | None = None,
     fences: bool = False,
     programs: str | None = None,
@@ -129,7 +129,8 @@ def generate(
     Args:
         config: The file, or what :func:`load_project` made of it.
         folder: The output folder; created where it is missing.
-        plc: ``"openplc"``: for OpenPLC Runtime 4.1, for which the next four mean nothing.
+        plc: ``"openplc"``: for OpenPLC Runtime 4.1; ``"matiec"``: for OpenPLC v3 and Beremiz. The next
+            four mean nothing for them.
         target: The PLC's processor; None: this machine's.
         fences: On ``"arm"``: the device enables the MemoryBarrier library.
         programs: What the names of the generated programs begin with; None: the configuration's ``programs``.
@@ -141,8 +142,8 @@ def generate(
         GenerationError: The code cannot be generated, or a file was edited (PLC001).
     """
     project = config if isinstance(config, Project) else load_project(config)
-    if plc == "openplc":
-        return _write(*openplc_files(project), folder, force)
+    if plc != "codesys":
+        return _write(*openplc_files(project, plc), folder, force)
     options = _options(target, fences, programs or project.config.settings.programs, pins)
     made = plc_project(project, options)
     topics = sorted(project.topics, key=lambda plan: plan.topic)  # as the PLC's objects are ordered
@@ -155,7 +156,7 @@ def generate_types(
     distro: str,
     folder: Path | str = "plc",
     *,
-    plc: Literal["codesys", "openplc"] = "codesys",
+    plc: Literal["codesys", "openplc", "matiec"] = "codesys",
     target: Literal["x86", "arm"] | None = None,
     fences: bool = False,
     programs: str = "SharedMemory",
@@ -163,8 +164,8 @@ def generate_types(
     force: bool = False,
 ) -> Delivery:
     """Write both blocks of every message type of a distribution; arguments and errors as :func:`generate`."""
-    if plc == "openplc":
-        return _write(*openplc_types(distro), folder, force)
+    if plc != "codesys":
+        return _write(*openplc_types(distro, plc), folder, force)
     store = TypeStore.bundled(distro)
     layouts = [compute_layout(store, name) for name in store.names()]
     options = _options(target, fences, programs, pins)

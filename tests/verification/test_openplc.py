@@ -1,6 +1,7 @@
-"""The blocks for OpenPLC, compiled and run behind a stand-in for STruC++, and behind STruC++ itself.
+"""The blocks for OpenPLC, compiled and run behind stand-ins for its compilers, and behind these themselves.
 
-``ROSPLC_STRUCPP`` names a checkout of STruC++ that was built; no registry has it.
+``ROSPLC_STRUCPP`` names a checkout of STruC++ that was built, ``ROSPLC_BEREMIZ`` a folder with
+``matiec/iec2c`` and ``matiec/lib``; no registry has them.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import os
 import random
 import re
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +22,16 @@ import rosplc
 from rosplc.codec import Codec, Wire
 from rosplc.config.resolve import Project, load_project
 from rosplc.described import description_of
+from rosplc.project import generate_types
 from rosplc.shm import Namespace, OwnedChannel
 from rosplc.shm import constants as spec
 from tests.lib.waiting import wait_for
 from tests.verification.crossing import random_record
 
+By = Callable[[Project, Path, str], Path]
 HERE = Path(__file__).parent
-FLAGS = ["-std=c++17", "-O1", "-fPIC", "-Wall", "-Werror", "-DSTRUCPP_THREADED"]
+FLAGS = ["-std=c++17", "-O1", "-Wall", "-Werror", "-DSTRUCPP_THREADED"]
+C_FLAGS = ["-O1", "-Wall", "-Wextra", "-Werror"]
 PART = "float32 x\nstring<=7 name\nuint16[] few\n"
 KINDS = """bool b
 byte by
@@ -52,6 +56,8 @@ string[] words
 Part part
 Part[2] pair
 Part[] parts
+string<=200 long
+string<=150[2] longs
 """
 PROGRAM = """PROGRAM Pass
 VAR
@@ -78,6 +84,15 @@ END_CONFIGURATION
 RUN_BY_STRUCPP = """#include "generated.hpp"
 static strucpp::Configuration_CONFIG0 config;
 extern "C" void scan() { config.get_resources()[0].tasks[0].programs[0]->run(); }
+"""
+RUN_BY_MATIEC = """#include "POUS.h"
+TIME __CURRENT_TIME;
+BOOL __DEBUG;
+void config_init__(void);
+void config_run__(unsigned long tick);
+__attribute__((constructor)) static void start(void) { config_init__(); }
+void scan(void);
+void scan(void) { static unsigned long tick; config_run__(tick++); }
 """
 CALLS = """PROGRAM Pass
 VAR
@@ -107,7 +122,7 @@ def project(tmp_path: Path, shm_namespace: Namespace) -> Project:
     (folder / "Part.msg").write_text(PART)
     (folder / "All.msg").write_text(KINDS)
     (tmp_path / "kinds" / "package.xml").write_text("<package><name>kinds</name></package>")
-    limits = "limits: {string: 20, sequence: 3}"
+    limits = "limits: {string: 20, sequence: 3, long: 200, 'longs[]': 150}"
     text = f"""prefix: {shm_namespace.prefix}
 types: {{paths: [kinds]}}
 topics:
@@ -202,32 +217,141 @@ def by_strucpp(folder: Path, program: str) -> list[str]:
     return [f"-I{strucpp / 'src/runtime/include'}"]
 
 
-By = Callable[[Path, str], list[str]]
-BOTH = pytest.mark.parametrize(
-    "by", [by_stand_in, pytest.param(by_strucpp, marks=pytest.mark.needs(variable="ROSPLC_STRUCPP"))]
-)
-
-
-def built(project: Project, folder: Path, by: By, program: str) -> Path:
-    """Return a shared library with the blocks and a function ``scan``."""
-    rosplc.generate(project, folder, plc="openplc")
-    include = by(folder, program)
-    generated = folder / "generated"
-    sources = sorted(str(path) for path in generated.glob("*.cpp"))
-    target = folder / "program.so"
-    command = ["g++", *FLAGS, f"-I{generated}", *include, "-shared", *sources, "-o", str(target)]
+def compiled(command: list[str], sources: Sequence[Path], target: Path) -> Path:
+    """Return a shared library."""
+    command = [*command, "-fPIC", "-shared", *map(str, sources), "-o", str(target)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return target
 
 
+def in_cpp(make: Callable[[Path, str], list[str]]) -> By:
+    """Return how STruC++'s side builds a shared library with the blocks and a function ``scan``."""
+
+    def build(project: Project, folder: Path, program: str) -> Path:
+        rosplc.generate(project, folder, plc="openplc")
+        include = make(folder, program)
+        generated = folder / "generated"
+        command = ["g++", *FLAGS, f"-I{generated}", *include]
+        return compiled(command, sorted(generated.glob("*.cpp")), folder / "program.so")
+
+    return build
+
+
+def for_matiec(project: Project, folder: Path, program: str) -> tuple[Path, str]:
+    """Generate for matiec; return where C belongs, and the program without the method Next."""
+    rosplc.generate(project, folder, plc="matiec")
+    (folder / "c").mkdir()
+    program = program.replace("xInOrder := TRUE", "xInOrder := TRUE, xNext := FALSE")
+    return folder / "c", program.replace("more := there.Next()", "there(xNext := TRUE);\nmore := there.xNew")
+
+
+def by_matiec(project: Project, folder: Path, program: str) -> Path:
+    """Have matiec compile rosplc.st and the program, and C the result."""
+    made, program = for_matiec(project, folder, program)
+    matiec = Path(os.environ["ROSPLC_BEREMIZ"]) / "matiec"
+    (folder / "all.st").write_text((folder / "rosplc.st").read_text() + program)
+    command = [str(matiec / "iec2c"), "-I", str(matiec / "lib"), "-T", str(made), str(folder / "all.st")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    (made / "run.c").write_text(RUN_BY_MATIEC)
+    generated = folder / "generated"
+    command = ["gcc", "-std=gnu11", "-O1", "-w", f"-I{made}", f"-I{generated}", f"-I{matiec / 'lib' / 'C'}"]
+    sources = [*sorted(made.glob("[CRr]*.c")), generated / "rosplc_blocks.c"]
+    return compiled(command, sources, folder / "program.so")
+
+
+def by_matiec_stand_in(*compiler: str) -> By:
+    """Return how what matiec would make of all Structured Text is built, as far as the blocks need it."""
+
+    def build(project: Project, folder: Path, program: str) -> Path:
+        made, program = for_matiec(project, folder, program)
+        text = (folder / "rosplc.st").read_text()
+        parts = ['#include "matiec_stand_in.h"']
+        for name, members in re.findall(r"^TYPE (\w+) : STRUCT\n(.*?)END_STRUCT;", text, re.S | re.M):
+            parts += ["typedef struct {", *in_c(members, "{0} {1}{2};"), f"}} {name.upper()};"]
+            parts.append(f"DECLARE({name.upper()})")
+        for name, rest in re.findall(r"^FUNCTION_BLOCK (\w+)\n(.*?)END_FUNCTION_BLOCK", text, re.S | re.M):
+            variables = "".join(re.findall(r"^VAR_\w+\n(.*?)END_VAR", rest, re.S | re.M))
+            members = in_c(variables, "__IEC_{0}_t {1};")
+            parts += ["typedef struct {", *members, f"}} {name.upper()};"]
+            assert f"rosplc_call_{name.upper()}(data__);" in rest
+        (made / "POUS.h").write_text("\n".join([*parts, ""]))
+        (made / "run.c").write_text(translated_to_c(program))
+        generated = folder / "generated"
+        command = [*compiler, *C_FLAGS, f"-I{made}", f"-I{generated}", f"-I{HERE}"]
+        return compiled(command, [made / "run.c", generated / "rosplc_blocks.c"], folder / "program.so")
+
+    return build
+
+
+def in_c(text: str, form: str) -> list[str]:
+    """Return members for declarations."""
+    found = []
+    for name, declared_type in re.findall(r"^ +(\w+) : ([^;:]+?)(?: := [^;]+)?;$", text, re.M):
+        array = re.fullmatch(r"ARRAY\[([^]]*)\] OF (\w+)", declared_type)
+        sizes = [int(one.split("..")[1]) + 1 for one in array[1].split(", ")] if array else []
+        outer = "".join(f"[{size}]" for size in sizes)
+        kind = (array[2] if array else declared_type).upper()
+        kind = f"struct {{ {kind} table{outer}; }}" if array else kind
+        found.append(form.format(kind, name.upper(), ""))
+    return found
+
+
+def translated_to_c(program: str) -> str:
+    """Return C for a program, with matiec's conventions as far as the programs here need them."""
+    declared_part, statements = re.fullmatch(
+        r"PROGRAM \w+\nVAR\n(.*)END_VAR\n(.*)END_PROGRAM\n.*", program, re.S
+    ).groups()  # type: ignore[union-attr]
+    blocks = dict(re.findall(r"(\w+) : (\w+_\w+);", declared_part))
+    lines = ['#include "POUS.h"', *["static BOOL MORE;"] * ("more : BOOL" in declared_part)]
+    for name, block in blocks.items():
+        lines.append(f"void rosplc_call_{block.upper()}({block.upper()} *);")
+        lines.append(f"static {block.upper()} {name.upper()};")
+
+    def value(text: str) -> str:
+        text = re.sub(r"'([^']*)'", lambda found: f'text("{found[1]}")', text)
+        text = re.sub(r"T#(\d+)h", lambda found: f"hours({found[1]})", text)
+        return re.sub(
+            r"\b(\w+)\.(\w+)", lambda f: f"{f[1]}.{f[2]}.value".upper().replace("VALUE", "value"), text
+        )
+
+    lines.append("EXTERN void scan(void);\nvoid scan(void)\n{")
+    lines += [f"{name.upper()}.UIMAXPERSCAN.value = 8;" for name in blocks if blocks[name].endswith("_Read")]
+    for line in statements.splitlines():
+        line = line.strip()
+        if called := re.fullmatch(r"(\w+)\((.*)\);", line):
+            name = called[1]
+            for one in called[2].split(", "):
+                pin, _, given = one.partition(" := ")
+                lines.append(f"{name.upper()}.{pin.upper()}.value = {value(given)};")
+            lines.append(f"rosplc_call_{blocks[name].upper()}(&{name.upper()});")
+        else:
+            line = re.sub(r"\.value\.(\w+)", lambda f: f".value.{f[1].upper()}", value(line))
+            line = line.replace(" := ", " = ").replace("more", "MORE").replace(" AND ", " && ")
+            lines.append(re.sub(r"WHILE (.*) DO", r"while (\1) {", line).replace("END_WHILE;", "}"))
+    return "\n".join([*lines, "}\n"])
+
+
+EACH = pytest.mark.parametrize(
+    "by",
+    [
+        pytest.param(in_cpp(by_stand_in), id="stand-in"),
+        pytest.param(by_matiec_stand_in("gcc", "-std=gnu11"), id="stand-in for matiec"),
+        pytest.param(by_matiec_stand_in("g++", "-std=gnu++11", "-xc++"), id="stand-in for OpenPLC v3"),
+        pytest.param(in_cpp(by_strucpp), id="STruC++", marks=pytest.mark.needs(variable="ROSPLC_STRUCPP")),
+        pytest.param(by_matiec, id="matiec", marks=pytest.mark.needs(variable="ROSPLC_BEREMIZ")),
+    ],
+)
+
+
 @pytest.mark.timeout(300)
-@BOTH
+@EACH
 def test_every_kind_of_field_crosses(
     by: By, project: Project, tmp_path: Path, shm_namespace: Namespace
 ) -> None:
     """Random messages come back equal and in order, and unloading the program gives back what it held."""
-    library = ctypes.CDLL(str(built(project, tmp_path / "plc", by, PROGRAM)))
+    library = ctypes.CDLL(str(by(project, tmp_path / "plc", PROGRAM)))
     ends: list[Any] = []
     channels = []
     for plan in project.topics:
@@ -280,12 +404,12 @@ actions:
 
 
 @pytest.mark.timeout(300)
-@BOTH
+@EACH
 def test_calls_cross(by: By, tmp_path: Path, shm_namespace: Namespace) -> None:
     """Requests, goals, feedback and what answers them have their fields, in both roles."""
     (tmp_path / "rosplc.yaml").write_text(f"prefix: {shm_namespace.prefix}\n{CALLED}")
     project = load_project(tmp_path / "rosplc.yaml")
-    library = ctypes.CDLL(str(built(project, tmp_path / "plc", by, CALLS)))
+    library = ctypes.CDLL(str(by(project, tmp_path / "plc", CALLS)))
     ends: dict[str, Any] = {}
     layouts, channels = {}, []
     for plan in project.calls:
@@ -355,3 +479,52 @@ def test_calls_cross(by: By, tmp_path: Path, shm_namespace: Namespace) -> None:
     finally:
         for channel in channels:
             channel.close()
+
+
+def test_strings_too_long_for_matiec(tmp_path: Path) -> None:
+    """They are arrays of bytes, also in a safe message; the name of a topic cannot be one."""
+    (tmp_path / "rosplc.yaml").write_text(
+        "topics:\n"
+        "  /a: {type: std_msgs/msg/Header, to: plc, limits: {string: 127}, stale_after: 1s,"
+        " on_stale: {value: {frame_id: hi}}}\n"
+        "  /b: {type: std_msgs/msg/String, to: plc, limits: {string: 126}}\n"
+    )
+    rosplc.generate(tmp_path / "rosplc.yaml", tmp_path / "plc", plc="matiec")
+    types = (tmp_path / "plc" / "rosplc.st").read_text()
+    assert "    frame_id : ARRAY[0..127] OF BYTE;" in types
+    assert "    data : STRING;" in types
+    assert "METHOD" not in types
+    program = (tmp_path / "plc" / "example.st").read_text()
+    assert "a.stSafe.frame_id[0] := 104;\na.stSafe.frame_id[1] := 105;\n" in program
+    name = "/" + "a" * 126
+    (tmp_path / "rosplc.yaml").write_text(f"topics:\n  {name}: {{type: std_msgs/msg/Bool, to: plc}}\n")
+    with pytest.raises(rosplc.GenerationError) as error:
+        rosplc.generate(tmp_path / "rosplc.yaml", tmp_path / "plc", plc="matiec")
+    assert (error.value.code, error.value.where) == ("PLC006", name)
+
+
+@pytest.mark.needs(variable="ROSPLC_BEREMIZ")
+@pytest.mark.timeout(900)
+def test_every_type_for_matiec(tmp_path: Path) -> None:
+    """No name of a field is a word of matiec's, or a macro of the headers that its C includes."""
+    generate_types("jazzy", tmp_path, plc="matiec")
+    matiec = Path(os.environ["ROSPLC_BEREMIZ"]) / "matiec"
+    (tmp_path / "all.st").write_text(
+        (tmp_path / "rosplc.st").read_text()
+        + "PROGRAM Empty\nVAR x : BOOL; END_VAR\nx := TRUE;\nEND_PROGRAM\n"
+    )
+    command = [
+        str(matiec / "iec2c"),
+        "-I",
+        str(matiec / "lib"),
+        "-T",
+        str(tmp_path),
+        str(tmp_path / "all.st"),
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    paths = [tmp_path, tmp_path / "generated", matiec / "lib" / "C"]
+    command = ["gcc", "-std=gnu11", "-w", "-fsyntax-only", *(f"-I{path}" for path in paths)]
+    source = str(tmp_path / "generated" / "rosplc_blocks.c")
+    done = subprocess.run([*command, source], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

@@ -27,7 +27,7 @@ def command(
     *,
     out: Path = Path("plc"),
     all_types: str | None = None,
-    plc: Literal["codesys", "openplc"] = "codesys",
+    plc: Literal["codesys", "openplc", "matiec"] = "codesys",
     target: Literal["x86", "arm"] | None = None,
     fences: bool = False,
     programs: str | None = None,
@@ -40,8 +40,8 @@ def command(
     Options:
         out FOLDER: The folder to write.
         all_types DISTRO: Every type of a ROS distribution, no topics.
-        plc PLC: codesys, or openplc: OpenPLC Runtime 4.1 with STruC++, where --target, --fences,
-            --programs and --pins mean nothing.
+        plc PLC: codesys; openplc: OpenPLC Runtime 4.1 with STruC++; or matiec: OpenPLC v3 and Beremiz.
+            For the last two --target, --fences, --programs and --pins mean nothing.
         target PROCESSOR: Processor of the PLC: x86, or arm; by default this machine's. On arm messages
             take a scan longer, because no memory fence is proven there; see --fences.
         fences: With --target arm: the device enables the MemoryBarrier library; trust it where the
@@ -69,7 +69,7 @@ def command(
     )
     for note in delivery.notes:
         say(f"note: {note}")
-    if plc == "openplc":
+    if plc != "codesys":
         say(f"For OpenPLC: {out / 'README.txt'}")
         return
     say(f"In CODESYS: Tools > Scripting > Execute Script File, and choose {out / 'rosplc_import.py'}")

@@ -1,7 +1,8 @@
-"""The PLC half for OpenPLC Runtime 4.1: Structured Text for STruC++, and C++ between it and ``rosplc/plc.h``.
+"""The PLC half for OpenPLC: Structured Text, and C or C++ between it and ``rosplc/plc.h``.
 
-The function blocks have the names of those for CODESYS; their bodies are a call of C++, which copies field by
-field, since a variable of STruC++ is an object.
+``openplc`` is OpenPLC Runtime 4.1 with the compiler STruC++, ``matiec`` the compiler of OpenPLC v3 and
+Beremiz. The function blocks have the names of those for CODESYS; their bodies are a call of C or C++, which
+copies field by field: a variable of STruC++ is an object, and matiec's strings are not those of a record.
 """
 
 from __future__ import annotations
@@ -10,12 +11,22 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from importlib.resources import files
-from typing import Any
+from typing import Any, Literal
 
 from rosplc.config.plans import CallPlan
 from rosplc.config.resolve import Project
+from rosplc.errors import GenerationError
 from rosplc.layout import Layout, compute_layout
-from rosplc.layout.nodes import ArrayNode, Member, Node, PaddingNode, SequenceNode, StringNode, StructNode
+from rosplc.layout.nodes import (
+    ArrayNode,
+    Member,
+    Node,
+    PaddingNode,
+    ScalarNode,
+    SequenceNode,
+    StringNode,
+    StructNode,
+)
 from rosplc.model import TypeStore
 from rosplc.plc.base import render
 from rosplc.plc.build import (
@@ -33,14 +44,27 @@ from rosplc.plc.plan import PlcTask, PlcTopic, beat_ms
 from rosplc.plc.project import Dut
 from rosplc.plc.types import DutBuilder
 
-_CHANGED = re.compile(r"\[.*|(ULINT#|-)?\d{16,}( .*)?")  # STruC++ keeps numbers as floating-point ones
+Plc = Literal["openplc", "matiec"]
+_COMPILERS = {"openplc": "STruC++", "matiec": "matiec"}
+_LEFT_OUT = {
+    "openplc": re.compile(r"\[.*|(ULINT#|-)?\d{16,}( .*)?"),  # STruC++ keeps numbers as floating-point ones
+    "matiec": re.compile(r".*\d - 1.*"),  # an initial value is no expression
+}
 _ARRAY_STRING = 254  # characters that STruC++ keeps of each string in an array despite its declared length
+_STRING = 126  # bytes that matiec keeps of every string, whatever is declared
 
 
-def openplc_files(project: Project) -> tuple[dict[str, bytes], tuple[str, ...]]:
-    """Return path below the output folder → file for a configuration, and what a person should know."""
+def openplc_files(project: Project, plc: Plc) -> tuple[dict[str, bytes], tuple[str, ...]]:
+    """Return path below the output folder → file for a configuration, and what a person should know.
+
+    Raises GenerationError (PLC006) for a name that is too long for matiec.
+    """
     topics = [topic for topic in plc_topics(project) if topic.classic is None]
-    made = _Openplc(project.store, project.config.settings.prefix)
+    for name in [topic.topic for topic in topics] + [call.called for call in project.calls]:
+        if plc == "matiec" and len(name) > _STRING:
+            what = f"the name has {len(name)} characters, a string of matiec {_STRING}"
+            raise GenerationError("PLC006", what, where=name)
+    made = _Openplc(project.store, project.config.settings.prefix, plc)
     made.notes += [f"{plan.topic}: classic mode needs CODESYS" for plan in project.topics if plan.classic]
     for topic in sorted(topics, key=lambda topic: topic.topic):
         made.block(topic.layout, topic.direction)
@@ -49,9 +73,9 @@ def openplc_files(project: Project) -> tuple[dict[str, bytes], tuple[str, ...]]:
     return made.files(topics, plc_tasks(project), project.calls), tuple(made.notes)
 
 
-def openplc_types(distro: str) -> tuple[dict[str, bytes], tuple[str, ...]]:
+def openplc_types(distro: str, plc: Plc) -> tuple[dict[str, bytes], tuple[str, ...]]:
     """Return the same for both blocks of every message type of a distribution, without a program."""
-    made = _Openplc(TypeStore.bundled(distro), "rosplc")
+    made = _Openplc(TypeStore.bundled(distro), "rosplc", plc)
     for name in made.builder.store.names():
         for direction in ("read", "write"):
             made.block(compute_layout(made.builder.store, name), direction)
@@ -59,7 +83,8 @@ def openplc_types(distro: str) -> tuple[dict[str, bytes], tuple[str, ...]]:
 
 
 class _Openplc:
-    def __init__(self, store: TypeStore, prefix: str) -> None:
+    def __init__(self, store: TypeStore, prefix: str, plc: Plc) -> None:
+        self.plc = plc
         self.builder = DutBuilder(store, scope=Scope(["Config0", "Res0"]))
         self.prefix = prefix
         self.notes: list[str] = []
@@ -86,6 +111,7 @@ class _Openplc:
         dut = self.builder.add(layout)
         low, high = layout.layout_id_words
         self.layouts[dut] = {"name": dut.upper(), "low": low, "high": high, "size": layout.size}
+        self.layouts[dut]["room"] = -(-layout.size // 8) * 8
         return dut
 
     def files(
@@ -95,17 +121,21 @@ class _Openplc:
         duts = [self._dut(dut, structs[dut.name]) for dut in self.builder.duts]
         self.notes += [f"{r.where}: {r.wanted} is named {r.given}" for r in self.builder.renamings]
         blocks = tuple(self.blocks.values())
+        matiec = self.plc == "matiec"
+        bodies = "rosplc_blocks.c" if matiec else "rosplc_blocks.cpp"
         made = {
-            "rosplc.st": render("openplc/rosplc.st", duts=duts, blocks=blocks, uses=self.uses.values()),
-            "generated/rosplc_blocks.cpp": render(
-                "openplc/rosplc_blocks.cpp",
+            "rosplc.st": render(
+                "openplc/rosplc.st", duts=duts, blocks=blocks, uses=self.uses.values(), matiec=matiec
+            ),
+            f"generated/{bodies}": render(
+                f"{self.plc}/{bodies}",
                 prefix=self.prefix,
                 beat_ms=max((beat_ms(task) for task in tasks), default=1000),
                 structs=[
                     {"name": dut.name.upper(), "members": list(self._members(structs[dut.name]))}
                     for dut in duts
                 ],
-                layouts=self.layouts.values(),
+                layouts=self.layouts,
                 blocks=blocks,
                 uses=self.uses.values(),
             ),
@@ -113,34 +143,37 @@ class _Openplc:
         if topics or calls:
             made["example.st"] = render("openplc/example.st", tasks=list(self._tasks(topics, tasks, calls)))
         result = {path: text.encode("ascii") for path, text in made.items()}
-        fixed = files("rosplc.plc").joinpath("templates/openplc")
-        for name, path in (
-            ("rosplc_openplc.hpp", "generated/rosplc_openplc.hpp"),
-            ("README.txt", "README.txt"),
-        ):
+        fixed = files("rosplc.plc").joinpath(f"templates/{self.plc}")
+        header = "rosplc_matiec.h" if matiec else "rosplc_openplc.hpp"
+        for name, path in ((header, f"generated/{header}"), ("README.txt", "README.txt")):
             result[path] = fixed.joinpath(name).read_bytes()
-        for header in files("rosplc").joinpath("include/rosplc").iterdir():
-            if header.name.endswith(".h"):
-                result[f"generated/rosplc/{header.name}"] = header.read_bytes()
-        # The runtime compiles *.cpp alone; what lies in a subfolder may be compiled, too, or not.
-        result["generated/rosplc_plc.cpp"] = files("rosplc").joinpath("include/rosplc/plc.c").read_bytes()
+        for item in files("rosplc").joinpath("include/rosplc").iterdir():
+            if item.name.endswith(".h"):
+                result[f"generated/rosplc/{item.name}"] = item.read_bytes()
+        # OpenPLC 4.1 compiles *.cpp alone; what lies in a subfolder may be compiled, too, or not.
+        library = "rosplc/plc.c" if matiec else "rosplc_plc.cpp"
+        result[f"generated/{library}"] = files("rosplc").joinpath("include/rosplc/plc.c").read_bytes()
         if self.notes:
             result["NOTES.txt"] = ("\n".join(self.notes) + "\n").encode()
         return result
 
     def _dut(self, dut: Dut, node: StructNode) -> Dut:
-        """Return a structure without padding, and without initial values that STruC++ would change."""
+        """Return a structure without padding, and without initial values that the compiler would change."""
         members = []
         for variable, member in zip(dut.members, node.members, strict=True):
             if isinstance(member.node, PaddingNode):
                 continue
             where = f"{dut.name}.{variable.name}"
             element = getattr(member.node, "element", None)
-            if isinstance(element, StringNode) and element.capacity > _ARRAY_STRING:
+            if self.plc == "matiec":
+                variable = replace(variable, type=_of_matiec(member.node, variable.type))
+            elif isinstance(element, StringNode) and element.capacity > _ARRAY_STRING:
                 self.notes.append(f"{where}: STruC++ keeps {_ARRAY_STRING} characters of each string")
-            if _CHANGED.fullmatch(variable.initial or ""):
+            initial = variable.initial or ""
+            text = "'" in initial and variable.type.endswith("OF BYTE")
+            if text or _LEFT_OUT[self.plc].fullmatch(initial):
                 self.notes.append(
-                    f"{where}: the default value {variable.initial} is left out, STruC++ changes it"
+                    f"{where}: the default value {initial} is left out, {_COMPILERS[self.plc]} changes it"
                 )
                 variable = replace(variable, initial=None)
             members.append(variable)
@@ -155,12 +188,21 @@ class _Openplc:
             inner = several.element if several else member.node
             yield {
                 "name": names.of(node, member).upper(),
+                "of": self._kind(inner),
                 "offset": member.offset,
                 "count": several.capacity if several else 0,
                 "stride": several.stride if several else 0,
                 "capacity": f", {inner.capacity}" if isinstance(inner, StringNode) else "",
                 "most": _counted(node, member),
             }
+
+    def _kind(self, node: Node) -> str:
+        """Return how matiec's C copies a value; empty: byte by byte."""
+        if isinstance(node, StructNode):
+            return self.builder.struct(node).dut.upper()
+        if isinstance(node, StringNode):
+            return "bytes" if node.capacity > _STRING else "string"
+        return "bool" if isinstance(node, ScalarNode) and node.kind == "bool" else ""
 
     def _tasks(
         self, topics: Sequence[PlcTopic], tasks: Sequence[PlcTask], calls: Sequence[CallPlan]
@@ -209,10 +251,26 @@ class _Openplc:
         elif isinstance(node, (ArrayNode, SequenceNode)):
             for index, item in enumerate(value):
                 yield from self._safe(node.element, item, f"{path}[{index}]")
+        elif self.plc == "matiec" and isinstance(node, StringNode) and node.capacity > _STRING:
+            start = f"{path[:-1]}, " if path.endswith("]") else f"{path}["
+            for index, byte in enumerate(value.encode("utf-8", "surrogateescape")):
+                yield f"{start}{index}] := {byte}"
         else:
             kind = "string" if isinstance(node, StringNode) else getattr(node, "kind", "")
             if (text := literal(kind, value)) is not None:
                 yield f"{path} := {text}"
+
+
+def _of_matiec(node: Node, declared: str) -> str:
+    """Return a member's type for matiec: a string too long for its STRING is bytes that end with a 0."""
+    several = node if isinstance(node, (ArrayNode, SequenceNode)) else None
+    inner = several.element if several else node
+    if not isinstance(inner, StringNode):
+        return declared
+    if inner.capacity <= _STRING:
+        return f"ARRAY[0..{several.capacity - 1}] OF STRING" if several else "STRING"
+    rows = f"0..{several.capacity - 1}, " if several else ""
+    return f"ARRAY[{rows}0..{inner.capacity}] OF BYTE"
 
 
 def _counted(node: StructNode, member: Member) -> int:

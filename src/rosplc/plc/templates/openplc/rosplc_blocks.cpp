@@ -40,7 +40,7 @@ void put(uint8_t *to, const {{ struct.name }} &from)
 }
 
 {% endfor %}
-{% for layout in layouts %}
+{% for layout in layouts.values() %}
 struct of_{{ layout.name }} {
     static constexpr uint32_t LAYOUT_LO = {{ '0x%08X' % layout.low }}u, LAYOUT_HI = {{ '0x%08X' % layout.high }}u, SIZE = {{ layout.size }}u;
     static void take({{ layout.name }} &to, const uint8_t *from) { get(to, from); }
