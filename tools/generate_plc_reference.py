@@ -10,7 +10,7 @@ from rosplc.config.plans import ClassicPlan
 from rosplc.errors import CODES
 from rosplc.layout import compute_layout
 from rosplc.model import TypeStore
-from rosplc.plc.base import HELPER_NAMES, base_objects, call_objects, classic_objects
+from rosplc.plc.base import HELPER_NAMES, OWN_NAMES, base_objects, call_objects, classic_objects
 from rosplc.plc.build import build_project, plc_project
 from rosplc.plc.plan import PlcTask, PlcTopic, ProjectOptions
 from rosplc.plc.project import Dut, Enumeration, Item, Pou, Variable
@@ -24,6 +24,7 @@ actions:
   /called: {type: example_interfaces/action/Fibonacci, server: ros}
   /served: {type: example_interfaces/action/Fibonacci, server: plc}
 """
+OWN_TOPICS = "rosout: {plc: true}"
 EXAMPLE, EXAMPLE_DUT = "geometry_msgs/msg/PoseStamped", "geometry_msgs_PoseStamped"
 
 
@@ -86,6 +87,8 @@ def _helper(item: Item) -> list[str]:
     lines = [f"### {item.name}", "", _sentence(item.comment), ""]
     if isinstance(item, Dut):
         return [*lines, *_table(item.members)]
+    if isinstance(item, Enumeration):
+        return [*lines, ", ".join(f"`{name}` {number}" for name, number in item.values), ""]
     assert isinstance(item, Pou)
     blocks = item.blocks
     for kind, heading in (("VAR_INPUT", "Inputs"), ("VAR_OUTPUT", "Outputs")):
@@ -109,6 +112,8 @@ def parts() -> dict[str, str]:
     project = build_project(store, topics, [PlcTask("RosTask")])
     pous = {pou.name: pou for pou in project.pous}
     helpers: dict[str, Item] = {item.name: item for item in (*project.duts, *project.pous)}
+    of_bridge = plc_project(resolve(parse_config(OWN_TOPICS)), ProjectOptions())
+    own: dict[str, Item] = {item.name: item for item in (*of_bridge.duts, *of_bridge.pous)}
     lists = [gvl for gvl in project.gvls if gvl.name in ("RosPlc_Settings", "RosPlc_State")]
     objects = [*base_objects("ROS/Base"), *classic_objects("ROS/Base")]
 
@@ -122,6 +127,7 @@ def parts() -> dict[str, str]:
         "errors": _errors(next(item for item in objects if isinstance(item, Enumeration))),
         "lists": [],
         "helpers": [line for name in HELPER_NAMES for line in _helper(helpers[name])],
+        "own": [line for names in OWN_NAMES.values() for name in names for line in _helper(own[name])],
         "base": ["| object | what it is |", "| --- | --- |"],
     }
     for gvl in sorted(lists, key=lambda gvl: gvl.name):

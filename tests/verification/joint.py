@@ -28,12 +28,20 @@ WATCHDOG_S = 100.0
 
 
 @cache
-def built(config: str) -> tuple[Build, tuple[str, ...]]:
-    """Return the PLC's program, generated from a configuration, and what its tasks call."""
+def built(config: str, own: str = "") -> tuple[Build, tuple[str, ...]]:
+    """Return the PLC's program, generated from a configuration, and what its tasks call.
+
+    ``own`` is a further program, ``Own``, called after the first.
+    """
     project = resolve(parse_config(config.replace("FOLDER", "/dev/shm")))
     # A PLC that a busy machine stops for a while is no silent one.
     made = plc_project(project, ProjectOptions(beat_ms=10_000))
-    return build(project_texts(made)), tuple(name for task in made.tasks for name in task.programs)
+    names = [name for task in made.tasks for name in task.programs]
+    texts = project_texts(made)
+    if own:
+        names.insert(1, "Own")
+        texts = {**texts, "Own": own}
+    return build(texts), tuple(names)
 
 
 def codec(message: str) -> Codec:
@@ -58,12 +66,13 @@ class Joint:
         gvl: The list of the instances.
         domain: The ROS domain.
         backend: ``memory``, or ``dds``: the bridge is a process of its own then.
+        own: As for :func:`built`.
     """
 
-    def __init__(self, config: str, gvl: str, domain: int, backend: str = "memory") -> None:
+    def __init__(self, config: str, gvl: str, domain: int, backend: str = "memory", own: str = "") -> None:
         self.config, self.gvl, self.backend = config, gvl, backend
         self.folder = Path(tempfile.mkdtemp(prefix="T", dir="/dev/shm"))
-        made, self.programs = built(config)
+        made, self.programs = built(config, own)
         self.machine = LibraryMachine(made, str(self.folder))
         self.machine.start()
         self.peer = open_backend(backend, store(), "peer", domain=domain)
@@ -131,9 +140,9 @@ class Joint:
 
 
 @contextlib.contextmanager
-def made_joint(config: str, gvl: str, domain: int, backend: str = "memory") -> Iterator[Joint]:
+def made_joint(config: str, gvl: str, domain: int, backend: str = "memory", own: str = "") -> Iterator[Joint]:
     """Give a joint, and close it."""
-    made = Joint(config, gvl, domain, backend)
+    made = Joint(config, gvl, domain, backend, own)
     try:
         yield made
     finally:

@@ -36,9 +36,7 @@ class Diagnostics:
     def publish(self, status: BridgeStatus) -> None:
         """Send the status, in as many messages as it takes. Raises RosplcError: The middleware refused."""
         now = self._clock.time_ns()
-        # An int32 in ROS 2; from 2038 on its bits are those of ROS 1's uint32, which lasts until 2106.
-        seconds = (now // 10**9 + 2**31) % 2**32 - 2**31
-        header = {"stamp": {"sec": seconds, "nanosec": now % 10**9}}
+        header = {"stamp": fields.time(now)}
         before = fields.pack(self._store, TYPE, {"header": header})[:-4]  # without the number of statuses
         entries = diagnostic_statuses(status)
         for at in range(0, len(entries), _PER_MESSAGE):

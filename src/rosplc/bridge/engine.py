@@ -7,11 +7,14 @@ publishes diagnostics. An error in one topic stops no other, and a ROS side that
 
 from __future__ import annotations
 
+import logging
 import secrets
 import threading
 from collections.abc import Callable, Collection
 from contextlib import ExitStack
+from typing import Any
 
+from rosplc.bridge import rosout
 from rosplc.bridge.carrier import Carried, Carriers, Duty, Rounds
 from rosplc.bridge.diagnostics import Diagnostics
 from rosplc.bridge.leftovers import Leaving, check_names, leaving, retire_leftovers
@@ -71,6 +74,7 @@ class Bridge:
         self._changing = threading.Lock()  # reload and check exclude each other
         self._refused = ""
         self._open = ExitStack()
+        self._own_topics: dict[str, Any] = {}  # what has a topic of the bridge's in the backend's place
         self._realtime = Realtime(self.config)
         self._heartbeat: Rounds | None = None
         self._warnings: tuple[str, ...] = ()
@@ -128,6 +132,16 @@ class Bridge:
         for plan in self.project.calls:
             names |= {f"{plan.type_name}{suffix}" for suffix in _ROS_TYPES[plan.kind]}
         check_types(self.backend, names)
+        duties = [Duty("asking ROS", _CHECK_NS, lambda: self.ask(self._clock.monotonic_ns()))]
+        own_log = settings.rosout.bridge and "--disable-rosout-logs" not in self._ros.arguments.others
+        if own_log or settings.rosout.plc:
+            lines = rosout.Rosout(self.project, self.backend, self._clock)
+            stack.callback(lines.leave)
+            duties.append(Duty("logging", rosout.PERIOD_NS, lines.send))
+            if settings.rosout.plc:
+                self._own_topics[rosout.TOPIC] = rosout.PlcLog(lines, self.project, self._clock)
+            if own_log:
+                logging.getLogger("rosplc").addHandler(lines)
         # Until here nothing in shared memory has been touched.
         self._leaving = tuple(leaving(self.project, context))
         for use in self._leaving:
@@ -142,13 +156,12 @@ class Bridge:
         self._types.use(self.project.plans)
         stack.callback(self._disconnect)
         for stream in self._streams:
-            stream.connect(self.backend)
+            self._connect(stream)
         # A node that was given, and rclpy's, serves its own.
         if self._owns_backend and self.backend.name != "rclpy" and self.project.store.ros_version == 2:
             declared = shown_parameters(self._ros.shown())
             server = ParameterServer(self.backend, self.project.store, declared, clock=self._clock)
             stack.callback(server.close)
-        duties = [Duty("asking ROS", _CHECK_NS, lambda: self.ask(self._clock.monotonic_ns()))]
         if settings.diagnostics.enabled:
             diagnostics = Diagnostics(self.project.store, self.backend, self._clock)
             stack.callback(diagnostics.close)
@@ -164,6 +177,10 @@ class Bridge:
         reporter = Rounds("rosplc-reporter", self._clock, *duties)
         reporter.start()
         stack.callback(reporter.stop)
+
+    def _connect(self, stream: Carried) -> None:
+        assert self.backend is not None
+        stream.connect(self._own_topics.get(stream.plan.name, self.backend))
 
     def _close_backend(self) -> None:
         if self._owns_backend and self.backend is not None:
@@ -230,13 +247,12 @@ class Bridge:
         return changes
 
     def _exchange(self, project: Project, changes: Changes) -> None:
-        assert self.backend is not None
         assert self._carriers is not None
         before, self._types.store = self._types.store, project.store
         space = project.namespace
         try:
             streams = Exchange(
-                changes, self._streams, self._carriers, self.backend, space, self._clock, self._show
+                changes, self._streams, self._carriers, self._connect, space, self._clock, self._show
             ).run()
         except BaseException:
             self._types.store = before

@@ -19,7 +19,6 @@ from rosplc.config.plans import CallPlan
 from rosplc.config.resolve import Plan, Project, object_name
 from rosplc.config.yaml_source import Problems
 from rosplc.errors import BackendError, RosplcError
-from rosplc.ros import Backend
 from rosplc.shm import Namespace
 
 _MAY_CHANGE = frozenset({"topics", "services", "actions", "limits", "types", "tasks", "programs"})
@@ -113,7 +112,7 @@ class Exchange:
     changes: Changes
     running: tuple[Carried, ...]
     carriers: Carriers
-    backend: Backend
+    connect: Callable[[Carried], None]
     namespace: Namespace
     clock: Clock
     show: Callable[[tuple[Carried, ...]], None]
@@ -168,7 +167,7 @@ class Exchange:
             stream = self.carriers.make(plan)
             stream.port.open()
             self._new.append(stream)
-            stream.connect(self.backend)
+            self.connect(stream)
             self.show((*self.running, *self._new))
 
     def _replace(self, leaving: Collection[Carried], coming: Collection[Carried]) -> None:
@@ -205,7 +204,7 @@ class Exchange:
             except (RosplcError, OSError) as error:  # as after a removed object: the next check opens it
                 renewed.fail(self.clock.monotonic_ns(), error)
             try:
-                renewed.connect(self.backend)
+                self.connect(renewed)
             except RosplcError as error:
                 log.error("%s: %s; restart the bridge", stream.plan.name, error)
             again.append(renewed)

@@ -25,7 +25,7 @@ from pydantic import (
 from rosplc.config.quantities import Duration, FileMode, Interval, StaleAfter, between
 from rosplc.config.yaml_source import did_you_mean
 from rosplc.model import DISTROS
-from rosplc.ros import BACKENDS
+from rosplc.ros import BACKENDS, ROS1
 
 LONGEST_NAME = 247  # characters of a topic's or namespace's name, as in ROS
 LONGEST_TYPE = 255  # characters of a type's name
@@ -254,6 +254,16 @@ class DiagnosticsSettings(_Section):
         "How long a source must be silent beyond `stale_after` before that is reported, and speak again "
         "before the report ends, 1ms to 1h: one late message changes no level.",
     )
+
+
+class RosoutSettings(_Section):
+    """What goes to `/rosout`, where ROS collects what nodes log."""
+
+    bridge: bool = _f(
+        True, "Whether the bridge's log does. `--ros-args --disable-rosout-logs` turns it off, too."
+    )
+    plc: bool = _f(False, "Whether the PLC's program can log there, with blocks `RosPlc_Log`.")
+    task: TaskName | None = _f(None, "The PLC task that has these blocks. Without it the first of `tasks`.")
 
 
 class RealtimeSettings(_Section):
@@ -587,6 +597,7 @@ class Settings(_Section):
         "100ms", "How often the bridge shows that it lives, 10ms to 10s; three missed beats count as gone."
     )
     diagnostics: DiagnosticsSettings = _f({}, "Diagnostics.")
+    rosout: RosoutSettings = _f({}, "Logs in ROS.")
     realtime: RealtimeSettings = _f({}, "Real-time scheduling.")
     tasks: dict[TaskName, TaskSettings] = _f(
         {"RosTask": {}},
@@ -606,6 +617,16 @@ class Settings(_Section):
     actions: dict[ActionName, ActionSettings] = _f(
         {}, "Actions by name, as ROS writes them.", max_length=MOST_SERVICES
     )
+
+    @model_validator(mode="after")
+    def _own_topics(self) -> Settings:
+        if self.rosout.plc:
+            if "/rosout" in self.topics:
+                raise ValueError("rosout.plc carries /rosout, which is also in topics; remove one of them")
+            log = "rosgraph_msgs/msg/Log" if self.ros.distro == ROS1 else "rcl_interfaces/msg/Log"
+            limits = {"string": 1, "sequence": 1, "msg": 200}  # the bridge fills in the other texts
+            self.topics["/rosout"] = TopicSettings(type=log, to="ros", task=self.rosout.task, limits=limits)
+        return self
 
     @model_validator(mode="before")
     @classmethod

@@ -44,6 +44,8 @@ CALL_NAMES = (
 ACTION_NAMES = ("RosPlc_GoalStatus", "RosPlc_ActionClient", "RosPlc_ActionServer")
 CLASSIC_NAMES = ("RosPlc_ClassicState", "RosPlc_Classic", "RosPlc_ClassicReader", "RosPlc_ClassicWriter")
 """Names that no generated object may take, whether or not a project has classic topics."""
+OWN_NAMES = {"log": ("RosPlc_LogWriter", "RosPlc_LogLevel", "RosPlc_Log")}
+"""The objects of each topic of the bridge's own; the first is its instance's."""
 _OF_BRIDGES = (
     "DESCRIPTION", "OTHER_BRIDGE", "OTHER_USER", "REPLACED", "NOT_PLAIN_FILE", "READ_ONLY", "DIRECTORY",
     "MEMORY_SIZE", "LOCK_FREED", "SEMAPHORE_COUNT", "SEMAPHORE_WORD_SIZE",
@@ -96,9 +98,9 @@ def call_objects(folder: str, *, actions: bool) -> tuple[Item, ...]:
     return read_objects("calls", CALL_NAMES + ACTION_NAMES * actions, folder)
 
 
-def read_objects(templates: str, names: Iterable[str], folder: str) -> tuple[Item, ...]:
+def read_objects(templates: str, names: Iterable[str], folder: str, **values: Any) -> tuple[Item, ...]:
     """Return the named objects of a folder below ``templates/``, for ``folder`` in the PLC project."""
-    return tuple(parse_object(render(f"{templates}/{name}.st"), name, folder) for name in names)
+    return tuple(parse_object(render(f"{templates}/{name}.st", **values), name, folder) for name in names)
 
 
 def parse_object(text: str, name: str, folder: str = "") -> Item:

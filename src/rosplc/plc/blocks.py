@@ -87,7 +87,7 @@ def call_block(
 def _pins(layout: Layout, builder: DutBuilder) -> list[_Pin]:
     """Return a pin for each top-level field; counts are fields too."""
     names = builder.struct(layout.root)
-    types = {v.name: v.type for v in next(d for d in builder.duts if d.name == names.dut).members}
+    types = builder.members(layout)
     scope = Scope()  # nothing in the base blocks begins with pin_
     return [
         _Pin(scope.give(f"pin_{name}"), name, types[name])

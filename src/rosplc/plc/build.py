@@ -9,6 +9,7 @@ import hashlib
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 
 from rosplc._version import __version__
 from rosplc.config.plans import CallPlan
@@ -21,11 +22,13 @@ from rosplc.plc.base import (
     CALL_NAMES,
     CLASSIC_NAMES,
     HELPER_NAMES,
+    OWN_NAMES,
     base_objects,
     call_objects,
     classic_objects,
     helper_objects,
     parse_object,
+    read_objects,
     render,
 )
 from rosplc.plc.blocks import block, call_block
@@ -40,7 +43,7 @@ from rosplc.plc.plan import (
     check_classic,
     classic_wait,
 )
-from rosplc.plc.project import Dut, Enumeration, Gvl, PlcProject, Pou, Task, VarBlock, Variable
+from rosplc.plc.project import Dut, Enumeration, Gvl, Item, PlcProject, Pou, Task, VarBlock, Variable
 from rosplc.plc.types import DutBuilder, Renaming, initial_value
 from rosplc.shm import Direction, Part
 
@@ -216,7 +219,7 @@ def build_project(
         base = (*base, *call_objects(f"{options.folder}/Base", actions=actions))
     # All objects share one namespace with those that are written by hand.
     own = (
-        *CLASSIC_NAMES, *CALL_NAMES, *ACTION_NAMES, *HELPER_NAMES,
+        *CLASSIC_NAMES, *CALL_NAMES, *ACTION_NAMES, *HELPER_NAMES, *chain(*OWN_NAMES.values()),
         READ_GVL, WRITE_GVL, SERVICE_GVL, ACTION_GVL, SAFE_GVL, _SETTINGS_GVL,
     )  # fmt: skip
     builder = DutBuilder(store, f"{options.folder}/Types", Scope([*(item.name for item in base), *own]))
@@ -231,6 +234,7 @@ def build_project(
     instances: dict[str, list[Variable]] = {"read": [], "write": []}
     lines: dict[tuple[str, str], list[str]] = {}
     renamings: list[Renaming] = []
+    own_blocks: tuple[Item, ...] = ()
     order = sorted(tasks, key=lambda task: task.name)
     indices = {task.name: index for index, task in enumerate(order)}
     cycles = {task.name: task.interval_ns if task.kind == "cyclic" else 0 for task in tasks}
@@ -239,6 +243,11 @@ def build_project(
         wanted, name = plain_name(topic.topic), names[topic.direction][topic.topic]
         if name != wanted:
             renamings.append(Renaming(f"instance of {topic.topic}", wanted, name))
+        if topic.own:
+            types = builder.members(topic.layout)
+            values = {"block": block_name, "instance": name, "task": topic.task, "types": types}
+            block_name = OWN_NAMES[topic.own][0]
+            own_blocks += read_objects("own", OWN_NAMES[topic.own], f"{options.folder}/Blocks", **values)
         names_of = {"sTopic": topic.topic}
         if topic.classic is not None:
             names_of = {"sMemory": topic.classic.name, "sSemaphore": topic.classic.semaphore}
@@ -251,7 +260,7 @@ def build_project(
     }
     programs, found_tasks = programs_of(order, lines, options, builder.scope)
     helpers = helper_objects(store, builder, f"{options.folder}/Helpers")
-    hand_written = (*base, *helpers)
+    hand_written = (*base, *helpers, *own_blocks)
     gvls = [*(item for item in base if isinstance(item, Gvl)), _settings(options, order), *builder.constants]
 
     def add_list(name: str, variables: Sequence[Variable], comment: str, *, constant: bool = False) -> None:
@@ -437,6 +446,7 @@ def plc_topics(project: Project) -> list[PlcTopic]:
             in_order=plan.every,
             latched=plan.latched,
             classic=plan.classic,
+            own="log" if plan.topic == "/rosout" and project.config.settings.rosout.plc else "",
         )
         for plan in project.topics
     ]

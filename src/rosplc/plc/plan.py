@@ -45,6 +45,8 @@ class PlcTopic:
     safe: Mapping[str, Any] | None = None
     in_order: bool = False  # take every message, not only the newest
     latched: bool = False  # take the state found at the start as a new message
+    # a topic of the bridge's own: the log of the PLC's program (``rosout.plc``), which has its own blocks
+    own: Literal["", "log"] = ""
     # set for a topic in classic mode, without ``object_size`` and ``in_order``
     classic: ClassicPlan | None = None
 

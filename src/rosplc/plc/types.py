@@ -71,6 +71,11 @@ class DutBuilder:
         """Build a layout's DUTs; return the name of the message's own."""
         return self.struct(layout.root).dut
 
+    def members(self, layout: Layout) -> dict[str, str]:
+        """Return the members of a type's DUT: name → type."""
+        name = self.add(layout)
+        return {member.name: member.type for dut in self.duts if dut.name == name for member in dut.members}
+
     def struct(self, node: StructNode) -> MemberNames:
         """Build a struct's DUT, after those that it contains."""
         if known := self.structs.get(node):

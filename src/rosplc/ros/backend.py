@@ -50,6 +50,8 @@ class Qos:
     # a publisher counts as gone, as promised or asked for; 0: none. Only with the capability ``deadline``.
     deadline_ns: int = 0
     lease_ns: int = 0
+    # How long a message is kept for late subscribers; 0: for ever. Over Zenoh, and in ROS 1, always.
+    lifespan_ns: int = 0
 
     def __post_init__(self) -> None:
         for name, allowed in _ALLOWED.items():
@@ -57,7 +59,7 @@ class Qos:
                 raise BackendError("ROS007", f"{name} is {value!r}; it can be {' or '.join(allowed)}")
         if not isinstance(self.depth, int) or isinstance(self.depth, bool) or not 1 <= self.depth <= _MOST:
             raise BackendError("ROS007", f"depth is {self.depth!r}; it is a whole number from 1 up")
-        for name in ("deadline_ns", "lease_ns"):
+        for name in ("deadline_ns", "lease_ns", "lifespan_ns"):
             time = getattr(self, name)
             if not isinstance(time, int) or isinstance(time, bool) or not 0 <= time < 2**63 - 1:
                 raise BackendError("ROS007", f"{name} is {time!r}; it is a number of nanoseconds, 0 for none")
@@ -267,6 +269,9 @@ class Backend(Protocol):
 
     capabilities: frozenset[str]
     """What it can carry: ``topics``, ``services``; ``deadline`` if it keeps what a QoS promises in time."""
+
+    node: str
+    """The node's full name."""
 
     def subscribe(self, topic: str, type_name: str, qos: Qos, on_message: OnMessage) -> Subscription:
         """Receive a topic.

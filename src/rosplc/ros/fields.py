@@ -39,6 +39,12 @@ def pack_part(store: TypeStore, type_name: str, values: Mapping[str, Any], at: i
     return bytes(writer.out[at:])
 
 
+def time(ns: int) -> dict[str, int]:
+    """Return a time in ns since 1970 as a message's stamp has it."""
+    # An int32 in ROS 2; from 2038 on its bits are those of ROS 1's uint32, which lasts until 2106.
+    return {"sec": (ns // 10**9 + 2**31) % 2**32 - 2**31, "nanosec": ns % 10**9}
+
+
 class _Reader:
     def __init__(self, store: TypeStore, payload: bytes) -> None:
         self._store, self._body, self._at = store, memoryview(payload)[4:], 0

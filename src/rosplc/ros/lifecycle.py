@@ -157,10 +157,10 @@ class LifecycleBackend(Opener):
         self,
         inner: Backend,
         check: Callable[[str], None] = lambda _: None,
-        always: Collection[str] = ("/diagnostics",),
+        always: Collection[str] = ("/diagnostics", "/rosout"),
         latched: Collection[str] = (),
     ) -> None:
-        self.name, self.capabilities = inner.name, inner.capabilities
+        self.name, self.capabilities, self.node = inner.name, inner.capabilities, inner.node
         self.active = False  # whether endpoints are open; they are not at first
         self.check = check
         self._inner, self._always, self._latched = inner, frozenset(always), frozenset(latched)

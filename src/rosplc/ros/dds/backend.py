@@ -56,6 +56,8 @@ def dds_qos(qos: Qos, type_hash: str, service_id: str = "") -> DdsQos:
         policies.append(Policy.Deadline(qos.deadline_ns))
     if qos.lease_ns:
         policies.append(Policy.Liveliness.Automatic(qos.lease_ns))
+    if qos.lifespan_ns:
+        policies.append(Policy.Lifespan(qos.lifespan_ns))
     user_data = service_id + (f"typehash={type_hash};" if type_hash else "")
     if user_data:
         policies.append(Policy.Userdata(user_data.encode()))

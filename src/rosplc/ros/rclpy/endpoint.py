@@ -11,6 +11,7 @@ import inspect
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, Literal
 
+from rclpy.duration import Duration
 from rclpy.exceptions import InvalidHandle
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription as NativeSubscription
@@ -33,6 +34,7 @@ def profile(qos: Qos) -> Any:
         depth=qos.depth,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if transient else DurabilityPolicy.VOLATILE,
+        **({"lifespan": Duration(nanoseconds=qos.lifespan_ns)} if qos.lifespan_ns else {}),
     )
 
 
