@@ -6,20 +6,9 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, ClassVar, Literal
 
-from rosplc.levels import Level, format_age
+from rosplc.levels import Level as Level
+from rosplc.levels import format_age as format_age
 from rosplc.shm import Direction
-
-__all__ = [
-    "ActionStatus",
-    "BridgeStatus",
-    "CallStatus",
-    "ClassicStatus",
-    "Level",
-    "PortStatus",
-    "ServiceStatus",
-    "TopicStatus",
-    "format_age",
-]
 
 
 @dataclass(frozen=True, slots=True)

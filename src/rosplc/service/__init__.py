@@ -1,5 +1,1 @@
 """A bridge as a service of systemd: its unit, its user, and what it reports to the service manager."""
-
-from __future__ import annotations
-
-__all__: list[str] = []
