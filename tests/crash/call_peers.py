@@ -25,10 +25,8 @@ from pathlib import Path
 from typing import Any
 
 from rosplc.bridge import Bridge
-from rosplc.bridge.called import Called
-from rosplc.bridge.called_goals import CalledGoals
-from rosplc.bridge.served import Served
-from rosplc.bridge.served_goals import ServedGoals
+from rosplc.bridge.called import Called, CalledGoals
+from rosplc.bridge.served import Served, ServedGoals
 from rosplc.bridge.use import Use
 from rosplc.codec import Codec, Wire
 from rosplc.config import read_config

@@ -7,7 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from rosplc.bridge.called_goals import CalledGoals
+from rosplc.bridge.called import CalledGoals
 from rosplc.bridge.port import Context, log
 from rosplc.config.plans import ActionPlan, CallPlan
 from rosplc.config.resolve import Project, rights

@@ -14,8 +14,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal, cast
 
 from rosplc.bridge.bind import Binding
-from rosplc.bridge.calls import CallPorts
-from rosplc.bridge.carrier import Carrier, Duty, Rounds
+from rosplc.bridge.carrier import CallPorts, Carrier, Duty, Rounds
 from rosplc.bridge.port import Context
 from rosplc.clock import SYSTEM, Clock
 from rosplc.codec import Codec, Wire

@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from rosplc.bridge.called_goals import CalledGoals
-from rosplc.bridge.calls import CallPorts
+from rosplc.bridge.called import CalledGoals
+from rosplc.bridge.carrier import CallPorts
 from rosplc.bridge.port import Context
 from rosplc.bridge.status import ActionStatus
 from rosplc.codec import Codec, Wire
@@ -882,7 +882,7 @@ def test_a_goal_that_cannot_be_sent(make: Make, error: Exception | None) -> None
 
 
 def test_goals_that_are_left_are_bounded(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rosplc.bridge.called_goals._MOST_LEFT", 2)
+    monkeypatch.setattr("rosplc.bridge.called._MOST_LEFT", 2)
     cell = make()
     server = cell.serve()
     for order in range(4):
@@ -897,7 +897,7 @@ def test_a_flood_of_feedback_holds_nothing_up(make: Make, monkeypatch: pytest.Mo
     """A turn ends, whatever comes meanwhile, and of what is overtaken little is passed on."""
     cell = make()
     server, _, uuid = begun(cell)
-    monkeypatch.setattr("rosplc.bridge.called_goals._MOST_WAITING", 3)
+    monkeypatch.setattr("rosplc.bridge.called._MOST_WAITING", 3)
     pass_on, passed = cell.use._pass_on, []
     flood = (actions.GoalEvent(uuid, "feedback", payload=sequence(Part.FEEDBACK, 1)),)
 

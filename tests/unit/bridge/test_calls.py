@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from rosplc.bridge.called import Called
-from rosplc.bridge.calls import CallPorts
+from rosplc.bridge.carrier import CallPorts
 from rosplc.bridge.port import Context
 from rosplc.bridge.status import ServiceStatus
 from rosplc.bridge.use import Use

@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
-from rosplc.bridge.calls import CallPorts
+from rosplc.bridge.carrier import CallPorts
 from rosplc.bridge.port import Context
-from rosplc.bridge.served_goals import ServedGoals
+from rosplc.bridge.served import ServedGoals
 from rosplc.bridge.status import ActionStatus
 from rosplc.config import parse_config, resolve
 from rosplc.errors import BackendError, ChannelError
